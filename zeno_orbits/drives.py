@@ -1,0 +1,154 @@
+r"""Permanent-magnet DC drives at three fidelities: full, quasi-static, ideal torque.
+
+A drive turns a feedback law into a generalized force. It brings current states only where the
+fidelity asks for them, so a scene models what it requires and no more. Source: [HaasGahleitner2000]_, theory (2)-(4).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from zeno_orbits.mechanics import HybridLagrangian
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MotorBank:
+    r"""The `n_M` motors of a scene: which joints they turn, their constants and their voltages.
+
+    Attributes:
+        selection: :math:`S`, ``(n_q, n_M)``: motor `k` adds torque to the coordinates of column `k`
+            and turns at :math:`(S^\top v)_k`. Gear ratios belong here.
+        resistance: :math:`R`, ``(n_M, n_M)`` [ohm].
+        inductance: :math:`L`, ``(n_M, n_M)`` [H].
+        torque_constant: :math:`K_\varphi`, ``(n_M, n_M)`` [N m/A].
+        emf_constant: :math:`K_\omega`, ``(n_M, n_M)`` [V s/rad].
+        voltage: :math:`V(q, v)`, ``(n_M,)`` [V], gains symbolic.
+    """
+
+    selection: ca.SX
+    resistance: ca.SX
+    inductance: ca.SX
+    torque_constant: ca.SX
+    emf_constant: ca.SX
+    voltage: ca.SX
+
+    def __post_init__(self) -> None:
+        """Refuse matrices whose shapes do not fit the number of motors."""
+        n_motors = self.selection.shape[1]
+        for name in ("resistance", "inductance", "torque_constant", "emf_constant"):
+            shape = getattr(self, name).shape
+            if shape != (n_motors, n_motors):
+                message = f"Argument `{name}` must be of shape ({n_motors}, {n_motors}), but it is {shape}."
+                raise ValueError(message)
+        if self.voltage.numel() != n_motors:
+            message = (
+                f"Argument `voltage` must have {n_motors} entries, one a motor, "
+                f"but it has {self.voltage.numel()}."
+            )
+            raise ValueError(message)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drive:
+    """What a mechanism sees of its motors.
+
+    Attributes:
+        current: Current states, ``(n_i,)`` [A]; empty below full fidelity.
+        current_rate: Their time derivative, ``(n_i,)`` [A/s].
+        force: Generalized force on the mechanism, ``(n_q,)``.
+        input_power: Power that the source delivers [W].
+        copper_loss: Power lost in the windings [W].
+        conversion_loss: Electrical less mechanical power of the air gap [W]; zero when the torque
+            and the back-EMF constants are equal.
+        magnetic_energy: Energy stored in the inductances [J].
+    """
+
+    current: ca.SX
+    current_rate: ca.SX
+    force: ca.SX
+    input_power: ca.SX
+    copper_loss: ca.SX
+    conversion_loss: ca.SX
+    magnetic_energy: ca.SX
+
+
+def full_drive(lagrangian: HybridLagrangian, motors: MotorBank) -> Drive:
+    r"""Return the drive with its current dynamics (paper eq. 4, theory (2)).
+
+    .. math:: L\,\dot\imath = V(q, v) - R\,\imath - K_\omega S^\top v,\qquad F = S K_\varphi\,\imath
+    """
+    current = ca.SX.sym("i", motors.voltage.numel())
+    emf = ca.mtimes(motors.emf_constant, ca.mtimes(motors.selection.T, lagrangian.v))
+    rate = ca.solve(motors.inductance, motors.voltage - ca.mtimes(motors.resistance, current) - emf)
+    stored = ca.dot(current, ca.mtimes(motors.inductance, current)) / 2
+    return _drive(lagrangian, motors, current=current, states=current, rate=rate, stored=stored)
+
+
+def quasi_static_drive(lagrangian: HybridLagrangian, motors: MotorBank) -> Drive:
+    r"""Return the drive in the limit :math:`L \to 0`: no current state (theory (3)).
+
+    .. math:: \imath = R^{-1}\,(V(q, v) - K_\omega S^\top v),\qquad F = S K_\varphi\,\imath
+    """
+    emf = ca.mtimes(motors.emf_constant, ca.mtimes(motors.selection.T, lagrangian.v))
+    current = ca.solve(motors.resistance, motors.voltage - emf)
+    none = ca.SX(0, 1)
+    return _drive(lagrangian, motors, current=current, states=none, rate=none, stored=ca.SX(0))
+
+
+def ideal_torque_drive(lagrangian: HybridLagrangian, *, selection: ca.SX, torque: ca.SX) -> Drive:
+    r"""Return a drive that delivers the commanded torque: :math:`F = S \tau(q, v)` (theory (4)).
+
+    Args:
+        lagrangian: The mechanism.
+        selection: :math:`S`, ``(n_q, n_M)``.
+        torque: :math:`\tau(q, v)`, ``(n_M,)`` [N m], gains symbolic.
+    """
+    if selection.shape != (lagrangian.q.numel(), torque.numel()):
+        message = (
+            f"Argument `selection` must be of shape ({lagrangian.q.numel()}, {torque.numel()}), "
+            f"but it is {selection.shape}."
+        )
+        raise ValueError(message)
+    force = ca.mtimes(selection, torque)
+    none, zero = ca.SX(0, 1), ca.SX(0)
+    return Drive(
+        current=none,
+        current_rate=none,
+        force=force,
+        input_power=ca.dot(force, lagrangian.v),
+        copper_loss=zero,
+        conversion_loss=zero,
+        magnetic_energy=zero,
+    )
+
+
+def no_drive(lagrangian: HybridLagrangian) -> Drive:
+    """Return the drive of a mechanism that moves by itself: no force, no state."""
+    return ideal_torque_drive(
+        lagrangian, selection=ca.SX(lagrangian.q.numel(), 0), torque=ca.SX(0, 1)
+    )
+
+
+def _drive(
+    lagrangian: HybridLagrangian,
+    motors: MotorBank,
+    *,
+    current: ca.SX,
+    states: ca.SX,
+    rate: ca.SX,
+    stored: ca.SX,
+) -> Drive:
+    speed = ca.mtimes(motors.selection.T, lagrangian.v)
+    torque = ca.mtimes(motors.torque_constant, current)
+    emf = ca.mtimes(motors.emf_constant, speed)
+    return Drive(
+        current=states,
+        current_rate=rate,
+        force=ca.mtimes(motors.selection, torque),
+        input_power=ca.dot(motors.voltage, current),
+        copper_loss=ca.dot(current, ca.mtimes(motors.resistance, current)),
+        conversion_loss=ca.dot(current, emf) - ca.dot(torque, speed),
+        magnetic_energy=stored,
+    )

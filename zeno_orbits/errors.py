@@ -1,0 +1,64 @@
+"""The exceptions of the package: named by the fact, carrying their evidence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class ZenoOrbitsError(Exception):
+    """Base of every outcome that keeps a promise from being kept."""
+
+
+class InputError(ZenoOrbitsError, ValueError):
+    """An argument, a name or a file is not usable; the text says which and why."""
+
+
+class ProblemFileError(InputError):
+    """A problem file could not be turned into a scene.
+
+    Attributes:
+        path: The file.
+    """
+
+    def __init__(self, path: Path, reason: str) -> None:
+        super().__init__(f"Problem file `{path}` must define a scene, but {reason}.")
+        self.path = path
+
+
+class OrbitFileError(InputError):
+    """An orbit file could not be read.
+
+    Attributes:
+        path: The file.
+    """
+
+    def __init__(self, path: Path, reason: str) -> None:
+        super().__init__(f"Orbit file `{path}` must hold a Zeno orbit, but {reason}.")
+        self.path = path
+
+
+class SimulationError(ZenoOrbitsError):
+    """An execution could not be continued.
+
+    Attributes:
+        time: Where it stopped [s].
+        state: The state there, ``(n_x,)``.
+    """
+
+    def __init__(self, reason: str, *, time: float, state: tuple[float, ...]) -> None:
+        super().__init__(f"{reason} (at t = {time:.9g} s)")
+        self.reason = reason
+        self.time = time
+        self.state = state
+
+
+class StepSizeError(SimulationError):
+    """The step size fell to rounding level, or the flow ceased to be finite."""
+
+
+class PenetrationError(SimulationError):
+    """The state left the admissible set without an impact: the reset map or the state is false."""
+
+
+class ChatterError(SimulationError):
+    """The impacts did not settle to a Zeno point within the allowed number."""

@@ -1,0 +1,157 @@
+r"""Complete a mechanism and its drive: guard, reset map, multiplier, locked flow, Theorem 1.
+
+Everything is an expression in the state ``x = (q, v, i)`` and the named parameters of the scene,
+gains and restitution among them. Source: [OrAmes2011]_, paper eqs (5)-(8), theory (5)-(12).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import casadi as ca
+
+from zeno_orbits.drives import Drive
+from zeno_orbits.mechanics import HybridLagrangian
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CompletedSystem:
+    r"""A completed hybrid system in symbols.
+
+    Attributes:
+        n_q: Number of coordinates.
+        state: ``x = (q, v, i)`` and any ledger states, ``(n_x,)``.
+        free_flow: :math:`\dot x` off the stop, ``(n_x,)`` (theory (5)).
+        locked_flow: :math:`\dot x` on the stop, ``(n_x,)`` (theory (8)).
+        gap: :math:`h`.
+        gap_rate: :math:`\dot h`.
+        gap_acceleration: :math:`\ddot h` of the free flow, the quantity of Theorem 1.
+        multiplier: :math:`\lambda` that keeps :math:`\ddot h = 0` on the stop.
+        multiplier_rate: :math:`\dot\lambda` along the locked flow.
+        impulse_direction: :math:`W J^\top / (J W J^\top)` as a change of state, ``(n_x,)``.
+        normal_inertia: :math:`1 / (J W J^\top)`, the inertia that an impact feels.
+        restitution: :math:`e`.
+        energy: Kinetic, potential and magnetic energy [J].
+        input_power: Power delivered by the sources [W].
+        copper_loss: Power lost in the windings [W].
+        other_loss: Power lost to passive forces and to unequal motor constants [W].
+        holonomic: :math:`(\eta, \dot\eta)`, ``(2 n_eta,)``; zero on admissible states.
+    """
+
+    n_q: int
+    state: ca.SX
+    free_flow: ca.SX
+    locked_flow: ca.SX
+    gap: ca.SX
+    gap_rate: ca.SX
+    gap_acceleration: ca.SX
+    multiplier: ca.SX
+    multiplier_rate: ca.SX
+    impulse_direction: ca.SX
+    normal_inertia: ca.SX
+    restitution: ca.SX
+    energy: ca.SX
+    input_power: ca.SX
+    copper_loss: ca.SX
+    other_loss: ca.SX
+    holonomic: ca.SX
+
+
+def complete(lagrangian: HybridLagrangian, drive: Drive, restitution: ca.SX) -> CompletedSystem:
+    r"""Build the completed hybrid system of a mechanism, its drive and its stop.
+
+    With :math:`W` the inverse mass on the holonomic constraints (theory (6)) and
+    :math:`J = \partial h / \partial q`:
+
+    .. math:: \lambda = -\ddot h_\mathrm{free} / (J W J^\top),\qquad
+        v^+ = v^- - (1 + e)\,\frac{J v^-}{J W J^\top}\,W J^\top
+
+    Args:
+        lagrangian: The mechanism.
+        drive: Its drive.
+        restitution: Coefficient of restitution :math:`e`, a symbol or a number in [0, 1).
+
+    Returns:
+        The completed system.
+    """
+    q, v = lagrangian.q, lagrangian.v
+    inverse_mass, free_acceleration = _accelerate(lagrangian, drive.force)
+    normal = ca.jacobian(lagrangian.gap, q).T
+    response = ca.mtimes(inverse_mass, normal)
+    normal_inertia = 1 / ca.dot(normal, response)
+    gap_rate = ca.dot(normal, v)
+    gap_acceleration = ca.dot(normal, free_acceleration) + ca.jtimes(gap_rate, q, v)
+    multiplier = -gap_acceleration * normal_inertia
+
+    state = ca.vertcat(q, v, drive.current)
+    locked_acceleration = free_acceleration + multiplier * response
+    locked_flow = ca.vertcat(v, locked_acceleration, drive.current_rate)
+    direction = ca.vertcat(
+        ca.SX.zeros(q.numel()), response * normal_inertia, ca.SX.zeros(drive.current.numel())
+    )
+    eta_rate = ca.jtimes(lagrangian.holonomic, q, v)
+    return CompletedSystem(
+        n_q=q.numel(),
+        state=state,
+        free_flow=ca.vertcat(v, free_acceleration, drive.current_rate),
+        locked_flow=locked_flow,
+        gap=lagrangian.gap,
+        gap_rate=gap_rate,
+        gap_acceleration=gap_acceleration,
+        multiplier=multiplier,
+        multiplier_rate=ca.jtimes(multiplier, state, locked_flow),
+        impulse_direction=direction,
+        normal_inertia=normal_inertia,
+        restitution=ca.SX(restitution),
+        energy=lagrangian.kinetic + lagrangian.potential + drive.magnetic_energy,
+        input_power=drive.input_power,
+        copper_loss=drive.copper_loss,
+        other_loss=drive.conversion_loss - ca.dot(lagrangian.passive_force, v),
+        holonomic=ca.vertcat(lagrangian.holonomic, eta_rate),
+    )
+
+
+def post_impact_state(system: CompletedSystem) -> ca.SX:
+    r"""Return the state just after an impact on the stop, ``(n_x,)``; only velocities change.
+
+    Newton's law :math:`J v^+ = -e\,J v^-`, the impulse along the constraint normal in the kinetic
+    metric. Source: [Moreau1988]_, paper eq. (8), theory (7).
+    """
+    return system.state - (1 + system.restitution) * system.gap_rate * system.impulse_direction
+
+
+def audited(system: CompletedSystem) -> CompletedSystem:
+    """Append the energy ledger to the state: work in, copper loss and other losses since the start.
+
+    The three ledger states [J] drive nothing; an impact leaves them as they are.
+    """
+    ledger = ca.SX.sym("ledger", 3)
+    powers = ca.vertcat(system.input_power, system.copper_loss, system.other_loss)
+    return replace(
+        system,
+        state=ca.vertcat(system.state, ledger),
+        free_flow=ca.vertcat(system.free_flow, powers),
+        locked_flow=ca.vertcat(system.locked_flow, powers),
+        impulse_direction=ca.vertcat(system.impulse_direction, ca.SX.zeros(3)),
+    )
+
+
+def _accelerate(lagrangian: HybridLagrangian, force: ca.SX) -> tuple[ca.SX, ca.SX]:
+    r"""Return the inverse mass on the holonomic constraints and the free acceleration.
+
+    .. math:: W = M^{-1} - M^{-1} H^\top (H M^{-1} H^\top)^{-1} H M^{-1},\qquad
+        a = W (F - \mathrm{bias}) - M^{-1} H^\top (H M^{-1} H^\top)^{-1} \dot H v
+
+    with :math:`H = \partial\eta / \partial q` (theory (6)).
+    """
+    q, v, eta = lagrangian.q, lagrangian.v, lagrangian.holonomic
+    inverse_mass = ca.inv(lagrangian.mass_matrix)
+    net_force = force - lagrangian.bias
+    if eta.numel() == 0:
+        return inverse_mass, ca.mtimes(inverse_mass, net_force)
+    jacobian = ca.jacobian(eta, q)
+    response = ca.mtimes(inverse_mass, jacobian.T)
+    gain = ca.mtimes(response, ca.inv(ca.mtimes(jacobian, response)))
+    constrained = inverse_mass - ca.mtimes(gain, response.T)
+    drift = ca.jtimes(ca.mtimes(jacobian, v), q, v)
+    return constrained, ca.mtimes(constrained, net_force) - ca.mtimes(gain, drift)

@@ -1,0 +1,117 @@
+"""Lagrangian mechanics in symbols: from energies to `M`, `C v + N`, the gap and its Jacobian.
+
+Source: [MurrayLiSastry1994]_ for the Lagrangian form, theory (1) and (6).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HybridLagrangian:
+    r"""A mechanism with one stop: the tuple (Q, L, h) of [Ames2006]_, before any drive acts.
+
+    The law is :math:`M(q)\,\dot v + \mathrm{bias}(q, v) = F`, with `F` the generalized force of the
+    drives, on the admissible set :math:`h(q) \ge 0` (theory (1)).
+
+    Attributes:
+        q: Configuration symbols, ``(n_q,)``.
+        v: Velocity symbols, ``(n_q,)``.
+        mass_matrix: :math:`M(q)`, ``(n_q, n_q)``.
+        bias: :math:`C(q, v)\,v + N(q)` less the passive forces, ``(n_q,)``.
+        gap: :math:`h(q)`, scalar; the stop is :math:`h = 0`.
+        potential: :math:`U(q)`, scalar [J].
+        passive_force: Forces that depend on ``(q, v)`` alone, friction for instance, ``(n_q,)``.
+        holonomic: :math:`\eta(q)`, ``(n_eta,)``; the motion keeps :math:`\eta = 0` (paper eq. 6).
+    """
+
+    q: ca.SX
+    v: ca.SX
+    mass_matrix: ca.SX
+    bias: ca.SX
+    gap: ca.SX
+    potential: ca.SX
+    passive_force: ca.SX
+    holonomic: ca.SX
+
+    @classmethod
+    def from_energies(
+        cls,
+        *,
+        q: ca.SX,
+        v: ca.SX,
+        kinetic: ca.SX,
+        potential: ca.SX,
+        gap: ca.SX,
+        passive_force: ca.SX | None = None,
+        holonomic: ca.SX | None = None,
+    ) -> HybridLagrangian:
+        r"""Derive the equations of motion of :math:`L = T - U`.
+
+        .. math:: M = \partial^2 T / \partial v^2,\qquad
+            \mathrm{bias} = \partial_q (M v)\,v - \partial_q T + \partial_q U - F_\mathrm{passive}
+
+        Args:
+            q: Configuration symbols, ``(n_q,)``.
+            v: Velocity symbols, ``(n_q,)``.
+            kinetic: :math:`T(q, v)` [J], quadratic in ``v``.
+            potential: :math:`U(q)` [J].
+            gap: :math:`h(q)`.
+            passive_force: Friction and other forces of ``(q, v)``, ``(n_q,)``; none by default.
+            holonomic: :math:`\eta(q)`, ``(n_eta,)``; none by default.
+
+        Returns:
+            The mechanism.
+
+        Raises:
+            ValueError: If an energy, the gap or a constraint depends on what it must not.
+        """
+        friction = ca.SX.zeros(q.numel()) if passive_force is None else ca.vec(passive_force)
+        eta = ca.SX(0, 1) if holonomic is None else ca.vec(holonomic)
+        mass_matrix = ca.hessian(kinetic, v)[0]
+        _require_shapes(q, v, friction)
+        for name, expression in (("gap", gap), ("potential", potential), ("holonomic", eta)):
+            if ca.depends_on(expression, v):
+                message = f"Argument `{name}` must depend on the configuration only, but it depends on the velocity."
+                raise ValueError(message)
+        if not ca.depends_on(gap, q):
+            raise ValueError("Argument `gap` must depend on the configuration, but it is constant.")
+        still = ca.SX.zeros(*v.shape)
+        rest = ca.substitute(ca.vertcat(kinetic, ca.gradient(kinetic, v)), v, still)
+        if ca.depends_on(mass_matrix, v) or not rest.is_zero():
+            raise ValueError("Argument `kinetic` must be quadratic in the velocity, but it is not.")
+        momentum = ca.mtimes(mass_matrix, v)
+        bias = (
+            ca.jtimes(momentum, q, v)
+            - ca.gradient(kinetic, q)
+            + ca.gradient(potential, q)
+            - friction
+        )
+        return cls(
+            q=q,
+            v=v,
+            mass_matrix=mass_matrix,
+            bias=bias,
+            gap=gap,
+            potential=potential,
+            passive_force=friction,
+            holonomic=eta,
+        )
+
+    @property
+    def kinetic(self) -> ca.SX:
+        r"""Kinetic energy :math:`\tfrac12 v^\top M v` [J]."""
+        return ca.dot(self.v, ca.mtimes(self.mass_matrix, self.v)) / 2
+
+
+def _require_shapes(q: ca.SX, v: ca.SX, force: ca.SX) -> None:
+    for name, vector in (("v", v), ("passive_force", force)):
+        if vector.numel() != q.numel():
+            message = (
+                f"Argument `{name}` must have {q.numel()} entries, one a coordinate, "
+                f"but it has {vector.numel()}."
+            )
+            raise ValueError(message)
