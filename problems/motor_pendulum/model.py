@@ -1,0 +1,176 @@
+"""A double pendulum with a stop at the knee and a DC motor at the shoulder (paper, section IV).
+
+The paper publishes two numbers of its machine, the coefficients of Theorem 1's acceleration
+``d2h/dt2 = -2.92437 i - 27.5697 sin(theta1)``, and no masses or lengths. This scene declares a
+set of plausible ones and solves the rotor inertia and the torque constant for the two numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import casadi as ca
+
+from zeno_orbits.drives import Drive, MotorBank, full_drive
+from zeno_orbits.errors import InputError
+from zeno_orbits.hybrid import CompletedSystem, complete
+from zeno_orbits.mechanics import HybridLagrangian
+from zeno_orbits.problem import Problem, Quantity, positive, restitution
+
+CURRENT_COEFFICIENT = 2.92437
+"""Published: minus the factor of the current in d2h/dt2 [rad/(s^2 A)]."""
+GRAVITY_COEFFICIENT = 27.5697
+"""Published: minus the factor of sin(theta1) in d2h/dt2 [rad/s^2]."""
+
+
+def lagrangian(p: Mapping[str, ca.SX]) -> HybridLagrangian:
+    """Return the mechanism: ``q = (theta1, theta2)``, the stop keeps ``theta2 >= 0``.
+
+    ``theta1`` is measured from the downward vertical, ``theta2`` from link 1.
+    """
+    q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+    rate1, rate2 = v[0], v[0] + v[1]
+    centre2_speed_squared = (
+        (p["L1"] * rate1) ** 2
+        + (p["lc2"] * rate2) ** 2
+        + 2 * p["L1"] * p["lc2"] * rate1 * rate2 * ca.cos(q[1])
+    )
+    link1_inertia = p["I1"] + p["J_rotor"] + p["m1"] * p["lc1"] ** 2
+    kinetic = (link1_inertia * rate1**2 + p["m2"] * centre2_speed_squared + p["I2"] * rate2**2) / 2
+    height1 = -p["lc1"] * ca.cos(q[0])
+    height2 = -p["L1"] * ca.cos(q[0]) - p["lc2"] * ca.cos(q[0] + q[1])
+    potential = p["g"] * (p["m1"] * height1 + p["m2"] * height2)
+    return HybridLagrangian.from_energies(q=q, v=v, kinetic=kinetic, potential=potential, gap=q[1])
+
+
+def motor(mechanism: HybridLagrangian, p: Mapping[str, ca.SX]) -> MotorBank:
+    """Return the shoulder motor under ``V = -Kp theta1 - Kd dtheta1`` (paper eq. 9)."""
+    return MotorBank(
+        selection=ca.SX([1, 0]),
+        resistance=p["R"],
+        inductance=p["L"],
+        torque_constant=p["K_torque"],
+        emf_constant=p["K_emf"],
+        voltage=-p["Kp"] * mechanism.q[0] - p["Kd"] * mechanism.v[0],
+    )
+
+
+def shoulder_drive(mechanism: HybridLagrangian, p: Mapping[str, ca.SX]) -> Drive:
+    """Return the motor with its current dynamics."""
+    return full_drive(mechanism, motor(mechanism, p))
+
+
+def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
+    """Return the completed system, with five states."""
+    mechanism = lagrangian(p)
+    return complete(mechanism, shoulder_drive(mechanism, p), p["restitution"])
+
+
+def calibrate(values: Mapping[str, float]) -> dict[str, float]:
+    r"""Return ``J_rotor``, ``K_torque`` and ``K_emf`` where they are not given.
+
+    At a Zeno equilibrium, with :math:`\Delta = AB - C^2`,
+
+    .. math:: \ddot h = -\frac{(B+C) K_\varphi}{\Delta}\,\imath
+        - g\,\frac{(A+C) E - (B+C) D}{\Delta} \sin\theta_1
+
+    so the second published number fixes :math:`A`, which holds the rotor inertia, and the first
+    then fixes :math:`K_\varphi`. The back-EMF constant is the torque constant.
+
+    Raises:
+        InputError: If no rotor inertia gives the published numbers; it names the broken bound.
+    """
+    known = dict(values)
+    g = known["g"]
+    b = known["I2"] + known["m2"] * known["lc2"] ** 2
+    c = known["m2"] * known["L1"] * known["lc2"]
+    d = known["m1"] * known["lc1"] + known["m2"] * known["L1"]
+    e = known["m2"] * known["lc2"]
+    bare = known["I1"] + known["m1"] * known["lc1"] ** 2 + known["m2"] * known["L1"] ** 2
+    if "J_rotor" not in known:
+        known["J_rotor"] = _rotor_inertia(g, bare, b, c, d, e)
+    a = bare + known["J_rotor"]
+    if "K_torque" not in known:
+        known["K_torque"] = CURRENT_COEFFICIENT * (a * b - c**2) / (b + c)
+    return {
+        "J_rotor": known["J_rotor"],
+        "K_torque": known["K_torque"],
+        "K_emf": known.get("K_emf", known["K_torque"]),
+    }
+
+
+def _rotor_inertia(g: float, bare: float, b: float, c: float, d: float, e: float) -> float:
+    numerator = g * ((b + c) * d - c * e) - GRAVITY_COEFFICIENT * c**2
+    denominator = g * e - GRAVITY_COEFFICIENT * b
+    limit = g / GRAVITY_COEFFICIENT
+    inertia = numerator / denominator - bare if denominator != 0 else math.nan
+    if inertia >= 0:
+        return inertia
+    bound = (
+        f"(I2 + m2 lc2^2) / (m2 lc2) must be below g / 27.5697 = {limit:.6g} m, but it is {b / e:.6g} m"
+        if denominator <= 0
+        else f"J_rotor must not be negative, but it would be {inertia:.6g} kg m^2"
+    )
+    raise InputError(
+        f"Argument `parameters` must allow the published 27.5697, but no rotor inertia does: {bound}."
+    )
+
+
+def _gain(
+    name: str, default: float, lower: float, upper: float, unit: str, meaning: str
+) -> Quantity:
+    return Quantity(
+        name=name, unit=unit, meaning=meaning, default=default, lower=lower, upper=upper
+    )
+
+
+PROBLEM = Problem(
+    name="motor_pendulum",
+    title="double pendulum with a stop, DC motor at the shoulder, PD control",
+    source="Nadubettu Yadukumar, Kothapalli and Ames, section IV; masses and lengths declared here",
+    state_names=("theta1", "theta2", "dtheta1", "dtheta2", "current"),
+    state_units=("rad", "rad", "rad/s", "rad/s", "A"),
+    parameters=(
+        positive("L1", 0.20, "m", "length of link 1"),
+        positive("lc1", 0.06, "m", "shoulder to the centre of mass of link 1"),
+        positive("m1", 0.30, "kg", "mass of link 1"),
+        positive("I1", 0.001, "kg m^2", "inertia of link 1 about its centre of mass"),
+        positive("L2", 0.30, "m", "length of link 2; for pictures only"),
+        positive("lc2", 0.15, "m", "knee to the centre of mass of link 2"),
+        positive("m2", 0.10, "kg", "mass of link 2"),
+        positive("I2", 0.00075, "kg m^2", "inertia of link 2 about its centre of mass"),
+        Quantity(
+            name="J_rotor",
+            unit="kg m^2",
+            meaning="inertia of rotor and gears at the shoulder; calibrated",
+            default=None,
+            lower=0.0,
+        ),
+        positive("R", 3.0, "ohm", "resistance of the motor circuit"),
+        positive("L", 0.002, "H", "inductance of the motor circuit"),
+        positive("K_torque", None, "N m/A", "torque constant at the shoulder; calibrated"),
+        Quantity(
+            name="K_emf",
+            unit="V s/rad",
+            meaning="back-EMF constant at the shoulder; equal to K_torque",
+            default=None,
+            lower=0.0,
+        ),
+        restitution(0.2),
+        Quantity(
+            name="g", unit="m/s^2", meaning="gravity", default=9.81, lower=0.0, excluded=(0.0,)
+        ),
+    ),
+    gains=(
+        _gain("Kp", 2.5, 1.0, 6.0, "V/rad", "proportional gain"),
+        _gain("Kd", -1.0, -1.5, -0.4, "V s/rad", "derivative gain; below zero it feeds energy in"),
+    ),
+    model=model,
+    starts=({"theta1": 0.6}, {"theta1": 1.2}, {"theta1": -0.8, "theta2": 0.3}),
+    portraits=(("theta1", "dtheta1"), ("theta2", "dtheta2")),
+    amplitude_of="theta1",
+    derive=calibrate,
+    reference=Path(__file__).with_name("reference.py"),
+)
