@@ -1,0 +1,273 @@
+"""From expressions to numbers: the only place that makes ``ca.Function`` of a model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from zeno_orbits.dynamics import GuardedFlow, HybridDynamics, Tolerance, Vector
+from zeno_orbits.hybrid import CompletedSystem
+from zeno_orbits.problem import Problem
+from zeno_orbits.runge_kutta import explicit_attempt
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModeFunctions:
+    """A flow and its guard as functions of ``(y, p)``, and a whole DOP853 step of the flow.
+
+    Attributes:
+        rate: ``(y, p) -> dy/dt``.
+        guard: ``(y, p) -> (guard, its time derivative)``.
+        step: ``(y, p, (size, relative, absolute)) -> (y after, error in units of the tolerance)``.
+    """
+
+    rate: ca.Function
+    guard: ca.Function
+    step: ca.Function
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CompiledSystem:
+    """The functions of a completed system in ``(x, p)``; ``p`` holds gains, then parameters.
+
+    Attributes:
+        state_names: Name of each state.
+        n_q: Number of coordinates.
+        free: The mode off the stop, in ``(x, p)``.
+        locked: The mode on the stop, in ``(x, p)``.
+        flight: The rescaled flight, in ``((x, h / w^2, (dh/dt) / w), (p, w))`` (theory (14)).
+        contact: ``(x, p) -> (gap, gap_rate, gap_acceleration, multiplier, multiplier_rate)``.
+        impulse: ``(x, p) -> (impulse_direction, normal_inertia, restitution)``.
+        powers: ``(x, p) -> (input_power, copper_loss, other_loss)`` [W].
+        energy: ``(x, p) -> energy`` [J].
+        holonomic: ``(x, p) -> (eta, eta_rate)``.
+    """
+
+    state_names: tuple[str, ...]
+    n_q: int
+    free: ModeFunctions
+    locked: ModeFunctions
+    flight: ModeFunctions
+    contact: ca.Function
+    impulse: ca.Function
+    powers: ca.Function
+    energy: ca.Function
+    holonomic: ca.Function
+
+    @property
+    def n_x(self) -> int:
+        """Number of states."""
+        return len(self.state_names)
+
+
+def compile_problem(
+    problem: Problem, transform: Callable[[CompletedSystem], CompletedSystem] | None = None
+) -> CompiledSystem:
+    """Build the functions of a scene.
+
+    Args:
+        problem: The scene.
+        transform: A change of the completed system first, ``hybrid.audited`` for instance, which
+            may append states.
+    """
+    symbols = problem.symbols()
+    system = problem.model(symbols)
+    names = problem.state_names
+    if transform is not None:
+        system = transform(system)
+        extra = system.state.numel() - len(names)
+        names = (*names, *(f"ledger{k}" for k in range(extra)))
+    return compile_system(system, symbols, names)
+
+
+def compile_system(
+    system: CompletedSystem, symbols: Mapping[str, ca.SX], state_names: Sequence[str]
+) -> CompiledSystem:
+    """Build the functions of a completed system.
+
+    Args:
+        system: The completed system.
+        symbols: Its named parameters, in the order of ``p``.
+        state_names: One name a state.
+
+    Raises:
+        ValueError: If the names do not fit the states, or an expression holds another symbol.
+    """
+    if system.state.numel() != len(state_names):
+        message = (
+            f"Argument `state_names` must name {system.state.numel()} states, "
+            f"but it names {len(state_names)}."
+        )
+        raise ValueError(message)
+    parameters = ca.vertcat(*symbols.values())
+    contact = ca.vertcat(
+        system.gap,
+        system.gap_rate,
+        system.gap_acceleration,
+        system.multiplier,
+        system.multiplier_rate,
+    )
+    powers = ca.vertcat(system.input_power, system.copper_loss, system.other_loss)
+
+    def function(name: str, *outputs: ca.SX) -> ca.Function:
+        inside = [system.state, parameters]
+        loose = [symbol.name() for symbol in ca.symvar(ca.veccat(*outputs))]
+        known = {symbol.name() for symbol in ca.symvar(ca.veccat(*inside))}
+        unknown = sorted(set(loose) - known)
+        if unknown:
+            message = (
+                "Argument `system` must depend on its state and named parameters only, "
+                f"but `{name}` depends on {', '.join(unknown)}."
+            )
+            raise ValueError(message)
+        return _function(name, inside, list(outputs))
+
+    scaled_gap, speed = ca.SX.sym("eta", 2), ca.SX.sym("w")
+    flight_rate = ca.vertcat(speed * system.free_flow, scaled_gap[1], system.gap_acceleration)
+    return CompiledSystem(
+        state_names=tuple(state_names),
+        n_q=system.n_q,
+        free=_mode("free", system.state, parameters, system.free_flow, contact[0:2]),
+        locked=_mode("locked", system.state, parameters, system.locked_flow, contact[3:5]),
+        flight=_mode(
+            "flight",
+            ca.vertcat(system.state, scaled_gap),
+            ca.vertcat(parameters, speed),
+            flight_rate,
+            scaled_gap,
+        ),
+        contact=function("contact", contact),
+        impulse=function(
+            "impulse", system.impulse_direction, system.normal_inertia, system.restitution
+        ),
+        powers=function("powers", powers),
+        energy=function("energy", system.energy),
+        holonomic=function("holonomic", system.holonomic),
+    )
+
+
+def bind(compiled: CompiledSystem, values: Sequence[float]) -> HybridDynamics:
+    """Return the system at fixed numbers for gains and parameters.
+
+    Args:
+        compiled: The functions.
+        values: ``p``, gains then parameters.
+    """
+    p = np.asarray(values, dtype=np.float64)
+    contact = _Call(compiled.contact, p)
+    impulse = _Call(compiled.impulse, p)
+    energy = _Call(compiled.energy, p)
+    holonomic = _Call(compiled.holonomic, p)
+    restitution = float(impulse(np.zeros(compiled.n_x), 2)[0])
+
+    def flight(speed: float) -> GuardedFlow:
+        return CompiledFlow(compiled.flight, np.append(p, speed))
+
+    def reset_map(x: Vector, approach_rate: float) -> Vector:
+        return x - (1 + restitution) * approach_rate * impulse(x, 0)
+
+    return HybridDynamics(
+        state_names=compiled.state_names,
+        n_q=compiled.n_q,
+        restitution=restitution,
+        free=CompiledFlow(compiled.free, p),
+        locked=CompiledFlow(compiled.locked, p),
+        flight=flight,
+        gap=lambda x: float(contact(x)[0]),
+        gap_rate=lambda x: float(contact(x)[1]),
+        gap_acceleration=lambda x: float(contact(x)[2]),
+        multiplier=lambda x: float(contact(x)[3]),
+        multiplier_rate=lambda x: float(contact(x)[4]),
+        reset_map=reset_map,
+        impulse_direction=lambda x: impulse(x, 0).copy(),
+        normal_inertia=lambda x: float(impulse(x, 1)[0]),
+        energy=lambda x: float(energy(x)[0]),
+        holonomic=lambda x: holonomic(x).copy(),
+    )
+
+
+class CompiledFlow:
+    """A guarded flow whose step is one CasADi call through preallocated memory."""
+
+    def __init__(self, mode: ModeFunctions, p: Vector) -> None:
+        n_y = mode.step.size1_in(0)
+        self._p = p
+        self._y = np.zeros(n_y)
+        self._numbers = np.zeros(3)
+        self._after = np.zeros(n_y)
+        self._error = np.zeros(1)
+        self._rate = np.zeros(n_y)
+        self._guard = np.zeros(2)
+        self._step, self._take_step = mode.step.buffer()
+        self._field, self._evaluate_rate = mode.rate.buffer()
+        self._watch, self._evaluate_guard = mode.guard.buffer()
+        for buffer in (self._step, self._field, self._watch):
+            buffer.set_arg(0, memoryview(self._y))
+            buffer.set_arg(1, memoryview(self._p))
+        self._step.set_arg(2, memoryview(self._numbers))
+        self._step.set_res(0, memoryview(self._after))
+        self._step.set_res(1, memoryview(self._error))
+        self._field.set_res(0, memoryview(self._rate))
+        self._watch.set_res(0, memoryview(self._guard))
+
+    def rate(self, y: Vector) -> Vector:
+        """Return ``dy/dt``."""
+        self._y[:] = y
+        self._evaluate_rate()
+        return self._rate.copy()
+
+    def guard(self, y: Vector) -> tuple[float, float]:
+        """Return the guard and its time derivative along the flow."""
+        self._y[:] = y
+        self._evaluate_guard()
+        return float(self._guard[0]), float(self._guard[1])
+
+    def attempt(self, y: Vector, size: float, tolerance: Tolerance) -> tuple[Vector, float]:
+        """Return the state after one step of DOP853 and its error, in units of the tolerance."""
+        self._y[:] = y
+        self._numbers[:] = (size, tolerance.relative, tolerance.absolute)
+        self._take_step()
+        return self._after.copy(), float(self._error[0])
+
+
+def _mode(name: str, y: ca.SX, p: ca.SX, rate: ca.SX, guard: ca.SX) -> ModeFunctions:
+    field = _function(f"{name}_rate", [y, p], [rate])
+    numbers = ca.SX.sym("numbers", 3)
+    size, relative, absolute = ca.vertsplit(numbers)
+    after, fifth, third = explicit_attempt(lambda state: field(state, p), y, size)
+    scale = absolute + relative * ca.fmax(ca.fabs(y), ca.fabs(after))
+    fifth_squared = ca.sumsqr(fifth / scale)
+    weight = ca.sqrt((fifth_squared + 0.01 * ca.sumsqr(third / scale)) * y.numel())
+    error = ca.if_else(weight > 0, ca.fabs(size) * fifth_squared / weight, 0)
+    return ModeFunctions(
+        rate=field,
+        guard=_function(f"{name}_guard", [y, p], [guard]),
+        step=_function(f"{name}_step", [y, p, numbers], [after, error]),
+    )
+
+
+def _function(name: str, inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.Function:
+    """Return a function with dense outputs: a buffer receives the stored entries only."""
+    return ca.Function(name, inputs, [ca.densify(output) for output in outputs], {"cse": True})
+
+
+class _Call:
+    """A function of ``(x, p)`` at fixed ``p``, called through preallocated memory."""
+
+    def __init__(self, function: ca.Function, p: Vector) -> None:
+        self._x = np.zeros(function.size1_in(0))
+        self._p = p
+        self._results = [np.zeros(function.numel_out(k)) for k in range(function.n_out())]
+        self._buffer, self._evaluate = function.buffer()
+        self._buffer.set_arg(0, memoryview(self._x))
+        self._buffer.set_arg(1, memoryview(self._p))
+        for k, result in enumerate(self._results):
+            self._buffer.set_res(k, memoryview(result))
+
+    def __call__(self, x: Vector, output: int = 0) -> Vector:
+        self._x[:] = x
+        self._evaluate()
+        return self._results[output]

@@ -1,0 +1,77 @@
+"""The default engine: DOP853 steps taken by the flow itself, compiled where it can be.
+
+A state inside a step comes from a shorter step of the same order from the same start, so event
+times and dense output lose nothing against the steps. Source: [HairerNorsettWanner1993]_.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from zeno_orbits.dynamics import GuardedFlow, Tolerance, Vector
+from zeno_orbits.engines.protocol import Attempt
+from zeno_orbits.errors import StepSizeError
+
+_SAFETY = 0.9
+_SHRINK, _GROW = 0.2, 8.0
+_EXPONENT = -1 / 8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RungeKutta:
+    """DOP853 with the usual step control.
+
+    Attributes:
+        largest_step: No step is longer than this, in the time of the flow.
+    """
+
+    largest_step: float = math.inf
+
+    def steps(self, flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> Iterator[Attempt]:
+        """Yield steps from ``y`` on, without end.
+
+        Raises:
+            StepSizeError: If the step size falls to rounding level.
+        """
+        time = 0.0
+        size = min(_first_size(flow, y, tolerance), self.largest_step)
+        refused = False
+        while True:
+            after, error = flow.attempt(y, size, tolerance)
+            if not error <= 1.0:
+                # A flow that blows up returns NaN; a shorter step may still be finite.
+                factor = _SAFETY * error**_EXPONENT if math.isfinite(error) else _SHRINK
+                size *= max(_SHRINK, factor)
+                refused = True
+                if size <= 4 * math.ulp(time) or size < 1e-300:
+                    raise StepSizeError(
+                        "The step size fell to rounding level: the flow is too stiff or singular.",
+                        time=time,
+                        state=tuple(y.tolist()),
+                    )
+                continue
+            yield Attempt(
+                flow=flow, tolerance=tolerance, start=time, size=size, before=y, after=after
+            )
+            time += size
+            y = after
+            growth = _GROW if error == 0.0 else _SAFETY * error**_EXPONENT
+            size *= min(1.0 if refused else _GROW, max(_SHRINK, growth))
+            size = min(size, self.largest_step)
+            refused = False
+
+
+def _first_size(flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> float:
+    """Return a first step from the size of the state and of its slope ([HairerNorsettWanner1993]_, II.4)."""
+    slope = flow.rate(y)
+    if not np.all(np.isfinite(slope)):
+        raise StepSizeError(
+            "The flow is not finite at its start.", time=0.0, state=tuple(y.tolist())
+        )
+    scale = tolerance.absolute / tolerance.relative + np.abs(y)
+    ratio = float(np.linalg.norm(slope / scale))
+    return 0.01 * math.sqrt(len(y)) / ratio if ratio > 1e-5 else 1e-3

@@ -1,0 +1,95 @@
+"""The reference engine: SciPy's integrators, slow and independent of ours."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import DOP853, LSODA, OdeSolver, Radau, solve_ivp
+
+from zeno_orbits.dynamics import GuardedFlow, Tolerance, Vector
+from zeno_orbits.errors import StepSizeError
+
+_FAR = 1e300
+"""A time bound that no flow reaches; SciPy's solvers want one."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SciPy:
+    """A method of ``scipy.integrate``, stepped by hand.
+
+    Attributes:
+        method: ``DOP853``, ``Radau`` (stiff) or ``LSODA``, the class itself.
+        largest_step: No step is longer than this, in the time of the flow.
+    """
+
+    method: type[DOP853] | type[Radau] | type[LSODA] = DOP853
+    largest_step: float = np.inf
+
+    def steps(self, flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> Iterator[SciPyStep]:
+        """Yield steps from ``y`` on, without end.
+
+        Raises:
+            StepSizeError: If the integrator gives up.
+        """
+        solver: OdeSolver = self.method(
+            lambda _, state: flow.rate(state),
+            0.0,
+            y,
+            _FAR,
+            max_step=self.largest_step,
+            rtol=tolerance.relative,
+            atol=tolerance.absolute,
+        )
+        before = y
+        while True:
+            start = float(solver.t)
+            message = solver.step()
+            if solver.status == "failed":
+                raise StepSizeError(
+                    f"SciPy's {self.method.__name__} stopped: {message}",
+                    time=start,
+                    state=tuple(before.tolist()),
+                )
+            after = np.array(solver.y, dtype=np.float64)
+            yield SciPyStep(
+                engine=self,
+                flow=flow,
+                tolerance=tolerance,
+                start=start,
+                size=float(solver.t) - start,
+                before=before,
+                after=after,
+            )
+            before = after
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SciPyStep:
+    """A step of SciPy's; the state inside is integrated again, as dense output is less accurate."""
+
+    engine: SciPy
+    flow: GuardedFlow
+    tolerance: Tolerance
+    start: float
+    size: float
+    before: Vector
+    after: Vector
+
+    def state_at(self, offset: float) -> Vector:
+        """Return the state ``offset`` after the start of the step."""
+        if offset == 0.0:
+            return self.before
+        if offset == self.size:
+            return self.after
+        solution = solve_ivp(
+            lambda _, state: self.flow.rate(state),
+            (0.0, offset),
+            self.before,
+            method=self.engine.method,
+            t_eval=[offset],
+            rtol=self.tolerance.relative,
+            atol=self.tolerance.absolute,
+        )
+        return np.asarray(solution.y[:, -1], dtype=np.float64)

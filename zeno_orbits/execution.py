@@ -1,0 +1,210 @@
+"""A completed execution: its arcs, its events and the state at any time."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from zeno_orbits.dynamics import Vector
+from zeno_orbits.engines.protocol import Step
+
+
+class Mode(Enum):
+    """Off the stop, or on it."""
+
+    FREE = "free"
+    LOCKED = "locked"
+
+
+class Ending(Enum):
+    """What ended an arc. The value is the word shown to the user."""
+
+    IMPACT = "impact"
+    ZENO = "Zeno point"
+    RELEASE = "release"
+    HORIZON = "end of the simulation"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Impact:
+    """One impact that was resolved.
+
+    Attributes:
+        time: When [s].
+        state_minus: State before it, ``(n_x,)``.
+        state_plus: State after it, ``(n_x,)``.
+        approach_rate: Gap rate before it, negative; exact where the state has only rounding.
+    """
+
+    time: float
+    state_minus: Vector
+    state_plus: Vector
+    approach_rate: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ZenoPoint:
+    """The limit of an impact sequence.
+
+    Attributes:
+        time: Zeno time [s].
+        state: Zeno state, ``(n_x,)``.
+        error: Estimated error of both, the state's relative to ``1 + |x|``.
+        tail: Time between the last resolved impact and the limit [s].
+        last_speed: Gap rate after the last resolved impact.
+    """
+
+    time: float
+    state: Vector
+    error: float
+    tail: float
+    last_speed: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Release:
+    """The multiplier reached zero and the stop let go.
+
+    Attributes:
+        time: When [s].
+        state: State there, ``(n_x,)``.
+    """
+
+    time: float
+    state: Vector
+
+
+Event = Impact | ZenoPoint | Release
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Arc:
+    """A stretch in one mode.
+
+    Attributes:
+        mode: Free or locked.
+        start_time: When it starts [s].
+        end_time: When it ends [s].
+        start_state: State at its start, ``(n_x,)``.
+        end_state: State at its end, before any reset.
+        ending: What ended it.
+        impact_index: Number of impacts resolved before it, the `j` of hybrid time ``(t, j)``.
+        time_unit: Length of one unit of the steps' own time [s]; the impact speed in a rescaled
+            flight (theory (14)), else 1.
+        steps: The integrator's steps, dense output included. The tail of an impact sequence has
+            none: its impacts are not resolved, its state is interpolated.
+    """
+
+    mode: Mode
+    start_time: float
+    end_time: float
+    start_state: Vector
+    end_state: Vector
+    ending: Ending
+    impact_index: int
+    time_unit: float
+    steps: tuple[Step, ...]
+
+    def state_at(self, time: float) -> Vector:
+        """Return the state at a time inside the arc, to the accuracy of the integration."""
+        if time <= self.start_time:
+            return self.start_state
+        if time >= self.end_time:
+            return self.end_state
+        if not self.steps:
+            part = (time - self.start_time) / (self.end_time - self.start_time)
+            return self.start_state + part * (self.end_state - self.start_state)
+        return self.flow_state_at((time - self.start_time) / self.time_unit)[
+            : len(self.start_state)
+        ]
+
+    @property
+    def duration(self) -> float:
+        """Length in the steps' own time; in a rescaled flight, time over impact speed."""
+        return (self.end_time - self.start_time) / self.time_unit
+
+    def flow_state_at(self, offset: float) -> Vector:
+        """Return the state of the flow itself, scaled gap and gap rate included in a flight.
+
+        Args:
+            offset: Steps' own time since the start of the arc.
+        """
+        at = bisect_right(self.steps, offset, key=lambda step: step.start)
+        step = self.steps[max(at - 1, 0)]
+        return step.state_at(min(max(offset - step.start, 0.0), step.size))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Execution:
+    """A completed execution on the hybrid time domain ``(t, j)``.
+
+    Attributes:
+        state_names: Name of each state.
+        arcs: Arcs in order of time, without a break.
+        events: Impacts, Zeno points and releases in order of time.
+    """
+
+    state_names: tuple[str, ...]
+    arcs: tuple[Arc, ...]
+    events: tuple[Event, ...]
+
+    @property
+    def end_time(self) -> float:
+        """When it ends [s]."""
+        return self.arcs[-1].end_time
+
+    @property
+    def end_state(self) -> Vector:
+        """Where it ends, ``(n_x,)``."""
+        return self.arcs[-1].end_state
+
+    @property
+    def impacts(self) -> tuple[Impact, ...]:
+        """The resolved impacts."""
+        return tuple(event for event in self.events if isinstance(event, Impact))
+
+    @property
+    def zeno_points(self) -> tuple[ZenoPoint, ...]:
+        """The Zeno points."""
+        return tuple(event for event in self.events if isinstance(event, ZenoPoint))
+
+    @property
+    def releases(self) -> tuple[Release, ...]:
+        """The releases."""
+        return tuple(event for event in self.events if isinstance(event, Release))
+
+    def state_at(self, time: float) -> Vector:
+        """Return the state at a time, the later one where an impact gives two.
+
+        Raises:
+            ValueError: If the time is outside the execution.
+        """
+        first, last = self.arcs[0].start_time, self.end_time
+        if not first <= time <= last:
+            message = f"Argument `time` must lie in [{first:g}, {last:g}], but it is {time:g}."
+            raise ValueError(message)
+        at = bisect_right(self.arcs, time, key=lambda arc: arc.start_time)
+        return self.arcs[max(at - 1, 0)].state_at(time)
+
+    def sampled(self, n_per_arc: int = 200) -> tuple[Vector, Vector]:
+        """Return times ``(n,)`` and states ``(n, n_x)`` for plots.
+
+        Ends of arcs and the integrator's own steps are among them, so no thin layer is missed.
+
+        Args:
+            n_per_arc: Even samples of the longest arc; a shorter one gets its share.
+        """
+        longest = max(arc.end_time - arc.start_time for arc in self.arcs)
+        times: list[float] = []
+        states: list[Vector] = []
+        for arc in self.arcs:
+            share = (arc.end_time - arc.start_time) / longest if longest > 0 else 0.0
+            even = np.linspace(arc.start_time, arc.end_time, 2 + int(share * n_per_arc))
+            own = [arc.start_time + arc.time_unit * step.start for step in arc.steps]
+            grid = sorted({*even.tolist(), *own})
+            times += grid
+            states += [arc.state_at(time) for time in grid]
+        return np.array(times), np.array(states)

@@ -1,0 +1,413 @@
+"""Completed executions, event by event: flights, impacts, Zeno point, locked arc, release, again.
+
+A flight after an impact is integrated in the scaled variables of theory (14), so none is missed
+and none invented however slow the impact was. Source: [OrAmes2011]_ for the completion.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from zeno_orbits.crossing import first_fall
+from zeno_orbits.dynamics import GuardedFlow, HybridDynamics, Tolerance, Vector
+from zeno_orbits.engines import Engine, RungeKutta, Step
+from zeno_orbits.errors import ChatterError, InputError, PenetrationError, SimulationError
+from zeno_orbits.execution import (
+    Arc,
+    Ending,
+    Event,
+    Execution,
+    Impact,
+    Mode,
+    Release,
+    ZenoPoint,
+)
+from zeno_orbits.zeno import TailEstimate, ZenoLimit, estimate_tail, extrapolate
+
+_MAY_BEND = 0.1
+"""Largest relative change of d2h/dt2 over a Zeno tail; beyond it the tail is not geometric yet."""
+_LEAVES = 1e-6
+"""A guard below minus this part of its change in a step, never having been positive, is no rounding."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ZenoExtrapolation:
+    """Complete at the extrapolated Zeno limit (theory (15)).
+
+    Attributes:
+        tolerance: Largest estimated error of the limit, relative to ``1 + |x|``.
+        resolved: Impacts are resolved one by one at least until their speed has fallen to this
+            part of the first one's.
+    """
+
+    tolerance: float = 1e-12
+    resolved: float = 1e-3
+
+    def limit(
+        self, dynamics: HybridDynamics, impact: Impact, estimates: Sequence[TailEstimate]
+    ) -> ZenoLimit | None:
+        """Return the Zeno point if the impacts so far tell it well enough."""
+        last = estimates[-1]
+        if last.speed > self.resolved * estimates[0].speed:
+            return None
+        limit = extrapolate(dynamics, estimates)
+        if limit.error > self.tolerance:
+            return None
+        bend = abs(dynamics.gap_acceleration(limit.state) - last.gap_acceleration)
+        return limit if bend <= _MAY_BEND * abs(last.gap_acceleration) else None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Truncation:
+    """Complete by the paper's rule: the first impact slower than `delta` is made plastic.
+
+    Attributes:
+        delta: Impact speed below which the sequence is cut (paper, section III).
+    """
+
+    delta: float
+
+    def limit(
+        self, dynamics: HybridDynamics, impact: Impact, estimates: Sequence[TailEstimate]
+    ) -> ZenoLimit | None:
+        """Return the cut, as if it were the Zeno point, if the last impact was slow enough."""
+        if abs(impact.approach_rate) >= self.delta:
+            return None
+        state = dynamics.on_stop(impact.state_minus)
+        error = estimates[-1].time - impact.time
+        return ZenoLimit(time=impact.time, state=state, error=error)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SimulationSettings:
+    """How accurately to simulate.
+
+    Attributes:
+        engine: The integrator.
+        tolerance: Its local error.
+        completion: How a Zeno point is reached.
+        contact: A gap or gap rate of an initial state below this counts as zero.
+        most_impacts: Impacts in one sequence before it is given up.
+    """
+
+    engine: Engine = field(default_factory=RungeKutta)
+    tolerance: Tolerance = field(default_factory=Tolerance)
+    completion: ZenoExtrapolation | Truncation = field(default_factory=ZenoExtrapolation)
+    contact: float = 1e-12
+    most_impacts: int = 100_000
+
+
+def simulate(
+    dynamics: HybridDynamics,
+    state: Sequence[float] | Vector,
+    *,
+    until: float,
+    releases: int | None = None,
+    settings: SimulationSettings | None = None,
+    on_progress: Callable[[float], None] | None = None,
+) -> Execution:
+    """Return the completed execution from an admissible state, locked or free.
+
+    Args:
+        dynamics: The system at fixed numbers.
+        state: Initial state, ``(n_x,)``, at time 0.
+        until: When to stop [s].
+        releases: Stop earlier, at this many releases; never by default.
+        settings: Accuracy; the defaults aim at 1e-11 a period.
+        on_progress: Called with the time reached, after every arc.
+
+    Raises:
+        InputError: If the state is not admissible or the horizon is not a positive number.
+        SimulationError: If the execution cannot be continued; it says where and why.
+    """
+    if not (math.isfinite(until) and until > 0.0):
+        raise InputError(
+            f"Argument `until` must be a positive number of seconds, but it is {until}."
+        )
+    run = _Run(dynamics, settings or SimulationSettings(), until, releases, on_progress)
+    run.follow(run.admit(np.array(state, dtype=np.float64)))
+    return Execution(
+        state_names=dynamics.state_names, arcs=tuple(run.arcs), events=tuple(run.events)
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Start:
+    """Where the next arc starts.
+
+    Attributes:
+        mode: Its mode.
+        time: When [s].
+        state: Where, ``(n_x,)``.
+        speed: Gap rate of a start from the stop, exactly; ``None`` for any other start.
+        impact: The impact that it comes from, if any.
+    """
+
+    mode: Mode
+    time: float
+    state: Vector
+    speed: float | None = None
+    impact: Impact | None = None
+
+
+class _Run:
+    """One execution in the making."""
+
+    def __init__(
+        self,
+        dynamics: HybridDynamics,
+        settings: SimulationSettings,
+        until: float,
+        releases: int | None,
+        on_progress: Callable[[float], None] | None,
+    ) -> None:
+        self.dynamics = dynamics
+        self.settings = settings
+        self.until = until
+        self.most_releases = math.inf if releases is None else releases
+        self.on_progress = on_progress
+        self.arcs: list[Arc] = []
+        self.events: list[Event] = []
+        self.n_impacts = 0
+        self.n_releases = 0
+
+    def follow(self, start: _Start) -> None:
+        """Follow the execution from an admitted start to its end."""
+        here: _Start | None = start
+        while here is not None:
+            if here.mode is Mode.LOCKED:
+                here = self.carry(here)
+            elif here.speed is None:
+                here = self.fly(here)
+            else:
+                here = self.bounce(here)
+            if self.on_progress is not None:
+                self.on_progress(self.arcs[-1].end_time)
+
+    def admit(self, x: Vector) -> _Start:
+        """Return the first start, or say why the state is not admissible."""
+        dynamics, small = self.dynamics, self.settings.contact
+        names = dynamics.state_names
+        if x.shape != (len(names),):
+            message = (
+                f"Argument `state` must have {len(names)} entries, but its shape is {x.shape}."
+            )
+            raise InputError(message)
+        if not np.all(np.isfinite(x)):
+            raise InputError("Argument `state` must be finite, but it holds NaN or infinity.")
+        off = dynamics.holonomic(x)
+        if off.size and float(np.max(np.abs(off))) > 1e-9:
+            message = "Argument `state` must keep the holonomic constraints, but it is off by"
+            raise InputError(f"{message} {float(np.max(np.abs(off))):.3g}.")
+        gap, rate = dynamics.gap(x), dynamics.gap_rate(x)
+        if gap < -small:
+            raise InputError(f"Argument `state` must have a gap >= 0, but it is {gap:.6g}.")
+        if gap > small:
+            return _Start(mode=Mode.FREE, time=0.0, state=x)
+        if rate > small:
+            return _Start(mode=Mode.FREE, time=0.0, state=x, speed=rate)
+        if rate < -small:
+            return self.hit(0.0, x, rate)
+        return self.rest(0.0, dynamics.on_stop(x))
+
+    def rest(self, time: float, x: Vector) -> _Start:
+        """Return the mode that holds on the stop at zero gap rate: locked, or released at once."""
+        holds = -self.dynamics.gap_acceleration(x)
+        if self._slack(x):
+            holds = self.dynamics.multiplier_rate(x)
+        return _Start(mode=Mode.LOCKED if holds > 0.0 else Mode.FREE, time=time, state=x)
+
+    def _slack(self, x: Vector) -> bool:
+        """Tell whether the stop neither holds nor repels, to rounding."""
+        return abs(self.dynamics.gap_acceleration(x)) <= self.settings.contact
+
+    def carry(self, start: _Start) -> _Start | None:
+        """Follow the locked flow to the release."""
+        slack = self._slack(start.state)
+        arc, _ = self._arc(start, self.dynamics.locked, Ending.RELEASE, on_guard=slack)
+        if arc.ending is Ending.HORIZON:
+            return None
+        state = self.dynamics.on_stop(arc.end_state)
+        self.events.append(Release(time=arc.end_time, state=state))
+        self.n_releases += 1
+        if self.n_releases >= self.most_releases:
+            return None
+        return _Start(mode=Mode.FREE, time=arc.end_time, state=state)
+
+    def fly(self, start: _Start) -> _Start | None:
+        """Follow the free flow to an impact, not coming from one."""
+        released = self.dynamics.gap(start.state) <= self.settings.contact
+        arc, _ = self._arc(start, self.dynamics.free, Ending.IMPACT, on_guard=released)
+        if arc.ending is Ending.HORIZON:
+            return None
+        rate = self.dynamics.gap_rate(arc.end_state)
+        return self.hit(arc.end_time, arc.end_state, rate)
+
+    def bounce(self, start: _Start) -> _Start | None:
+        """Follow a sequence of impacts to its Zeno point, or until it turns into a free flight."""
+        estimates: list[TailEstimate] = []
+        first = self.n_impacts
+        here: _Start | None = start
+        while here is not None and here.speed is not None:
+            zeno = self._zeno_point(here, here.speed, estimates)
+            if zeno is not None:
+                return zeno
+            if self.n_impacts - first > self.settings.most_impacts:
+                raise ChatterError(
+                    f"More than {self.settings.most_impacts} impacts came without a Zeno point.",
+                    time=here.time,
+                    state=tuple(here.state.tolist()),
+                )
+            here = self._hop(here, here.speed)
+        return here
+
+    def hit(self, time: float, state_minus: Vector, approach_rate: float) -> _Start:
+        """Apply the reset map and return what follows it."""
+        dynamics = self.dynamics
+        if not approach_rate < 0.0:
+            raise SimulationError(
+                f"An impact must close the gap, but the gap rate is {approach_rate:.3g}",
+                time=time,
+                state=tuple(state_minus.tolist()),
+            )
+        state_plus = dynamics.reset_map(state_minus, approach_rate)
+        speed = -dynamics.restitution * approach_rate
+        if dynamics.gap_rate(state_plus) < -1e-9 * (1.0 - approach_rate):
+            raise PenetrationError(
+                "The reset map sends the state into the stop",
+                time=time,
+                state=tuple(state_minus.tolist()),
+            )
+        impact = Impact(
+            time=time,
+            state_minus=state_minus,
+            state_plus=state_plus,
+            approach_rate=approach_rate,
+        )
+        self.events.append(impact)
+        self.n_impacts += 1
+        if speed == 0.0:
+            state = dynamics.on_stop(state_plus)
+            after = self.rest(time, state)
+            if after.mode is Mode.LOCKED:
+                self._reach(ZenoLimit(time=time, state=state, error=0.0), impact, 0.0)
+            return after
+        return _Start(mode=Mode.FREE, time=time, state=state_plus, speed=speed, impact=impact)
+
+    def _hop(self, start: _Start, speed: float) -> _Start | None:
+        """Follow one rescaled flight from an impact to the next (theory (14))."""
+        flight = self.dynamics.flight(speed)
+        arc, end = self._arc(start, flight, Ending.IMPACT, on_guard=True)
+        if arc.ending is Ending.HORIZON:
+            return None
+        return self.hit(arc.end_time, arc.end_state, speed * float(end[-1]))
+
+    def _zeno_point(
+        self, start: _Start, speed: float, estimates: list[TailEstimate]
+    ) -> _Start | None:
+        """Return the start of the locked arc if the impacts so far tell the Zeno point."""
+        if start.impact is None:
+            return None
+        if estimates and speed >= estimates[-1].speed:
+            estimates.clear()
+        estimate = estimate_tail(self.dynamics, start.time, start.state, speed)
+        if estimate is None:
+            estimates.clear()
+            return None
+        estimates.append(estimate)
+        limit = self.settings.completion.limit(self.dynamics, start.impact, estimates)
+        if limit is None or limit.time >= self.until:
+            return None
+        after = self.rest(limit.time, limit.state)
+        if after.mode is Mode.FREE:
+            return None
+        self._reach(limit, start.impact, speed)
+        return after
+
+    def _reach(self, limit: ZenoLimit, last: Impact, last_speed: float) -> None:
+        """Record a Zeno point, and the tail that leads to it as an arc without steps."""
+        self.events.append(
+            ZenoPoint(
+                time=limit.time,
+                state=limit.state,
+                error=limit.error,
+                tail=limit.time - last.time,
+                last_speed=last_speed,
+            )
+        )
+        if limit.time > last.time:
+            self.arcs.append(
+                Arc(
+                    mode=Mode.FREE,
+                    start_time=last.time,
+                    end_time=limit.time,
+                    start_state=self.dynamics.on_stop(last.state_plus),
+                    end_state=limit.state,
+                    ending=Ending.ZENO,
+                    impact_index=self.n_impacts,
+                    time_unit=1.0,
+                    steps=(),
+                )
+            )
+
+    def _arc(
+        self, start: _Start, flow: GuardedFlow, natural: Ending, *, on_guard: bool
+    ) -> tuple[Arc, Vector]:
+        """Follow a flow until its guard falls through zero or the horizon comes.
+
+        Args:
+            start: Where it starts; its speed makes it a rescaled flight.
+            flow: The flow.
+            natural: What the guard means.
+            on_guard: The start is a root of the guard that does not count.
+
+        Returns:
+            The arc, recorded, and the last state of the flow itself.
+        """
+        n_x = len(start.state)
+        scaled = start.speed is not None
+        unit = start.speed if start.speed is not None else 1.0
+        y = np.append(start.state, (0.0, 1.0)) if scaled else start.state
+        horizon = (self.until - start.time) / unit
+        before = flow.guard(y)
+        largest = 0.0
+        steps: list[Step] = []
+        for step in self.settings.engine.steps(flow, y, self.settings.tolerance):
+            steps.append(step)
+            after = flow.guard(step.after)
+            fall = first_fall(flow, step, before, after, on_guard=on_guard)
+            largest = max(largest, abs(before[1]) * step.size, abs(after[1]) * step.size)
+            if fall is None and on_guard and after[0] < -_LEAVES * (largest or 1.0):
+                raise PenetrationError(
+                    "The state leaves the admissible set from its boundary",
+                    time=start.time + unit * step.start,
+                    state=tuple(step.before[:n_x].tolist()),
+                )
+            end = step.size if fall is None else fall
+            if step.start + end >= horizon:
+                end, fall, natural = horizon - step.start, horizon, Ending.HORIZON
+            if fall is not None:
+                y = step.state_at(end)
+                time = start.time + unit * (step.start + end)
+                arc = Arc(
+                    mode=start.mode,
+                    start_time=start.time,
+                    end_time=self.until if natural is Ending.HORIZON else time,
+                    start_state=start.state,
+                    end_state=y[:n_x],
+                    ending=natural,
+                    impact_index=self.n_impacts,
+                    time_unit=unit,
+                    steps=tuple(steps),
+                )
+                self.arcs.append(arc)
+                return arc, y
+            before = after
+            on_guard = on_guard and after[0] <= 0.0
+        raise SimulationError(
+            "The engine stopped before the guard", time=start.time, state=tuple(start.state)
+        )

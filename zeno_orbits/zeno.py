@@ -1,0 +1,163 @@
+r"""The end of an impact sequence in closed form: tail, limit and its error. Pure numbers.
+
+Near a Zeno point the impact speeds fall by the factor :math:`e`, and the impact states lie on an
+analytic curve in the speed :math:`w` (theory (15)). Each is first carried to the end of its own
+tail by the locked flow, which is right to :math:`O(w^2)`; the limit is then the value at
+:math:`w = 0` of a polynomial without linear term through the last few of them.
+
+Everything here works on numbers and on CasADi symbols alike, so the transcription and the
+simulator close an orbit by the same formula. Source: [OrAmes2011]_ for the tail.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from zeno_orbits.dynamics import HybridDynamics, Vector
+
+N_NODES = 5
+"""Impacts that the extrapolation uses at most."""
+
+NODE_RATIO = 0.5
+"""Speeds of successive nodes differ at least by this factor; closer nodes amplify rounding."""
+
+
+def tail_time(speed: Any, gap_acceleration: Any, restitution: Any) -> Any:
+    r"""Return the time from an impact to the Zeno point, to first order in the speed [s].
+
+    .. math:: \sum_{k \ge 0} \frac{2 w e^k}{|\ddot h|} = \frac{2 w}{|\ddot h|\,(1 - e)}
+
+    Args:
+        speed: :math:`w`, gap rate just after the impact.
+        gap_acceleration: :math:`\ddot h < 0` at the impact.
+        restitution: :math:`e`.
+    """
+    return 2 * speed / (-gap_acceleration * (1 - restitution))
+
+
+def limit_weights(speeds: Sequence[Any]) -> list[Any]:
+    r"""Return the weights, at :math:`w = 0`, of the polynomial without linear term through the nodes.
+
+    .. math:: \alpha_k = \frac{1/w_k}{\sum_j 1/w_j} \prod_{j \ne k} \frac{w_j}{w_j - w_k}
+
+    The tail estimates of one orbit differ from their limit by :math:`O(w^2)`, hence no linear term.
+    """
+    if len(speeds) == 1:
+        return [1.0]
+    shares = [speeds[-1] / speed for speed in speeds]
+    total = sum(shares[1:], shares[0])
+    return [
+        share
+        / total
+        * math.prod(other / (other - speed) for j, other in enumerate(speeds) if j != k)
+        for k, (speed, share) in enumerate(zip(speeds, shares, strict=True))
+    ]
+
+
+def spread_nodes(speeds: Sequence[float]) -> list[int]:
+    """Return which of the falling speeds to extrapolate from: the last, and ever faster ones before.
+
+    Args:
+        speeds: Impact speeds, falling, ``(n,)``.
+
+    Returns:
+        At most ``N_NODES`` indices, rising; speeds of neighbours differ by ``NODE_RATIO`` at least.
+    """
+    nodes = [len(speeds) - 1]
+    while len(nodes) < N_NODES:
+        wanted = speeds[nodes[-1]] / NODE_RATIO
+        earlier = bisect_right(speeds, -wanted, key=lambda speed: -speed) - 1
+        if earlier < 0 or wanted == 0.0:
+            break
+        nodes.append(earlier)
+    return nodes[::-1]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TailEstimate:
+    """First-order guess of the Zeno point from one impact.
+
+    Attributes:
+        speed: Gap rate just after the impact.
+        time: Zeno time, from the same origin as the impact's [s].
+        state: Zeno state, ``(n_x,)``.
+        gap_acceleration: At the impact.
+    """
+
+    speed: float
+    time: float
+    state: Vector
+    gap_acceleration: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ZenoLimit:
+    """The Zeno point of an impact sequence.
+
+    Attributes:
+        time: Zeno time [s].
+        state: Zeno state, ``(n_x,)``, on the stop.
+        error: Estimate of the error of time and state, the latter relative to ``1 + |x|``: the
+            difference from the extrapolation of one order less, whose error it is.
+    """
+
+    time: float
+    state: Vector
+    error: float
+
+
+def estimate_tail(
+    dynamics: HybridDynamics, time: float, state_plus: Vector, speed: float
+) -> TailEstimate | None:
+    """Return the first-order Zeno point seen from an impact, or ``None`` if the stop repels there.
+
+    Args:
+        dynamics: The system.
+        time: Time of the impact [s].
+        state_plus: State just after it.
+        speed: Gap rate just after it, exactly; the state holds it only to rounding.
+    """
+    resting = dynamics.on_stop(state_plus)
+    acceleration = dynamics.gap_acceleration(resting)
+    if not acceleration < 0.0:
+        return None
+    remaining = tail_time(speed, acceleration, dynamics.restitution)
+    return TailEstimate(
+        speed=speed,
+        time=time + remaining,
+        state=resting + remaining * dynamics.locked.rate(resting),
+        gap_acceleration=acceleration,
+    )
+
+
+def extrapolate(dynamics: HybridDynamics, estimates: Sequence[TailEstimate]) -> ZenoLimit:
+    """Return the Zeno point from the tail estimates of a sequence of impacts at falling speeds.
+
+    Args:
+        dynamics: The system.
+        estimates: One an impact, at least one. With a single one the error is unknown: infinite,
+            or zero if the impact was plastic.
+    """
+    chosen = spread_nodes([estimate.speed for estimate in estimates])
+    nodes = [estimates[k] for k in chosen]
+    best = _combine(nodes)
+    if len(nodes) == 1:
+        error = 0.0 if nodes[0].speed == 0.0 else math.inf
+    else:
+        error = float(np.max(np.abs(best - _combine(nodes[1:])) / (1 + np.abs(best))))
+    return ZenoLimit(time=float(best[-1]), state=dynamics.on_stop(best[:-1]), error=error)
+
+
+def _combine(nodes: Sequence[TailEstimate]) -> Vector:
+    weights = limit_weights([node.speed for node in nodes])
+    points = [np.append(node.state, node.time) for node in nodes]
+    combined = np.zeros(len(points[0]))
+    for weight, point in zip(weights, points, strict=True):
+        combined += weight * point
+    return combined
