@@ -1,0 +1,112 @@
+r"""Collocation schemes and the meshes they stand on, graded by the guess itself.
+
+After every impact the current runs through a layer of width `L/R`; an even mesh cannot see it and
+the program diverges. Halving every interval whose polynomial misses the guess grades the mesh
+from the impact outwards, and knows nothing of motors. Source: [HairerWanner1996]_, theory (17).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Collocation:
+    """An implicit Runge-Kutta scheme whose last stage is the end of its interval.
+
+    Attributes:
+        nodes: Stage positions in the unit interval, ``(n_stages,)``; the last is 1.
+        matrix: Runge-Kutta matrix, ``(n_stages, n_stages)``; its last row holds the weights.
+    """
+
+    nodes: Array
+    matrix: Array
+
+    @property
+    def n_stages(self) -> int:
+        """Number of stages."""
+        return len(self.nodes)
+
+    @property
+    def weights(self) -> Array:
+        """Quadrature weights, ``(n_stages,)``."""
+        return self.matrix[-1]
+
+
+def radau(n_stages: int) -> Collocation:
+    """Return Radau IIA, of order ``2 n_stages - 1``: stiffly accurate, so layers decay."""
+    nodes = np.array(ca.collocation_points(n_stages, "radau"), dtype=np.float64)
+    powers = np.arange(1, n_stages + 1)
+    # Stage i integrates the polynomials exactly: sum_j a_ij c_j^(k-1) = c_i^k / k.
+    vandermonde = nodes[:, None] ** (powers - 1)
+    moments = nodes[:, None] ** powers / powers
+    return Collocation(nodes=nodes, matrix=np.linalg.solve(vandermonde.T, moments.T).T)
+
+
+def graded_mesh(
+    trajectory: Callable[[float], Array],
+    scheme: Collocation,
+    *,
+    scale: Array,
+    tolerance: float,
+    fewest: int = 1,
+    deepest: int = 14,
+) -> Array:
+    """Return the ends of the intervals on which polynomials follow a trajectory.
+
+    Args:
+        trajectory: State at a fraction of the arc in [0, 1], ``(n_y,)``.
+        scheme: Its stages and the start of the interval are the points of the polynomial.
+        scale: Size of each state, ``(n_y,)``.
+        tolerance: Largest deviation of the polynomial between its points, in units of ``scale``.
+        fewest: Even intervals to begin with.
+        deepest: Most halvings of one of them.
+
+    Returns:
+        Fractions from 0 to 1, ``(n_intervals + 1,)``.
+    """
+    points = np.concatenate([[0.0], scheme.nodes])
+    between = (points[1:] + points[:-1]) / 2
+    predict = _lagrange(points, between)
+
+    def fits(left: float, right: float) -> bool:
+        at = np.array([trajectory(left + (right - left) * float(c)) for c in points])
+        seen = np.array([trajectory(left + (right - left) * float(c)) for c in between])
+        return bool(np.max(np.abs(predict @ at - seen) / scale) <= tolerance)
+
+    def split(left: float, right: float, depth: int) -> list[float]:
+        if depth == 0 or fits(left, right):
+            return [right]
+        middle = (left + right) / 2
+        return [*split(left, middle, depth - 1), *split(middle, right, depth - 1)]
+
+    even = np.linspace(0.0, 1.0, fewest + 1)
+    ends = [0.0]
+    for left, right in zip(even[:-1], even[1:], strict=True):
+        ends += split(float(left), float(right), deepest)
+    return np.array(ends)
+
+
+def stage_fractions(mesh: Array, scheme: Collocation) -> Array:
+    """Return the position of every stage, interval after interval, ``(n_intervals * n_stages,)``."""
+    sizes = np.diff(mesh)
+    return (mesh[:-1, None] + sizes[:, None] * scheme.nodes).ravel()
+
+
+def _lagrange(points: Array, targets: Array) -> Array:
+    """Return the matrix from values at points to the interpolant at targets."""
+    rows: list[list[float]] = []
+    for target in targets:
+        row: list[float] = []
+        for k, point in enumerate(points):
+            others = np.delete(points, k)
+            row.append(float(np.prod((target - others) / (point - others))))
+        rows.append(row)
+    return np.array(rows)

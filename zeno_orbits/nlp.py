@@ -1,0 +1,321 @@
+"""Nonlinear programs whose unknowns and rows have names; Ipopt solves them.
+
+A block's guess, bounds and scale are declared with it, so they cannot fall out of step, and a
+failed solve is reported in the words of the problem. Source: [WachterBiegler2006]_ for Ipopt.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class SolveStatus(Enum):
+    """How Ipopt ended. The value is the sentence shown to the user."""
+
+    SOLVED = "the solver converged"
+    ACCEPTABLE = "the solver converged to a looser tolerance only"
+    INFEASIBLE = "the solver converged to a point where the conditions cannot all be met"
+    ITERATION_LIMIT = "the solver reached its iteration limit"
+    TIME_LIMIT = "the solver reached its time limit"
+    RESTORATION_FAILED = "the solver could not come back to the conditions"
+    DIVERGING = "the iterates of the solver diverge"
+    NOT_FINITE = "the solver met a number that is not finite"
+    TOO_FEW_FREEDOMS = "the conditions outnumber the unknowns"
+    STEP_TOO_SMALL = "the steps of the solver became too small"
+    STOPPED = "the solver stopped for another reason"
+
+    @classmethod
+    def from_ipopt(cls, return_status: str) -> SolveStatus:
+        """Translate Ipopt's return status; the only place that knows Ipopt's words."""
+        return _IPOPT_STATUS.get(return_status, cls.STOPPED)
+
+
+_IPOPT_STATUS = {
+    "Solve_Succeeded": SolveStatus.SOLVED,
+    "Feasible_Point_Found": SolveStatus.SOLVED,
+    "Solved_To_Acceptable_Level": SolveStatus.ACCEPTABLE,
+    "Infeasible_Problem_Detected": SolveStatus.INFEASIBLE,
+    "Maximum_Iterations_Exceeded": SolveStatus.ITERATION_LIMIT,
+    "Maximum_CpuTime_Exceeded": SolveStatus.TIME_LIMIT,
+    "Maximum_WallTime_Exceeded": SolveStatus.TIME_LIMIT,
+    "Restoration_Failed": SolveStatus.RESTORATION_FAILED,
+    "Diverging_Iterates": SolveStatus.DIVERGING,
+    "Invalid_Number_Detected": SolveStatus.NOT_FINITE,
+    "Not_Enough_Degrees_Of_Freedom": SolveStatus.TOO_FEW_FREEDOMS,
+    "Search_Direction_Becomes_Too_Small": SolveStatus.STEP_TOO_SMALL,
+}
+
+
+class Hessian(Enum):
+    """Second derivatives of the Lagrangian: computed, or approximated from gradients."""
+
+    EXACT = "exact"
+    LIMITED_MEMORY = "limited-memory"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IpoptSettings:
+    """What Ipopt is asked for.
+
+    Attributes:
+        tolerance: Largest violation of a row, scaled.
+        optimality: Largest dual infeasibility, scaled; an orbit is exact long before its gains
+            are exactly optimal.
+        most_iterations: Iterations before it gives up.
+        most_seconds: Wall time before it gives up [s].
+        first_barrier: First barrier parameter; small, as the guess comes from a simulation.
+        hessian: Exact or approximated.
+    """
+
+    tolerance: float = 1e-11
+    optimality: float = 1e-6
+    most_iterations: int = 150
+    most_seconds: float = 60.0
+    first_barrier: float = 1e-5
+    hessian: Hessian = Hessian.EXACT
+
+    def as_casadi(self) -> dict[str, Any]:
+        """Return the options of ``nlpsol``."""
+        return {
+            "print_time": False,
+            "error_on_fail": False,
+            "ipopt": {
+                "print_level": 0,
+                "sb": "yes",
+                "tol": self.optimality,
+                "constr_viol_tol": self.tolerance,
+                "acceptable_tol": 10 * self.optimality,
+                "acceptable_constr_viol_tol": 10 * self.tolerance,
+                "max_iter": self.most_iterations,
+                "max_wall_time": self.most_seconds,
+                "mu_init": self.first_barrier,
+                "bound_push": 1e-6,
+                "bound_frac": 1e-6,
+                "slack_bound_push": 1e-8,
+                "slack_bound_frac": 1e-8,
+                "nlp_scaling_method": "none",
+                "hessian_approximation": self.hessian.value,
+            },
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Program:
+    """A nonlinear program in scaled unknowns.
+
+    Attributes:
+        unknowns: All unknowns, each divided by its scale, ``(n,)``.
+        objective: To be minimised.
+        rows: Scaled constraint expressions, ``(m,)``.
+        reports: Name to an expression whose value at the solution is wanted.
+        names: Name to place and shape of each block of unknowns.
+        row_names: Name of each row.
+        scales: Scale of each unknown.
+        guess: First iterate, scaled.
+        lower: Lower bounds of the unknowns, scaled.
+        upper: Upper bounds, scaled.
+        row_lower: Lower bounds of the rows.
+        row_upper: Upper bounds of the rows.
+    """
+
+    unknowns: ca.MX
+    objective: ca.MX
+    rows: ca.MX
+    reports: Mapping[str, ca.MX]
+    names: Mapping[str, tuple[int, tuple[int, int]]]
+    row_names: tuple[str, ...]
+    scales: Array
+    guess: Array
+    lower: Array
+    upper: Array
+    row_lower: Array
+    row_upper: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Solution:
+    """The end of a solve, successful or not; residuals are recomputed from the rows.
+
+    Attributes:
+        status: How it ended.
+        values: Block or report name to its values, in its own units and shape.
+        residuals: Row name to its violation, scaled; rows of the same name give their largest.
+        objective: Value of the objective.
+        iterations: Iterations used.
+        wall_time: Time in the solver, building excluded [s].
+    """
+
+    status: SolveStatus
+    values: Mapping[str, Array]
+    residuals: Mapping[str, float]
+    objective: float
+    iterations: int
+    wall_time: float
+
+    def worst(self, n: int = 3) -> list[tuple[str, float]]:
+        """Return the names and sizes of the largest violations."""
+        return sorted(self.residuals.items(), key=lambda item: -item[1])[:n]
+
+
+class ProgramBuilder:
+    """Collects unknowns and rows; the only thing here that accumulates."""
+
+    def __init__(self) -> None:
+        self._symbols: list[ca.MX] = []
+        self._names: dict[str, tuple[int, tuple[int, int]]] = {}
+        self._scales: list[Array] = []
+        self._guess: list[Array] = []
+        self._bounds: list[tuple[Array, Array]] = []
+        self._rows: list[ca.MX] = []
+        self._row_names: list[str] = []
+        self._row_bounds: list[tuple[float, float]] = []
+        self._reports: dict[str, ca.MX] = {}
+        self._size = 0
+
+    def variable(
+        self,
+        name: str,
+        guess: Array | float,
+        *,
+        scale: Array | float = 1.0,
+        lower: Array | float = -math.inf,
+        upper: Array | float = math.inf,
+    ) -> ca.MX:
+        """Declare a block of unknowns and return it, in its own units and the shape of its guess.
+
+        Args:
+            name: Its name.
+            guess: First values; a scalar, a vector or a matrix.
+            scale: Typical size, a number or one a row.
+            lower: Lower bound, like ``scale``.
+            upper: Upper bound, like ``scale``.
+        """
+        values = np.atleast_1d(np.asarray(guess, dtype=np.float64))
+        matrix = values.reshape(values.shape[0], -1)
+        if name in self._names:
+            raise ValueError(f"Argument `name` must be new, but `{name}` is a block already.")
+
+        def spread(number: Array | float) -> Array:
+            column = np.broadcast_to(np.asarray(number, dtype=np.float64), values.shape[:1])
+            return np.repeat(column[:, None], matrix.shape[1], axis=1)
+
+        sizes = spread(scale)
+        symbol = ca.MX.sym(name, *matrix.shape)
+        self._symbols.append(ca.vec(symbol))
+        self._names[name] = (self._size, (matrix.shape[0], matrix.shape[1]))
+        self._size += matrix.size
+        for store, block in ((self._scales, sizes), (self._guess, matrix / sizes)):
+            store.append(block.flatten(order="F"))
+        self._bounds.append(
+            (
+                (spread(lower) / sizes).flatten(order="F"),
+                (spread(upper) / sizes).flatten(order="F"),
+            )
+        )
+        return symbol * ca.DM(sizes)
+
+    def equal(self, names: str | Sequence[str], expression: ca.MX, *, scale: Any = 1.0) -> None:
+        """Require an expression to vanish, measured in units of its scale."""
+        self._constrain(names, expression, scale, (0.0, 0.0))
+
+    def at_least_zero(
+        self, names: str | Sequence[str], expression: ca.MX, *, scale: Any = 1.0
+    ) -> None:
+        """Require an expression to be non-negative, measured in units of its scale."""
+        self._constrain(names, expression, scale, (0.0, math.inf))
+
+    def report(self, name: str, expression: ca.MX) -> None:
+        """Ask for the value of an expression at the solution."""
+        self._reports[name] = expression
+
+    def build(self, objective: ca.MX | None = None) -> Program:
+        """Return the program; without an objective, any point that meets the rows will do."""
+        bounds = np.array([np.concatenate(side) for side in zip(*self._bounds, strict=True)])
+        rows = np.array(self._row_bounds)
+        return Program(
+            reports=dict(self._reports),
+            unknowns=ca.vertcat(*self._symbols),
+            objective=ca.MX(0) if objective is None else objective,
+            rows=ca.vertcat(*self._rows),
+            names=dict(self._names),
+            row_names=tuple(self._row_names),
+            scales=np.concatenate(self._scales),
+            guess=np.concatenate(self._guess),
+            lower=bounds[0],
+            upper=bounds[1],
+            row_lower=rows[:, 0],
+            row_upper=rows[:, 1],
+        )
+
+    def _constrain(
+        self,
+        names: str | Sequence[str],
+        expression: ca.MX,
+        scale: Any,
+        bounds: tuple[float, float],
+    ) -> None:
+        """Add rows; a matrix has one name a column."""
+        labels = [names] if isinstance(names, str) else list(names)
+        n_rows = expression.numel()
+        if n_rows == 0:
+            return
+        self._rows.append(ca.vec(expression / scale))
+        self._row_names += [labels[k * len(labels) // n_rows] for k in range(n_rows)]
+        self._row_bounds += [bounds] * n_rows
+
+
+def solve(program: Program, settings: IpoptSettings | None = None) -> Solution:
+    """Solve a program with Ipopt, from its guess.
+
+    Raises:
+        KeyboardInterrupt: If the user interrupts; Ipopt alone would swallow it.
+    """
+    settings = settings or IpoptSettings()
+    options = settings.as_casadi()
+    nlp = {"x": program.unknowns, "f": program.objective, "g": program.rows}
+    solver = ca.nlpsol("orbit", "ipopt", nlp, options)
+    started = time.perf_counter()
+    answer = solver(
+        x0=program.guess,
+        lbx=program.lower,
+        ubx=program.upper,
+        lbg=program.row_lower,
+        ubg=program.row_upper,
+    )
+    wall_time = time.perf_counter() - started
+    stats = solver.stats()
+    return_status = str(stats["return_status"])
+    if return_status in ("NonIpopt_Exception_Thrown", "User_Requested_Stop"):
+        raise KeyboardInterrupt
+    scaled = np.array(answer["x"].full()).ravel()
+    rows = np.array(answer["g"].full()).ravel()
+    violation = np.maximum(program.row_lower - rows, rows - program.row_upper)
+    residuals: dict[str, float] = {}
+    for name, value in zip(program.row_names, violation, strict=True):
+        residuals[name] = max(residuals.get(name, 0.0), float(value))
+    values: dict[str, Array] = {}
+    for name, (start, shape) in program.names.items():
+        block = (scaled * program.scales)[start : start + shape[0] * shape[1]]
+        values[name] = block.reshape(shape, order="F")
+    report = ca.Function("report", [program.unknowns], list(program.reports.values()))
+    for name, value in zip(program.reports, report.call([answer["x"]]), strict=True):
+        values[name] = np.array(value.full())
+    return Solution(
+        status=SolveStatus.from_ipopt(return_status),
+        values=values,
+        residuals=residuals,
+        objective=float(answer["f"]),
+        iterations=int(stats.get("iter_count", 0)),
+        wall_time=wall_time,
+    )

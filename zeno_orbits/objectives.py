@@ -1,0 +1,253 @@
+"""What a search may ask of an orbit when gains are free: one small value an objective.
+
+Each adds its rows to a program and returns the cost to minimise. Where an orbit is asked to have
+a property, the cost keeps the gains near where they started, so that the answer is unique.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import casadi as ca
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from zeno_orbits.cycle import Cycle
+from zeno_orbits.dynamics import Vector
+from zeno_orbits.execution import Arc
+from zeno_orbits.meshes import Collocation
+from zeno_orbits.shooting import OrbitTerms, Stretch
+
+
+class Objective(Protocol):
+    """What a search asks for."""
+
+    @property
+    def wish(self) -> str:
+        """What is asked, as a clause for the user."""
+        ...
+
+    def cost(self, terms: OrbitTerms, gains: Mapping[str, float]) -> ca.MX:
+        """Add rows to the program and return what to minimise.
+
+        Args:
+            terms: The orbit in the unknowns of the program.
+            gains: Values of the gains from which the search started.
+        """
+        ...
+
+    def miss(self, cycle: Cycle, state_names: tuple[str, ...]) -> float:
+        """Return how far a simulated cycle is from what was asked, relative."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NearestGains:
+    """Gains as near as may be to given ones, each in units of its own size.
+
+    Attributes:
+        target: Name to wanted value; a free gain without one stays near its start.
+    """
+
+    target: Mapping[str, float]
+
+    @property
+    def wish(self) -> str:
+        """What is asked."""
+        wanted = ", ".join(f"{name} = {value:g}" for name, value in self.target.items())
+        return f"gains near {wanted}" if wanted else "gains near the start"
+
+    def cost(self, terms: OrbitTerms, gains: Mapping[str, float]) -> ca.MX:
+        """Return half the squared distance of the gains."""
+        return _distance(terms, {**gains, **self.target})
+
+    def miss(self, cycle: Cycle, state_names: tuple[str, ...]) -> float:
+        """Return 0: nearness is a cost, not a condition."""
+        return 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WantedPeriod:
+    """A period.
+
+    Attributes:
+        target: [s].
+    """
+
+    target: float
+
+    @property
+    def wish(self) -> str:
+        """What is asked."""
+        return f"a period of {self.target:.10g} s"
+
+    def cost(self, terms: OrbitTerms, gains: Mapping[str, float]) -> ca.MX:
+        """Require the period; return the squared distance of the gains from their start."""
+        terms.program.equal(self.wish, terms.period - self.target)
+        return _distance(terms, gains)
+
+    def miss(self, cycle: Cycle, state_names: tuple[str, ...]) -> float:
+        """Return the relative error of the period."""
+        return abs(self.measured(cycle, state_names) - self.target) / self.target
+
+    def measured(self, cycle: Cycle, state_names: tuple[str, ...]) -> float:
+        """Return the period of a simulated cycle [s]."""
+        return cycle.period
+
+    def at(self, target: float) -> WantedPeriod:
+        """Return the same wish for another period."""
+        return replace(self, target=target)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WantedAmplitude:
+    """An amplitude of a state: half its travel from peak to peak.
+
+    Attributes:
+        state: Its name.
+        target: In the unit of the state.
+    """
+
+    state: str
+    target: float
+
+    @property
+    def wish(self) -> str:
+        """What is asked."""
+        return f"an amplitude of {self.target:.10g} of {self.state}"
+
+    def cost(self, terms: OrbitTerms, gains: Mapping[str, float]) -> ca.MX:
+        """Require the amplitude; return the squared distance of the gains from their start."""
+        index = terms.state_names.index(self.state)
+        travel = _peak(terms, index, 1.0) - _peak(terms, index, -1.0)
+        terms.program.equal(self.wish, travel / 2 - self.target)
+        return _distance(terms, gains)
+
+    def miss(self, cycle: Cycle, state_names: tuple[str, ...]) -> float:
+        """Return the relative error of the amplitude."""
+        return abs(self.measured(cycle, state_names) - self.target) / self.target
+
+    def measured(self, cycle: Cycle, state_names: tuple[str, ...]) -> float:
+        """Return the amplitude of a simulated cycle."""
+        index = state_names.index(self.state)
+        return (_highest(cycle, index, 1.0) + _highest(cycle, index, -1.0)) / 2
+
+    def at(self, target: float) -> WantedAmplitude:
+        """Return the same wish for another amplitude."""
+        return replace(self, target=target)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LeastEnergy:
+    """The least electrical work in a period."""
+
+    @property
+    def wish(self) -> str:
+        """What is asked."""
+        return "the least electrical energy a period"
+
+    def cost(self, terms: OrbitTerms, gains: Mapping[str, float]) -> ca.MX:
+        """Return the electrical work of one period [J]."""
+        return terms.electrical_work
+
+    def miss(self, cycle: Cycle, state_names: tuple[str, ...]) -> float:
+        """Return 0: energy is a cost, not a condition."""
+        return 0.0
+
+
+def _distance(terms: OrbitTerms, target: Mapping[str, float]) -> ca.MX:
+    cost = ca.MX(0)
+    for name, gain in terms.gains.items():
+        size = max(abs(target[name]), 1e-3)
+        cost += ((gain - target[name]) / size) ** 2 / 2
+    return cost
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Summit:
+    """Where the guess has its extreme value: an interval of a stretch and a place in it."""
+
+    stretch: Stretch
+    interval: int
+    place: float
+
+
+def _peak(terms: OrbitTerms, index: int, sign: float) -> ca.MX:
+    """Return the largest value of a state (smallest, if ``sign`` is -1) over the orbit.
+
+    Inside an interval it is where the derivative of the collocation polynomial vanishes, and the
+    place is an unknown; at an impact, where the rate may turn round, it is a node.
+    """
+    summit = max(
+        (_summit(stretch, terms.scheme, index, sign) for stretch in terms.stretches),
+        key=lambda found: found[0],
+    )[1]
+    n = terms.scheme.n_stages
+    first = summit.interval * n
+    start = summit.stretch.start if first == 0 else summit.stretch.stages[:, first - 1]
+    values = ca.horzcat(start[index], summit.stretch.stages[index, first : first + n])
+    if summit.place in (0.0, 1.0):
+        return values[0, 0] if summit.place == 0.0 else values[0, -1]
+    label = "highest" if sign > 0 else "lowest"
+    name = f"place where {terms.state_names[index]} is {label}"
+    place = terms.program.variable(name, summit.place, lower=-0.5, upper=1.5)
+    points = np.concatenate([[0.0], terms.scheme.nodes])
+    height = ca.mtimes(values, _basis(points, place))
+    slope = ca.jacobian(height, place)
+    size = float(np.max(np.abs([_value(summit.stretch.arc, index, f) for f in (0.0, 0.5, 1.0)])))
+    terms.program.equal(
+        f"{terms.state_names[index]} is {label} there", slope, scale=max(size, 1e-3)
+    )
+    return height
+
+
+def _summit(
+    stretch: Stretch, scheme: Collocation, index: int, sign: float
+) -> tuple[float, _Summit]:
+    """Return the extreme of the guess over a stretch, and where it is."""
+    fractions = np.linspace(0.0, 1.0, 400 if stretch.arc.duration > 0 else 1)
+    values = [sign * _value(stretch.arc, index, float(fraction)) for fraction in fractions]
+    best = int(np.argmax(values))
+    at = float(fractions[best])
+    interval = int(np.clip(np.searchsorted(stretch.mesh, at) - 1, 0, len(stretch.mesh) - 2))
+    left, right = stretch.mesh[interval], stretch.mesh[interval + 1]
+    place = 0.0 if best == 0 else 1.0 if best == len(values) - 1 else (at - left) / (right - left)
+    return values[best], _Summit(stretch=stretch, interval=interval, place=float(place))
+
+
+def _value(arc: Arc, index: int, fraction: float) -> float:
+    state: Vector = arc.flow_state_at(fraction * arc.duration)
+    return float(state[index])
+
+
+def _basis(points: Vector, place: ca.MX) -> ca.MX:
+    """Return the Lagrange basis of the points at a place, ``(n_points, 1)``."""
+    entries: list[ca.MX] = []
+    for k, point in enumerate(points):
+        entry = ca.MX(1)
+        for j, other in enumerate(points):
+            if j != k:
+                entry *= (place - float(other)) / float(point - other)
+        entries.append(entry)
+    return ca.vertcat(*entries)
+
+
+def _highest(cycle: Cycle, index: int, sign: float) -> float:
+    """Return the largest value of ``sign`` times a state over a simulated cycle."""
+    highest = -np.inf
+    for arc in (cycle.flight, *cycle.hops, cycle.locked):
+        grid = np.linspace(0.0, 1.0, 65)
+        values = [sign * _value(arc, index, float(fraction)) for fraction in grid]
+        best = int(np.argmax(values))
+        highest = max(highest, values[best])
+        if 0 < best < len(grid) - 1:
+            inside = minimize_scalar(
+                lambda fraction, arc=arc: -sign * _value(arc, index, fraction),
+                bounds=(grid[best - 1], grid[best + 1]),
+                method="bounded",
+                options={"xatol": 1e-9},
+            )
+            highest = max(highest, -float(inside.fun))
+    return highest
