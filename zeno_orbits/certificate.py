@@ -1,0 +1,164 @@
+"""The certificate of a Zeno periodic orbit: residuals, margins, stability, and a verdict."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+RESIDUALS: Mapping[str, str] = {
+    "release": "gap, gap rate and multiplier are zero at the release",
+    "first_impact": "the first impact comes when and where the orbit says",
+    "impact_sequence": "so do the impacts after it",
+    "restitution": "every impact turns the gap rate round by -e",
+    "impact_energy": "every impact loses (1 - e^2)/2 m w^2",
+    "zeno_point": "the impacts accumulate when and where the orbit says",
+    "delta_sweep": "cutting the sequence at ever slower impacts tends to the same motion",
+    "penetration": "the gap is never negative in flight",
+    "adhesion": "the multiplier is never negative on the stop",
+    "closure": "the first return is the release",
+    "period": "it comes after the period that the orbit says",
+    "drift": "so do the later returns",
+    "energy_balance": "work in = energy gained + copper, friction and impact losses",
+    "holonomic": "the holonomic constraints hold",
+    "second_model": "a second derivation of the model gives the same flows and resets",
+    "integration": "a looser integration gives the same return",
+}
+"""Name to what is true where the residual is zero, in causal order: the first that fails explains the rest."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DeltaCut:
+    """One cut of the impact sequence by the paper's rule.
+
+    Attributes:
+        delta: Threshold of the impact speed.
+        speed: Speed of the impact at which it was cut.
+        error: Distance from the completed motion at an equal later time, relative.
+    """
+
+    delta: float
+    speed: float
+    error: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OrbitCertificate:
+    """What a forward integration says of an orbit.
+
+    Attributes:
+        tolerance: Largest residual that passes.
+        residuals: Name to relative size, zero for a true orbit; a name of ``RESIDUALS``. Infinite
+            where the integration never came so far.
+        margins: Name to the distance from losing the orbit: ``gap_acceleration`` (minus d2h/dt2 at
+            the Zeno point), ``first_impact_speed``, ``release_transversality`` (minus the rate of
+            the multiplier at the release), ``locked_time``.
+        energies: Name to energy over one period [J]: ``input_work``, ``copper_loss``,
+            ``other_loss``, ``impact_loss``, ``energy_gain``.
+        multipliers: Floquet multipliers; empty if they could not be had.
+        multiplier_error: Estimated error of the largest.
+        delta_sweep: Cuts at falling thresholds.
+        delta_order: Observed order of the error in the speed of the cut; NaN without a sweep.
+        integration_error: Estimated error of the returned state, relative.
+        zeno_error: Estimated error of the Zeno limit, relative.
+        period: Period that the integration found [s].
+        n_periods: Periods that were integrated.
+        model: Which derivation was integrated.
+        trouble: Why the integration stopped early; empty if it did not.
+    """
+
+    tolerance: float
+    residuals: Mapping[str, float]
+    margins: Mapping[str, float]
+    energies: Mapping[str, float]
+    multipliers: tuple[complex, ...]
+    multiplier_error: float
+    delta_sweep: tuple[DeltaCut, ...]
+    delta_order: float
+    integration_error: float
+    zeno_error: float
+    period: float
+    n_periods: int
+    model: str
+    trouble: str = ""
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """Names of the residuals above the tolerance, in causal order."""
+        return tuple(
+            name
+            for name in RESIDUALS
+            if name in self.residuals and not self.residuals[name] <= self.tolerance
+        )
+
+    @property
+    def passed(self) -> bool:
+        """Whether every residual is below the tolerance and every margin positive."""
+        return not self.failed and not self.lost and not self.trouble
+
+    @property
+    def lost(self) -> tuple[str, ...]:
+        """Names of the margins that are not positive."""
+        return tuple(name for name, margin in self.margins.items() if not margin > 0.0)
+
+    @property
+    def spectral_radius(self) -> float:
+        """Largest modulus of a multiplier; NaN if they could not be had."""
+        return max((abs(value) for value in self.multipliers), default=math.nan)
+
+    @property
+    def stable(self) -> bool:
+        """Whether the multipliers, their error included, are inside the unit circle."""
+        return self.spectral_radius + self.multiplier_error < 1.0
+
+    def verdict(self) -> str:
+        """Return yes or no in one sentence, with the residual that explains a no."""
+        if self.passed:
+            manner = "stable" if self.stable else "unstable or of unknown stability"
+            worst = max(self.residuals.values(), default=0.0)
+            return f"Verified: a {manner} Zeno periodic orbit; largest residual {worst:.1e}."
+        if self.failed:
+            name = self.failed[0]
+            reason = f"`{name}` is {self.residuals[name]:.2e}, above {self.tolerance:.0e}: it is not so that {RESIDUALS[name]}"
+        elif self.trouble:
+            reason = self.trouble
+        else:
+            name = self.lost[0]
+            reason = f"the margin `{name}` is {self.margins[name]:.2e}, not positive"
+        tail = f" ({self.trouble})" if self.trouble and self.failed else ""
+        return f"Refused: {reason}{tail}."
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the certificate as plain data; what is not finite becomes ``null``."""
+        return {
+            "passed": self.passed,
+            "stable": self.stable,
+            "verdict": self.verdict(),
+            "failed": list(self.failed),
+            "tolerance": self.tolerance,
+            "residuals": _finite(self.residuals),
+            "margins": _finite(self.margins),
+            "energies": _finite(self.energies),
+            "floquet_multipliers": [[mu.real, mu.imag] for mu in self.multipliers],
+            "multiplier_error": _number(self.multiplier_error),
+            "delta_sweep": [
+                {"delta": cut.delta, "speed": cut.speed, "error": _number(cut.error)}
+                for cut in self.delta_sweep
+            ],
+            "delta_order": _number(self.delta_order),
+            "integration_error": _number(self.integration_error),
+            "zeno_error": _number(self.zeno_error),
+            "period": _number(self.period),
+            "n_periods": self.n_periods,
+            "model": self.model,
+            "trouble": self.trouble,
+        }
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _finite(values: Mapping[str, float]) -> dict[str, float | None]:
+    return {name: _number(value) for name, value in values.items()}

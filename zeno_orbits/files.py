@@ -1,0 +1,51 @@
+"""Files that appear whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+
+from zeno_orbits.errors import InputError
+
+
+def require_writable(path: Path) -> None:
+    """Refuse a path that cannot become a file, before any work is done for it.
+
+    Raises:
+        InputError: If its folder is missing or closed, or the path is a folder.
+    """
+    folder = path.parent
+    if path.is_dir():
+        raise InputError(f"Argument `output` must be a file, but `{path}` is a folder.")
+    if not folder.is_dir() or not os.access(folder, os.W_OK):
+        raise InputError(f"Argument `output` must be in a writable folder, but `{path}` is not.")
+
+
+def write_whole(path: Path, content: str | bytes) -> None:
+    """Write a file through a temporary neighbour, so that nobody ever sees half of it.
+
+    Args:
+        path: Where; an existing file is replaced.
+        content: Text (UTF-8) or bytes.
+
+    Raises:
+        InputError: If the folder does not exist or cannot be written.
+    """
+    data = content.encode() if isinstance(content, str) else content
+    try:
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    except OSError as error:
+        message = f"Argument `output` must be in a writable folder, but `{path}` is not"
+        raise InputError(f"{message} ({error.strerror}).") from error
+    temporary = Path(name)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+        temporary.chmod(0o644)
+        temporary.replace(path)
+    except OSError as error:
+        message = f"Argument `output` must be a file that can be written, but `{path}` is not"
+        raise InputError(f"{message} ({error.strerror}).") from error
+    finally:
+        temporary.unlink(missing_ok=True)

@@ -1,0 +1,170 @@
+r"""The return map of a completed system on its release section, and its multipliers.
+
+The section is the set of release states, :math:`h = \dot h = \lambda = 0`, of dimension
+:math:`n_x - 3` without holonomic constraints. Source: [OrAmes2009]_, theory (18).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import null_space
+
+from zeno_orbits.dynamics import HybridDynamics, Vector
+from zeno_orbits.errors import SimulationError
+from zeno_orbits.simulate import SimulationSettings, simulate
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReleaseSection:
+    """A chart of the release section around one of its points.
+
+    Attributes:
+        centre: The point, ``(n_x,)``.
+        scale: Size of each state, ``(n_x,)``.
+        tangent: Orthonormal directions in the section, in scaled states, ``(n_x, n_section)``.
+        normal: Pseudo-inverse of the scaled gradient of the conditions, ``(n_x, n_conditions)``.
+    """
+
+    centre: Vector
+    scale: Vector
+    tangent: Vector
+    normal: Vector
+
+    @property
+    def dimension(self) -> int:
+        """Number of section coordinates."""
+        return self.tangent.shape[1]
+
+    def coordinates(self, x: Vector) -> Vector:
+        """Return the section coordinates of a state, ``(n_section,)``."""
+        return self.tangent.T @ ((x - self.centre) / self.scale)
+
+    def state(self, dynamics: HybridDynamics, coordinates: Vector) -> Vector:
+        """Return the release state at section coordinates, ``(n_x,)``."""
+        x = self.centre + self.scale * (self.tangent @ coordinates)
+        for _ in range(_CORRECTIONS):
+            x = x - self.scale * (self.normal @ _conditions(dynamics, x))
+        return x
+
+
+_CORRECTIONS = 12
+"""Newton steps with the gradient at the centre; each gains the size of the displacement."""
+
+_DIFFERENCE = 2e-5
+"""Displacement in scaled section coordinates: its cube and the integration error balance."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Multipliers:
+    """Floquet multipliers of the return map.
+
+    Attributes:
+        values: The multipliers, the largest first.
+        error: Estimated error of the largest.
+        jacobian: Derivative of the return map in section coordinates.
+    """
+
+    values: tuple[complex, ...]
+    error: float
+    jacobian: Vector
+
+    @property
+    def spectral_radius(self) -> float:
+        """Largest modulus; below one the orbit attracts."""
+        return max((abs(value) for value in self.values), default=0.0)
+
+
+def release_section(dynamics: HybridDynamics, centre: Vector, scale: Vector) -> ReleaseSection:
+    """Return a chart of the release section around a release state."""
+    step = 1e-6
+    columns: list[Vector] = []
+    for k in range(len(centre)):
+        shift = np.zeros(len(centre))
+        shift[k] = step * scale[k]
+        rise = _conditions(dynamics, centre + shift) - _conditions(dynamics, centre - shift)
+        columns.append(rise / (2 * step))
+    gradient = np.stack(columns, axis=1)
+    return ReleaseSection(
+        centre=centre,
+        scale=scale,
+        tangent=null_space(gradient, rcond=1e-9),
+        normal=np.linalg.pinv(gradient, rcond=1e-9),
+    )
+
+
+def poincare_map(
+    dynamics: HybridDynamics, x: Vector, *, horizon: float, settings: SimulationSettings
+) -> tuple[float, Vector]:
+    """Return the time and state of the next release after a release.
+
+    Args:
+        dynamics: The system.
+        x: A release state, ``(n_x,)``.
+        horizon: Longest time to wait [s].
+        settings: Accuracy.
+
+    Raises:
+        SimulationError: If there is no release within the horizon.
+    """
+    execution = simulate(dynamics, dynamics.on_stop(x), until=horizon, settings=settings)
+    # A state a rounding error inside the locked side is released at once: no return.
+    later = [release for release in execution.releases if release.time > 1e-6 * horizon]
+    if not later:
+        raise SimulationError("There is no next release", time=horizon, state=tuple(x.tolist()))
+    return later[0].time, later[0].state
+
+
+def floquet_multipliers(
+    dynamics: HybridDynamics,
+    x: Vector,
+    *,
+    scale: Vector,
+    period: float,
+    settings: SimulationSettings,
+) -> Multipliers:
+    """Return the multipliers of an orbit by differences of the return map.
+
+    Central differences at two displacements are combined to fourth order; the change that this
+    makes to the largest multiplier is its error estimate.
+
+    Args:
+        dynamics: The system.
+        x: Release state of the orbit, ``(n_x,)``.
+        scale: Size of each state, ``(n_x,)``.
+        period: Period of the orbit [s].
+        settings: Accuracy.
+
+    Raises:
+        SimulationError: If a displaced state does not return.
+    """
+    section = release_section(dynamics, x, scale)
+
+    def image(direction: int, distance: float) -> Vector:
+        coordinates = np.zeros(section.dimension)
+        coordinates[direction] = distance
+        start = section.state(dynamics, coordinates)
+        _, end = poincare_map(dynamics, start, horizon=2 * period, settings=settings)
+        return section.coordinates(end)
+
+    def differences(distance: float) -> Vector:
+        columns = [
+            (image(k, distance) - image(k, -distance)) / (2 * distance)
+            for k in range(section.dimension)
+        ]
+        return np.stack(columns, axis=1) if columns else np.zeros((0, 0))
+
+    near, far = differences(_DIFFERENCE), differences(2 * _DIFFERENCE)
+    jacobian = (4 * near - far) / 3
+    values = sorted(np.linalg.eigvals(jacobian), key=abs, reverse=True)
+    rough = sorted(np.linalg.eigvals(near), key=abs, reverse=True)
+    error = max((abs(a - b) for a, b in zip(values, rough, strict=True)), default=0.0)
+    return Multipliers(
+        values=tuple(complex(value) for value in values), error=float(error), jacobian=jacobian
+    )
+
+
+def _conditions(dynamics: HybridDynamics, x: Vector) -> Vector:
+    contact = [dynamics.gap(x), dynamics.gap_rate(x), dynamics.multiplier(x)]
+    return np.concatenate([contact, dynamics.holonomic(x)])
