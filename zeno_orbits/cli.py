@@ -1,0 +1,633 @@
+"""The command line.
+
+Exit codes: 0, yes; 1, searched or checked and the answer is no; 2, wrong usage or input;
+130, interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NoReturn
+
+from zeno_orbits import report
+from zeno_orbits.compiled import bind, compile_problem
+from zeno_orbits.errors import InputError, ZenoOrbitsError
+from zeno_orbits.execution import Execution, Impact, ZenoPoint
+from zeno_orbits.files import require_writable
+from zeno_orbits.objectives import (
+    LeastEnergy,
+    NearestGains,
+    Objective,
+    WantedAmplitude,
+    WantedPeriod,
+)
+from zeno_orbits.orbit import ZenoOrbit, read_orbit, write_orbit
+from zeno_orbits.problem import Problem, Setting, bundled_problems, load_problem
+from zeno_orbits.search import SearchResult, SearchSettings, search_gains
+from zeno_orbits.simulate import simulate
+from zeno_orbits.verify import (
+    VerificationSettings,
+    certified,
+    problem_dynamics,
+    verify,
+)
+
+YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
+
+_PICTURES = ("portraits", "time", "zeno", "region")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code."""
+    options = _parser().parse_args(arguments)
+    try:
+        return options.run(options)
+    except InputError as error:
+        return _end(error, MISUSE, options)
+    except ZenoOrbitsError as error:
+        return _end(error, NO, options)
+    except BrokenPipeError:
+        # The reader has seen enough.
+        sys.stderr.close()
+        return YES
+    except KeyboardInterrupt:
+        report.print_error("interrupted; nothing was written")
+        return INTERRUPTED
+    except Exception as error:  # noqa: BLE001 - the last line of defence against a raw traceback
+        if options.debug:
+            raise
+        text = f"internal error, please report it ({type(error).__name__}: {error}); see --debug"
+        report.print_error(text)
+        return MISUSE
+
+
+def _end(error: Exception, code: int, options: argparse.Namespace) -> int:
+    if options.debug:
+        raise error
+    report.print_error(str(error))
+    return code
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser that complains in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """Exit with the code of misuse."""
+        report.print_error(f"{message} (see `{self.prog} --help`)")
+        sys.exit(MISUSE)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="zeno-orbits",
+        description="Find, verify and follow Zeno periodic orbits.",
+        epilog=(
+            "exit codes: 0 yes; 1 searched or checked, and the answer is no; 2 wrong usage or input\n\n"
+            "example:\n"
+            "  zeno-orbits search motor_pendulum -o orbit.json\n"
+            "  zeno-orbits verify orbit.json\n"
+            "  zeno-orbits plot orbit.json -o pictures"
+        ),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    _add_problems(commands)
+    _add_conditions(commands)
+    _add_simulate(commands)
+    _add_search(commands)
+    _add_verify(commands)
+    _add_plot(commands)
+    return parser
+
+
+def _command(
+    commands: Any,
+    name: str,
+    run: Callable[[argparse.Namespace], int],
+    summary: str,
+    examples: Sequence[str],
+) -> argparse.ArgumentParser:
+    """Return the parser of a command, with what all commands share."""
+    parser = commands.add_parser(
+        name,
+        help=summary,
+        description=summary[0].upper() + summary[1:] + ".",
+        epilog="examples:\n" + "\n".join(f"  {example}" for example in examples),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.set_defaults(run=run)
+    parser.add_argument("--json", action="store_true", help="print JSON for programs")
+    parser.add_argument("--debug", action="store_true", help="show where an error comes from")
+    return parser
+
+
+def _add_scene(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("problem", metavar="PROBLEM", help="a scene's name, or a Python file")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="change a parameter of the scene; may be repeated",
+    )
+
+
+def _add_gain_values(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--gain",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="change a gain; may be repeated",
+    )
+
+
+def _add_problems(commands: Any) -> None:
+    _command(
+        commands,
+        "problems",
+        _run_problems,
+        "list the scenes",
+        ["zeno-orbits problems", "zeno-orbits problems --json"],
+    )
+
+
+def _run_problems(options: argparse.Namespace) -> int:
+    problems = [load_problem(name) for name in bundled_problems()]
+    if options.json:
+        _print_json([_problem_json(problem) for problem in problems])
+    else:
+        report.print_problems(problems)
+    return YES
+
+
+def _problem_json(problem: Problem) -> dict[str, Any]:
+    return {
+        "name": problem.name,
+        "title": problem.title,
+        "source": problem.source,
+        "states": dict(zip(problem.state_names, problem.state_units, strict=True)),
+        "gains": {
+            gain.name: {"default": gain.default, "lower": gain.lower, "upper": gain.upper}
+            for gain in problem.gains
+        },
+        "parameters": dict(problem.setting().parameters),
+    }
+
+
+def _add_conditions(commands: Any) -> None:
+    parser = _command(
+        commands,
+        "conditions",
+        _run_conditions,
+        "Theorem 1: d2h/dt2 at the Zeno equilibria, in symbols and numbers",
+        [
+            "zeno-orbits conditions motor_pendulum",
+            "zeno-orbits conditions motor_pendulum --set m2=0.12 -o region.png",
+        ],
+    )
+    _add_scene(parser)
+    _add_gain_values(parser)
+    parser.add_argument("-o", "--output", type=Path, help="draw the region d2h/dt2 < 0 here")
+
+
+def _run_conditions(options: argparse.Namespace) -> int:
+    from zeno_orbits.symbolic import equilibrium_acceleration, with_numbers  # noqa: PLC0415
+
+    problem = load_problem(options.problem)
+    setting = _setting(problem, options)
+    if options.output is not None:
+        require_writable(options.output)
+    formula = equilibrium_acceleration(problem)
+    numbers = with_numbers(formula, problem, setting)
+    always = bool(numbers < 0) if numbers.is_number else None
+    if options.json:
+        _print_json(
+            {
+                "problem": problem.name,
+                "restitution": setting.parameters["restitution"],
+                "formula": str(formula),
+                "numbers": str(numbers),
+                "coefficients": {
+                    str(term): float(factor)
+                    for term, factor in numbers.as_coefficients_dict().items()
+                },
+                "parameters": dict(setting.parameters),
+            }
+        )
+    else:
+        report.print_conditions(problem, setting, str(formula), str(numbers), always=always)
+    if options.output is not None:
+        from zeno_orbits import plots  # noqa: PLC0415
+
+        dynamics = bind(compile_problem(problem), setting.values())
+        plots.save_figure(plots.plot_zeno_region(problem, dynamics), options.output)
+        _say_written(options, [options.output])
+    return NO if always is False else YES
+
+
+def _add_simulate(commands: Any) -> None:
+    parser = _command(
+        commands,
+        "simulate",
+        _run_simulate,
+        "follow a completed execution",
+        [
+            "zeno-orbits simulate motor_pendulum --until 10",
+            "zeno-orbits simulate motor_pendulum --start theta1=1.2 --start dtheta2=0.5",
+            "zeno-orbits simulate bouncing_ball --set restitution=0.8 --until 5 --json",
+        ],
+    )
+    _add_scene(parser)
+    _add_gain_values(parser)
+    parser.add_argument("--until", type=float, default=10.0, metavar="T", help="how long [s]")
+    parser.add_argument(
+        "--start",
+        action="append",
+        default=[],
+        metavar="STATE=VALUE",
+        help="initial state; what is not named is zero; by default the scene's first start",
+    )
+    parser.add_argument("-o", "--output", type=Path, help="draw the states over time here")
+
+
+def _run_simulate(options: argparse.Namespace) -> int:
+    problem = load_problem(options.problem)
+    setting = _setting(problem, options)
+    named = _numbers(options.start, "start") if options.start else problem.starts[0]
+    state = problem.state_vector(named)
+    if options.output is not None:
+        require_writable(options.output)
+    dynamics = bind(compile_problem(problem), setting.values())
+    with report.Progress() as progress:
+        execution = simulate(
+            dynamics,
+            state,
+            until=options.until,
+            on_progress=lambda t: progress.tell("simulating", t / options.until),
+        )
+    if options.json:
+        _print_json(_execution_json(problem, execution))
+    else:
+        report.print_execution(problem, execution)
+    if options.output is not None:
+        from zeno_orbits import plots  # noqa: PLC0415
+
+        plots.save_figure(plots.plot_time_series(problem, execution), options.output)
+        _say_written(options, [options.output])
+    return YES
+
+
+def _execution_json(problem: Problem, execution: Execution) -> dict[str, Any]:
+    def named(state: Any) -> dict[str, float]:
+        return dict(zip(problem.state_names, map(float, state), strict=True))
+
+    events: list[dict[str, Any]] = []
+    for event in execution.events:
+        if isinstance(event, Impact):
+            events.append(
+                {
+                    "event": "impact",
+                    "time": event.time,
+                    "approach_rate": event.approach_rate,
+                    "state_minus": named(event.state_minus),
+                    "state_plus": named(event.state_plus),
+                }
+            )
+        else:
+            kind = "zeno_point" if isinstance(event, ZenoPoint) else "release"
+            entry = {"event": kind, "time": event.time, "state": named(event.state)}
+            if isinstance(event, ZenoPoint):
+                entry["error"] = event.error
+            events.append(entry)
+    return {
+        "problem": problem.name,
+        "end_time": execution.end_time,
+        "end_mode": execution.arcs[-1].mode.value,
+        "end_state": named(execution.end_state),
+        "events": events,
+    }
+
+
+def _add_search(commands: Any) -> None:
+    parser = _command(
+        commands,
+        "search",
+        _run_search,
+        "find gains and initial states of a Zeno periodic orbit, and verify it",
+        [
+            "zeno-orbits search motor_pendulum -o orbit.json",
+            "zeno-orbits search motor_pendulum --fix Kp=4 --fix Kd=-1",
+            "zeno-orbits search motor_pendulum --gain Kp=1:5 --fix Kd=-1 --objective period=1.85",
+            "zeno-orbits search motor_pendulum --set R=2 --objective energy",
+        ],
+    )
+    _add_scene(parser)
+    parser.add_argument(
+        "--gain",
+        action="append",
+        default=[],
+        metavar="NAME=LOW:HIGH",
+        help="search a gain in this range; a gain that is not named is searched in the scene's range",
+    )
+    parser.add_argument(
+        "--fix",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="hold a gain; may be repeated",
+    )
+    parser.add_argument(
+        "--objective",
+        default="nearest",
+        metavar="WISH",
+        help=(
+            "nearest (to the scene's gains), nearest:Kp=3,Kd=-1, period=SECONDS, "
+            "amplitude=VALUE, or energy"
+        ),
+    )
+    parser.add_argument(
+        "--allow-unstable", action="store_true", help="take an orbit that does not attract, too"
+    )
+    parser.add_argument("--starts", type=_count, default=12, metavar="N", help="random starts")
+    parser.add_argument("--seed", type=int, default=0, help="of the random starts")
+    parser.add_argument("-o", "--output", type=Path, help="write the verified orbit here")
+
+
+def _run_search(options: argparse.Namespace) -> int:
+    problem = load_problem(options.problem)
+    fixed = _numbers(options.fix, "fix")
+    boxes = _boxes(options.gain)
+    both = sorted(set(fixed) & set(boxes))
+    if both:
+        message = f"Argument `gain` must not name a fixed gain, but it names {', '.join(both)}."
+        raise InputError(message)
+    setting = problem.setting(gains=fixed, parameters=_numbers(options.set, "set"))
+    scene_boxes = {gain.name: (gain.lower, gain.upper) for gain in problem.gains}
+    free = {name: box for name, box in {**scene_boxes, **boxes}.items() if name not in fixed}
+    objective = _objective(options.objective, problem, free)
+    if options.output is not None:
+        require_writable(options.output)
+    settings = SearchSettings(n_starts=options.starts, seed=options.seed)
+    found: dict[str, Any] = {}
+
+    def accept(orbit: ZenoOrbit) -> str:
+        certificate = verify(orbit, problem)
+        if not certificate.passed or not (certificate.stable or options.allow_unstable):
+            radius = certificate.spectral_radius
+            unstable = f"The orbit does not attract: its spectral radius is {radius:.4g}."
+            return unstable if certificate.passed else certificate.verdict()
+        found["certificate"] = certificate
+        return ""
+
+    with report.Progress() as progress:
+        result = search_gains(
+            problem,
+            setting,
+            free_gains=free,
+            objective=objective,
+            settings=settings,
+            accept=accept,
+            on_progress=progress.tell,
+        )
+    return _finish_search(options, problem, result, found)
+
+
+def _finish_search(
+    options: argparse.Namespace, problem: Problem, result: SearchResult, found: dict[str, Any]
+) -> int:
+    if result.orbit is None:
+        if options.json:
+            _print_json(
+                {
+                    "found": False,
+                    "status": result.status.value,
+                    "detail": result.detail,
+                    "attempts": [
+                        {"gains": dict(a.gains), "status": a.status.value, "detail": a.detail}
+                        for a in result.attempts
+                    ],
+                }
+            )
+        else:
+            report.print_search(result)
+        return NO
+    certificate = found["certificate"]
+    orbit = certified(result.orbit, certificate)
+    if options.output is not None:
+        write_orbit(orbit, options.output)
+    if options.json:
+        _print_json(orbit.as_json())
+    else:
+        report.print_search(result)
+        report.print_orbit(problem, orbit, certificate)
+        report.print_verdict(certificate)
+        _say_written(options, [] if options.output is None else [options.output])
+    return YES
+
+
+def _add_verify(commands: Any) -> None:
+    parser = _command(
+        commands,
+        "verify",
+        _run_verify,
+        "check an orbit by forward integration from its file alone",
+        [
+            "zeno-orbits verify orbit.json",
+            "zeno-orbits verify orbit.json --model reference --tolerance 1e-8 --json",
+        ],
+    )
+    _add_orbit(parser)
+    parser.add_argument("--tolerance", type=float, default=1e-9, help="largest relative residual")
+    parser.add_argument("--periods", type=_count, default=3, metavar="N", help="periods to follow")
+    parser.add_argument(
+        "--model",
+        choices=("derived", "reference"),
+        default="derived",
+        help="integrate the model derived from energies, or the scene's hand-written one",
+    )
+
+
+def _add_orbit(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("orbit", metavar="ORBIT.json", type=Path, help="an orbit file")
+    parser.add_argument(
+        "--problem", metavar="FILE.py", help="the scene, where it is not a bundled one"
+    )
+
+
+def _run_verify(options: argparse.Namespace) -> int:
+    if not 0.0 < options.tolerance < 1.0:
+        message = f"Argument `tolerance` must lie in (0, 1), but it is {options.tolerance:g}."
+        raise InputError(message)
+    orbit, problem = _orbit_and_problem(options)
+    settings = VerificationSettings(
+        tolerance=options.tolerance,
+        n_periods=options.periods,
+        use_reference=options.model == "reference",
+    )
+    with report.Progress() as progress:
+        certificate = verify(orbit, problem, settings=settings, on_progress=progress.tell)
+    if options.json:
+        _print_json(certificate.as_json())
+    else:
+        report.print_certificate(certificate)
+        report.print_verdict(certificate)
+    return YES if certificate.passed else NO
+
+
+def _add_plot(commands: Any) -> None:
+    parser = _command(
+        commands,
+        "plot",
+        _run_plot,
+        "draw an orbit",
+        [
+            "zeno-orbits plot orbit.json -o pictures",
+            "zeno-orbits plot orbit.json --kind portraits --format pdf",
+        ],
+    )
+    _add_orbit(parser)
+    parser.add_argument(
+        "--kind",
+        action="append",
+        choices=_PICTURES,
+        help="which picture: phase portraits, states over time, zoom into the Zeno point, "
+        "region d2h/dt2 < 0; may be repeated; all by default",
+    )
+    parser.add_argument("--format", choices=("png", "pdf", "svg"), default="png")
+    parser.add_argument("--periods", type=_count, default=1, metavar="N", help="periods to draw")
+    parser.add_argument("-o", "--output", type=Path, default=Path(), help="folder for the pictures")
+
+
+def _run_plot(options: argparse.Namespace) -> int:
+    from zeno_orbits import plots  # noqa: PLC0415
+
+    orbit, problem = _orbit_and_problem(options)
+    dynamics = problem_dynamics(orbit, problem)
+    if options.output.exists() and not options.output.is_dir():
+        raise InputError(f"Argument `output` must be a folder, but `{options.output}` is a file.")
+    release = problem.state_vector(orbit.release_state)
+    period = options.periods * orbit.period
+    execution = simulate(dynamics, release, until=period)
+    draw = {
+        "portraits": lambda: plots.plot_portraits(problem, execution),
+        "time": lambda: plots.plot_time_series(problem, execution),
+        "zeno": lambda: plots.plot_zeno_zoom(problem, execution, dynamics),
+        "region": lambda: plots.plot_zeno_region(problem, dynamics, execution),
+    }
+    try:
+        options.output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        message = (
+            f"Argument `output` must be a folder that can be made, but `{options.output}` is not"
+        )
+        raise InputError(f"{message} ({error.strerror}).") from error
+    paths = [options.output / f"{kind}.{options.format}" for kind in options.kind or _PICTURES]
+    for path in paths:
+        require_writable(path)
+        plots.save_figure(draw[path.stem](), path)
+    if options.json:
+        _print_json({"pictures": [str(path) for path in paths]})
+    else:
+        _say_written(options, paths)
+    return YES
+
+
+def _orbit_and_problem(options: argparse.Namespace) -> tuple[ZenoOrbit, Problem]:
+    orbit = read_orbit(options.orbit)
+    if options.problem is not None:
+        return orbit, load_problem(options.problem)
+    if orbit.problem not in bundled_problems():
+        message = (
+            f"Argument `problem` must name the file of scene `{orbit.problem}`, but it is missing."
+        )
+        raise InputError(message)
+    return orbit, load_problem(orbit.problem)
+
+
+def _setting(problem: Problem, options: argparse.Namespace) -> Setting:
+    return problem.setting(
+        gains=_numbers(options.gain, "gain"), parameters=_numbers(options.set, "set")
+    )
+
+
+def _numbers(entries: Sequence[str], option: str) -> dict[str, float]:
+    """Return name to value from ``NAME=VALUE`` entries."""
+    numbers: dict[str, float] = {}
+    for entry in entries:
+        name, sign, value = entry.partition("=")
+        if not sign or not name:
+            raise InputError(f"Argument `{option}` must be NAME=VALUE, but it is `{entry}`.")
+        if name in numbers:
+            raise InputError(f"Argument `{option}` must name `{name}` once, but it does so twice.")
+        numbers[name] = _number(value, name)
+    return numbers
+
+
+def _boxes(entries: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Return name to bounds from ``NAME=LOW:HIGH`` entries."""
+    boxes: dict[str, tuple[float, float]] = {}
+    for entry in entries:
+        name, sign, bounds = entry.partition("=")
+        low, colon, high = bounds.partition(":")
+        if not sign or not colon or not name:
+            raise InputError(f"Argument `gain` must be NAME=LOW:HIGH, but it is `{entry}`.")
+        boxes[name] = (_number(low, name), _number(high, name))
+    return boxes
+
+
+def _number(text: str, name: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(f"Argument `{name}` must be a number, but it is `{text}`.") from None
+
+
+def _count(text: str) -> int:
+    if not text.isdigit() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"must be a positive whole number, but it is `{text}`")
+    return int(text)
+
+
+def _objective(wish: str, problem: Problem, free: Mapping[str, tuple[float, float]]) -> Objective:
+    """Return the objective that a wish on the command line stands for."""
+    word, _, target = wish.partition(":") if wish.startswith("nearest") else wish.partition("=")
+    if word == "energy" and not target:
+        return LeastEnergy()
+    if word == "nearest":
+        wanted = _numbers([part for part in target.split(",") if part], "objective")
+        for name in wanted:
+            if name not in free:
+                known = ", ".join(free) or "none"
+                message = (
+                    f"Argument `objective` must name free gains ({known}), but it names `{name}`."
+                )
+                raise InputError(message)
+        return NearestGains(target=wanted)
+    if word not in ("period", "amplitude"):
+        message = "must be nearest, period=SECONDS, amplitude=VALUE or energy"
+        raise InputError(f"Argument `objective` {message}, but it is `{wish}`.")
+    value = _number(target, f"objective {word}")
+    if not 0.0 < value < float("inf"):
+        raise InputError(f"Argument `objective` must have a positive {word}, but it is {value:g}.")
+    if not free:
+        raise InputError(
+            f"Argument `objective` must leave a gain free for the {word}, but none is."
+        )
+    if word == "period":
+        return WantedPeriod(target=value)
+    return WantedAmplitude(state=problem.amplitude_of, target=value)
+
+
+def _print_json(data: Any) -> None:
+    print(json.dumps(data, indent=2, allow_nan=False))
+
+
+def _say_written(options: argparse.Namespace, paths: Sequence[Path]) -> None:
+    if not options.json:
+        report.print_lines(f"Written: {path}" for path in paths)

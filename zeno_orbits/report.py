@@ -1,0 +1,241 @@
+"""What a person reads: tables on standard output, progress on standard error."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterable, Sequence
+from types import TracebackType
+
+from rich.console import Console
+from rich.table import Table
+
+from zeno_orbits.certificate import RESIDUALS, OrbitCertificate
+from zeno_orbits.execution import Execution, Impact, ZenoPoint
+from zeno_orbits.orbit import ZenoOrbit
+from zeno_orbits.problem import Problem, Setting
+from zeno_orbits.search import SearchResult
+
+_PATIENCE = 1.0
+"""Work shorter than this says nothing [s]."""
+
+
+class Progress:
+    """Says on standard error what long work is doing, how long it has taken, and what is left.
+
+    A terminal gets one line that is rewritten; a file gets a line now and then.
+    """
+
+    def __init__(self) -> None:
+        self._started = time.perf_counter()
+        self._said = -_PATIENCE
+        self._terminal = sys.stderr.isatty()
+        self._width = 0
+
+    def __enter__(self) -> Progress:
+        """Begin."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Leave a clean line behind."""
+        if self._width:
+            sys.stderr.write("\r" + " " * self._width + "\r")
+            sys.stderr.flush()
+
+    def tell(self, what: str, part: float | None = None) -> None:
+        """Say what is being done.
+
+        Args:
+            what: A few words.
+            part: How much of it is done, in [0, 1], if that is known.
+        """
+        elapsed = time.perf_counter() - self._started
+        pause = 0.1 if self._terminal else _PATIENCE
+        if elapsed < _PATIENCE or elapsed - self._said < pause:
+            return
+        self._said = elapsed
+        line = f"{elapsed:6.1f} s  {what}"
+        if part is not None and part > 0.0:
+            line += f"  {100 * part:3.0f} %, {elapsed * (1 - part) / part:.0f} s left"
+        if self._terminal:
+            self._width = max(self._width, len(line))
+            sys.stderr.write("\r" + line.ljust(self._width))
+        else:
+            sys.stderr.write(line + "\n")
+        sys.stderr.flush()
+
+
+def print_problems(problems: Sequence[Problem]) -> None:
+    """Print the list of scenes."""
+    table = _table("name", "states", "gains", "scene")
+    for problem in problems:
+        gains = ", ".join(gain.name for gain in problem.gains) or "-"
+        table.add_row(problem.name, str(len(problem.state_names)), gains, problem.title)
+    _print(table)
+
+
+def print_conditions(
+    problem: Problem, setting: Setting, formula: str, numbers: str, *, always: bool | None
+) -> None:
+    """Print Theorem 1 for a scene."""
+    e = setting.parameters["restitution"]
+    console = _console()
+    console.print("Theorem 1: Zeno executions exist near a Zeno equilibrium if")
+    console.print("  0 <= e < 1   and   d2h/dt2 < 0   there, where\n")
+    console.print(f"  d2h/dt2 = {formula}\n", soft_wrap=True)
+    console.print(f"At the numbers of [bold]{problem.name}[/bold], e = {e:g}:\n")
+    console.print(f"  d2h/dt2 = {numbers}\n", soft_wrap=True)
+    if always is not None:
+        console.print(
+            "It is negative everywhere."
+            if always
+            else "It is nowhere negative: there is no Zeno point."
+        )
+
+
+def print_setting(problem: Problem, setting: Setting) -> None:
+    """Print the numbers of a scene."""
+    table = _table("parameter", "value", "unit", "meaning")
+    for quantity in (*problem.gains, *problem.parameters):
+        values = {**setting.gains, **setting.parameters}
+        number = f"{values[quantity.name]:.10g}"
+        table.add_row(quantity.name, number, quantity.unit, quantity.meaning)
+    _print(table)
+
+
+def print_execution(problem: Problem, execution: Execution, most: int = 40) -> None:
+    """Print the events of an execution and where it ends."""
+    console = _console()
+    shown = ("theta1", "dtheta1", "current")
+    states = [name for name in shown if name in problem.state_names] or list(problem.state_names)
+    table = _table("t [s]", "event", "dh/dt", *(f"{name}" for name in states))
+    events = execution.events
+    for event in events[:most]:
+        rate, word = "", "release"
+        state = event.state_minus if isinstance(event, Impact) else event.state
+        if isinstance(event, Impact):
+            word, rate = "impact", f"{event.approach_rate:.6g}"
+        elif isinstance(event, ZenoPoint):
+            word = f"Zeno point (+- {event.error:.0e})"
+        values = [f"{state[problem.state_names.index(name)]:.6g}" for name in states]
+        table.add_row(f"{event.time:.10g}", word, rate, *values)
+    _print(table)
+    if len(events) > most:
+        console.print(f"... and {len(events) - most} more events; --json lists them all.")
+    console.print(
+        f"{len(execution.impacts)} impacts resolved, {len(execution.zeno_points)} Zeno points, "
+        f"{len(execution.releases)} releases in {execution.end_time:g} s; "
+        f"the last arc is {execution.arcs[-1].mode.value}."
+    )
+
+
+def print_orbit(problem: Problem, orbit: ZenoOrbit, certificate: OrbitCertificate) -> None:
+    """Print an orbit and the gist of its certificate."""
+    table = _table("quantity", "value", "unit")
+    units = {gain.name: gain.unit for gain in problem.gains}
+    for name, value in orbit.gains.items():
+        table.add_row(name, f"{value:.12g}", units[name])
+    table.add_row("period", f"{orbit.period:.12g}", "s")
+    for name, unit in zip(problem.state_names, problem.state_units, strict=True):
+        table.add_row(f"{name} at release", f"{orbit.release_state[name]:.12g}", unit)
+    table.add_row("first impact", f"{orbit.impacts[0].time:.12g}", "s")
+    table.add_row("Zeno point", f"{orbit.zeno_time:.12g}", "s")
+    for name, unit in zip(problem.state_names, problem.state_units, strict=True):
+        table.add_row(f"{name} at Zeno point", f"{orbit.zeno_state[name]:.12g}", unit)
+    for k, multiplier in enumerate(certificate.multipliers):
+        table.add_row(f"multiplier {k + 1}", _complex(multiplier), "1")
+    work = certificate.energies.get("input_work")
+    if work is not None:
+        table.add_row("electrical work a period", f"{work:.9g}", "J")
+    _print(table)
+
+
+def print_certificate(certificate: OrbitCertificate) -> None:
+    """Print residuals, margins and the verdict."""
+    table = _table("residual", "size", "", "true if zero")
+    for name, meaning in RESIDUALS.items():
+        if name in certificate.residuals:
+            size = certificate.residuals[name]
+            good = size <= certificate.tolerance
+            mark = "[green]ok[/green]" if good else "[red]no[/red]"
+            table.add_row(name, f"{size:.1e}", mark, meaning)
+    _print(table)
+    margins = _table("margin", "value", "")
+    for name, value in certificate.margins.items():
+        margins.add_row(name, f"{value:.6g}", "" if value > 0 else "[red]lost[/red]")
+    _print(margins)
+    if certificate.delta_sweep:
+        sweep = _table("cut below |dh/dt|", "speed of the cut", "error at a later time")
+        for cut in certificate.delta_sweep:
+            sweep.add_row(f"{cut.delta:.3g}", f"{cut.speed:.3g}", f"{cut.error:.1e}")
+        _print(sweep)
+        _console().print(f"Observed order of the cut: {certificate.delta_order:.2f} (theory: 3)")
+    console = _console()
+    multipliers = ", ".join(_complex(value) for value in certificate.multipliers) or "unknown"
+    console.print(f"Floquet multipliers: {multipliers} (+- {certificate.multiplier_error:.0e})")
+    console.print(
+        f"Estimated error of the integration: {certificate.integration_error:.0e}, "
+        f"of the Zeno point: {certificate.zeno_error:.0e}"
+    )
+
+
+def print_verdict(certificate: OrbitCertificate) -> None:
+    """Print yes or no."""
+    colour = "green" if certificate.passed else "red"
+    _console().print(f"[{colour}]{certificate.verdict()}[/{colour}]", soft_wrap=True)
+
+
+def print_search(result: SearchResult) -> None:
+    """Print how a search went."""
+    console = _console()
+    console.print(f"{result.status.value} {result.detail}".strip(), soft_wrap=True)
+    if len(result.attempts) > 1:
+        table = _table("start", "ended", "why")
+        for attempt in result.attempts:
+            gains = ", ".join(f"{name} = {value:.4g}" for name, value in attempt.gains.items())
+            table.add_row(gains, attempt.status.name.lower().replace("_", " "), attempt.detail)
+        _print(table)
+    if result.orbit is not None:
+        console.print(
+            f"Program: {result.n_unknowns} unknowns, {result.iterations} iterations, "
+            f"{result.solve_time:.3f} s; it agrees with a simulation to {result.agreement:.0e}, "
+            f"its Zeno closure to {result.closure_error:.0e}. "
+            f"Search: {result.wall_time:.1f} s."
+        )
+
+
+def print_lines(lines: Iterable[str]) -> None:
+    """Print plain lines."""
+    for line in lines:
+        _console().print(line, soft_wrap=True, markup=False)
+
+
+def print_error(message: str) -> None:
+    """Print one line on standard error."""
+    sys.stderr.write(f"zeno-orbits: {' '.join(message.split())}\n")
+
+
+def _complex(value: complex) -> str:
+    return f"{value.real:.7g}" if value.imag == 0.0 else f"{value.real:.7g} {value.imag:+.7g} i"
+
+
+def _table(*columns: str) -> Table:
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for column in columns:
+        table.add_column(column)
+    return table
+
+
+def _console() -> Console:
+    return Console(highlight=False)
+
+
+def _print(table: Table) -> None:
+    console = _console()
+    console.print(table)
+    console.print()

@@ -1,0 +1,116 @@
+"""A CasADi expression as a formula that a person can read, through SymPy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import casadi as ca
+import sympy
+
+from zeno_orbits.hybrid import CompletedSystem
+from zeno_orbits.problem import Problem, Setting
+
+_OPERATIONS: Mapping[int, Callable[..., Any]] = {
+    ca.OP_ADD: lambda a, b: a + b,
+    ca.OP_SUB: lambda a, b: a - b,
+    ca.OP_MUL: lambda a, b: a * b,
+    ca.OP_DIV: lambda a, b: a / b,
+    ca.OP_NEG: lambda a: -a,
+    ca.OP_SQ: lambda a: a**2,
+    ca.OP_TWICE: lambda a: 2 * a,
+    ca.OP_INV: lambda a: 1 / a,
+    ca.OP_POW: lambda a, b: a**b,
+    ca.OP_CONSTPOW: lambda a, b: a**b,
+    ca.OP_SQRT: sympy.sqrt,
+    ca.OP_SIN: sympy.sin,
+    ca.OP_COS: sympy.cos,
+    ca.OP_TAN: sympy.tan,
+    ca.OP_ASIN: sympy.asin,
+    ca.OP_ACOS: sympy.acos,
+    ca.OP_ATAN: sympy.atan,
+    ca.OP_ATAN2: sympy.atan2,
+    ca.OP_SINH: sympy.sinh,
+    ca.OP_COSH: sympy.cosh,
+    ca.OP_TANH: sympy.tanh,
+    ca.OP_EXP: sympy.exp,
+    ca.OP_LOG: sympy.log,
+    ca.OP_FABS: sympy.Abs,
+}
+
+
+def to_sympy(expression: ca.SX, names: Mapping[str, str]) -> Any:
+    """Return a scalar expression as a SymPy one.
+
+    Args:
+        expression: A scalar.
+        names: CasADi symbol name to the name wanted; a name that is missing stays.
+
+    Raises:
+        ValueError: If the expression holds an operation that has no counterpart here.
+    """
+    known: dict[int, Any] = {}
+
+    def convert(node: ca.SX) -> Any:
+        key = node.element_hash()
+        if key not in known:
+            known[key] = build(node)
+        return known[key]
+
+    def build(node: ca.SX) -> Any:
+        if node.is_symbolic():
+            return sympy.Symbol(names.get(node.name(), node.name()), real=True)
+        if node.is_constant():
+            number = float(node)
+            return sympy.Integer(int(number)) if number.is_integer() else sympy.Float(number, 17)
+        operation = _OPERATIONS.get(node.op())
+        if operation is None:
+            message = f"Argument `expression` must use known operations, but it holds {node}."
+            raise ValueError(message)
+        return operation(*(convert(node.dep(k)) for k in range(node.n_dep())))
+
+    return convert(expression)
+
+
+def equilibrium_acceleration(problem: Problem) -> Any:
+    r"""Return :math:`\ddot h` at the Zeno equilibria as a formula in named states and parameters.
+
+    Where the gap is one of the coordinates, it and its rate are set to zero; else the formula is
+    that of the whole stop (theory (9)).
+    """
+    symbols = problem.symbols()
+    system = problem.model(symbols)
+    at_rest = _resting(system)
+    states = dict(
+        zip((s.name() for s in ca.symvar(system.state)), problem.state_names, strict=True)
+    )
+    return _whole(sympy.simplify(to_sympy(at_rest, states)))
+
+
+def with_numbers(formula: Any, problem: Problem, setting: Setting) -> Any:
+    """Return a formula with the numbers of a setting in it, expanded, to six digits."""
+    values = {**setting.gains, **setting.parameters}
+    numbers = {s: values[s.name] for s in formula.free_symbols if s.name in values}
+    expanded = sympy.expand(sympy.expand_trig(formula.subs(numbers)))
+    return sympy.N(sympy.collect(expanded, list(expanded.atoms(sympy.sin, sympy.cos))), 6)
+
+
+def _whole(formula: Any) -> Any:
+    """Return a formula whose whole floating-point numbers are integers."""
+    return formula.xreplace(
+        {
+            number: sympy.Integer(int(number))
+            for number in formula.atoms(sympy.Float)
+            if number == int(number)
+        }
+    )
+
+
+def _resting(system: CompletedSystem) -> ca.SX:
+    q = system.state[: system.n_q]
+    v = system.state[system.n_q : 2 * system.n_q]
+    for k in range(system.n_q):
+        if ca.is_equal(ca.simplify(system.gap - q[k]), ca.SX(0), 1):
+            pair, zeros = ca.vertcat(q[k], v[k]), ca.SX.zeros(2)
+            return ca.substitute(system.gap_acceleration, pair, zeros)
+    return system.gap_acceleration
