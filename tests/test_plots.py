@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -17,6 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from zeno_orbits.compiled import bind, compile_problem
+from zeno_orbits.completion import Truncation, ZenoExtrapolation
 from zeno_orbits.drives import no_drive
 from zeno_orbits.dynamics import HybridDynamics
 from zeno_orbits.errors import InputError
@@ -33,7 +35,7 @@ from zeno_orbits.plots import (
     save_figure,
 )
 from zeno_orbits.problem import Problem, load_problem, restitution
-from zeno_orbits.simulate import SimulationSettings, Truncation, ZenoExtrapolation, simulate
+from zeno_orbits.simulate import SimulationSettings, simulate
 
 RELEASE = (0.1985068301199, 0.0, -5.2365375521764, 0.0, -1.8591703843225)
 UNIT = re.compile(r" \[[^\]]+\]$")
@@ -329,8 +331,8 @@ def test_a_failed_write_leaves_the_old_picture_and_no_partial_file(
     path = tmp_path / "picture.png"
     path.write_text("old")
 
-    def break_off(_: Figure, target: Path, **_settings: object) -> None:
-        Path(target).write_text("half a pic")
+    def break_off(_: Figure, target: io.BytesIO, **_settings: object) -> None:
+        target.write(b"half a pic")
         raise OSError("No space left on device")
 
     monkeypatch.setattr(Figure, "savefig", break_off)

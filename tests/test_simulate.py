@@ -20,12 +20,13 @@ from tests.scenes import (
     spring_mass,
 )
 from zeno_orbits.compiled import bind, compile_problem
+from zeno_orbits.completion import Truncation
 from zeno_orbits.dynamics import HybridDynamics, Tolerance
 from zeno_orbits.engines import RungeKutta, SciPy
 from zeno_orbits.errors import ChatterError, InputError, PenetrationError
 from zeno_orbits.execution import Ending, Execution, Impact, Mode, Release, ZenoPoint
 from zeno_orbits.problem import Problem, load_problem, load_reference
-from zeno_orbits.simulate import SimulationSettings, Truncation, simulate
+from zeno_orbits.simulate import SimulationSettings, simulate
 
 ACCURACY = 1e-11
 """What the default settings aim at, a period."""

@@ -25,7 +25,7 @@ RESIDUALS: Mapping[str, str] = {
     "second_model": "a second derivation of the model gives the same flows and resets",
     "integration": "a looser integration gives the same return",
 }
-"""Name to what is true where the residual is zero, in causal order: the first that fails explains the rest."""
+"""Name to what is true where it is zero, in causal order: the first to fail explains the rest."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,7 +120,8 @@ class OrbitCertificate:
             return f"Verified: a {manner} Zeno periodic orbit; largest residual {worst:.1e}."
         if self.failed:
             name = self.failed[0]
-            reason = f"`{name}` is {self.residuals[name]:.2e}, above {self.tolerance:.0e}: it is not so that {RESIDUALS[name]}"
+            size = f"`{name}` is {self.residuals[name]:.2e}, above {self.tolerance:.0e}"
+            reason = f"{size}: it is not so that {RESIDUALS[name]}"
         elif self.trouble:
             reason = self.trouble
         else:

@@ -9,23 +9,16 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
 from zeno_orbits import report
+from zeno_orbits.arguments import read_boxes, read_count, read_numbers, read_objective
 from zeno_orbits.compiled import bind, compile_problem
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.execution import Execution, Impact, ZenoPoint
 from zeno_orbits.files import require_writable
-from zeno_orbits.objectives import (
-    LeastEnergy,
-    NearestGains,
-    Objective,
-    WantedAmplitude,
-    WantedPeriod,
-)
 from zeno_orbits.orbit import ZenoOrbit, read_orbit, write_orbit
 from zeno_orbits.problem import Problem, Setting, bundled_problems, load_problem
 from zeno_orbits.search import SearchResult, SearchSettings, search_gains
@@ -58,7 +51,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         report.print_error("interrupted; nothing was written")
         return INTERRUPTED
-    except Exception as error:  # noqa: BLE001 - the last line of defence against a raw traceback
+    except Exception as error:
+        # The last line of defence against a raw traceback.
         if options.debug:
             raise
         text = f"internal error, please report it ({type(error).__name__}: {error}); see --debug"
@@ -87,7 +81,8 @@ def _parser() -> argparse.ArgumentParser:
         prog="zeno-orbits",
         description="Find, verify and follow Zeno periodic orbits.",
         epilog=(
-            "exit codes: 0 yes; 1 searched or checked, and the answer is no; 2 wrong usage or input\n\n"
+            "exit codes: 0 yes; 1 searched or checked, and the answer is no; 2 wrong usage or "
+            "input\n\n"
             "example:\n"
             "  zeno-orbits search motor_pendulum -o orbit.json\n"
             "  zeno-orbits verify orbit.json\n"
@@ -197,14 +192,14 @@ def _add_conditions(commands: Any) -> None:
 
 
 def _run_conditions(options: argparse.Namespace) -> int:
-    from zeno_orbits.symbolic import equilibrium_acceleration, with_numbers  # noqa: PLC0415
+    from zeno_orbits.symbolic import equilibrium_acceleration, with_numbers
 
     problem = load_problem(options.problem)
     setting = _setting(problem, options)
     if options.output is not None:
         require_writable(options.output)
     formula = equilibrium_acceleration(problem)
-    numbers = with_numbers(formula, problem, setting)
+    numbers = with_numbers(formula, setting)
     always = bool(numbers < 0) if numbers.is_number else None
     if options.json:
         _print_json(
@@ -223,7 +218,7 @@ def _run_conditions(options: argparse.Namespace) -> int:
     else:
         report.print_conditions(problem, setting, str(formula), str(numbers), always=always)
     if options.output is not None:
-        from zeno_orbits import plots  # noqa: PLC0415
+        from zeno_orbits import plots
 
         dynamics = bind(compile_problem(problem), setting.values())
         plots.save_figure(plots.plot_zeno_region(problem, dynamics), options.output)
@@ -259,7 +254,7 @@ def _add_simulate(commands: Any) -> None:
 def _run_simulate(options: argparse.Namespace) -> int:
     problem = load_problem(options.problem)
     setting = _setting(problem, options)
-    named = _numbers(options.start, "start") if options.start else problem.starts[0]
+    named = read_numbers(options.start, "start") if options.start else problem.starts[0]
     state = problem.state_vector(named)
     if options.output is not None:
         require_writable(options.output)
@@ -276,7 +271,7 @@ def _run_simulate(options: argparse.Namespace) -> int:
     else:
         report.print_execution(problem, execution)
     if options.output is not None:
-        from zeno_orbits import plots  # noqa: PLC0415
+        from zeno_orbits import plots
 
         plots.save_figure(plots.plot_time_series(problem, execution), options.output)
         _say_written(options, [options.output])
@@ -333,7 +328,7 @@ def _add_search(commands: Any) -> None:
         action="append",
         default=[],
         metavar="NAME=LOW:HIGH",
-        help="search a gain in this range; a gain that is not named is searched in the scene's range",
+        help="search a gain in this range; one that is not named is searched in the scene's range",
     )
     parser.add_argument(
         "--fix",
@@ -354,23 +349,23 @@ def _add_search(commands: Any) -> None:
     parser.add_argument(
         "--allow-unstable", action="store_true", help="take an orbit that does not attract, too"
     )
-    parser.add_argument("--starts", type=_count, default=12, metavar="N", help="random starts")
+    parser.add_argument("--starts", type=read_count, default=12, metavar="N", help="random starts")
     parser.add_argument("--seed", type=int, default=0, help="of the random starts")
     parser.add_argument("-o", "--output", type=Path, help="write the verified orbit here")
 
 
 def _run_search(options: argparse.Namespace) -> int:
     problem = load_problem(options.problem)
-    fixed = _numbers(options.fix, "fix")
-    boxes = _boxes(options.gain)
+    fixed = read_numbers(options.fix, "fix")
+    boxes = read_boxes(options.gain)
     both = sorted(set(fixed) & set(boxes))
     if both:
         message = f"Argument `gain` must not name a fixed gain, but it names {', '.join(both)}."
         raise InputError(message)
-    setting = problem.setting(gains=fixed, parameters=_numbers(options.set, "set"))
+    setting = problem.setting(gains=fixed, parameters=read_numbers(options.set, "set"))
     scene_boxes = {gain.name: (gain.lower, gain.upper) for gain in problem.gains}
     free = {name: box for name, box in {**scene_boxes, **boxes}.items() if name not in fixed}
-    objective = _objective(options.objective, problem, free)
+    objective = read_objective(options.objective, problem, free)
     if options.output is not None:
         require_writable(options.output)
     settings = SearchSettings(n_starts=options.starts, seed=options.seed)
@@ -444,7 +439,9 @@ def _add_verify(commands: Any) -> None:
     )
     _add_orbit(parser)
     parser.add_argument("--tolerance", type=float, default=1e-9, help="largest relative residual")
-    parser.add_argument("--periods", type=_count, default=3, metavar="N", help="periods to follow")
+    parser.add_argument(
+        "--periods", type=read_count, default=3, metavar="N", help="periods to follow"
+    )
     parser.add_argument(
         "--model",
         choices=("derived", "reference"),
@@ -500,12 +497,14 @@ def _add_plot(commands: Any) -> None:
         "region d2h/dt2 < 0; may be repeated; all by default",
     )
     parser.add_argument("--format", choices=("png", "pdf", "svg"), default="png")
-    parser.add_argument("--periods", type=_count, default=1, metavar="N", help="periods to draw")
+    parser.add_argument(
+        "--periods", type=read_count, default=1, metavar="N", help="periods to draw"
+    )
     parser.add_argument("-o", "--output", type=Path, default=Path(), help="folder for the pictures")
 
 
 def _run_plot(options: argparse.Namespace) -> int:
-    from zeno_orbits import plots  # noqa: PLC0415
+    from zeno_orbits import plots
 
     orbit, problem = _orbit_and_problem(options)
     dynamics = problem_dynamics(orbit, problem)
@@ -552,76 +551,8 @@ def _orbit_and_problem(options: argparse.Namespace) -> tuple[ZenoOrbit, Problem]
 
 def _setting(problem: Problem, options: argparse.Namespace) -> Setting:
     return problem.setting(
-        gains=_numbers(options.gain, "gain"), parameters=_numbers(options.set, "set")
+        gains=read_numbers(options.gain, "gain"), parameters=read_numbers(options.set, "set")
     )
-
-
-def _numbers(entries: Sequence[str], option: str) -> dict[str, float]:
-    """Return name to value from ``NAME=VALUE`` entries."""
-    numbers: dict[str, float] = {}
-    for entry in entries:
-        name, sign, value = entry.partition("=")
-        if not sign or not name:
-            raise InputError(f"Argument `{option}` must be NAME=VALUE, but it is `{entry}`.")
-        if name in numbers:
-            raise InputError(f"Argument `{option}` must name `{name}` once, but it does so twice.")
-        numbers[name] = _number(value, name)
-    return numbers
-
-
-def _boxes(entries: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Return name to bounds from ``NAME=LOW:HIGH`` entries."""
-    boxes: dict[str, tuple[float, float]] = {}
-    for entry in entries:
-        name, sign, bounds = entry.partition("=")
-        low, colon, high = bounds.partition(":")
-        if not sign or not colon or not name:
-            raise InputError(f"Argument `gain` must be NAME=LOW:HIGH, but it is `{entry}`.")
-        boxes[name] = (_number(low, name), _number(high, name))
-    return boxes
-
-
-def _number(text: str, name: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise InputError(f"Argument `{name}` must be a number, but it is `{text}`.") from None
-
-
-def _count(text: str) -> int:
-    if not text.isdigit() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"must be a positive whole number, but it is `{text}`")
-    return int(text)
-
-
-def _objective(wish: str, problem: Problem, free: Mapping[str, tuple[float, float]]) -> Objective:
-    """Return the objective that a wish on the command line stands for."""
-    word, _, target = wish.partition(":") if wish.startswith("nearest") else wish.partition("=")
-    if word == "energy" and not target:
-        return LeastEnergy()
-    if word == "nearest":
-        wanted = _numbers([part for part in target.split(",") if part], "objective")
-        for name in wanted:
-            if name not in free:
-                known = ", ".join(free) or "none"
-                message = (
-                    f"Argument `objective` must name free gains ({known}), but it names `{name}`."
-                )
-                raise InputError(message)
-        return NearestGains(target=wanted)
-    if word not in ("period", "amplitude"):
-        message = "must be nearest, period=SECONDS, amplitude=VALUE or energy"
-        raise InputError(f"Argument `objective` {message}, but it is `{wish}`.")
-    value = _number(target, f"objective {word}")
-    if not 0.0 < value < float("inf"):
-        raise InputError(f"Argument `objective` must have a positive {word}, but it is {value:g}.")
-    if not free:
-        raise InputError(
-            f"Argument `objective` must leave a gain free for the {word}, but none is."
-        )
-    if word == "period":
-        return WantedPeriod(target=value)
-    return WantedAmplitude(state=problem.amplitude_of, target=value)
 
 
 def _print_json(data: Any) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -113,17 +114,7 @@ def compile_system(
     powers = ca.vertcat(system.input_power, system.copper_loss, system.other_loss)
 
     def function(name: str, *outputs: ca.SX) -> ca.Function:
-        inside = [system.state, parameters]
-        loose = [symbol.name() for symbol in ca.symvar(ca.veccat(*outputs))]
-        known = {symbol.name() for symbol in ca.symvar(ca.veccat(*inside))}
-        unknown = sorted(set(loose) - known)
-        if unknown:
-            message = (
-                "Argument `system` must depend on its state and named parameters only, "
-                f"but `{name}` depends on {', '.join(unknown)}."
-            )
-            raise ValueError(message)
-        return _function(name, inside, list(outputs))
+        return _function(name, [system.state, parameters], list(outputs))
 
     scaled_gap, speed = ca.SX.sym("eta", 2), ca.SX.sym("w")
     flight_rate = ca.vertcat(speed * system.free_flow, scaled_gap[1], system.gap_acceleration)
@@ -194,24 +185,17 @@ class CompiledFlow:
 
     def __init__(self, mode: ModeFunctions, p: Vector) -> None:
         n_y = mode.step.size1_in(0)
-        self._p = p
         self._y = np.zeros(n_y)
         self._numbers = np.zeros(3)
         self._after = np.zeros(n_y)
         self._error = np.zeros(1)
         self._rate = np.zeros(n_y)
         self._guard = np.zeros(2)
-        self._step, self._take_step = mode.step.buffer()
-        self._field, self._evaluate_rate = mode.rate.buffer()
-        self._watch, self._evaluate_guard = mode.guard.buffer()
-        for buffer in (self._step, self._field, self._watch):
-            buffer.set_arg(0, memoryview(self._y))
-            buffer.set_arg(1, memoryview(self._p))
-        self._step.set_arg(2, memoryview(self._numbers))
-        self._step.set_res(0, memoryview(self._after))
-        self._step.set_res(1, memoryview(self._error))
-        self._field.set_res(0, memoryview(self._rate))
-        self._watch.set_res(0, memoryview(self._guard))
+        arguments = (self._y, p)
+        results = (self._after, self._error)
+        self._take_step = _caller(mode.step, (*arguments, self._numbers), results)
+        self._evaluate_rate = _caller(mode.rate, arguments, (self._rate,))
+        self._evaluate_guard = _caller(mode.guard, arguments, (self._guard,))
 
     def rate(self, y: Vector) -> Vector:
         """Return ``dy/dt``."""
@@ -250,7 +234,17 @@ def _mode(name: str, y: ca.SX, p: ca.SX, rate: ca.SX, guard: ca.SX) -> ModeFunct
 
 
 def _function(name: str, inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.Function:
-    """Return a function with dense outputs: a buffer receives the stored entries only."""
+    """Return a function with dense outputs: a buffer receives the stored entries only.
+
+    Raises:
+        ValueError: If an output depends on a symbol that is no input.
+    """
+    known = ca.veccat(*inputs)
+    loose = [s.name() for s in ca.symvar(ca.veccat(*outputs)) if not ca.depends_on(known, s)]
+    if loose:
+        wanted = "must depend on its state and named parameters only"
+        message = f"Argument `system` {wanted}, but `{name}` depends on {', '.join(loose)}."
+        raise ValueError(message)
     return ca.Function(name, inputs, [ca.densify(output) for output in outputs], {"cse": True})
 
 
@@ -259,15 +253,29 @@ class _Call:
 
     def __init__(self, function: ca.Function, p: Vector) -> None:
         self._x = np.zeros(function.size1_in(0))
-        self._p = p
         self._results = [np.zeros(function.numel_out(k)) for k in range(function.n_out())]
-        self._buffer, self._evaluate = function.buffer()
-        self._buffer.set_arg(0, memoryview(self._x))
-        self._buffer.set_arg(1, memoryview(self._p))
-        for k, result in enumerate(self._results):
-            self._buffer.set_res(k, memoryview(result))
+        self._evaluate = _caller(function, (self._x, p), self._results)
 
     def __call__(self, x: Vector, output: int = 0) -> Vector:
         self._x[:] = x
         self._evaluate()
         return self._results[output]
+
+
+def _caller(
+    function: ca.Function, arguments: Sequence[Vector], results: Sequence[Vector]
+) -> Callable[[], None]:
+    """Return a call without arguments that reads and writes the given arrays in place."""
+    # CasADi's stubs ask for a size that the call takes from the memory itself.
+    buffer: Any
+    buffer, evaluate = function.buffer()
+    for k, argument in enumerate(arguments):
+        buffer.set_arg(k, memoryview(argument.data))
+    for k, result in enumerate(results):
+        buffer.set_res(k, memoryview(result.data))
+
+    def call(_kept: Any = (buffer, *arguments, *results)) -> None:
+        # The default keeps buffer and arrays alive: the trigger knows their bare addresses only.
+        evaluate()
+
+    return call

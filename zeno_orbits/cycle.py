@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -16,6 +17,7 @@ class Cycle:
     """Release, flight, impacts, Zeno point, locked arc, next release.
 
     Attributes:
+        state_names: Name of each state.
         start: The release it starts at.
         flight: The free arc from the release to the first impact.
         hops: The rescaled flights from impact to impact; empty for a plastic impact.
@@ -25,6 +27,7 @@ class Cycle:
         end: The release it ends at.
     """
 
+    state_names: tuple[str, ...]
     start: Release
     flight: Arc
     hops: tuple[Arc, ...]
@@ -53,7 +56,7 @@ class Cycle:
 
 
 def cycles(execution: Execution, *, start: Vector | None = None) -> list[Cycle]:
-    """Return the periods of an execution that run from a release through one Zeno point to the next.
+    """Return the periods of an execution, each from a release through one Zeno point to the next.
 
     Args:
         execution: The execution.
@@ -65,22 +68,23 @@ def cycles(execution: Execution, *, start: Vector | None = None) -> list[Cycle]:
         # A start that is locked by a rounding error is released at once, for the second time.
         later = [release for release in releases if release.time > _AT_ONCE * execution.end_time]
         releases = (Release(time=0.0, state=start), *later)
-    for start, end in zip(releases[:-1], releases[1:], strict=True):
-        arcs = [a for a in execution.arcs if start.time <= a.start_time and a.end_time <= end.time]
-        zenos = [z for z in execution.zeno_points if start.time < z.time < end.time]
-        impacts = [i for i in execution.impacts if start.time < i.time < end.time]
+    for first, last in pairwise(releases):
+        arcs = [a for a in execution.arcs if first.time <= a.start_time and a.end_time <= last.time]
+        zenos = [z for z in execution.zeno_points if first.time < z.time < last.time]
+        impacts = [i for i in execution.impacts if first.time < i.time < last.time]
         free = [arc for arc in arcs if arc.mode is Mode.FREE and arc.ending is Ending.IMPACT]
-        locked = [arc for arc in arcs if arc.mode is Mode.LOCKED and arc.start_time > start.time]
+        locked = [arc for arc in arcs if arc.mode is Mode.LOCKED and arc.start_time > first.time]
         if len(zenos) == 1 and len(locked) == 1 and free and impacts:
             found.append(
                 Cycle(
-                    start=start,
+                    state_names=execution.state_names,
+                    start=first,
                     flight=free[0],
                     hops=tuple(free[1:]),
                     impacts=tuple(impacts),
                     zeno=zenos[0],
                     locked=locked[0],
-                    end=end,
+                    end=last,
                 )
             )
     return found

@@ -1,7 +1,9 @@
 r"""Permanent-magnet DC drives at three fidelities: full, quasi-static, ideal torque.
 
 A drive turns a feedback law into a generalized force. It brings current states only where the
-fidelity asks for them, so a scene models what it requires and no more. Source: [HaasGahleitner2000]_, theory (2)-(4).
+fidelity asks for them, so a scene models what it requires and no more.
+
+Source: [HaasGahleitner2000]_, theory (2)-(4).
 """
 
 from __future__ import annotations
@@ -40,8 +42,8 @@ class MotorBank:
         for name in ("resistance", "inductance", "torque_constant", "emf_constant"):
             shape = getattr(self, name).shape
             if shape != (n_motors, n_motors):
-                message = f"Argument `{name}` must be of shape ({n_motors}, {n_motors}), but it is {shape}."
-                raise ValueError(message)
+                wanted = f"must be of shape ({n_motors}, {n_motors})"
+                raise ValueError(f"Argument `{name}` {wanted}, but it is {shape}.")
         if self.voltage.numel() != n_motors:
             message = (
                 f"Argument `voltage` must have {n_motors} entries, one a motor, "

@@ -121,6 +121,24 @@ class Arc:
             : len(self.start_state)
         ]
 
+    def sampled(self, n: int = 60) -> tuple[Vector, Vector]:
+        """Return times ``(m,)`` and states ``(m, n_x)`` along the arc, for plots.
+
+        They stand close where the arc starts and ends and where the integrator slowed down, so
+        that no thin layer is missed.
+
+        Args:
+            n: Samples at least.
+        """
+        stride = max(len(self.steps) // (2 * n), 1)
+        own = [self.time_unit * step.start for step in self.steps[::stride]]
+        dense_ends = (1 - np.cos(np.linspace(0, np.pi, n))) / 2
+        offsets = np.union1d(dense_ends * (self.end_time - self.start_time), own)
+        times = (self.start_time + offsets).tolist()
+        inside = [time for time in times if time < self.end_time]
+        states = [*(self.state_at(time) for time in inside), self.end_state]
+        return np.array([*inside, self.end_time]), np.array(states)
+
     @property
     def duration(self) -> float:
         """Length in the steps' own time; in a rescaled flight, time over impact speed."""
@@ -189,22 +207,11 @@ class Execution:
         at = bisect_right(self.arcs, time, key=lambda arc: arc.start_time)
         return self.arcs[max(at - 1, 0)].state_at(time)
 
-    def sampled(self, n_per_arc: int = 200) -> tuple[Vector, Vector]:
-        """Return times ``(n,)`` and states ``(n, n_x)`` for plots.
-
-        Ends of arcs and the integrator's own steps are among them, so no thin layer is missed.
+    def sampled(self, n_per_arc: int = 60) -> tuple[Vector, Vector]:
+        """Return times ``(n,)`` and states ``(n, n_x)`` of all arcs, for plots.
 
         Args:
-            n_per_arc: Even samples of the longest arc; a shorter one gets its share.
+            n_per_arc: Samples at least, of every arc.
         """
-        longest = max(arc.end_time - arc.start_time for arc in self.arcs)
-        times: list[float] = []
-        states: list[Vector] = []
-        for arc in self.arcs:
-            share = (arc.end_time - arc.start_time) / longest if longest > 0 else 0.0
-            even = np.linspace(arc.start_time, arc.end_time, 2 + int(share * n_per_arc))
-            own = [arc.start_time + arc.time_unit * step.start for step in arc.steps]
-            grid = sorted({*even.tolist(), *own})
-            times += grid
-            states += [arc.state_at(time) for time in grid]
-        return np.array(times), np.array(states)
+        times, states = zip(*(arc.sampled(n_per_arc) for arc in self.arcs), strict=True)
+        return np.concatenate(times), np.concatenate(states)

@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from zeno_orbits.completion import ZenoExtrapolation
 from zeno_orbits.cycle import Cycle, cycles
 from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.simulate import SimulationSettings, ZenoExtrapolation, simulate
+from zeno_orbits.simulate import SimulationSettings, simulate
 
 _TURNS = 20 * np.pi
 """A coordinate beyond this many radians, or metres, will not come back."""

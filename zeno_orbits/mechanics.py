@@ -75,8 +75,8 @@ class HybridLagrangian:
         _require_shapes(q, v, friction)
         for name, expression in (("gap", gap), ("potential", potential), ("holonomic", eta)):
             if ca.depends_on(expression, v):
-                message = f"Argument `{name}` must depend on the configuration only, but it depends on the velocity."
-                raise ValueError(message)
+                wanted = "must depend on the configuration only, but it depends on the velocity"
+                raise ValueError(f"Argument `{name}` {wanted}.")
         if not ca.depends_on(gap, q):
             raise ValueError("Argument `gap` must depend on the configuration, but it is constant.")
         still = ca.SX.zeros(*v.shape)

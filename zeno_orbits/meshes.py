@@ -7,8 +7,10 @@ from the impact outwards, and knows nothing of motors. Source: [HairerWanner1996
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -47,7 +49,8 @@ def radau(n_stages: int) -> Collocation:
     # Stage i integrates the polynomials exactly: sum_j a_ij c_j^(k-1) = c_i^k / k.
     vandermonde = nodes[:, None] ** (powers - 1)
     moments = nodes[:, None] ** powers / powers
-    return Collocation(nodes=nodes, matrix=np.linalg.solve(vandermonde.T, moments.T).T)
+    matrix = np.asarray(np.linalg.solve(vandermonde.T, moments.T).T, dtype=np.float64)
+    return Collocation(nodes=nodes, matrix=matrix)
 
 
 def graded_mesh(
@@ -89,13 +92,13 @@ def graded_mesh(
 
     even = np.linspace(0.0, 1.0, fewest + 1)
     ends = [0.0]
-    for left, right in zip(even[:-1], even[1:], strict=True):
+    for left, right in pairwise(even):
         ends += split(float(left), float(right), deepest)
     return np.array(ends)
 
 
 def stage_fractions(mesh: Array, scheme: Collocation) -> Array:
-    """Return the position of every stage, interval after interval, ``(n_intervals * n_stages,)``."""
+    """Return the position of every stage in the arc, ``(n_intervals * n_stages,)``."""
     sizes = np.diff(mesh)
     return (mesh[:-1, None] + sizes[:, None] * scheme.nodes).ravel()
 
@@ -106,7 +109,7 @@ def _lagrange(points: Array, targets: Array) -> Array:
     for target in targets:
         row: list[float] = []
         for k, point in enumerate(points):
-            others = np.delete(points, k)
-            row.append(float(np.prod((target - others) / (point - others))))
+            others = [other for j, other in enumerate(points) if j != k]
+            row.append(math.prod(float((target - o) / (point - o)) for o in others))
         rows.append(row)
     return np.array(rows)

@@ -270,7 +270,8 @@ class ProgramBuilder:
         n_rows = expression.numel()
         if n_rows == 0:
             return
-        self._rows.append(ca.vec(expression / scale))
+        scaled: ca.MX = expression / scale
+        self._rows.append(ca.vec(scaled))
         self._row_names += [labels[k * len(labels) // n_rows] for k in range(n_rows)]
         self._row_bounds += [bounds] * n_rows
 

@@ -17,7 +17,6 @@ from scipy.optimize import minimize_scalar
 from zeno_orbits.cycle import Cycle
 from zeno_orbits.dynamics import Vector
 from zeno_orbits.execution import Arc
-from zeno_orbits.meshes import Collocation
 from zeno_orbits.shooting import OrbitTerms, Stretch
 
 
@@ -29,17 +28,12 @@ class Objective(Protocol):
         """What is asked, as a clause for the user."""
         ...
 
-    def cost(self, terms: OrbitTerms, gains: Mapping[str, float]) -> ca.MX:
+    def cost(self, terms: OrbitTerms) -> ca.MX:
         """Add rows to the program and return what to minimise.
 
         Args:
             terms: The orbit in the unknowns of the program.
-            gains: Values of the gains from which the search started.
         """
-        ...
-
-    def miss(self, cycle: Cycle, state_names: tuple[str, ...]) -> float:
-        """Return how far a simulated cycle is from what was asked, relative."""
         ...
 
 
@@ -59,13 +53,9 @@ class NearestGains:
         wanted = ", ".join(f"{name} = {value:g}" for name, value in self.target.items())
         return f"gains near {wanted}" if wanted else "gains near the start"
 
-    def cost(self, terms: OrbitTerms, gains: Mapping[str, float]) -> ca.MX:
+    def cost(self, terms: OrbitTerms) -> ca.MX:
         """Return half the squared distance of the gains."""
-        return _distance(terms, {**gains, **self.target})
-
-    def miss(self, cycle: Cycle, state_names: tuple[str, ...]) -> float:
-        """Return 0: nearness is a cost, not a condition."""
-        return 0.0
+        return _distance(terms, {**terms.first_gains, **self.target})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,16 +73,12 @@ class WantedPeriod:
         """What is asked."""
         return f"a period of {self.target:.10g} s"
 
-    def cost(self, terms: OrbitTerms, gains: Mapping[str, float]) -> ca.MX:
+    def cost(self, terms: OrbitTerms) -> ca.MX:
         """Require the period; return the squared distance of the gains from their start."""
         terms.program.equal(self.wish, terms.period - self.target)
-        return _distance(terms, gains)
+        return _distance(terms, terms.first_gains)
 
-    def miss(self, cycle: Cycle, state_names: tuple[str, ...]) -> float:
-        """Return the relative error of the period."""
-        return abs(self.measured(cycle, state_names) - self.target) / self.target
-
-    def measured(self, cycle: Cycle, state_names: tuple[str, ...]) -> float:
+    def measured(self, cycle: Cycle) -> float:
         """Return the period of a simulated cycle [s]."""
         return cycle.period
 
@@ -118,20 +104,16 @@ class WantedAmplitude:
         """What is asked."""
         return f"an amplitude of {self.target:.10g} of {self.state}"
 
-    def cost(self, terms: OrbitTerms, gains: Mapping[str, float]) -> ca.MX:
+    def cost(self, terms: OrbitTerms) -> ca.MX:
         """Require the amplitude; return the squared distance of the gains from their start."""
         index = terms.state_names.index(self.state)
         travel = _peak(terms, index, 1.0) - _peak(terms, index, -1.0)
         terms.program.equal(self.wish, travel / 2 - self.target)
-        return _distance(terms, gains)
+        return _distance(terms, terms.first_gains)
 
-    def miss(self, cycle: Cycle, state_names: tuple[str, ...]) -> float:
-        """Return the relative error of the amplitude."""
-        return abs(self.measured(cycle, state_names) - self.target) / self.target
-
-    def measured(self, cycle: Cycle, state_names: tuple[str, ...]) -> float:
+    def measured(self, cycle: Cycle) -> float:
         """Return the amplitude of a simulated cycle."""
-        index = state_names.index(self.state)
+        index = cycle.state_names.index(self.state)
         return (_highest(cycle, index, 1.0) + _highest(cycle, index, -1.0)) / 2
 
     def at(self, target: float) -> WantedAmplitude:
@@ -148,16 +130,13 @@ class LeastEnergy:
         """What is asked."""
         return "the least electrical energy a period"
 
-    def cost(self, terms: OrbitTerms, gains: Mapping[str, float]) -> ca.MX:
+    def cost(self, terms: OrbitTerms) -> ca.MX:
         """Return the electrical work of one period [J]."""
         return terms.electrical_work
 
-    def miss(self, cycle: Cycle, state_names: tuple[str, ...]) -> float:
-        """Return 0: energy is a cost, not a condition."""
-        return 0.0
-
 
 def _distance(terms: OrbitTerms, target: Mapping[str, float]) -> ca.MX:
+    """Return half the squared distance of the gains from a target, each in units of its size."""
     cost = ca.MX(0)
     for name, gain in terms.gains.items():
         size = max(abs(target[name]), 1e-3)
@@ -181,7 +160,7 @@ def _peak(terms: OrbitTerms, index: int, sign: float) -> ca.MX:
     place is an unknown; at an impact, where the rate may turn round, it is a node.
     """
     summit = max(
-        (_summit(stretch, terms.scheme, index, sign) for stretch in terms.stretches),
+        (_summit(stretch, index, sign) for stretch in terms.stretches),
         key=lambda found: found[0],
     )[1]
     n = terms.scheme.n_stages
@@ -203,9 +182,7 @@ def _peak(terms: OrbitTerms, index: int, sign: float) -> ca.MX:
     return height
 
 
-def _summit(
-    stretch: Stretch, scheme: Collocation, index: int, sign: float
-) -> tuple[float, _Summit]:
+def _summit(stretch: Stretch, index: int, sign: float) -> tuple[float, _Summit]:
     """Return the extreme of the guess over a stretch, and where it is."""
     fractions = np.linspace(0.0, 1.0, 400 if stretch.arc.duration > 0 else 1)
     values = [sign * _value(stretch.arc, index, float(fraction)) for fraction in fractions]
@@ -236,18 +213,19 @@ def _basis(points: Vector, place: ca.MX) -> ca.MX:
 
 def _highest(cycle: Cycle, index: int, sign: float) -> float:
     """Return the largest value of ``sign`` times a state over a simulated cycle."""
-    highest = -np.inf
-    for arc in (cycle.flight, *cycle.hops, cycle.locked):
-        grid = np.linspace(0.0, 1.0, 65)
-        values = [sign * _value(arc, index, float(fraction)) for fraction in grid]
-        best = int(np.argmax(values))
-        highest = max(highest, values[best])
-        if 0 < best < len(grid) - 1:
-            inside = minimize_scalar(
-                lambda fraction, arc=arc: -sign * _value(arc, index, fraction),
-                bounds=(grid[best - 1], grid[best + 1]),
-                method="bounded",
-                options={"xatol": 1e-9},
-            )
-            highest = max(highest, -float(inside.fun))
-    return highest
+    return max(_highest_of(arc, index, sign) for arc in (cycle.flight, *cycle.hops, cycle.locked))
+
+
+def _highest_of(arc: Arc, index: int, sign: float) -> float:
+    grid = np.linspace(0.0, 1.0, 65)
+    values = [sign * _value(arc, index, float(fraction)) for fraction in grid]
+    best = int(np.argmax(values))
+    if best in (0, len(grid) - 1):
+        return values[best]
+
+    def depth(fraction: float) -> float:
+        return -sign * _value(arc, index, fraction)
+
+    around = (float(grid[best - 1]), float(grid[best + 1]))
+    inside = minimize_scalar(depth, bounds=around, method="bounded", options={"xatol": 1e-9})
+    return max(values[best], -float(inside.fun))

@@ -208,7 +208,7 @@ class _Reader:
         return {key: self.number(entry, f"{name}.{key}") for key, entry in entries.items()}
 
     def _complex(self, pair: object) -> complex:
-        if not isinstance(pair, list) or len(cast("list[Any]", pair)) != 2:  # noqa: PLR2004
+        if not isinstance(pair, list) or len(cast("list[Any]", pair)) != 2:
             raise self.refuse("`floquet_multipliers` is not a list of pairs")
         real, imaginary = cast("list[Any]", pair)
         return complex(

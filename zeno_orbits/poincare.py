@@ -90,7 +90,7 @@ def release_section(dynamics: HybridDynamics, centre: Vector, scale: Vector) -> 
         centre=centre,
         scale=scale,
         tangent=null_space(gradient, rcond=1e-9),
-        normal=np.linalg.pinv(gradient, rcond=1e-9),
+        normal=np.asarray(np.linalg.pinv(gradient, rcond=1e-9), dtype=np.float64),
     )
 
 

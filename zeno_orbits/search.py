@@ -1,68 +1,30 @@
-"""Find orbits: a simulated guess, a transcription, Ipopt, and a look at what came out.
-
-Ipopt's word is not an orbit: every solution is simulated for one period and the mesh is drawn
-anew on that period, until program and simulation agree.
-"""
+"""Find orbits: one start after another, until one is found and accepted."""
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
-from enum import Enum
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import qmc
 
-from zeno_orbits.compiled import CompiledSystem, bind, compile_problem
-from zeno_orbits.cycle import Cycle, closure_of, cycles
-from zeno_orbits.dynamics import HybridDynamics, Vector
+from zeno_orbits.compiled import compile_problem
 from zeno_orbits.errors import InputError, ZenoOrbitsError
-from zeno_orbits.guess import SettlingSettings, settle
-from zeno_orbits.nlp import Hessian, IpoptSettings, Solution, SolveStatus, solve
-from zeno_orbits.objectives import NearestGains, Objective, WantedAmplitude, WantedPeriod
-from zeno_orbits.orbit import OrbitImpact, ZenoOrbit, versions
+from zeno_orbits.hunt import Find, Hunt, SearchSettings, SearchStatus, listed
+from zeno_orbits.objectives import NearestGains, Objective
+from zeno_orbits.orbit import ZenoOrbit
 from zeno_orbits.problem import Problem, Setting
-from zeno_orbits.shooting import TranscriptionSettings, transcribe
-from zeno_orbits.simulate import SimulationSettings, simulate
 
-
-class SearchStatus(Enum):
-    """How a search ended. The value is the sentence shown to the user."""
-
-    FOUND = "The search found an orbit."
-    NO_GUESS = "No simulation settled to a motion with one Zeno point a period."
-    NOT_SOLVED = "The conditions of the orbit could not be met."
-    NOT_FOLLOWED = "A simulation does not follow the solution."
-    NOT_ACCEPTED = "The orbits that were found were not accepted."
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SearchSettings:
-    """How hard to look.
-
-    Attributes:
-        settling: How long a simulation may take to repeat itself.
-        transcription: Scheme, mesh and closure.
-        ipopt: Solver settings; the square case approximates the Hessian whatever they say.
-        agreement: Largest relative difference of program and simulation over one period.
-        rounds: Times the mesh is drawn anew.
-        n_starts: Quasi-random starting gains after the given ones.
-        first_step: Change of a wanted value that is tried at once, in units of the value.
-        smallest_step: Smallest change before the search gives up, likewise.
-        seed: Of the quasi-random gains.
-    """
-
-    settling: SettlingSettings = field(default_factory=SettlingSettings)
-    transcription: TranscriptionSettings = field(default_factory=TranscriptionSettings)
-    ipopt: IpoptSettings = field(default_factory=lambda: IpoptSettings(most_iterations=60))
-    agreement: float = 3e-10
-    rounds: int = 4
-    n_starts: int = 12
-    first_step: float = 0.03
-    smallest_step: float = 0.003
-    seed: int = 0
+__all__ = [
+    "Attempt",
+    "OrbitNotFoundError",
+    "SearchResult",
+    "SearchSettings",
+    "SearchStatus",
+    "find_orbit",
+    "search_gains",
+]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -181,7 +143,7 @@ def search_gains(
         # What has no target stays near its start, so the start is where the target can be met.
         setting = replace(setting, gains={**setting.gains, **objective.target})
         objective = NearestGains(target=_clipped(setting.gains, free_gains))
-    hunt = _Hunt(
+    hunt = Hunt(
         problem=problem,
         compiled=compile_problem(problem),
         setting=setting,
@@ -191,10 +153,10 @@ def search_gains(
         tell=on_progress or (lambda _: None),
     )
     attempts: list[Attempt] = []
-    best: _Find | None = None
+    best: Find | None = None
     failures = 0
     for gains in _starting_gains(setting.gains, free_gains, hunt.settings):
-        hunt.tell(f"start {len(attempts) + 1}: simulating {_listed(gains)}")
+        hunt.tell(f"start {len(attempts) + 1}: simulating {listed(gains)}")
         find = hunt.from_gains(gains)
         if find.status is SearchStatus.FOUND and find.orbit is not None and accept is not None:
             hunt.tell(f"start {len(attempts) + 1}: verifying")
@@ -228,15 +190,6 @@ def search_gains(
 _ENOUGH_FAILURES = 2
 """Starts with a good guess that may fail before a search gives up."""
 
-_COARSE = 100.0
-"""First mesh of a search for gains, in units of the mesh tolerance; the gains still move."""
-
-_ON_THE_WAY = 1e-4
-"""Agreement of program and simulation that suffices for a value on the way to a wanted one."""
-
-_AT_BOUND = 1e-3
-"""A gain this near its bound, relative, is said to be at it."""
-
 _RANK = {
     SearchStatus.NO_GUESS: 0,
     SearchStatus.NOT_SOLVED: 1,
@@ -246,240 +199,8 @@ _RANK = {
 }
 
 
-def _merit(find: _Find) -> tuple[int, float]:
+def _merit(find: Find) -> tuple[int, float]:
     return _RANK[find.status], -find.shortfall
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Find:
-    """What came of one start or one solve."""
-
-    status: SearchStatus
-    detail: str = ""
-    orbit: ZenoOrbit | None = None
-    gains: Mapping[str, float] = field(default_factory=dict)
-    cycle: Cycle | None = None
-    solution: Solution | None = None
-    agreement: float = np.inf
-    closure_error: float = np.inf
-    n_unknowns: int = 0
-    shortfall: float = np.inf
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Hunt:
-    """A search: its scene, its question and how hard to look."""
-
-    problem: Problem
-    compiled: CompiledSystem
-    setting: Setting
-    free_gains: Mapping[str, tuple[float, float]]
-    objective: Objective
-    settings: SearchSettings
-    tell: Callable[[str], None]
-
-    def from_gains(self, gains: Mapping[str, float]) -> _Find:
-        """Search from one set of gains."""
-        dynamics = self.dynamics(gains)
-        starts = [self.problem.state_vector(start) for start in self.problem.starts]
-        settling = settle(dynamics, starts, self.settings.settling)
-        if settling.cycle is None:
-            where = f"At {_listed(gains)}, " if gains else ""
-            detail = f"{where}{settling.reason}."
-            return _Find(status=SearchStatus.NO_GUESS, detail=detail[0].upper() + detail[1:])
-        if isinstance(self.objective, WantedPeriod | WantedAmplitude):
-            return self.toward(gains, settling.cycle, self.objective)
-        if (
-            isinstance(self.objective, NearestGains)
-            and self.objective.target.items() <= gains.items()
-        ):
-            # Nothing is nearer than the target itself: its gains need no freedom.
-            return replace(self, free_gains={}).refine(gains, settling.cycle, self.objective)
-        return self.refine(gains, settling.cycle, self.objective)
-
-    def toward(
-        self, gains: Mapping[str, float], cycle: Cycle, wanted: WantedPeriod | WantedAmplitude
-    ) -> _Find:
-        """Reach a wanted value, directly if possible, else through values on the way."""
-        here, last = wanted.measured(cycle, self.problem.state_names), None
-        start, growth = gains, 2.0
-        step, smallest = self.settings.first_step, self.settings.smallest_step
-        while step >= smallest:
-            far = step * abs(wanted.target)
-            ahead = wanted.target - here
-            last_step = abs(ahead) <= far
-            value = wanted.target if last_step else here + math.copysign(far, ahead)
-            self.tell(f"asking for {wanted.at(value).wish}")
-            if last_step:
-                find = self.refine(gains, cycle, wanted, start)
-            else:
-                find = self.solve_once(start, gains, cycle, wanted.at(value), _COARSE)
-            if find.status is SearchStatus.FOUND and last_step:
-                return find
-            if find.cycle is None or not find.agreement < _ON_THE_WAY:
-                last, step, growth = find, step / 2, 1.0
-                continue
-            here, gains, cycle = value, find.gains, find.cycle
-            step *= growth
-        return self._short_of(wanted, here, gains, last)
-
-    def _short_of(
-        self,
-        wanted: WantedPeriod | WantedAmplitude,
-        here: float,
-        gains: Mapping[str, float],
-        last: _Find | None,
-    ) -> _Find:
-        """Return a failure that says how near a wanted value came, and what held it."""
-        held = [
-            f"{name} at its bound {bound:g}"
-            for name, bounds in self.free_gains.items()
-            for bound in bounds
-            if abs(gains[name] - bound) <= _AT_BOUND * max(1.0, abs(bound))
-        ]
-        reached = f"The nearest that was reached is {wanted.at(here).wish}, at {_listed(gains)}"
-        detail = f"{reached} ({', '.join(held)})." if held else f"{reached}."
-        return replace(
-            last or _Find(status=SearchStatus.NOT_SOLVED),
-            status=SearchStatus.NOT_SOLVED,
-            detail=f"{detail} {'' if last is None else last.detail}".strip(),
-            shortfall=abs(wanted.target - here),
-        )
-
-    def refine(
-        self,
-        gains: Mapping[str, float],
-        cycle: Cycle,
-        objective: Objective,
-        start: Mapping[str, float] | None = None,
-    ) -> _Find:
-        """Solve on the mesh of a cycle, simulate the solution, and again on the mesh of that."""
-        find = _Find(status=SearchStatus.NOT_SOLVED)
-        start = start or gains
-        coarse = _COARSE if self.free_gains else 1.0
-        for refinement in range(self.settings.rounds):
-            find = self.solve_once(start, gains, cycle, objective, coarse * 0.1**refinement)
-            if find.status is SearchStatus.FOUND or find.cycle is None:
-                return find
-            gains, cycle = find.gains, find.cycle
-        return find
-
-    def solve_once(
-        self,
-        start: Mapping[str, float],
-        gains: Mapping[str, float],
-        cycle: Cycle,
-        objective: Objective,
-        coarseness: float = 1.0,
-    ) -> _Find:
-        """Solve one program and hold its solution against a simulation."""
-        dynamics = self.dynamics(gains)
-        tolerance = self.settings.transcription.closure_tolerance
-        closure = closure_of(cycle, dynamics, tolerance)
-        settings = self.settings.transcription
-        terms = transcribe(
-            self.compiled,
-            replace(self.setting, gains=gains),
-            dynamics=dynamics,
-            cycle=cycle,
-            closure=closure,
-            free_gains=self.free_gains,
-            settings=replace(settings, mesh_tolerance=coarseness * settings.mesh_tolerance),
-        )
-        square = not self.free_gains
-        cost = None if square else objective.cost(terms, start)
-        ipopt = self.settings.ipopt
-        program = terms.program.build(cost)
-        solution = solve(
-            program, replace(ipopt, hessian=Hessian.LIMITED_MEMORY) if square else ipopt
-        )
-        find = _Find(
-            status=SearchStatus.NOT_SOLVED,
-            detail=_complaint(solution, objective if self.free_gains else None),
-            solution=solution,
-            closure_error=closure.error,
-            n_unknowns=program.unknowns.numel(),
-        )
-        if solution.status not in (SolveStatus.SOLVED, SolveStatus.ACCEPTABLE):
-            return find
-        found = {
-            name: float(solution.values[f"gain {name}"][0, 0]) if name in self.free_gains else value
-            for name, value in gains.items()
-        }
-        return self.confirm(find, solution, found, objective)
-
-    def confirm(
-        self, find: _Find, solution: Solution, gains: Mapping[str, float], objective: Objective
-    ) -> _Find:
-        """Simulate one period of a solution and compare."""
-        dynamics = self.dynamics(gains)
-        release = dynamics.on_stop(solution.values["release state"][:, 0])
-        period = float(solution.values["period"][0, 0])
-        zeno_time = float(solution.values["Zeno time"][0, 0])
-        cycle = _one_cycle(dynamics, release, 2 * period)
-        if cycle is None:
-            detail = "From the solution's release no Zeno point and release follow."
-            return replace(find, status=SearchStatus.NOT_FOLLOWED, detail=detail)
-        agreement = max(
-            cycle.drift(cycle.scale()),
-            abs(cycle.period - period) / period,
-            abs(cycle.zeno.time - zeno_time) / period,
-            *(
-                float(np.max(np.abs(impact.state_minus - state) / cycle.scale()))
-                for impact, state in zip(
-                    cycle.impacts, solution.values["impact states"].T, strict=False
-                )
-            ),
-            objective.miss(cycle, self.problem.state_names) if self.free_gains else 0.0,
-        )
-        agrees = agreement <= self.settings.agreement
-        return replace(
-            find,
-            status=SearchStatus.FOUND if agrees else SearchStatus.NOT_FOLLOWED,
-            detail="" if agrees else f"Solution and simulation differ by {agreement:.1e}.",
-            orbit=self.orbit(solution, gains, release) if agrees else None,
-            gains=gains,
-            cycle=cycle,
-            agreement=agreement,
-        )
-
-    def orbit(self, solution: Solution, gains: Mapping[str, float], release: Vector) -> ZenoOrbit:
-        """Return the orbit of a solution."""
-        values = solution.values
-        times = np.cumsum(values["flight times"][:, 0])
-        return ZenoOrbit(
-            problem=self.problem.name,
-            parameters=dict(self.setting.parameters),
-            gains=dict(gains),
-            period=float(values["period"][0, 0]),
-            release_state=self.named(release),
-            impacts=tuple(
-                OrbitImpact(time=float(time), state_minus=self.named(state))
-                for time, state in zip(times, values["impact states"].T, strict=True)
-            ),
-            zeno_time=float(values["Zeno time"][0, 0]),
-            zeno_state=self.named(self.dynamics(gains).on_stop(values["Zeno state"][:, 0])),
-            certificate={},
-            versions=versions(),
-        )
-
-    def named(self, state: Vector) -> dict[str, float]:
-        """Return state name to value."""
-        return dict(zip(self.problem.state_names, map(float, state), strict=True))
-
-    def dynamics(self, gains: Mapping[str, float]) -> HybridDynamics:
-        """Return the system at given gains."""
-        return bind(self.compiled, replace(self.setting, gains=gains).values())
-
-
-def _one_cycle(dynamics: HybridDynamics, release: Vector, horizon: float) -> Cycle | None:
-    """Return the period that starts at a release state, at full accuracy."""
-    try:
-        run = simulate(dynamics, release, until=horizon, settings=SimulationSettings())
-    except ZenoOrbitsError:
-        return None
-    found = cycles(run, start=release)
-    return found[0] if found else None
 
 
 def _starting_gains(
@@ -513,20 +234,5 @@ def _check_box(problem: Problem, free_gains: Mapping[str, tuple[float, float]]) 
             )
             raise InputError(message)
         if not (np.isfinite(lower) and np.isfinite(upper) and lower < upper):
-            message = f"Argument `{name}` must have bounds LOWER < UPPER, but they are {lower:g}:{upper:g}."
-            raise InputError(message)
-
-
-def _complaint(solution: Solution, objective: Objective | None) -> str:
-    asked = "" if objective is None else f" for {objective.wish}"
-    worst = [f"`{name}` by {size:.1e}" for name, size in solution.worst() if size > 1e-9]
-    missed = f"; missed: {', '.join(worst)}" if worst else ""
-    return (
-        f"Asked{asked}, {solution.status.value}{missed}."
-        if asked
-        else (f"{solution.status.value[0].upper()}{solution.status.value[1:]}{missed}.")
-    )
-
-
-def _listed(gains: Mapping[str, float]) -> str:
-    return ", ".join(f"{name} = {value:.6g}" for name, value in gains.items()) or "the scene"
+            wanted = "must have finite bounds LOWER < UPPER"
+            raise InputError(f"Argument `{name}` {wanted}, but they are {lower:g}:{upper:g}.")

@@ -74,6 +74,7 @@ class OrbitTerms:
     Attributes:
         program: The program, open for more rows.
         gains: Name to value.
+        first_gains: Gains from which the search started.
         period: [s].
         electrical_work: Work of the sources in one period [J].
         stretches: The transcribed arcs, in order.
@@ -83,6 +84,7 @@ class OrbitTerms:
 
     program: ProgramBuilder
     gains: Mapping[str, ca.MX]
+    first_gains: Mapping[str, float]
     period: ca.MX
     electrical_work: ca.MX
     stretches: tuple[Stretch, ...]
@@ -98,6 +100,7 @@ def transcribe(
     cycle: Cycle,
     closure: Closure,
     free_gains: Mapping[str, tuple[float, float]],
+    first_gains: Mapping[str, float],
     settings: TranscriptionSettings,
 ) -> OrbitTerms:
     """Declare the unknowns and the conditions of an orbit.
@@ -109,6 +112,7 @@ def transcribe(
         cycle: One simulated period, the guess.
         closure: Which impacts are resolved, and which of them tell the Zeno point.
         free_gains: Name to bounds of the gains that are unknown.
+        first_gains: Gains from which the search started, for the objective.
         settings: Scheme, mesh and closure.
 
     Returns:
@@ -139,6 +143,7 @@ def transcribe(
     return OrbitTerms(
         program=program,
         gains=gains,
+        first_gains=first_gains,
         period=period,
         electrical_work=work,
         stretches=stretches,
@@ -310,7 +315,9 @@ class _Writer:
         """Return ``(time, work, state)`` at the end of the tail, to first order (theory (15))."""
         resting = minus - approach_rate * direction
         acceleration = self.compiled.contact(resting, self.p)[2]
-        remaining = tail_time(-self.restitution * approach_rate, acceleration, self.restitution)
+        remaining: ca.MX = tail_time(
+            -self.restitution * approach_rate, acceleration, self.restitution
+        )
         return ca.vertcat(
             time + remaining,
             work + remaining * self.compiled.powers(resting, self.p)[0],
@@ -323,7 +330,7 @@ class _Writer:
         return self.compiled.contact.map(n)(states, ca.repmat(self.p, 1, n))
 
     def _interval(self, mode: ModeFunctions) -> ca.Function:
-        """Return one collocation step: the defects of its stages and the work over it (theory (17))."""
+        """Return one collocation step: defects of its stages, work over it (theory (17))."""
         name = mode.rate.name()
         if name not in self.intervals:
             scheme = self.settings.scheme
@@ -342,11 +349,12 @@ class _Writer:
         return self.intervals[name]
 
     def _stop_tangent(self, at: Vector) -> Array:
-        """Return a basis of the scaled states near ``at`` that stay on the stop at zero gap rate."""
+        """Return a basis of the scaled states near ``at`` with zero gap and gap rate."""
         x, p = ca.SX.sym("x", self.compiled.n_x), ca.SX.sym("p", len(self.values))
         held = ca.vertcat(self.compiled.contact(x, p)[0:2], self.compiled.holonomic(x, p))
         gradient = ca.Function("gradient", [x, p], [ca.jacobian(held, x)])(at, self.values)
-        return null_space(gradient.full() * self.scale)
+        tangent: Array = null_space(np.asarray(gradient.full(), dtype=np.float64) * self.scale)
+        return tangent
 
 
 def _flow_scale(arc: Arc, scale: Vector) -> Vector:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from zeno_orbits.completion import Completion, ZenoExtrapolation
 from zeno_orbits.crossing import first_fall
 from zeno_orbits.dynamics import GuardedFlow, HybridDynamics, Tolerance, Vector
 from zeno_orbits.engines import Engine, RungeKutta, Step
@@ -26,60 +27,10 @@ from zeno_orbits.execution import (
     Release,
     ZenoPoint,
 )
-from zeno_orbits.zeno import TailEstimate, ZenoLimit, estimate_tail, extrapolate
+from zeno_orbits.zeno import TailEstimate, ZenoLimit, estimate_tail
 
-_MAY_BEND = 0.1
-"""Largest relative change of d2h/dt2 over a Zeno tail; beyond it the tail is not geometric yet."""
 _LEAVES = 1e-6
-"""A guard below minus this part of its change in a step, never having been positive, is no rounding."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ZenoExtrapolation:
-    """Complete at the extrapolated Zeno limit (theory (15)).
-
-    Attributes:
-        tolerance: Largest estimated error of the limit, relative to ``1 + |x|``.
-        resolved: Impacts are resolved one by one at least until their speed has fallen to this
-            part of the first one's.
-    """
-
-    tolerance: float = 1e-12
-    resolved: float = 1e-3
-
-    def limit(
-        self, dynamics: HybridDynamics, impact: Impact, estimates: Sequence[TailEstimate]
-    ) -> ZenoLimit | None:
-        """Return the Zeno point if the impacts so far tell it well enough."""
-        last = estimates[-1]
-        if last.speed > self.resolved * estimates[0].speed:
-            return None
-        limit = extrapolate(dynamics, estimates)
-        if limit.error > self.tolerance:
-            return None
-        bend = abs(dynamics.gap_acceleration(limit.state) - last.gap_acceleration)
-        return limit if bend <= _MAY_BEND * abs(last.gap_acceleration) else None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Truncation:
-    """Complete by the paper's rule: the first impact slower than `delta` is made plastic.
-
-    Attributes:
-        delta: Impact speed below which the sequence is cut (paper, section III).
-    """
-
-    delta: float
-
-    def limit(
-        self, dynamics: HybridDynamics, impact: Impact, estimates: Sequence[TailEstimate]
-    ) -> ZenoLimit | None:
-        """Return the cut, as if it were the Zeno point, if the last impact was slow enough."""
-        if abs(impact.approach_rate) >= self.delta:
-            return None
-        state = dynamics.on_stop(impact.state_minus)
-        error = estimates[-1].time - impact.time
-        return ZenoLimit(time=impact.time, state=state, error=error)
+"""A guard that was never positive and is below minus this part of its change has been left."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,13 +43,16 @@ class SimulationSettings:
         completion: How a Zeno point is reached.
         contact: A gap or gap rate of an initial state below this counts as zero.
         most_impacts: Impacts in one sequence before it is given up.
+        most_steps: Steps of all arcs before the execution is given up; each is kept for dense
+            output, at about 400 bytes.
     """
 
     engine: Engine = field(default_factory=RungeKutta)
     tolerance: Tolerance = field(default_factory=Tolerance)
-    completion: ZenoExtrapolation | Truncation = field(default_factory=ZenoExtrapolation)
+    completion: Completion = field(default_factory=ZenoExtrapolation)
     contact: float = 1e-12
     most_impacts: int = 100_000
+    most_steps: int = 2_000_000
 
 
 def simulate(
@@ -173,6 +127,7 @@ class _Run:
         self.arcs: list[Arc] = []
         self.events: list[Event] = []
         self.n_impacts = 0
+        self.n_steps = 0
         self.n_releases = 0
 
     def follow(self, start: _Start) -> None:
@@ -319,7 +274,7 @@ class _Run:
             estimates.clear()
             return None
         estimates.append(estimate)
-        limit = self.settings.completion.limit(self.dynamics, start.impact, estimates)
+        limit = self.settings.completion.limit(self.dynamics, estimates)
         if limit is None or limit.time >= self.until:
             return None
         after = self.rest(limit.time, limit.state)
@@ -354,6 +309,15 @@ class _Run:
                 )
             )
 
+    def _count_step(self, start: _Start) -> None:
+        self.n_steps += 1
+        if self.n_steps > self.settings.most_steps:
+            raise SimulationError(
+                f"The execution takes more than {self.settings.most_steps} steps",
+                time=start.time,
+                state=tuple(start.state.tolist()),
+            )
+
     def _arc(
         self, start: _Start, flow: GuardedFlow, natural: Ending, *, on_guard: bool
     ) -> tuple[Arc, Vector]:
@@ -378,6 +342,7 @@ class _Run:
         steps: list[Step] = []
         for step in self.settings.engine.steps(flow, y, self.settings.tolerance):
             steps.append(step)
+            self._count_step(start)
             after = flow.guard(step.after)
             fall = first_fall(flow, step, before, after, on_guard=on_guard)
             largest = max(largest, abs(before[1]) * step.size, abs(after[1]) * step.size)

@@ -2,26 +2,40 @@
 
 from __future__ import annotations
 
+import importlib
+import operator
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import casadi as ca
-import sympy
 
 from zeno_orbits.hybrid import CompletedSystem
 from zeno_orbits.problem import Problem, Setting
 
+sympy: Any = importlib.import_module("sympy")
+"""SymPy has no types; it is imported as a value that has none."""
+
+
+def _divide(a: Any, b: Any) -> Any:
+    return a / b
+
+
+def _power(a: Any, b: Any) -> Any:
+    return a**b
+
+
 _OPERATIONS: Mapping[int, Callable[..., Any]] = {
-    ca.OP_ADD: lambda a, b: a + b,
-    ca.OP_SUB: lambda a, b: a - b,
-    ca.OP_MUL: lambda a, b: a * b,
-    ca.OP_DIV: lambda a, b: a / b,
-    ca.OP_NEG: lambda a: -a,
-    ca.OP_SQ: lambda a: a**2,
-    ca.OP_TWICE: lambda a: 2 * a,
-    ca.OP_INV: lambda a: 1 / a,
-    ca.OP_POW: lambda a, b: a**b,
-    ca.OP_CONSTPOW: lambda a, b: a**b,
+    ca.OP_ADD: operator.add,
+    ca.OP_SUB: operator.sub,
+    ca.OP_MUL: operator.mul,
+    ca.OP_DIV: _divide,
+    ca.OP_NEG: operator.neg,
+    ca.OP_SQ: partial(_power, b=2),
+    ca.OP_TWICE: partial(operator.mul, 2),
+    ca.OP_INV: partial(_power, b=-1),
+    ca.OP_POW: _power,
+    ca.OP_CONSTPOW: _power,
     ca.OP_SQRT: sympy.sqrt,
     ca.OP_SIN: sympy.sin,
     ca.OP_COS: sympy.cos,
@@ -87,7 +101,7 @@ def equilibrium_acceleration(problem: Problem) -> Any:
     return _whole(sympy.simplify(to_sympy(at_rest, states)))
 
 
-def with_numbers(formula: Any, problem: Problem, setting: Setting) -> Any:
+def with_numbers(formula: Any, setting: Setting) -> Any:
     """Return a formula with the numbers of a setting in it, expanded, to six digits."""
     values = {**setting.gains, **setting.parameters}
     numbers = {s: values[s.name] for s in formula.free_symbols if s.name in values}

@@ -42,11 +42,11 @@ def tail_time(speed: Any, gap_acceleration: Any, restitution: Any) -> Any:
 
 
 def limit_weights(speeds: Sequence[Any]) -> list[Any]:
-    r"""Return the weights, at :math:`w = 0`, of the polynomial without linear term through the nodes.
+    r"""Return the weights, at :math:`w = 0`, of the polynomial without linear term in the nodes.
 
     .. math:: \alpha_k = \frac{1/w_k}{\sum_j 1/w_j} \prod_{j \ne k} \frac{w_j}{w_j - w_k}
 
-    The tail estimates of one orbit differ from their limit by :math:`O(w^2)`, hence no linear term.
+    The tail estimates of one orbit differ from their limit by :math:`O(w^2)`: no linear term.
     """
     if len(speeds) == 1:
         return [1.0]
@@ -61,7 +61,7 @@ def limit_weights(speeds: Sequence[Any]) -> list[Any]:
 
 
 def spread_nodes(speeds: Sequence[float]) -> list[int]:
-    """Return which of the falling speeds to extrapolate from: the last, and ever faster ones before.
+    """Return which of the falling speeds to extrapolate from: the last, and faster ones before.
 
     Args:
         speeds: Impact speeds, falling, ``(n,)``.
@@ -84,12 +84,16 @@ class TailEstimate:
     """First-order guess of the Zeno point from one impact.
 
     Attributes:
-        speed: Gap rate just after the impact.
-        time: Zeno time, from the same origin as the impact's [s].
+        impact_time: When the impact was [s].
+        resting: State just after it, had it been plastic, ``(n_x,)``.
+        speed: Gap rate just after it.
+        time: Zeno time, from the same origin [s].
         state: Zeno state, ``(n_x,)``.
         gap_acceleration: At the impact.
     """
 
+    impact_time: float
+    resting: Vector
     speed: float
     time: float
     state: Vector
@@ -129,6 +133,8 @@ def estimate_tail(
         return None
     remaining = tail_time(speed, acceleration, dynamics.restitution)
     return TailEstimate(
+        impact_time=time,
+        resting=resting,
         speed=speed,
         time=time + remaining,
         state=resting + remaining * dynamics.locked.rate(resting),

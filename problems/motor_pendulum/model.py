@@ -109,12 +109,14 @@ def _rotor_inertia(g: float, bare: float, b: float, c: float, d: float, e: float
     if inertia >= 0:
         return inertia
     bound = (
-        f"(I2 + m2 lc2^2) / (m2 lc2) must be below g / 27.5697 = {limit:.6g} m, but it is {b / e:.6g} m"
+        f"(I2 + m2 lc2^2) / (m2 lc2) must be below g / 27.5697 = {limit:.6g} m, "
+        f"but it is {b / e:.6g} m"
         if denominator <= 0
         else f"J_rotor must not be negative, but it would be {inertia:.6g} kg m^2"
     )
     raise InputError(
-        f"Argument `parameters` must allow the published 27.5697, but no rotor inertia does: {bound}."
+        "Argument `parameters` must allow the published 27.5697, "
+        f"but no rotor inertia does: {bound}."
     )
 
 

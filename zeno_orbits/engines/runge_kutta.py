@@ -66,7 +66,7 @@ class RungeKutta:
 
 
 def _first_size(flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> float:
-    """Return a first step from the size of the state and of its slope ([HairerNorsettWanner1993]_, II.4)."""
+    """Return a first step from the sizes of state and slope ([HairerNorsettWanner1993]_, II.4)."""
     slope = flow.rate(y)
     if not np.all(np.isfinite(slope)):
         raise StepSizeError(

@@ -34,7 +34,7 @@ class SciPy:
             StepSizeError: If the integrator gives up.
         """
         solver: OdeSolver = self.method(
-            lambda _, state: flow.rate(state),
+            lambda _, state: flow.rate(np.asarray(state, dtype=np.float64)),
             0.0,
             y,
             _FAR,
@@ -84,7 +84,7 @@ class SciPyStep:
         if offset == self.size:
             return self.after
         solution = solve_ivp(
-            lambda _, state: self.flow.rate(state),
+            lambda _, state: self.flow.rate(np.asarray(state, dtype=np.float64)),
             (0.0, offset),
             self.before,
             method=self.engine.method,

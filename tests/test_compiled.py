@@ -1,0 +1,116 @@
+"""The compiled functions give every entry its place, sparse as the symbols may be."""
+
+import gc
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from zeno_orbits.compiled import bind, compile_problem, compile_system
+from zeno_orbits.drives import no_drive
+from zeno_orbits.dynamics import HybridDynamics, PlainFlow, Tolerance
+from zeno_orbits.engines import RungeKutta
+from zeno_orbits.errors import StepSizeError
+from zeno_orbits.hybrid import audited, complete
+from zeno_orbits.mechanics import HybridLagrangian
+from zeno_orbits.problem import load_problem
+
+ROUNDING = 1e-15
+
+
+def _uncoupled_ball() -> HybridDynamics:
+    """Return a ball of unit mass in the plane over a floor: its mass matrix couples nothing."""
+    q, v, e = ca.SX.sym("q", 2), ca.SX.sym("v", 2), ca.SX.sym("restitution")
+    lagrangian = HybridLagrangian.from_energies(
+        q=q, v=v, kinetic=ca.sumsqr(v) / 2, potential=9.81 * q[1], gap=q[1]
+    )
+    system = complete(lagrangian, no_drive(lagrangian), e)
+    compiled = compile_system(system, {"restitution": e}, ("x", "y", "vx", "vy"))
+    return bind(compiled, [0.3])
+
+
+def test_structural_zeros_keep_their_places() -> None:
+    ball = _uncoupled_ball()
+    state = np.array([0.0, 0.0, 1.0, -1.0])
+    assert ball.impulse_direction(state).tolist() == [0.0, 0.0, 0.0, 1.0]
+    assert ball.free.rate(state).tolist() == [1.0, -1.0, 0.0, -9.81]
+    assert ball.reset_map(state, -1.0) == pytest.approx(np.array([0.0, 0.0, 1.0, 0.3]))
+    assert ball.on_stop(state).tolist() == [0.0, 0.0, 1.0, 0.0]
+
+
+def test_the_numbers_of_a_flow_outlive_their_maker() -> None:
+    ball = _uncoupled_ball()
+    flights = [ball.flight(10.0**-k) for k in range(50)]
+    gc.collect()
+    _ = [np.full(4, np.nan) for _ in range(1000)]
+    y = np.array([0.0, 0.0, 1.0, 0.5, 0.0, 1.0])
+    for k, flight in enumerate(flights):
+        speed = 10.0**-k
+        expected = np.array([speed, 0.5 * speed, 0.0, -9.81 * speed, 1.0, -9.81])
+        assert flight.rate(y) == pytest.approx(expected, rel=ROUNDING)
+
+
+def test_a_compiled_step_is_the_plain_step() -> None:
+    problem = load_problem("motor_pendulum")
+    dynamics = bind(compile_problem(problem), problem.setting().values())
+    state = np.array([0.4, 0.2, -1.0, 2.0, 0.5])
+    plain = PlainFlow(field=dynamics.free.rate, guard_and_rate=dynamics.free.guard)
+    tolerance = Tolerance(relative=1e-9, absolute=1e-9)
+    for size in (1e-5, 1e-3, 5e-3):
+        by_plain, plain_error = plain.attempt(state, size, tolerance)
+        by_compiled, compiled_error = dynamics.free.attempt(state, size, tolerance)
+        assert by_compiled == pytest.approx(by_plain, rel=1e-13)
+        # Below the tolerance the error estimate is rounding, magnified.
+        assert compiled_error == pytest.approx(plain_error, rel=1e-3, abs=1e-6)
+
+
+def test_a_flow_that_is_not_finite_is_named() -> None:
+    flow = PlainFlow(field=lambda y: y / 0.0 * np.inf, guard_and_rate=lambda _: (1.0, 0.0))
+    with np.errstate(all="ignore"), pytest.raises(StepSizeError, match="not finite"):
+        next(RungeKutta().steps(flow, np.array([1.0]), Tolerance()))
+
+
+def test_a_flow_that_blows_up_ends_in_a_named_error() -> None:
+    flow = PlainFlow(field=lambda y: y**2, guard_and_rate=lambda _: (1.0, 0.0))
+    starts: list[float] = []
+
+    def follow() -> None:
+        starts.extend(s.start for s in RungeKutta().steps(flow, np.array([1.0]), Tolerance()))
+
+    with np.errstate(all="ignore"), pytest.raises(StepSizeError, match="rounding level"):
+        follow()
+    # y' = y^2 from 1 is infinite at t = 1.
+    assert starts[-1] == pytest.approx(1.0, rel=1e-11)
+
+
+def test_the_ledger_leaves_the_motion_alone() -> None:
+    problem = load_problem("motor_pendulum")
+    values = problem.setting().values()
+    plain = bind(compile_problem(problem), values)
+    ledger = bind(compile_problem(problem, audited), values)
+    state = np.array([0.4, 0.2, -1.0, 2.0, 0.5])
+    longer = np.append(state, [1.0, 2.0, 3.0])
+    assert ledger.free.rate(longer)[:5].tolist() == plain.free.rate(state).tolist()
+    assert ledger.reset_map(longer, -2.0)[5:].tolist() == [1.0, 2.0, 3.0]
+    # Voltage -Kp theta1 - Kd dtheta1 at R = 3 ohm.
+    work, copper, other = ledger.free.rate(longer)[5:]
+    assert work == pytest.approx((-2.5 * 0.4 + 1.0 * -1.0) * 0.5)
+    assert copper == pytest.approx(3.0 * 0.5**2)
+    assert other == pytest.approx(0.0, abs=ROUNDING)
+
+
+def test_names_that_do_not_fit_the_states_are_refused() -> None:
+    problem = load_problem("bouncing_ball")
+    symbols = problem.symbols()
+    system = problem.model(symbols)
+    with pytest.raises(ValueError, match="must name 2 states"):
+        compile_system(system, symbols, ("height",))
+
+
+def test_a_loose_symbol_is_named() -> None:
+    problem = load_problem("bouncing_ball")
+    symbols = problem.symbols()
+    system = problem.model(symbols)
+    del symbols["g"]
+    with pytest.raises(ValueError, match="depends on g"):
+        compile_system(system, symbols, problem.state_names)

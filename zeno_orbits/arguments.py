@@ -1,0 +1,89 @@
+"""Words of the command line as values: the border at which strings stand for choices."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Mapping, Sequence
+
+from zeno_orbits.errors import InputError
+from zeno_orbits.objectives import (
+    LeastEnergy,
+    NearestGains,
+    Objective,
+    WantedAmplitude,
+    WantedPeriod,
+)
+from zeno_orbits.problem import Problem
+
+
+def read_numbers(entries: Sequence[str], option: str) -> dict[str, float]:
+    """Return name to value from ``NAME=VALUE`` entries."""
+    numbers: dict[str, float] = {}
+    for entry in entries:
+        name, sign, value = entry.partition("=")
+        if not sign or not name:
+            raise InputError(f"Argument `{option}` must be NAME=VALUE, but it is `{entry}`.")
+        if name in numbers:
+            raise InputError(f"Argument `{option}` must name `{name}` once, but it does so twice.")
+        numbers[name] = read_number(value, name)
+    return numbers
+
+
+def read_boxes(entries: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Return name to bounds from ``NAME=LOW:HIGH`` entries."""
+    boxes: dict[str, tuple[float, float]] = {}
+    for entry in entries:
+        name, sign, bounds = entry.partition("=")
+        low, colon, high = bounds.partition(":")
+        if not sign or not colon or not name:
+            raise InputError(f"Argument `gain` must be NAME=LOW:HIGH, but it is `{entry}`.")
+        boxes[name] = (read_number(low, name), read_number(high, name))
+    return boxes
+
+
+def read_number(text: str, name: str) -> float:
+    """Return a number, or say which name has none."""
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(f"Argument `{name}` must be a number, but it is `{text}`.") from None
+
+
+def read_count(text: str) -> int:
+    """Return a positive whole number, for ``argparse``."""
+    if not text.isdigit() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"must be a positive whole number, but it is `{text}`")
+    return int(text)
+
+
+def read_objective(
+    wish: str, problem: Problem, free: Mapping[str, tuple[float, float]]
+) -> Objective:
+    """Return the objective that a wish on the command line stands for."""
+    word, _, target = wish.partition(":") if wish.startswith("nearest") else wish.partition("=")
+    if word == "energy" and not target:
+        return LeastEnergy()
+    if word == "nearest":
+        wanted = read_numbers([part for part in target.split(",") if part], "objective")
+        for name in wanted:
+            if name not in free:
+                known = ", ".join(free) or "none"
+                message = (
+                    f"Argument `objective` must name free gains ({known}), but it names `{name}`."
+                )
+                raise InputError(message)
+        return NearestGains(target=wanted)
+    if word not in ("period", "amplitude"):
+        message = "must be nearest, period=SECONDS, amplitude=VALUE or energy"
+        raise InputError(f"Argument `objective` {message}, but it is `{wish}`.")
+    value = read_number(target, f"objective {word}")
+    if not 0.0 < value < math.inf:
+        raise InputError(f"Argument `objective` must have a positive {word}, but it is {value:g}.")
+    if not free:
+        raise InputError(
+            f"Argument `objective` must leave a gain free for the {word}, but none is."
+        )
+    if word == "period":
+        return WantedPeriod(target=value)
+    return WantedAmplitude(state=problem.amplitude_of, target=value)

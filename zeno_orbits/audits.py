@@ -1,0 +1,130 @@
+"""Checks of an orbit that integrate it again, in another way: cuts, energies, a second model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from zeno_orbits.certificate import DeltaCut
+from zeno_orbits.compiled import bind, compile_problem
+from zeno_orbits.completion import Truncation
+from zeno_orbits.dynamics import HybridDynamics, Vector
+from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.hybrid import audited
+from zeno_orbits.observation import Claim, FirstCycle, distance
+from zeno_orbits.orbit import ZenoOrbit
+from zeno_orbits.problem import Problem, load_reference
+from zeno_orbits.simulate import SimulationSettings, simulate
+
+
+def delta_sweep(
+    dynamics: HybridDynamics,
+    claim: Claim,
+    cycle: FirstCycle,
+    cuts: Sequence[float],
+    simulation: SimulationSettings,
+) -> tuple[DeltaCut, ...]:
+    """Cut the sequence by the paper's rule at falling thresholds, and compare on the locked arc.
+
+    Args:
+        dynamics: The system.
+        claim: The orbit as claimed.
+        cycle: The first period, completed by the extrapolated limit.
+        cuts: Thresholds in units of the first impact speed, falling.
+        simulation: Accuracy.
+
+    Returns:
+        One entry a threshold; none for a plastic stop, whose first impact is its last.
+    """
+    if dynamics.restitution == 0.0:
+        return ()
+    when = (cycle.zeno.time + cycle.end.time) / 2
+    truth = cycle.execution.state_at(when)
+    fastest = abs(cycle.impacts[0].approach_rate)
+    found: list[DeltaCut] = []
+    for share in cuts:
+        rule = replace(simulation, completion=Truncation(delta=share * fastest))
+        try:
+            run = simulate(dynamics, dynamics.on_stop(claim.release), until=when, settings=rule)
+        except ZenoOrbitsError:
+            return (*found, DeltaCut(delta=share * fastest, speed=math.nan, error=math.inf))
+        last = run.impacts[-1] if run.impacts else cycle.impacts[0]
+        error = distance(run.end_state, truth, cycle.scale)
+        found.append(DeltaCut(delta=share * fastest, speed=abs(last.approach_rate), error=error))
+    return tuple(found)
+
+
+def cut_order(sweep: tuple[DeltaCut, ...]) -> float:
+    """Return the slope of error against speed, over the cuts that are above rounding."""
+    usable = [cut for cut in sweep if 1e-12 < cut.error < math.inf]
+    if len({cut.speed for cut in usable}) < 2:
+        return math.nan
+    speeds = np.log([cut.speed for cut in usable])
+    errors = np.log([cut.error for cut in usable])
+    return float(np.polyfit(speeds, errors, 1)[0])
+
+
+def energies_of(
+    orbit: ZenoOrbit,
+    problem: Problem,
+    claim: Claim,
+    cycle: FirstCycle,
+    simulation: SimulationSettings,
+) -> dict[str, float]:
+    """Return the energies of one period, from an integration that carries the ledger along."""
+    dynamics = bind(compile_problem(problem, audited), orbit.setting(problem).values())
+    start = np.concatenate([claim.release, np.zeros(3)])
+    run = simulate(dynamics, dynamics.on_stop(start), until=cycle.end.time, settings=simulation)
+    impact_loss = 0.0
+    for impact in run.impacts:
+        inertia = dynamics.normal_inertia(impact.state_minus)
+        e = dynamics.restitution
+        impact_loss += (1 - e**2) / 2 * inertia * impact.approach_rate**2
+    for zeno in run.zeno_points:
+        # The tail loses the whole normal kinetic energy that is left.
+        impact_loss += dynamics.normal_inertia(zeno.state) * zeno.last_speed**2 / 2
+    end = run.end_state
+    return {
+        "input_work": float(end[-3]),
+        "copper_loss": float(end[-2]),
+        "other_loss": float(end[-1]),
+        "impact_loss": impact_loss,
+        "energy_gain": dynamics.energy(end) - dynamics.energy(start),
+    }
+
+
+def imbalance(energies: Mapping[str, float]) -> float:
+    """Return the part of the largest energy that the balance (theory (13)) leaves unexplained."""
+    spent = sum(value for name, value in energies.items() if name != "input_work")
+    size = max(abs(value) for value in energies.values())
+    return abs(energies["input_work"] - spent) / size if size > 0.0 else 0.0
+
+
+def second_model(orbit: ZenoOrbit, problem: Problem, cycle: FirstCycle) -> float:
+    """Return the largest relative difference of the two derivations along the orbit."""
+    setting = orbit.setting(problem)
+    by_hand: HybridDynamics = load_reference(problem).dynamics(setting)
+    derived = bind(compile_problem(problem), setting.values())
+    times = np.linspace(0.0, cycle.end.time, 41)
+    free = [cycle.execution.state_at(float(t)) for t in times]
+    free += [impact.state_minus for impact in cycle.impacts]
+    rested = [derived.on_stop(x) for x in free]
+
+    def gap_between(
+        quantity: Callable[[HybridDynamics, Vector], Vector], at: list[Vector]
+    ) -> float:
+        pairs = [(quantity(by_hand, x), quantity(derived, x)) for x in at]
+        size = np.max([np.abs(b) for _, b in pairs], axis=0)
+        size = np.where(size > 0.0, size, 1.0)
+        return max(float(np.max(np.abs(a - b) / size)) for a, b in pairs)
+
+    return max(
+        gap_between(lambda d, x: d.free.rate(x), free),
+        gap_between(lambda d, x: d.locked.rate(x), rested),
+        gap_between(lambda d, x: d.reset_map(x, d.gap_rate(x)), free),
+        gap_between(lambda d, x: np.array([d.gap_acceleration(x), d.multiplier(x)]), rested),
+        gap_between(lambda d, x: np.array([d.energy(x), d.normal_inertia(x)]), free),
+    )

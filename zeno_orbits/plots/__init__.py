@@ -1,0 +1,21 @@
+"""Pictures of executions and of the region of Theorem 1: values in, a ``Figure`` out.
+
+No pyplot and no global settings, so a picture looks the same wherever it is drawn. Every function
+takes a width in inches: ``COLUMN_WIDTH`` stacks the panels for one column of a paper,
+``FULL_WIDTH`` sets them side by side.
+"""
+
+from zeno_orbits.plots.orbit import plot_portraits, plot_time_series
+from zeno_orbits.plots.region import plot_zeno_region
+from zeno_orbits.plots.style import COLUMN_WIDTH, FULL_WIDTH, save_figure
+from zeno_orbits.plots.zoom import plot_zeno_zoom
+
+__all__ = [
+    "COLUMN_WIDTH",
+    "FULL_WIDTH",
+    "plot_portraits",
+    "plot_time_series",
+    "plot_zeno_region",
+    "plot_zeno_zoom",
+    "save_figure",
+]

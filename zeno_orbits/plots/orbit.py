@@ -1,0 +1,95 @@
+# pyright: reportUnknownMemberType=false
+# The stubs of matplotlib leave most keyword arguments untyped.
+"""Phase portraits and time series (the paper's Figs. 4 and 5a)."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from zeno_orbits.execution import Execution, Mode
+from zeno_orbits.plots.style import (
+    AFTER,
+    BEFORE,
+    FULL_WIDTH,
+    INK,
+    JUMP,
+    TINTS,
+    add_legend,
+    label_of,
+    mark_completion,
+    panels_of,
+    paths_of,
+)
+from zeno_orbits.problem import Problem
+
+
+def plot_portraits(problem: Problem, execution: Execution, *, width: float = FULL_WIDTH) -> Figure:
+    """Return the phase portraits of a scene: arcs by mode, resets, Zeno points, releases.
+
+    Args:
+        problem: The scene; its ``portraits`` say what is drawn against what.
+        execution: What to draw.
+        width: Width of the picture [in].
+    """
+    pairs = [[problem.state_names.index(name) for name in pair] for pair in problem.portraits]
+    figure, panels = panels_of(width, len(pairs), height=2.5)
+    impacts = execution.impacts
+    for ax, pair in zip(panels, pairs, strict=True):
+        for _, states, look in paths_of(execution):
+            ax.plot(*states[:, pair].T, **look)
+        if impacts:
+            before = np.array([impact.state_minus[pair] for impact in impacts]).T
+            after = np.array([impact.state_plus[pair] for impact in impacts]).T
+            ax.plot(*np.stack([before, after], axis=1), **JUMP)
+            ax.plot(*after, **AFTER)
+            ax.plot(*before, **BEFORE)
+        mark_completion(ax, execution, pair)
+        ax.set(xlabel=label_of(problem, pair[0]), ylabel=label_of(problem, pair[1]))
+    add_legend(figure, width)
+    return figure
+
+
+def plot_time_series(
+    problem: Problem, execution: Execution, *, width: float = FULL_WIDTH
+) -> Figure:
+    """Return coordinates and currents over time, phases shaded, impacts as ticks on the upper edge.
+
+    Args:
+        problem: The scene.
+        execution: What to draw.
+        width: Width of the picture [in].
+    """
+    n_q = problem.model(problem.symbols()).n_q
+    rows = [*range(n_q), *range(2 * n_q, len(problem.state_names))]
+    figure, panels = panels_of(width, len(rows), height=max(1.25, 2.0 / len(rows)), columns=1)
+    impacts = [impact.time for impact in execution.impacts]
+    for ax, row in zip(panels, rows, strict=True):
+        for mode, start, end in _phases(execution):
+            ax.axvspan(start, end, color=TINTS[mode], lw=0, gid=mode.value)
+        for times, states, look in paths_of(execution):
+            ax.plot(times, states[:, row], **look)
+        ax.margins(y=0.14)
+        ax.autoscale_view()
+        edge = ax.get_xaxis_transform()
+        ax.vlines(impacts, 0.91, 1.0, color=INK, lw=0.8, transform=edge, gid="impact")
+        if impacts:
+            ax.plot([], [], color=INK, ls="", marker="|", ms=7, label="impact")
+        ax.set(
+            ylabel=label_of(problem, row), xlim=(execution.arcs[0].start_time, execution.end_time)
+        )
+        ax.tick_params(labelbottom=ax is panels[-1])
+    panels[-1].set_xlabel("time $t$ [s]")
+    figure.align_ylabels(panels)
+    add_legend(figure, width)
+    return figure
+
+
+def _phases(execution: Execution) -> list[tuple[Mode, float, float]]:
+    """Return mode, start and end of every phase; a Zeno tail belongs to the flights before it."""
+    starts = [execution.arcs[0]]
+    starts += [arc for last, arc in pairwise(execution.arcs) if arc.mode is not last.mode]
+    times = [*(arc.start_time for arc in starts), execution.end_time]
+    return [(arc.mode, *ends) for arc, ends in zip(starts, pairwise(times), strict=True)]
