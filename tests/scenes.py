@@ -14,6 +14,7 @@ from zeno_orbits.drives import Drive, no_drive
 from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.hybrid import CompletedSystem, complete
 from zeno_orbits.mechanics import HybridLagrangian
+from zeno_orbits.problem import Problem, restitution
 
 Numbers = Sequence[float] | Vector
 
@@ -113,3 +114,53 @@ def spring_mass(stop: float, restitution: float) -> HybridDynamics:
         q=q, v=v, kinetic=v**2 / 2, potential=q**2 / 2, gap=q + stop
     )
     return numeric(mechanism, restitution=restitution)
+
+
+def _kept(q: ca.SX, v: ca.SX) -> ca.SX:
+    return v[1] * (1 - q[1] ** 2 - v[1] ** 2)
+
+
+def clocked_oscillator(oscillator: StoppedOscillator, *, attracting: bool) -> Problem:
+    """Return the forced oscillator as a scene: gap ``stop - x``, forced by a clock ``y = cos t``.
+
+    Args:
+        oscillator: Its numbers.
+        attracting: Whether the clock comes back to ``y^2 + y'^2 = 1`` when it is off it.
+    """
+
+    def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
+        q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+        mechanism = HybridLagrangian.from_energies(
+            q=q,
+            v=v,
+            kinetic=ca.sumsqr(v) / 2,
+            potential=ca.sumsqr(q) / 2,
+            gap=oscillator.stop - q[0],
+            passive_force=ca.vertcat(
+                q[1] - oscillator.damping * v[0], _kept(q, v) if attracting else 0
+            ),
+        )
+        return complete(mechanism, no_drive(mechanism), p["restitution"])
+
+    return Problem(
+        name="clocked_oscillator",
+        title="oscillator with a stop, forced by a clock",
+        source="arXiv:1302.4402, section V-A",
+        state_names=("x", "y", "dx", "dy"),
+        state_units=("m", "m", "m/s", "m/s"),
+        parameters=(restitution(oscillator.restitution),),
+        gains=(),
+        model=model,
+        starts=({"x": oscillator.stop, "y": 1.0},),
+        portraits=(("x", "dx"),),
+        amplitude_of="x",
+    )
+
+
+def falling_away(acceleration: float) -> HybridDynamics:
+    """Return a mass that a constant force pulls off its stop, gap ``x``."""
+    q, v = ca.SX.sym("q"), ca.SX.sym("v")
+    mechanism = HybridLagrangian.from_energies(
+        q=q, v=v, kinetic=v**2 / 2, potential=-acceleration * q, gap=q
+    )
+    return numeric(mechanism, restitution=0.5)

@@ -114,3 +114,15 @@ def test_a_loose_symbol_is_named() -> None:
     del symbols["g"]
     with pytest.raises(ValueError, match="depends on g"):
         compile_system(system, symbols, problem.state_names)
+
+
+def test_a_step_that_overflows_is_never_accepted() -> None:
+    problem = load_problem("motor_pendulum")
+    dynamics = bind(compile_problem(problem), problem.setting(gains={"Kd": 0.5}).values())
+    plain = PlainFlow(field=dynamics.free.rate, guard_and_rate=dynamics.free.guard)
+    state = np.array([-2.8e-7, 0.0, -1.4e-5, 0.0, 2.6e-6])
+    tolerance = Tolerance(relative=1e-8, absolute=1e-10)
+    # R/L = 1500 1/s: a step of 12 s raises 2e4 to the power 8 in every stage, and ends in NaN.
+    assert not dynamics.free.attempt(state, 12.0, tolerance)[1] <= 1.0
+    with np.errstate(all="ignore"):
+        assert not plain.attempt(state, 12.0, tolerance)[1] <= 1.0

@@ -12,6 +12,14 @@ import pytest
 
 from tests import closed_forms
 from tests.closed_forms import COCO, FORCED
+from tests.reference_orbit import (
+    FIRST_IMPACT,
+    FIRST_RATE,
+    PERIOD,
+    RELEASE,
+    ZENO_STATE,
+    ZENO_TIME,
+)
 from tests.scenes import (
     GRAVITY,
     bead_on_disc,
@@ -20,7 +28,7 @@ from tests.scenes import (
     spring_mass,
 )
 from zeno_orbits.compiled import bind, compile_problem
-from zeno_orbits.completion import Truncation
+from zeno_orbits.completion import Truncation, ZenoExtrapolation
 from zeno_orbits.dynamics import HybridDynamics, Tolerance
 from zeno_orbits.engines import RungeKutta, SciPy
 from zeno_orbits.errors import ChatterError, InputError, PenetrationError
@@ -32,11 +40,6 @@ ACCURACY = 1e-11
 """What the default settings aim at, a period."""
 HEIGHT, G = 1.0, 9.81
 
-# Declared in the design from a Taylor integration, 13 decimals of each state printed.
-RELEASE = (0.1985068301199, 0.0, -5.2365375521764, 0.0, -1.8591703843225)
-ZENO_STATE = (1.236168909791, 0.0, 1.749207992260, 0.0, -0.460250671559)
-PERIOD, FIRST_IMPACT, FIRST_RATE = 1.81371293903044, 0.9809551249210, -16.909711305434
-ZENO_TIME = 1.3200260238375
 
 Pendulum = Callable[..., HybridDynamics]
 
@@ -422,6 +425,13 @@ def test_the_first_slow_impact_is_the_one_that_is_cut(ball: Pendulum) -> None:
     execution = simulate(ball(0.8), (HEIGHT, 0.0), until=10.0, settings=settings)
     slow = [impact for impact in execution.impacts if -impact.approach_rate < delta]
     assert len(slow) == 1
+    first = next(k for k in range(100) if closed_forms.ball_impact_speed(HEIGHT, G, 0.8, k) < delta)
+    assert len(execution.impacts) == first + 1
+    (zeno,) = execution.zeno_points
+    exact = closed_forms.ball_impact_time(HEIGHT, G, 0.8, first)
+    assert zeno.time == slow[0].time == pytest.approx(exact, rel=1e-12)
+    assert zeno.tail == 0.0
+    assert execution.end_state == pytest.approx(np.zeros(2), abs=0.0)
 
 
 # False models.
@@ -531,6 +541,57 @@ def test_the_configuration_is_continuous_and_the_state_outside_impacts(
         largest = max(float(np.max(np.abs(np.diff(states, axis=0)))), 0.0)
         steepest = 2000.0  # di/dt just after an impact, about (Kd v) / L
         assert largest <= steepest * float(inside[1] - inside[0]) + ACCURACY
+
+
+def test_no_time_is_missing_between_the_last_impact_and_the_zeno_point(
+    one_period: Execution,
+) -> None:
+    for early, late in pairwise(one_period.arcs):
+        assert late.start_time == early.end_time
+    (tail,) = (arc for arc in one_period.arcs if arc.ending is Ending.ZENO)
+    (zeno,) = one_period.zeno_points
+    assert tail.start_time == one_period.impacts[-1].time
+    assert tail.end_time == zeno.time
+    assert tail.mode is Mode.FREE
+    assert tail.steps == ()
+    assert tail.end_state.tolist() == zeno.state.tolist()
+
+
+def test_the_configuration_inside_a_tail_is_of_second_order_in_its_speed(
+    pendulum: Pendulum, one_period: Execution
+) -> None:
+    errors, speeds = [], []
+    # Earlier impacts come where d2h/dt2 still changes too much for a tail.
+    for n_impacts in (4, 5, 6):
+        last = one_period.impacts[n_impacts - 1]
+        share = last.approach_rate / one_period.impacts[0].approach_rate
+        early = ZenoExtrapolation(tolerance=math.inf, resolved=share * (1 + 1e-9))
+        settings = SimulationSettings(completion=early)
+        coarse = simulate(pendulum(), RELEASE, until=1.6, settings=settings)
+        assert len(coarse.impacts) == n_impacts
+        (zeno,) = coarse.zeno_points
+        inside = np.linspace(last.time, min(zeno.time, ZENO_TIME), 40)
+        error = [
+            np.max(np.abs(coarse.state_at(float(t))[:2] - one_period.state_at(float(t))[:2]))
+            for t in inside
+        ]
+        errors.append(float(np.max(error)))
+        speeds.append(zeno.last_speed)
+    for (big, small), (fast, slow) in zip(pairwise(errors), pairwise(speeds), strict=True):
+        order = math.log(big / small) / math.log(fast / slow)
+        assert order == pytest.approx(2.0, abs=0.35)
+
+
+def test_the_height_inside_the_tail_of_a_ball_is_below_its_next_hop(ball: Pendulum) -> None:
+    restitution = 0.8
+    execution = simulate(ball(restitution), (HEIGHT, 0.0), until=20.0)
+    (zeno,) = execution.zeno_points
+    last = execution.impacts[-1]
+    for part in (0.1, 0.5, 0.9):
+        height, speed = execution.state_at(last.time + part * (zeno.time - last.time))
+        # The ball hops to w^2 / (2 g) with speeds up to w; the tail says zero for both.
+        assert 0.0 <= height <= zeno.last_speed**2 / (2 * G)
+        assert abs(speed) <= zeno.last_speed
 
 
 def test_the_state_at_an_impact_is_the_later_one(one_period: Execution) -> None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from itertools import islice
+from itertools import islice, pairwise
 
 import casadi as ca
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tests import closed_forms
 from tests.closed_forms import FORCED
@@ -15,7 +17,16 @@ from tests.scenes import forced_oscillator, oscillator_state
 from zeno_orbits.compiled import bind, compile_problem
 from zeno_orbits.dynamics import HybridDynamics
 from zeno_orbits.problem import load_problem
-from zeno_orbits.zeno import TailEstimate, estimate_tail, extrapolate, limit_weights, tail_time
+from zeno_orbits.zeno import (
+    N_NODES,
+    NODE_RATIO,
+    TailEstimate,
+    estimate_tail,
+    extrapolate,
+    limit_weights,
+    spread_nodes,
+    tail_time,
+)
 
 ROUNDING = 1e-13
 
@@ -54,20 +65,31 @@ def test_the_limit_weights_sum_to_one(n: int) -> None:
     assert sum(limit_weights([0.3**k for k in range(n)])) == pytest.approx(1.0, abs=ROUNDING)
 
 
-@pytest.mark.parametrize("degree", [0, 1, 2, 3, 4])
-def test_the_limit_weights_are_exact_on_polynomials(degree: int) -> None:
-    coefficients = np.random.default_rng(degree).normal(size=degree + 1)
-    speeds = [2.0 * 0.4**k for k in range(degree + 1)]
+@pytest.mark.parametrize("n_nodes", [1, 2, 3, 4, 5])
+def test_the_limit_weights_are_exact_on_polynomials_without_linear_term(n_nodes: int) -> None:
+    coefficients = np.random.default_rng(n_nodes).normal(size=n_nodes + 1)
+    coefficients[1] = 0.0
+    speeds = [2.0 * 0.4**k for k in range(n_nodes)]
     values = [np.polynomial.polynomial.polyval(w, coefficients) for w in speeds]
     limit = sum(a * value for a, value in zip(limit_weights(speeds), values, strict=True))
     # Weights of nodes with the ratio 0.4 add up to less than 10 in size.
     assert limit == pytest.approx(coefficients[0], abs=100 * ROUNDING)
 
 
-def test_one_node_more_than_the_degree_is_needed() -> None:
+@pytest.mark.parametrize("n_nodes", [1, 2, 3, 4, 5])
+def test_a_linear_term_is_not_removed(n_nodes: int) -> None:
+    # alpha_k w_k is Lagrange's weight at zero over the sum of all 1 / w_j; those weights sum to 1.
+    speeds = [2.0 * 0.4**k for k in range(n_nodes)]
+    limit = sum(a * w for a, w in zip(limit_weights(speeds), speeds, strict=True))
+    assert limit == pytest.approx(1 / sum(1 / w for w in speeds), rel=100 * ROUNDING)
+
+
+def test_two_nodes_do_not_remove_a_cubic_term() -> None:
+    # The weights at 1 and 1/2 are -1/3 and 4/3, so that w^3 gives -1/3 + 4/24.
     speeds = [1.0, 0.5]
-    limit = sum(a * w**2 for a, w in zip(limit_weights(speeds), speeds, strict=True))
-    assert abs(limit) > 0.1
+    assert limit_weights(speeds) == pytest.approx([-1 / 3, 4 / 3], rel=ROUNDING)
+    limit = sum(a * w**3 for a, w in zip(limit_weights(speeds), speeds, strict=True))
+    assert limit == pytest.approx(-1 / 6, rel=ROUNDING)
 
 
 def test_the_limit_weights_work_on_symbols() -> None:
@@ -123,10 +145,10 @@ def test_the_error_estimate_bounds_the_true_error_where_the_acceleration_changes
         assert np.all(np.abs(limit.state - point) <= bound)
 
 
-@pytest.mark.parametrize(("n_nodes", "order"), [(1, 2), (2, 2), (3, 3), (4, 4)])
-def test_more_nodes_give_a_higher_order(n_nodes: int, order: int) -> None:
-    # The tail of one impact already has no term linear in the speed, so that two nodes, which
-    # remove such a term, are of its order still.
+@pytest.mark.parametrize(("n_nodes", "order"), [(1, 2), (2, 3), (3, 4), (4, 5)])
+def test_every_node_gives_one_order_more(n_nodes: int, order: int) -> None:
+    # The tail of one impact has no term linear in the speed. n nodes remove w^2, ..., w^n, so
+    # that w^(n + 1) is left.
     dynamics = forced_oscillator(FORCED, FORCED.restitution)
     exact = FORCED.zeno_time()
     estimates = _oscillator_estimates(9)
@@ -135,3 +157,61 @@ def test_more_nodes_give_a_higher_order(n_nodes: int, order: int) -> None:
     measured = math.log(abs(coarse / fine)) / math.log(estimates[4].speed / estimates[6].speed)
     # Speeds of 0.1 still add a tenth or two of the next order.
     assert measured == pytest.approx(order, abs=0.35)
+
+
+# Which impacts the extrapolation uses.
+
+FALLING = st.lists(
+    st.floats(min_value=1e-12, max_value=100.0), min_size=1, max_size=60, unique=True
+).map(lambda speeds: sorted(speeds, reverse=True))
+
+
+@given(speeds=FALLING)
+def test_the_last_impact_is_a_node_and_faster_ones_are_far_apart(speeds: list[float]) -> None:
+    nodes = spread_nodes(speeds)
+    assert nodes[-1] == len(speeds) - 1
+    assert nodes == sorted(set(nodes))
+    assert len(nodes) <= N_NODES
+    for fast, slow in pairwise(nodes):
+        assert speeds[slow] <= NODE_RATIO * speeds[fast]
+
+
+@given(speeds=FALLING)
+def test_every_node_is_the_nearest_that_is_far_enough(speeds: list[float]) -> None:
+    nodes = spread_nodes(speeds)
+    for fast, slow in pairwise(nodes):
+        assert all(speeds[slow] > NODE_RATIO * speeds[k] for k in range(fast + 1, slow))
+    if len(nodes) < N_NODES:
+        assert speeds[nodes[0]] > NODE_RATIO * speeds[0] or nodes[0] == 0
+
+
+def test_impacts_that_fall_fast_are_all_nodes() -> None:
+    assert spread_nodes([0.2**k for k in range(4)]) == [0, 1, 2, 3]
+    assert spread_nodes([0.2**k for k in range(9)]) == [4, 5, 6, 7, 8]
+
+
+def test_impacts_that_hardly_fall_give_nodes_far_apart() -> None:
+    restitution, n = 0.99, 600
+    speeds = [restitution**k for k in range(n)]
+    nodes = spread_nodes(speeds)
+    assert len(nodes) == N_NODES
+    for fast, slow in pairwise(nodes):
+        ratio = speeds[slow] / speeds[fast]
+        # One impact later would still be too near.
+        assert NODE_RATIO * restitution <= ratio <= NODE_RATIO
+    # Neighbours would have given weights of size 100^4.
+    assert sum(map(abs, limit_weights([speeds[k] for k in nodes]))) < 10
+
+
+def test_an_impact_without_speed_is_its_own_node() -> None:
+    assert spread_nodes([0.0]) == [0]
+    assert spread_nodes([1.0, 0.1, 0.0]) == [2]
+
+
+def test_the_zeno_time_at_a_restitution_near_one_is_as_good_as_its_error_says() -> None:
+    dynamics = _ball(0.99)
+    exact = closed_forms.ball_zeno_time(1.0, 9.81, 0.99)
+    limit = extrapolate(dynamics, _ball_estimates(dynamics, 400))
+    # 400 sums of about 90 s and weights below 10.
+    assert limit.time == pytest.approx(exact, rel=400 * 10 * ROUNDING)
+    assert limit.error < 1e-10

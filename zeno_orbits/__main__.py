@@ -1,7 +1,18 @@
-"""Run the command line with ``python -m zeno_orbits``."""
+"""Run the command line, as ``zeno-orbits`` or ``python -m zeno_orbits``."""
 
 import sys
 
-from zeno_orbits.cli import main
 
-sys.exit(main())
+def main() -> int:
+    """Run one command and return its exit code; an interrupt while loading is an interrupt, too."""
+    try:
+        from zeno_orbits import cli
+
+        return cli.main()
+    except KeyboardInterrupt:
+        sys.stderr.write("zeno-orbits: interrupted; nothing was written\n")
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -38,6 +38,8 @@ def read_boxes(entries: Sequence[str]) -> dict[str, tuple[float, float]]:
         low, colon, high = bounds.partition(":")
         if not sign or not colon or not name:
             raise InputError(f"Argument `gain` must be NAME=LOW:HIGH, but it is `{entry}`.")
+        if name in boxes:
+            raise InputError(f"Argument `gain` must name `{name}` once, but it does so twice.")
         boxes[name] = (read_number(low, name), read_number(high, name))
     return boxes
 
@@ -57,6 +59,13 @@ def read_count(text: str) -> int:
     return int(text)
 
 
+def read_seed(text: str) -> int:
+    """Return a whole number that is not negative, for ``argparse``."""
+    if not text.isdigit():
+        raise argparse.ArgumentTypeError(f"must be a whole number from 0 on, but it is `{text}`")
+    return int(text)
+
+
 def read_objective(
     wish: str, problem: Problem, free: Mapping[str, tuple[float, float]]
 ) -> Objective:
@@ -73,6 +82,10 @@ def read_objective(
                     f"Argument `objective` must name free gains ({known}), but it names `{name}`."
                 )
                 raise InputError(message)
+            low, high = free[name]
+            if not low <= wanted[name] <= high:
+                bounds = f"must lie in the range of `{name}`, [{low:g}, {high:g}]"
+                raise InputError(f"Argument `objective` {bounds}, but it is {wanted[name]:g}.")
         return NearestGains(target=wanted)
     if word not in ("period", "amplitude"):
         message = "must be nearest, period=SECONDS, amplitude=VALUE or energy"

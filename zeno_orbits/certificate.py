@@ -144,7 +144,7 @@ class OrbitCertificate:
             "floquet_multipliers": [[mu.real, mu.imag] for mu in self.multipliers],
             "multiplier_error": _number(self.multiplier_error),
             "delta_sweep": [
-                {"delta": cut.delta, "speed": cut.speed, "error": _number(cut.error)}
+                {"delta": cut.delta, "speed": _number(cut.speed), "error": _number(cut.error)}
                 for cut in self.delta_sweep
             ],
             "delta_order": _number(self.delta_order),

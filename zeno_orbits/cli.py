@@ -8,17 +8,19 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
 from zeno_orbits import report
-from zeno_orbits.arguments import read_boxes, read_count, read_numbers, read_objective
+from zeno_orbits.arguments import read_boxes, read_count, read_numbers, read_objective, read_seed
 from zeno_orbits.compiled import bind, compile_problem
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.execution import Execution, Impact, ZenoPoint
-from zeno_orbits.files import require_writable
+from zeno_orbits.files import require_picture, require_writable
+from zeno_orbits.interrupts import Interrupts
 from zeno_orbits.orbit import ZenoOrbit, read_orbit, write_orbit
 from zeno_orbits.problem import Problem, Setting, bundled_problems, load_problem
 from zeno_orbits.search import SearchResult, SearchSettings, search_gains
@@ -39,14 +41,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
     options = _parser().parse_args(arguments)
     try:
-        return options.run(options)
+        with Interrupts() as interrupts:
+            options.interrupts = interrupts
+            return options.run(options)
     except InputError as error:
         return _end(error, MISUSE, options)
     except ZenoOrbitsError as error:
         return _end(error, NO, options)
     except BrokenPipeError:
-        # The reader has seen enough.
-        sys.stderr.close()
+        # The reader has seen enough; nothing is left to flush at the end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return YES
     except KeyboardInterrupt:
         report.print_error("interrupted; nothing was written")
@@ -192,12 +196,16 @@ def _add_conditions(commands: Any) -> None:
 
 
 def _run_conditions(options: argparse.Namespace) -> int:
-    from zeno_orbits.symbolic import equilibrium_acceleration, with_numbers
+    from zeno_orbits.symbolic import (
+        equilibrium_acceleration,
+        six_digits,
+        with_numbers,
+    )
 
     problem = load_problem(options.problem)
     setting = _setting(problem, options)
     if options.output is not None:
-        require_writable(options.output)
+        require_picture(options.output)
     formula = equilibrium_acceleration(problem)
     numbers = with_numbers(formula, setting)
     always = bool(numbers < 0) if numbers.is_number else None
@@ -207,7 +215,7 @@ def _run_conditions(options: argparse.Namespace) -> int:
                 "problem": problem.name,
                 "restitution": setting.parameters["restitution"],
                 "formula": str(formula),
-                "numbers": str(numbers),
+                "numbers": six_digits(numbers),
                 "coefficients": {
                     str(term): float(factor)
                     for term, factor in numbers.as_coefficients_dict().items()
@@ -216,7 +224,7 @@ def _run_conditions(options: argparse.Namespace) -> int:
             }
         )
     else:
-        report.print_conditions(problem, setting, str(formula), str(numbers), always=always)
+        report.print_conditions(problem, setting, str(formula), six_digits(numbers), always=always)
     if options.output is not None:
         from zeno_orbits import plots
 
@@ -257,9 +265,9 @@ def _run_simulate(options: argparse.Namespace) -> int:
     named = read_numbers(options.start, "start") if options.start else problem.starts[0]
     state = problem.state_vector(named)
     if options.output is not None:
-        require_writable(options.output)
+        require_picture(options.output)
     dynamics = bind(compile_problem(problem), setting.values())
-    with report.Progress() as progress:
+    with report.Progress(options.interrupts.check) as progress:
         execution = simulate(
             dynamics,
             state,
@@ -318,7 +326,7 @@ def _add_search(commands: Any) -> None:
         [
             "zeno-orbits search motor_pendulum -o orbit.json",
             "zeno-orbits search motor_pendulum --fix Kp=4 --fix Kd=-1",
-            "zeno-orbits search motor_pendulum --gain Kp=1:5 --fix Kd=-1 --objective period=1.85",
+            "zeno-orbits search motor_pendulum --gain Kp=1:5 --fix Kd=-1 --objective period=1.83",
             "zeno-orbits search motor_pendulum --set R=2 --objective energy",
         ],
     )
@@ -350,7 +358,7 @@ def _add_search(commands: Any) -> None:
         "--allow-unstable", action="store_true", help="take an orbit that does not attract, too"
     )
     parser.add_argument("--starts", type=read_count, default=12, metavar="N", help="random starts")
-    parser.add_argument("--seed", type=int, default=0, help="of the random starts")
+    parser.add_argument("--seed", type=read_seed, default=0, help="of the random starts")
     parser.add_argument("-o", "--output", type=Path, help="write the verified orbit here")
 
 
@@ -380,7 +388,7 @@ def _run_search(options: argparse.Namespace) -> int:
         found["certificate"] = certificate
         return ""
 
-    with report.Progress() as progress:
+    with report.Progress(options.interrupts.check) as progress:
         result = search_gains(
             problem,
             setting,
@@ -412,6 +420,7 @@ def _finish_search(
         else:
             report.print_search(result)
         return NO
+    options.interrupts.check()
     certificate = found["certificate"]
     orbit = certified(result.orbit, certificate)
     if options.output is not None:
@@ -467,7 +476,7 @@ def _run_verify(options: argparse.Namespace) -> int:
         n_periods=options.periods,
         use_reference=options.model == "reference",
     )
-    with report.Progress() as progress:
+    with report.Progress(options.interrupts.check) as progress:
         certificate = verify(orbit, problem, settings=settings, on_progress=progress.tell)
     if options.json:
         _print_json(certificate.as_json())
@@ -511,8 +520,9 @@ def _run_plot(options: argparse.Namespace) -> int:
     if options.output.exists() and not options.output.is_dir():
         raise InputError(f"Argument `output` must be a folder, but `{options.output}` is a file.")
     release = problem.state_vector(orbit.release_state)
-    period = options.periods * orbit.period
-    execution = simulate(dynamics, release, until=period)
+    # A little longer, so that rounding does not cut off the last release.
+    horizon = options.periods * orbit.period * (1 + 1e-6)
+    execution = simulate(dynamics, release, until=horizon)
     draw = {
         "portraits": lambda: plots.plot_portraits(problem, execution),
         "time": lambda: plots.plot_time_series(problem, execution),
@@ -540,7 +550,11 @@ def _run_plot(options: argparse.Namespace) -> int:
 def _orbit_and_problem(options: argparse.Namespace) -> tuple[ZenoOrbit, Problem]:
     orbit = read_orbit(options.orbit)
     if options.problem is not None:
-        return orbit, load_problem(options.problem)
+        problem = load_problem(options.problem)
+        if problem.name != orbit.problem:
+            wanted = f"must be the scene `{orbit.problem}` of the orbit"
+            raise InputError(f"Argument `problem` {wanted}, but it is `{problem.name}`.")
+        return orbit, problem
     if orbit.problem not in bundled_problems():
         message = (
             f"Argument `problem` must name the file of scene `{orbit.problem}`, but it is missing."

@@ -225,7 +225,8 @@ def _mode(name: str, y: ca.SX, p: ca.SX, rate: ca.SX, guard: ca.SX) -> ModeFunct
     scale = absolute + relative * ca.fmax(ca.fabs(y), ca.fabs(after))
     fifth_squared = ca.sumsqr(fifth / scale)
     weight = ca.sqrt((fifth_squared + 0.01 * ca.sumsqr(third / scale)) * y.numel())
-    error = ca.if_else(weight > 0, ca.fabs(size) * fifth_squared / weight, 0)
+    # A step that overflows has the error NaN, and is refused; only a zero may be divided away.
+    error = ca.if_else(fifth_squared == 0, 0, ca.fabs(size) * fifth_squared / weight)
     return ModeFunctions(
         rate=field,
         guard=_function(f"{name}_guard", [y, p], [guard]),

@@ -27,6 +27,9 @@ _BASIS = np.stack(
 )
 """Cubic Hermite basis at the interior fractions, ``(7, 4)``."""
 
+_HALVINGS = 50
+"""A rise shorter than the step by more than this power of two is no rise."""
+
 
 def first_fall(
     flow: GuardedFlow,
@@ -73,6 +76,17 @@ def first_fall(
                 return _root(guard, left, lowest)
         armed = armed or pair[0] > 0.0
         left, left_pair = offset, pair
+    return None if armed or after[0] >= 0.0 else _short_rise(guard, size)
+
+
+def _short_rise(guard: Callable[[float], float], size: float) -> float | None:
+    """Return the fall after a rise from the guard that is far shorter than the step, if any."""
+    right = size
+    for _ in range(_HALVINGS):
+        left = right / 2
+        if guard(left) > 0.0:
+            return _root(guard, left, right)
+        right = left
     return None
 
 

@@ -64,7 +64,7 @@ class PlainFlow:
         scale = tolerance.absolute + tolerance.relative * np.maximum(np.abs(y), np.abs(after))
         fifth_squared = float(np.sum((fifth / scale) ** 2))
         third_squared = float(np.sum((third / scale) ** 2))
-        if fifth_squared == 0.0 and third_squared == 0.0:
+        if fifth_squared == 0.0:
             return after, 0.0
         weight = np.sqrt((fifth_squared + 0.01 * third_squared) * len(y))
         return after, abs(size) * fifth_squared / float(weight)

@@ -56,6 +56,10 @@ class StepSizeError(SimulationError):
     """The step size fell to rounding level, or the flow ceased to be finite."""
 
 
+class RunawayError(SimulationError):
+    """A coordinate went farther than the simulation was asked to follow it."""
+
+
 class PenetrationError(SimulationError):
     """The state left the admissible set without an impact: the reset map or the state is false."""
 

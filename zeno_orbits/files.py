@@ -8,6 +8,21 @@ from pathlib import Path
 
 from zeno_orbits.errors import InputError
 
+PICTURES = (".png", ".pdf", ".svg")
+"""Suffixes of the pictures that can be written."""
+
+
+def require_picture(path: Path) -> None:
+    """Refuse a path that cannot become a picture, before any work is done for it.
+
+    Raises:
+        InputError: If its suffix is none of ``PICTURES``, or it cannot become a file.
+    """
+    if path.suffix.lower() not in PICTURES:
+        message = f"Argument `output` must end in .png, .pdf or .svg, but it is `{path.name}`."
+        raise InputError(message)
+    require_writable(path)
+
 
 def require_writable(path: Path) -> None:
     """Refuse a path that cannot become a file, before any work is done for it.

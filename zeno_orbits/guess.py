@@ -10,11 +10,17 @@ import numpy as np
 from zeno_orbits.completion import ZenoExtrapolation
 from zeno_orbits.cycle import Cycle, cycles
 from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
-from zeno_orbits.errors import SimulationError
+from zeno_orbits.errors import RunawayError, SimulationError
 from zeno_orbits.simulate import SimulationSettings, simulate
 
 _TURNS = 20 * np.pi
 """A coordinate beyond this many radians, or metres, will not come back."""
+
+_FADED = 1e-3
+"""A motion whose first impacts have slowed down to this part of its fastest is dying out."""
+
+_STILL = 1e-6
+"""Speeds and accelerations below this are rest, in the scene's units."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,6 +43,7 @@ class SettlingSettings:
         default_factory=lambda: SimulationSettings(
             tolerance=Tolerance(relative=1e-8, absolute=1e-10),
             completion=ZenoExtrapolation(tolerance=1e-11),
+            far=_TURNS,
         )
     )
 
@@ -77,24 +84,27 @@ def settle(
 
 
 def _settle_from(dynamics: HybridDynamics, state: Vector, settings: SettlingSettings) -> Settling:
-    elapsed, best = 0.0, None
+    elapsed, fastest, best = 0.0, 0.0, None
     while elapsed < settings.horizon:
         try:
             run = simulate(dynamics, state, until=settings.chunk, settings=settings.simulation)
+        except RunawayError as error:
+            return Settling(cycle=None, reason=error.reason)
         except SimulationError as error:
-            return Settling(cycle=None, reason=f"the simulation stops: {error.reason.lower()}")
+            clause = error.reason[0].lower() + error.reason[1:]
+            return Settling(cycle=None, reason=f"the simulation stops: {clause}")
         elapsed += run.end_time
         found = cycles(run)
         if found:
             best = found[-1]
             if best.drift(best.scale()) < settings.settled:
                 return Settling(cycle=best)
-        reason = _hopeless(dynamics, run.end_state, moved=bool(run.events))
-        if reason:
-            return Settling(cycle=None, reason=reason)
-        if not found and run.releases:
-            # The period may be longer than the chunk.
-            pass
+            speeds = [-cycle.impacts[0].approach_rate for cycle in found]
+            fastest = max(fastest, *speeds)
+            if speeds[-1] < _FADED * fastest:
+                return Settling(cycle=None, reason="the motion dies out")
+        if not run.events and _is_at_rest(dynamics, run.end_state):
+            return Settling(cycle=None, reason="the motion dies out")
         state = run.end_state
     if best is not None and best.drift(best.scale()) < settings.usable:
         return Settling(cycle=best)
@@ -102,12 +112,9 @@ def _settle_from(dynamics: HybridDynamics, state: Vector, settings: SettlingSett
     return Settling(cycle=None, reason=f"{what} after {settings.horizon:g} s")
 
 
-def _hopeless(dynamics: HybridDynamics, state: Vector, *, moved: bool) -> str:
-    """Return why a motion will not settle to an orbit, or nothing if it still may."""
-    coordinates = state[: dynamics.n_q]
-    far = int(np.argmax(np.abs(coordinates)))
-    if abs(coordinates[far]) > _TURNS:
-        return f"{dynamics.state_names[far]} runs away"
-    if not moved and float(np.max(np.abs(dynamics.free.rate(state)[: 2 * dynamics.n_q]))) < 1e-6:
-        return "the motion dies out"
-    return ""
+def _is_at_rest(dynamics: HybridDynamics, state: Vector) -> bool:
+    """Tell whether velocities and accelerations have all but vanished."""
+    motion = dynamics.free.rate(state)[: 2 * dynamics.n_q]
+    if dynamics.gap(state) <= _STILL:
+        motion = dynamics.locked.rate(state)[: 2 * dynamics.n_q]
+    return float(np.max(np.abs(motion))) < _STILL

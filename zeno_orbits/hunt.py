@@ -69,8 +69,8 @@ _COARSE = 100.0
 _ON_THE_WAY = 1e-4
 """Agreement of program and simulation that suffices for a value on the way to a wanted one."""
 
-_AT_BOUND = 1e-3
-"""A gain this near its bound, relative, is said to be at it."""
+_AT_BOUND = 0.02
+"""A gain this near its bound, in units of its range, is said to be at it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,15 +110,18 @@ class Hunt:
             where = f"At {listed(gains)}, " if gains else ""
             detail = f"{where}{settling.reason}."
             return Find(status=SearchStatus.NO_GUESS, detail=detail[0].upper() + detail[1:])
+        # The noise of the loose settling would be meshed; one period costs little.
+        start = settling.cycle.start.state
+        cycle = _one_cycle(dynamics, start, 2 * settling.cycle.period) or settling.cycle
         if isinstance(self.objective, WantedPeriod | WantedAmplitude):
-            return self.toward(gains, settling.cycle, self.objective)
+            return self.toward(gains, cycle, self.objective)
         if (
             isinstance(self.objective, NearestGains)
             and self.objective.target.items() <= gains.items()
         ):
             # Nothing is nearer than the target itself: its gains need no freedom.
-            return replace(self, free_gains={}).refine(gains, settling.cycle, self.objective)
-        return self.refine(gains, settling.cycle, self.objective)
+            return replace(self, free_gains={}).refine(gains, cycle, self.objective)
+        return self.refine(gains, cycle, self.objective)
 
     def toward(
         self, gains: Mapping[str, float], cycle: Cycle, wanted: WantedPeriod | WantedAmplitude
@@ -158,7 +161,7 @@ class Hunt:
             f"{name} at its bound {bound:g}"
             for name, bounds in self.free_gains.items()
             for bound in bounds
-            if abs(gains[name] - bound) <= _AT_BOUND * max(1.0, abs(bound))
+            if abs(gains[name] - bound) <= _AT_BOUND * (bounds[1] - bounds[0])
         ]
         reached = f"The nearest that was reached is {wanted.at(here).wish}, at {listed(gains)}"
         detail = f"{reached} ({', '.join(held)})." if held else f"{reached}."
@@ -248,12 +251,7 @@ class Hunt:
             cycle.drift(cycle.scale()),
             abs(cycle.period - period) / period,
             abs(cycle.zeno.time - zeno_time) / period,
-            *(
-                float(np.max(np.abs(impact.state_minus - state) / cycle.scale()))
-                for impact, state in zip(
-                    cycle.impacts, solution.values["impact states"].T, strict=False
-                )
-            ),
+            _impact_difference(cycle, solution),
             _miss(objective, cycle) if self.free_gains else 0.0,
         )
         agrees = agreement <= self.settings.agreement
@@ -314,6 +312,19 @@ def _complaint(solution: Solution, objective: Objective | None) -> str:
         f"Asked{asked}, {solution.status.value}{missed}."
         if asked
         else (f"{solution.status.value[0].upper()}{solution.status.value[1:]}{missed}.")
+    )
+
+
+def _impact_difference(cycle: Cycle, solution: Solution) -> float:
+    """Return the largest difference of a solution's impacts from a cycle's, relative."""
+    times = np.cumsum(solution.values["flight times"][:, 0])
+    states = solution.values["impact states"].T
+    return max(
+        max(
+            abs(impact.time - cycle.start.time - time) / cycle.period,
+            float(np.max(np.abs(impact.state_minus - state) / cycle.scale())),
+        )
+        for impact, time, state in zip(cycle.impacts, times, states, strict=False)
     )
 
 

@@ -80,6 +80,10 @@ class Observation:
     trouble: str
 
 
+LOOSER = 100.0
+"""Factor of the second integration's tolerance; the difference bounds the first one's error."""
+
+
 def claim_of(orbit: ZenoOrbit, problem: Problem) -> Claim:
     """Return an orbit's numbers as vectors.
 
@@ -152,14 +156,12 @@ def observe(
     loose = replace(
         simulation,
         tolerance=Tolerance(
-            relative=1e3 * simulation.tolerance.relative,
-            absolute=1e3 * simulation.tolerance.absolute,
+            relative=LOOSER * simulation.tolerance.relative,
+            absolute=LOOSER * simulation.tolerance.absolute,
         ),
         completion=ZenoExtrapolation(tolerance=1e-10),
     )
-    again = simulate(dynamics, start, until=1.5 * cycle.end.time, settings=loose)
-    later = [r for r in again.releases if r.time > 1e-6 * claim.period]
-    error = distance(later[0].state, cycle.end.state, cycle.scale) if later else math.inf
+    error = _looser_return(dynamics, start, cycle, loose)
     return Observation(
         cycle=cycle,
         impacts=execution.impacts,
@@ -167,6 +169,18 @@ def observe(
         integration_error=error,
         trouble="",
     )
+
+
+def _looser_return(
+    dynamics: HybridDynamics, start: Vector, cycle: FirstCycle, settings: SimulationSettings
+) -> float:
+    """Return how far the first return of a looser integration is from the first one's."""
+    try:
+        again = simulate(dynamics, start, until=1.5 * cycle.end.time, settings=settings)
+    except ZenoOrbitsError:
+        return math.inf
+    later = [release for release in again.releases if release.time > 1e-6 * cycle.end.time]
+    return distance(later[0].state, cycle.end.state, cycle.scale) if later else math.inf
 
 
 def _nothing(trouble: str) -> Observation:

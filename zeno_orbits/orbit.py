@@ -123,7 +123,7 @@ def read_orbit(path: Path) -> ZenoOrbit:
         raise OrbitFileError(path, f"it cannot be read ({type(error).__name__})") from error
     try:
         data = json.loads(text)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise OrbitFileError(path, f"it is no complete JSON ({error})") from error
     return _Reader(path).orbit(data)
 
@@ -193,9 +193,13 @@ class _Reader:
     def number(self, value: object, name: str) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.refuse(f"`{name}` is not a number")
-        if not math.isfinite(value):
+        try:
+            number = float(value)
+        except OverflowError:
+            number = math.inf
+        if not math.isfinite(number):
             raise self.refuse(f"`{name}` is not finite")
-        return float(value)
+        return number
 
     def positive(self, value: object, name: str) -> float:
         number = self.number(value, name)

@@ -123,11 +123,12 @@ def floquet_multipliers(
     scale: Vector,
     period: float,
     settings: SimulationSettings,
+    noise: float,
 ) -> Multipliers:
     """Return the multipliers of an orbit by differences of the return map.
 
     Central differences at two displacements are combined to fourth order; the change that this
-    makes to the largest multiplier is its error estimate.
+    makes, and what the noise of a return makes of it, estimate the error.
 
     Args:
         dynamics: The system.
@@ -135,6 +136,7 @@ def floquet_multipliers(
         scale: Size of each state, ``(n_x,)``.
         period: Period of the orbit [s].
         settings: Accuracy.
+        noise: Error of a returned state, relative to ``scale``.
 
     Raises:
         SimulationError: If a displaced state does not return.
@@ -159,7 +161,8 @@ def floquet_multipliers(
     jacobian = (4 * near - far) / 3
     values = sorted(np.linalg.eigvals(jacobian), key=abs, reverse=True)
     rough = sorted(np.linalg.eigvals(near), key=abs, reverse=True)
-    error = max((abs(a - b) for a, b in zip(values, rough, strict=True)), default=0.0)
+    change = max((abs(a - b) for a, b in zip(values, rough, strict=True)), default=0.0)
+    error = change + noise / _DIFFERENCE
     return Multipliers(
         values=tuple(complex(value) for value in values), error=float(error), jacobian=jacobian
     )

@@ -11,6 +11,7 @@ import math
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import ModuleType
 
@@ -241,18 +242,25 @@ def _problems_folder() -> Path:
     return installed if installed.is_dir() else package.parent / "problems"
 
 
+class _NoCache(SourceFileLoader):
+    """Leaves no compiled file beside the user's own."""
+
+    def set_data(self, path: str, data: object, *, _mode: int = 0o666) -> None:
+        """Write nothing."""
+
+
 def _execute(file: Path) -> ModuleType:
     if file.suffix != ".py" or not file.is_file():
         raise ProblemFileError(file, "it is not a Python file")
     name = f"zeno_orbits_scene_{file.parent.name}_{file.stem}".replace("-", "_")
-    spec = importlib.util.spec_from_file_location(name, file)
+    spec = importlib.util.spec_from_file_location(name, file, loader=_NoCache(name, str(file)))
     if spec is None or spec.loader is None:
         raise ProblemFileError(file, "Python cannot load it")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         del sys.modules[name]
         reason = f"it raises {type(error).__name__}: {' '.join(str(error).split())}"
         raise ProblemFileError(file, reason) from error

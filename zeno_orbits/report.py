@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from types import TracebackType
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from zeno_orbits.certificate import RESIDUALS, OrbitCertificate
 from zeno_orbits.execution import Execution, Impact, ZenoPoint
@@ -24,9 +25,13 @@ class Progress:
     """Says on standard error what long work is doing, how long it has taken, and what is left.
 
     A terminal gets one line that is rewritten; a file gets a line now and then.
+
+    Args:
+        check: Called at every word; it may raise.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, check: Callable[[], None]) -> None:
+        self._check = check
         self._started = time.perf_counter()
         self._said = -_PATIENCE
         self._terminal = sys.stderr.isatty()
@@ -54,6 +59,7 @@ class Progress:
             what: A few words.
             part: How much of it is done, in [0, 1], if that is known.
         """
+        self._check()
         elapsed = time.perf_counter() - self._started
         pause = 0.1 if self._terminal else _PATIENCE
         if elapsed < _PATIENCE or elapsed - self._said < pause:
@@ -88,7 +94,7 @@ def print_conditions(
     console.print("Theorem 1: Zeno executions exist near a Zeno equilibrium if")
     console.print("  0 <= e < 1   and   d2h/dt2 < 0   there, where\n")
     console.print(f"  d2h/dt2 = {formula}\n", soft_wrap=True)
-    console.print(f"At the numbers of [bold]{problem.name}[/bold], e = {e:g}:\n")
+    console.print(f"At the numbers of {problem.name}, e = {e:g}:\n")
     console.print(f"  d2h/dt2 = {numbers}\n", soft_wrap=True)
     if always is not None:
         console.print(
@@ -111,8 +117,8 @@ def print_setting(problem: Problem, setting: Setting) -> None:
 def print_execution(problem: Problem, execution: Execution, most: int = 40) -> None:
     """Print the events of an execution and where it ends."""
     console = _console()
-    shown = ("theta1", "dtheta1", "current")
-    states = [name for name in shown if name in problem.state_names] or list(problem.state_names)
+    pair = problem.portraits[0] if problem.portraits else problem.state_names[:2]
+    states = list(dict.fromkeys((*pair, problem.state_names[-1])))
     table = _table("t [s]", "event", "dh/dt", *(f"{name}" for name in states))
     events = execution.events
     for event in events[:most]:
@@ -162,12 +168,12 @@ def print_certificate(certificate: OrbitCertificate) -> None:
         if name in certificate.residuals:
             size = certificate.residuals[name]
             good = size <= certificate.tolerance
-            mark = "[green]ok[/green]" if good else "[red]no[/red]"
+            mark = Text("ok", "green") if good else Text("no", "red")
             table.add_row(name, f"{size:.1e}", mark, meaning)
     _print(table)
     margins = _table("margin", "value", "")
     for name, value in certificate.margins.items():
-        margins.add_row(name, f"{value:.6g}", "" if value > 0 else "[red]lost[/red]")
+        margins.add_row(name, f"{value:.6g}", "" if value > 0 else Text("lost", "red"))
     _print(margins)
     if certificate.delta_sweep:
         sweep = _table("cut below |dh/dt|", "speed of the cut", "error at a later time")
@@ -187,7 +193,7 @@ def print_certificate(certificate: OrbitCertificate) -> None:
 def print_verdict(certificate: OrbitCertificate) -> None:
     """Print yes or no."""
     colour = "green" if certificate.passed else "red"
-    _console().print(f"[{colour}]{certificate.verdict()}[/{colour}]", soft_wrap=True)
+    _console().print(certificate.verdict(), style=colour, soft_wrap=True)
 
 
 def print_search(result: SearchResult) -> None:
@@ -198,7 +204,8 @@ def print_search(result: SearchResult) -> None:
         table = _table("start", "ended", "why")
         for attempt in result.attempts:
             gains = ", ".join(f"{name} = {value:.4g}" for name, value in attempt.gains.items())
-            table.add_row(gains, attempt.status.name.lower().replace("_", " "), attempt.detail)
+            ended = attempt.status.name.lower().replace("_", " ")
+            table.add_row(gains, ended, Text(attempt.detail))
         _print(table)
     if result.orbit is not None:
         console.print(
@@ -212,7 +219,7 @@ def print_search(result: SearchResult) -> None:
 def print_lines(lines: Iterable[str]) -> None:
     """Print plain lines."""
     for line in lines:
-        _console().print(line, soft_wrap=True, markup=False)
+        _console().print(line, soft_wrap=True)
 
 
 def print_error(message: str) -> None:
@@ -231,8 +238,18 @@ def _table(*columns: str) -> Table:
     return table
 
 
+class _Console(Console):
+    """A console that prints text as it is and leaves a broken pipe to the caller."""
+
+    def on_broken_pipe(self) -> None:
+        """Say so; rich would exit."""
+        raise BrokenPipeError
+
+
 def _console() -> Console:
-    return Console(highlight=False)
+    # A file has no width of its own; a hundred columns split no cell of ours.
+    width = None if sys.stdout.isatty() else 100
+    return _Console(highlight=False, markup=False, width=width)
 
 
 def _print(table: Table) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -12,7 +13,7 @@ from scipy.stats import qmc
 from zeno_orbits.compiled import compile_problem
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.hunt import Find, Hunt, SearchSettings, SearchStatus, listed
-from zeno_orbits.objectives import NearestGains, Objective
+from zeno_orbits.objectives import NearestGains, Objective, WantedAmplitude, WantedPeriod
 from zeno_orbits.orbit import ZenoOrbit
 from zeno_orbits.problem import Problem, Setting
 
@@ -137,6 +138,7 @@ def search_gains(
         InputError: If a gain is unknown or its bounds are the wrong way round.
     """
     _check_box(problem, free_gains)
+    _check_objective(problem, objective)
     started = time.perf_counter()
     objective = objective or NearestGains(target={})
     if isinstance(objective, NearestGains):
@@ -217,6 +219,27 @@ def _starting_gains(
     for point in sampler.random(settings.n_starts):
         chosen = dict(zip(free, map(float, lower + point * (upper - lower)), strict=True))
         yield {**given, **chosen}
+
+
+def _check_objective(problem: Problem, objective: Objective | None) -> None:
+    """Refuse a wish that names what the scene has not, or a value that nothing can have."""
+    if isinstance(objective, NearestGains):
+        known = [gain.name for gain in problem.gains]
+        for name, value in objective.target.items():
+            if name not in known:
+                wanted = f"must name gains of the scene ({', '.join(known) or 'none'})"
+                raise InputError(f"Argument `objective` {wanted}, but it names `{name}`.")
+            if not math.isfinite(value):
+                message = f"must be finite for `{name}`, but it is {value}"
+                raise InputError(f"Argument `objective` {message}.")
+    if isinstance(objective, WantedAmplitude) and objective.state not in problem.state_names:
+        wanted = f"must name a state ({', '.join(problem.state_names)})"
+        raise InputError(f"Argument `objective` {wanted}, but it names `{objective.state}`.")
+    if isinstance(objective, WantedPeriod | WantedAmplitude) and not (
+        0.0 < objective.target < math.inf
+    ):
+        message = f"must have a positive target, but it is {objective.target:g}"
+        raise InputError(f"Argument `objective` {message}.")
 
 
 def _clipped(

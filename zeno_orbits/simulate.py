@@ -16,7 +16,13 @@ from zeno_orbits.completion import Completion, ZenoExtrapolation
 from zeno_orbits.crossing import first_fall
 from zeno_orbits.dynamics import GuardedFlow, HybridDynamics, Tolerance, Vector
 from zeno_orbits.engines import Engine, RungeKutta, Step
-from zeno_orbits.errors import ChatterError, InputError, PenetrationError, SimulationError
+from zeno_orbits.errors import (
+    ChatterError,
+    InputError,
+    PenetrationError,
+    RunawayError,
+    SimulationError,
+)
 from zeno_orbits.execution import (
     Arc,
     Ending,
@@ -42,6 +48,7 @@ class SimulationSettings:
         tolerance: Its local error.
         completion: How a Zeno point is reached.
         contact: A gap or gap rate of an initial state below this counts as zero.
+        far: A coordinate beyond this ends the execution with an error.
         most_impacts: Impacts in one sequence before it is given up.
         most_steps: Steps of all arcs before the execution is given up; each is kept for dense
             output, at about 400 bytes.
@@ -51,6 +58,7 @@ class SimulationSettings:
     tolerance: Tolerance = field(default_factory=Tolerance)
     completion: Completion = field(default_factory=ZenoExtrapolation)
     contact: float = 1e-12
+    far: float = math.inf
     most_impacts: int = 100_000
     most_steps: int = 2_000_000
 
@@ -213,7 +221,7 @@ class _Run:
                 return zeno
             if self.n_impacts - first > self.settings.most_impacts:
                 raise ChatterError(
-                    f"More than {self.settings.most_impacts} impacts came without a Zeno point.",
+                    f"More than {self.settings.most_impacts} impacts came without a Zeno point",
                     time=here.time,
                     state=tuple(here.state.tolist()),
                 )
@@ -309,14 +317,19 @@ class _Run:
                 )
             )
 
-    def _count_step(self, start: _Start) -> None:
+    def _watch(self, step: Step, time: float) -> None:
+        """End an execution that takes too long or goes too far."""
+        settings, n_q = self.settings, self.dynamics.n_q
         self.n_steps += 1
-        if self.n_steps > self.settings.most_steps:
+        if self.n_steps > settings.most_steps:
             raise SimulationError(
-                f"The execution takes more than {self.settings.most_steps} steps",
-                time=start.time,
-                state=tuple(start.state.tolist()),
+                f"The execution takes more than {settings.most_steps} steps",
+                time=time,
+                state=tuple(step.before.tolist()),
             )
+        if settings.far < math.inf and float(np.max(np.abs(step.after[:n_q]))) > settings.far:
+            name = self.dynamics.state_names[int(np.argmax(np.abs(step.after[:n_q])))]
+            raise RunawayError(f"{name} runs away", time=time, state=tuple(step.after.tolist()))
 
     def _arc(
         self, start: _Start, flow: GuardedFlow, natural: Ending, *, on_guard: bool
@@ -342,7 +355,7 @@ class _Run:
         steps: list[Step] = []
         for step in self.settings.engine.steps(flow, y, self.settings.tolerance):
             steps.append(step)
-            self._count_step(start)
+            self._watch(step, start.time + unit * step.start)
             after = flow.guard(step.after)
             fall = first_fall(flow, step, before, after, on_guard=on_guard)
             largest = max(largest, abs(before[1]) * step.size, abs(after[1]) * step.size)

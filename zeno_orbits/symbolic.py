@@ -102,11 +102,16 @@ def equilibrium_acceleration(problem: Problem) -> Any:
 
 
 def with_numbers(formula: Any, setting: Setting) -> Any:
-    """Return a formula with the numbers of a setting in it, expanded, to six digits."""
+    """Return a formula with the numbers of a setting in it, expanded."""
     values = {**setting.gains, **setting.parameters}
     numbers = {s: values[s.name] for s in formula.free_symbols if s.name in values}
     expanded = sympy.expand(sympy.expand_trig(formula.subs(numbers)))
-    return sympy.N(sympy.collect(expanded, list(expanded.atoms(sympy.sin, sympy.cos))), 6)
+    return sympy.collect(expanded, list(expanded.atoms(sympy.sin, sympy.cos)))
+
+
+def six_digits(formula: Any) -> str:
+    """Return a formula as text, its numbers to six digits."""
+    return str(sympy.N(formula, 6))
 
 
 def _whole(formula: Any) -> Any:
@@ -115,7 +120,7 @@ def _whole(formula: Any) -> Any:
         {
             number: sympy.Integer(int(number))
             for number in formula.atoms(sympy.Float)
-            if number == int(number)
+            if float(number).is_integer()
         }
     )
 

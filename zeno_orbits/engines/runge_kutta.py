@@ -49,7 +49,7 @@ class RungeKutta:
                 refused = True
                 if size <= 4 * math.ulp(time) or size < 1e-300:
                     raise StepSizeError(
-                        "The step size fell to rounding level: the flow is too stiff or singular.",
+                        "The step size fell to rounding level: the flow is too stiff or singular",
                         time=time,
                         state=tuple(y.tolist()),
                     )
@@ -70,8 +70,9 @@ def _first_size(flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> float:
     slope = flow.rate(y)
     if not np.all(np.isfinite(slope)):
         raise StepSizeError(
-            "The flow is not finite at its start.", time=0.0, state=tuple(y.tolist())
+            "The flow is not finite at its start", time=0.0, state=tuple(y.tolist())
         )
     scale = tolerance.absolute / tolerance.relative + np.abs(y)
-    ratio = float(np.linalg.norm(slope / scale))
-    return 0.01 * math.sqrt(len(y)) / ratio if ratio > 1e-5 else 1e-3
+    with np.errstate(over="ignore"):
+        ratio = float(np.max(np.abs(slope / scale)))
+    return 0.01 / ratio if ratio > 1e-5 else 1e-3

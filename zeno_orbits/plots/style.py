@@ -17,9 +17,8 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from zeno_orbits.dynamics import HybridDynamics, Vector
-from zeno_orbits.errors import InputError
 from zeno_orbits.execution import Ending, Execution, Mode
-from zeno_orbits.files import write_whole
+from zeno_orbits.files import require_picture, write_whole
 from zeno_orbits.problem import Problem
 
 COLUMN_WIDTH = 3.4
@@ -65,17 +64,14 @@ def save_figure(figure: Figure, path: Path) -> None:
         path: Where; the suffix says the format.
 
     Raises:
-        InputError: If the suffix is another one.
+        InputError: If the suffix is another one, or the file cannot be written.
     """
-    dates: dict[str, dict[str, Any]] = {".png": {}, ".pdf": {"CreationDate": None}}
-    dates[".svg"] = {"Date": None}
+    require_picture(path)
     suffix = path.suffix.lower()
-    if suffix not in dates:
-        message = f"Argument `output` must end in .png, .pdf or .svg, but it is `{path.name}`."
-        raise InputError(message)
+    dates: dict[str, dict[str, Any]] = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
     picture = io.BytesIO()
     with mpl.rc_context({"pdf.fonttype": 42, "svg.hashsalt": "zeno_orbits"}):
-        figure.savefig(picture, format=suffix[1:], dpi=300, metadata=dates[suffix])
+        figure.savefig(picture, format=suffix[1:], dpi=300, metadata=dates.get(suffix, {}))
     write_whole(path, picture.getvalue())
 
 

@@ -1,0 +1,42 @@
+"""What several test modules share: the reference scene, its orbit and the orbit's certificate."""
+
+from __future__ import annotations
+
+import pytest
+
+from zeno_orbits.certificate import OrbitCertificate
+from zeno_orbits.dynamics import HybridDynamics
+from zeno_orbits.orbit import ZenoOrbit
+from zeno_orbits.problem import Problem, load_problem
+from zeno_orbits.search import SearchResult, find_orbit
+from zeno_orbits.verify import problem_dynamics, verify
+
+
+@pytest.fixture(scope="session")
+def scene() -> Problem:
+    """The motor pendulum."""
+    return load_problem("motor_pendulum")
+
+
+@pytest.fixture(scope="session")
+def found(scene: Problem) -> SearchResult:
+    """The search at the published gains."""
+    return find_orbit(scene, scene.setting())
+
+
+@pytest.fixture(scope="session")
+def orbit(found: SearchResult) -> ZenoOrbit:
+    """The orbit at the published gains."""
+    return found.unwrap()
+
+
+@pytest.fixture(scope="session")
+def machine(orbit: ZenoOrbit, scene: Problem) -> HybridDynamics:
+    """The motor pendulum at the published gains, as numeric functions."""
+    return problem_dynamics(orbit, scene)
+
+
+@pytest.fixture(scope="session")
+def certificate(orbit: ZenoOrbit, scene: Problem) -> OrbitCertificate:
+    """The certificate of the orbit at the published gains."""
+    return verify(orbit, scene)

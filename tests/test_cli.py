@@ -1,0 +1,935 @@
+"""The command line: its answers, its exit codes, and what it says of bad input."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, NoReturn
+
+import pytest
+
+from tests.reference_orbit import PERIOD
+from zeno_orbits import report, symbolic
+from zeno_orbits.cli import main
+from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.problem import Problem, bundled_problems, load_problem
+from zeno_orbits.search import SearchSettings
+
+YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
+COMMANDS = ("problems", "conditions", "simulate", "search", "verify", "plot")
+PUBLISHED_GAINS = ("--fix", "Kp=2.5", "--fix", "Kd=-1")
+ORBIT_KEYS = {
+    "format",
+    "problem",
+    "parameters",
+    "gains",
+    "period",
+    "release_state",
+    "impacts",
+    "zeno_time",
+    "zeno_state",
+    "floquet_multipliers",
+    "certificate",
+    "versions",
+}
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a command leaves behind."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def data(self) -> Any:
+        """Standard output, which must be one JSON document and nothing else."""
+        return json.loads(self.out)
+
+
+def ask(*arguments: str | Path) -> Answer:
+    """Run a command in this process."""
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        try:
+            code = main([str(argument) for argument in arguments])
+        except SystemExit as ending:
+            code = ending.code if isinstance(ending.code, int) else -1
+    return Answer(code, out.getvalue(), err.getvalue())
+
+
+def contents(folder: Path) -> dict[str, bytes | None]:
+    """Return path to content of everything below a folder, without Python's own caches."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None
+        for path in sorted(folder.rglob("*"))
+        if "__pycache__" not in path.parts
+    }
+
+
+@pytest.fixture(name="searched", scope="module")
+def _searched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Answer, Path]:
+    """The published gains, searched once, and the file that came of it."""
+    path = tmp_path_factory.mktemp("orbits") / "orbit.json"
+    return ask("search", "motor_pendulum", *PUBLISHED_GAINS, "-o", path, "--json"), path
+
+
+@pytest.fixture(name="orbit_data")
+def _orbit_data(searched: tuple[Answer, Path]) -> dict[str, Any]:
+    return json.loads(searched[1].read_text())
+
+
+@pytest.fixture(name="here", autouse=True)
+def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty working folder."""
+    folder = tmp_path / "here"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    return folder
+
+
+@pytest.fixture(name="silence", autouse=True)
+def _silence(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No progress in this process, however slow it is."""
+    monkeypatch.setattr(report, "_PATIENCE", math.inf)
+
+
+@pytest.fixture(name="orbit")
+def _orbit(searched: tuple[Answer, Path], here: Path) -> Path:
+    """A copy of the orbit file in the working folder."""
+    path = here / "orbit.json"
+    path.write_bytes(searched[1].read_bytes())
+    return path
+
+
+@pytest.fixture(name="formulas", scope="module", autouse=True)
+def _formulas() -> Any:
+    """Let SymPy simplify the acceleration of each scene once, not in every test."""
+    known: dict[str, Any] = {}
+    simplify = symbolic.equilibrium_acceleration
+
+    def remembered(problem: Problem) -> Any:
+        if problem.name not in known:
+            known[problem.name] = simplify(problem)
+        return known[problem.name]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(symbolic, "equilibrium_acceleration", remembered)
+        yield
+
+
+def raising(error: BaseException) -> Callable[..., NoReturn]:
+    """Return a stand-in for any function, that raises."""
+
+    def stand_in(*_arguments: Any, **_named: Any) -> NoReturn:
+        raise error
+
+    return stand_in
+
+
+# ---------------------------------------------------------------------------- answers
+
+
+@pytest.mark.parametrize("name", sorted(bundled_problems()))
+def test_problems_lists_every_scene_with_its_gains(name: str) -> None:
+    assert name in ask("problems").out
+    entry = next(entry for entry in ask("problems", "--json").data if entry["name"] == name)
+    scene = load_problem(name)
+    assert list(entry["gains"]) == [gain.name for gain in scene.gains]
+    assert list(entry["states"]) == list(scene.state_names)
+    assert entry["parameters"] == dict(scene.setting().parameters)
+
+
+def test_conditions_shows_the_two_published_coefficients() -> None:
+    answer = ask("conditions", "motor_pendulum")
+    assert answer.code == YES
+    assert "2.92437" in answer.out
+    assert "27.5697" in answer.out
+
+
+def test_conditions_as_json_has_the_published_coefficients_to_all_published_digits() -> None:
+    answer = ask("conditions", "motor_pendulum", "--json")
+    assert answer.code == YES
+    coefficients = answer.data["coefficients"]
+    assert set(coefficients) == {"current", "sin(theta1)"}
+    # Half a unit of the last published digit.
+    assert coefficients["current"] == pytest.approx(-2.92437, abs=5e-6)
+    assert coefficients["sin(theta1)"] == pytest.approx(-27.5697, abs=5e-5)
+    assert answer.data["restitution"] == 0.2
+
+
+def test_conditions_of_a_falling_ball_are_minus_gravity() -> None:
+    answer = ask("conditions", "bouncing_ball", "--json")
+    assert answer.code == YES
+    assert answer.data["coefficients"] == pytest.approx({"1": -9.81})
+
+
+def test_conditions_draws_the_region_when_asked(here: Path) -> None:
+    answer = ask("conditions", "motor_pendulum", "-o", "region.png")
+    assert answer.code == YES
+    assert (here / "region.png").read_bytes().startswith(b"\x89PNG")
+    assert "Written: region.png" in answer.out
+
+
+def test_simulate_names_impacts_zeno_points_and_releases() -> None:
+    answer = ask("simulate", "motor_pendulum", "--until", "3")
+    assert answer.code == YES
+    for word in ("impact", "Zeno point", "release", "the last arc is"):
+        assert word in answer.out
+
+
+def test_simulate_as_json_follows_the_ball_to_its_zeno_time() -> None:
+    answer = ask("simulate", "bouncing_ball", "--set", "restitution=0.8", "--until", "5", "--json")
+    assert answer.code == YES
+    events = answer.data["events"]
+    e, g = 0.8, 9.81
+    fall = math.sqrt(2 / g)
+    assert [event["event"] for event in events] == ["impact"] * (len(events) - 1) + ["zeno_point"]
+    assert events[0]["time"] == pytest.approx(fall, rel=1e-11)
+    assert events[-1]["time"] == pytest.approx(fall * (1 + e) / (1 - e), rel=1e-11)
+    assert answer.data["end_mode"] == "locked"
+    assert answer.data["end_time"] == 5.0
+
+
+def test_simulate_starts_where_it_is_told_and_draws_when_asked(here: Path) -> None:
+    answer = ask(
+        *("simulate", "bouncing_ball", "--start", "speed=-2", "--start", "height=1"),
+        *("--until", "1", "--json", "-o", "ball.svg"),
+    )
+    fall = (math.sqrt(4 + 2 * 9.81) - 2) / 9.81
+    assert answer.data["events"][0]["time"] == pytest.approx(fall, rel=1e-11)
+    assert "<svg" in (here / "ball.svg").read_text()
+
+
+def test_search_at_the_published_gains_finds_the_orbit_and_writes_what_it_prints(
+    searched: tuple[Answer, Path],
+) -> None:
+    answer, path = searched
+    assert answer.code == YES
+    assert answer.data == json.loads(path.read_text())
+    assert set(answer.data) == ORBIT_KEYS
+    assert answer.data["format"] == 1
+    assert answer.data["problem"] == "motor_pendulum"
+    assert answer.data["gains"] == {"Kp": 2.5, "Kd": -1.0}
+    # The reference closes to 6e-15; the search promises 3e-10, relative.
+    assert answer.data["period"] == pytest.approx(PERIOD, rel=3e-10)
+    assert set(answer.data["impacts"][0]) == {"time", "state_minus"}
+    assert {"passed", "residuals", "margins"} <= set(answer.data["certificate"])
+    assert answer.data["certificate"]["passed"] is True
+    assert all(len(pair) == 2 for pair in answer.data["floquet_multipliers"])
+    assert {"python", "casadi", "numpy", "scipy"} <= set(answer.data["versions"])
+
+
+def test_search_with_free_gains_finds_the_orbit_nearest_to_the_scenes_own(here: Path) -> None:
+    answer = ask("search", "motor_pendulum", "-o", "found.json")
+    assert answer.code == YES
+    assert "The search found an orbit." in answer.out
+    assert "Verified: a stable Zeno periodic orbit" in answer.out
+    assert "Written: found.json" in answer.out
+    data = json.loads((here / "found.json").read_text())
+    assert data["gains"] == pytest.approx({"Kp": 2.5, "Kd": -1.0})
+
+
+def test_search_at_gains_without_an_orbit_answers_no_with_the_reason(here: Path) -> None:
+    gains = ("--fix", "Kp=2.5", "--fix", "Kd=1")
+    answer = ask("search", "motor_pendulum", *gains, "-o", "f.json")
+    assert answer.code == NO
+    assert "No simulation settled" in answer.out
+    assert "theta2 runs away" in answer.out
+    assert ".." not in answer.out
+    assert contents(here) == {}
+
+
+def test_search_as_json_says_no_in_json(here: Path) -> None:
+    answer = ask("search", "bouncing_ball", "--json", "-o", "ball.json")
+    assert answer.code == NO
+    assert answer.data["found"] is False
+    assert answer.data["status"]
+    assert contents(here) == {}
+
+
+def assert_says_what_was_missed(answer: Answer, wish: str) -> None:
+    """Check the sentence of a search that could not meet a wish."""
+    said = " ".join(answer.out.split())
+    assert answer.code == NO
+    assert "The conditions of the orbit could not be met." in said
+    assert "The nearest that was reached is a period of" in said
+    assert wish in said
+    # A row is named with the place where it stands; rows without a place are named alone.
+    assert re.search(r"missed: `[^`]+` by \d", said)
+    assert "`continuity`" not in said
+
+
+def test_a_search_that_misses_says_which_conditions_by_name(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One gain, a narrow box, no small steps: a quick no, with all that a long one says."""
+    impatient = partial(SearchSettings, smallest_step=0.02)
+    monkeypatch.setattr("zeno_orbits.cli.SearchSettings", impatient)
+    answer = ask(
+        *("search", "motor_pendulum", "--fix", "Kd=-1", "--gain", "Kp=2.49:2.51"),
+        *("--objective", "period=1.95", "--starts", "1", "-o", "f.json"),
+    )
+    assert_says_what_was_missed(answer, "Asked for a period of")
+    assert contents(here) == {}
+
+
+@pytest.mark.slow
+def test_a_period_that_no_orbit_has_ends_in_a_no_that_says_what_was_tried(here: Path) -> None:
+    answer = ask("search", "motor_pendulum", "--objective", "period=5", "-o", "f.json")
+    assert_says_what_was_missed(answer, "Asked for a period of")
+    assert contents(here) == {}
+
+
+def test_verify_says_yes_to_what_the_search_wrote(orbit: Path) -> None:
+    answer = ask("verify", orbit)
+    assert answer.code == YES
+    assert "Verified: a stable Zeno periodic orbit" in answer.out
+    assert "Observed order of the cut" in answer.out
+
+
+def test_verify_prints_the_certificate_as_json(orbit: Path) -> None:
+    answer = ask("verify", orbit, "--json")
+    assert answer.code == YES
+    assert answer.data["passed"] is True
+    assert answer.data["model"] == "derived"
+    assert max(answer.data["residuals"].values()) < 1e-9
+    assert min(answer.data["margins"].values()) > 0
+
+
+def test_verify_on_the_hand_written_model_says_yes_too(orbit: Path) -> None:
+    answer = ask("verify", orbit, "--model", "reference", "--periods", "1", "--json")
+    assert answer.code == YES
+    assert answer.data["model"] == "reference"
+
+
+def _later_zeno(data: dict[str, Any]) -> None:
+    data["zeno_time"] += 1e-4
+
+
+def _longer_period(data: dict[str, Any]) -> None:
+    data["period"] *= 1 + 1e-6
+
+
+def _other_first_impact(data: dict[str, Any]) -> None:
+    data["impacts"][0]["time"] += 1e-5
+
+
+def _not_at_release(data: dict[str, Any]) -> None:
+    data["release_state"]["current"] += 1e-3
+
+
+def _other_zeno_point(data: dict[str, Any]) -> None:
+    data["zeno_state"]["theta1"] += 1e-4
+
+
+@pytest.mark.parametrize(
+    ("tamper", "residual"),
+    [
+        (_later_zeno, "zeno_point"),
+        (_other_zeno_point, "zeno_point"),
+        (_longer_period, "period"),
+        (_other_first_impact, "first_impact"),
+        (_not_at_release, "release"),
+    ],
+)
+def test_verify_refuses_a_tampered_orbit_and_names_the_residual(
+    tamper: Callable[[dict[str, Any]], None],
+    residual: str,
+    orbit_data: dict[str, Any],
+    here: Path,
+) -> None:
+    tamper(orbit_data)
+    (here / "false.json").write_text(json.dumps(orbit_data))
+    answer = ask("verify", "false.json", "--periods", "1")
+    assert answer.code == NO
+    assert f"Refused: `{residual}` is" in answer.out
+    assert answer.err == ""
+
+
+def test_plot_writes_four_pictures(orbit: Path, here: Path) -> None:
+    answer = ask("plot", orbit, "-o", "pictures")
+    assert answer.code == YES
+    pictures = sorted((here / "pictures").iterdir())
+    assert [path.name for path in pictures] == [
+        "portraits.png",
+        "region.png",
+        "time.png",
+        "zeno.png",
+    ]
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in pictures)
+    assert answer.out.count("Written: ") == 4
+
+
+def test_plot_writes_the_picture_that_is_asked_for(orbit: Path, here: Path) -> None:
+    answer = ask("plot", orbit, "--kind", "portraits", "--format", "pdf", "--json")
+    assert answer.data == {"pictures": ["portraits.pdf"]}
+    assert (here / "portraits.pdf").read_bytes().startswith(b"%PDF")
+
+
+# ------------------------------------------------------------------- scenes by their file
+
+
+@pytest.fixture(name="machine")
+def _machine(tmp_path: Path) -> Path:
+    """The motor pendulum under another name in another folder."""
+    folder = tmp_path / "elsewhere"
+    folder.mkdir()
+    bundled = bundled_problems()["motor_pendulum"]
+    text = (bundled / "model.py").read_text()
+    renamed = text.replace('name="motor_pendulum"', 'name="my_machine"')
+    assert renamed != text
+    (folder / "my_machine.py").write_text(renamed)
+    (folder / "reference.py").write_text((bundled / "reference.py").read_text())
+    return Path("..") / "elsewhere" / "my_machine.py"
+
+
+def test_a_scene_of_ones_own_is_simulated_by_its_path(machine: Path) -> None:
+    answer = ask("simulate", machine, "--until", "1", "--json")
+    assert answer.code == YES
+    assert answer.data["problem"] == "my_machine"
+
+
+def test_a_scene_of_ones_own_is_searched_verified_and_drawn(machine: Path, here: Path) -> None:
+    found = ask("search", machine, *PUBLISHED_GAINS, "-o", "mine.json", "--json")
+    assert found.code == YES
+    assert found.data["problem"] == "my_machine"
+    assert found.data["period"] == pytest.approx(PERIOD, rel=3e-10)
+    checked = ask("verify", "mine.json", "--problem", machine, "--json")
+    assert checked.code == YES
+    assert checked.data["residuals"]["second_model"] < 1e-9
+    drawn = ask("plot", "mine.json", "--problem", machine, "--kind", "zeno")
+    assert drawn.code == YES
+    assert (here / "zeno.png").exists()
+    refused = ask("verify", "mine.json")
+    assert refused.code == MISUSE
+    assert "`my_machine`" in refused.err
+
+
+# ------------------------------------------------------------------------------ bad input
+
+
+def assert_refused(answer: Answer, *words: str) -> None:
+    """Check that a command refused its input in one line and said nothing else."""
+    assert answer.code == MISUSE
+    assert answer.out == ""
+    assert answer.err.startswith("zeno-orbits: ")
+    assert answer.err.endswith("\n")
+    assert answer.err.count("\n") == 1
+    for word in words:
+        assert word in answer.err
+
+
+def simulating(*arguments: str) -> tuple[str, ...]:
+    return ("simulate", "motor_pendulum", *arguments)
+
+
+def searching(*arguments: str) -> tuple[str, ...]:
+    return ("search", "motor_pendulum", "-o", "f.json", *arguments)
+
+
+BAD_ARGUMENTS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "no command": ((), ("COMMAND",)),
+    "unknown command": (("frobnicate",), ("frobnicate", "search")),
+    "unknown option": (("problems", "--frobnicate"), ("--frobnicate",)),
+    "no scene": (("simulate",), ("PROBLEM",)),
+    "unknown scene": (("search", "pendulum"), ("`pendulum`", "motor_pendulum")),
+    "unknown scene, conditions": (("conditions", "pendulum"), ("`pendulum`", "motor_pendulum")),
+    "unknown parameter": (simulating("--set", "m3=1"), ("`m3`", "m2")),
+    "unknown gain": (simulating("--gain", "Ki=1"), ("`Ki`", "Kp")),
+    "unknown gain to search": (searching("--gain", "Ki=1:2"), ("`Ki`", "Kp")),
+    "unknown gain to fix": (searching("--fix", "Ki=1"), ("`Ki`", "Kp")),
+    "gain of a scene without gains": (("simulate", "bouncing_ball", "--gain", "Kp=1"), ("`Kp`",)),
+    "gain fixed and searched": (searching("--fix", "Kp=2", "--gain", "Kp=1:3"), ("`gain`", "Kp")),
+    "gain not a number": (searching("--fix", "Kp=abc"), ("`Kp`", "`abc`")),
+    "gain not finite": (searching("--fix", "Kp=inf"), ("`Kp`", "finite")),
+    "bounds reversed": (searching("--gain", "Kp=5:1"), ("`Kp`", "5:1")),
+    "bounds equal": (searching("--gain", "Kp=2:2"), ("`Kp`", "2:2")),
+    "bounds not finite": (searching("--gain", "Kp=1:inf"), ("`Kp`", "inf")),
+    "bounds twice": (searching("--gain", "Kp=1:5", "--gain", "Kp=2:3"), ("`Kp`", "twice")),
+    "bounds without colon": (searching("--gain", "Kp=1"), ("LOW:HIGH", "`Kp=1`")),
+    "bounds not numbers": (searching("--gain", "Kp=a:b"), ("`Kp`", "`a`")),
+    "mass negative": (simulating("--set", "m1=-0.3"), ("`m1`", "greater than 0", "-0.3")),
+    "mass zero": (simulating("--set", "m1=0"), ("`m1`", "greater than 0")),
+    "restitution 1": (simulating("--set", "restitution=1"), ("`restitution`", "[0, 1)")),
+    "restitution 1.2": (simulating("--set", "restitution=1.2"), ("`restitution`", "1.2")),
+    "restitution -0.1": (simulating("--set", "restitution=-0.1"), ("`restitution`", "-0.1")),
+    "restitution nan": (simulating("--set", "restitution=nan"), ("`restitution`", "nan")),
+    "restitution inf": (simulating("--set", "restitution=inf"), ("`restitution`", "inf")),
+    "restitution 1, conditions": (
+        ("conditions", "motor_pendulum", "--set", "restitution=1"),
+        ("`restitution`",),
+    ),
+    "parameter without value": (simulating("--set", "m1"), ("NAME=VALUE", "`m1`")),
+    "parameter without name": (simulating("--set", "=1"), ("NAME=VALUE", "`=1`")),
+    "parameter not a number": (simulating("--set", "m1=abc"), ("`m1`", "`abc`")),
+    "parameter empty": (simulating("--set", "m1="), ("`m1`", "number")),
+    "parameter twice": (simulating("--set", "m1=1", "--set", "m1=2"), ("`m1`", "twice")),
+    "no rotor inertia: link 2 too long": (
+        simulating("--set", "I2=0.02"),
+        ("no rotor inertia", "0.355825", "1.48333"),
+    ),
+    "no rotor inertia: link 1 too long": (
+        simulating("--set", "lc1=3"),
+        ("no rotor inertia", "J_rotor must not be negative"),
+    ),
+    "until 0": (simulating("--until", "0"), ("`until`", "positive")),
+    "until negative": (simulating("--until", "-1"), ("`until`", "positive")),
+    "until nan": (simulating("--until", "nan"), ("`until`", "nan")),
+    "until infinite": (simulating("--until", "inf"), ("`until`", "inf")),
+    "until not a number": (simulating("--until", "soon"), ("--until", "soon")),
+    "unknown state": (simulating("--start", "phi=1"), ("`phi`", "theta1")),
+    "start not finite": (simulating("--start", "theta1=nan"), ("`theta1`", "nan")),
+    "start inside the stop": (simulating("--start", "theta2=-0.1"), ("gap >= 0", "-0.1")),
+    "objective unknown": (searching("--objective", "speed"), ("`objective`", "`speed`", "energy")),
+    "objective empty": (searching("--objective", ""), ("`objective`", "energy")),
+    "period without target": (searching("--objective", "period"), ("period", "number")),
+    "period negative": (searching("--objective", "period=-1"), ("`objective`", "-1")),
+    "period zero": (searching("--objective", "period=0"), ("`objective`", "positive")),
+    "period not finite": (searching("--objective", "period=nan"), ("`objective`", "nan")),
+    "amplitude negative": (searching("--objective", "amplitude=-2"), ("`objective`", "-2")),
+    "energy with a target": (searching("--objective", "energy=3"), ("`objective`",)),
+    "nearest an unknown gain": (searching("--objective", "nearest:Ki=1"), ("`Ki`", "Kp")),
+    "nearest a fixed gain": (
+        searching("--fix", "Kp=2", "--objective", "nearest:Kp=3"),
+        ("`Kp`", "Kd"),
+    ),
+    "nearest without value": (searching("--objective", "nearest:Kp"), ("NAME=VALUE", "`Kp`")),
+    "period with all gains fixed": (
+        searching(*PUBLISHED_GAINS, "--objective", "period=1.8"),
+        ("`objective`", "free"),
+    ),
+    "starts 0": (searching("--starts", "0"), ("--starts", "`0`")),
+    "starts negative": (searching("--starts", "-3"), ("--starts",)),
+    "seed not a number": (searching("--seed", "x"), ("--seed",)),
+    "seed negative": (searching("--seed", "-1"), ("seed",)),
+    "search into a missing folder": (
+        ("search", "motor_pendulum", "-o", "none/f.json"),
+        ("`output`", "none/f.json"),
+    ),
+    "search into a folder": (("search", "motor_pendulum", "-o", "."), ("`output`", "folder")),
+    "simulate into a missing folder": (simulating("-o", "none/f.png"), ("`output`", "none/f.png")),
+    "simulate into a folder": (simulating("-o", "."), ("`output`", "folder")),
+    "simulate into an unknown format": (simulating("-o", "f.gif"), ("`output`", ".png", "f.gif")),
+    "simulate into no format": (simulating("-o", "f"), ("`output`", ".png")),
+    "conditions into an unknown format": (
+        ("conditions", "motor_pendulum", "-o", "f.gif"),
+        ("`output`", ".png", "f.gif"),
+    ),
+    "conditions into a missing folder": (
+        ("conditions", "motor_pendulum", "-o", "none/f.png"),
+        ("`output`", "none/f.png"),
+    ),
+    "plot into an unknown format": (("plot", "o.json", "--format", "gif"), ("gif", "svg")),
+    "plot an unknown kind": (("plot", "o.json", "--kind", "pie"), ("pie", "portraits")),
+    "verify nothing": (("verify",), ("ORBIT.json",)),
+    "orbit file missing": (("verify", "none.json"), ("`none.json`", "read")),
+    "orbit file missing, plot": (("plot", "none.json", "-o", "pictures"), ("`none.json`", "read")),
+    "orbit file a folder": (("verify", "."), ("Orbit file", "read")),
+    "scene file missing": (("simulate", "none.py"), ("`none.py`",)),
+    "scene a folder without model": (("simulate", "."), ("model.py",)),
+}
+
+
+@pytest.mark.parametrize("case", BAD_ARGUMENTS)
+def test_bad_arguments_are_refused_in_one_line(case: str, here: Path) -> None:
+    arguments, words = BAD_ARGUMENTS[case]
+    assert_refused(ask(*arguments), *words)
+    assert contents(here) == {}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("verify", "orbit.json", "--tolerance", "0"), ("`tolerance`", "(0, 1)")),
+        (("verify", "orbit.json", "--tolerance=-1e-9"), ("`tolerance`",)),
+        (("verify", "orbit.json", "--tolerance", "nan"), ("`tolerance`",)),
+        (("verify", "orbit.json", "--tolerance", "1"), ("`tolerance`",)),
+        (("verify", "orbit.json", "--periods", "0"), ("--periods",)),
+        (("verify", "orbit.json", "--model", "guessed"), ("--model", "reference")),
+        (("verify", "orbit.json", "--problem", "bouncing_ball"), ("bouncing_ball",)),
+        (("verify", "orbit.json", "--problem", "none.py"), ("`none.py`",)),
+        (("plot", "orbit.json", "--problem", "bouncing_ball", "-o", "p"), ()),
+        (("plot", "orbit.json", "-o", "orbit.json"), ("`output`", "folder")),
+        (("plot", "orbit.json", "-o", "orbit.json/p"), ("`output`", "folder")),
+    ],
+    ids=lambda value: " ".join(value[2:]) if value and value[0] in COMMANDS else "",
+)
+def test_a_good_orbit_with_bad_arguments_is_refused_in_one_line(
+    arguments: tuple[str, ...], words: tuple[str, ...], orbit: Path, here: Path
+) -> None:
+    before = contents(here)
+    assert orbit.name in before
+    assert_refused(ask(*arguments), *words)
+    assert contents(here) == before
+
+
+@pytest.mark.parametrize("command", [("verify",), ("plot", "-o", "pictures")])
+@pytest.mark.parametrize("part", [0.0, 0.001, 0.2, 0.5, 0.9, 0.999])
+def test_an_orbit_file_that_is_cut_short_is_refused(
+    part: float, command: tuple[str, ...], orbit: Path, here: Path
+) -> None:
+    text = orbit.read_text().rstrip()
+    orbit.write_text(text[: int(part * len(text))])
+    before = contents(here)
+    assert_refused(ask(*command, orbit.name), "orbit.json", "JSON")
+    assert contents(here) == before
+
+
+def _newer(data: dict[str, Any]) -> Any:
+    return {**data, "format": 2}
+
+
+def _other_format(data: dict[str, Any]) -> Any:
+    return {**data, "format": "1"}
+
+
+def _list(data: dict[str, Any]) -> Any:
+    return [data]
+
+
+def _nan(data: dict[str, Any]) -> Any:
+    return {**data, "period": math.nan}
+
+
+def _nan_inside(data: dict[str, Any]) -> Any:
+    return {**data, "release_state": {**data["release_state"], "theta1": math.nan}}
+
+
+def _infinite_gain(data: dict[str, Any]) -> Any:
+    return {**data, "gains": {"Kp": math.inf, "Kd": -1.0}}
+
+
+def _negative_period(data: dict[str, Any]) -> Any:
+    return {**data, "period": -1.0}
+
+
+def _text_period(data: dict[str, Any]) -> Any:
+    return {**data, "period": "1.8"}
+
+
+def _text_states(data: dict[str, Any]) -> Any:
+    return {**data, "zeno_state": "here"}
+
+
+def _impact_numbers(data: dict[str, Any]) -> Any:
+    return {**data, "impacts": [1.0, 2.0]}
+
+
+def _no_impacts(data: dict[str, Any]) -> Any:
+    return {**data, "impacts": []}
+
+
+def _no_period(data: dict[str, Any]) -> Any:
+    return {name: value for name, value in data.items() if name != "period"}
+
+
+def _missing_state(data: dict[str, Any]) -> Any:
+    return {**data, "release_state": {"theta1": 0.2}}
+
+
+def _missing_gain(data: dict[str, Any]) -> Any:
+    return {**data, "gains": {"Kp": 2.5}}
+
+
+def _unknown_parameter(data: dict[str, Any]) -> Any:
+    return {**data, "parameters": {**data["parameters"], "m3": 1.0}}
+
+
+def _bad_restitution(data: dict[str, Any]) -> Any:
+    return {**data, "parameters": {**data["parameters"], "restitution": 1.2}}
+
+
+def _other_scene(data: dict[str, Any]) -> Any:
+    return {**data, "problem": "bouncing_ball"}
+
+
+def _unknown_scene(data: dict[str, Any]) -> Any:
+    return {**data, "problem": "flying_machine"}
+
+
+def _single_multiplier(data: dict[str, Any]) -> Any:
+    return {**data, "floquet_multipliers": [0.1]}
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (_newer, ("format 2", "newer")),
+        (_other_format, ("`format`",)),
+        (_list, ("object",)),
+        (_nan, ("`period`", "finite")),
+        (_nan_inside, ("`release_state.theta1`", "finite")),
+        (_infinite_gain, ("`gains.Kp`", "finite")),
+        (_negative_period, ("`period`", "positive")),
+        (_text_period, ("`period`", "number")),
+        (_text_states, ("`zeno_state`",)),
+        (_impact_numbers, ("`impacts`",)),
+        (_no_impacts, ("impact",)),
+        (_no_period, ("`period`",)),
+        (_missing_state, ("theta2",)),
+        (_missing_gain, ("Kd",)),
+        (_unknown_parameter, ("m3",)),
+        (_bad_restitution, ("`restitution`", "1.2")),
+        (_other_scene, ()),
+        (_unknown_scene, ("`flying_machine`",)),
+        (_single_multiplier, ("`floquet_multipliers`",)),
+    ],
+)
+def test_a_false_orbit_file_is_refused_and_its_entry_named(
+    spoil: Callable[[dict[str, Any]], Any],
+    words: tuple[str, ...],
+    orbit_data: dict[str, Any],
+    here: Path,
+) -> None:
+    (here / "false.json").write_text(json.dumps(spoil(orbit_data)))
+    before = contents(here)
+    assert_refused(ask("verify", "false.json"), *words)
+    assert contents(here) == before
+
+
+def test_an_orbit_file_that_is_not_text_is_refused(here: Path) -> None:
+    (here / "binary.json").write_bytes(bytes(range(256)))
+    assert_refused(ask("verify", "binary.json"), "binary.json")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("raise RuntimeError('two\\nlines')", ("RuntimeError", "two lines")),
+        ("def broken(:\n    pass\n", ("SyntaxError",)),
+        ("import a_module_that_is_nowhere\n", ("a_module_that_is_nowhere",)),
+        ("PROBLEM = 3\n", ("PROBLEM",)),
+        ("", ("PROBLEM",)),
+        ("import sys\nsys.exit(3)\n", ("SystemExit",)),
+    ],
+    ids=["raises", "syntax", "import", "type", "empty", "exits"],
+)
+@pytest.mark.parametrize("command", ["simulate", "search", "conditions"])
+def test_a_scene_file_that_defines_no_scene_is_refused(
+    text: str, words: tuple[str, ...], command: str, here: Path
+) -> None:
+    (here / "scene.py").write_text(text)
+    before = contents(here)
+    assert_refused(ask(command, "scene.py"), "`scene.py`", *words)
+    assert contents(here) == before
+
+
+def test_a_scene_file_that_is_no_python_is_refused(here: Path) -> None:
+    (here / "scene.txt").write_text("PROBLEM = None\n")
+    assert_refused(ask("simulate", "scene.txt"), "`scene.txt`", "Python")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("search", "motor_pendulum", "-o", "closed/f.json"),
+        ("simulate", "motor_pendulum", "-o", "closed/f.png"),
+        ("plot", "orbit.json", "-o", "closed"),
+        ("plot", "orbit.json", "-o", "closed/pictures"),
+    ],
+)
+def test_a_closed_folder_is_refused(arguments: tuple[str, ...], orbit: Path, here: Path) -> None:
+    closed = here / "closed"
+    closed.mkdir(mode=0o500)
+    if os.access(closed, os.W_OK):
+        pytest.skip("this user may write anywhere")
+    assert orbit.exists()
+    assert_refused(ask(*arguments), "`output`", "closed")
+    assert list(closed.iterdir()) == []
+
+
+# -------------------------------------------------------------------------------- the help
+
+
+def examples(command: str) -> list[list[str]]:
+    """Return the example lines of a command's help, split as a shell would."""
+    answer = ask(command, "--help")
+    assert answer.code == YES
+    lines = re.findall(r"^  zeno-orbits (.+)$", answer.out, flags=re.MULTILINE)
+    return [shlex.split(line) for line in lines]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_help_of_a_command_shows_examples_of_it(command: str) -> None:
+    shown = examples(command)
+    assert shown
+    assert all(example[0] == command for example in shown)
+
+
+def test_the_help_of_the_program_names_every_command_and_the_exit_codes() -> None:
+    answer = ask("--help")
+    assert answer.code == YES
+    assert "exit codes: 0 yes; 1" in answer.out
+    assert "example" in answer.out
+    for command in COMMANDS:
+        assert command in answer.out
+
+
+QUICK = tuple(
+    example
+    for command in COMMANDS
+    for example in examples(command)
+    if "--objective" not in example and "reference" not in example
+)
+LONG = tuple(
+    example
+    for command in COMMANDS
+    for example in examples(command)
+    if "--objective" in example or "reference" in example
+)
+
+
+@pytest.mark.parametrize("example", QUICK, ids=" ".join)
+def test_a_quick_example_of_the_help_runs(example: list[str], orbit: Path) -> None:
+    assert orbit.exists()
+    assert ask(*example).code == YES
+
+
+@pytest.mark.parametrize("example", LONG, ids=" ".join)
+def test_a_long_example_of_the_help_is_understood(
+    example: list[str], orbit: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert orbit.exists()
+    reached = raising(ZenoOrbitsError("The work would begin here."))
+    monkeypatch.setattr("zeno_orbits.cli.search_gains", reached)
+    monkeypatch.setattr("zeno_orbits.cli.verify", reached)
+    answer = ask(*example)
+    assert answer.code == NO
+    assert answer.err == "zeno-orbits: The work would begin here.\n"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("example", LONG, ids=" ".join)
+def test_a_long_example_of_the_help_runs(example: list[str], orbit: Path) -> None:
+    assert orbit.exists()
+    assert ask(*example).code == YES
+
+
+# -------------------------------------------------------- output, errors and interruptions
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("problems",),
+        ("conditions", "motor_pendulum"),
+        ("conditions", "motor_pendulum", "-o", "region.png"),
+        ("simulate", "motor_pendulum", "--until", "2"),
+        ("simulate", "motor_pendulum", "--until", "2", "-o", "time.png"),
+        ("search", "motor_pendulum", *PUBLISHED_GAINS),
+        ("verify", "orbit.json", "--periods", "1"),
+        ("plot", "orbit.json", "-o", "pictures", "--kind", "portraits"),
+    ],
+    ids=" ".join,
+)
+def test_json_is_all_that_standard_output_holds_and_progress_goes_elsewhere(
+    arguments: tuple[str, ...], orbit: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert orbit.exists()
+    monkeypatch.setattr(report, "_PATIENCE", 0.0)
+    answer = ask(*arguments, "--json")
+    assert answer.code == YES
+    assert answer.data
+    if arguments[0] in ("simulate", "search", "verify"):
+        assert re.search(r"^ *\d+\.\d s  \w", answer.err)
+    else:
+        assert answer.err == ""
+
+
+def test_work_that_is_done_at_once_shows_no_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(report, "_PATIENCE", 1.0)
+    assert ask("simulate", "bouncing_ball", "--until", "0.1").err == ""
+
+
+@pytest.mark.parametrize("where", ["search_gains", "verify"])
+def test_an_interrupted_search_says_so_and_writes_nothing(
+    where: str, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(f"zeno_orbits.cli.{where}", raising(KeyboardInterrupt()))
+    answer = ask("search", "motor_pendulum", *PUBLISHED_GAINS, "-o", "f.json")
+    assert answer.code == INTERRUPTED
+    assert answer.out == ""
+    assert answer.err == "zeno-orbits: interrupted; nothing was written\n"
+    assert contents(here) == {}
+
+
+def test_an_unexpected_error_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("zeno_orbits.cli.load_problem", raising(RuntimeError("two\nlines")))
+    answer = ask("simulate", "motor_pendulum")
+    assert_refused(answer, "internal error", "RuntimeError: two lines", "--debug")
+
+
+def test_debug_shows_where_an_error_comes_from(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ValueError, match="pendulum"):
+        main(["simulate", "pendulum", "--debug"])
+    monkeypatch.setattr("zeno_orbits.cli.load_problem", raising(RuntimeError("deep inside")))
+    with pytest.raises(RuntimeError, match="deep inside"):
+        main(["simulate", "motor_pendulum", "--debug"])
+
+
+def started(*arguments: str | Path, **streams: Any) -> subprocess.Popen[str]:
+    """Start the command line in a process of its own, as a shell would."""
+    root = str(Path(__file__).resolve().parent.parent)
+    paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
+    return subprocess.Popen(
+        [sys.executable, "-m", "zeno_orbits", *map(str, arguments)],
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        **streams,
+    )
+
+
+def test_the_package_runs_as_a_module() -> None:
+    with started("simulate", "bouncing_ball", "--until", "1", "--json") as process:
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == YES
+    assert err == ""
+    assert json.loads(out)["problem"] == "bouncing_ball"
+
+
+def test_misuse_of_the_module_is_an_exit_code_and_one_line() -> None:
+    with started("simulate", "bouncing_ball", "--until", "0") as process:
+        out, err = process.communicate(timeout=60)
+    assert_refused(Answer(process.returncode, out, err), "`until`")
+
+
+@pytest.mark.parametrize("arguments", [("problems",), ("problems", "--json")], ids=" ".join)
+def test_a_reader_who_has_seen_enough_is_no_error(arguments: tuple[str, ...]) -> None:
+    with started(*arguments) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        err = process.stderr.read()
+    assert process.returncode == YES
+    assert err == ""
+
+
+def test_an_interrupt_from_the_keyboard_ends_a_search_without_a_file(here: Path) -> None:
+    arguments = ("--objective", "period=1.95", "-o", "f.json")
+    with started("search", "motor_pendulum", *arguments, cwd=here) as process:
+        assert process.stderr is not None
+        progress = process.stderr.readline()
+        process.send_signal(signal.SIGINT)
+        out, rest = process.communicate(timeout=60)
+    assert re.match(r" *\d+\.\d s  \w", progress)
+    assert process.returncode == INTERRUPTED
+    assert out == ""
+    assert rest.endswith("zeno-orbits: interrupted; nothing was written\n")
+    assert "Traceback" not in rest
+    assert contents(here) == {}

@@ -1,0 +1,277 @@
+"""Orbit files: every number comes back bit for bit, and what does not fit is named."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from zeno_orbits.certificate import OrbitCertificate
+from zeno_orbits.errors import InputError, OrbitFileError
+from zeno_orbits.orbit import FORMAT, OrbitImpact, ZenoOrbit, read_orbit, write_orbit
+from zeno_orbits.problem import Problem
+from zeno_orbits.verify import certified
+
+STATE = {"height": 0.1, "speed": -1 / 3}
+SMALL = ZenoOrbit(
+    problem="bouncing_ball",
+    parameters={"m": 1.0, "g": 9.81, "restitution": 0.8},
+    gains={},
+    period=math.pi,
+    release_state=STATE,
+    impacts=(OrbitImpact(time=0.1, state_minus=STATE),),
+    zeno_time=math.nextafter(2.0, 3.0),
+    zeno_state=STATE,
+    floquet_multipliers=(complex(0.1, -0.2),),
+    certificate={"passed": True, "residuals": {"closure": None}},
+    versions={"python": "3"},
+)
+"""No real orbit: enough to be written and read."""
+
+KEYS = {
+    "format",
+    "problem",
+    "parameters",
+    "gains",
+    "period",
+    "release_state",
+    "impacts",
+    "zeno_time",
+    "zeno_state",
+    "floquet_multipliers",
+    "certificate",
+    "versions",
+}
+"""The contract of the file, as the design prints it."""
+
+
+def _round_trip(orbit: ZenoOrbit, folder: Path) -> ZenoOrbit:
+    path = folder / "orbit.json"
+    write_orbit(orbit, path)
+    return read_orbit(path)
+
+
+def _bits(value: float) -> bytes:
+    return struct.pack("<d", value)
+
+
+def _refusal(folder: Path, text: str | bytes) -> str:
+    """Return the message with which a file is refused."""
+    path = folder / "bad.json"
+    path.write_bytes(text.encode() if isinstance(text, str) else text)
+    with pytest.raises(OrbitFileError) as caught:
+        read_orbit(path)
+    message = str(caught.value)
+    assert caught.value.path == path
+    assert "\n" not in message
+    assert message.startswith(f"Orbit file `{path}` must hold a Zeno orbit, but ")
+    return message
+
+
+def _changed(*path: str | int, to: Any) -> str:
+    """Return the small orbit's file with one entry changed."""
+    data = SMALL.as_json()
+    here: Any = data
+    for step in path[:-1]:
+        here = here[step]
+    here[path[-1]] = to
+    return json.dumps(data)
+
+
+def test_a_found_orbit_comes_back_bit_for_bit(
+    orbit: ZenoOrbit, certificate: OrbitCertificate, tmp_path: Path
+) -> None:
+    whole = certified(orbit, certificate)
+    again = _round_trip(whole, tmp_path)
+    assert again == whole
+    for name, value in whole.release_state.items():
+        assert _bits(again.release_state[name]) == _bits(value)
+    for mu, same in zip(whole.floquet_multipliers, again.floquet_multipliers, strict=True):
+        assert _bits(mu.real) == _bits(same.real)
+        assert _bits(mu.imag) == _bits(same.imag)
+
+
+def test_the_file_has_every_entry_of_the_contract(
+    orbit: ZenoOrbit, certificate: OrbitCertificate, scene: Problem
+) -> None:
+    data = json.loads(json.dumps(certified(orbit, certificate).as_json(), allow_nan=False))
+    assert set(data) == KEYS
+    assert data["format"] == FORMAT == 1
+    assert data["problem"] == scene.name
+    assert data["gains"] == {"Kp": 2.5, "Kd": -1.0}
+    assert list(data["parameters"]) == [quantity.name for quantity in scene.parameters]
+    for state in (data["release_state"], data["zeno_state"], data["impacts"][0]["state_minus"]):
+        assert tuple(state) == scene.state_names
+    assert set(data["impacts"][0]) == {"time", "state_minus"}
+    assert all(len(pair) == 2 for pair in data["floquet_multipliers"])
+    assert {"passed", "residuals", "margins"} <= set(data["certificate"])
+    assert {"zeno_orbits", "casadi", "numpy", "python"} <= set(data["versions"])
+
+
+def test_an_orbit_gives_the_numbers_of_its_scene(orbit: ZenoOrbit, scene: Problem) -> None:
+    assert orbit.setting(scene) == scene.setting()
+    with pytest.raises(InputError, match="but it is `Ki`"):
+        replace(orbit, gains={"Ki": 1.0}).setting(scene)
+
+
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+POSITIVE = st.floats(min_value=0.0, exclude_min=True, allow_infinity=False)
+NAMED = st.dictionaries(st.text(max_size=8), FINITE, max_size=4)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    period=POSITIVE,
+    zeno_time=POSITIVE,
+    state=NAMED,
+    times=st.lists(FINITE, max_size=4),
+    pair=st.tuples(FINITE, FINITE),
+)
+def test_any_finite_numbers_and_names_come_back(
+    tmp_path: Path,
+    period: float,
+    zeno_time: float,
+    state: dict[str, float],
+    times: list[float],
+    pair: tuple[float, float],
+) -> None:
+    original = replace(
+        SMALL,
+        period=period,
+        zeno_time=zeno_time,
+        release_state=state,
+        impacts=tuple(OrbitImpact(time=time, state_minus=state) for time in times),
+        floquet_multipliers=(complex(*pair),),
+    )
+    again = _round_trip(original, tmp_path)
+    assert again == original
+    assert {k: _bits(v) for k, v in again.release_state.items()} == {
+        k: _bits(v) for k, v in state.items()
+    }
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_an_orbit_that_is_not_finite_is_not_written(tmp_path: Path, value: float) -> None:
+    with pytest.raises(ValueError, match="JSON"):
+        write_orbit(replace(SMALL, period=value), tmp_path / "orbit.json")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", sorted(KEYS - {"certificate", "versions"}))
+def test_a_missing_entry_is_named(tmp_path: Path, name: str) -> None:
+    data = SMALL.as_json()
+    del data[name]
+    assert f"it has no `{name}`" in _refusal(tmp_path, json.dumps(data))
+
+
+@pytest.mark.parametrize("name", ["certificate", "versions"])
+def test_an_orbit_that_nobody_checked_may_leave_that_out(tmp_path: Path, name: str) -> None:
+    data = SMALL.as_json()
+    del data[name]
+    path = tmp_path / "orbit.json"
+    path.write_text(json.dumps(data), encoding="utf-8")
+    assert getattr(read_orbit(path), name) == {}
+
+
+@pytest.mark.parametrize("name", ["time", "state_minus"])
+def test_a_missing_entry_of_an_impact_is_named(tmp_path: Path, name: str) -> None:
+    data = SMALL.as_json()
+    del data["impacts"][0][name]
+    assert f"it has no `{name}`" in _refusal(tmp_path, json.dumps(data))
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "words"),
+    [
+        (("format",), "1", "`format` is not a positive whole number"),
+        (("format",), True, "`format` is not a positive whole number"),
+        (("format",), 0, "`format` is not a positive whole number"),
+        (("format",), 1.5, "`format` is not a positive whole number"),
+        (("problem",), 1, "`problem` is not a text"),
+        (("parameters",), [], "`parameters` is not an object"),
+        (("parameters", "g"), "9.81", "`parameters.g` is not a number"),
+        (("gains",), None, "`gains` is not an object"),
+        (("period",), "1", "`period` is not a number"),
+        (("period",), None, "`period` is not a number"),
+        (("period",), True, "`period` is not a number"),
+        (("period",), -1.0, "`period` is not positive"),
+        (("period",), 0, "`period` is not positive"),
+        (("period",), math.nan, "`period` is not finite"),
+        (("period",), math.inf, "`period` is not finite"),
+        (("release_state",), 1, "`release_state` is not an object"),
+        (("release_state", "speed"), None, "`release_state.speed` is not a number"),
+        (("impacts",), {}, "`impacts` is not a list"),
+        (("impacts", 0), 1, "`impacts` is not an object"),
+        (("impacts", 0, "time"), "x", "`impacts[0].time` is not a number"),
+        (("impacts", 0, "time"), math.nan, "`impacts[0].time` is not finite"),
+        (("impacts", 0, "state_minus"), [], "`impacts[0].state_minus` is not an object"),
+        (
+            ("impacts", 0, "state_minus", "speed"),
+            [],
+            "`impacts[0].state_minus.speed` is not a number",
+        ),
+        (("zeno_time",), "x", "`zeno_time` is not a number"),
+        (("zeno_time",), -0.5, "`zeno_time` is not positive"),
+        (("zeno_state",), "x", "`zeno_state` is not an object"),
+        (("zeno_state", "height"), math.nan, "`zeno_state.height` is not finite"),
+        (("floquet_multipliers",), 0.5, "`floquet_multipliers` is not a list"),
+        (("floquet_multipliers", 0), 0.5, "`floquet_multipliers` is not a list of pairs"),
+        (("floquet_multipliers", 0), [1, 2, 3], "`floquet_multipliers` is not a list of pairs"),
+        (("floquet_multipliers", 0), ["a", 2], "`floquet_multipliers` is not a number"),
+        (("certificate",), [], "`certificate` is not an object"),
+        (("versions",), "1", "`versions` is not an object"),
+    ],
+    ids=str,
+)
+def test_an_entry_of_the_wrong_type_is_named(
+    tmp_path: Path, path: tuple[str | int, ...], value: Any, words: str
+) -> None:
+    assert words in _refusal(tmp_path, _changed(*path, to=value))
+
+
+def test_a_newer_format_is_refused_before_anything_else(tmp_path: Path) -> None:
+    text = json.dumps({"format": FORMAT + 1})
+    words = f"its format {FORMAT + 1} is newer than {FORMAT}, the newest this version reads"
+    assert words in _refusal(tmp_path, text)
+
+
+@pytest.mark.parametrize("part", [0.0, 0.1, 0.5, 0.99])
+def test_a_file_that_was_cut_short_is_refused(tmp_path: Path, part: float) -> None:
+    text = json.dumps(SMALL.as_json())
+    assert "it is no complete JSON" in _refusal(tmp_path, text[: int(part * len(text))])
+
+
+@pytest.mark.parametrize("text", ["orbit", "{'format': 1}", '{"format": 1} {}'])
+def test_a_file_that_is_no_json_is_refused(tmp_path: Path, text: str) -> None:
+    assert "it is no complete JSON" in _refusal(tmp_path, text)
+
+
+@pytest.mark.parametrize("text", ["[]", "1", "null", '"orbit"'])
+def test_json_without_names_is_refused(tmp_path: Path, text: str) -> None:
+    assert "`the file` is not an object with names" in _refusal(tmp_path, text)
+
+
+def test_binary_garbage_is_refused(tmp_path: Path) -> None:
+    assert "it cannot be read (UnicodeDecodeError)" in _refusal(tmp_path, b"\x80\xff\x00" * 99)
+
+
+def test_a_number_too_large_for_a_float_is_refused(tmp_path: Path) -> None:
+    text = _changed("period", to=1.0).replace('"period": 1.0', '"period": 1' + 400 * "0")
+    assert "`period`" in _refusal(tmp_path, text)
+
+
+def test_deep_nesting_is_refused(tmp_path: Path) -> None:
+    assert "JSON" in _refusal(tmp_path, 200_000 * "[")
+
+
+@pytest.mark.parametrize("name", ["missing.json", "."])
+def test_what_is_no_file_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(OrbitFileError, match="it cannot be read"):
+        read_orbit(tmp_path / name)

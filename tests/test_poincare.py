@@ -1,0 +1,151 @@
+"""The release section, the return map on it, and multipliers that are known."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.closed_forms import FORCED
+from tests.reference_orbit import MULTIPLIER, PERIOD, RELEASE, ZENO_STATE
+from tests.scenes import clocked_oscillator, oscillator_state
+from zeno_orbits.compiled import bind, compile_problem
+from zeno_orbits.dynamics import HybridDynamics
+from zeno_orbits.errors import SimulationError
+from zeno_orbits.poincare import (
+    Multipliers,
+    floquet_multipliers,
+    poincare_map,
+    release_section,
+)
+from zeno_orbits.problem import Problem
+from zeno_orbits.simulate import SimulationSettings
+
+SETTINGS = SimulationSettings()
+SCALE = np.maximum(np.abs(RELEASE), np.abs(ZENO_STATE)) + 1e-3
+CENTRE = np.array(RELEASE)
+
+
+@pytest.fixture(name="multipliers", scope="module")
+def _multipliers(machine: HybridDynamics) -> Multipliers:
+    return floquet_multipliers(machine, CENTRE, scale=SCALE, period=PERIOD, settings=SETTINGS)
+
+
+@pytest.mark.parametrize("coordinates", [(0.0, 0.0), (1e-2, 0.0), (0.0, -1e-2), (0.03, 0.02)])
+def test_states_of_the_section_are_releases(
+    machine: HybridDynamics, coordinates: tuple[float, float]
+) -> None:
+    section = release_section(machine, CENTRE, SCALE)
+    assert section.dimension == 2
+    x = section.state(machine, np.array(coordinates))
+    assert machine.gap(x) == pytest.approx(0.0, abs=1e-14)
+    assert machine.gap_rate(x) == pytest.approx(0.0, abs=1e-12)
+    assert machine.multiplier(x) == pytest.approx(0.0, abs=1e-14)
+    assert machine.multiplier_rate(x) < 0.0
+
+
+@pytest.mark.parametrize("coordinates", [(0.0, 0.0), (1e-2, 0.0), (0.0, -1e-2), (0.03, 0.02)])
+def test_coordinates_and_states_of_the_section_invert_each_other(
+    machine: HybridDynamics, coordinates: tuple[float, float]
+) -> None:
+    section = release_section(machine, CENTRE, SCALE)
+    x = section.state(machine, np.array(coordinates))
+    assert section.coordinates(x) == pytest.approx(np.array(coordinates), abs=1e-12)
+    again = section.state(machine, section.coordinates(x))
+    assert again == pytest.approx(x, abs=1e-12)
+
+
+def test_the_centre_is_the_origin_of_its_chart(machine: HybridDynamics) -> None:
+    section = release_section(machine, CENTRE, SCALE)
+    assert section.coordinates(CENTRE).tolist() == [0.0, 0.0]
+    assert section.tangent.T @ section.tangent == pytest.approx(np.eye(2), abs=1e-12)
+
+
+def test_the_orbit_is_a_fixed_point_of_the_return_map(machine: HybridDynamics) -> None:
+    time, x = poincare_map(machine, CENTRE, horizon=2 * PERIOD, settings=SETTINGS)
+    assert time == pytest.approx(PERIOD, abs=1e-10)
+    assert x == pytest.approx(CENTRE, abs=1e-10)
+
+
+def test_a_horizon_before_the_next_release_is_told(machine: HybridDynamics) -> None:
+    with pytest.raises(SimulationError, match="There is no next release"):
+        poincare_map(machine, CENTRE, horizon=0.9 * PERIOD, settings=SETTINGS)
+
+
+def test_the_pendulum_has_the_declared_multipliers(multipliers: Multipliers) -> None:
+    large, small = multipliers.values
+    assert large == pytest.approx(MULTIPLIER, abs=1e-6)
+    assert small == pytest.approx(0.0, abs=1e-6)
+    assert multipliers.error < 1e-6
+    assert multipliers.spectral_radius == abs(large)
+
+
+def test_the_multipliers_do_not_depend_on_the_units(
+    machine: HybridDynamics, multipliers: Multipliers
+) -> None:
+    stretched = SCALE * np.array([3.0, 0.5, 0.4, 2.0, 5.0])
+    other = floquet_multipliers(machine, CENTRE, scale=stretched, period=PERIOD, settings=SETTINGS)
+    # Other displacements, so other errors: each below 1e-6.
+    assert other.values[0] == pytest.approx(multipliers.values[0], abs=1e-6)
+    assert other.values[1] == pytest.approx(multipliers.values[1], abs=1e-6)
+
+
+def test_a_small_change_shrinks_by_the_multiplier(
+    machine: HybridDynamics, multipliers: Multipliers
+) -> None:
+    section = release_section(machine, CENTRE, SCALE)
+    _, vectors = np.linalg.eig(multipliers.jacobian)
+    values = np.linalg.eigvals(multipliers.jacobian)
+    direction = np.real(vectors[:, int(np.argmax(np.abs(values)))])
+    distance = 1e-4
+    start = section.state(machine, distance * direction)
+    _, end = poincare_map(machine, start, horizon=2 * PERIOD, settings=SETTINGS)
+    # The next order is the distance itself.
+    expected = distance * direction * multipliers.values[0].real
+    assert section.coordinates(end) == pytest.approx(expected, abs=10 * distance**2)
+
+
+def test_a_locked_arc_forgets_the_current(scene: Problem) -> None:
+    # With R / L = 1500 a second, the locked arc of half a second forgets it to exp(-700): one
+    # multiplier is zero. At e = 0 this is the whole of the second one.
+    setting = scene.setting(parameters={"restitution": 0.0})
+    dynamics = bind(compile_problem(scene), setting.values())
+    settled = CENTRE
+    for _ in range(8):
+        _, settled = poincare_map(dynamics, settled, horizon=2 * PERIOD, settings=SETTINGS)
+    found = floquet_multipliers(dynamics, settled, scale=SCALE, period=PERIOD, settings=SETTINGS)
+    assert abs(found.values[1]) < 1e-6
+    assert abs(found.values[0]) < 1.0
+    assert abs(np.linalg.det(found.jacobian)) < 1e-6
+
+
+def _clocked(*, attracting: bool) -> Multipliers:
+    problem = clocked_oscillator(FORCED, attracting=attracting)
+    dynamics = bind(compile_problem(problem), problem.setting().values())
+    release = np.array(oscillator_state(FORCED.release_time, FORCED.stop, 0.0))
+    return floquet_multipliers(
+        dynamics, release, scale=np.ones(4), period=2 * math.pi, settings=SETTINGS
+    )
+
+
+def test_a_clock_that_attracts_has_its_multiplier_in_closed_form() -> None:
+    # y'' = -y + y' (1 - y^2 - y'^2) shrinks areas of (y, y') on its circle at the rate -2 y'^2,
+    # whose integral over a turn is -2 pi. Nothing else is left of a locked mass.
+    found = _clocked(attracting=True)
+    assert len(found.values) == 1
+    assert found.values[0] == pytest.approx(math.exp(-2 * math.pi), abs=1e-8)
+    # The error is that of the coarser difference: its distance from the exact value.
+    assert found.error < 1e-4
+
+
+def test_a_clock_that_keeps_any_amplitude_has_the_multiplier_one() -> None:
+    found = _clocked(attracting=False)
+    assert found.values[0] == pytest.approx(1.0, abs=1e-7)
+
+
+def test_a_state_that_does_not_return_is_told(machine: HybridDynamics) -> None:
+    blind = replace(machine, multiplier_rate=lambda _: 1.0)
+    with pytest.raises(SimulationError):
+        floquet_multipliers(blind, CENTRE, scale=SCALE, period=PERIOD / 3, settings=SETTINGS)

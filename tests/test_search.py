@@ -1,0 +1,271 @@
+"""Searches end at the orbits of independent simulations, or say why they found none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.reference_orbit import (
+    FIRST_IMPACT,
+    FIRST_RATE,
+    PERIOD,
+    PERIODS,
+    RELEASE,
+    ZENO_STATE,
+    ZENO_TIME,
+)
+from zeno_orbits.certificate import OrbitCertificate
+from zeno_orbits.compiled import bind, compile_problem
+from zeno_orbits.errors import InputError
+from zeno_orbits.execution import Execution
+from zeno_orbits.guess import SettlingSettings
+from zeno_orbits.objectives import LeastEnergy, NearestGains, WantedAmplitude, WantedPeriod
+from zeno_orbits.orbit import ZenoOrbit
+from zeno_orbits.problem import Problem, load_problem, load_reference
+from zeno_orbits.search import (
+    OrbitNotFoundError,
+    SearchResult,
+    SearchSettings,
+    SearchStatus,
+    find_orbit,
+    search_gains,
+)
+from zeno_orbits.simulate import simulate
+from zeno_orbits.verify import VerificationSettings, verify
+
+ACCURACY = 1e-8
+"""What is promised of an orbit; the first one is within 1e-11 of the declared numbers."""
+IMPATIENT = SearchSettings(settling=SettlingSettings(horizon=40.0))
+
+
+def _one_period(orbit: ZenoOrbit, problem: Problem) -> Execution:
+    """Return the period after the release, on the model that was written by hand."""
+    by_hand = load_reference(problem).dynamics(orbit.setting(problem))
+    start = by_hand.on_stop(np.array(list(orbit.release_state.values())))
+    run = simulate(by_hand, start, until=1.3 * orbit.period)
+    assert run.releases
+    return run
+
+
+def _box(problem: Problem) -> dict[str, tuple[float, float]]:
+    return {gain.name: (gain.lower, gain.upper) for gain in problem.gains}
+
+
+# At fixed gains.
+
+
+def test_the_orbit_at_the_published_gains_is_the_declared_one(orbit: ZenoOrbit) -> None:
+    assert orbit.period == pytest.approx(PERIOD, abs=ACCURACY)
+    assert list(orbit.release_state.values()) == pytest.approx(RELEASE, abs=ACCURACY)
+    assert orbit.zeno_time == pytest.approx(ZENO_TIME, abs=ACCURACY)
+    assert list(orbit.zeno_state.values()) == pytest.approx(ZENO_STATE, abs=ACCURACY)
+    first = orbit.impacts[0]
+    assert first.time == pytest.approx(FIRST_IMPACT, abs=ACCURACY)
+    assert first.state_minus["dtheta2"] == pytest.approx(FIRST_RATE, abs=ACCURACY)
+
+
+def test_a_search_reports_how_well_it_did(found: SearchResult) -> None:
+    assert found.status is SearchStatus.FOUND
+    assert found.detail == ""
+    assert found.agreement <= SearchSettings().agreement
+    assert 0.0 < found.closure_error <= SearchSettings().transcription.closure_tolerance
+    assert max(found.residuals.values()) < 1e-9
+    assert found.n_unknowns > 1000
+    assert found.iterations >= 1
+    assert 0.0 < found.solve_time < found.wall_time
+    assert [attempt.status for attempt in found.attempts] == [SearchStatus.FOUND]
+
+
+@pytest.mark.parametrize(("restitution", "period"), list(PERIODS.items()))
+def test_other_restitutions_have_their_declared_periods(
+    scene: Problem, restitution: float, period: float
+) -> None:
+    result = find_orbit(scene, scene.setting(parameters={"restitution": restitution}))
+    assert result.unwrap().period == pytest.approx(period, abs=ACCURACY)
+    assert (result.closure_error == 0.0) == (restitution == 0.0)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "gains"), [({"R": 2.0}, {}), ({"R": 4.0}, {}), ({}, {"Kp": 4.0})]
+)
+def test_the_orbit_is_where_a_long_simulation_ends(
+    scene: Problem, parameters: dict[str, float], gains: dict[str, float]
+) -> None:
+    setting = scene.setting(parameters=parameters, gains=gains)
+    orbit = find_orbit(scene, setting).unwrap()
+    dynamics = bind(compile_problem(scene), setting.values())
+    # The largest multiplier is 0.37 in size: 27 periods shrink any start to 1e-11.
+    run = simulate(dynamics, scene.state_vector({"theta1": 0.6}), until=50.0)
+    early, late = run.releases[-2:]
+    assert late.time - early.time == pytest.approx(orbit.period, abs=ACCURACY)
+    assert late.state == pytest.approx(np.array(list(orbit.release_state.values())), abs=ACCURACY)
+    # What the search calls an orbit must pass the check that follows it.
+    certificate = verify(orbit, scene, settings=VerificationSettings(n_periods=1))
+    assert certificate.passed, certificate.verdict()
+
+
+# Free gains.
+
+
+@pytest.mark.parametrize("period", [1.75, pytest.param(1.90, marks=pytest.mark.slow)])
+def test_a_wanted_period_is_reached(scene: Problem, period: float) -> None:
+    wanted = WantedPeriod(target=period)
+    result = search_gains(scene, scene.setting(), free_gains=_box(scene), objective=wanted)
+    orbit = result.unwrap()
+    run = _one_period(orbit, scene)
+    assert run.releases[-1].time == pytest.approx(period, abs=ACCURACY)
+    assert verify(orbit, scene, settings=VerificationSettings(n_periods=1)).passed
+    for name, (lower, upper) in _box(scene).items():
+        assert lower <= orbit.gains[name] <= upper
+
+
+def test_one_free_gain_is_enough_for_a_period(scene: Problem) -> None:
+    result = search_gains(
+        scene,
+        scene.setting(),
+        free_gains={"Kd": (-1.5, -0.4)},
+        objective=WantedPeriod(target=1.82),
+    )
+    orbit = result.unwrap()
+    assert orbit.gains["Kp"] == 2.5
+    run = _one_period(orbit, scene)
+    assert run.releases[-1].time == pytest.approx(1.82, abs=ACCURACY)
+
+
+@pytest.mark.slow
+def test_a_wanted_amplitude_is_reached(scene: Problem) -> None:
+    wanted = WantedAmplitude(state="theta1", target=1.2)
+    result = search_gains(scene, scene.setting(), free_gains=_box(scene), objective=wanted)
+    orbit = result.unwrap()
+    run = _one_period(orbit, scene)
+    times = np.linspace(0.0, orbit.period, 4001)
+    angles = np.array([run.state_at(float(time))[0] for time in times])
+    ends = []
+    for sign in (1, -1):
+        # The parabola through the three highest samples is right to the fourth power of the step.
+        k = int(np.argmax(sign * angles))
+        around = np.array([run.state_at(float(t))[0] for t in times[k - 1 : k + 2]])
+        fit = np.polynomial.Polynomial.fit(times[k - 1 : k + 2], around, 2)
+        ends.append(float(fit(fit.deriv().roots()[0])))
+    assert (ends[0] - ends[1]) / 2 == pytest.approx(1.2, abs=ACCURACY)
+
+
+def test_less_energy_is_found_where_gains_may_give(
+    scene: Problem, certificate: OrbitCertificate
+) -> None:
+    result = search_gains(
+        scene, scene.setting(), free_gains={"Kd": (-1.1, -0.9)}, objective=LeastEnergy()
+    )
+    orbit = result.unwrap()
+    spent = verify(orbit, scene, settings=VerificationSettings(n_periods=1)).energies
+    assert spent["input_work"] < 0.9 * certificate.energies["input_work"]
+    assert -1.1 <= orbit.gains["Kd"] <= -0.9
+
+
+def test_gains_that_have_an_orbit_are_their_own_nearest(scene: Problem) -> None:
+    target = {"Kp": 3.0, "Kd": -0.9}
+    result = search_gains(
+        scene, scene.setting(), free_gains=_box(scene), objective=NearestGains(target=target)
+    )
+    assert result.unwrap().gains == target
+
+
+def test_a_target_outside_the_box_is_met_at_its_edge(scene: Problem) -> None:
+    result = search_gains(
+        scene,
+        scene.setting(),
+        free_gains={"Kp": (2.0, 3.0)},
+        objective=NearestGains(target={"Kp": 9.0}),
+    )
+    assert result.unwrap().gains == pytest.approx({"Kp": 3.0, "Kd": -1.0}, abs=1e-6)
+
+
+# No orbit.
+
+
+def test_a_restitution_beyond_the_family_leaves_no_guess(scene: Problem) -> None:
+    setting = scene.setting(parameters={"restitution": 0.5})
+    result = find_orbit(scene, setting, settings=IMPATIENT)
+    assert result.status is SearchStatus.NO_GUESS
+    assert result.orbit is None
+    assert result.detail.startswith("At Kp = 2.5, Kd = -1, ")
+    assert "after 40 s" in result.detail
+    assert result.residuals == {}
+
+
+def test_motion_that_grows_or_dies_out_slowly_is_no_orbit(scene: Problem) -> None:
+    result = find_orbit(scene, scene.setting(gains={"Kd": -0.1}), settings=IMPATIENT)
+    # It changes so little a period that it may pass for a guess; the program then finds nothing.
+    assert result.status in (SearchStatus.NO_GUESS, SearchStatus.NOT_SOLVED)
+    assert result.orbit is None
+    assert result.detail
+
+
+def test_a_ball_has_no_orbit() -> None:
+    ball = load_problem("bouncing_ball")
+    result = find_orbit(ball, ball.setting(), settings=IMPATIENT)
+    assert result.status is SearchStatus.NO_GUESS
+    assert result.detail == "The motion dies out."
+    with pytest.raises(OrbitNotFoundError, match="No simulation settled") as caught:
+        result.unwrap()
+    assert caught.value.result is result
+
+
+def test_an_orbit_that_nobody_accepts_is_not_returned(scene: Problem) -> None:
+    seen: list[ZenoOrbit] = []
+
+    def refuse(orbit: ZenoOrbit) -> str:
+        seen.append(orbit)
+        return "it is too plain"
+
+    result = search_gains(
+        scene,
+        scene.setting(),
+        free_gains={"Kp": (2.4, 2.6)},
+        accept=refuse,
+        settings=replace(IMPATIENT, n_starts=1),
+    )
+    assert result.status is SearchStatus.NOT_ACCEPTED
+    assert result.orbit is None
+    assert result.detail == "it is too plain"
+    assert len(seen) == len(result.attempts) == 2
+    assert {attempt.detail for attempt in result.attempts} == {"it is too plain"}
+
+
+def test_progress_is_told_in_order(scene: Problem) -> None:
+    told: list[str] = []
+    result = search_gains(
+        scene, scene.setting(), free_gains={}, accept=lambda _: "", on_progress=told.append
+    )
+    assert result.status is SearchStatus.FOUND
+    assert told[0] == "start 1: simulating Kp = 2.5, Kd = -1"
+    assert told[-1] == "start 1: verifying"
+
+
+# Misuse.
+
+
+@pytest.mark.parametrize("bounds", [(2.0, 2.0), (3.0, 2.0), (2.0, np.inf), (np.nan, 2.0)])
+def test_a_box_that_is_empty_or_endless_is_refused(
+    scene: Problem, bounds: tuple[float, float]
+) -> None:
+    with pytest.raises(InputError, match=r"`Kp` must have .*bounds LOWER < UPPER"):
+        search_gains(scene, scene.setting(), free_gains={"Kp": bounds})
+
+
+def test_a_gain_that_the_scene_does_not_have_is_refused(scene: Problem) -> None:
+    with pytest.raises(InputError, match="`gain` must be one of Kp, Kd, but it is `Ki`"):
+        search_gains(scene, scene.setting(), free_gains={"Ki": (1.0, 2.0)})
+
+
+def test_a_target_of_a_gain_that_the_scene_does_not_have_is_refused(scene: Problem) -> None:
+    with pytest.raises(InputError, match="Ki"):
+        search_gains(
+            scene,
+            scene.setting(),
+            free_gains={"Kp": (1.0, 2.0)},
+            objective=NearestGains(target={"Ki": 1.0}),
+            settings=replace(IMPATIENT, n_starts=0),
+        )
