@@ -212,7 +212,9 @@ def test_the_orbit_of_the_forced_oscillator_is_found(attracting: bool) -> None:
     result = find_orbit(problem, problem.setting())
     assert result.status is SearchStatus.FOUND
     found = result.unwrap()
-    accuracy = 1e-9 if attracting else 1e-7
+    # The loose settling drifts along the neutral amplitude, by 1e-8 a second for up to 200 s; the
+    # times and states of the orbit follow the amplitude with a factor below 10.
+    accuracy = 1e-9 if attracting else 10 * 200 * 1e-8
     assert found.period == pytest.approx(2 * np.pi, abs=1e-9)
     assert found.release_state["y"] == pytest.approx(FORCED.stop, abs=accuracy)
     assert found.release_state["dy"] == pytest.approx(-0.6, abs=accuracy)

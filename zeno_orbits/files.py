@@ -18,10 +18,10 @@ def require_picture(path: Path) -> None:
     Raises:
         InputError: If its suffix is none of ``PICTURES``, or it cannot become a file.
     """
+    require_writable(path)
     if path.suffix.lower() not in PICTURES:
         message = f"Argument `output` must end in .png, .pdf or .svg, but it is `{path.name}`."
         raise InputError(message)
-    require_writable(path)
 
 
 def require_writable(path: Path) -> None:

@@ -123,7 +123,7 @@ def floquet_multipliers(
     scale: Vector,
     period: float,
     settings: SimulationSettings,
-    noise: float,
+    noise: float = 0.0,
 ) -> Multipliers:
     """Return the multipliers of an orbit by differences of the return map.
 
@@ -136,7 +136,7 @@ def floquet_multipliers(
         scale: Size of each state, ``(n_x,)``.
         period: Period of the orbit [s].
         settings: Accuracy.
-        noise: Error of a returned state, relative to ``scale``.
+        noise: Error of a returned state, relative to ``scale``, if it is known.
 
     Raises:
         SimulationError: If a displaced state does not return.
