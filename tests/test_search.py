@@ -269,3 +269,18 @@ def test_a_target_of_a_gain_that_the_scene_does_not_have_is_refused(scene: Probl
             objective=NearestGains(target={"Ki": 1.0}),
             settings=replace(IMPATIENT, n_starts=0),
         )
+
+
+def test_an_agreement_that_cannot_be_had_ends_the_search() -> None:
+    # Program and simulation never agree beyond rounding; the wanted value itself is met.
+    settings = SearchSettings(n_starts=0, rounds=1, agreement=1e-17, smallest_step=0.03)
+    pendulum = load_problem("motor_pendulum")
+    result = search_gains(
+        pendulum,
+        pendulum.setting(),
+        free_gains={"Kd": (-1.2, -0.8)},
+        objective=WantedPeriod(target=1.81),
+        settings=settings,
+    )
+    assert result.status is SearchStatus.NOT_SOLVED
+    assert "differ by" in result.detail

@@ -75,7 +75,20 @@ _AT_BOUND = 0.02
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Find:
-    """What came of one start or one solve."""
+    """What came of one start or one solve.
+
+    Attributes:
+        status: How it ended.
+        detail: The reason in words, where there is no orbit.
+        orbit: The orbit, if there is one.
+        gains: Gains of the solution.
+        cycle: One period simulated from the solution.
+        solution: What the solver returned.
+        agreement: Relative difference of solution and simulation.
+        closure_error: Estimated error of the Zeno closure, relative.
+        n_unknowns: Unknowns of the program.
+        shortfall: How far from a wanted value the start ended.
+    """
 
     status: SearchStatus
     detail: str = ""
@@ -91,7 +104,17 @@ class Find:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hunt:
-    """A search: its scene, its question and how hard to look."""
+    """A search: its scene, its question and how hard to look.
+
+    Attributes:
+        problem: The scene.
+        compiled: Its functions.
+        setting: Its numbers; the gains are those of the first start.
+        free_gains: Name to bounds of the gains to be found.
+        objective: What is asked.
+        settings: How hard to look.
+        tell: Called with what is being done.
+    """
 
     problem: Problem
     compiled: CompiledSystem
@@ -142,7 +165,7 @@ class Hunt:
                 find = self.solve_once(start, gains, cycle, wanted.at(value), _COARSE)
             if find.status is SearchStatus.FOUND and last_step:
                 return find
-            if find.cycle is None or not find.agreement < _ON_THE_WAY:
+            if last_step or find.cycle is None or not find.agreement < _ON_THE_WAY:
                 last, step, growth = find, step / 2, 1.0
                 continue
             here, gains, cycle = value, find.gains, find.cycle
@@ -305,14 +328,11 @@ def _one_cycle(dynamics: HybridDynamics, release: Vector, horizon: float) -> Cyc
 
 
 def _complaint(solution: Solution, objective: Objective | None) -> str:
-    asked = "" if objective is None else f" for {objective.wish}"
+    """Return what was asked, how the solver ended and which conditions it missed most."""
+    asked = "At these gains" if objective is None else f"Asked for {objective.wish}"
     worst = [f"`{name}` by {size:.1e}" for name, size in solution.worst() if size > 1e-9]
     missed = f"; missed: {', '.join(worst)}" if worst else ""
-    return (
-        f"Asked{asked}, {solution.status.value}{missed}."
-        if asked
-        else (f"{solution.status.value[0].upper()}{solution.status.value[1:]}{missed}.")
-    )
+    return f"{asked}, {solution.status.value}{missed}."
 
 
 def _impact_difference(cycle: Cycle, solution: Solution) -> float:
