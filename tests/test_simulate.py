@@ -649,3 +649,15 @@ def test_a_mass_that_turns_before_the_stop_does_not_impact() -> None:
     assert execution.end_state == pytest.approx(
         np.array([math.cos(20.0), -math.sin(20.0)]), abs=ACCURACY
     )
+
+
+def test_a_motion_that_dies_out_is_followed_to_rest() -> None:
+    # Positive damping: the swing fades into the hanging equilibrium, where the stop neither holds
+    # nor repels, and the contacts end in rounding.
+    problem = load_problem("motor_pendulum")
+    dynamics = bind(compile_problem(problem), problem.setting(gains={"Kd": 2.0}).values())
+    execution = simulate(dynamics, problem.state_vector(problem.starts[0]), until=60.0)
+    assert execution.end_time == 60.0
+    assert np.max(np.abs(execution.end_state)) < 1e-3
+    speeds = [-impact.approach_rate for impact in execution.impacts]
+    assert all(speed > 0.0 for speed in speeds)

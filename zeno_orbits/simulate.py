@@ -47,7 +47,7 @@ class SimulationSettings:
         engine: The integrator.
         tolerance: Its local error.
         completion: How a Zeno point is reached.
-        contact: A gap or gap rate of an initial state below this counts as zero.
+        contact: A gap or gap rate below this counts as zero.
         far: A coordinate beyond this ends the execution with an error.
         most_impacts: Impacts in one sequence before it is given up.
         most_steps: Steps of all arcs before the execution is given up; each is kept for dense
@@ -208,6 +208,9 @@ class _Run:
         if arc.ending is Ending.HORIZON:
             return None
         rate = self.dynamics.gap_rate(arc.end_state)
+        if abs(rate) <= self.settings.contact:
+            # The gap closes no faster than rounding: the stop is touched, not struck.
+            return self.rest(arc.end_time, self.dynamics.on_stop(arc.end_state))
         return self.hit(arc.end_time, arc.end_state, rate)
 
     def bounce(self, start: _Start) -> _Start | None:
@@ -359,7 +362,8 @@ class _Run:
             after = flow.guard(step.after)
             fall = first_fall(flow, step, before, after, on_guard=on_guard)
             largest = max(largest, abs(before[1]) * step.size, abs(after[1]) * step.size)
-            if fall is None and on_guard and after[0] < -_LEAVES * (largest or 1.0):
+            left = after[0] < -max(_LEAVES * largest, self.settings.contact)
+            if fall is None and on_guard and left:
                 raise PenetrationError(
                     "The state leaves the admissible set from its boundary",
                     time=start.time + unit * step.start,
