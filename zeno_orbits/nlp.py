@@ -6,7 +6,10 @@ failed solve is reported in the words of the problem. Source: [WachterBiegler200
 
 from __future__ import annotations
 
+import contextlib
+import io
 import math
+import threading
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -276,6 +279,13 @@ class ProgramBuilder:
         self._row_bounds += [bounds] * n_rows
 
 
+def _quiet_about_interrupts() -> contextlib.AbstractContextManager[object]:
+    """Keep CasADi's own line about an interrupt off the terminal; other threads keep theirs."""
+    if threading.current_thread() is threading.main_thread():
+        return contextlib.redirect_stderr(io.StringIO())
+    return contextlib.nullcontext()
+
+
 def solve(program: Program, settings: IpoptSettings | None = None) -> Solution:
     """Solve a program with Ipopt, from its guess.
 
@@ -287,13 +297,14 @@ def solve(program: Program, settings: IpoptSettings | None = None) -> Solution:
     nlp = {"x": program.unknowns, "f": program.objective, "g": program.rows}
     solver = ca.nlpsol("orbit", "ipopt", nlp, options)
     started = time.perf_counter()
-    answer = solver(
-        x0=program.guess,
-        lbx=program.lower,
-        ubx=program.upper,
-        lbg=program.row_lower,
-        ubg=program.row_upper,
-    )
+    with _quiet_about_interrupts():
+        answer = solver(
+            x0=program.guess,
+            lbx=program.lower,
+            ubx=program.upper,
+            lbg=program.row_lower,
+            ubg=program.row_upper,
+        )
     wall_time = time.perf_counter() - started
     stats = solver.stats()
     return_status = str(stats["return_status"])
