@@ -1,4 +1,4 @@
-"""The orbit that the design declares, from a Taylor integration and Newton on the return map."""
+"""The reference orbit, measured beforehand by a Taylor integration and Newton on the return map."""
 
 from __future__ import annotations
 

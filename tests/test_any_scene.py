@@ -17,7 +17,7 @@ from zeno_orbits.search import find_orbit
 from zeno_orbits.verify import verify
 
 PERIOD = 1.81371293903044
-"""Of the reference orbit, measured by Taylor integration (the design's figure) [s]."""
+"""Of the reference orbit, measured by Taylor integration beforehand [s]."""
 
 Symbols = Mapping[str, ca.SX]
 

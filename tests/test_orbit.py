@@ -49,7 +49,7 @@ KEYS = {
     "certificate",
     "versions",
 }
-"""The contract of the file, as the design prints it."""
+"""The contract of the file (docs/orbit_file.md)."""
 
 
 def _round_trip(orbit: ZenoOrbit, folder: Path) -> ZenoOrbit:
