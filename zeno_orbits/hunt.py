@@ -266,6 +266,7 @@ class Hunt:
         release = dynamics.on_stop(solution.values["release state"][:, 0])
         period = float(solution.values["period"][0, 0])
         zeno_time = float(solution.values["Zeno time"][0, 0])
+        zeno = solution.values["Zeno state"][:, 0]
         cycle = _one_cycle(dynamics, release, 2 * period)
         if cycle is None:
             detail = "From the solution's release no Zeno point and release follow."
@@ -274,6 +275,7 @@ class Hunt:
             cycle.drift(cycle.scale()),
             abs(cycle.period - period) / period,
             abs(cycle.zeno.time - zeno_time) / period,
+            float(np.max(np.abs(cycle.zeno.state - zeno) / cycle.scale())),
             _impact_difference(cycle, solution),
             _miss(objective, cycle) if self.free_gains else 0.0,
         )

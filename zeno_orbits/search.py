@@ -170,7 +170,7 @@ def search_gains(
         if find.status is SearchStatus.FOUND:
             break
         failures += find.status is not SearchStatus.NO_GUESS
-        if failures >= _ENOUGH_FAILURES:
+        if failures >= _enough_failures(hunt.objective):
             break
     if best is None:
         raise InputError("Argument `settings` must allow a start, but it allows none.")
@@ -189,8 +189,14 @@ def search_gains(
     )
 
 
-_ENOUGH_FAILURES = 2
-"""Starts with a good guess that may fail before a search gives up."""
+def _enough_failures(objective: Objective) -> int:
+    """Return how many starts with a good guess may fail before a search gives up.
+
+    A wanted value is approached step by step from every start, which takes long and ends at much
+    the same place.
+    """
+    return 2 if isinstance(objective, WantedPeriod | WantedAmplitude) else 5
+
 
 _RANK = {
     SearchStatus.NO_GUESS: 0,

@@ -107,8 +107,8 @@ class ZenoLimit:
     Attributes:
         time: Zeno time [s].
         state: Zeno state, ``(n_x,)``, on the stop.
-        error: Estimate of the error of time and state, the latter relative to ``1 + |x|``: the
-            difference from the extrapolation of one order less, whose error it is.
+        error: Estimate of the error of time and state, relative to ``1 + |t|`` and ``1 + |x|``:
+            the difference from the limit that the impacts a node earlier gave.
     """
 
     time: float
@@ -145,18 +145,24 @@ def estimate_tail(
 def extrapolate(dynamics: HybridDynamics, estimates: Sequence[TailEstimate]) -> ZenoLimit:
     """Return the Zeno point from the tail estimates of a sequence of impacts at falling speeds.
 
+    The error estimate is the difference from what the impacts a node earlier gave: the error of
+    that, and so more than this one's. Leaving out the fastest node instead would not do: where the
+    current's layer is longer than the last flights it hardly has a weight.
+
     Args:
         dynamics: The system.
         estimates: One an impact, at least one. With a single one the error is unknown: infinite,
             or zero if the impact was plastic.
     """
     chosen = spread_nodes([estimate.speed for estimate in estimates])
-    nodes = [estimates[k] for k in chosen]
-    best = _combine(nodes)
-    if len(nodes) == 1:
-        error = 0.0 if nodes[0].speed == 0.0 else math.inf
+    best = _combine([estimates[k] for k in chosen])
+    if len(chosen) == 1:
+        error = 0.0 if estimates[-1].speed == 0.0 else math.inf
     else:
-        error = float(np.max(np.abs(best - _combine(nodes[1:])) / (1 + np.abs(best))))
+        before = estimates[: chosen[-2] + 1]
+        earlier = spread_nodes([estimate.speed for estimate in before])
+        change = best - _combine([before[k] for k in earlier])
+        error = float(np.max(np.abs(change) / (1 + np.abs(best))))
     return ZenoLimit(time=float(best[-1]), state=dynamics.on_stop(best[:-1]), error=error)
 
 
