@@ -12,7 +12,7 @@ import numpy as np
 from zeno_orbits.dynamics import GuardedFlow, HybridDynamics, Tolerance, Vector
 from zeno_orbits.hybrid import CompletedSystem
 from zeno_orbits.problem import Problem
-from zeno_orbits.runge_kutta import explicit_attempt
+from zeno_orbits.runge_kutta import error_norm, explicit_attempt
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -223,10 +223,9 @@ def _mode(name: str, y: ca.SX, p: ca.SX, rate: ca.SX, guard: ca.SX) -> ModeFunct
     size, relative, absolute = ca.vertsplit(numbers)
     after, fifth, third = explicit_attempt(lambda state: field(state, p), y, size)
     scale = absolute + relative * ca.fmax(ca.fabs(y), ca.fabs(after))
-    fifth_squared = ca.sumsqr(fifth / scale)
-    weight = ca.sqrt((fifth_squared + 0.01 * ca.sumsqr(third / scale)) * y.numel())
-    # A step that overflows has the error NaN, and is refused; only a zero may be divided away.
-    error = ca.if_else(fifth_squared == 0, 0, ca.fabs(size) * fifth_squared / weight)
+    error = error_norm(
+        ca.sumsqr(fifth / scale), ca.sumsqr(third / scale), ca.fabs(size), y.numel(), ca
+    )
     return ModeFunctions(
         rate=field,
         guard=_function(f"{name}_guard", [y, p], [guard]),

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from zeno_orbits.runge_kutta import explicit_attempt
+from zeno_orbits.runge_kutta import error_norm, explicit_attempt
 
 Vector = NDArray[np.float64]
 Scalar = Callable[[Vector], float]
@@ -64,10 +64,7 @@ class PlainFlow:
         scale = tolerance.absolute + tolerance.relative * np.maximum(np.abs(y), np.abs(after))
         fifth_squared = float(np.sum((fifth / scale) ** 2))
         third_squared = float(np.sum((third / scale) ** 2))
-        if fifth_squared == 0.0:
-            return after, 0.0
-        weight = np.sqrt((fifth_squared + 0.01 * third_squared) * len(y))
-        return after, abs(size) * fifth_squared / float(weight)
+        return after, float(error_norm(fifth_squared, third_squared, abs(size), len(y), np))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -21,6 +21,9 @@ _B = DOP853.B
 _E5 = DOP853.E5
 _E3 = DOP853.E3
 
+_LEAST_RATIO = 0.02
+"""Part of the order-5 estimate that an error estimate keeps at least."""
+
 
 def explicit_attempt(
     rate: Callable[[State], State], y: State, size: Any
@@ -38,6 +41,33 @@ def explicit_attempt(
     after = y + size * _weighted(_B, slopes)
     slopes.append(rate(after))
     return after, _weighted(_E5, slopes), _weighted(_E3, slopes)
+
+
+def error_norm(fifth_squared: Any, third_squared: Any, size: Any, n_y: int, functions: Any) -> Any:
+    r"""Return the error of a step in units of its tolerance.
+
+    .. math:: \epsilon = \epsilon_5 \max\left(\frac{\epsilon_5}
+        {\sqrt{\epsilon_5^2 + 0.01\,\epsilon_3^2}},\; 0.02\right)
+
+    Without the second entry it is the usual estimate, which promises a hundred times too much
+    where a stiff component and not the accuracy limits the step.
+
+    Args:
+        fifth_squared: Sum of squares of the order-5 estimate per unit of step, scaled.
+        third_squared: The same of order 3.
+        size: Size of the step, positive.
+        n_y: Number of states.
+        functions: ``numpy`` or ``casadi``, for ``sqrt`` and ``fmax``.
+
+    Returns:
+        The error. NaN if a stage overflowed: such a step must be refused.
+    """
+    mixed = functions.sqrt(fifth_squared + 0.01 * third_squared)
+    # The tiny number only keeps a flow without any error from 0 / 0.
+    ratio = functions.sqrt(fifth_squared) / (mixed + 1e-300)
+    largest = functions.fmax(ratio, _LEAST_RATIO)
+    # A sum passes NaN on, where the larger of two may not.
+    return size * functions.sqrt(fifth_squared / n_y) * (largest + 0 * mixed)
 
 
 def _weighted(weights: np.ndarray[Any, Any], slopes: list[Any]) -> Any:
