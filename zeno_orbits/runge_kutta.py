@@ -50,7 +50,7 @@ def error_norm(fifth_squared: Any, third_squared: Any, size: Any, n_y: int, func
         {\sqrt{\epsilon_5^2 + 0.01\,\epsilon_3^2}},\; 0.02\right)
 
     Without the second entry it is the usual estimate, which promises a hundred times too much
-    where a stiff component and not the accuracy limits the step.
+    where a damped component is about to limit the step.
 
     Args:
         fifth_squared: Sum of squares of the order-5 estimate per unit of step, scaled.
