@@ -129,8 +129,8 @@ def test_a_step_that_overflows_is_never_accepted() -> None:
 
 
 def test_a_damped_component_keeps_its_tolerance() -> None:
-    # y' = -a (y - sin w t), t' = 1, settled: y = (a^2 sin w t - a w cos w t) / (a^2 + w^2). The usual
-    # mixed estimate lets through five times the tolerance here, the bounded one far less than it.
+    # y' = -a (y - sin w t), t' = 1, settled: y = (a^2 sin w t - a w cos w t) / (a^2 + w^2). The
+    # usual mixed estimate lets through five times the tolerance here, the bounded one far less.
     a, w = 10.0, 20.0
 
     def exact(t: float) -> float:
