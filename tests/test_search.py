@@ -21,6 +21,7 @@ from zeno_orbits.compiled import bind, compile_problem
 from zeno_orbits.errors import InputError
 from zeno_orbits.execution import Execution
 from zeno_orbits.guess import SettlingSettings
+from zeno_orbits.hunt import Find, Hunt
 from zeno_orbits.objectives import LeastEnergy, NearestGains, WantedAmplitude, WantedPeriod
 from zeno_orbits.orbit import ZenoOrbit
 from zeno_orbits.problem import Problem, load_problem, load_reference
@@ -284,3 +285,26 @@ def test_an_agreement_that_cannot_be_had_ends_the_search() -> None:
     )
     assert result.status is SearchStatus.NOT_SOLVED
     assert "differ by" in result.detail
+
+
+def test_an_orbit_is_kept_where_the_way_to_the_nearest_gains_is_lost(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    refine = Hunt.refine
+
+    def lose_the_way(hunt: Hunt, *arguments: object) -> Find:
+        if hunt.free_gains:
+            return Find(status=SearchStatus.NOT_SOLVED)
+        return refine(hunt, *arguments)
+
+    monkeypatch.setattr(Hunt, "refine", lose_the_way)
+    pendulum = load_problem("motor_pendulum")
+    # At Kd = 0.5 the motion dies out, so other starts have to serve.
+    result = search_gains(
+        pendulum,
+        pendulum.setting(gains={"Kd": 0.5}),
+        free_gains={"Kp": (2.0, 3.0), "Kd": (-1.2, 0.6)},
+        settings=SearchSettings(n_starts=4),
+    )
+    assert result.status is SearchStatus.FOUND
+    assert "not the nearest" in result.detail

@@ -144,7 +144,15 @@ class Hunt:
         ):
             # Nothing is nearer than the target itself: its gains need no freedom.
             return replace(self, free_gains={}).refine(gains, cycle, self.objective)
-        return self.refine(gains, cycle, self.objective)
+        find = self.refine(gains, cycle, self.objective)
+        if find.status is not SearchStatus.FOUND and isinstance(self.objective, NearestGains):
+            # Nearness is a wish, the orbit the point: keep the one at the gains of the start.
+            here = replace(self, free_gains={}).refine(gains, cycle, self.objective)
+            if here.status is SearchStatus.FOUND:
+                return replace(
+                    here, detail="Its gains are not the nearest: the way there was lost."
+                )
+        return find
 
     def toward(
         self, gains: Mapping[str, float], cycle: Cycle, wanted: WantedPeriod | WantedAmplitude
