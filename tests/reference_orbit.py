@@ -12,3 +12,19 @@ MULTIPLIER = -0.0193686
 """The largest; the other one is zero to rounding."""
 PERIODS = {0.0: 1.82033892548, 0.1: 1.81767797277, 0.3: 1.81128512357}
 """Restitution to period."""
+
+ORBIT_KEYS = {
+    "format",
+    "problem",
+    "parameters",
+    "gains",
+    "period",
+    "release_state",
+    "impacts",
+    "zeno_time",
+    "zeno_state",
+    "floquet_multipliers",
+    "certificate",
+    "versions",
+}
+"""Entries of an orbit file: the contract (docs/orbit_file.md)."""

@@ -20,7 +20,7 @@ from typing import Any, NoReturn
 
 import pytest
 
-from tests.reference_orbit import PERIOD
+from tests.reference_orbit import ORBIT_KEYS, PERIOD
 from zeno_orbits import report, symbolic
 from zeno_orbits.cli import main
 from zeno_orbits.errors import ZenoOrbitsError
@@ -30,20 +30,6 @@ from zeno_orbits.search import SearchSettings
 YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
 COMMANDS = ("problems", "conditions", "simulate", "search", "verify", "plot")
 PUBLISHED_GAINS = ("--fix", "Kp=2.5", "--fix", "Kd=-1")
-ORBIT_KEYS = {
-    "format",
-    "problem",
-    "parameters",
-    "gains",
-    "period",
-    "release_state",
-    "impacts",
-    "zeno_time",
-    "zeno_state",
-    "floquet_multipliers",
-    "certificate",
-    "versions",
-}
 
 
 @dataclass(frozen=True)

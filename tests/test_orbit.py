@@ -13,6 +13,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tests.reference_orbit import ORBIT_KEYS
 from zeno_orbits.certificate import OrbitCertificate
 from zeno_orbits.errors import InputError, OrbitFileError
 from zeno_orbits.orbit import FORMAT, OrbitImpact, ZenoOrbit, read_orbit, write_orbit
@@ -34,22 +35,6 @@ SMALL = ZenoOrbit(
     versions={"python": "3"},
 )
 """No real orbit: enough to be written and read."""
-
-KEYS = {
-    "format",
-    "problem",
-    "parameters",
-    "gains",
-    "period",
-    "release_state",
-    "impacts",
-    "zeno_time",
-    "zeno_state",
-    "floquet_multipliers",
-    "certificate",
-    "versions",
-}
-"""The contract of the file (docs/orbit_file.md)."""
 
 
 def _round_trip(orbit: ZenoOrbit, folder: Path) -> ZenoOrbit:
@@ -102,7 +87,7 @@ def test_the_file_has_every_entry_of_the_contract(
     orbit: ZenoOrbit, certificate: OrbitCertificate, scene: Problem
 ) -> None:
     data = json.loads(json.dumps(certified(orbit, certificate).as_json(), allow_nan=False))
-    assert set(data) == KEYS
+    assert set(data) == ORBIT_KEYS
     assert data["format"] == FORMAT == 1
     assert data["problem"] == scene.name
     assert data["gains"] == {"Kp": 2.5, "Kd": -1.0}
@@ -164,7 +149,7 @@ def test_an_orbit_that_is_not_finite_is_not_written(tmp_path: Path, value: float
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("name", sorted(KEYS - {"certificate", "versions"}))
+@pytest.mark.parametrize("name", sorted(ORBIT_KEYS - {"certificate", "versions"}))
 def test_a_missing_entry_is_named(tmp_path: Path, name: str) -> None:
     data = SMALL.as_json()
     del data[name]

@@ -158,6 +158,7 @@ def bind(compiled: CompiledSystem, values: Sequence[float]) -> HybridDynamics:
         return CompiledFlow(compiled.flight, np.append(p, speed))
 
     def reset_map(x: Vector, approach_rate: float) -> Vector:
+        # Newton's law along the impulse, theory (7); the rate is exact where x holds only rounding.
         return x - (1 + restitution) * approach_rate * impulse(x, 0)
 
     return HybridDynamics(

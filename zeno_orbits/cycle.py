@@ -65,9 +65,7 @@ def cycles(execution: Execution, *, start: Vector | None = None) -> list[Cycle]:
     found: list[Cycle] = []
     releases = execution.releases
     if start is not None:
-        # A start that is locked by a rounding error is released at once, for the second time.
-        later = [release for release in releases if release.time > _AT_ONCE * execution.end_time]
-        releases = (Release(time=0.0, state=start), *later)
+        releases = (Release(time=0.0, state=start), *execution.returns(execution.end_time))
     for first, last in pairwise(releases):
         arcs = [a for a in execution.arcs if first.time <= a.start_time and a.end_time <= last.time]
         zenos = [z for z in execution.zeno_points if first.time < z.time < last.time]
@@ -88,10 +86,6 @@ def cycles(execution: Execution, *, start: Vector | None = None) -> list[Cycle]:
                 )
             )
     return found
-
-
-_AT_ONCE = 1e-6
-"""A release earlier than this part of an execution belongs to its start."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

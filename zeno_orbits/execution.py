@@ -79,6 +79,9 @@ class Release:
 
 Event = Impact | ZenoPoint | Release
 
+_AT_ONCE = 1e-6
+"""A release earlier than this part of a period belongs to the start of the execution."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Arc:
@@ -193,6 +196,16 @@ class Execution:
     def releases(self) -> tuple[Release, ...]:
         """The releases."""
         return tuple(event for event in self.events if isinstance(event, Release))
+
+    def returns(self, period: float) -> tuple[Release, ...]:
+        """Return the releases of an execution that itself starts at one.
+
+        A start that is locked by a rounding error is released at once; that is no return.
+
+        Args:
+            period: Time of a return, roughly [s].
+        """
+        return tuple(release for release in self.releases if release.time > _AT_ONCE * period)
 
     def state_at(self, time: float) -> Vector:
         """Return the state at a time, the later one where an impact gives two.

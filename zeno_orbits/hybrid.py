@@ -73,6 +73,8 @@ def complete(lagrangian: HybridLagrangian, drive: Drive, restitution: ca.SX) -> 
 
     Returns:
         The completed system.
+
+    Source: [Moreau1988]_ for the impact law, theory (6)-(9).
     """
     q, v = lagrangian.q, lagrangian.v
     inverse_mass, free_acceleration = _accelerate(lagrangian, drive.force)
@@ -109,15 +111,6 @@ def complete(lagrangian: HybridLagrangian, drive: Drive, restitution: ca.SX) -> 
         other_loss=drive.conversion_loss - ca.dot(lagrangian.passive_force, v),
         holonomic=ca.vertcat(lagrangian.holonomic, eta_rate),
     )
-
-
-def post_impact_state(system: CompletedSystem) -> ca.SX:
-    r"""Return the state just after an impact on the stop, ``(n_x,)``; only velocities change.
-
-    Newton's law :math:`J v^+ = -e\,J v^-`, the impulse along the constraint normal in the kinetic
-    metric. Source: [Moreau1988]_, paper eq. (8), theory (7).
-    """
-    return system.state - (1 + system.restitution) * system.gap_rate * system.impulse_direction
 
 
 def audited(system: CompletedSystem) -> CompletedSystem:

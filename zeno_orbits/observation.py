@@ -146,7 +146,7 @@ def observe(
         )
     except ZenoOrbitsError as error:
         return _nothing(str(error))
-    returns = tuple(r for r in execution.releases if r.time > 1e-6 * claim.period)
+    returns = execution.returns(claim.period)
     zenos = [z for z in execution.zeno_points if returns and z.time < returns[0].time]
     if not returns or not zenos:
         what = "release" if not returns else "Zeno point"
@@ -179,7 +179,7 @@ def _looser_return(
         again = simulate(dynamics, start, until=1.5 * cycle.end.time, settings=settings)
     except ZenoOrbitsError:
         return math.inf
-    later = [release for release in again.releases if release.time > 1e-6 * cycle.end.time]
+    later = again.returns(cycle.end.time)
     return distance(later[0].state, cycle.end.state, cycle.scale) if later else math.inf
 
 

@@ -109,8 +109,7 @@ def poincare_map(
         SimulationError: If there is no release within the horizon.
     """
     execution = simulate(dynamics, dynamics.on_stop(x), until=horizon, settings=settings)
-    # A state a rounding error inside the locked side is released at once: no return.
-    later = [release for release in execution.releases if release.time > 1e-6 * horizon]
+    later = execution.returns(horizon)
     if not later:
         raise SimulationError("There is no next release", time=horizon, state=tuple(x.tolist()))
     return later[0].time, later[0].state
