@@ -8,9 +8,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from zeno_orbits.crossing import first_fall
 from zeno_orbits.dynamics import PlainFlow, Tolerance
-from zeno_orbits.engines.protocol import Attempt
+from zeno_orbits.engines.crossing import first_fall
+from zeno_orbits.engines.runge_kutta import ExplicitStep
 
 LOCATED = 1e-14
 """A bracketing root finder stops a few roundings from the root; steps here have size 1 to 3."""
@@ -30,7 +30,7 @@ def _fall(
         guard_and_rate=lambda y: (guard(float(y[0])), guard_rate(float(y[0]))),
     )
     before, after = np.array([start]), np.array([start + size])
-    step = Attempt(
+    step = ExplicitStep(
         flow=flow, tolerance=Tolerance(), start=0.0, size=size, before=before, after=after
     )
     return first_fall(flow, step, flow.guard(before), flow.guard(after), on_guard=on_guard)

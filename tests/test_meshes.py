@@ -8,7 +8,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from zeno_orbits.meshes import Array, Collocation, graded_mesh, radau, stage_fractions
+from zeno_orbits.collocation import Array, Collocation, radau
+from zeno_orbits.meshes import graded_mesh, stage_fractions
 
 ROUNDING = 1e-13
 

@@ -13,6 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from zeno_orbits.collocation import Collocation
 from zeno_orbits.runge_kutta import error_norm, explicit_attempt
 
 Vector = NDArray[np.float64]
@@ -25,6 +26,27 @@ class Tolerance:
 
     relative: float = 1e-12
     absolute: float = 1e-13
+
+
+class NewtonPieces(Protocol):
+    """Newton's iteration for one implicit step of a flow, ready for its state and size."""
+
+    def begin(self, y: Vector, size: float, guess: Vector | None) -> Vector:
+        """Factorize for a step and return the stage increments to start from."""
+        ...
+
+    def correct(self, stages: Vector, tolerance: Tolerance) -> tuple[Vector, float]:
+        """Return the stage increments after one iteration and the size of its correction.
+
+        Args:
+            stages: Stage increments, ``(n_stages, n_y)``.
+            tolerance: Unit of the size.
+        """
+        ...
+
+    def error(self, stages: Vector, tolerance: Tolerance) -> float:
+        """Return the error of the step, in units of the tolerance."""
+        ...
 
 
 class GuardedFlow(Protocol):
@@ -40,6 +62,14 @@ class GuardedFlow(Protocol):
 
     def attempt(self, y: Vector, size: float, tolerance: Tolerance) -> tuple[Vector, float]:
         """Return the state after one step of DOP853 and its error, in units of the tolerance."""
+        ...
+
+    def jacobian(self, y: Vector) -> Vector:
+        """Return the derivative of the rate, ``(n_y, n_y)``."""
+        ...
+
+    def newton(self, scheme: Collocation) -> NewtonPieces:
+        """Return the iteration for an implicit step of a collocation scheme."""
         ...
 
 
@@ -65,6 +95,66 @@ class PlainFlow:
         fifth_squared = float(np.sum((fifth / scale) ** 2))
         third_squared = float(np.sum((third / scale) ** 2))
         return after, float(error_norm(fifth_squared, third_squared, abs(size), len(y), np))
+
+    def jacobian(self, y: Vector) -> Vector:
+        """Return the derivative of the rate by central differences, ``(n_y, n_y)``."""
+        columns: list[Vector] = []
+        for k in range(len(y)):
+            shift = np.zeros(len(y))
+            shift[k] = _DIFFERENCE * max(1.0, abs(y[k]))
+            rise = self.field(y + shift) - self.field(y - shift)
+            columns.append(rise / (2 * shift[k]))
+        return np.stack(columns, axis=1)
+
+    def newton(self, scheme: Collocation) -> PlainNewton:
+        """Return the iteration for an implicit step of a collocation scheme."""
+        return PlainNewton(self, scheme)
+
+
+_DIFFERENCE = 6e-6
+"""Relative displacement of a central difference: its square and rounding balance."""
+
+
+class PlainNewton:
+    """Newton's iteration in NumPy, for flows that have no symbols."""
+
+    def __init__(self, flow: PlainFlow, scheme: Collocation) -> None:
+        self._field = flow.field
+        self._jacobian = flow.jacobian
+        self._scheme = scheme
+
+    def begin(self, y: Vector, size: float, guess: Vector | None) -> Vector:
+        """Factorize for a step and return the stage increments to start from."""
+        self._y, self._size = y, size
+        self._slope = self._field(y)
+        jacobian, eye = self._jacobian(y), np.eye(len(y))
+        self._inverses = [
+            np.linalg.inv(mu / size * eye - jacobian) for mu in self._scheme.spectrum.values
+        ]
+        return np.zeros((self._scheme.n_stages, len(y))) if guess is None else guess
+
+    def correct(self, stages: Vector, tolerance: Tolerance) -> tuple[Vector, float]:
+        """Return the stage increments after one iteration and the size of its correction."""
+        rates = np.array([self._field(self._y + stage) for stage in stages])
+        residual = rates - self._scheme.inverse @ stages / self._size
+        spectrum = self._scheme.spectrum
+        correction = np.zeros_like(stages)
+        for mu, column, row, inverse in zip(
+            spectrum.values, spectrum.columns, spectrum.rows, self._inverses, strict=True
+        ):
+            part = np.outer(column, inverse @ (row @ residual))
+            correction += part.real if mu.imag == 0.0 else 2 * part.real
+        return stages + correction, self._norm(correction, tolerance)
+
+    def error(self, stages: Vector, tolerance: Tolerance) -> float:
+        """Return the error of the step, in units of the tolerance."""
+        gamma, weights = self._scheme.embedded
+        raw = self._slope + weights @ stages / (gamma * self._size)
+        return self._norm((self._inverses[0] @ raw).real, tolerance)
+
+    def _norm(self, change: Vector, tolerance: Tolerance) -> float:
+        scale = tolerance.absolute + tolerance.relative * np.abs(self._y)
+        return float(np.sqrt(np.mean((change / scale) ** 2)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

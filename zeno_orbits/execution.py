@@ -9,7 +9,7 @@ from enum import Enum
 import numpy as np
 
 from zeno_orbits.dynamics import Vector
-from zeno_orbits.engines.protocol import Step
+from zeno_orbits.engines import Trajectory
 
 
 class Mode(Enum):
@@ -95,10 +95,10 @@ class Arc:
         end_state: State at its end, before any reset.
         ending: What ended it.
         impact_index: Number of impacts resolved before it, the `j` of hybrid time ``(t, j)``.
-        time_unit: Length of one unit of the steps' own time [s]; the impact speed in a rescaled
+        time_unit: Length of one unit of the flow's own time [s]; the impact speed in a rescaled
             flight (theory (14)), else 1.
-        steps: The integrator's steps, dense output included. The tail of an impact sequence has
-            none: its impacts are not resolved, its state is interpolated.
+        trajectory: The flow along it. The tail of an impact sequence has none: its impacts are
+            not resolved, its state is interpolated.
     """
 
     mode: Mode
@@ -109,7 +109,7 @@ class Arc:
     ending: Ending
     impact_index: int
     time_unit: float
-    steps: tuple[Step, ...]
+    trajectory: Trajectory | None
 
     def state_at(self, time: float) -> Vector:
         """Return the state at a time inside the arc, to the accuracy of the integration."""
@@ -117,12 +117,11 @@ class Arc:
             return self.start_state
         if time >= self.end_time:
             return self.end_state
-        if not self.steps:
+        if self.trajectory is None:
             part = (time - self.start_time) / (self.end_time - self.start_time)
             return self.start_state + part * (self.end_state - self.start_state)
-        return self.flow_state_at((time - self.start_time) / self.time_unit)[
-            : len(self.start_state)
-        ]
+        state = self.flow_state_at((time - self.start_time) / self.time_unit)
+        return state[: len(self.start_state)]
 
     def sampled(self, n: int = 60) -> tuple[Vector, Vector]:
         """Return times ``(m,)`` and states ``(m, n_x)`` along the arc, for plots.
@@ -133,8 +132,8 @@ class Arc:
         Args:
             n: Samples at least.
         """
-        stride = max(len(self.steps) // (2 * n), 1)
-        own = [self.time_unit * step.start for step in self.steps[::stride]]
+        steps = self.time_unit * self.flow_times[:-1]
+        own = steps[:: max(len(steps) // (2 * n), 1)]
         dense_ends = (1 - np.cos(np.linspace(0, np.pi, n))) / 2
         offsets = np.union1d(dense_ends * (self.end_time - self.start_time), own)
         times = (self.start_time + offsets).tolist()
@@ -144,18 +143,33 @@ class Arc:
 
     @property
     def duration(self) -> float:
-        """Length in the steps' own time; in a rescaled flight, time over impact speed."""
+        """Length in the flow's own time; in a rescaled flight, time over impact speed."""
         return (self.end_time - self.start_time) / self.time_unit
 
     def flow_state_at(self, offset: float) -> Vector:
         """Return the state of the flow itself, scaled gap and gap rate included in a flight.
 
         Args:
-            offset: Steps' own time since the start of the arc.
+            offset: The flow's own time since the start of the arc.
+
+        Raises:
+            ValueError: If the arc is the tail of an impact sequence: no flow was followed.
         """
-        at = bisect_right(self.steps, offset, key=lambda step: step.start)
-        step = self.steps[max(at - 1, 0)]
-        return step.state_at(min(max(offset - step.start, 0.0), step.size))
+        if self.trajectory is None:
+            raise ValueError("Argument `self` must be an arc with a flow, but it is a tail.")
+        return self.trajectory.state_at(offset)
+
+    @property
+    def flow_times(self) -> Vector:
+        """Where the engine stepped, in the flow's own time, both ends included, ``(m,)``."""
+        return np.array([0.0, self.duration]) if self.trajectory is None else self.trajectory.times
+
+    @property
+    def flow_states(self) -> Vector:
+        """States of the flow itself there, ``(m, n_y)``."""
+        if self.trajectory is None:
+            return np.array([self.start_state, self.end_state])
+        return self.trajectory.states
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

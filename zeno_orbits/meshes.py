@@ -9,48 +9,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import pairwise
 
-import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Collocation:
-    """An implicit Runge-Kutta scheme whose last stage is the end of its interval.
-
-    Attributes:
-        nodes: Stage positions in the unit interval, ``(n_stages,)``; the last is 1.
-        matrix: Runge-Kutta matrix, ``(n_stages, n_stages)``; its last row holds the weights.
-    """
-
-    nodes: Array
-    matrix: Array
-
-    @property
-    def n_stages(self) -> int:
-        """Number of stages."""
-        return len(self.nodes)
-
-    @property
-    def weights(self) -> Array:
-        """Quadrature weights, ``(n_stages,)``."""
-        return self.matrix[-1]
-
-
-def radau(n_stages: int) -> Collocation:
-    """Return Radau IIA, of order ``2 n_stages - 1``: stiffly accurate, so layers decay."""
-    nodes = np.array(ca.collocation_points(n_stages, "radau"), dtype=np.float64)
-    powers = np.arange(1, n_stages + 1)
-    # Stage i integrates the polynomials exactly: sum_j a_ij c_j^(k-1) = c_i^k / k.
-    vandermonde = nodes[:, None] ** (powers - 1)
-    moments = nodes[:, None] ** powers / powers
-    matrix = np.asarray(np.linalg.solve(vandermonde.T, moments.T).T, dtype=np.float64)
-    return Collocation(nodes=nodes, matrix=matrix)
+from zeno_orbits.collocation import Array, Collocation
 
 
 def graded_mesh(

@@ -193,14 +193,14 @@ def _first_cycle(
     dynamics: HybridDynamics, execution: Execution, end: Release, zeno: ZenoPoint
 ) -> FirstCycle:
     arcs = tuple(arc for arc in execution.arcs if arc.start_time < end.time)
-    states = np.array([step.after[: len(end.state)] for arc in arcs for step in arc.steps])
+    states = np.concatenate([arc.flow_states[:, : len(end.state)] for arc in arcs])
     sizes = np.max(np.abs(states), axis=0)
     gaps = [abs(dynamics.gap(x)) for x in states]
     forces = [
-        abs(dynamics.multiplier(step.after))
+        abs(dynamics.multiplier(x))
         for arc in arcs
         if arc.mode is Mode.LOCKED
-        for step in arc.steps
+        for x in arc.flow_states
     ]
     return FirstCycle(
         execution=execution,

@@ -77,9 +77,9 @@ def _off_release(dynamics: HybridDynamics, claim: Claim, cycle: FirstCycle | Non
 def _penetration(dynamics: HybridDynamics, cycle: FirstCycle) -> float:
     lowest = 0.0
     for arc in cycle.arcs:
-        if arc.mode is Mode.FREE and arc.steps:
-            scaled = len(arc.steps[0].after) > len(arc.start_state)
-            inside = [step.after for step in arc.steps[:-1]]
+        if arc.mode is Mode.FREE and arc.trajectory is not None:
+            inside = arc.flow_states[1:-1]
+            scaled = inside.shape[1] > len(arc.start_state)
             for y in inside:
                 gap = float(y[-2]) * arc.time_unit**2 if scaled else dynamics.gap(y)
                 lowest = min(lowest, gap)
@@ -92,7 +92,7 @@ def _adhesion(dynamics: HybridDynamics, cycle: FirstCycle) -> float:
         dynamics.multiplier(x)
         for arc in cycle.arcs
         if arc.mode is Mode.LOCKED and arc.end_time > cycle.zeno.time
-        for x in (arc.start_state, *(step.after for step in arc.steps[:-1]), arc.end_state)
+        for x in arc.flow_states
     ]
     return max(0.0, -min(forces, default=0.0)) / cycle.force_scale
 

@@ -13,11 +13,12 @@ import casadi as ca
 import numpy as np
 from scipy.linalg import null_space
 
+from zeno_orbits.collocation import Array, Collocation, radau
 from zeno_orbits.compiled import CompiledSystem, ModeFunctions
 from zeno_orbits.cycle import Closure, Cycle
 from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.execution import Arc
-from zeno_orbits.meshes import Array, Collocation, graded_mesh, radau, stage_fractions
+from zeno_orbits.meshes import graded_mesh, stage_fractions
 from zeno_orbits.nlp import ProgramBuilder
 from zeno_orbits.problem import Setting
 from zeno_orbits.zeno import limit_weights, tail_time

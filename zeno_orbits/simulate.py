@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from zeno_orbits.completion import Completion, ZenoExtrapolation
-from zeno_orbits.crossing import first_fall
 from zeno_orbits.dynamics import GuardedFlow, HybridDynamics, Tolerance, Vector
-from zeno_orbits.engines import Engine, RungeKutta, Step
+from zeno_orbits.engines import Automatic, Engine, Leg, Outcome
+from zeno_orbits.engines.protocol import Watch
 from zeno_orbits.errors import (
     ChatterError,
     InputError,
@@ -35,9 +35,6 @@ from zeno_orbits.execution import (
 )
 from zeno_orbits.zeno import TailEstimate, ZenoLimit, estimate_tail
 
-_LEAVES = 1e-6
-"""A guard that was never positive and is below minus this part of its change has been left."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulationSettings:
@@ -54,7 +51,7 @@ class SimulationSettings:
             output, at about 400 bytes.
     """
 
-    engine: Engine = field(default_factory=RungeKutta)
+    engine: Engine = field(default_factory=Automatic)
     tolerance: Tolerance = field(default_factory=Tolerance)
     completion: Completion = field(default_factory=ZenoExtrapolation)
     contact: float = 1e-12
@@ -129,6 +126,7 @@ class _Run:
     ) -> None:
         self.dynamics = dynamics
         self.settings = settings
+        self.engine = settings.engine
         self.until = until
         self.most_releases = math.inf if releases is None else releases
         self.on_progress = on_progress
@@ -316,23 +314,29 @@ class _Run:
                     ending=Ending.ZENO,
                     impact_index=self.n_impacts,
                     time_unit=1.0,
-                    steps=(),
+                    trajectory=None,
                 )
             )
 
-    def _watch(self, step: Step, time: float) -> None:
-        """End an execution that takes too long or goes too far."""
+    def _watch(self, unit: float, start: float) -> Watch:
+        """Return what ends a leg that takes too long or goes too far."""
         settings, n_q = self.settings, self.dynamics.n_q
-        self.n_steps += 1
-        if self.n_steps > settings.most_steps:
-            raise SimulationError(
-                f"The execution takes more than {settings.most_steps} steps",
-                time=time,
-                state=tuple(step.before.tolist()),
-            )
-        if settings.far < math.inf and float(np.max(np.abs(step.after[:n_q]))) > settings.far:
-            name = self.dynamics.state_names[int(np.argmax(np.abs(step.after[:n_q])))]
-            raise RunawayError(f"{name} runs away", time=time, state=tuple(step.after.tolist()))
+
+        def watch(steps: int, offset: float, y: Vector) -> None:
+            self.n_steps += steps
+            if self.n_steps > settings.most_steps:
+                raise SimulationError(
+                    f"The execution takes more than {settings.most_steps} steps",
+                    time=start + unit * offset,
+                    state=tuple(y.tolist()),
+                )
+            if settings.far < math.inf and float(np.abs(y[:n_q]).max()) > settings.far:
+                name = self.dynamics.state_names[int(np.argmax(np.abs(y[:n_q])))]
+                raise RunawayError(
+                    f"{name} runs away", time=start + unit * offset, state=tuple(y.tolist())
+                )
+
+        return watch
 
     def _arc(
         self, start: _Start, flow: GuardedFlow, natural: Ending, *, on_guard: bool
@@ -349,47 +353,35 @@ class _Run:
             The arc, recorded, and the last state of the flow itself.
         """
         n_x = len(start.state)
-        scaled = start.speed is not None
-        unit = start.speed if start.speed is not None else 1.0
-        y = np.append(start.state, (0.0, 1.0)) if scaled else start.state
-        horizon = (self.until - start.time) / unit
-        before = flow.guard(y)
-        largest = 0.0
-        steps: list[Step] = []
-        for step in self.settings.engine.steps(flow, y, self.settings.tolerance):
-            steps.append(step)
-            self._watch(step, start.time + unit * step.start)
-            after = flow.guard(step.after)
-            fall = first_fall(flow, step, before, after, on_guard=on_guard)
-            largest = max(largest, abs(before[1]) * step.size, abs(after[1]) * step.size)
-            left = after[0] < -max(_LEAVES * largest, self.settings.contact)
-            if fall is None and on_guard and left:
-                raise PenetrationError(
-                    "The state leaves the admissible set from its boundary",
-                    time=start.time + unit * step.start,
-                    state=tuple(step.before[:n_x].tolist()),
-                )
-            end = step.size if fall is None else fall
-            if step.start + end >= horizon:
-                end, fall, natural = horizon - step.start, horizon, Ending.HORIZON
-            if fall is not None:
-                y = step.state_at(end)
-                time = start.time + unit * (step.start + end)
-                arc = Arc(
-                    mode=start.mode,
-                    start_time=start.time,
-                    end_time=self.until if natural is Ending.HORIZON else time,
-                    start_state=start.state,
-                    end_state=y[:n_x],
-                    ending=natural,
-                    impact_index=self.n_impacts,
-                    time_unit=unit,
-                    steps=tuple(steps),
-                )
-                self.arcs.append(arc)
-                return arc, y
-            before = after
-            on_guard = on_guard and after[0] <= 0.0
-        raise SimulationError(
-            "The engine stopped before the guard", time=start.time, state=tuple(start.state)
+        unit = 1.0 if start.speed is None else start.speed
+        leg = Leg(
+            flow=flow,
+            y=start.state if start.speed is None else np.append(start.state, (0.0, 1.0)),
+            horizon=(self.until - start.time) / unit,
+            tolerance=self.settings.tolerance,
+            on_guard=on_guard,
+            contact=self.settings.contact,
+            watch=self._watch(unit, start.time),
         )
+        passage = self.engine.follow(leg)
+        time = start.time + unit * passage.duration
+        if passage.outcome is Outcome.LEFT:
+            raise PenetrationError(
+                "The state leaves the admissible set from its boundary",
+                time=time,
+                state=tuple(passage.state[:n_x].tolist()),
+            )
+        over = passage.outcome is Outcome.HORIZON
+        arc = Arc(
+            mode=start.mode,
+            start_time=start.time,
+            end_time=self.until if over else time,
+            start_state=start.state,
+            end_state=passage.state[:n_x],
+            ending=Ending.HORIZON if over else natural,
+            impact_index=self.n_impacts,
+            time_unit=unit,
+            trajectory=passage.trajectory,
+        )
+        self.arcs.append(arc)
+        return arc, passage.state

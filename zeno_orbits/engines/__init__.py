@@ -1,7 +1,19 @@
-"""Engines: how a flow is carried forward, step by step, until somebody stops it."""
+"""Engines: how a flow is carried forward until its guard falls."""
 
-from zeno_orbits.engines.protocol import Engine, Step
+from zeno_orbits.engines.automatic import Automatic
+from zeno_orbits.engines.protocol import Engine, Leg, Outcome, Passage, Trajectory
+from zeno_orbits.engines.radau import Radau
 from zeno_orbits.engines.runge_kutta import RungeKutta
 from zeno_orbits.engines.scipy import SciPy
 
-__all__ = ["Engine", "RungeKutta", "SciPy", "Step"]
+__all__ = [
+    "Automatic",
+    "Engine",
+    "Leg",
+    "Outcome",
+    "Passage",
+    "Radau",
+    "RungeKutta",
+    "SciPy",
+    "Trajectory",
+]

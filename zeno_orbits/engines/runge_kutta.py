@@ -1,4 +1,4 @@
-"""The default engine: DOP853 steps taken by the flow itself, compiled where it can be.
+"""The explicit engine: DOP853 steps taken by the flow itself, compiled where it can be.
 
 A state inside a step comes from a shorter step of the same order from the same start, so event
 times and dense output lose nothing against the steps. Source: [HairerNorsettWanner1993]_.
@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from zeno_orbits.dynamics import GuardedFlow, Tolerance, Vector
-from zeno_orbits.engines.protocol import Attempt
+from zeno_orbits.engines.protocol import Leg, Passage
+from zeno_orbits.engines.stepping import follow_steps
 from zeno_orbits.errors import StepSizeError
 
 _SAFETY = 0.9
@@ -31,14 +32,22 @@ class RungeKutta:
 
     largest_step: float = math.inf
 
-    def steps(self, flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> Iterator[Attempt]:
+    def follow(self, leg: Leg) -> Passage:
+        """Follow a flow until its guard falls through zero or the time is over.
+
+        Raises:
+            StepSizeError: If the step size falls to rounding level.
+        """
+        return follow_steps(self.steps(leg.flow, leg.y, leg.tolerance), leg)
+
+    def steps(self, flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> Iterator[ExplicitStep]:
         """Yield steps from ``y`` on, without end.
 
         Raises:
             StepSizeError: If the step size falls to rounding level.
         """
         time = 0.0
-        size = min(_first_size(flow, y, tolerance), self.largest_step)
+        size = min(first_size(flow, y, tolerance), self.largest_step)
         refused = False
         while True:
             after, error = flow.attempt(y, size, tolerance)
@@ -54,9 +63,7 @@ class RungeKutta:
                         state=tuple(y.tolist()),
                     )
                 continue
-            yield Attempt(
-                flow=flow, tolerance=tolerance, start=time, size=size, before=y, after=after
-            )
+            yield ExplicitStep(flow, tolerance, time, size, y, after)
             time += size
             y = after
             growth = _GROW if error == 0.0 else _SAFETY * error**_EXPONENT
@@ -65,8 +72,34 @@ class RungeKutta:
             refused = False
 
 
-def _first_size(flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> float:
-    """Return a first step from the sizes of state and slope ([HairerNorsettWanner1993]_, II.4)."""
+@dataclass(frozen=True, slots=True)
+class ExplicitStep:
+    """A step that knows its flow: the state inside is another, shorter step from the start."""
+
+    flow: GuardedFlow
+    tolerance: Tolerance
+    start: float
+    size: float
+    before: Vector
+    after: Vector
+
+    def state_at(self, offset: float) -> Vector:
+        """Return the state ``offset`` after the start of the step."""
+        if offset == self.size:
+            return self.after
+        return self.flow.attempt(self.before, offset, self.tolerance)[0]
+
+    def end_at(self, offset: float) -> Vector:
+        """Return the same: nothing is interpolated."""
+        return self.state_at(offset)
+
+
+def first_size(flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> float:
+    """Return a first step from the sizes of state and slope ([HairerNorsettWanner1993]_, II.4).
+
+    Raises:
+        StepSizeError: If the flow is not finite at its start.
+    """
     slope = flow.rate(y)
     if not np.all(np.isfinite(slope)):
         raise StepSizeError(

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.integrate import DOP853, LSODA, OdeSolver, Radau, solve_ivp
 
 from zeno_orbits.dynamics import GuardedFlow, Tolerance, Vector
+from zeno_orbits.engines.protocol import Leg, Passage
+from zeno_orbits.engines.stepping import follow_steps
 from zeno_orbits.errors import StepSizeError
+
+if TYPE_CHECKING:
+    from scipy.integrate import DOP853, LSODA, OdeSolver, Radau
 
 _FAR = 1e300
 """A time bound that no flow reaches; SciPy's solvers want one."""
@@ -20,12 +25,20 @@ class SciPy:
     """A method of ``scipy.integrate``, stepped by hand.
 
     Attributes:
-        method: ``DOP853``, ``Radau`` (stiff) or ``LSODA``, the class itself.
+        method: ``DOP853``, ``Radau`` (stiff) or ``LSODA`` of ``scipy.integrate``, the class itself.
         largest_step: No step is longer than this, in the time of the flow.
     """
 
-    method: type[DOP853] | type[Radau] | type[LSODA] = DOP853
+    method: type[DOP853] | type[Radau] | type[LSODA]
     largest_step: float = np.inf
+
+    def follow(self, leg: Leg) -> Passage:
+        """Follow a flow until its guard falls through zero or the time is over.
+
+        Raises:
+            StepSizeError: If the integrator gives up.
+        """
+        return follow_steps(self.steps(leg.flow, leg.y, leg.tolerance), leg)
 
     def steps(self, flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> Iterator[SciPyStep]:
         """Yield steps from ``y`` on, without end.
@@ -83,6 +96,8 @@ class SciPyStep:
             return self.before
         if offset == self.size:
             return self.after
+        from scipy.integrate import solve_ivp
+
         solution = solve_ivp(
             lambda _, state: self.flow.rate(np.asarray(state, dtype=np.float64)),
             (0.0, offset),
@@ -93,3 +108,7 @@ class SciPyStep:
             atol=self.tolerance.absolute,
         )
         return np.asarray(solution.y[:, -1], dtype=np.float64)
+
+    def end_at(self, offset: float) -> Vector:
+        """Return the same: nothing is interpolated."""
+        return self.state_at(offset)

@@ -1,0 +1,142 @@
+"""The stiff engine: its order, its indifference to fast decays, and what it must refuse."""
+
+from __future__ import annotations
+
+import math
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from zeno_orbits.collocation import radau
+from zeno_orbits.compiled import CompiledFlow, ModeFunctions, bind, compile_problem
+from zeno_orbits.dynamics import GuardedFlow, PlainFlow, Tolerance, Vector
+from zeno_orbits.engines import Automatic, Leg, Outcome, Passage, Radau, RungeKutta
+from zeno_orbits.engines.automatic import decay_rates
+from zeno_orbits.engines.radau import solved
+from zeno_orbits.errors import StepSizeError
+from zeno_orbits.problem import load_problem
+
+TIGHT = Tolerance(relative=1e-11, absolute=1e-12)
+
+
+def _prothero_robinson(rate: float) -> PlainFlow:
+    """Return y' = -rate (y - cos t) - sin t, t' = 1: the solution from y(0) = 1 is cos t."""
+    return PlainFlow(
+        field=lambda y: np.array([-rate * (y[0] - math.cos(y[1])) - math.sin(y[1]), 1.0]),
+        guard_and_rate=lambda y: (float(y[0]), -math.sin(float(y[1]))),
+    )
+
+
+def _leg(flow: GuardedFlow, y: Vector, horizon: float, tolerance: Tolerance = TIGHT) -> Leg:
+    return Leg(flow=flow, y=y, horizon=horizon, tolerance=tolerance, on_guard=False)
+
+
+def _n_steps(passage: Passage) -> int:
+    return len(passage.trajectory.times) - 1
+
+
+@pytest.mark.parametrize("rate", [1.0, 1e3, 1e6, 1e9])
+def test_a_decay_changes_neither_the_guard_time_nor_the_number_of_steps(rate: float) -> None:
+    passage = Radau().follow(_leg(_prothero_robinson(rate), np.array([1.0, 0.0]), 10.0))
+    assert passage.outcome is Outcome.FALL
+    # cos t falls through zero at pi / 2 with slope -1: the error of the time is that of the state.
+    assert passage.duration == pytest.approx(math.pi / 2, abs=10 * TIGHT.relative)
+    # The first guess of a step starts from the size of the slope alone; then steps grow sixfold.
+    assert _n_steps(passage) < 25
+
+
+def test_the_order_is_two_s_minus_one() -> None:
+    # One step of y' = -y: the end is the Pade approximant of exp(-h), right to h^(2 s).
+    flow = PlainFlow(field=lambda y: -y, guard_and_rate=lambda _: (1.0, 0.0))
+    scheme = radau(3)
+    errors: list[float] = []
+    for size in (0.2, 0.1):
+        stages = solved(flow.newton(scheme), np.array([1.0]), size, TIGHT, None)
+        assert stages is not None
+        errors.append(abs(1.0 + float(stages[-1, 0]) - math.exp(-size)))
+    # The next term of the expansion changes the ratio by a few tens of the smaller step, 20 %.
+    assert errors[0] / errors[1] == pytest.approx(2.0**6, rel=0.2)
+
+
+@pytest.mark.parametrize("n_stages", [1, 3, 5, 7, 9])
+def test_the_eigenvectors_rebuild_the_inverse_of_the_matrix(n_stages: int) -> None:
+    scheme = radau(n_stages)
+    spectrum = scheme.spectrum
+    rebuilt = np.zeros((n_stages, n_stages))
+    for value, column, row in zip(spectrum.values, spectrum.columns, spectrum.rows, strict=True):
+        part = np.outer(column, value * row)
+        rebuilt += part.real if value.imag == 0.0 else 2 * part.real
+    assert rebuilt == pytest.approx(scheme.inverse, abs=1e-10 * float(np.abs(rebuilt).max()))
+
+
+def test_compiled_and_plain_iterations_are_the_same() -> None:
+    problem = load_problem("motor_pendulum")
+    dynamics = bind(compile_problem(problem), problem.setting().values())
+    flow = dynamics.free
+    plain = PlainFlow(field=flow.rate, guard_and_rate=flow.guard)
+    y, scheme, size = np.array([0.2, 0.1, -5.0, 1.0, -1.8]), radau(7), 5e-4
+    # Central differences are right to about 1e-10, which Newton turns into a rate, not an error.
+    ours = solved(flow.newton(scheme), y, size, TIGHT, None)
+    theirs = solved(plain.newton(scheme), y, size, TIGHT, None)
+    assert ours is not None
+    assert theirs is not None
+    assert ours == pytest.approx(theirs, abs=1e-11)
+    by_hand = RungeKutta().follow(_leg(flow, y, size)).state
+    assert y + ours[-1] == pytest.approx(by_hand, abs=1e-9)
+
+
+def test_the_jacobian_of_a_compiled_flow_is_its_derivative() -> None:
+    problem = load_problem("motor_pendulum")
+    flow = bind(compile_problem(problem), problem.setting().values()).free
+    y = np.array([0.2, 0.1, -5.0, 1.0, -1.8])
+    plain = PlainFlow(field=flow.rate, guard_and_rate=flow.guard)
+    assert flow.jacobian(y) == pytest.approx(plain.jacobian(y), rel=1e-6, abs=1e-5)
+    fastest, slower = decay_rates(flow, y)
+    # The current decays at R / L = 1500 1/s, coupled to the rest by the torque constant.
+    assert fastest == pytest.approx(1500.0, rel=0.01)
+    assert slower < 30.0
+
+
+def test_dense_output_is_as_accurate_as_the_tolerance() -> None:
+    tolerance = Tolerance(relative=1e-8, absolute=1e-9)
+    leg = _leg(_prothero_robinson(1e4), np.array([1.0, 0.0]), 1.5, tolerance)
+    trajectory = Radau().follow(leg).trajectory
+    for time in np.linspace(0.0, 1.5, 41):
+        y = trajectory.state_at(float(time))
+        assert y[0] == pytest.approx(math.cos(float(time)), abs=10 * tolerance.relative)
+
+
+def test_the_default_engine_goes_over_to_implicit_steps_where_they_pay() -> None:
+    stiff = _leg(_prothero_robinson(1e5), np.array([1.0, 0.0]), 1.5)
+    smooth = _leg(_prothero_robinson(1.0), np.array([1.0, 0.0]), 1.5)
+    explicit = _n_steps(RungeKutta().follow(stiff))
+    assert _n_steps(Automatic().follow(stiff)) < explicit / 50
+    ours, theirs = Automatic().follow(smooth), RungeKutta().follow(smooth)
+    assert ours.state.tolist() == theirs.state.tolist()
+
+
+@pytest.mark.parametrize("engine", [Radau(), Automatic()])
+def test_a_flow_that_blows_up_ends_in_a_named_error(engine: Radau | Automatic) -> None:
+    # y' = y^2 from 1 is infinite at t = 1.
+    flow = PlainFlow(field=lambda y: y**2, guard_and_rate=lambda _: (1.0, 0.0))
+    with np.errstate(all="ignore"), pytest.raises(StepSizeError, match="rounding level"):
+        engine.follow(_leg(flow, np.array([1.0]), 2.0))
+
+
+def test_a_singular_newton_matrix_refuses_the_step_and_no_wrong_state_comes_out() -> None:
+    # y' = y: the matrix (mu / h) - 1 has a zero pivot where h is the real eigenvalue itself.
+    y, p = ca.SX.sym("y"), ca.SX.sym("p", 0)
+    rate = ca.Function("rate", [y, p], [y])
+    dummy = ca.Function("dummy", [y, p], [y])
+    numbers = ca.SX.sym("numbers", 3)
+    step = ca.Function("step", [y, p, numbers], [y, y])
+    jacobian = ca.Function("jacobian", [y, p], [ca.SX(1.0)])
+    mode = ModeFunctions(rate=rate, jacobian=jacobian, guard=dummy, step=step)
+    flow = CompiledFlow(mode, np.zeros(0))
+    scheme = radau(7)
+    singular = scheme.spectrum.values[0].real
+    assert solved(flow.newton(scheme), np.array([1.0]), singular, TIGHT, None) is None
+    good = solved(flow.newton(scheme), np.array([1.0]), 0.5, TIGHT, None)
+    assert good is not None
+    assert 1.0 + float(good[-1, 0]) == pytest.approx(math.exp(0.5), rel=1e-12)

@@ -1,0 +1,171 @@
+"""The stiff engine: Radau IIA of order 13, whose steps do not know how fast a layer decays.
+
+Dense output is the collocation polynomial; an event time is finished on a step that ends there.
+Source: [HairerWanner1996]_, IV.8 for the iteration and the step control.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from zeno_orbits.collocation import Collocation, radau
+from zeno_orbits.dynamics import GuardedFlow, NewtonPieces, Tolerance, Vector
+from zeno_orbits.engines.protocol import Leg, Passage
+from zeno_orbits.engines.runge_kutta import first_size
+from zeno_orbits.engines.stepping import follow_steps
+from zeno_orbits.errors import StepSizeError
+
+_SAFETY = 0.9
+_SHRINK, _GROW = 0.1, 6.0
+_UNSOLVED = 0.3
+"""Factor of the step size after an iteration that did not converge."""
+
+_MOST_ITERATIONS = 12
+_NEWTON_SHARE = 0.01
+"""Part of the tolerance that the iteration may leave."""
+
+_FLOOR = 1e-3
+"""A correction below this part of the tolerance ends the iteration however it got there."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Radau:
+    """Radau IIA with simplified Newton iterations.
+
+    Attributes:
+        scheme: The collocation scheme, of an odd number of stages.
+        largest_step: No step is longer than this, in the time of the flow.
+    """
+
+    scheme: Collocation = field(default_factory=lambda: radau(7))
+    largest_step: float = math.inf
+
+    def follow(self, leg: Leg) -> Passage:
+        """Follow a flow until its guard falls through zero or the time is over.
+
+        Raises:
+            StepSizeError: If the step size falls to rounding level.
+        """
+        return follow_steps(self.steps(leg.flow, leg.y, leg.tolerance), leg)
+
+    def steps(
+        self,
+        flow: GuardedFlow,
+        y: Vector,
+        tolerance: Tolerance,
+        *,
+        time: float = 0.0,
+        size: float | None = None,
+    ) -> Iterator[RadauStep]:
+        """Yield steps from ``y`` on, without end.
+
+        Args:
+            flow: The flow.
+            y: State at the start, ``(n_y,)``.
+            tolerance: Local error of a step.
+            time: Time at the start.
+            size: First step to try; one is guessed by default.
+
+        Raises:
+            StepSizeError: If the step size falls to rounding level.
+        """
+        pieces = flow.newton(self.scheme)
+        size = min(size or first_size(flow, y, tolerance), self.largest_step)
+        exponent = -1.0 / (self.scheme.n_stages + 1)
+        last: RadauStep | None = None
+        refused = False
+        while True:
+            guess = None
+            if last is not None:
+                guess = self.scheme.continued(last.coefficients, 1.0, size / last.size)
+            stages = solved(pieces, y, size, tolerance, guess)
+            error = math.inf if stages is None else pieces.error(stages, tolerance)
+            factor = _SAFETY * max(error, 1e-300) ** exponent if error < math.inf else _UNSOLVED
+            if stages is None or not error <= 1.0:
+                size *= max(_SHRINK, min(factor, 0.5 if last is None else 1.0))
+                refused = True
+                if not size > 4 * math.ulp(time) or size < 1e-300:
+                    raise StepSizeError(
+                        "The step size fell to rounding level: the flow is singular",
+                        time=time,
+                        state=tuple(y.tolist()),
+                    )
+                continue
+            last = RadauStep(
+                flow=flow,
+                scheme=self.scheme,
+                tolerance=tolerance,
+                start=time,
+                size=size,
+                before=y,
+                after=y + stages[-1],
+                coefficients=self.scheme.coefficients(stages),
+            )
+            yield last
+            time += size
+            y = last.after
+            size = min(size * min(1.0 if refused else _GROW, factor), self.largest_step)
+            refused = False
+
+
+def solved(
+    pieces: NewtonPieces, y: Vector, size: float, tolerance: Tolerance, guess: Vector | None
+) -> Vector | None:
+    """Return the stage increments of a step, ``(n_stages, n_y)``, or nothing if Newton fails.
+
+    Args:
+        pieces: The iteration.
+        y: State before the step, ``(n_y,)``.
+        size: Its size.
+        tolerance: What the iteration is measured by.
+        guess: Stage increments to start from; zero by default.
+    """
+    stages = pieces.begin(y, size, guess)
+    last = 0.0
+    for _ in range(_MOST_ITERATIONS):
+        stages, norm = pieces.correct(stages, tolerance)
+        if not math.isfinite(norm):
+            return None
+        if norm <= _FLOOR:
+            return stages
+        # The first correction tells nothing of the rate of convergence.
+        rate = norm / last if last > 0.0 else 1.0
+        if norm * rate <= _NEWTON_SHARE * (1.0 - rate):
+            return stages
+        if rate >= 2.0:
+            return None
+        last = norm
+    return None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RadauStep:
+    """One step, with the polynomial through its stages."""
+
+    flow: GuardedFlow
+    scheme: Collocation
+    tolerance: Tolerance
+    start: float
+    size: float
+    before: Vector
+    after: Vector
+    coefficients: Vector
+
+    def state_at(self, offset: float) -> Vector:
+        """Return the collocation polynomial ``offset`` after the start of the step."""
+        if offset == self.size:
+            return self.after
+        return self.before + self.scheme.increment(self.coefficients, offset / self.size)
+
+    def end_at(self, offset: float) -> Vector:
+        """Return the state after a step that ends ``offset`` after the start of this one."""
+        if offset == self.size:
+            return self.after
+        if offset <= 0.0:
+            return self.before
+        guess = self.scheme.continued(self.coefficients, 0.0, offset / self.size)
+        pieces = self.flow.newton(self.scheme)
+        stages = solved(pieces, self.before, offset, self.tolerance, guess)
+        return self.state_at(offset) if stages is None else self.before + stages[-1]
