@@ -264,7 +264,7 @@ def test_a_search_that_misses_says_which_conditions_by_name(
 ) -> None:
     """One gain, a narrow box, no small steps: a quick no, with all that a long one says."""
     impatient = partial(SearchSettings, smallest_step=0.02)
-    monkeypatch.setattr("zeno_orbits.cli.SearchSettings", impatient)
+    monkeypatch.setattr("zeno_orbits.search.SearchSettings", impatient)
     answer = ask(
         *("search", "motor_pendulum", "--fix", "Kd=-1", "--gain", "Kp=2.49:2.51"),
         *("--objective", "period=1.95", "--starts", "1", "-o", "f.json"),
@@ -791,8 +791,8 @@ def test_a_long_example_of_the_help_is_understood(
 ) -> None:
     assert orbit.exists()
     reached = raising(ZenoOrbitsError("The work would begin here."))
-    monkeypatch.setattr("zeno_orbits.cli.search_gains", reached)
-    monkeypatch.setattr("zeno_orbits.cli.verify", reached)
+    monkeypatch.setattr("zeno_orbits.search.search_gains", reached)
+    monkeypatch.setattr("zeno_orbits.verify.verify", reached)
     answer = ask(*example)
     assert answer.code == NO
     assert answer.err == "zeno-orbits: The work would begin here.\n"
@@ -841,11 +841,11 @@ def test_work_that_is_done_at_once_shows_no_progress(monkeypatch: pytest.MonkeyP
     assert ask("simulate", "bouncing_ball", "--until", "0.1").err == ""
 
 
-@pytest.mark.parametrize("where", ["search_gains", "verify"])
+@pytest.mark.parametrize("where", ["search.search_gains", "verify.verify"])
 def test_an_interrupted_search_says_so_and_writes_nothing(
     where: str, here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(f"zeno_orbits.cli.{where}", raising(KeyboardInterrupt()))
+    monkeypatch.setattr(f"zeno_orbits.{where}", raising(KeyboardInterrupt()))
     answer = ask("search", "motor_pendulum", *PUBLISHED_GAINS, "-o", "f.json")
     assert answer.code == INTERRUPTED
     assert answer.out == ""
@@ -854,7 +854,7 @@ def test_an_interrupted_search_says_so_and_writes_nothing(
 
 
 def test_an_unexpected_error_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("zeno_orbits.cli.load_problem", raising(RuntimeError("two\nlines")))
+    monkeypatch.setattr("zeno_orbits.problem.load_problem", raising(RuntimeError("two\nlines")))
     answer = ask("simulate", "motor_pendulum")
     assert_refused(answer, "internal error", "RuntimeError: two lines", "--debug")
 
@@ -862,7 +862,7 @@ def test_an_unexpected_error_is_one_line(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_debug_shows_where_an_error_comes_from(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ValueError, match="pendulum"):
         main(["simulate", "pendulum", "--debug"])
-    monkeypatch.setattr("zeno_orbits.cli.load_problem", raising(RuntimeError("deep inside")))
+    monkeypatch.setattr("zeno_orbits.problem.load_problem", raising(RuntimeError("deep inside")))
     with pytest.raises(RuntimeError, match="deep inside"):
         main(["simulate", "motor_pendulum", "--debug"])
 

@@ -5,16 +5,13 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.objectives import (
-    LeastEnergy,
-    NearestGains,
-    Objective,
-    WantedAmplitude,
-    WantedPeriod,
-)
-from zeno_orbits.problem import Problem
+
+if TYPE_CHECKING:
+    from zeno_orbits.objectives import Objective
+    from zeno_orbits.problem import Problem
 
 
 def read_numbers(entries: Sequence[str], option: str) -> dict[str, float]:
@@ -70,6 +67,9 @@ def read_objective(
     wish: str, problem: Problem, free: Mapping[str, tuple[float, float]]
 ) -> Objective:
     """Return the objective that a wish on the command line stands for."""
+    # The objectives bring CasADi, which a line that is not understood does not need.
+    from zeno_orbits.objectives import LeastEnergy, NearestGains, WantedAmplitude, WantedPeriod
+
     word, _, target = wish.partition(":") if wish.startswith("nearest") else wish.partition("=")
     if word == "energy" and not target:
         return LeastEnergy()

@@ -9,11 +9,12 @@ from dataclasses import replace
 import numpy as np
 
 from zeno_orbits.certificate import DeltaCut
-from zeno_orbits.compiled import bind, compile_problem
+from zeno_orbits.compiled import bind
 from zeno_orbits.completion import Truncation
 from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.hybrid import audited
+from zeno_orbits.models import compiled_model
 from zeno_orbits.observation import Claim, FirstCycle, distance
 from zeno_orbits.orbit import ZenoOrbit
 from zeno_orbits.problem import Problem, load_reference
@@ -75,7 +76,7 @@ def energies_of(
     simulation: SimulationSettings,
 ) -> dict[str, float]:
     """Return the energies of one period, from an integration that carries the ledger along."""
-    dynamics = bind(compile_problem(problem, audited), orbit.setting(problem).values())
+    dynamics = bind(compiled_model(problem, audited), orbit.setting(problem).values())
     start = np.concatenate([claim.release, np.zeros(3)])
     run = simulate(dynamics, dynamics.on_stop(start), until=cycle.end.time, settings=simulation)
     impact_loss = 0.0
@@ -107,7 +108,7 @@ def second_model(orbit: ZenoOrbit, problem: Problem, cycle: FirstCycle) -> float
     """Return the largest relative difference of the two derivations along the orbit."""
     setting = orbit.setting(problem)
     by_hand: HybridDynamics = load_reference(problem).dynamics(setting)
-    derived = bind(compile_problem(problem), setting.values())
+    derived = bind(compiled_model(problem), setting.values())
     times = np.linspace(0.0, cycle.end.time, 41)
     free = [cycle.execution.state_at(float(t)) for t in times]
     free += [impact.state_minus for impact in cycle.impacts]

@@ -2,35 +2,30 @@
 
 Exit codes: 0, yes; 1, searched or checked and the answer is no; 2, wrong usage or input;
 130, interrupted.
+
+A command imports what it runs when it runs: `--help` and a mistyped option need no CasADi.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from zeno_orbits import report
 from zeno_orbits.arguments import read_boxes, read_count, read_numbers, read_objective, read_seed
-from zeno_orbits.compiled import bind, compile_problem
 from zeno_orbits.errors import InputError, ZenoOrbitsError
-from zeno_orbits.execution import Execution, Impact, ZenoPoint
 from zeno_orbits.files import require_picture, require_writable
 from zeno_orbits.interrupts import Interrupts
-from zeno_orbits.orbit import ZenoOrbit, read_orbit, write_orbit
-from zeno_orbits.problem import Problem, Setting, bundled_problems, load_problem
-from zeno_orbits.search import SearchResult, SearchSettings, search_gains
-from zeno_orbits.simulate import simulate
-from zeno_orbits.verify import (
-    VerificationSettings,
-    certified,
-    problem_dynamics,
-    verify,
-)
+
+if TYPE_CHECKING:
+    from zeno_orbits.execution import Execution
+    from zeno_orbits.orbit import ZenoOrbit
+    from zeno_orbits.problem import Problem, Setting
+    from zeno_orbits.search import SearchResult
 
 YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
 
@@ -157,6 +152,8 @@ def _add_problems(commands: Any) -> None:
 
 
 def _run_problems(options: argparse.Namespace) -> int:
+    from zeno_orbits.problem import bundled_problems, load_problem
+
     problems = [load_problem(name) for name in bundled_problems()]
     if options.json:
         _print_json([_problem_json(problem) for problem in problems])
@@ -196,6 +193,7 @@ def _add_conditions(commands: Any) -> None:
 
 
 def _run_conditions(options: argparse.Namespace) -> int:
+    from zeno_orbits.problem import load_problem
     from zeno_orbits.symbolic import (
         equilibrium_acceleration,
         six_digits,
@@ -227,8 +225,10 @@ def _run_conditions(options: argparse.Namespace) -> int:
         report.print_conditions(problem, setting, str(formula), six_digits(numbers), always=always)
     if options.output is not None:
         from zeno_orbits import plots
+        from zeno_orbits.compiled import bind
+        from zeno_orbits.models import compiled_model
 
-        dynamics = bind(compile_problem(problem), setting.values())
+        dynamics = bind(compiled_model(problem), setting.values())
         plots.save_figure(plots.plot_zeno_region(problem, dynamics), options.output)
         _say_written(options, [options.output])
     return NO if always is False else YES
@@ -260,13 +260,18 @@ def _add_simulate(commands: Any) -> None:
 
 
 def _run_simulate(options: argparse.Namespace) -> int:
+    from zeno_orbits.compiled import bind
+    from zeno_orbits.models import compiled_model
+    from zeno_orbits.problem import load_problem
+    from zeno_orbits.simulate import simulate
+
     problem = load_problem(options.problem)
     setting = _setting(problem, options)
     named = read_numbers(options.start, "start") if options.start else problem.starts[0]
     state = problem.state_vector(named)
     if options.output is not None:
         require_picture(options.output)
-    dynamics = bind(compile_problem(problem), setting.values())
+    dynamics = bind(compiled_model(problem), setting.values())
     with report.Progress(options.interrupts.check) as progress:
         execution = simulate(
             dynamics,
@@ -287,6 +292,8 @@ def _run_simulate(options: argparse.Namespace) -> int:
 
 
 def _execution_json(problem: Problem, execution: Execution) -> dict[str, Any]:
+    from zeno_orbits.execution import Impact, ZenoPoint
+
     def named(state: Any) -> dict[str, float]:
         return dict(zip(problem.state_names, map(float, state), strict=True))
 
@@ -363,6 +370,10 @@ def _add_search(commands: Any) -> None:
 
 
 def _run_search(options: argparse.Namespace) -> int:
+    from zeno_orbits.problem import load_problem
+    from zeno_orbits.search import SearchSettings, search_gains
+    from zeno_orbits.verify import verify
+
     problem = load_problem(options.problem)
     fixed = read_numbers(options.fix, "fix")
     boxes = read_boxes(options.gain)
@@ -404,6 +415,9 @@ def _run_search(options: argparse.Namespace) -> int:
 def _finish_search(
     options: argparse.Namespace, problem: Problem, result: SearchResult, found: dict[str, Any]
 ) -> int:
+    from zeno_orbits.orbit import write_orbit
+    from zeno_orbits.verify import certified
+
     if result.orbit is None:
         if options.json:
             _print_json(
@@ -467,6 +481,8 @@ def _add_orbit(parser: argparse.ArgumentParser) -> None:
 
 
 def _run_verify(options: argparse.Namespace) -> int:
+    from zeno_orbits.verify import VerificationSettings, verify
+
     if not 0.0 < options.tolerance < 1.0:
         message = f"Argument `tolerance` must lie in (0, 1), but it is {options.tolerance:g}."
         raise InputError(message)
@@ -514,6 +530,8 @@ def _add_plot(commands: Any) -> None:
 
 def _run_plot(options: argparse.Namespace) -> int:
     from zeno_orbits import plots
+    from zeno_orbits.simulate import simulate
+    from zeno_orbits.verify import problem_dynamics
 
     orbit, problem = _orbit_and_problem(options)
     dynamics = problem_dynamics(orbit, problem)
@@ -548,6 +566,9 @@ def _run_plot(options: argparse.Namespace) -> int:
 
 
 def _orbit_and_problem(options: argparse.Namespace) -> tuple[ZenoOrbit, Problem]:
+    from zeno_orbits.orbit import read_orbit
+    from zeno_orbits.problem import bundled_problems, load_problem
+
     orbit = read_orbit(options.orbit)
     if options.problem is not None:
         problem = load_problem(options.problem)
@@ -570,6 +591,8 @@ def _setting(problem: Problem, options: argparse.Namespace) -> Setting:
 
 
 def _print_json(data: Any) -> None:
+    import json
+
     print(json.dumps(data, indent=2, allow_nan=False))
 
 

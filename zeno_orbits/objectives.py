@@ -12,7 +12,6 @@ from typing import Protocol
 
 import casadi as ca
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from zeno_orbits.cycle import Cycle
 from zeno_orbits.dynamics import Vector
@@ -217,6 +216,9 @@ def _highest(cycle: Cycle, index: int, sign: float) -> float:
 
 
 def _highest_of(arc: Arc, index: int, sign: float) -> float:
+    # SciPy's optimizers take longer to import than an amplitude to compute, and few ask for one.
+    from scipy.optimize import minimize_scalar
+
     grid = np.linspace(0.0, 1.0, 65)
     values = [sign * _value(arc, index, float(fraction)) for fraction in grid]
     best = int(np.argmax(values))

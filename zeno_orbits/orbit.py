@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, cast
 
@@ -93,6 +91,10 @@ class ZenoOrbit:
 
 def versions() -> dict[str, str]:
     """Return name to version of what computes an orbit."""
+    # Both take as long to import as a small module of ours, and a reader needs neither.
+    import platform
+    from importlib.metadata import PackageNotFoundError, version
+
     found = {"python": platform.python_version()}
     for name in ("zeno_orbits", "casadi", "numpy", "scipy"):
         try:

@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import null_space
 
 from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.errors import SimulationError
+from zeno_orbits.linear_algebra import null_space
 from zeno_orbits.simulate import SimulationSettings, simulate
 
 

@@ -105,9 +105,9 @@ class Setting:
         return (*self.gains.values(), *self.parameters.values())
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Problem:
-    """A scene.
+    """A scene; two are equal if they are the same object, as their functions cannot be compared.
 
     Attributes:
         name: Its name.

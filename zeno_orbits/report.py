@@ -1,4 +1,7 @@
-"""What a person reads: tables on standard output, progress on standard error."""
+"""What a person reads: tables on standard output, progress on standard error.
+
+Rich is imported with the first table: progress, errors and JSON need none of it.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +9,17 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
 from types import TracebackType
+from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
 
-from zeno_orbits.certificate import RESIDUALS, OrbitCertificate
-from zeno_orbits.execution import Execution, Impact, ZenoPoint
-from zeno_orbits.orbit import ZenoOrbit
-from zeno_orbits.problem import Problem, Setting
-from zeno_orbits.search import SearchResult
+    from zeno_orbits.certificate import OrbitCertificate
+    from zeno_orbits.execution import Execution
+    from zeno_orbits.orbit import ZenoOrbit
+    from zeno_orbits.problem import Problem, Setting
+    from zeno_orbits.search import SearchResult
 
 _PATIENCE = 1.0
 """Work shorter than this says nothing [s]."""
@@ -116,6 +120,8 @@ def print_setting(problem: Problem, setting: Setting) -> None:
 
 def print_execution(problem: Problem, execution: Execution, most: int = 40) -> None:
     """Print the events of an execution and where it ends."""
+    from zeno_orbits.execution import Impact, ZenoPoint
+
     console = _console()
     pair = problem.portraits[0] if problem.portraits else problem.state_names[:2]
     states = list(dict.fromkeys((*pair, problem.state_names[-1])))
@@ -163,6 +169,10 @@ def print_orbit(problem: Problem, orbit: ZenoOrbit, certificate: OrbitCertificat
 
 def print_certificate(certificate: OrbitCertificate) -> None:
     """Print residuals, margins and the verdict."""
+    from rich.text import Text
+
+    from zeno_orbits.certificate import RESIDUALS
+
     table = _table("residual", "size", "", "true if zero")
     for name, meaning in RESIDUALS.items():
         if name in certificate.residuals:
@@ -198,6 +208,8 @@ def print_verdict(certificate: OrbitCertificate) -> None:
 
 def print_search(result: SearchResult) -> None:
     """Print how a search went."""
+    from rich.text import Text
+
     console = _console()
     console.print(f"{result.status.value} {result.detail}".strip(), soft_wrap=True)
     if len(result.attempts) > 1:
@@ -232,24 +244,26 @@ def _complex(value: complex) -> str:
 
 
 def _table(*columns: str) -> Table:
+    from rich.table import Table
+
     table = Table(box=None, pad_edge=False, header_style="bold")
     for column in columns:
         table.add_column(column)
     return table
 
 
-class _Console(Console):
-    """A console that prints text as it is and leaves a broken pipe to the caller."""
-
-    def on_broken_pipe(self) -> None:
-        """Say so; rich would exit."""
-        raise BrokenPipeError
-
-
 def _console() -> Console:
+    """Return a console that prints text as it is and leaves a broken pipe to the caller."""
+    from rich.console import Console
+
+    class Plain(Console):
+        def on_broken_pipe(self) -> None:
+            """Say so; rich would exit."""
+            raise BrokenPipeError
+
     # A file has no width of its own; a hundred columns split no cell of ours.
     width = None if sys.stdout.isatty() else 100
-    return _Console(highlight=False, markup=False, width=width)
+    return Plain(highlight=False, markup=False, width=width)
 
 
 def _print(table: Table) -> None:

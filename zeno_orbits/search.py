@@ -8,11 +8,10 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import qmc
 
-from zeno_orbits.compiled import compile_problem
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.hunt import Find, Hunt, SearchSettings, SearchStatus, listed
+from zeno_orbits.models import compiled_model
 from zeno_orbits.objectives import NearestGains, Objective, WantedAmplitude, WantedPeriod
 from zeno_orbits.orbit import ZenoOrbit
 from zeno_orbits.problem import Problem, Setting
@@ -147,7 +146,7 @@ def search_gains(
         objective = NearestGains(target=_clipped(setting.gains, free_gains))
     hunt = Hunt(
         problem=problem,
-        compiled=compile_problem(problem),
+        compiled=compiled_model(problem),
         setting=setting,
         free_gains=free_gains,
         objective=objective,
@@ -220,6 +219,9 @@ def _starting_gains(
     yield _clipped(given, free)
     if not free:
         return
+    # SciPy's statistics take half a second to import, and most searches end at their first start.
+    from scipy.stats import qmc
+
     lower, upper = np.array(list(free.values())).T
     sampler = qmc.Halton(len(free), seed=settings.seed)
     for point in sampler.random(settings.n_starts):

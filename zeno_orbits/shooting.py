@@ -11,13 +11,13 @@ from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
-from scipy.linalg import null_space
 
 from zeno_orbits.collocation import Array, Collocation, radau
 from zeno_orbits.compiled import CompiledSystem, ModeFunctions
 from zeno_orbits.cycle import Closure, Cycle
 from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.execution import Arc
+from zeno_orbits.linear_algebra import null_space
 from zeno_orbits.meshes import graded_mesh, stage_fractions
 from zeno_orbits.nlp import ProgramBuilder
 from zeno_orbits.problem import Setting
@@ -354,8 +354,7 @@ class _Writer:
         x, p = ca.SX.sym("x", self.compiled.n_x), ca.SX.sym("p", len(self.values))
         held = ca.vertcat(self.compiled.contact(x, p)[0:2], self.compiled.holonomic(x, p))
         gradient = ca.Function("gradient", [x, p], [ca.jacobian(held, x)])(at, self.values)
-        tangent: Array = null_space(np.asarray(gradient.full(), dtype=np.float64) * self.scale)
-        return tangent
+        return null_space(np.asarray(gradient.full(), dtype=np.float64) * self.scale)
 
 
 def _flow_scale(arc: Arc, scale: Vector) -> Vector:

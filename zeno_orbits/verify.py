@@ -13,9 +13,10 @@ from dataclasses import dataclass, field, replace
 
 from zeno_orbits.audits import cut_order, delta_sweep, energies_of, imbalance, second_model
 from zeno_orbits.certificate import DeltaCut, OrbitCertificate
-from zeno_orbits.compiled import bind, compile_problem
+from zeno_orbits.compiled import bind
 from zeno_orbits.dynamics import HybridDynamics
 from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.models import compiled_model
 from zeno_orbits.observation import Claim, FirstCycle, claim_of, observe
 from zeno_orbits.orbit import ZenoOrbit
 from zeno_orbits.poincare import Multipliers, floquet_multipliers
@@ -141,7 +142,7 @@ def problem_dynamics(
     setting = orbit.setting(problem)
     if use_reference:
         return load_reference(problem).dynamics(setting)
-    return bind(compile_problem(problem), setting.values())
+    return bind(compiled_model(problem), setting.values())
 
 
 def _multipliers(
