@@ -19,9 +19,10 @@ from zeno_orbits.poincare import (
     floquet_multipliers,
     poincare_map,
     release_section,
+    to_next_release,
 )
 from zeno_orbits.problem import Problem
-from zeno_orbits.simulate import SimulationSettings
+from zeno_orbits.simulate import SimulationSettings, simulate
 
 SETTINGS = SimulationSettings()
 SCALE = np.maximum(np.abs(RELEASE), np.abs(ZENO_STATE)) + 1e-3
@@ -149,3 +150,32 @@ def test_a_state_that_does_not_return_is_told(machine: HybridDynamics) -> None:
     blind = replace(machine, multiplier_rate=lambda _: 1.0)
     with pytest.raises(SimulationError):
         floquet_multipliers(blind, CENTRE, scale=SCALE, period=PERIOD / 3, settings=SETTINGS)
+
+
+def test_waiting_for_a_return_sees_what_a_longer_simulation_sees(machine: HybridDynamics) -> None:
+    short = to_next_release(machine, CENTRE, horizon=2 * PERIOD, settings=SETTINGS)
+    long = simulate(machine, CENTRE, until=2 * PERIOD, settings=SETTINGS)
+    first, second = short.returns(2 * PERIOD)[0], long.returns(2 * PERIOD)[0]
+    # The same steps in the same order: nothing but the end differs.
+    assert first.time == second.time
+    assert np.array_equal(first.state, second.state)
+    assert short.end_time == first.time < long.end_time
+
+
+def test_a_start_that_is_locked_for_a_moment_waits_for_the_return_after_it(
+    machine: HybridDynamics,
+) -> None:
+    # A little before the release the multiplier still holds, and lets go at once.
+    moment = 1e-9
+    start = machine.on_stop(CENTRE - moment * machine.locked.rate(CENTRE))
+    execution = to_next_release(machine, start, horizon=2 * PERIOD, settings=SETTINGS)
+    first, second = execution.releases
+    assert first.time == pytest.approx(moment, rel=1e-3)
+    assert second.time == pytest.approx(PERIOD + moment, abs=1e-8)
+    assert execution.end_time == second.time
+
+
+def test_a_motion_without_a_return_is_followed_to_the_horizon(machine: HybridDynamics) -> None:
+    execution = to_next_release(machine, CENTRE, horizon=PERIOD / 2, settings=SETTINGS)
+    assert not execution.releases
+    assert execution.end_time == pytest.approx(PERIOD / 2)

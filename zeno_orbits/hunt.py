@@ -21,9 +21,10 @@ from zeno_orbits.guess import SettlingSettings, settle
 from zeno_orbits.nlp import Hessian, IpoptSettings, Solution, SolveStatus, solve
 from zeno_orbits.objectives import NearestGains, Objective, WantedAmplitude, WantedPeriod
 from zeno_orbits.orbit import OrbitImpact, ZenoOrbit, versions
+from zeno_orbits.poincare import to_next_release
 from zeno_orbits.problem import Problem, Setting
 from zeno_orbits.shooting import TranscriptionSettings, transcribe
-from zeno_orbits.simulate import SimulationSettings, simulate
+from zeno_orbits.simulate import SimulationSettings
 
 
 class SearchStatus(Enum):
@@ -329,8 +330,9 @@ class Hunt:
 
 def _one_cycle(dynamics: HybridDynamics, release: Vector, horizon: float) -> Cycle | None:
     """Return the period that starts at a release state, at full accuracy."""
+    settings = SimulationSettings()
     try:
-        run = simulate(dynamics, release, until=horizon, settings=SimulationSettings())
+        run = to_next_release(dynamics, release, horizon=horizon, settings=settings)
     except ZenoOrbitsError:
         return None
     found = cycles(run, start=release)

@@ -13,6 +13,7 @@ from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.execution import Arc, Execution, Impact, Mode, Release, ZenoPoint
 from zeno_orbits.orbit import ZenoOrbit
+from zeno_orbits.poincare import to_next_release
 from zeno_orbits.problem import Problem
 from zeno_orbits.simulate import SimulationSettings, simulate
 
@@ -176,7 +177,8 @@ def _looser_return(
 ) -> float:
     """Return how far the first return of a looser integration is from the first one's."""
     try:
-        again = simulate(dynamics, start, until=1.5 * cycle.end.time, settings=settings)
+        horizon = 1.5 * cycle.end.time
+        again = to_next_release(dynamics, start, horizon=horizon, settings=settings)
     except ZenoOrbitsError:
         return math.inf
     later = again.returns(cycle.end.time)

@@ -12,6 +12,7 @@ import numpy as np
 
 from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.errors import SimulationError
+from zeno_orbits.execution import Execution
 from zeno_orbits.linear_algebra import null_space
 from zeno_orbits.simulate import SimulationSettings, simulate
 
@@ -94,6 +95,27 @@ def release_section(dynamics: HybridDynamics, centre: Vector, scale: Vector) -> 
     )
 
 
+def to_next_release(
+    dynamics: HybridDynamics, x: Vector, *, horizon: float, settings: SimulationSettings
+) -> Execution:
+    """Return the execution from a release until the next one, or to the horizon without any.
+
+    Args:
+        dynamics: The system.
+        x: A release state, on the stop, ``(n_x,)``.
+        horizon: Longest time to wait [s].
+        settings: Accuracy.
+
+    Raises:
+        SimulationError: If the execution cannot be continued so far.
+    """
+    execution = simulate(dynamics, x, until=horizon, releases=1, settings=settings)
+    if execution.releases and not execution.returns(horizon):
+        # The start was locked by a rounding error and released at once: the next one is meant.
+        execution = simulate(dynamics, x, until=horizon, releases=2, settings=settings)
+    return execution
+
+
 def poincare_map(
     dynamics: HybridDynamics, x: Vector, *, horizon: float, settings: SimulationSettings
 ) -> tuple[float, Vector]:
@@ -108,7 +130,7 @@ def poincare_map(
     Raises:
         SimulationError: If there is no release within the horizon.
     """
-    execution = simulate(dynamics, dynamics.on_stop(x), until=horizon, settings=settings)
+    execution = to_next_release(dynamics, dynamics.on_stop(x), horizon=horizon, settings=settings)
     later = execution.returns(horizon)
     if not later:
         raise SimulationError("There is no next release", time=horizon, state=tuple(x.tolist()))
