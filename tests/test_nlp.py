@@ -11,12 +11,11 @@ import pytest
 from zeno_orbits.nlp import (
     Hessian,
     IpoptSettings,
-    Program,
-    ProgramBuilder,
     Solution,
     SolveStatus,
     solve,
 )
+from zeno_orbits.program import Program, ProgramBuilder
 
 G = 9.81
 TIGHT = 1e-9

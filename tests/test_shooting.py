@@ -14,8 +14,9 @@ from tests.scenes import clocked_oscillator
 from zeno_orbits.compiled import bind, compile_problem
 from zeno_orbits.cycle import Cycle, closure_of, cycles
 from zeno_orbits.dynamics import HybridDynamics, Vector
-from zeno_orbits.nlp import Hessian, IpoptSettings, Program, SolveStatus, solve
+from zeno_orbits.nlp import Hessian, IpoptSettings, SolveStatus, solve
 from zeno_orbits.problem import Problem, Setting
+from zeno_orbits.program import Program
 from zeno_orbits.search import SearchStatus, find_orbit
 from zeno_orbits.shooting import TranscriptionSettings, transcribe
 from zeno_orbits.simulate import simulate
@@ -91,6 +92,22 @@ def test_a_simulated_period_meets_every_condition_to_the_accuracy_of_its_mesh(
 ) -> None:
     program = _program(scene, scene.setting(), cycle, mesh_tolerance=tolerance)
     assert max(_violations(program, program.guess).values()) < 2 * tolerance
+
+
+@pytest.mark.parametrize("free", [{}, {"Kp": (1.0, 6.0), "Kd": (-1.5, -0.4)}])
+def test_the_jacobian_by_the_chain_rule_is_that_of_the_whole_graph(
+    free: dict[str, tuple[float, float]], scene: Problem, cycle: Cycle
+) -> None:
+    program = _program(scene, scene.setting(), cycle, free_gains=free)
+    plain = ca.jacobian(program.rows, program.unknowns)
+    both = ca.Function("both", [program.unknowns], [program.jacobian, plain])
+    # Off the guess, so that no entry vanishes by the orbit's own symmetry.
+    ours, theirs = both(program.guess * (1 + 1e-3 * np.sin(np.arange(len(program.guess)))))
+    largest = float(ca.norm_inf(ca.vec(theirs)))
+    # An entry is a sum of some hundred products.
+    assert float(ca.norm_inf(ca.vec(ours - theirs))) < 100 * np.finfo(np.float64).eps * largest
+    # A gain left out of the chain rule would show: its column is far above rounding.
+    assert all(np.max(np.abs(theirs[:, k].full())) > 1e-6 for k in range(len(free)))
 
 
 def test_at_fixed_gains_there_are_as_many_equations_as_unknowns(program: Program) -> None:

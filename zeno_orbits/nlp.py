@@ -1,26 +1,20 @@
-"""Nonlinear programs whose unknowns and rows have names; Ipopt solves them.
-
-A block's guess, bounds and scale are declared with it, so they cannot fall out of step, and a
-failed solve is reported in the words of the problem. Source: [WachterBiegler2006]_ for Ipopt.
-"""
+"""Ipopt, asked for the solution of a program with names. Source: [WachterBiegler2006]_."""
 
 from __future__ import annotations
 
 import contextlib
 import io
-import math
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from zeno_orbits.program import Array, Program
 
 
 class SolveStatus(Enum):
@@ -93,6 +87,9 @@ class IpoptSettings:
         return {
             "print_time": False,
             "error_on_fail": False,
+            # The gradient of the Lagrangian serves multipliers that nobody asks for.
+            "calc_lam_p": False,
+            "no_nlp_grad": True,
             "ipopt": {
                 "print_level": 0,
                 "sb": "yes",
@@ -111,39 +108,6 @@ class IpoptSettings:
                 "hessian_approximation": self.hessian.value,
             },
         }
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Program:
-    """A nonlinear program in scaled unknowns.
-
-    Attributes:
-        unknowns: All unknowns, each divided by its scale, ``(n,)``.
-        objective: To be minimised.
-        rows: Scaled constraint expressions, ``(m,)``.
-        reports: Name to an expression whose value at the solution is wanted.
-        names: Name to place and shape of each block of unknowns.
-        row_names: Name of each row.
-        scales: Scale of each unknown.
-        guess: First iterate, scaled.
-        lower: Lower bounds of the unknowns, scaled.
-        upper: Upper bounds, scaled.
-        row_lower: Lower bounds of the rows.
-        row_upper: Upper bounds of the rows.
-    """
-
-    unknowns: ca.MX
-    objective: ca.MX
-    rows: ca.MX
-    reports: Mapping[str, ca.MX]
-    names: Mapping[str, tuple[int, tuple[int, int]]]
-    row_names: tuple[str, ...]
-    scales: Array
-    guess: Array
-    lower: Array
-    upper: Array
-    row_lower: Array
-    row_upper: Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -171,114 +135,6 @@ class Solution:
         return sorted(self.residuals.items(), key=lambda item: -item[1])[:n]
 
 
-class ProgramBuilder:
-    """Collects unknowns and rows; the only thing here that accumulates."""
-
-    def __init__(self) -> None:
-        self._symbols: list[ca.MX] = []
-        self._names: dict[str, tuple[int, tuple[int, int]]] = {}
-        self._scales: list[Array] = []
-        self._guess: list[Array] = []
-        self._bounds: list[tuple[Array, Array]] = []
-        self._rows: list[ca.MX] = []
-        self._row_names: list[str] = []
-        self._row_bounds: list[tuple[float, float]] = []
-        self._reports: dict[str, ca.MX] = {}
-        self._size = 0
-
-    def variable(
-        self,
-        name: str,
-        guess: Array | float,
-        *,
-        scale: Array | float = 1.0,
-        lower: Array | float = -math.inf,
-        upper: Array | float = math.inf,
-    ) -> ca.MX:
-        """Declare a block of unknowns and return it, in its own units and the shape of its guess.
-
-        Args:
-            name: Its name.
-            guess: First values; a scalar, a vector or a matrix.
-            scale: Typical size, a number or one a row.
-            lower: Lower bound, like ``scale``.
-            upper: Upper bound, like ``scale``.
-        """
-        values = np.atleast_1d(np.asarray(guess, dtype=np.float64))
-        matrix = values.reshape(values.shape[0], -1)
-        if name in self._names:
-            raise ValueError(f"Argument `name` must be new, but `{name}` is a block already.")
-
-        def spread(number: Array | float) -> Array:
-            column = np.broadcast_to(np.asarray(number, dtype=np.float64), values.shape[:1])
-            return np.repeat(column[:, None], matrix.shape[1], axis=1)
-
-        sizes = spread(scale)
-        symbol = ca.MX.sym(name, *matrix.shape)
-        self._symbols.append(ca.vec(symbol))
-        self._names[name] = (self._size, (matrix.shape[0], matrix.shape[1]))
-        self._size += matrix.size
-        for store, block in ((self._scales, sizes), (self._guess, matrix / sizes)):
-            store.append(block.flatten(order="F"))
-        self._bounds.append(
-            (
-                (spread(lower) / sizes).flatten(order="F"),
-                (spread(upper) / sizes).flatten(order="F"),
-            )
-        )
-        return symbol * ca.DM(sizes)
-
-    def equal(self, names: str | Sequence[str], expression: ca.MX, *, scale: Any = 1.0) -> None:
-        """Require an expression to vanish, measured in units of its scale."""
-        self._constrain(names, expression, scale, (0.0, 0.0))
-
-    def at_least_zero(
-        self, names: str | Sequence[str], expression: ca.MX, *, scale: Any = 1.0
-    ) -> None:
-        """Require an expression to be non-negative, measured in units of its scale."""
-        self._constrain(names, expression, scale, (0.0, math.inf))
-
-    def report(self, name: str, expression: ca.MX) -> None:
-        """Ask for the value of an expression at the solution."""
-        self._reports[name] = expression
-
-    def build(self, objective: ca.MX | None = None) -> Program:
-        """Return the program; without an objective, any point that meets the rows will do."""
-        bounds = np.array([np.concatenate(side) for side in zip(*self._bounds, strict=True)])
-        rows = np.array(self._row_bounds)
-        return Program(
-            reports=dict(self._reports),
-            unknowns=ca.vertcat(*self._symbols),
-            objective=ca.MX(0) if objective is None else objective,
-            rows=ca.vertcat(*self._rows),
-            names=dict(self._names),
-            row_names=tuple(self._row_names),
-            scales=np.concatenate(self._scales),
-            guess=np.concatenate(self._guess),
-            lower=bounds[0],
-            upper=bounds[1],
-            row_lower=rows[:, 0],
-            row_upper=rows[:, 1],
-        )
-
-    def _constrain(
-        self,
-        names: str | Sequence[str],
-        expression: ca.MX,
-        scale: Any,
-        bounds: tuple[float, float],
-    ) -> None:
-        """Add rows; a matrix has one name a column."""
-        labels = [names] if isinstance(names, str) else list(names)
-        n_rows = expression.numel()
-        if n_rows == 0:
-            return
-        scaled: ca.MX = expression / scale
-        self._rows.append(ca.vec(scaled))
-        self._row_names += [labels[k * len(labels) // n_rows] for k in range(n_rows)]
-        self._row_bounds += [bounds] * n_rows
-
-
 def _quiet_about_interrupts() -> contextlib.AbstractContextManager[object]:
     """Keep CasADi's own line about an interrupt off the terminal; other threads keep theirs."""
     if threading.current_thread() is threading.main_thread():
@@ -293,7 +149,9 @@ def solve(program: Program, settings: IpoptSettings | None = None) -> Solution:
         KeyboardInterrupt: If the user interrupts; Ipopt alone would swallow it.
     """
     settings = settings or IpoptSettings()
-    options = settings.as_casadi()
+    nothing = ca.MX.sym("nothing", 0)
+    rows = ca.Function("rows", [program.unknowns, nothing], [program.rows, program.jacobian])
+    options = settings.as_casadi() | {"jac_g": rows}
     nlp = {"x": program.unknowns, "f": program.objective, "g": program.rows}
     solver = ca.nlpsol("orbit", "ipopt", nlp, options)
     started = time.perf_counter()

@@ -19,8 +19,8 @@ from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.execution import Arc
 from zeno_orbits.linear_algebra import null_space
 from zeno_orbits.meshes import graded_mesh, stage_fractions
-from zeno_orbits.nlp import ProgramBuilder
 from zeno_orbits.problem import Setting
+from zeno_orbits.program import ProgramBuilder
 from zeno_orbits.zeno import limit_weights, tail_time
 
 
@@ -208,17 +208,12 @@ class _Writer:
         duration = self.program.variable(f"{name} duration", length, scale=length)
         n_intervals = len(mesh) - 1
         starts = ca.horzcat(start, stages[:, n_stages - 1 : -1 : n_stages])
-        interval = self._interval(mode).map(n_intervals)
-        defects, works = interval(
-            starts,
-            stages,
-            duration * ca.DM(np.diff(mesh)).T,
-            ca.repmat(p, 1, n_intervals),
-        )
-        self.program.equal(
+        sizes = duration * ca.DM(np.diff(mesh)).T
+        (works,) = self.program.equal_along(
             [f"continuity[{name}, interval {k}]" for k in range(n_intervals)],
-            defects,
-            scale=ca.repmat(ca.DM(scale), 1, n_intervals * n_stages),
+            self._interval(mode),
+            (starts, stages, sizes, ca.repmat(p, 1, n_intervals)),
+            scale=np.repeat(scale[:, None], n_stages, axis=1),
         )
         unit = p[-1] if mode is self.compiled.flight else ca.MX(1)
         return Stretch(
@@ -283,17 +278,11 @@ class _Writer:
     def keep_apart(self, stretches: tuple[Stretch, ...]) -> None:
         """Require a non-negative gap in every flight and a non-negative multiplier on the stop."""
         flight, *hops, locked = stretches
-        self.program.at_least_zero(
-            "gap >= 0 in flight 0", self._contact(flight.stages[:, :-1])[0, :], scale=self.gap_scale
-        )
+        self._never_negative("gap >= 0 in flight 0", 0, flight, self.gap_scale)
         for hop in hops:
             size = float(_flow_scale(hop.arc, self.scale)[-2])
             self.program.at_least_zero(f"gap >= 0 in {hop.name}", hop.stages[-2, :-1], scale=size)
-        self.program.at_least_zero(
-            "multiplier >= 0 on the stop",
-            self._contact(locked.stages[:, :-1])[3, :],
-            scale=self.force_scale,
-        )
+        self._never_negative("multiplier >= 0 on the stop", 3, locked, self.force_scale)
 
     def close(self, at: Vector, release: ca.MX, zeno: ca.MX, end: ca.MX) -> None:
         """Require the release conditions, and that the locked arc ends at the same release."""
@@ -325,10 +314,14 @@ class _Writer:
             resting + remaining * self.compiled.locked.rate(resting, self.p),
         )
 
-    def _contact(self, states: ca.MX) -> ca.MX:
-        """Return the contact quantities of many states, a column each."""
-        n = states.shape[1]
-        return self.compiled.contact.map(n)(states, ca.repmat(self.p, 1, n))
+    def _never_negative(self, name: str, index: int, stretch: Stretch, scale: float) -> None:
+        """Require a contact quantity to be non-negative at all stages of a stretch but its end."""
+        x, p = ca.SX.sym("x", self.compiled.n_x), ca.SX.sym("p", self.p.numel())
+        # A function of its own: the derivatives of the other quantities are not asked for.
+        quantity = ca.Function("quantity", [x, p], [self.compiled.contact(x, p)[index]])
+        states = stretch.stages[:, :-1]
+        parameters = ca.repmat(self.p, 1, states.shape[1])
+        self.program.at_least_zero_along(name, quantity, (states, parameters), scale=scale)
 
     def _interval(self, mode: ModeFunctions) -> ca.Function:
         """Return one collocation step: defects of its stages, work over it (theory (17))."""

@@ -1,0 +1,221 @@
+"""Nonlinear programs whose unknowns and rows have names.
+
+A block's guess, bounds and scale are declared with it, so they cannot fall out of step, and a
+failed solve is reported in the words of the problem.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from zeno_orbits.sensitivity import MappedRows, rows_jacobian
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Program:
+    """A nonlinear program in scaled unknowns.
+
+    Attributes:
+        unknowns: All unknowns, each divided by its scale, ``(n,)``.
+        objective: To be minimised.
+        rows: Scaled constraint expressions, ``(m,)``.
+        jacobian: Their derivatives, sparse, ``(m, n)``.
+        reports: Name to an expression whose value at the solution is wanted.
+        names: Name to place and shape of each block of unknowns.
+        row_names: Name of each row.
+        scales: Scale of each unknown.
+        guess: First iterate, scaled.
+        lower: Lower bounds of the unknowns, scaled.
+        upper: Upper bounds, scaled.
+        row_lower: Lower bounds of the rows.
+        row_upper: Upper bounds of the rows.
+    """
+
+    unknowns: ca.MX
+    objective: ca.MX
+    rows: ca.MX
+    jacobian: ca.MX
+    reports: Mapping[str, ca.MX]
+    names: Mapping[str, tuple[int, tuple[int, int]]]
+    row_names: tuple[str, ...]
+    scales: Array
+    guess: Array
+    lower: Array
+    upper: Array
+    row_lower: Array
+    row_upper: Array
+
+
+class ProgramBuilder:
+    """Collects unknowns and rows; the only thing here that accumulates."""
+
+    def __init__(self) -> None:
+        self._symbols: list[ca.MX] = []
+        self._names: dict[str, tuple[int, tuple[int, int]]] = {}
+        self._scales: list[Array] = []
+        self._guess: list[Array] = []
+        self._bounds: list[tuple[Array, Array]] = []
+        self._rows: list[ca.MX] = []
+        self._origins: list[ca.MX | MappedRows] = []
+        self._row_names: list[str] = []
+        self._row_bounds: list[tuple[float, float]] = []
+        self._reports: dict[str, ca.MX] = {}
+        self._size = 0
+
+    def variable(
+        self,
+        name: str,
+        guess: Array | float,
+        *,
+        scale: Array | float = 1.0,
+        lower: Array | float = -math.inf,
+        upper: Array | float = math.inf,
+    ) -> ca.MX:
+        """Declare a block of unknowns and return it, in its own units and the shape of its guess.
+
+        Args:
+            name: Its name.
+            guess: First values; a scalar, a vector or a matrix.
+            scale: Typical size, a number or one a row.
+            lower: Lower bound, like ``scale``.
+            upper: Upper bound, like ``scale``.
+        """
+        values = np.atleast_1d(np.asarray(guess, dtype=np.float64))
+        matrix = values.reshape(values.shape[0], -1)
+        if name in self._names:
+            raise ValueError(f"Argument `name` must be new, but `{name}` is a block already.")
+
+        def spread(number: Array | float) -> Array:
+            column = np.broadcast_to(np.asarray(number, dtype=np.float64), values.shape[:1])
+            return np.repeat(column[:, None], matrix.shape[1], axis=1)
+
+        sizes = spread(scale)
+        symbol = ca.MX.sym(name, *matrix.shape)
+        self._symbols.append(ca.vec(symbol))
+        self._names[name] = (self._size, (matrix.shape[0], matrix.shape[1]))
+        self._size += matrix.size
+        for store, block in ((self._scales, sizes), (self._guess, matrix / sizes)):
+            store.append(block.flatten(order="F"))
+        self._bounds.append(
+            (
+                (spread(lower) / sizes).flatten(order="F"),
+                (spread(upper) / sizes).flatten(order="F"),
+            )
+        )
+        return symbol * ca.DM(sizes)
+
+    def equal(self, names: str | Sequence[str], expression: ca.MX, *, scale: Any = 1.0) -> None:
+        """Require an expression to vanish, measured in units of its scale."""
+        self._constrain(names, expression, scale, (0.0, 0.0))
+
+    def at_least_zero(
+        self, names: str | Sequence[str], expression: ca.MX, *, scale: Any = 1.0
+    ) -> None:
+        """Require an expression to be non-negative, measured in units of its scale."""
+        self._constrain(names, expression, scale, (0.0, math.inf))
+
+    def equal_along(
+        self,
+        names: str | Sequence[str],
+        function: ca.Function,
+        parts: Sequence[ca.MX],
+        *,
+        scale: Array | float = 1.0,
+    ) -> list[ca.MX]:
+        """Require the first output of a function to vanish at many columns of arguments.
+
+        Args:
+            names: One name for all columns, or one a column.
+            function: From a column, one input a part, to its rows and whatever else.
+            parts: The parts of all columns, side by side.
+            scale: What the rows of a column are measured in, in the shape of the output.
+
+        Returns:
+            The other outputs, side by side.
+        """
+        return self._constrain_along(names, function, parts, scale, (0.0, 0.0))
+
+    def at_least_zero_along(
+        self,
+        names: str | Sequence[str],
+        function: ca.Function,
+        parts: Sequence[ca.MX],
+        *,
+        scale: Array | float = 1.0,
+    ) -> None:
+        """Require the first output of a function to be non-negative at many columns."""
+        self._constrain_along(names, function, parts, scale, (0.0, math.inf))
+
+    def report(self, name: str, expression: ca.MX) -> None:
+        """Ask for the value of an expression at the solution."""
+        self._reports[name] = expression
+
+    def build(self, objective: ca.MX | None = None) -> Program:
+        """Return the program; without an objective, any point that meets the rows will do."""
+        bounds = np.array([np.concatenate(side) for side in zip(*self._bounds, strict=True)])
+        rows = np.array(self._row_bounds)
+        unknowns = ca.vertcat(*self._symbols)
+        return Program(
+            reports=dict(self._reports),
+            unknowns=unknowns,
+            objective=ca.MX(0) if objective is None else objective,
+            rows=ca.vertcat(*self._rows),
+            jacobian=rows_jacobian(self._origins, unknowns),
+            names=dict(self._names),
+            row_names=tuple(self._row_names),
+            scales=np.concatenate(self._scales),
+            guess=np.concatenate(self._guess),
+            lower=bounds[0],
+            upper=bounds[1],
+            row_lower=rows[:, 0],
+            row_upper=rows[:, 1],
+        )
+
+    def _constrain_along(
+        self,
+        names: str | Sequence[str],
+        function: ca.Function,
+        parts: Sequence[ca.MX],
+        scale: Array | float,
+        bounds: tuple[float, float],
+    ) -> list[ca.MX]:
+        """Add the rows of a function at many columns, and return its other outputs."""
+        n = parts[0].numel() // function.numel_in(0)
+        if n == 0:
+            return []
+        rows, *others = function.map(n).call(list(parts))
+        shape = function.size_out(0)
+        column = np.broadcast_to(np.asarray(scale, dtype=np.float64), shape)
+        scales = ca.DM(np.tile(column.flatten(order="F"), n))
+        self._constrain(names, ca.vec(rows), scales, bounds)
+        self._origins[-1] = MappedRows(
+            function=function, parts=tuple(parts), n_columns=n, scale=scales
+        )
+        return others
+
+    def _constrain(
+        self,
+        names: str | Sequence[str],
+        expression: ca.MX,
+        scale: Any,
+        bounds: tuple[float, float],
+    ) -> None:
+        """Add rows; a matrix has one name a column."""
+        labels = [names] if isinstance(names, str) else list(names)
+        n_rows = expression.numel()
+        if n_rows == 0:
+            return
+        scaled: ca.MX = expression / scale
+        self._rows.append(ca.vec(scaled))
+        self._origins.append(self._rows[-1])
+        self._row_names += [labels[k * len(labels) // n_rows] for k in range(n_rows)]
+        self._row_bounds += [bounds] * n_rows
