@@ -5,6 +5,7 @@ import gc
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.integrate import DOP853
 
 from zeno_orbits.compiled import bind, compile_problem, compile_system
 from zeno_orbits.drives import no_drive
@@ -14,6 +15,7 @@ from zeno_orbits.errors import StepSizeError
 from zeno_orbits.hybrid import audited, complete
 from zeno_orbits.mechanics import HybridLagrangian
 from zeno_orbits.problem import load_problem
+from zeno_orbits.tableau import FIFTH, STAGES, STEP, THIRD
 
 ROUNDING = 1e-15
 
@@ -147,3 +149,16 @@ def test_a_damped_component_keeps_its_tolerance() -> None:
         if step.start > 1.0:
             break
     assert worst < tolerance.relative
+
+
+def test_the_tableau_is_that_of_the_method() -> None:
+    matrix = np.zeros((N_STAGES := len(STAGES) + 1, N_STAGES))
+    for k, row in enumerate(STAGES, start=1):
+        for stage, weight in row:
+            matrix[k, stage] = weight
+    assert matrix.tolist() == DOP853.A[:N_STAGES, :N_STAGES].tolist()
+    for row, theirs in ((STEP, DOP853.B), (FIFTH, DOP853.E5), (THIRD, DOP853.E3)):
+        dense = np.zeros(len(theirs))
+        for stage, weight in row:
+            dense[stage] = weight
+        assert dense.tolist() == theirs.tolist()

@@ -1,7 +1,7 @@
 """One step of the Dormand-Prince method of order 8, in numbers or in symbols.
 
-The tableau is the public one of ``scipy.integrate.DOP853``. Source: [HairerNorsettWanner1993]_,
-section II.10; the error combines its estimates of order 5 and 3.
+Source: [HairerNorsettWanner1993]_, section II.10; the error combines its estimates of order 5
+and 3.
 """
 
 from __future__ import annotations
@@ -9,17 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-import numpy as np
-from scipy.integrate import DOP853
+from zeno_orbits.tableau import FIFTH, STAGES, STEP, THIRD, Row
 
 State = TypeVar("State", bound=Any)
 """A NumPy vector or a CasADi column: whatever adds and scales."""
-
-N_STAGES: int = DOP853.n_stages
-_A = DOP853.A
-_B = DOP853.B
-_E5 = DOP853.E5
-_E3 = DOP853.E3
 
 _LEAST_RATIO = 0.02
 """Part of the order-5 estimate that an error estimate keeps at least."""
@@ -36,11 +29,11 @@ def explicit_attempt(
         size: Step size, a number or a symbol.
     """
     slopes: list[State] = [rate(y)]
-    for stage in range(1, N_STAGES):
-        slopes.append(rate(y + size * _weighted(_A[stage, :stage], slopes)))
-    after = y + size * _weighted(_B, slopes)
+    for stage in STAGES:
+        slopes.append(rate(y + size * _weighted(stage, slopes)))
+    after = y + size * _weighted(STEP, slopes)
     slopes.append(rate(after))
-    return after, _weighted(_E5, slopes), _weighted(_E3, slopes)
+    return after, _weighted(FIFTH, slopes), _weighted(THIRD, slopes)
 
 
 def error_norm(fifth_squared: Any, third_squared: Any, size: Any, n_y: int, functions: Any) -> Any:
@@ -70,8 +63,5 @@ def error_norm(fifth_squared: Any, third_squared: Any, size: Any, n_y: int, func
     return size * functions.sqrt(fifth_squared / n_y) * (largest + 0 * mixed)
 
 
-def _weighted(weights: np.ndarray[Any, Any], slopes: list[Any]) -> Any:
-    return sum(
-        (float(weight) * slope for weight, slope in zip(weights, slopes, strict=True) if weight),
-        0.0,
-    )
+def _weighted(row: Row, slopes: list[Any]) -> Any:
+    return sum((weight * slopes[stage] for stage, weight in row), 0.0)
