@@ -37,6 +37,19 @@ class OrbitFileError(InputError):
         self.path = path
 
 
+class TranslationError(InputError):
+    """A model uses an operation that Taylor's method cannot follow.
+
+    Attributes:
+        operation: Its name.
+    """
+
+    def __init__(self, operation: str, reason: str) -> None:
+        wanted = "must be made of analytic operations for Taylor's method"
+        super().__init__(f"Argument `system` {wanted}, but it uses `{operation}`, {reason}.")
+        self.operation = operation
+
+
 class SimulationError(ZenoOrbitsError):
     """An execution could not be continued.
 
