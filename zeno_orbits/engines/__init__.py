@@ -5,6 +5,7 @@ from zeno_orbits.engines.protocol import Engine, Leg, Outcome, Passage, Trajecto
 from zeno_orbits.engines.radau import Radau
 from zeno_orbits.engines.runge_kutta import RungeKutta
 from zeno_orbits.engines.scipy import SciPy
+from zeno_orbits.engines.taylor import Taylor
 
 __all__ = [
     "Automatic",
@@ -15,5 +16,6 @@ __all__ = [
     "Radau",
     "RungeKutta",
     "SciPy",
+    "Taylor",
     "Trajectory",
 ]
