@@ -283,7 +283,9 @@ def test_a_watch_may_end_the_leg(pendulum: HybridDynamics) -> None:
 
 def test_a_model_written_by_hand_is_refused() -> None:
     by_hand = PlainFlow(field=lambda y: y, guard_and_rate=lambda _: (1.0, 0.0))
-    with pytest.raises(InputError, match=r"must come from formulas .* it is a PlainFlow") as refusal:
+    with pytest.raises(
+        InputError, match=r"must come from formulas .* it is a PlainFlow"
+    ) as refusal:
         _follow(by_hand, [1.0])
     assert "\n" not in str(refusal.value)
 
