@@ -205,10 +205,11 @@ class HybridDynamics:
         The velocity part is the plastic reset; the position part only takes away rounding.
         """
         projected = x.copy()
-        direction = self.impulse_direction(projected)
-        n_q = self.n_q
-        projected[:n_q] -= self.gap(projected) * direction[n_q : 2 * n_q]
-        direction = self.impulse_direction(projected)
+        gap, direction = self.gap(projected), self.impulse_direction(projected)
+        if gap != 0.0:
+            n_q = self.n_q
+            projected[:n_q] -= gap * direction[n_q : 2 * n_q]
+            direction = self.impulse_direction(projected)
         projected -= self.gap_rate(projected) * direction
         return projected
 

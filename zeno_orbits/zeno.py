@@ -52,12 +52,13 @@ def limit_weights(speeds: Sequence[Any]) -> list[Any]:
         return [1.0]
     shares = [speeds[-1] / speed for speed in speeds]
     total = sum(shares[1:], shares[0])
-    return [
-        share
-        / total
-        * math.prod(other / (other - speed) for j, other in enumerate(speeds) if j != k)
-        for k, (speed, share) in enumerate(zip(speeds, shares, strict=True))
-    ]
+    weights: list[Any] = []
+    for k, speed in enumerate(speeds):
+        product: Any = 1.0
+        for other in (*speeds[:k], *speeds[k + 1 :]):
+            product *= other / (other - speed)
+        weights.append(shares[k] / total * product)
+    return weights
 
 
 def spread_nodes(speeds: Sequence[float]) -> list[int]:
@@ -155,21 +156,22 @@ def extrapolate(dynamics: HybridDynamics, estimates: Sequence[TailEstimate]) -> 
             or zero if the impact was plastic.
     """
     chosen = spread_nodes([estimate.speed for estimate in estimates])
-    best = _combine([estimates[k] for k in chosen])
+    time, state = _combine([estimates[k] for k in chosen])
     if len(chosen) == 1:
         error = 0.0 if estimates[-1].speed == 0.0 else math.inf
     else:
         before = estimates[: chosen[-2] + 1]
         earlier = spread_nodes([estimate.speed for estimate in before])
-        change = best - _combine([before[k] for k in earlier])
-        error = float(np.max(np.abs(change) / (1 + np.abs(best))))
-    return ZenoLimit(time=float(best[-1]), state=dynamics.on_stop(best[:-1]), error=error)
+        time_before, state_before = _combine([before[k] for k in earlier])
+        change = np.abs(state - state_before) / (1 + np.abs(state))
+        error = max(abs(time - time_before) / (1 + abs(time)), float(change.max()))
+    return ZenoLimit(time=time, state=dynamics.on_stop(state), error=error)
 
 
-def _combine(nodes: Sequence[TailEstimate]) -> Vector:
-    weights = limit_weights([node.speed for node in nodes])
-    points = [np.append(node.state, node.time) for node in nodes]
-    combined = np.zeros(len(points[0]))
-    for weight, point in zip(weights, points, strict=True):
-        combined += weight * point
-    return combined
+def _combine(nodes: Sequence[TailEstimate]) -> tuple[float, Vector]:
+    """Return time and state of the limit that a polynomial through these nodes has."""
+    time, state = 0.0, np.zeros(len(nodes[0].state))
+    for weight, node in zip(limit_weights([node.speed for node in nodes]), nodes, strict=True):
+        time += weight * node.time
+        state += weight * node.state
+    return time, state
