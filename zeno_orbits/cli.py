@@ -12,20 +12,24 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from zeno_orbits import report
 from zeno_orbits.arguments import read_boxes, read_count, read_numbers, read_objective, read_seed
 from zeno_orbits.errors import InputError, ZenoOrbitsError
-from zeno_orbits.files import require_picture, require_writable
+from zeno_orbits.files import require_picture, require_writable, write_whole
 from zeno_orbits.interrupts import Interrupts
 
 if TYPE_CHECKING:
+    from zeno_orbits.dynamics import HybridDynamics
     from zeno_orbits.execution import Execution
     from zeno_orbits.orbit import ZenoOrbit
     from zeno_orbits.problem import Problem, Setting
     from zeno_orbits.search import SearchResult
+    from zeno_orbits.simulate import SimulationSettings
+    from zeno_orbits.verify import VerificationSettings
 
 YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
 
@@ -95,6 +99,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_simulate(commands)
     _add_search(commands)
     _add_verify(commands)
+    _add_trade(commands)
     _add_plot(commands)
     return parser
 
@@ -129,6 +134,55 @@ def _add_scene(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=VALUE",
         help="change a parameter of the scene; may be repeated",
     )
+
+
+def _add_start(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--start",
+        action="append",
+        default=[],
+        metavar="STATE=VALUE",
+        help="initial state; what is not named is zero; by default the scene's first start",
+    )
+
+
+def _start(problem: Problem, options: argparse.Namespace) -> tuple[float, ...]:
+    named = read_numbers(options.start, "start") if options.start else problem.starts[0]
+    return problem.state_vector(named)
+
+
+def _add_accuracy(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--accuracy",
+        type=float,
+        metavar="A",
+        help="take the cheapest settings measured to reach this relative error, 1e-6 for instance, "
+        "and report the error that was made; by default as accurate as is cheap",
+    )
+    parser.add_argument(
+        "--engine",
+        choices=("automatic", "explicit", "implicit", "taylor"),
+        default="automatic",
+        help="the integrator; automatic steps explicitly, and implicitly where the scene is stiff; "
+        "taylor needs the extra of that name",
+    )
+
+
+def _simulation(options: argparse.Namespace) -> SimulationSettings:
+    """Return the simulator's settings for the engine that was asked for."""
+    from zeno_orbits.engines import Automatic, Radau, RungeKutta, Taylor
+    from zeno_orbits.simulate import SimulationSettings
+    from zeno_orbits.translate import load_heyoka
+
+    if options.engine == "taylor":
+        load_heyoka()
+    engines = {
+        "automatic": Automatic,
+        "explicit": RungeKutta,
+        "implicit": Radau,
+        "taylor": Taylor,
+    }
+    return SimulationSettings(engine=engines[options.engine]())
 
 
 def _add_gain_values(parser: argparse.ArgumentParser) -> None:
@@ -243,52 +297,72 @@ def _add_simulate(commands: Any) -> None:
         [
             "zeno-orbits simulate motor_pendulum --until 10",
             "zeno-orbits simulate motor_pendulum --start theta1=1.2 --start dtheta2=0.5",
+            "zeno-orbits simulate motor_pendulum --set L=1e-6 --accuracy 1e-6",
             "zeno-orbits simulate bouncing_ball --set restitution=0.8 --until 5 --json",
         ],
     )
     _add_scene(parser)
     _add_gain_values(parser)
+    _add_accuracy(parser)
     parser.add_argument("--until", type=float, default=10.0, metavar="T", help="how long [s]")
-    parser.add_argument(
-        "--start",
-        action="append",
-        default=[],
-        metavar="STATE=VALUE",
-        help="initial state; what is not named is zero; by default the scene's first start",
-    )
+    _add_start(parser)
     parser.add_argument("-o", "--output", type=Path, help="draw the states over time here")
 
 
 def _run_simulate(options: argparse.Namespace) -> int:
+    from zeno_orbits.accuracy import why_engine
     from zeno_orbits.compiled import bind
     from zeno_orbits.models import compiled_model
     from zeno_orbits.problem import load_problem
-    from zeno_orbits.simulate import simulate
 
     problem = load_problem(options.problem)
     setting = _setting(problem, options)
-    named = read_numbers(options.start, "start") if options.start else problem.starts[0]
-    state = problem.state_vector(named)
+    state = _start(problem, options)
     if options.output is not None:
         require_picture(options.output)
     dynamics = bind(compiled_model(problem), setting.values())
-    with report.Progress(options.interrupts.check) as progress:
-        execution = simulate(
-            dynamics,
-            state,
-            until=options.until,
-            on_progress=lambda t: progress.tell("simulating", t / options.until),
-        )
+    execution, error = _simulated(options, dynamics, state)
     if options.json:
-        _print_json(_execution_json(problem, execution))
+        accuracy = {} if error is None else {"error": error}
+        _print_json(_execution_json(problem, execution) | accuracy)
     else:
         report.print_execution(problem, execution)
+        report.print_engine(options.engine, why_engine(dynamics, state), error)
     if options.output is not None:
         from zeno_orbits import plots
 
         plots.save_figure(plots.plot_time_series(problem, execution), options.output)
         _say_written(options, [options.output])
     return YES
+
+
+def _simulated(
+    options: argparse.Namespace, dynamics: HybridDynamics, state: Sequence[float]
+) -> tuple[Execution, float | None]:
+    """Return the execution, and its estimated error if an accuracy was asked for."""
+    from zeno_orbits.accuracy import simulate_to
+    from zeno_orbits.simulate import simulate
+
+    settings = _simulation(options)
+    with report.Progress(options.interrupts.check) as progress:
+
+        def tell(time: float) -> None:
+            progress.tell("simulating", time / options.until)
+
+        if options.accuracy is None:
+            execution = simulate(
+                dynamics, state, until=options.until, settings=settings, on_progress=tell
+            )
+            return execution, None
+        assured = simulate_to(
+            dynamics,
+            state,
+            until=options.until,
+            accuracy=options.accuracy,
+            settings=settings,
+            on_progress=tell,
+        )
+    return assured.execution, assured.error
 
 
 def _execution_json(problem: Problem, execution: Execution) -> dict[str, Any]:
@@ -364,6 +438,7 @@ def _add_search(commands: Any) -> None:
     parser.add_argument(
         "--allow-unstable", action="store_true", help="take an orbit that does not attract, too"
     )
+    _add_accuracy(parser)
     parser.add_argument("--starts", type=read_count, default=12, metavar="N", help="random starts")
     parser.add_argument("--seed", type=read_seed, default=0, help="of the random starts")
     parser.add_argument("-o", "--output", type=Path, help="write the verified orbit here")
@@ -388,10 +463,13 @@ def _run_search(options: argparse.Namespace) -> int:
     if options.output is not None:
         require_writable(options.output)
     settings = SearchSettings(n_starts=options.starts, seed=options.seed)
+    if options.accuracy is not None:
+        settings = settings.for_accuracy(options.accuracy)
+    verification = _verification(options, 1e-9)
     found: dict[str, Any] = {}
 
     def accept(orbit: ZenoOrbit) -> str:
-        certificate = verify(orbit, problem)
+        certificate = verify(orbit, problem, settings=verification)
         if not certificate.passed or not (certificate.stable or options.allow_unstable):
             radius = certificate.spectral_radius
             unstable = f"The orbit does not attract: its spectral radius is {radius:.4g}."
@@ -444,6 +522,8 @@ def _finish_search(
     else:
         report.print_search(result)
         report.print_orbit(problem, orbit, certificate)
+        if options.accuracy is not None:
+            report.print_error_made(max(result.agreement, certificate.integration_error))
         report.print_verdict(certificate)
         _say_written(options, [] if options.output is None else [options.output])
     return YES
@@ -461,7 +541,13 @@ def _add_verify(commands: Any) -> None:
         ],
     )
     _add_orbit(parser)
-    parser.add_argument("--tolerance", type=float, default=1e-9, help="largest relative residual")
+    parser.add_argument(
+        "--tolerance",
+        type=float,
+        metavar="TOL",
+        help="largest relative residual that passes; the accuracy by default, or 1e-9",
+    )
+    _add_accuracy(parser)
     parser.add_argument(
         "--periods", type=read_count, default=3, metavar="N", help="periods to follow"
     )
@@ -481,17 +567,19 @@ def _add_orbit(parser: argparse.ArgumentParser) -> None:
 
 
 def _run_verify(options: argparse.Namespace) -> int:
-    from zeno_orbits.verify import VerificationSettings, verify
+    from zeno_orbits.verify import verify
 
-    if not 0.0 < options.tolerance < 1.0:
-        message = f"Argument `tolerance` must lie in (0, 1), but it is {options.tolerance:g}."
-        raise InputError(message)
+    tolerance = options.tolerance
+    if tolerance is not None and not 0.0 < tolerance < 1.0:
+        raise InputError(f"Argument `tolerance` must lie in (0, 1), but it is {tolerance:g}.")
     orbit, problem = _orbit_and_problem(options)
-    settings = VerificationSettings(
-        tolerance=options.tolerance,
+    settings = replace(
+        _verification(options, 1e-9 if tolerance is None else tolerance),
         n_periods=options.periods,
         use_reference=options.model == "reference",
     )
+    if tolerance is not None:
+        settings = replace(settings, tolerance=tolerance)
     with report.Progress(options.interrupts.check) as progress:
         certificate = verify(orbit, problem, settings=settings, on_progress=progress.tell)
     if options.json:
@@ -499,7 +587,78 @@ def _run_verify(options: argparse.Namespace) -> int:
     else:
         report.print_certificate(certificate)
         report.print_verdict(certificate)
+        if options.accuracy is not None:
+            report.print_error_made(certificate.integration_error)
     return YES if certificate.passed else NO
+
+
+def _verification(options: argparse.Namespace, tolerance: float) -> VerificationSettings:
+    """Return how to check at the accuracy that was asked for, if one was."""
+    from zeno_orbits.accuracy import settings_for
+    from zeno_orbits.observation import LOOSER
+    from zeno_orbits.verify import VerificationSettings
+
+    simulation = _simulation(options)
+    if options.accuracy is None:
+        return VerificationSettings(tolerance=tolerance, simulation=simulation)
+    # The looser of the two integrations has to reach the accuracy, too.
+    fine = settings_for(max(options.accuracy / LOOSER, 1e-12), simulation)
+    settings_for(options.accuracy)
+    return VerificationSettings(tolerance=options.accuracy, simulation=fine)
+
+
+def _add_trade(commands: Any) -> None:
+    parser = _command(
+        commands,
+        "trade",
+        _run_trade,
+        "measure what accuracy costs: engines, tolerances, closures, meshes, reduced models",
+        [
+            "zeno-orbits trade motor_pendulum",
+            "zeno-orbits trade motor_pendulum --set L=1e-5 --quick",
+            "zeno-orbits trade bouncing_ball --until 1.5 -o trade.json --picture trade.png",
+        ],
+    )
+    _add_scene(parser)
+    _add_gain_values(parser)
+    _add_start(parser)
+    parser.add_argument("--until", type=float, metavar="T", help="how long an execution [s]")
+    parser.add_argument("--quick", action="store_true", help="a first look: few settings, one run")
+    parser.add_argument("--picture", type=Path, help="draw the work-precision diagram here")
+    parser.add_argument("-o", "--output", type=Path, help="write all figures here, as JSON")
+
+
+def _run_trade(options: argparse.Namespace) -> int:
+    from zeno_orbits.problem import load_problem
+    from zeno_orbits.trade import QUICK, TradeSettings, trade
+
+    problem = load_problem(options.problem)
+    setting = _setting(problem, options)
+    state = _start(problem, options)
+    if options.output is not None:
+        require_writable(options.output)
+    if options.picture is not None:
+        require_picture(options.picture)
+    settings = QUICK if options.quick else TradeSettings()
+    if options.until is not None:
+        settings = replace(settings, until=options.until)
+    with report.Progress(options.interrupts.check) as progress:
+        found = trade(problem, setting, state, settings=settings, tell=progress.tell)
+    written: list[Path] = []
+    if options.output is not None:
+        write_whole(options.output, (_json(found.as_json()) + "\n").encode())
+        written.append(options.output)
+    if options.picture is not None:
+        from zeno_orbits import plots
+
+        plots.save_figure(plots.plot_trade(found), options.picture)
+        written.append(options.picture)
+    if options.json:
+        _print_json(found.as_json())
+    else:
+        report.print_trade(found)
+    _say_written(options, written)
+    return YES
 
 
 def _add_plot(commands: Any) -> None:
@@ -591,9 +750,13 @@ def _setting(problem: Problem, options: argparse.Namespace) -> Setting:
 
 
 def _print_json(data: Any) -> None:
+    print(_json(data))
+
+
+def _json(data: Any) -> str:
     import json
 
-    print(json.dumps(data, indent=2, allow_nan=False))
+    return json.dumps(data, indent=2, allow_nan=False)
 
 
 def _say_written(options: argparse.Namespace, paths: Sequence[Path]) -> None:

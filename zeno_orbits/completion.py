@@ -77,3 +77,22 @@ class Truncation:
             return None
         error = last.time - last.impact_time
         return ZenoLimit(time=last.impact_time, state=last.resting, error=error)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FixedImpacts:
+    """Complete after a number of impacts, at the limit that they tell, whatever its error.
+
+    Attributes:
+        n_impacts: Impacts resolved in a sequence.
+    """
+
+    n_impacts: int
+
+    def limit(
+        self, dynamics: HybridDynamics, estimates: Sequence[TailEstimate]
+    ) -> ZenoLimit | None:
+        """Return the extrapolated Zeno point at the last impact, or nothing before."""
+        if len(estimates) < self.n_impacts:
+            return None
+        return extrapolate(dynamics, estimates)

@@ -63,6 +63,23 @@ class SearchSettings:
     smallest_step: float = 0.003
     seed: int = 0
 
+    def for_accuracy(self, accuracy: float) -> SearchSettings:
+        """Return the cheapest settings that reach a relative accuracy of the orbit.
+
+        A mesh is drawn anew, ten times finer, until program and simulation agree so far; the first
+        one is what `zeno-orbits trade` measured to be near.
+        """
+        transcription = replace(
+            self.transcription,
+            mesh_tolerance=min(max(_MESH_FOR * accuracy, self.transcription.mesh_tolerance), 1e-2),
+            closure_tolerance=max(0.03 * accuracy, self.transcription.closure_tolerance),
+        )
+        agreement = max(0.3 * accuracy, self.agreement)
+        return replace(self, transcription=transcription, agreement=agreement)
+
+
+_MESH_FOR = 100.0
+"""Mesh tolerance in units of the accuracy: ends of intervals are that much better than insides."""
 
 _COARSE = 100.0
 """First mesh of a search for gains, in units of the mesh tolerance; the gains still move."""

@@ -5,6 +5,7 @@ Rich is imported with the first table: progress, errors and JSON need none of it
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from zeno_orbits.orbit import ZenoOrbit
     from zeno_orbits.problem import Problem, Setting
     from zeno_orbits.search import SearchResult
+    from zeno_orbits.trade import Trade, Trial
 
 _PATIENCE = 1.0
 """Work shorter than this says nothing [s]."""
@@ -146,6 +148,19 @@ def print_execution(problem: Problem, execution: Execution, most: int = 40) -> N
     )
 
 
+def print_engine(engine: str, why: str, error: float | None) -> None:
+    """Print which engine ran and why, and the error if it was asked for."""
+    chosen = f"automatic, {why}" if engine == "automatic" else f"{engine}, as asked for."
+    print_lines([f"Engine: {chosen}"])
+    if error is not None:
+        print_error_made(error)
+
+
+def print_error_made(error: float) -> None:
+    """Print an estimated error."""
+    print_lines([f"Estimated relative error: {error:.1e}."])
+
+
 def print_orbit(problem: Problem, orbit: ZenoOrbit, certificate: OrbitCertificate) -> None:
     """Print an orbit and the gist of its certificate."""
     table = _table("quantity", "value", "unit")
@@ -226,6 +241,40 @@ def print_search(result: SearchResult) -> None:
             f"its Zeno closure to {result.closure_error:.0e}. "
             f"Search: {result.wall_time:.1f} s."
         )
+
+
+def print_trade(trade: Trade) -> None:
+    """Print the trials of a trade, those that no other beats marked, and the cheapest for each."""
+    front = set(map(id, trade.front))
+    table = _table("", "sweep", "setting", "value", "time [ms]", "error", "impacts")
+    for trial in trade.trials:
+        table.add_row(
+            "*" if id(trial) in front else "",
+            trial.sweep,
+            trial.name,
+            f"{trial.value:g}" if trial.sweep == "impacts" else f"{trial.value:.0e}",
+            f"{1e3 * trial.seconds:.2f}" if trial.seconds < math.inf else "-",
+            f"{trial.error:.1e}" if trial.error < math.inf else "another motion",
+            trial.trouble or (str(trial.n_impacts) if trial.n_impacts else ""),
+        )
+    _print(table)
+    table = _table("accuracy", "cheapest setting", "value", "time [ms]", "error")
+    for accuracy in (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12):
+        best = trade.cheapest(accuracy)
+        name = "none" if best is None else f"{best.sweep}: {best.name}"
+        row = ("", "", "") if best is None else _figures(best)
+        table.add_row(f"{accuracy:.0e}", name, *row)
+    _print(table)
+    print_lines(
+        [
+            f"Work: {trade.work}. Truth: {trade.truth}, certain to {trade.truth_error:.0e}.",
+            "* no other setting is both faster and more accurate. Times are of this machine.",
+        ]
+    )
+
+
+def _figures(trial: Trial) -> tuple[str, str, str]:
+    return f"{trial.value:.0e}", f"{1e3 * trial.seconds:.2f}", f"{trial.error:.1e}"
 
 
 def print_lines(lines: Iterable[str]) -> None:

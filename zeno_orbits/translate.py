@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib
 import operator
 from collections.abc import Callable, Mapping, Sequence
+from importlib.util import find_spec
 from typing import Any
 
 import casadi as ca
@@ -24,6 +25,11 @@ _OTHER_REASONS = {
     "parameter": "a symbol that is no input of it",
 }
 """Why an operation is refused, if not for its smoothness."""
+
+
+def heyoka_is_installed() -> bool:
+    """Tell whether the extra is there, without loading it."""
+    return find_spec("heyoka") is not None
 
 
 def load_heyoka() -> Any:

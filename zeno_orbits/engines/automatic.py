@@ -23,7 +23,7 @@ _PATIENCE = 24
 _HELD = 1.0
 """Step times fastest decay at which stability begins to set the explicit step, near its 6."""
 
-_PAYS = 25.0
+PAYS = 25.0
 """Fastest decay over the next rate from which an implicit step pays."""
 
 
@@ -65,7 +65,7 @@ class Automatic:
 def is_held_back(flow: GuardedFlow, y: Vector, size: float) -> bool:
     """Tell whether a fast decay, far faster than all else, sets an explicit step of this size."""
     fastest, next_rate = decay_rates(flow, y)
-    return size * fastest > _HELD and fastest > _PAYS * next_rate
+    return size * fastest > _HELD and fastest > PAYS * next_rate
 
 
 def decay_rates(flow: GuardedFlow, y: Vector) -> tuple[float, float]:

@@ -8,6 +8,7 @@ takes a width in inches: ``COLUMN_WIDTH`` stacks the panels for one column of a 
 from zeno_orbits.plots.orbit import plot_portraits, plot_time_series
 from zeno_orbits.plots.region import plot_zeno_region
 from zeno_orbits.plots.style import COLUMN_WIDTH, FULL_WIDTH, save_figure
+from zeno_orbits.plots.trade import plot_trade
 from zeno_orbits.plots.zoom import plot_zeno_zoom
 
 __all__ = [
@@ -15,6 +16,7 @@ __all__ = [
     "FULL_WIDTH",
     "plot_portraits",
     "plot_time_series",
+    "plot_trade",
     "plot_zeno_region",
     "plot_zeno_zoom",
     "save_figure",

@@ -1,0 +1,60 @@
+# pyright: reportUnknownMemberType=false
+# The stubs of matplotlib leave most keyword arguments untyped.
+"""The work-precision diagram of a trade: time against error, a line an engine."""
+
+from __future__ import annotations
+
+import math
+from itertools import groupby
+
+from matplotlib.figure import Figure
+
+from zeno_orbits.plots.style import FULL_WIDTH, INK, add_legend, panels_of
+from zeno_orbits.trade import SAME_WORK, Trade, Trial
+
+_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F", "#000000")
+_MARKERS = "osD^vP*X"
+_LEAST = 1e-17
+"""Errors below this are drawn at it: the axis is logarithmic."""
+
+
+def plot_trade(trade: Trade, *, width: float = FULL_WIDTH) -> Figure:
+    """Return the work-precision diagram of a trade.
+
+    Args:
+        trade: What was measured; trials that went another way are left out.
+        width: Width of the picture [in].
+    """
+    figure, (ax,) = panels_of(width, 1, height=3.4)
+    drawn = [t for t in trade.trials if t.sweep in SAME_WORK and math.isfinite(t.error)]
+    for k, (label, group) in enumerate(groupby(drawn, key=_label)):
+        trials = sorted(group, key=lambda trial: trial.value)
+        ax.plot(
+            [max(trial.error, _LEAST) for trial in trials],
+            [1e3 * trial.seconds for trial in trials],
+            color=_COLOURS[k % len(_COLOURS)],
+            marker=_MARKERS[k % len(_MARKERS)],
+            ls="-" if trials[0].sweep == "engine" else ":",
+            lw=1.0,
+            ms=4.0,
+            label=label,
+        )
+    front = trade.front
+    ax.plot(
+        [max(trial.error, _LEAST) for trial in front],
+        [1e3 * trial.seconds for trial in front],
+        color=INK,
+        lw=3.0,
+        alpha=0.2,
+        zorder=1,
+        label="nothing is faster and better",
+    )
+    ax.set(xscale="log", yscale="log", xlabel="relative error [1]", ylabel="wall time [ms]")
+    ax.invert_xaxis()
+    ax.grid(visible=True, which="major", lw=0.4, alpha=0.5)
+    add_legend(figure, width)
+    return figure
+
+
+def _label(trial: Trial) -> str:
+    return trial.name if trial.sweep in {"engine", "cut", "impacts"} else f"model: {trial.name}"

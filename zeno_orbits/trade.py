@@ -1,0 +1,361 @@
+"""What accuracy costs: every engine, tolerance, closure, mesh and fidelity, timed against the truth.
+
+The truth is computed in extended precision, and says itself how certain it is. Errors are those of
+`accuracy.apart`; wall times are medians.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from zeno_orbits.accuracy import Landmark, apart, landmarks
+from zeno_orbits.completion import Completion, FixedImpacts, Truncation, ZenoExtrapolation
+from zeno_orbits.dynamics import HybridDynamics, Tolerance
+from zeno_orbits.engines import Automatic, Engine, Radau, RungeKutta, SciPy, Taylor
+from zeno_orbits.compiled import bind
+from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.models import compiled_model
+from zeno_orbits.problem import Problem, Setting
+from zeno_orbits.simulate import SimulationSettings, simulate
+from zeno_orbits.translate import heyoka_is_installed
+
+if TYPE_CHECKING:
+    from zeno_orbits.extended import ExtendedExecution
+
+TRUTH_DIGITS = 20
+
+Tell = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trial:
+    """One setting, timed and held against the truth.
+
+    Attributes:
+        sweep: What is varied: ``engine``, ``cut``, ``impacts``, ``mesh`` or ``fidelity``.
+        name: Which engine, closure or model.
+        value: The number that is varied: a tolerance, a threshold, a count.
+        seconds: Median wall time of the work [s].
+        error: Largest relative difference from the truth; infinite if the run went another way.
+        n_impacts: Impacts that were resolved.
+        trouble: Why there is no result; empty if there is one.
+    """
+
+    sweep: str
+    name: str
+    value: float
+    seconds: float
+    error: float
+    n_impacts: int = 0
+    trouble: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trade:
+    """All trials of one piece of work.
+
+    Attributes:
+        problem: The scene.
+        work: What was done, as a phrase.
+        truth: What it was held against, as a phrase.
+        truth_error: Estimated error of that.
+        trials: The trials, those that are other work (``mesh``) included.
+    """
+
+    problem: str
+    work: str
+    truth: str
+    truth_error: float
+    trials: tuple[Trial, ...]
+
+    @property
+    def front(self) -> tuple[Trial, ...]:
+        """The trials that no other one beats in both time and error, the fastest first."""
+        comparable = [t for t in self.trials if t.sweep in SAME_WORK and math.isfinite(t.error)]
+        front: list[Trial] = []
+        for trial in sorted(comparable, key=lambda t: (t.seconds, t.error)):
+            if not front or trial.error < front[-1].error:
+                front.append(trial)
+        return tuple(front)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the trade as plain data; what is not finite becomes ``null``."""
+        front = set(map(id, self.front))
+        return {
+            "problem": self.problem,
+            "work": self.work,
+            "truth": self.truth,
+            "truth_error": self.truth_error,
+            "trials": [
+                {
+                    "sweep": trial.sweep,
+                    "name": trial.name,
+                    "value": trial.value,
+                    "seconds": trial.seconds if math.isfinite(trial.seconds) else None,
+                    "error": trial.error if math.isfinite(trial.error) else None,
+                    "impacts": trial.n_impacts,
+                    "trouble": trial.trouble,
+                    "on_front": id(trial) in front,
+                }
+                for trial in self.trials
+            ],
+        }
+
+    def cheapest(self, accuracy: float) -> Trial | None:
+        """Return the fastest trial that reached an accuracy, if one did."""
+        return next((trial for trial in self.front if trial.error <= accuracy), None)
+
+
+SAME_WORK = ("engine", "cut", "impacts", "fidelity")
+"""Sweeps whose trials follow the same motion, so that their times compare."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TradeSettings:
+    """How much to measure.
+
+    Attributes:
+        until: Length of the execution [s].
+        repeats: Runs of each setting.
+        tolerances: Of the engines.
+        slow_from: SciPy's methods are not tried below this tolerance: minutes would not do.
+        cuts: Thresholds of the paper's rule, as gap rates.
+        impacts: Numbers of impacts before the extrapolation.
+        meshes: Mesh tolerances of the solve for a periodic orbit; none where there is no orbit.
+    """
+
+    until: float = 6.0
+    repeats: int = 3
+    tolerances: tuple[float, ...] = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
+    slow_from: float = 1e-8
+    cuts: tuple[float, ...] = (1.0, 1e-1, 1e-2, 1e-3, 1e-4)
+    impacts: tuple[int, ...] = (1, 2, 3, 4, 6, 8)
+    meshes: tuple[float, ...] = (1e-2, 1e-4, 1e-6, 3e-8)
+
+
+QUICK = TradeSettings(
+    until=3.0, repeats=1, tolerances=(1e-4, 1e-8), cuts=(1e-1, 1e-3), impacts=(2, 4), meshes=()
+)
+"""A first look: seconds instead of a minute."""
+
+
+def trade(
+    problem: Problem,
+    setting: Setting,
+    state: Sequence[float],
+    *,
+    settings: TradeSettings | None = None,
+    tell: Tell | None = None,
+) -> Trade:
+    """Measure what accuracy costs in a scene.
+
+    Args:
+        problem: The scene.
+        setting: Its numbers.
+        state: Initial state, ``(n_x,)``.
+        settings: How much to measure.
+        tell: Called with what is being measured and the part that is done.
+
+    Raises:
+        SimulationError: If the scene cannot be followed so far.
+    """
+    settings = settings or TradeSettings()
+    say = tell or (lambda _what, _part: None)
+    dynamics = _model(problem, setting)
+    say("computing the truth", 0.0)
+    truth, how, certain = _truth(problem, setting, dynamics, state, settings.until)
+    plans = [*_plans(dynamics, state, settings), *_reduced(problem, setting, state, settings)]
+    trials: list[Trial] = []
+    for k, plan in enumerate(plans):
+        say(f"{plan.sweep}: {plan.name}, {plan.value:.0e}", (k + 1) / (len(plans) + 1))
+        trials.append(_tried(plan, truth, settings))
+    trials += _meshes(problem, setting, settings, say)
+    return Trade(
+        problem=problem.name,
+        work=f"{settings.until:g} s from {_named(problem, state)}",
+        truth=how,
+        truth_error=certain,
+        trials=tuple(trials),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Plan:
+    """A trial to be made: which part of the truth's state it knows, and how it runs."""
+
+    sweep: str
+    name: str
+    value: float
+    dynamics: HybridDynamics
+    state: Sequence[float]
+    simulation: SimulationSettings
+
+
+def engines() -> dict[str, Engine]:
+    """Return name to engine, all that can be had here."""
+    from scipy.integrate import DOP853, LSODA
+    from scipy.integrate import Radau as SciPyRadau
+
+    ours: dict[str, Engine] = {
+        "automatic": Automatic(),
+        "explicit": RungeKutta(),
+        "implicit": Radau(),
+    }
+    if heyoka_is_installed():
+        ours["taylor"] = Taylor()
+    return ours | {
+        "SciPy DOP853": SciPy(method=DOP853),
+        "SciPy LSODA": SciPy(method=LSODA),
+        "SciPy Radau": SciPy(method=SciPyRadau),
+    }
+
+
+def _plans(
+    dynamics: HybridDynamics, state: Sequence[float], settings: TradeSettings
+) -> Iterator[_Plan]:
+    def plan(sweep: str, name: str, value: float, simulation: SimulationSettings) -> _Plan:
+        return _Plan(
+            sweep=sweep,
+            name=name,
+            value=value,
+            dynamics=dynamics,
+            state=state,
+            simulation=simulation,
+        )
+
+    for name, engine in engines().items():
+        for tolerance in settings.tolerances:
+            if not isinstance(engine, SciPy) or tolerance >= settings.slow_from:
+                yield plan("engine", name, tolerance, _at(engine, tolerance))
+    tight = _at(Automatic(), min(settings.tolerances))
+    closures: list[tuple[str, str, float, Completion]] = [
+        *(("cut", "plastic below", delta, Truncation(delta=delta)) for delta in settings.cuts),
+        *(("impacts", "limit after", n, FixedImpacts(n_impacts=n)) for n in settings.impacts),
+    ]
+    for sweep, name, value, completion in closures:
+        yield plan(sweep, name, value, replace(tight, completion=completion))
+
+
+def _reduced(
+    problem: Problem, setting: Setting, state: Sequence[float], settings: TradeSettings
+) -> Iterator[_Plan]:
+    """Plan the reduced models of a scene; the truth stays that of the full one."""
+    named = dict(zip(problem.state_names, state, strict=True))
+    for reduced in problem.ladder()[1:]:
+        dynamics = _model(reduced, reduced.shared(setting))
+        start = [named[name] for name in reduced.state_names]
+        for tolerance in settings.tolerances:
+            yield _Plan(
+                sweep="fidelity",
+                name=reduced.name.partition("@")[2],
+                value=tolerance,
+                dynamics=dynamics,
+                state=start,
+                simulation=_at(Automatic(), tolerance),
+            )
+
+
+def _at(engine: Engine, tolerance: float) -> SimulationSettings:
+    return SimulationSettings(
+        engine=engine,
+        tolerance=Tolerance(relative=tolerance, absolute=0.1 * tolerance),
+        completion=ZenoExtrapolation(tolerance=max(tolerance, 1e-12)),
+    )
+
+
+def _truth(
+    problem: Problem,
+    setting: Setting,
+    dynamics: HybridDynamics,
+    state: Sequence[float],
+    until: float,
+) -> tuple[tuple[Landmark, ...], str, float]:
+    """Return the true landmarks, how they were had, and how certain they are."""
+    if heyoka_is_installed():
+        from zeno_orbits.extended import extended_execution
+
+        exact = extended_execution(problem, setting, state, until=until, digits=TRUTH_DIGITS)
+        return _exact_landmarks(exact), "extended precision", exact.error
+    finest, next_finest = (
+        landmarks(simulate(dynamics, state, until=until, settings=_at(Radau(), tolerance)))
+        for tolerance in (1e-14, 1e-13)
+    )
+    how = "double precision at 1e-14; install the extra `taylor` for a better truth"
+    return finest, how, apart(next_finest, finest, until)
+
+
+def _exact_landmarks(exact: ExtendedExecution) -> tuple[Landmark, ...]:
+    points = exact.releases or exact.zeno_points
+    if not points:
+        raise ZenoOrbitsError("There is nothing to compare: no release and no Zeno point so soon.")
+    return tuple(
+        Landmark(time=float(p.time), state=np.array([float(value) for value in p.state]))
+        for p in points
+    )
+
+
+def _tried(plan: _Plan, truth: Sequence[Landmark], settings: TradeSettings) -> Trial:
+    """Run a plan, once to warm up, and hold the last run against the truth."""
+    trial = Trial(
+        sweep=plan.sweep, name=plan.name, value=plan.value, seconds=math.inf, error=math.inf
+    )
+    times: list[float] = []
+    try:
+        for _ in range(settings.repeats + 1):
+            started = time.perf_counter()
+            execution = simulate(
+                plan.dynamics, plan.state, until=settings.until, settings=plan.simulation
+            )
+            times.append(time.perf_counter() - started)
+    except ZenoOrbitsError as error:
+        return replace(trial, trouble=str(error))
+    n_x = len(plan.state)
+    known = [Landmark(time=mark.time, state=mark.state[:n_x]) for mark in truth]
+    return replace(
+        trial,
+        seconds=statistics.median(times[1:]),
+        error=apart(landmarks(execution), known, settings.until),
+        n_impacts=len(execution.impacts),
+    )
+
+
+def _meshes(
+    problem: Problem, setting: Setting, settings: TradeSettings, say: Tell
+) -> Iterator[Trial]:
+    """Solve for the periodic orbit on finer and finer meshes, each held against a simulation."""
+    if not settings.meshes:
+        return
+    from zeno_orbits.search import SearchSettings, find_orbit
+    from zeno_orbits.shooting import TranscriptionSettings
+
+    for tolerance in settings.meshes:
+        say(f"mesh: {tolerance:.0e}", 0.99)
+        transcription = TranscriptionSettings(mesh_tolerance=tolerance)
+        looked = SearchSettings(transcription=transcription, agreement=math.inf, rounds=1)
+        result = find_orbit(problem, setting, settings=looked)
+        if result.orbit is None:
+            return
+        yield Trial(
+            sweep="mesh",
+            name=f"{result.n_unknowns} unknowns",
+            value=tolerance,
+            seconds=result.solve_time,
+            error=result.agreement,
+            n_impacts=len(result.orbit.impacts),
+        )
+
+
+def _model(problem: Problem, setting: Setting) -> HybridDynamics:
+    return bind(compiled_model(problem), setting.values())
+
+
+def _named(problem: Problem, state: Sequence[float]) -> str:
+    pairs = zip(problem.state_names, state, strict=True)
+    return ", ".join(f"{name} = {value:.6g}" for name, value in pairs if value) or "rest"
