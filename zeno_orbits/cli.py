@@ -126,7 +126,7 @@ def _command(
 
 
 def _add_scene(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("problem", metavar="PROBLEM", help="a scene's name, or a Python file")
+    parser.add_argument("problem", metavar="PROBLEM", help="a scene's name or Python file, or scene@fidelity")
     parser.add_argument(
         "--set",
         action="append",
@@ -208,7 +208,7 @@ def _add_problems(commands: Any) -> None:
 def _run_problems(options: argparse.Namespace) -> int:
     from zeno_orbits.problem import bundled_problems, load_problem
 
-    problems = [load_problem(name) for name in bundled_problems()]
+    problems = [one for name in bundled_problems() for one in load_problem(name).ladder()]
     if options.json:
         _print_json([_problem_json(problem) for problem in problems])
     else:
@@ -726,18 +726,21 @@ def _run_plot(options: argparse.Namespace) -> int:
 
 def _orbit_and_problem(options: argparse.Namespace) -> tuple[ZenoOrbit, Problem]:
     from zeno_orbits.orbit import read_orbit
-    from zeno_orbits.problem import bundled_problems, load_problem
+    from zeno_orbits.problem import bundled_problems, load_problem, split_fidelity
 
     orbit = read_orbit(options.orbit)
+    scene, fidelity = split_fidelity(orbit.problem)
     if options.problem is not None:
         problem = load_problem(options.problem)
+        if fidelity is not None and problem.name == scene:
+            problem = problem.at_fidelity(fidelity)
         if problem.name != orbit.problem:
             wanted = f"must be the scene `{orbit.problem}` of the orbit"
             raise InputError(f"Argument `problem` {wanted}, but it is `{problem.name}`.")
         return orbit, problem
-    if orbit.problem not in bundled_problems():
+    if scene not in bundled_problems():
         message = (
-            f"Argument `problem` must name the file of scene `{orbit.problem}`, but it is missing."
+            f"Argument `problem` must name the file of scene `{scene}`, but it is missing."
         )
         raise InputError(message)
     return orbit, load_problem(orbit.problem)

@@ -1,16 +1,17 @@
-r"""Permanent-magnet DC drives at three fidelities: full, quasi-static, ideal torque.
+r"""Permanent-magnet DC drives: full, corrected, quasi-static, ideal torque.
 
 A drive turns a feedback law into a generalized force. It brings current states only where the
 fidelity asks for them, so a scene models what it requires and no more.
 
-Source: [HaasGahleitner2000]_, theory (2)-(4).
+Source: [HaasGahleitner2000]_, theory (2)-(4) and (20).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
+import numpy as np
 
 from zeno_orbits.mechanics import HybridLagrangian
 
@@ -65,6 +66,9 @@ class Drive:
         conversion_loss: Electrical less mechanical power of the air gap [W]; zero when the torque
             and the back-EMF constants are equal.
         magnetic_energy: Energy stored in the inductances [J].
+        added_inertia: What the drive adds to the mass matrix, constant and symmetric,
+            ``(n_q, n_q)``; empty but for a corrected drive. The mechanism then strikes its stop
+            with that inertia too, and `complete` corrects the restitution for it.
     """
 
     current: ca.SX
@@ -74,6 +78,7 @@ class Drive:
     copper_loss: ca.SX
     conversion_loss: ca.SX
     magnetic_energy: ca.SX
+    added_inertia: ca.SX
 
 
 def full_drive(lagrangian: HybridLagrangian, motors: MotorBank) -> Drive:
@@ -93,10 +98,42 @@ def quasi_static_drive(lagrangian: HybridLagrangian, motors: MotorBank) -> Drive
 
     .. math:: \imath = R^{-1}\,(V(q, v) - K_\omega S^\top v),\qquad F = S K_\varphi\,\imath
     """
-    emf = ca.mtimes(motors.emf_constant, ca.mtimes(motors.selection.T, lagrangian.v))
-    current = ca.solve(motors.resistance, motors.voltage - emf)
+    current = _static_current(lagrangian, motors)
     none = ca.SX(0, 1)
     return _drive(lagrangian, motors, current=current, states=none, rate=none, stored=ca.SX(0))
+
+
+def corrected_drive(lagrangian: HybridLagrangian, motors: MotorBank) -> Drive:
+    r"""Return the quasi-static drive with its first correction in `L`: no current state.
+
+    With :math:`\bar\imath(q, v)` the quasi-static current and `D` the derivative of the voltage by
+    :math:`S^\top v` (theory (20)),
+
+    .. math:: F = S K_\varphi\,\bigl(\bar\imath - R^{-1} L\,\partial_q\bar\imath\;v\bigr),
+        \qquad \Delta M = S K_\varphi R^{-1} L R^{-1} (D - K_\omega) S^\top
+
+    It is wrong by :math:`O((L/R)^2)`, an impact's current layer included. The electrical powers
+    are those of :math:`\bar\imath`, right to :math:`O(L/R)`; the energy balance is exact.
+
+    Raises:
+        ValueError: If the added inertia is not constant, or not symmetric: each motor must feed
+            back the speed that it turns at, by a constant factor.
+    """
+    quasi_static = quasi_static_drive(lagrangian, motors)
+    current = _static_current(lagrangian, motors)
+    torque_per_rate = ca.mtimes(
+        ca.mtimes(motors.selection, motors.torque_constant),
+        ca.solve(motors.resistance, motors.inductance),
+    )
+    lag = ca.mtimes(torque_per_rate, ca.jtimes(current, lagrangian.q, lagrangian.v))
+    added = ca.mtimes(torque_per_rate, ca.jacobian(current, lagrangian.v))
+    _require_inertia(lagrangian, added)
+    return replace(
+        quasi_static,
+        force=quasi_static.force - lag,
+        conversion_loss=quasi_static.conversion_loss + ca.dot(lag, lagrangian.v),
+        added_inertia=(added + added.T) / 2,
+    )
 
 
 def ideal_torque_drive(lagrangian: HybridLagrangian, *, selection: ca.SX, torque: ca.SX) -> Drive:
@@ -123,6 +160,7 @@ def ideal_torque_drive(lagrangian: HybridLagrangian, *, selection: ca.SX, torque
         copper_loss=zero,
         conversion_loss=zero,
         magnetic_energy=zero,
+        added_inertia=ca.SX(lagrangian.q.numel(), lagrangian.q.numel()),
     )
 
 
@@ -153,4 +191,27 @@ def _drive(
         copper_loss=ca.dot(current, ca.mtimes(motors.resistance, current)),
         conversion_loss=ca.dot(current, emf) - ca.dot(torque, speed),
         magnetic_energy=stored,
+        added_inertia=ca.SX(lagrangian.q.numel(), lagrangian.q.numel()),
     )
+
+
+def _static_current(lagrangian: HybridLagrangian, motors: MotorBank) -> ca.SX:
+    emf = ca.mtimes(motors.emf_constant, ca.mtimes(motors.selection.T, lagrangian.v))
+    return ca.solve(motors.resistance, motors.voltage - emf)
+
+
+def _require_inertia(lagrangian: HybridLagrangian, added: ca.SX) -> None:
+    """Refuse an added inertia that is none: one that changes with the state, or is not symmetric.
+
+    Symmetry is tried at a few random numbers for the symbols, where it cannot hold by accident.
+    """
+    wanted = "must make each motor feed back its own speed by a constant factor, but"
+    if ca.depends_on(added, ca.vertcat(lagrangian.q, lagrangian.v)):
+        raise ValueError(f"Argument `motors` {wanted} the added inertia changes with the state.")
+    symbols = ca.symvar(added)
+    values = ca.Function("added_inertia", symbols, [ca.densify(added)])
+    random = np.random.default_rng(0)
+    for _ in range(4):
+        trial = np.asarray(values(*random.uniform(0.5, 1.5, len(symbols))))
+        if np.max(np.abs(trial - trial.T)) > 1e-9 * np.max(np.abs(trial)):
+            raise ValueError(f"Argument `motors` {wanted} the added inertia is not symmetric.")

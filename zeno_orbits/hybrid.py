@@ -6,6 +6,7 @@ gains and restitution among them. Source: [OrAmes2011]_, paper eqs (5)-(8), theo
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -74,8 +75,15 @@ def complete(lagrangian: HybridLagrangian, drive: Drive, restitution: ca.SX) -> 
     Returns:
         The completed system.
 
-    Source: [Moreau1988]_ for the impact law, theory (6)-(9).
+    Raises:
+        ValueError: If a corrected drive would make the restitution change with the state.
+
+    Source: [Moreau1988]_ for the impact law, theory (6)-(9), and (20) for a corrected drive.
     """
+    if drive.added_inertia.nnz():
+        weighted = replace(lagrangian, mass_matrix=lagrangian.mass_matrix + drive.added_inertia)
+        restitution = _corrected_restitution(lagrangian, weighted, ca.SX(restitution))
+        lagrangian = weighted
     q, v = lagrangian.q, lagrangian.v
     inverse_mass, free_acceleration = _accelerate(lagrangian, drive.force)
     normal = ca.jacobian(lagrangian.gap, q).T
@@ -148,3 +156,46 @@ def _accelerate(lagrangian: HybridLagrangian, force: ca.SX) -> tuple[ca.SX, ca.S
     constrained = inverse_mass - ca.mtimes(gain, response.T)
     drift = ca.jtimes(ca.mtimes(jacobian, v), q, v)
     return constrained, ca.mtimes(constrained, net_force) - ca.mtimes(gain, drift)
+
+
+def _corrected_restitution(
+    bare: HybridLagrangian, weighted: HybridLagrangian, restitution: ca.SX
+) -> ca.SX:
+    r"""Return the restitution that an impact and the current layer behind it have together.
+
+    .. math:: 1 + \tilde e = (1 + e)\,\frac{J \tilde W J^\top}{J W J^\top}
+
+    with :math:`\tilde W` the inverse mass with the added inertia (theory (20)). Below zero it is
+    zero: the layer pushes back on the stop, which holds. It is NaN where the added inertia is
+    beyond any correction, so that no simulation starts.
+
+    Raises:
+        ValueError: If it changes with the state on the stop.
+    """
+    share = _on_stop(bare, _normal_response(weighted) / _normal_response(bare))
+    if ca.depends_on(share, bare.q):
+        raise ValueError(
+            "Argument `drive` must leave the restitution constant on the stop, "
+            "but its correction changes with the configuration."
+        )
+    corrected = (1 + restitution) * share - 1
+    sound = ca.logic_and(share > 0, corrected < 1)
+    return ca.if_else(sound, ca.fmax(corrected, 0), ca.SX(math.nan))
+
+
+def _normal_response(lagrangian: HybridLagrangian) -> ca.SX:
+    """Return the change of the gap rate for a unit impulse of the stop."""
+    inverse_mass, _ = _accelerate(lagrangian, ca.SX.zeros(lagrangian.q.numel()))
+    normal = ca.jacobian(lagrangian.gap, lagrangian.q).T
+    return ca.dot(normal, ca.mtimes(inverse_mass, normal))
+
+
+def _on_stop(lagrangian: HybridLagrangian, expression: ca.SX) -> ca.SX:
+    """Return an expression of the configuration on the stop, where a coordinate tells the gap."""
+    for k in range(lagrangian.q.numel()):
+        coordinate = lagrangian.q[k]
+        slope = ca.jacobian(lagrangian.gap, coordinate)
+        if slope.nnz() and not ca.depends_on(slope, lagrangian.q):
+            rest = ca.substitute(lagrangian.gap, coordinate, ca.SX(0))
+            return ca.simplify(ca.substitute(expression, coordinate, -rest / slope))
+    return expression

@@ -1,7 +1,7 @@
 """A scene: a completed system with named parameters, a gain box and where to start.
 
 A scene is found by its name among the bundled ones, or by the path of a Python file (or of a
-folder with a ``model.py``) that defines ``PROBLEM``.
+folder with a ``model.py``) that defines ``PROBLEM``. ``scene@fidelity`` is a reduced model of it.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import importlib.util
 import math
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import ModuleType
@@ -33,6 +33,7 @@ class Quantity:
         lower: Smallest sensible value. For a gain, the lower end of the search box.
         upper: Largest sensible value. For a gain, the upper end of the search box.
         excluded: Values at the ends that are themselves not allowed.
+        instead: What to do at an excluded value, as a sentence; it ends the refusal.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Quantity:
     lower: float = -math.inf
     upper: float = math.inf
     excluded: tuple[float, ...] = ()
+    instead: str = ""
 
     def checked(self, value: float) -> float:
         """Return ``value`` if it is a finite number inside the range, else raise ``InputError``."""
@@ -50,7 +52,8 @@ class Quantity:
             raise InputError(f"Argument `{self.name}` must be a finite number, but it is {value}.")
         if not self.lower <= value <= self.upper or value in self.excluded:
             message = f"Argument `{self.name}` must {self._range()}, but it is {value:g}."
-            raise InputError(message)
+            helped = f"{message} {self.instead}" if value in self.excluded else message
+            raise InputError(helped.rstrip())
         return value
 
     def _range(self) -> str:
@@ -68,10 +71,18 @@ class Quantity:
         return f"lie in {left}{self.lower:g}, {self.upper:g}{right}"
 
 
-def positive(name: str, default: float | None, unit: str, meaning: str) -> Quantity:
+def positive(
+    name: str, default: float | None, unit: str, meaning: str, *, instead: str = ""
+) -> Quantity:
     """Return a quantity that must be greater than zero."""
     return Quantity(
-        name=name, unit=unit, meaning=meaning, default=default, lower=0.0, excluded=(0.0,)
+        name=name,
+        unit=unit,
+        meaning=meaning,
+        default=default,
+        lower=0.0,
+        excluded=(0.0,),
+        instead=instead,
     )
 
 
@@ -125,6 +136,8 @@ class Problem:
         derive: From the given and default values to those that have no default.
         reference: A hand-written numeric model of the same scene, if there is one: a function of a
             ``Setting`` that returns a ``HybridDynamics``.
+        fidelities: Reduced models of the same scene, by the word after the ``@``. A parameter that
+            a reduced model does not have has no influence there.
     """
 
     name: str
@@ -140,6 +153,32 @@ class Problem:
     amplitude_of: str
     derive: Callable[[Mapping[str, float]], Mapping[str, float]] | None = None
     reference: Path | None = None
+    fidelities: Mapping[str, Problem] = field(default_factory=dict["str", "Problem"])
+
+    def at_fidelity(self, word: str) -> Problem:
+        """Return the reduced model of that name; its own name is ``scene@word``.
+
+        Raises:
+            InputError: If the scene declares no such model; it lists those that it does.
+        """
+        if word not in self.fidelities:
+            asked = f"{self.name}@{word}"
+            if not self.fidelities:
+                message = f"must have reduced models for `{asked}`, but `{self.name}` has none"
+                raise InputError(f"Argument `problem` {message}.")
+            known = (self.name, *(f"{self.name}@{one}" for one in self.fidelities))
+            raise InputError(_unknown("problem", asked, known))
+        return replace(self.fidelities[word], name=f"{self.name}@{word}", fidelities={})
+
+    def ladder(self) -> tuple[Problem, ...]:
+        """Return the scene and its reduced models, as they are declared."""
+        return (self, *(self.at_fidelity(word) for word in self.fidelities))
+
+    def shared(self, setting: Setting) -> Setting:
+        """Return the numbers of another fidelity's setting for the names that this one has."""
+        known = {quantity.name for quantity in self.parameters}
+        parameters = {name: value for name, value in setting.parameters.items() if name in known}
+        return self.setting(gains=setting.gains, parameters=parameters)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -205,17 +244,37 @@ def bundled_problems() -> dict[str, Path]:
 def load_problem(name_or_path: str | Path) -> Problem:
     """Return a scene by its name, or from the Python file (or scene folder) at a path.
 
+    Either may end in ``@fidelity``, for a reduced model that the scene declares.
+
     Raises:
-        InputError: If there is no such scene.
+        InputError: If there is no such scene or fidelity.
         ProblemFileError: If the file raises or defines no ``PROBLEM``.
     """
     bundled = bundled_problems()
-    if str(name_or_path) in bundled:
-        path = bundled[str(name_or_path)]
+    scene, fidelity = split_fidelity(name_or_path)
+    if scene in bundled:
+        path = bundled[scene]
     else:
-        path = Path(name_or_path)
+        path = Path(scene)
         if not path.exists():
-            raise InputError(_unknown("problem", str(name_or_path), tuple(bundled)))
+            raise InputError(_unknown("problem", scene, tuple(bundled)))
+    problem = _declared(path)
+    return problem.at_fidelity(fidelity) if fidelity is not None else problem
+
+
+def split_fidelity(name_or_path: str | Path) -> tuple[str, str | None]:
+    """Return the scene's name or path, and the word after its ``@`` if there is one.
+
+    A path that exists as it stands keeps its ``@``; a bundled name goes before any path.
+    """
+    whole = str(name_or_path)
+    scene, at, word = whole.rpartition("@")
+    if not at or (scene not in bundled_problems() and Path(whole).exists()):
+        return whole, None
+    return scene, word
+
+
+def _declared(path: Path) -> Problem:
     file = path / "model.py" if path.is_dir() else path
     problem = getattr(_execute(file), "PROBLEM", None)
     if not isinstance(problem, Problem):

@@ -122,7 +122,8 @@ def transcribe(
     program = ProgramBuilder()
     gains = _declare_gains(program, setting, free_gains)
     p = ca.vertcat(*gains.values(), *setting.parameters.values())
-    writer = _Writer(program, compiled, settings, p, setting.values(), dynamics, cycle)
+    restitution = _restitution(compiled, p, len(gains), dynamics.restitution)
+    writer = _Writer(program, compiled, settings, p, restitution, setting.values(), dynamics, cycle)
 
     release = program.variable("release state", cycle.start.state, scale=writer.scale)[:, 0]
     flight = writer.stretch("flight 0", cycle.flight, compiled.free, p, release)
@@ -168,6 +169,14 @@ def _declare_gains(
     return gains
 
 
+def _restitution(compiled: CompiledSystem, p: ca.MX, n_gains: int, number: float) -> ca.MX:
+    """Return the restitution: a number, or under a corrected drive a function of the gains."""
+    _, columns = compiled.impulse.jac_sparsity(2, 1).get_triplet()
+    if min(columns, default=n_gains) >= n_gains:
+        return ca.MX(number)
+    return compiled.impulse(ca.DM.zeros(compiled.n_x), p)[2]
+
+
 class _Writer:
     """Writes arcs and conditions into one program."""
 
@@ -177,6 +186,7 @@ class _Writer:
         compiled: CompiledSystem,
         settings: TranscriptionSettings,
         p: ca.MX,
+        restitution: ca.MX,
         values: tuple[float, ...],
         dynamics: HybridDynamics,
         cycle: Cycle,
@@ -186,7 +196,8 @@ class _Writer:
         self.settings = settings
         self.p = p
         self.values = values
-        self.restitution = dynamics.restitution
+        self.rebound = dynamics.restitution
+        self.restitution = restitution
         self.scale = cycle.scale()
         self.gap_scale = _largest(cycle.flight, dynamics.gap)
         self.force_scale = _largest(cycle.locked, dynamics.multiplier)
@@ -250,7 +261,7 @@ class _Writer:
                 tails.append(self._tail(here, approach_rate, direction, time, work))
             if k + 1 == closure.n_impacts:
                 break
-            size = -self.restitution * cycle.impacts[k].approach_rate
+            size = -self.rebound * cycle.impacts[k].approach_rate
             speed = program.variable(f"speed after impact {k + 1}", size, scale=size)
             program.equal(
                 f"restitution at impact {k + 1}",

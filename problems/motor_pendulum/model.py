@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
 
-from zeno_orbits.drives import Drive, MotorBank, full_drive
+from zeno_orbits.drives import MotorBank, corrected_drive, full_drive, quasi_static_drive
 from zeno_orbits.errors import InputError
 from zeno_orbits.hybrid import CompletedSystem, complete
 from zeno_orbits.mechanics import HybridLagrangian
@@ -57,15 +58,24 @@ def motor(mechanism: HybridLagrangian, p: Mapping[str, ca.SX]) -> MotorBank:
     )
 
 
-def shoulder_drive(mechanism: HybridLagrangian, p: Mapping[str, ca.SX]) -> Drive:
-    """Return the motor with its current dynamics."""
-    return full_drive(mechanism, motor(mechanism, p))
-
-
 def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
-    """Return the completed system, with five states."""
+    """Return the completed system with the motor's current dynamics: five states."""
     mechanism = lagrangian(p)
-    return complete(mechanism, shoulder_drive(mechanism, p), p["restitution"])
+    return complete(mechanism, full_drive(mechanism, motor(mechanism, p)), p["restitution"])
+
+
+def quasi_static(p: Mapping[str, ca.SX]) -> CompletedSystem:
+    """Return the completed system in the limit ``L = 0``: four states."""
+    mechanism = lagrangian(p)
+    # The limit does not ask for an inductance, but a bank of motors has one.
+    drive = quasi_static_drive(mechanism, motor(mechanism, {**p, "L": ca.SX(0)}))
+    return complete(mechanism, drive, p["restitution"])
+
+
+def corrected(p: Mapping[str, ca.SX]) -> CompletedSystem:
+    """Return the completed system with the inductance to first order: four states."""
+    mechanism = lagrangian(p)
+    return complete(mechanism, corrected_drive(mechanism, motor(mechanism, p)), p["restitution"])
 
 
 def calibrate(values: Mapping[str, float]) -> dict[str, float]:
@@ -128,7 +138,7 @@ def _gain(
     )
 
 
-PROBLEM = Problem(
+FULL = Problem(
     name="motor_pendulum",
     title="double pendulum with a stop, DC motor at the shoulder, PD control",
     source="Nadubettu Yadukumar, Kothapalli and Ames, section IV; masses and lengths declared here",
@@ -151,7 +161,13 @@ PROBLEM = Problem(
             lower=0.0,
         ),
         positive("R", 3.0, "ohm", "resistance of the motor circuit"),
-        positive("L", 0.002, "H", "inductance of the motor circuit"),
+        positive(
+            "L",
+            0.002,
+            "H",
+            "inductance of the motor circuit",
+            instead="For L = 0 take `motor_pendulum@quasi_static`.",
+        ),
         positive("K_torque", None, "N m/A", "torque constant at the shoulder; calibrated"),
         Quantity(
             name="K_emf",
@@ -175,4 +191,34 @@ PROBLEM = Problem(
     amplitude_of="theta1",
     derive=calibrate,
     reference=Path(__file__).with_name("reference.py"),
+)
+
+WITHOUT_CURRENT = replace(
+    FULL,
+    state_names=FULL.state_names[:4],
+    state_units=FULL.state_units[:4],
+    reference=None,
+)
+
+PROBLEM = replace(
+    FULL,
+    fidelities={
+        "corrected": replace(
+            WITHOUT_CURRENT,
+            title=f"{FULL.title}; its inductance to first order",
+            model=corrected,
+            parameters=tuple(
+                replace(quantity, excluded=(), instead="") if quantity.name == "L" else quantity
+                for quantity in FULL.parameters
+            ),
+        ),
+        "quasi_static": replace(
+            WITHOUT_CURRENT,
+            title=f"{FULL.title}; no inductance",
+            model=quasi_static,
+            parameters=tuple(
+                quantity for quantity in FULL.parameters if quantity.name != "L"
+            ),
+        ),
+    },
 )
