@@ -12,7 +12,7 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -97,6 +97,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_problems(commands)
     _add_conditions(commands)
     _add_simulate(commands)
+    _add_fidelity(commands)
     _add_search(commands)
     _add_verify(commands)
     _add_trade(commands)
@@ -126,7 +127,9 @@ def _command(
 
 
 def _add_scene(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("problem", metavar="PROBLEM", help="a scene's name or Python file, or scene@fidelity")
+    parser.add_argument(
+        "problem", metavar="PROBLEM", help="a scene's name or Python file, or scene@fidelity"
+    )
     parser.add_argument(
         "--set",
         action="append",
@@ -396,6 +399,40 @@ def _execution_json(problem: Problem, execution: Execution) -> dict[str, Any]:
         "end_state": named(execution.end_state),
         "events": events,
     }
+
+
+def _add_fidelity(commands: Any) -> None:
+    parser = _command(
+        commands,
+        "fidelity",
+        _run_fidelity,
+        "what a scene's reduced models cost in accuracy, before one is taken",
+        [
+            "zeno-orbits fidelity motor_pendulum",
+            "zeno-orbits fidelity motor_pendulum --set L=0.02 --measure --json",
+        ],
+    )
+    _add_scene(parser)
+    _add_gain_values(parser)
+    parser.add_argument(
+        "--measure", action="store_true", help="find the full scene's orbit, too, and compare"
+    )
+
+
+def _run_fidelity(options: argparse.Namespace) -> int:
+    from zeno_orbits.fidelity import reduction_cost
+
+    problem = load_problem(options.problem)
+    setting = _setting(problem, options)
+    costs = [
+        reduction_cost(problem, setting, fidelity=word, measure=options.measure)
+        for word in problem.fidelities or ("quasi_static",)
+    ]
+    if options.json:
+        _print_json([asdict(cost) for cost in costs])
+    else:
+        report.print_costs(costs)
+    return YES
 
 
 def _add_search(commands: Any) -> None:
@@ -739,9 +776,7 @@ def _orbit_and_problem(options: argparse.Namespace) -> tuple[ZenoOrbit, Problem]
             raise InputError(f"Argument `problem` {wanted}, but it is `{problem.name}`.")
         return orbit, problem
     if scene not in bundled_problems():
-        message = (
-            f"Argument `problem` must name the file of scene `{scene}`, but it is missing."
-        )
+        message = f"Argument `problem` must name the file of scene `{scene}`, but it is missing."
         raise InputError(message)
     return orbit, load_problem(orbit.problem)
 

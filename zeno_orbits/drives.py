@@ -132,7 +132,7 @@ def corrected_drive(lagrangian: HybridLagrangian, motors: MotorBank) -> Drive:
         quasi_static,
         force=quasi_static.force - lag,
         conversion_loss=quasi_static.conversion_loss + ca.dot(lag, lagrangian.v),
-        added_inertia=(added + added.T) / 2,
+        added_inertia=ca.sparsify((added + added.T) / 2),
     )
 
 
@@ -208,10 +208,10 @@ def _require_inertia(lagrangian: HybridLagrangian, added: ca.SX) -> None:
     wanted = "must make each motor feed back its own speed by a constant factor, but"
     if ca.depends_on(added, ca.vertcat(lagrangian.q, lagrangian.v)):
         raise ValueError(f"Argument `motors` {wanted} the added inertia changes with the state.")
-    symbols = ca.symvar(added)
-    values = ca.Function("added_inertia", symbols, [ca.densify(added)])
+    symbols = ca.veccat(*ca.symvar(added))
+    values = ca.Function("added_inertia", [symbols], [ca.densify(added)])
     random = np.random.default_rng(0)
     for _ in range(4):
-        trial = np.asarray(values(*random.uniform(0.5, 1.5, len(symbols))))
+        trial = np.array(values(random.uniform(0.5, 1.5, symbols.numel())).full())
         if np.max(np.abs(trial - trial.T)) > 1e-9 * np.max(np.abs(trial)):
             raise ValueError(f"Argument `motors` {wanted} the added inertia is not symmetric.")

@@ -6,6 +6,7 @@ cannot tell which of them it integrates.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -14,10 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.collocation import Collocation
+from zeno_orbits.errors import InputError
 from zeno_orbits.runge_kutta import error_norm, explicit_attempt
 
 Vector = NDArray[np.float64]
 Scalar = Callable[[Vector], float]
+
+_BEYOND = ": the drive's correction is as large as what it corrects; take the full scene."
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -198,6 +202,13 @@ class HybridDynamics:
     normal_inertia: Scalar
     energy: Scalar
     holonomic: Callable[[Vector], Vector]
+
+    def __post_init__(self) -> None:
+        """Refuse a restitution that is none, as a corrected drive beyond its reach has."""
+        if not 0.0 <= self.restitution < 1.0:
+            message = f"must lie in [0, 1) at these numbers, but it is {self.restitution:g}"
+            reason = "." if not math.isnan(self.restitution) else _BEYOND
+            raise InputError(f"Argument `restitution` {message}{reason}")
 
     def on_stop(self, x: Vector) -> Vector:
         """Return the state moved onto the stop, gap and gap rate zero, along the impulse.

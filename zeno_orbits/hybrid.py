@@ -166,8 +166,8 @@ def _corrected_restitution(
     .. math:: 1 + \tilde e = (1 + e)\,\frac{J \tilde W J^\top}{J W J^\top}
 
     with :math:`\tilde W` the inverse mass with the added inertia (theory (20)). Below zero it is
-    zero: the layer pushes back on the stop, which holds. It is NaN where the added inertia is
-    beyond any correction, so that no simulation starts.
+    zero: the layer presses on the stop, which holds. It is NaN where the ratio is no correction
+    any more, below a half or above two, so that no impact passes silently.
 
     Raises:
         ValueError: If it changes with the state on the stop.
@@ -179,7 +179,7 @@ def _corrected_restitution(
             "but its correction changes with the configuration."
         )
     corrected = (1 + restitution) * share - 1
-    sound = ca.logic_and(share > 0, corrected < 1)
+    sound = ca.logic_and(ca.logic_and(share > 0.5, share < 2), corrected < 1)
     return ca.if_else(sound, ca.fmax(corrected, 0), ca.SX(math.nan))
 
 

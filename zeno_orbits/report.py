@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from zeno_orbits.certificate import OrbitCertificate
     from zeno_orbits.execution import Execution
+    from zeno_orbits.fidelity import ReductionCost
     from zeno_orbits.orbit import ZenoOrbit
     from zeno_orbits.problem import Problem, Setting
     from zeno_orbits.search import SearchResult
@@ -108,6 +109,27 @@ def print_conditions(
             if always
             else "It is nowhere negative: there is no Zeno point."
         )
+
+
+def print_costs(costs: Sequence[ReductionCost]) -> None:
+    """Print what the reduced models of a scene cost in accuracy, relative errors of an orbit."""
+    measured = any(cost.measured for cost in costs)
+    columns = ("estimate", "measured") if measured else ("estimate",)
+    table = _table("reduced model", "states", "error of", *columns)
+    for cost in costs:
+        for k, (name, estimate) in enumerate(cost.estimate.items()):
+            heads = (
+                (cost.problem, f"{cost.n_states} of {cost.n_full_states}") if k == 0 else ("", "")
+            )
+            known = (f"{cost.measured[name]:.1e}",) if cost.measured else ()
+            table.add_row(*heads, name.replace("_", " "), f"{estimate:.1e}", *known)
+    _print(table)
+    cost = costs[0]
+    _console().print(
+        f"Relative errors. The currents settle in {cost.layer:.3g} s; the motion changes at "
+        f"{cost.rate:.3g} 1/s.",
+        soft_wrap=True,
+    )
 
 
 def print_setting(problem: Problem, setting: Setting) -> None:

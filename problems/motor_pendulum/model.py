@@ -216,9 +216,7 @@ PROBLEM = replace(
             WITHOUT_CURRENT,
             title=f"{FULL.title}; no inductance",
             model=quasi_static,
-            parameters=tuple(
-                quantity for quantity in FULL.parameters if quantity.name != "L"
-            ),
+            parameters=tuple(quantity for quantity in FULL.parameters if quantity.name != "L"),
         ),
     },
 )
