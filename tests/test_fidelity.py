@@ -1,4 +1,4 @@
-"""Reduced models of a scene: how they are named, how wrong they are, and what says so beforehand."""
+"""Reduced models of a scene: their names, their errors, and what says so beforehand."""
 
 from __future__ import annotations
 
@@ -238,7 +238,6 @@ def test_the_corrected_pendulum_is_one_with_more_rotor_less_damping_and_less_bou
     for x in rng.normal(size=(20, 4)):
         assert corrected.free.rate(x) == pytest.approx(by_hand.free.rate(x), rel=1e-11)
         assert corrected.locked.rate(x) == pytest.approx(by_hand.locked.rate(x), rel=1e-11)
-        # To first order in `added`; the square is 1e-7.
         assert corrected.impulse_direction(x) == pytest.approx(
             by_hand.impulse_direction(x), rel=1e-11
         )
@@ -341,7 +340,7 @@ def test_the_layer_of_one_motor_is_its_inductance_over_its_resistance(scene: Pro
 def test_a_release_from_which_nothing_returns_is_refused(scene: Problem) -> None:
     full = bind(compile_problem(scene), _with_inductance(scene, 1.0).values())
     release = np.array([0.198, 0.0, -5.236, 0.0])
-    with pytest.raises(SimulationError, match="No Zeno point|No orbit"):
+    with pytest.raises(SimulationError, match=r"No Zeno point|No orbit"):
         orbit_near(full, release, 1.81)
 
 

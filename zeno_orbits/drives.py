@@ -114,6 +114,7 @@ def corrected_drive(lagrangian: HybridLagrangian, motors: MotorBank) -> Drive:
 
     It is wrong by :math:`O((L/R)^2)`, an impact's current layer included. The electrical powers
     are those of :math:`\bar\imath`, right to :math:`O(L/R)`; the energy balance is exact.
+    Source: [KokotovicKhalilOReilly1999]_ for the slow manifold, theory (20).
 
     Raises:
         ValueError: If the added inertia is not constant, or not symmetric: each motor must feed

@@ -150,8 +150,8 @@ def orbit_near(dynamics: HybridDynamics, release: Vector, period: float) -> Cycl
 def landmark_errors(reduced: Cycle, other: Cycle) -> dict[str, float]:
     """Return landmark to relative difference, over the states that the reduced model has.
 
-    After a plastic impact, `e = 0`, the Zeno point stands at the start of the current's layer, which
-    a reduced model has behind it: ``zeno_state`` is left out.
+    After a plastic impact, `e = 0`, the Zeno point stands at the start of the current's layer,
+    which a reduced model has behind it: ``zeno_state`` is left out.
     """
     n, period = len(reduced.start.state), other.period
     scale = other.scale()[:n]
@@ -184,7 +184,9 @@ def layer_time(dynamics: HybridDynamics, release: Vector) -> float:
 
 def _resting_current(dynamics: HybridDynamics, release: Vector) -> Vector:
     rates, block = _current_rates(dynamics, release)
-    return rates if rates.size == 0 else np.asarray(np.linalg.solve(block, -rates))
+    if rates.size == 0:
+        return rates
+    return np.asarray(np.linalg.solve(block, -rates), dtype=np.float64)
 
 
 def _current_rates(dynamics: HybridDynamics, release: Vector) -> tuple[Vector, Vector]:
