@@ -29,7 +29,7 @@ from zeno_orbits.fidelity import (
     QUASI_STATIC,
     landmark_errors,
     orbit_near,
-    reduction_cost,
+    reduction_costs,
 )
 from zeno_orbits.hybrid import CompletedSystem
 from zeno_orbits.problem import Problem, load_problem
@@ -122,11 +122,9 @@ def measure(scene: Problem, inductances: Sequence[float], n_runs: int) -> list[R
             found[name] = (dynamics, cycle)
             near = cycle.start.state[: len(release)]
         truth = found["full"][1]
+        costs = reduction_costs(scene, setting)
         for name, (dynamics, cycle) in found.items():
             errors = {} if name == "full" else landmark_errors(cycle, truth)
-            estimate: Mapping[str, float] = {}
-            if name in (QUASI_STATIC, CORRECTED):
-                estimate = reduction_cost(scene, setting, fidelity=name).estimate
             row = Row(
                 inductance=inductance,
                 model=name,
@@ -134,7 +132,7 @@ def measure(scene: Problem, inductances: Sequence[float], n_runs: int) -> list[R
                 period_time=timed(dynamics, cycle, n_runs if name != "full" else 1),
                 errors=errors,
                 orders=orders(last.get(name), errors, inductance),
-                estimate=estimate,
+                estimate=costs[name].estimate if name in costs else {},
             )
             last[name] = row
             rows.append(row)
@@ -151,10 +149,13 @@ def print_table(rows: Sequence[Row]) -> None:
             else f"{row.errors[name]:.1e}       "
             for name in row.errors
         ]
+        told = [f"{error:.1e}" for error in row.estimate.values()]
         print(
             f"{row.inductance:<8g}{row.model:14}{row.states:6d}{1e3 * row.period_time:13.1f}  "
             + "  ".join(f"{cell:>14}" for cell in cells)
         )
+        if told:
+            print(f"{'estimated beforehand':43}" + "  ".join(f"{cell:14}" for cell in told))
 
 
 def main() -> int:

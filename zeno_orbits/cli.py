@@ -420,14 +420,11 @@ def _add_fidelity(commands: Any) -> None:
 
 
 def _run_fidelity(options: argparse.Namespace) -> int:
-    from zeno_orbits.fidelity import reduction_cost
+    from zeno_orbits.fidelity import reduction_costs
 
     problem = load_problem(options.problem)
     setting = _setting(problem, options)
-    costs = [
-        reduction_cost(problem, setting, fidelity=word, measure=options.measure)
-        for word in problem.fidelities or ("quasi_static",)
-    ]
+    costs = list(reduction_costs(problem, setting, measure=options.measure).values())
     if options.json:
         _print_json([asdict(cost) for cost in costs])
     else:

@@ -64,7 +64,7 @@ class ReductionCost:
 def reduction_cost(
     problem: Problem, setting: Setting, *, fidelity: str = QUASI_STATIC, measure: bool = False
 ) -> ReductionCost:
-    """Return what a reduced model costs in accuracy at a setting of the full scene.
+    """Return what one reduced model costs in accuracy at a setting of the full scene.
 
     Args:
         problem: The full scene; it declares both reduced models, ``quasi_static`` and
@@ -81,30 +81,52 @@ def reduction_cost(
     if fidelity not in (QUASI_STATIC, CORRECTED):
         known = f"{QUASI_STATIC} or {CORRECTED}"
         raise InputError(f"Argument `fidelity` must be {known}, but it is `{fidelity}`.")
-    quasi_static, corrected = problem.at_fidelity(QUASI_STATIC), problem.at_fidelity(CORRECTED)
-    full = _dynamics(problem, setting)
+    return reduction_costs(problem, setting, measure=measure)[fidelity]
+
+
+def reduction_costs(
+    problem: Problem, setting: Setting, *, measure: bool = False
+) -> dict[str, ReductionCost]:
+    """Return fidelity to what it costs, for both reduced models (theory (21)).
+
+    The difference of their orbits is the error of the quasi-static one, to first order. Times
+    ``layer * rate``, it tells the size of the corrected one's.
+
+    Args:
+        problem: The full scene; it declares both reduced models.
+        setting: Its numbers.
+        measure: Find the full scene's orbit, too.
+
+    Raises:
+        InputError, OrbitNotFoundError, SimulationError: As `reduction_cost` does.
+    """
+    reduced = {word: problem.at_fidelity(word) for word in (QUASI_STATIC, CORRECTED)}
+    quasi_static = reduced[QUASI_STATIC]
     orbit = find_orbit(quasi_static, quasi_static.shared(setting)).unwrap()
+    period = orbit.period
     release = np.array(quasi_static.state_vector(orbit.release_state))
-    machine = _dynamics(quasi_static, setting)
-    static = orbit_near(machine, release, orbit.period)
-    better = orbit_near(_dynamics(corrected, setting), static.start.state, orbit.period)
-    chosen = static if fidelity == QUASI_STATIC else better
+    machine, full = _dynamics(quasi_static, setting), _dynamics(problem, setting)
+    static = orbit_near(machine, release, period)
+    better = orbit_near(_dynamics(reduced[CORRECTED], setting), static.start.state, period)
+    truth = orbit_near(full, better.start.state, period) if measure else None
     layer, rate = layer_time(full, release), _rate(machine, static)
-    estimate = landmark_errors(static, better)
-    if fidelity == CORRECTED:
-        estimate = {name: error * layer * rate for name, error in estimate.items()}
-    measured: dict[str, float] = {}
-    if measure:
-        measured = landmark_errors(chosen, orbit_near(full, better.start.state, orbit.period))
-    return ReductionCost(
-        problem=f"{problem.name}@{fidelity}",
-        n_states=len(release),
-        n_full_states=len(problem.state_names),
-        layer=layer,
-        rate=rate,
-        estimate=estimate,
-        measured=measured,
-    )
+    first = landmark_errors(static, better)
+    second = {name: error * layer * rate for name, error in first.items()}
+    return {
+        word: ReductionCost(
+            problem=reduced[word].name,
+            n_states=len(release),
+            n_full_states=len(problem.state_names),
+            layer=layer,
+            rate=rate,
+            estimate=estimate,
+            measured={} if truth is None else landmark_errors(cycle, truth),
+        )
+        for word, cycle, estimate in (
+            (QUASI_STATIC, static, first),
+            (CORRECTED, better, second),
+        )
+    }
 
 
 def orbit_near(dynamics: HybridDynamics, release: Vector, period: float) -> Cycle:
@@ -139,7 +161,8 @@ def orbit_near(dynamics: HybridDynamics, release: Vector, period: float) -> Cycl
         last, change = change, float(np.max(np.abs(miss)))
         if change <= _REPEATS or (change <= _STALLED and change >= last):
             return _cycle_from(dynamics, start, period)
-        here = here + np.linalg.solve(np.eye(section.dimension) - slope, miss)
+        # Least squares: at a fold of a family the matrix is singular, and that is no crash.
+        here = here + np.linalg.lstsq(np.eye(section.dimension) - slope, miss, rcond=None)[0]
     raise SimulationError(
         "No orbit of this fidelity is near that of the other: the reduction is too coarse here",
         time=period,

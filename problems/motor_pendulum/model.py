@@ -197,7 +197,7 @@ WITHOUT_CURRENT = replace(
     FULL,
     state_names=FULL.state_names[:4],
     state_units=FULL.state_units[:4],
-    reference=None,
+    reference=Path(__file__).with_name("reduced_reference.py"),
 )
 
 PROBLEM = replace(
