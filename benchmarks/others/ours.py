@@ -1,0 +1,76 @@
+"""zeno_orbits: `simulate` on the compiled scene."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable, Sequence
+from functools import cache
+
+import work
+from work import HORIZON, Method, Motion
+
+from zeno_orbits.compiled import bind, compile_problem
+from zeno_orbits.completion import ZenoExtrapolation
+from zeno_orbits.dynamics import HybridDynamics, Tolerance
+from zeno_orbits.problem import load_problem
+from zeno_orbits.simulate import SimulationSettings, simulate
+
+
+def settings(accuracy: float) -> SimulationSettings:
+    """Return how to simulate at a local error; the only place that names an engine."""
+    return SimulationSettings(
+        tolerance=Tolerance(relative=accuracy, absolute=accuracy / 10),
+        completion=ZenoExtrapolation(tolerance=accuracy),
+    )
+
+
+@cache
+def scene(name: str, rate: float | None = None) -> HybridDynamics:
+    """Return a scene at its numbers, compiled."""
+    problem = load_problem(name)
+    parameters = {} if rate is None else work.declared(rate)
+    return bind(compile_problem(problem), problem.setting(parameters=parameters).values())
+
+
+def prepare(
+    rate: float, accuracy: float, start: Sequence[float], _locked: bool
+) -> Callable[[], Motion]:
+    """Return the whole motion as a function without arguments."""
+    machine = scene("motor_pendulum", rate)
+
+    def follow() -> Motion:
+        motion = simulate(machine, start, until=HORIZON, settings=settings(accuracy))
+        return Motion(
+            state=motion.end_state.tolist(),
+            impacts=len(motion.impacts),
+            locks=len(motion.zeno_points),
+        )
+
+    return follow
+
+
+def prepare_ball(accuracy: float) -> Callable[[], float]:
+    """Return a function that gives the Zeno time of the ball."""
+    ball = scene("bouncing_ball")
+
+    def zeno_time() -> float:
+        motion = simulate(ball, (work.BALL_HEIGHT, 0.0), until=5.0, settings=settings(accuracy))
+        return motion.zeno_points[0].time if motion.zeno_points else math.nan
+
+    return zeno_time
+
+
+METHODS = [
+    Method(
+        name="ours, RungeKutta",
+        accuracies=(1e-5, 1e-6, 1e-8, 1e-10, 1e-12, 1e-13),
+        sweep_accuracies=(1e-5, 1e-6, 1e-7),
+        prepare=prepare,
+        ball=prepare_ball,
+        grows=True,
+    )
+]
+
+if __name__ == "__main__":
+    sys.exit(work.serve(__doc__, METHODS, lambda: "zeno_orbits"))
