@@ -161,8 +161,8 @@ def prepare_ball(accuracy: float) -> Callable[[], float]:
 METHODS = [
     Method(
         name="heyoka by hand",
-        accuracies=(1e-4, 1e-6, 1e-9, 1e-12, 1e-15),
-        sweep_accuracies=(1e-4, 1e-6, 1e-9),
+        accuracies=(1e-3, 1e-4, 1e-6, 1e-9, 1e-12, 1e-15),
+        sweep_accuracies=(1e-3, 1e-4, 1e-6),
         prepare=prepare,
         ball=prepare_ball,
         grows=True,

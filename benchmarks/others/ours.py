@@ -64,8 +64,8 @@ def prepare_ball(accuracy: float) -> Callable[[], float]:
 METHODS = [
     Method(
         name="ours, RungeKutta",
-        accuracies=(1e-5, 1e-6, 1e-8, 1e-10, 1e-12, 1e-13),
-        sweep_accuracies=(1e-5, 1e-6, 1e-7),
+        accuracies=(1e-3, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12, 1e-13),
+        sweep_accuracies=(1e-4, 1e-5, 1e-6),
         prepare=prepare,
         ball=prepare_ball,
         grows=True,
