@@ -257,7 +257,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=(__doc__ or "").partition("\n")[0],
         epilog="Siconos runs under the Python that Debian gives it: --system-python. The whole "
-        "takes about ten minutes, --quick about three.",
+        "takes ten to twenty minutes, --quick about three.",
     )
     parser.add_argument("--runs", type=int, default=5, metavar="N", help="runs that count, of each")
     parser.add_argument(
