@@ -1,0 +1,104 @@
+r"""The first root of a polynomial on an interval, isolated without samples.
+
+Written in Bernstein's basis on ``[0, 1]``, a polynomial has no more roots in the interval than its
+coefficients have changes of sign (Descartes), so an interval without a change needs no further
+look, and one with a single change holds exactly one root. The rest is bisected, and so is what is
+too close to zero for its sign to be certain.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from math import comb
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zeno_orbits.errors import InputError
+
+Coefficients = NDArray[np.float64]
+
+_ROUNDING = 2.0**-52
+_DEPTH = 46
+"""Bisections before two roots count as one: their distance is then near rounding."""
+
+
+def first_root(coefficients: Coefficients) -> float | None:
+    r"""Return where :math:`\sum_k a_k u^k` first ceases to be positive in ``[0, 1]``, if it does.
+
+    Args:
+        coefficients: :math:`a_k`, ``(n + 1,)``.
+
+    Returns:
+        The root, to rounding; 0 if the polynomial is not positive there.
+
+    Raises:
+        InputError: If the coefficients are not finite, or two roots cannot be told apart.
+    """
+    if not np.all(np.isfinite(coefficients)):
+        raise InputError("Argument `coefficients` must be finite, but some are not.")
+    noise = 4 * len(coefficients) * _ROUNDING * float(np.max(np.abs(coefficients)))
+    pieces = [(0.0, 1.0, _bernstein(len(coefficients) - 1) @ coefficients)]
+    while pieces:
+        left, right, values = pieces.pop()
+        if values[0] <= 0.0:
+            return left
+        changes = _sign_changes(values)
+        if changes == 0 and (np.min(values) > noise or _leads_away(values, left, right)):
+            continue
+        if changes == 1 and values[-1] < 0.0:
+            return _bisect(coefficients, left, right)
+        middle = (left + right) / 2
+        if right - left < 2.0**-_DEPTH:
+            message = f"must have simple roots, but two meet near {middle:.6g}"
+            raise InputError(f"Argument `coefficients` {message}.")
+        first, second = _halves(values)
+        pieces += [(middle, right, second), (left, middle, first)]
+    return None
+
+
+def _leads_away(values: Coefficients, left: float, right: float) -> bool:
+    """Tell whether a piece is near zero at an end of the whole interval only.
+
+    There it has just come from zero, or the next interval will see it fall.
+    """
+    steps = np.diff(values)
+    return (left == 0.0 and bool(np.all(steps > 0.0))) or (
+        right == 1.0 and bool(np.all(steps < 0.0))
+    )
+
+
+@cache
+def _bernstein(degree: int) -> Coefficients:
+    """Return the matrix from powers to Bernstein's basis: no entry is negative, or above one."""
+    rows = range(degree + 1)
+    return np.array([[comb(j, k) / comb(degree, k) for k in rows] for j in rows])
+
+
+def _sign_changes(values: Coefficients) -> int:
+    signs = np.sign(values[values != 0.0])
+    return int(np.count_nonzero(signs[1:] != signs[:-1]))
+
+
+def _halves(values: Coefficients) -> tuple[Coefficients, Coefficients]:
+    """Return the coefficients on both halves, by de Casteljau's rule."""
+    row = values
+    first, second = [row[0]], [row[-1]]
+    while len(row) > 1:
+        row = (row[1:] + row[:-1]) / 2
+        first.append(row[0])
+        second.append(row[-1])
+    return np.array(first), np.array(second[::-1])
+
+
+def _bisect(coefficients: Coefficients, left: float, right: float) -> float:
+    """Return the one root between a positive and a negative value."""
+    descending = coefficients[::-1]
+    while True:
+        middle = (left + right) / 2
+        if not left < middle < right:
+            return middle
+        if float(np.polyval(descending, middle)) > 0.0:
+            left = middle
+        else:
+            right = middle
