@@ -23,8 +23,9 @@ from zeno_orbits.search import find_orbit
 
 
 def rounded(value: Decimal, digits: int) -> str:
-    """Return a number with so many decimals."""
-    return f"{value:.{digits}f}"
+    """Return a number with so many decimals; zero has no sign."""
+    text = f"{value:.{digits}f}"
+    return text if text.strip("-0.") else text.lstrip("-")
 
 
 def print_orbit(orbit: ExtendedOrbit, digits: int) -> None:
@@ -41,7 +42,7 @@ def print_orbit(orbit: ExtendedOrbit, digits: int) -> None:
         print("Zeno state")
         for name, value in zip(orbit.state_names, zeno.state, strict=True):
             print(f"  {name:15}{rounded(value, digits):>{digits + 6}}")
-    print(f"multipliers      {', '.join(f'{m:.9g}' for m in orbit.multipliers)} (9 digits)")
+    print(f"multipliers      {', '.join(f'{m:.9f}' for m in orbit.multipliers)} (9 decimals)")
     print(f"closure          {orbit.closure:.1e}, relative to one plus the state")
     print(f"error estimate   {orbit.error:.1e}, relative to one plus the number")
     print(f"time             {orbit.wall_time:.1f} s")
@@ -56,7 +57,7 @@ def as_data(orbit: ExtendedOrbit, problem: Problem, setting: Setting, digits: in
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Compute and print the orbit; 1 if there is none or it misses the digits, 2 if asked wrongly."""
+    """Compute and print the orbit; 1 if there is none to these digits, 2 if asked wrongly."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("problem", nargs="?", default="motor_pendulum", help="name or path")
     parser.add_argument("--gain", action="append", default=[], metavar="NAME=VALUE")

@@ -16,7 +16,8 @@ from zeno_orbits.drives import no_drive
 from zeno_orbits.errors import InputError, SimulationError, TranslationError
 from zeno_orbits.extended import ExtendedExecution, difference, extended_execution
 from zeno_orbits.extended_orbit import extended_orbit
-from zeno_orbits.extended_run import ExtendedRun, ExtendedSystem, Trace
+from zeno_orbits.extended_run import ExtendedRun, Trace
+from zeno_orbits.extended_system import ExtendedSystem
 from zeno_orbits.hybrid import CompletedSystem, complete
 from zeno_orbits.mechanics import HybridLagrangian
 from zeno_orbits.multiprecision import Arithmetic
@@ -165,6 +166,41 @@ def test_the_forced_oscillators_orbit_has_the_period_two_pi() -> None:
     # The clock y'' = -y + y' (1 - y^2 - y'^2): its cycle y^2 + y'^2 = 1 attracts with
     # the integral of the divergence, 1 - y^2 - 3 y'^2 = -2 y'^2, over a period: -2 pi.
     assert orbit.multipliers[0] == pytest.approx(mp.exp(-2 * mp.pi), rel=1e-6)
+
+
+def test_a_holonomic_constraint_changes_no_digit() -> None:
+    # A pendulum of 0.5 m in its angle, and in the plane on a circle; numbers exact in both.
+    def polar(p: Mapping[str, ca.SX]) -> CompletedSystem:
+        q, v = ca.SX.sym("q"), ca.SX.sym("v")
+        height = 0.3 * ca.sin(q) - 0.4 * ca.cos(q)
+        swing = HybridLagrangian.from_energies(
+            q=q, v=v, kinetic=0.125 * v**2, potential=G * height, gap=ca.sin(q)
+        )
+        return complete(swing, no_drive(swing), p["restitution"])
+
+    def planar(p: Mapping[str, ca.SX]) -> CompletedSystem:
+        q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+        height = 2 * (0.3 * q[0] + 0.4 * q[1])
+        swing = HybridLagrangian.from_energies(
+            q=q,
+            v=v,
+            kinetic=ca.sumsqr(v) / 2,
+            potential=G * height,
+            gap=q[0],
+            holonomic=ca.sumsqr(q) - 0.25,
+        )
+        return complete(swing, no_drive(swing), p["restitution"])
+
+    ends: list[Decimal] = []
+    for model, names, state in (
+        (polar, ("q", "v"), (0.0, 1.0)),
+        (planar, ("x", "y", "vx", "vy"), (0.0, -0.5, 0.5, 0.0)),
+    ):
+        problem = replace(BALL, model=model, state_names=names)
+        setting = problem.setting(parameters={"restitution": 0.3})
+        swing = extended_execution(problem, setting, state, until=2.0, digits=25)
+        ends.append(swing.zeno_points[0].time)
+    assert abs(_mp(ends[0]) - _mp(ends[1])) < mp.mpf(10) ** -27
 
 
 def test_an_orbit_needs_a_guess_near_the_release_section() -> None:

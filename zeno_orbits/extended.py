@@ -18,7 +18,8 @@ from itertools import chain
 
 from zeno_orbits.compiled import compile_problem
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.extended_run import ExtendedRun, ExtendedSystem, Trace
+from zeno_orbits.extended_run import ExtendedRun, Trace
+from zeno_orbits.extended_system import ExtendedSystem
 from zeno_orbits.multiprecision import Arithmetic, Real, decimal
 from zeno_orbits.problem import Problem, Setting
 

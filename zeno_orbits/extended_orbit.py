@@ -34,7 +34,8 @@ from zeno_orbits.extended import (
     impacts,
     point,
 )
-from zeno_orbits.extended_run import ExtendedRun, ExtendedSystem, State, Trace
+from zeno_orbits.extended_run import ExtendedRun, Trace
+from zeno_orbits.extended_system import ExtendedSystem, State
 from zeno_orbits.multiprecision import Arithmetic, decimal
 from zeno_orbits.problem import Problem, Setting
 
