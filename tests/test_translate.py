@@ -79,15 +79,20 @@ def _function(*outputs: ca.SX, inputs: list[ca.SX]) -> ca.Function:
     return ca.Function("f", inputs, list(outputs))
 
 
-def _values(function: ca.Function, *points: np.ndarray) -> np.ndarray:
-    """Return all outputs at numbers, by way of heyoka's expressions."""
+def _evaluator(function: ca.Function) -> Callable[..., np.ndarray]:
+    """Return all outputs as a function of numbers, by way of heyoka's expressions."""
     arguments = [
-        [heyoka.expression(f"x{k}_{j}") for j in range(len(point))]
-        for k, point in enumerate(points)
+        [heyoka.expression(f"x{k}_{j}") for j in range(function.numel_in(k))]
+        for k in range(function.n_in())
     ]
     names = [symbol for argument in arguments for symbol in argument]
     compiled = heyoka.cfunc(translate(function, arguments), vars=names)
-    return compiled(np.concatenate(points))
+    return lambda *points: compiled(np.concatenate(points))
+
+
+def _values(function: ca.Function, *points: np.ndarray) -> np.ndarray:
+    """Return all outputs at numbers, by way of heyoka's expressions."""
+    return _evaluator(function)(*points)
 
 
 def _own(function: ca.Function, *points: np.ndarray) -> np.ndarray:
@@ -100,17 +105,19 @@ def _own(function: ca.Function, *points: np.ndarray) -> np.ndarray:
 def test_an_operation_of_one_number_has_casadis_value(name: str) -> None:
     x = ca.SX.sym("x")
     function = _function(UNARY[name](x), inputs=[x])
+    values = _evaluator(function)
     for value in np.random.default_rng(1).uniform(0.05, 0.95, 5):
         point = np.array([value])
-        assert _values(function, point) == pytest.approx(_own(function, point), rel=8 * ROUNDING)
+        assert values(point) == pytest.approx(_own(function, point), rel=8 * ROUNDING)
 
 
 @pytest.mark.parametrize("name", BINARY)
 def test_an_operation_of_two_numbers_has_casadis_value(name: str) -> None:
     x = ca.SX.sym("x", 2)
     function = _function(BINARY[name](x[0], x[1]), inputs=[x])
+    values = _evaluator(function)
     for point in np.random.default_rng(2).uniform(0.05, 0.95, (5, 2)):
-        assert _values(function, point) == pytest.approx(_own(function, point), rel=8 * ROUNDING)
+        assert values(point) == pytest.approx(_own(function, point), rel=8 * ROUNDING)
 
 
 @pytest.mark.parametrize("name", REFUSED)
@@ -216,13 +223,14 @@ def test_the_pendulum_moves_by_the_same_numbers(mode: str, part: str) -> None:
     parameters = np.array(problem.setting().values())
     if mode == "flight":
         parameters = np.append(parameters, 0.37)
+    values = _evaluator(function)
     random = np.random.default_rng(3)
     for _ in range(20):
         state = random.uniform(-3, 3, function.numel_in(0))
         own = _own(function, state, parameters)
         # Terms of both signs cancel: the error is that of the largest of them.
         bound = 1e-14 * max(1.0, float(np.max(np.abs(own))))
-        assert _values(function, state, parameters) == pytest.approx(own, rel=1e-14, abs=bound)
+        assert values(state, parameters) == pytest.approx(own, rel=1e-14, abs=bound)
 
 
 @pytest.mark.parametrize("name", ["contact", "impulse", "energy"])
