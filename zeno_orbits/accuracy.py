@@ -59,9 +59,7 @@ class Assured:
     error: float
 
 
-def settings_for(
-    accuracy: float, settings: SimulationSettings | None = None
-) -> SimulationSettings:
+def settings_for(accuracy: float, settings: SimulationSettings | None = None) -> SimulationSettings:
     """Return the cheapest settings that were measured to reach an accuracy.
 
     Args:
@@ -105,9 +103,7 @@ def simulate_to(
     previous = simulate(dynamics, state, until=until, settings=coarse, on_progress=on_progress)
     error = math.inf
     while chosen.tolerance.relative >= _TIGHTEST:
-        execution = simulate(
-            dynamics, state, until=until, settings=chosen, on_progress=on_progress
-        )
+        execution = simulate(dynamics, state, until=until, settings=chosen, on_progress=on_progress)
         error = apart(landmarks(previous), landmarks(execution), until)
         if error <= accuracy:
             return Assured(execution=execution, settings=chosen, error=error)

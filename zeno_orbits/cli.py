@@ -421,6 +421,7 @@ def _add_fidelity(commands: Any) -> None:
 
 def _run_fidelity(options: argparse.Namespace) -> int:
     from zeno_orbits.fidelity import reduction_costs
+    from zeno_orbits.problem import load_problem
 
     problem = load_problem(options.problem)
     setting = _setting(problem, options)

@@ -1,4 +1,4 @@
-"""What accuracy costs: every engine, tolerance, closure, mesh and fidelity, timed against the truth.
+"""What accuracy costs: engines, tolerances, closures, meshes and reduced models against the truth.
 
 The truth is computed in extended precision, and says itself how certain it is. Errors are those of
 `accuracy.apart`; wall times are medians.
@@ -16,11 +16,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from zeno_orbits.accuracy import Landmark, apart, landmarks
+from zeno_orbits.compiled import bind
 from zeno_orbits.completion import Completion, FixedImpacts, Truncation, ZenoExtrapolation
 from zeno_orbits.dynamics import HybridDynamics, Tolerance
 from zeno_orbits.engines import Automatic, Engine, Radau, RungeKutta, SciPy, Taylor
-from zeno_orbits.compiled import bind
 from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.execution import Execution
 from zeno_orbits.models import compiled_model
 from zeno_orbits.problem import Problem, Setting
 from zeno_orbits.simulate import SimulationSettings, simulate
@@ -167,7 +168,7 @@ def trade(
         SimulationError: If the scene cannot be followed so far.
     """
     settings = settings or TradeSettings()
-    say = tell or (lambda _what, _part: None)
+    say = tell or _nobody
     dynamics = _model(problem, setting)
     say("computing the truth", 0.0)
     truth, how, certain = _truth(problem, setting, dynamics, state, settings.until)
@@ -184,6 +185,10 @@ def trade(
         truth_error=certain,
         trials=tuple(trials),
     )
+
+
+def _nobody(_what: str, _part: float) -> None:
+    """Listen to nothing."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -302,28 +307,29 @@ def _exact_landmarks(exact: ExtendedExecution) -> tuple[Landmark, ...]:
 
 
 def _tried(plan: _Plan, truth: Sequence[Landmark], settings: TradeSettings) -> Trial:
-    """Run a plan, once to warm up, and hold the last run against the truth."""
+    """Run a plan, once to warm up and then for its time, and hold it against the truth."""
     trial = Trial(
         sweep=plan.sweep, name=plan.name, value=plan.value, seconds=math.inf, error=math.inf
     )
-    times: list[float] = []
     try:
-        for _ in range(settings.repeats + 1):
-            started = time.perf_counter()
-            execution = simulate(
-                plan.dynamics, plan.state, until=settings.until, settings=plan.simulation
-            )
-            times.append(time.perf_counter() - started)
+        execution, _ = _timed(plan, settings.until)
+        times = [_timed(plan, settings.until)[1] for _ in range(settings.repeats)]
     except ZenoOrbitsError as error:
         return replace(trial, trouble=str(error))
     n_x = len(plan.state)
     known = [Landmark(time=mark.time, state=mark.state[:n_x]) for mark in truth]
     return replace(
         trial,
-        seconds=statistics.median(times[1:]),
+        seconds=statistics.median(times),
         error=apart(landmarks(execution), known, settings.until),
         n_impacts=len(execution.impacts),
     )
+
+
+def _timed(plan: _Plan, until: float) -> tuple[Execution, float]:
+    started = time.perf_counter()
+    execution = simulate(plan.dynamics, plan.state, until=until, settings=plan.simulation)
+    return execution, time.perf_counter() - started
 
 
 def _meshes(
