@@ -37,6 +37,7 @@ def plot_trade(trade: Trade, *, width: float = FULL_WIDTH) -> Figure:
             ls="-" if trials[0].sweep == "engine" else ":",
             lw=1.0,
             ms=4.0,
+            mfc=None if trials[0].sweep == "engine" else "none",
             label=label,
         )
     front = trade.front
