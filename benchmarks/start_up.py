@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import resource
 import statistics
 import subprocess
 import sys
@@ -36,6 +37,7 @@ class Row:
     name: str
     median: float
     slowest: float
+    processor: float
     bound: float | None
     heavy: tuple[str, ...]
 
@@ -45,11 +47,17 @@ class Row:
         return self.bound is None or self.median < self.bound
 
 
-def seconds(arguments: Sequence[str]) -> float:
-    """Return how long Python takes with these arguments, from its start to its end."""
-    started = time.perf_counter()
+def seconds(arguments: Sequence[str]) -> tuple[float, float]:
+    """Return how long Python takes with these arguments, by the clock and by the processor."""
+    started, used = time.perf_counter(), _processor_time()
     subprocess.run([sys.executable, *arguments], check=True, capture_output=True)
-    return time.perf_counter() - started
+    return time.perf_counter() - started, _processor_time() - used
+
+
+def _processor_time() -> float:
+    """Return the processor time of all processes that were waited for [s]."""
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
 
 
 def heavy_modules(arguments: Sequence[str]) -> tuple[str, ...]:
@@ -81,15 +89,16 @@ def measured(runs: int) -> list[Row]:
         wanted = processes(Path(folder) / "orbit.json")
         # One run that does not count fills the disk's cache and writes the orbit.
         heavy = {name: heavy_modules(arguments) for name, (arguments, _) in wanted.items()}
-        times: dict[str, list[float]] = {name: [] for name in wanted}
+        times: dict[str, list[tuple[float, float]]] = {name: [] for name in wanted}
         for _ in range(runs):
             for name, (arguments, _) in wanted.items():
                 times[name].append(seconds(arguments))
     return [
         Row(
             name=name,
-            median=statistics.median(times[name]),
-            slowest=max(times[name]),
+            median=statistics.median(clock for clock, _ in times[name]),
+            slowest=max(clock for clock, _ in times[name]),
+            processor=statistics.median(processor for _, processor in times[name]),
             bound=bound,
             heavy=heavy[name],
         )
@@ -109,12 +118,11 @@ def main() -> int:
     if options.json:
         print(json.dumps([asdict(row) | {"good": row.good} for row in rows], indent=2))
     else:
-        print(
-            f"{'process':28}{'median [s]':>11}{'slowest [s]':>13}{'bound [s]':>11}  heavy modules"
-        )
+        head = f"{'process':28}{'median [s]':>11}{'slowest [s]':>13}{'processor [s]':>15}"
+        print(f"{head}{'bound [s]':>11}  heavy modules")
         for row in rows:
             bound = "-" if row.bound is None else f"{row.bound:g}"
-            figures = f"{row.median:11.2f}{row.slowest:13.2f}{bound:>11}"
+            figures = f"{row.median:11.2f}{row.slowest:13.2f}{row.processor:15.2f}{bound:>11}"
             print(f"{row.name:28}{figures}  {', '.join(row.heavy) or '-'}")
     return 0 if all(row.good for row in rows) else 1
 
