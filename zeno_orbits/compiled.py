@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import casadi as ca
@@ -175,7 +175,9 @@ def bind(compiled: CompiledSystem, values: Sequence[float]) -> HybridDynamics:
     restitution = float(impulse(np.zeros(compiled.n_x), 2)[0])
 
     def flight(speed: float) -> GuardedFlow:
-        return CompiledFlow(compiled.flight, np.append(p, speed))
+        numbers = np.empty(p.size + 1)
+        numbers[:-1], numbers[-1] = p, speed
+        return CompiledFlow(compiled.flight, numbers)
 
     def reset_map(x: Vector, approach_rate: float) -> Vector:
         # Newton's law along the impulse, theory (7); the rate is exact where x holds only rounding.
@@ -202,22 +204,27 @@ def bind(compiled: CompiledSystem, values: Sequence[float]) -> HybridDynamics:
 
 
 class CompiledFlow:
-    """A guarded flow whose step is one CasADi call through preallocated memory."""
+    """A guarded flow whose step is one CasADi call through preallocated memory.
+
+    Memory is made at the first call: an engine that has its own code needs none of it.
+    """
 
     def __init__(self, mode: ModeFunctions, p: Vector) -> None:
         self.mode = mode
         self.p = p
-        self._y = np.zeros(mode.step.size1_in(0))
-        self._numbers = np.zeros(3)
-        self._after = np.zeros_like(self._y)
-        self._error = np.zeros(1)
-        self._guard = np.zeros(2)
-        arguments = (self._y, p)
-        results = (self._after, self._error)
-        self._take_step = _caller(mode.step, (*arguments, self._numbers), results)
-        self._evaluate_guard = _caller(mode.guard, arguments, (self._guard,))
-        self._rate = _Call(mode.rate, p)
         self._newton: tuple[Collocation, CompiledNewton] | None = None
+
+    @cached_property
+    def _rate(self) -> _Call:
+        return _Call(self.mode.rate, self.p)
+
+    @cached_property
+    def _guard(self) -> _Call:
+        return _Call(self.mode.guard, self.p)
+
+    @cached_property
+    def _step(self) -> _StepCall:
+        return _StepCall(self.mode.step, self.p)
 
     def rate(self, y: Vector) -> Vector:
         """Return ``dy/dt``."""
@@ -225,17 +232,12 @@ class CompiledFlow:
 
     def guard(self, y: Vector) -> tuple[float, float]:
         """Return the guard and its time derivative along the flow."""
-        self._y[:] = y
-        self._evaluate_guard()
-        value, rate = self._guard.tolist()
+        value, rate = self._guard(y).tolist()
         return value, rate
 
     def attempt(self, y: Vector, size: float, tolerance: Tolerance) -> tuple[Vector, float]:
         """Return the state after one step of DOP853 and its error, in units of the tolerance."""
-        self._y[:] = y
-        self._numbers[:] = (size, tolerance.relative, tolerance.absolute)
-        self._take_step()
-        return self._after.copy(), self._error.item()
+        return self._step(y, size, tolerance)
 
     def jacobian(self, y: Vector) -> Vector:
         """Return the derivative of the rate, ``(n_y, n_y)``."""
@@ -361,6 +363,24 @@ class _Call:
         self._x[:] = x
         self._evaluate()
         return self._results[output]
+
+
+class _StepCall:
+    """A step of a flow at fixed ``p``, called through preallocated memory."""
+
+    def __init__(self, function: ca.Function, p: Vector) -> None:
+        self._y = np.zeros(function.size1_in(0))
+        self._numbers = np.zeros(3)
+        self._after = np.zeros_like(self._y)
+        self._error = np.zeros(1)
+        results = (self._after, self._error)
+        self._evaluate = _caller(function, (self._y, p, self._numbers), results)
+
+    def __call__(self, y: Vector, size: float, tolerance: Tolerance) -> tuple[Vector, float]:
+        self._y[:] = y
+        self._numbers[:] = (size, tolerance.relative, tolerance.absolute)
+        self._evaluate()
+        return self._after.copy(), self._error.item()
 
 
 def _caller(

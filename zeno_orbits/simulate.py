@@ -356,7 +356,7 @@ class _Run:
         unit = 1.0 if start.speed is None else start.speed
         leg = Leg(
             flow=flow,
-            y=start.state if start.speed is None else np.append(start.state, (0.0, 1.0)),
+            y=start.state if start.speed is None else _launched(start.state),
             horizon=(self.until - start.time) / unit,
             tolerance=self.settings.tolerance,
             on_guard=on_guard,
@@ -385,3 +385,10 @@ class _Run:
         )
         self.arcs.append(arc)
         return arc, passage.state
+
+
+def _launched(x: Vector) -> Vector:
+    """Return the state of a rescaled flight at its start, ``(x, 0, 1)``."""
+    y = np.zeros(x.size + 2)
+    y[:-2], y[-1] = x, 1.0
+    return y
