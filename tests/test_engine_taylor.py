@@ -325,6 +325,18 @@ def test_new_gains_compile_nothing() -> None:
     assert len(set(counts)) == 1
 
 
+def test_a_large_model_is_compiled_as_calls_and_moves_the_same(
+    pendulum: HybridDynamics, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inlined = _follow(pendulum.free, RELEASE, on_guard=True, contact=1e-12)
+    monkeypatch.setattr(series, "_LARGE", 0)
+    series._carrier.cache_clear()
+    called = _follow(pendulum.free, RELEASE, on_guard=True, contact=1e-12)
+    series._carrier.cache_clear()
+    assert called.duration == pytest.approx(inlined.duration, abs=1e-13)
+    assert called.state == pytest.approx(inlined.state, abs=1e-12)
+
+
 def test_the_way_is_integrated_again_when_it_is_asked_for(pendulum: HybridDynamics) -> None:
     own = _follow(pendulum.free, RELEASE, on_guard=True, contact=1e-12)
     leg = _leg(pendulum.free, RELEASE, on_guard=True, contact=1e-12)

@@ -170,8 +170,6 @@ def extrapolate(dynamics: HybridDynamics, estimates: Sequence[TailEstimate]) -> 
 
 def _combine(nodes: Sequence[TailEstimate]) -> tuple[float, Vector]:
     """Return time and state of the limit that a polynomial through these nodes has."""
-    time, state = 0.0, np.zeros(len(nodes[0].state))
-    for weight, node in zip(limit_weights([node.speed for node in nodes]), nodes, strict=True):
-        time += weight * node.time
-        state += weight * node.state
-    return time, state
+    weights = limit_weights([node.speed for node in nodes])
+    time = sum(weight * node.time for weight, node in zip(weights, nodes, strict=True))
+    return time, np.array(weights) @ np.array([node.state for node in nodes])
