@@ -342,13 +342,13 @@ def _function(name: str, inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.Functi
     Raises:
         ValueError: If an output depends on a symbol that is no input.
     """
-    known = ca.veccat(*inputs)
-    loose = [s.name() for s in ca.symvar(ca.veccat(*outputs)) if not ca.depends_on(known, s)]
-    if loose:
+    options = {"cse": True, "allow_free": True}
+    function = ca.Function(name, inputs, [ca.densify(output) for output in outputs], options)
+    if function.has_free():
         wanted = "must depend on its state and named parameters only"
-        message = f"Argument `system` {wanted}, but `{name}` depends on {', '.join(loose)}."
-        raise ValueError(message)
-    return ca.Function(name, inputs, [ca.densify(output) for output in outputs], {"cse": True})
+        loose = ", ".join(function.get_free())
+        raise ValueError(f"Argument `system` {wanted}, but `{name}` depends on {loose}.")
+    return function
 
 
 class _Call:

@@ -138,6 +138,10 @@ class _Number:
     real: ca.SX
     imaginary: ca.SX | None
 
+    @property
+    def is_zero(self) -> bool:
+        return self.real.is_zero() and (self.imaginary is None or self.imaginary.is_zero())
+
     def __sub__(self, other: _Number) -> _Number:
         if self.imaginary is None or other.imaginary is None:
             return _Number(self.real - other.real, self.imaginary)
@@ -175,9 +179,12 @@ def _factorize(matrix: _Factors) -> _Factors:
     rows = [[matrix.entry(i, j) for j in range(n)] for i in range(n)]
     for k in range(n):
         rows[k][k] = rows[k][k].inverse()
+        right = [j for j in range(k + 1, n) if not rows[k][j].is_zero]
         for i in range(k + 1, n):
+            if rows[i][k].is_zero:
+                continue
             rows[i][k] = rows[i][k] * rows[k][k]
-            for j in range(k + 1, n):
+            for j in right:
                 rows[i][j] = rows[i][j] - rows[i][k] * rows[k][j]
     real = [[number.real for number in row] for row in rows]
     if not matrix.is_complex:
