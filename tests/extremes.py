@@ -433,7 +433,7 @@ _TELLING = 1.1e-3
 """Impacts below this part of the fastest are left to the Zeno time, not resolved by everybody."""
 
 
-def _error(execution: Execution, truth: Followed, until: float) -> float:
+def difference(execution: Execution, truth: Followed, until: float) -> float:
     """Return the largest error of events and end, times to the horizon, states to `1 + |x|`."""
     counts = (len(execution.zeno_points), len(execution.releases))
     assert counts == (len(truth.zeno_times), len(truth.release_times))
@@ -466,7 +466,7 @@ def _pendulum_error(
     execution = simulate(bind(compiled, setting.values()), state, until=until)
     machine = load_reference(problem).pendulum(setting)
     truth = Follower(machine=machine, method=method, relative=relative).follow(state, until)
-    return _error(execution, truth, until)
+    return difference(execution, truth, until)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -530,7 +530,7 @@ def _quasi_static_error(until: float) -> float:
     execution = simulate(bind(compiled, setting.values()), FLYING[:4], until=until)
     machine = load_reference(load_problem("motor_pendulum")).pendulum(setting)
     follower = Follower(machine=_WithoutInductance(machine=machine))
-    return _error(execution, follower.follow(FLYING[:4], until), until)
+    return difference(execution, follower.follow(FLYING[:4], until), until)
 
 
 def _feed_energy() -> float:
@@ -676,7 +676,7 @@ def _units_error(units: Units) -> float:
         release_times=[release.time for release in plain.releases],
         end_state=plain.end_state,
     )
-    return _error(units.in_si(scaled, PENDULUM_STATE, (0, 0, 0)), truth, until)
+    return difference(units.in_si(scaled, PENDULUM_STATE, (0, 0, 0)), truth, until)
 
 
 def _circle_error(units: Units) -> float:
@@ -697,7 +697,7 @@ def _circle_error(units: Units) -> float:
         zeno_times=[zeno.time for zeno in plain.zeno_points],
         end_state=plain.end_state,
     )
-    return _error(units.in_si(other, CIRCLE.states, CIRCLE.gap), truth, 1.5)
+    return difference(units.in_si(other, CIRCLE.states, CIRCLE.gap), truth, 1.5)
 
 
 def _rounded_circle_error() -> float:
@@ -777,7 +777,7 @@ SEARCH_ROWS = [
             asked="closure after a period",
             truth=SECOND,
             error=partial(_search_error, e),
-            tolerance=1e-8,
+            tolerance=1e-9,
             slow=True,
         )
         for e in (0.0, 1e-6, 0.41, 0.4165)

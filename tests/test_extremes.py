@@ -11,10 +11,11 @@ from pathlib import Path
 import pytest
 from scipy.integrate import DOP853, Radau
 
-from tests.extremes import CALIBRATED, ROWS, Row, vanishing_sequence
+from tests.extremes import CALIBRATED, FLYING, ROWS, Row, difference, vanishing_sequence
 from tests.independent import Follower, Method
 from tests.reference_orbit import FIRST_RATE, PERIOD, ZENO_STATE, ZENO_TIME
 from zeno_orbits.problem import load_problem, load_reference
+from zeno_orbits.simulate import simulate
 
 TABLE = Path(__file__).parents[1] / "docs" / "extremes.md"
 WAITS = "needs the implicit engine"
@@ -92,3 +93,14 @@ def test_the_second_simulator_finds_the_reference_orbit(method: Method, relative
 def test_the_sequence_that_ends_at_the_release_parts_those_that_do_from_those_that_do_not() -> None:
     assert vanishing_sequence(-1e-9)[1] is not None
     assert vanishing_sequence(1e-9)[1] is None
+
+
+def test_a_machine_that_differs_in_the_ninth_digit_is_told_apart() -> None:
+    problem = load_problem("motor_pendulum")
+    setting = problem.setting(parameters=CALIBRATED)
+    other = problem.setting(parameters={**CALIBRATED, "g": 9.81 * (1 + 1e-9)})
+    execution = simulate(load_reference(problem).dynamics(setting), FLYING, until=1.0)
+    for numbers, told in ((setting, False), (other, True)):
+        machine = load_reference(problem).pendulum(numbers)
+        truth = Follower(machine=machine).follow(FLYING, 1.0)
+        assert (difference(execution, truth, 1.0) > 1e-11) == told
