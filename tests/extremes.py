@@ -693,10 +693,7 @@ def _units_error(units: Units) -> float:
 
 
 def _circle_error(units: Units) -> float:
-    """Return the difference of a bob on a circle, `0.6 g` towards the stop, in SI and other units.
-
-    The angle from the stop gives the truth a second time: its first impact is that of a pendulum.
-    """
+    """Return the difference of a bob on a circle in SI units from the same in other units."""
     numbers = {"m": 0.7, "l": 0.4, "g": 9.81, "e": 0.5}
     start = np.array([0.4 * math.sin(0.5), -0.4 * math.cos(0.5), 0.0, 0.0])
     plain = simulate(CIRCLE.at(**numbers), start, until=1.5)
