@@ -113,7 +113,7 @@ def corrected_drive(lagrangian: HybridLagrangian, motors: MotorBank) -> Drive:
         \qquad \Delta M = S K_\varphi R^{-1} L R^{-1} (D - K_\omega) S^\top
 
     It is wrong by :math:`O((L/R)^2)`, an impact's current layer included. The electrical powers
-    are those of :math:`\bar\imath`, right to :math:`O(L/R)`; the energy balance is exact.
+    are those of :math:`\bar\imath`, off by :math:`O(L/R)`; the energy balance is exact.
     Source: [KokotovicKhalilOReilly1999]_ for the slow manifold, theory (20).
 
     Raises:
