@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 from scipy.optimize import brentq
 
 N_TERMS = 40
 """Terms of the power series of a flight; flights of 0.5 s need fewer than 20."""
 ROUNDING = 2.0**-52
+END = 1e-16
+"""Part of the first speed at which a sequence is at its end."""
 
 
 def ball_fall_time(height: float, g: float) -> float:
@@ -120,6 +123,80 @@ class StoppedOscillator:
                 return time
             last = time
         return last
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FadingBall:
+    """A ball on a floor whose weight changes with time, ``x'' = -(g - b t)``.
+
+    Attributes:
+        g: Its weight for a unit of mass at time 0.
+        b: How fast it fades.
+        restitution: ``e``.
+    """
+
+    g: float
+    b: float
+    restitution: float
+
+    def zeno_time(self, speed: float) -> float:
+        """Return when the impacts accumulate after a start from the floor; infinity if never."""
+        times, time, speed_now = [0.0], 0.0, speed
+        while speed_now > END * speed:
+            half = (self.g - self.b * time) / 2
+            inside = half**2 - 2 * self.b * speed_now / 3
+            if half <= 0.0 or inside < 0.0:
+                return math.inf
+            duration = 2 * speed_now / (half + math.sqrt(inside))
+            times.append(duration)
+            approach = speed_now - 2 * half * duration + self.b * duration**2 / 2
+            time, speed_now = time + duration, -self.restitution * approach
+        return math.fsum(times)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlidingBead:
+    """A bead that bounces on the outside of the unit disc, gap ``x^2 + y^2 - 1``.
+
+    Attributes:
+        g: Its weight along ``-y``, for a unit of mass.
+        restitution: ``e``.
+    """
+
+    g: float
+    restitution: float
+
+    def zeno_point(self, angle: float, turn: Any, speed: float) -> tuple[Any, list[Any]]:
+        """Return time and state ``(x, y, dx, dy)`` at which the impacts accumulate.
+
+        Args:
+            angle: Of the start on the disc, from its top.
+            turn: Velocity along the disc; its type, `float` or `mpf`, is the arithmetic.
+            speed: Gap rate at the start, twice the velocity off the disc.
+        """
+        one = turn * 0 + 1
+        x, y = math.sin(angle) * one, math.cos(angle) * one
+        size = (x * x + y * y) ** (one / 2)
+        x, y = x / size, y / size
+        w, time = speed * one, 0 * one
+        vx, vy = turn * y + w / 2 * x, -turn * x + w / 2 * y
+        while w > END * speed:
+            # The gap over the time: w + c2 s + c3 s^2 + c4 s^3, without cancellation.
+            c2, c3, c4 = vx * vx + vy * vy - self.g * y, -self.g * vy, self.g**2 / 4
+            s = -w / c2
+            for _ in range(60):
+                value = w + s * (c2 + s * (c3 + s * c4))
+                change = value / (c2 + s * (2 * c3 + 3 * s * c4))
+                s -= change
+                if abs(change) <= 4 * ROUNDING * s:
+                    break
+            approach = w + s * (2 * c2 + s * (3 * c3 + 4 * s * c4))
+            x, y = x + s * vx, y + s * (vy - s * self.g / 2)
+            vy -= self.g * s
+            impulse = (1 + self.restitution) * approach / 2
+            vx, vy = vx - impulse * x, vy - impulse * y
+            time, w = time + s, -self.restitution * approach
+        return time, [x, y, vx - w / 2 * x, vy - w / 2 * y]
 
 
 FORCED = StoppedOscillator(damping=1.9, stop=-0.8, restitution=0.5)

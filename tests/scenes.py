@@ -107,6 +107,20 @@ def bead_on_disc(restitution: float) -> HybridDynamics:
     return numeric(mechanism, restitution=restitution)
 
 
+def fading_ball(g: float, b: float, restitution: float) -> HybridDynamics:
+    """Return ``x'' = -(g - b y)`` with the gap ``x`` and a clock ``y``; ``(x, y, dx, dy)``."""
+    q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+    mechanism = HybridLagrangian.from_energies(
+        q=q,
+        v=v,
+        kinetic=ca.sumsqr(v) / 2,
+        potential=g * q[0],
+        gap=q[0],
+        passive_force=ca.vertcat(b * q[1], 0),
+    )
+    return numeric(mechanism, restitution=restitution)
+
+
 def spring_mass(stop: float, restitution: float) -> HybridDynamics:
     """Return ``x'' = -x`` with the gap ``x + stop``."""
     q, v = ca.SX.sym("q"), ca.SX.sym("v")
