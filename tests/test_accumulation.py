@@ -173,6 +173,26 @@ def test_the_motor_pendulum_rests_where_its_impacts_lead(speed: float) -> None:
     assert np.all(np.abs(limit.state - by_impacts.state) <= limit.error * (1 + np.abs(start)))
 
 
+@pytest.mark.parametrize("speed", [1e-4, 3e-3])
+def test_the_path_passes_through_the_impacts_that_were_left_out(speed: float) -> None:
+    dynamics = _pendulum(0.99)
+    start = np.array(NEAR_ZENO)
+    state = start + speed * dynamics.impulse_direction(start)
+    limit = _pass(dynamics, start, speed)
+    assert limit is not None
+    path = limit.path
+    assert path[0].before == pytest.approx(start, abs=1e-15)
+    assert path[-1].after == pytest.approx(limit.state, abs=1e-11)
+    for step in path:
+        assert step.state_at(0.0).tolist() == step.before.tolist()
+        assert step.state_at(step.size).tolist() == step.after.tolist()
+    for impact in _simulated(dynamics, state, ZenoExtrapolation()).impacts[:-5:20]:
+        step = next(step for step in path if impact.time <= step.start + step.size)
+        resting = dynamics.on_stop(impact.state_plus)
+        # Between nodes the polynomial has its own order, not the higher one of its end.
+        assert step.state_at(impact.time - step.start) == pytest.approx(resting, abs=1e-6)
+
+
 # Cost.
 
 

@@ -21,6 +21,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import brentq
 
 from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.fibre import (
@@ -111,12 +112,15 @@ def pass_through(
     allowed = max(tolerance, 2 * rounding)
     z, w, error = np.append(dynamics.on_stop(state), 0.0), speed, rounding
     layer = _Layer(decades=math.inf)
+    path: list[CurveStep] = []
     try:
         for _ in range(_MOST_PIECES):
             passed = _longest_piece(curve, start_at(curve, z, w), layer, allowed)
-            z, layer = passed.end, passed.layer
+            z, layer = passed.step.end, passed.layer
             error += passed.error
-            w = 0.0 if passed.length == w else w - passed.length
+            path.append(passed.step)
+            length = passed.step.piece.length
+            w = 0.0 if length == w else w - length
             if w == 0.0:
                 break
     except CurveLostError:
@@ -124,7 +128,7 @@ def pass_through(
     resting = dynamics.on_stop(z[:-1])
     if w > 0.0 or not dynamics.gap_acceleration(resting) < 0.0:
         return None
-    return ZenoLimit(time=time + float(z[-1]), state=resting, error=error)
+    return ZenoLimit(time=time + float(z[-1]), state=resting, error=error, path=tuple(path))
 
 
 def is_settled(estimates: Sequence[TailEstimate], restitution: float) -> bool:
@@ -174,12 +178,63 @@ class _Layer:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Passed:
-    """A converged piece: its end, its error, relative, its length, and the layer after it."""
+class CurveStep:
+    """A piece of the curve, read along time: the state on the stop without the hops above it.
 
-    end: Vector
+    Attributes:
+        piece: The polynomial.
+        missed: Correction of its end, ``(n_x + 1,)``; it grows evenly along the piece.
+    """
+
+    piece: Piece
+    missed: Vector
+
+    @property
+    def end(self) -> Vector:
+        """State and time at its end, ``(n_x + 1,)``."""
+        return self.piece.end + self.missed
+
+    @property
+    def start(self) -> float:
+        """Time at its start, from the impact at which the curve starts."""
+        return float(self.piece.start.z[-1])
+
+    @property
+    def size(self) -> float:
+        """Its length in time."""
+        return float(self.end[-1]) - self.start
+
+    @property
+    def before(self) -> Vector:
+        """State at its start, ``(n_x,)``."""
+        return self.piece.start.z[:-1]
+
+    @property
+    def after(self) -> Vector:
+        """State at its end, ``(n_x,)``."""
+        return self.end[:-1]
+
+    def state_at(self, offset: float) -> Vector:
+        """Return the state ``offset`` after its start, ``(n_x,)``."""
+        if offset <= 0.0:
+            return self.before
+        if offset >= self.size:
+            return self.after
+        place = brentq(lambda at: self._point(at)[-1] - self.start - offset, 0.0, 1.0, xtol=1e-15)
+        return self._point(float(place))[:-1]
+
+    def _point(self, place: float) -> Vector:
+        piece = self.piece
+        along = piece.nodes.integrals(np.array([place]))[0] @ piece.slopes
+        return piece.start.z + piece.length * along + place * self.missed
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Passed:
+    """A converged piece, its relative error, and the layer after it."""
+
+    step: CurveStep
     error: float
-    length: float
     layer: _Layer
 
 
@@ -265,9 +320,8 @@ def _shaped(curve: ImpactCurve, start: Start, length: float) -> Piece:
 def _passed(curve: ImpactCurve, piece: Piece, layer: _Layer) -> _Passed:
     missed = correction(curve, piece)
     return _Passed(
-        end=piece.end + missed,
+        step=CurveStep(piece=piece, missed=missed),
         error=relative(missed, piece.end) + piece.rest,
-        length=piece.length,
         layer=layer.behind(piece.start, piece.length),
     )
 

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from zeno_orbits.dynamics import HybridDynamics, Vector
+from zeno_orbits.engines.protocol import Step
 
 N_NODES = 5
 """Impacts that the extrapolation uses at most."""
@@ -110,11 +111,14 @@ class ZenoLimit:
         state: Zeno state, ``(n_x,)``, on the stop.
         error: Estimate of the error of time and state, relative to ``1 + |t|`` and ``1 + |x|``:
             the difference from the limit that the impacts a node earlier gave.
+        path: The states on the stop on the way from the last impact, where they are known, with
+            times from that impact; the hops that are left out lie above them.
     """
 
     time: float
     state: Vector
     error: float
+    path: tuple[Step, ...] = ()
 
 
 def estimate_tail(
