@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.integrate import LSODA
+from scipy.integrate import DOP853, LSODA
 
 from tests.closed_forms import FORCED
 from tests.scenes import fading_ball, falling_away, forced_oscillator, oscillator_state
@@ -26,7 +26,7 @@ def test_a_flight_of_a_ball_lasts_as_long_as_in_the_textbook(speed: float) -> No
     assert state[1] == pytest.approx(speed / 5, rel=1e-14)
 
 
-@pytest.mark.parametrize("engine", [RungeKutta(), SciPy(), SciPy(method=LSODA)])
+@pytest.mark.parametrize("engine", [RungeKutta(), SciPy(method=DOP853), SciPy(method=LSODA)])
 @pytest.mark.parametrize("speed", [0.3, 1e-2, 1e-6])
 def test_a_flight_ends_where_its_power_series_does(engine: Engine, speed: float) -> None:
     dynamics = forced_oscillator(FORCED, FORCED.restitution)

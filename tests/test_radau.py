@@ -59,7 +59,7 @@ def test_the_order_is_two_s_minus_one() -> None:
     assert errors[0] / errors[1] == pytest.approx(2.0**6, rel=0.2)
 
 
-@pytest.mark.parametrize("n_stages", [1, 3, 5, 7, 9])
+@pytest.mark.parametrize("n_stages", [1, 3, 5, 7])
 def test_the_eigenvectors_rebuild_the_inverse_of_the_matrix(n_stages: int) -> None:
     scheme = radau(n_stages)
     spectrum = scheme.spectrum

@@ -21,7 +21,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq
 
 from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.fibre import (
@@ -220,8 +219,14 @@ class CurveStep:
             return self.before
         if offset >= self.size:
             return self.after
+        from scipy.optimize import brentq
+
         place = brentq(lambda at: self._point(at)[-1] - self.start - offset, 0.0, 1.0, xtol=1e-15)
         return self._point(float(place))[:-1]
+
+    def end_at(self, offset: float) -> Vector:
+        """Return the same: the polynomial is as good everywhere."""
+        return self.state_at(offset)
 
     def _point(self, place: float) -> Vector:
         piece = self.piece

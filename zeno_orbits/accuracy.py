@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from zeno_orbits.completion import ZenoExtrapolation
+from zeno_orbits.completion import ZenoPassage
 from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
 from zeno_orbits.engines.automatic import PAYS, decay_rates
 from zeno_orbits.errors import InputError, SimulationError
@@ -171,5 +171,5 @@ def _at_tolerance(settings: SimulationSettings, tolerance: float) -> SimulationS
     return replace(
         settings,
         tolerance=Tolerance(relative=tolerance, absolute=_SHARE * tolerance),
-        completion=ZenoExtrapolation(tolerance=max(tolerance, 1e-12)),
+        completion=ZenoPassage(tolerance=max(tolerance, 1e-12)),
     )

@@ -137,7 +137,7 @@ def _tidy(value: complex) -> complex:
 def radau(n_stages: int) -> Collocation:
     """Return Radau IIA, of order ``2 n_stages - 1``: stiffly accurate, so layers decay."""
     powers = np.arange(1, n_stages + 1)
-    nodes = _radau_nodes(n_stages)
+    nodes = radau_abscissae(n_stages)
     # Stage i integrates the polynomials exactly: sum_j a_ij c_j^(k-1) = c_i^k / k.
     vandermonde = nodes[:, None] ** (powers - 1)
     moments = nodes[:, None] ** powers / powers
@@ -145,7 +145,7 @@ def radau(n_stages: int) -> Collocation:
     return Collocation(nodes=nodes, matrix=matrix)
 
 
-def _radau_nodes(n_stages: int) -> Array:
+def radau_abscissae(n_stages: int) -> Array:
     """Return the zeros of :math:`P_{s-1} - P_s` on [0, 1], P the Legendre polynomials."""
     legendre = np.polynomial.legendre
     series = np.zeros(n_stages + 1)

@@ -12,7 +12,8 @@ from typing import Protocol
 
 from zeno_orbits.accumulation import is_settled, pass_through
 from zeno_orbits.dynamics import HybridDynamics, Tolerance
-from zeno_orbits.engines import Engine, RungeKutta
+from zeno_orbits.engines import RungeKutta
+from zeno_orbits.engines.protocol import Stepper
 from zeno_orbits.hops import rescaled_hop
 from zeno_orbits.zeno import TailEstimate, ZenoLimit, extrapolate
 
@@ -97,7 +98,7 @@ class ZenoPassage:
 
     tolerance: float = 1e-12
     resolved: float = 1e-3
-    engine: Engine = field(default_factory=RungeKutta)
+    engine: Stepper = field(default_factory=RungeKutta)
 
     def limit(
         self, dynamics: HybridDynamics, estimates: Sequence[TailEstimate]

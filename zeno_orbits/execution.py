@@ -97,8 +97,8 @@ class Arc:
         impact_index: Number of impacts resolved before it, the `j` of hybrid time ``(t, j)``.
         time_unit: Length of one unit of the flow's own time [s]; the impact speed in a rescaled
             flight (theory (14)), else 1.
-        trajectory: The flow along it. The tail of an impact sequence has none: its impacts are
-            not resolved, its state is interpolated.
+        trajectory: The flow along it. The tail of an impact sequence has the curve of its impacts
+            if that was followed, else none: then its state is interpolated.
     """
 
     mode: Mode

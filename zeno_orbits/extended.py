@@ -91,7 +91,7 @@ def extended_execution(
 ) -> ExtendedExecution:
     """Return the completed execution from an admissible state, to the wanted digits.
 
-    Takes 2 s to compile and, for `motor_pendulum` at 20 digits, about 1 s a period.
+    Takes 2 s to compile and, for a double pendulum with a motor at 20 digits, about 1 s a period.
 
     Args:
         problem: The scene.

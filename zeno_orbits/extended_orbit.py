@@ -90,7 +90,8 @@ def extended_orbit(
 ) -> ExtendedOrbit:
     """Return the orbit near a release state, to the wanted digits.
 
-    Takes about 10 s for `motor_pendulum` at 25 digits, and grows with the stiffness ``R / L``.
+    Takes about 10 s for a double pendulum with a motor at 25 digits, and
+    grows with the stiffness ``R / L``.
 
     Args:
         problem: The scene.

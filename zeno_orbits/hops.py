@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
-from zeno_orbits.engines.protocol import Engine, Step
+from zeno_orbits.engines.protocol import Step, Stepper
 from zeno_orbits.errors import StepSizeError
 
 Hop = Callable[[Vector, float], tuple[float, Vector, float] | None]
@@ -24,7 +24,7 @@ _CLOSE = 1e-7
 """A correction of the landing after which one more reaches rounding, as part of the flight."""
 
 
-def rescaled_hop(dynamics: HybridDynamics, engine: Engine, tolerance: Tolerance) -> Hop:
+def rescaled_hop(dynamics: HybridDynamics, engine: Stepper, tolerance: Tolerance) -> Hop:
     """Return the flights of a system, as a function.
 
     A flight is given up where the free flow no longer presses on the stop at the end of a step:

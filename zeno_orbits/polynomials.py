@@ -12,9 +12,9 @@ from functools import cache
 
 import numpy as np
 from numpy.polynomial import legendre
-from scipy.special import roots_jacobi
 
-from zeno_orbits.dynamics import Vector
+from zeno_orbits.collocation import Array as Vector
+from zeno_orbits.collocation import radau_abscissae
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,7 +59,7 @@ class Nodes:
 @cache
 def radau_nodes(n: int) -> Nodes:
     """Return the nodes of the Radau IIA method with `n` stages; the last is 1."""
-    return _nodes((np.append(roots_jacobi(n - 1, 1.0, 0.0)[0], 1.0) + 1) / 2)
+    return _nodes(radau_abscissae(n))
 
 
 @cache

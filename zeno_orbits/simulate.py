@@ -12,10 +12,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from zeno_orbits.completion import Completion, ZenoExtrapolation
+from zeno_orbits.completion import Completion, ZenoPassage
 from zeno_orbits.dynamics import GuardedFlow, HybridDynamics, Tolerance, Vector
-from zeno_orbits.engines import Automatic, Engine, Leg, Outcome
+from zeno_orbits.engines import Automatic, Engine, Leg, Outcome, Trajectory
 from zeno_orbits.engines.protocol import Watch
+from zeno_orbits.engines.stepping import SteppedTrajectory
 from zeno_orbits.errors import (
     ChatterError,
     InputError,
@@ -53,7 +54,7 @@ class SimulationSettings:
 
     engine: Engine = field(default_factory=Automatic)
     tolerance: Tolerance = field(default_factory=Tolerance)
-    completion: Completion = field(default_factory=ZenoExtrapolation)
+    completion: Completion = field(default_factory=ZenoPassage)
     contact: float = 1e-12
     far: float = math.inf
     most_impacts: int = 100_000
@@ -254,12 +255,15 @@ class _Run:
         )
         self.events.append(impact)
         self.n_impacts += 1
-        if speed == 0.0:
+        if speed <= self.settings.contact:
             state = dynamics.on_stop(state_plus)
             after = self.rest(time, state)
-            if after.mode is Mode.LOCKED:
+            if after.mode is Mode.FREE:
+                # The stop lets go: whatever is left of the speed, the flight is the free flow's.
+                return after
+            if speed == 0.0:
                 self._reach(ZenoLimit(time=time, state=state, error=0.0), impact, 0.0)
-            return after
+                return after
         return _Start(mode=Mode.FREE, time=time, state=state_plus, speed=speed, impact=impact)
 
     def _hop(self, start: _Start, speed: float) -> _Start | None:
@@ -314,9 +318,16 @@ class _Run:
                     ending=Ending.ZENO,
                     impact_index=self.n_impacts,
                     time_unit=1.0,
-                    trajectory=None,
+                    trajectory=self._tail_of(limit, last.time),
                 )
             )
+
+    @staticmethod
+    def _tail_of(limit: ZenoLimit, start: float) -> Trajectory | None:
+        """Return the way to a limit if it was followed, along the curve of the impacts."""
+        if not limit.path:
+            return None
+        return SteppedTrajectory(steps=limit.path, duration=limit.time - start, end=limit.state)
 
     def _watch(self, unit: float, start: float) -> Watch:
         """Return what ends a leg that takes too long or goes too far."""

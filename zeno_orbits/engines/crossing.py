@@ -137,7 +137,8 @@ def _root(
     if high == 0.0:
         return right
     accuracy = _TINY * (right - left)
-    at, last = left - low * (right - left) / (high - low), right - left
+    # The quotient first: scaled gaps of a flight that goes far reach 1e300.
+    at, last = left - low / (high - low) * (right - left), right - left
     while right - left > accuracy:
         value, rate = function(at)
         if value == 0.0:

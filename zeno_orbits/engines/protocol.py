@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
@@ -124,4 +124,16 @@ class Step(Protocol):
 
     def end_at(self, offset: float) -> Vector:
         """Return the state after a step that ends ``offset`` after the start: a true end."""
+        ...
+
+
+class Stepper(Protocol):
+    """An engine that steps, and lets others watch."""
+
+    def steps(self, flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> Iterator[Step]:
+        """Yield steps from ``y`` on, without end.
+
+        Raises:
+            StepSizeError: If the step size falls to rounding level.
+        """
         ...

@@ -10,6 +10,8 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from zeno_orbits.collocation import Collocation, radau
 from zeno_orbits.dynamics import GuardedFlow, NewtonPieces, Tolerance, Vector
 from zeno_orbits.engines.protocol import Leg, Passage
@@ -77,11 +79,13 @@ class Radau:
         last: RadauStep | None = None
         refused = False
         while True:
-            guess = None
-            if last is not None:
-                guess = self.scheme.continued(last.coefficients, 1.0, size / last.size)
-            stages = solved(pieces, y, size, tolerance, guess)
-            error = math.inf if stages is None else pieces.error(stages, tolerance)
+            with np.errstate(all="ignore"):
+                # What overflows is refused by its NaN.
+                guess = None
+                if last is not None:
+                    guess = self.scheme.continued(last.coefficients, 1.0, size / last.size)
+                stages = solved(pieces, y, size, tolerance, guess)
+                error = math.inf if stages is None else pieces.error(stages, tolerance)
             factor = _SAFETY * max(error, 1e-300) ** exponent if error < math.inf else _UNSOLVED
             if stages is None or not error <= 1.0:
                 size *= max(_SHRINK, min(factor, 0.5 if last is None else 1.0))
