@@ -13,8 +13,6 @@ import sys
 from tests.extremes import ROWS, Row
 from zeno_orbits.errors import ZenoOrbitsError
 
-WAITS = "needs the implicit engine"
-
 
 def rounded_up(error: float) -> str:
     """Return an error with two digits, never smaller than it is."""
@@ -24,10 +22,8 @@ def rounded_up(error: float) -> str:
     return f"{math.ceil(error / unit) * unit:.1e}"
 
 
-def seen(row: Row, *, stiff: bool) -> tuple[str, bool]:
+def seen(row: Row) -> tuple[str, bool]:
     """Return what a row gives, and whether it keeps its promise."""
-    if row.needs_stiff_engine and not stiff:
-        return WAITS, True
     try:
         error = row.error()
     except ZenoOrbitsError as outcome:
@@ -39,13 +35,12 @@ def main() -> int:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("part", nargs="?", default="", help="only rows whose name contains this")
-    parser.add_argument("--stiff", action="store_true", help="run the rows for the implicit engine")
     arguments = parser.parse_args()
     broken = 0
     print("| Row | Asked | Truth | Promised | Seen |\n|---|---|---|---|---|")
     for row in ROWS:
         if arguments.part in row.name:
-            text, kept = seen(row, stiff=arguments.stiff)
+            text, kept = seen(row)
             broken += not kept
             line = f"| {row.name} | {row.asked} | {row.truth} | {row.promise} | {text} |"
             print(line if kept else f"{line} BROKEN", flush=True)

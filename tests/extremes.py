@@ -49,7 +49,6 @@ class Row:
         error: Run it and return the largest relative error of what is asked.
         tolerance: What the error must stay below.
         ends_in: The named error that it must end in instead.
-        needs_stiff_engine: It cannot be run in reasonable time by explicit steps.
         slow: It takes more than a few seconds.
     """
 
@@ -59,7 +58,6 @@ class Row:
     error: Callable[[], float]
     tolerance: float = 0.0
     ends_in: type[ZenoOrbitsError] | None = None
-    needs_stiff_engine: bool = False
     slow: bool = False
 
     @property
@@ -565,7 +563,7 @@ PENDULUM_ROWS = [
                 relative=1e-11 if inductance < 1e-3 else 3e-14,
             ),
             tolerance=1e-9 if inductance < 1e-3 else 1e-11,
-            needs_stiff_engine=inductance <= 1e-5,
+            slow=inductance <= 1e-5,
         )
         for inductance in (1e-9, 1e-6, 1e-4, 2e-3, 0.1, 1.0)
     ),
@@ -586,7 +584,6 @@ PENDULUM_ROWS = [
             truth=SECOND,
             error=partial(_pendulum_error, {"restitution": e}, until=0.1, state=LIFTED),
             tolerance=1e-11,
-            needs_stiff_engine=e > 0.99,
             slow=e >= 0.99,
         )
         for e in (0.9, 0.99, 0.999)

@@ -88,3 +88,10 @@ def test_a_fall_at_the_very_end_of_the_step_is_found_now_or_at_the_next_step() -
 
 def test_a_start_on_the_guard_that_falls_at_once_has_no_root() -> None:
     assert _fall(lambda t: -t, lambda _: -1.0, 1.0, on_guard=True) is None
+
+
+def test_a_fall_among_scaled_gaps_near_the_end_of_the_doubles_is_found() -> None:
+    # A flight of 1 s after an impact at 1e-127: value times step size is beyond 1e308.
+    far = 1e127
+    found = _fall(lambda t: 1e254 * (0.3 - t / far), lambda _: -1e254 / far, far)
+    assert found == pytest.approx(0.3 * far, rel=LOCATED)

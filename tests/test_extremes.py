@@ -18,14 +18,10 @@ from zeno_orbits.problem import load_problem, load_reference
 from zeno_orbits.simulate import simulate
 
 TABLE = Path(__file__).parents[1] / "docs" / "extremes.md"
-WAITS = "needs the implicit engine"
-"""What the table says of a row that explicit steps cannot run in reasonable time."""
 
 
 def _marked(row: Row) -> object:
     marks = [pytest.mark.slow] if row.slow else []
-    if row.needs_stiff_engine:
-        marks.append(pytest.mark.skip(reason=WAITS))
     return pytest.param(row, id=row.name, marks=marks)
 
 
@@ -65,9 +61,7 @@ def test_the_table_has_the_rows_that_are_run_and_no_others() -> None:
 def test_the_table_promises_what_is_tested(row: Row) -> None:
     asked, truth, promise, seen = _table()[row.name]
     assert (asked, truth, promise) == (row.asked, row.truth, row.promise)
-    if row.needs_stiff_engine:
-        assert seen == WAITS
-    elif row.ends_in is not None:
+    if row.ends_in is not None:
         assert seen == row.promise
     else:
         assert re.fullmatch(r"0|\d\.\de-\d\d", seen)

@@ -13,6 +13,7 @@ from scipy.integrate import DOP853
 
 from tests import closed_forms
 from tests.closed_forms import COCO, FORCED
+from tests.families import BALL
 from tests.reference_orbit import (
     FIRST_IMPACT,
     FIRST_RATE,
@@ -32,7 +33,7 @@ from zeno_orbits.compiled import bind, compile_problem
 from zeno_orbits.completion import Truncation, ZenoExtrapolation
 from zeno_orbits.dynamics import HybridDynamics, Tolerance
 from zeno_orbits.engines import Engine, Radau, RungeKutta, SciPy
-from zeno_orbits.errors import ChatterError, InputError, PenetrationError
+from zeno_orbits.errors import ChatterError, InputError, PenetrationError, StepSizeError
 from zeno_orbits.execution import Ending, Execution, Impact, Mode, Release, ZenoPoint
 from zeno_orbits.problem import Problem, load_problem, load_reference
 from zeno_orbits.simulate import SimulationSettings, simulate
@@ -668,3 +669,18 @@ def test_a_motion_that_dies_out_is_followed_to_rest() -> None:
     assert np.max(np.abs(execution.end_state)) < 1e-3
     speeds = [-impact.approach_rate for impact in execution.impacts]
     assert all(speed > 0.0 for speed in speeds)
+
+
+# Horizons and heights at the end of the range of doubles.
+
+
+def test_a_ball_at_rest_is_followed_to_any_time() -> None:
+    execution = simulate(BALL.at(m=1.0, g=9.81, c=0.0, e=0.5), (1.0, 0.0), until=1e308)
+    assert execution.end_time == 1e308
+    assert execution.end_state.tolist() == [0.0, 0.0]
+
+
+def test_a_ball_that_rises_beyond_every_number_ends_in_a_named_error() -> None:
+    # h = 4.9 t^2 leaves the doubles at 6e153 s; an infinite state would be a plausible end.
+    with pytest.raises(StepSizeError):
+        simulate(BALL.at(m=1.0, g=-9.81, c=0.0, e=0.5), (1.0, 0.0), until=1e200)

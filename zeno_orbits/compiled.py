@@ -15,7 +15,7 @@ from zeno_orbits.dynamics import GuardedFlow, HybridDynamics, NewtonPieces, Tole
 from zeno_orbits.hybrid import CompletedSystem
 from zeno_orbits.implicit import implicit_expressions
 from zeno_orbits.problem import Problem
-from zeno_orbits.runge_kutta import error_norm, explicit_attempt
+from zeno_orbits.runge_kutta import error_norm, explicit_attempt, overflow
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -315,7 +315,11 @@ def _newton_functions(mode: ModeFunctions, scheme: Collocation) -> NewtonFunctio
         correct=function(
             "correct", iterate, pieces.stages + pieces.correction, norm(pieces.correction)
         ),
-        error=function("error", iterate, norm(pieces.error)),
+        error=function(
+            "error",
+            iterate,
+            norm(pieces.error) + overflow(ca.sum1(pieces.y + pieces.stages[:, -1]), ca),
+        ),
     )
 
 
@@ -325,7 +329,7 @@ def _mode(name: str, y: ca.SX, p: ca.SX, rate: ca.SX, guard: ca.SX) -> ModeFunct
     size, relative, absolute = ca.vertsplit(numbers)
     after, fifth, third = explicit_attempt(lambda state: field(state, p), y, size)
     scale = absolute + relative * ca.fmax(ca.fabs(y), ca.fabs(after))
-    error = error_norm(
+    error = overflow(ca.sum1(after), ca) + error_norm(
         ca.sumsqr(fifth / scale), ca.sumsqr(third / scale), ca.fabs(size), y.numel(), ca
     )
     return ModeFunctions(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from zeno_orbits.collocation import Collocation
 from zeno_orbits.errors import InputError
-from zeno_orbits.runge_kutta import error_norm, explicit_attempt
+from zeno_orbits.runge_kutta import error_norm, explicit_attempt, overflow
 
 Vector = NDArray[np.float64]
 Scalar = Callable[[Vector], float]
@@ -98,7 +98,8 @@ class PlainFlow:
         scale = tolerance.absolute + tolerance.relative * np.maximum(np.abs(y), np.abs(after))
         fifth_squared = float(np.sum((fifth / scale) ** 2))
         third_squared = float(np.sum((third / scale) ** 2))
-        return after, float(error_norm(fifth_squared, third_squared, abs(size), len(y), np))
+        error = error_norm(fifth_squared, third_squared, abs(size), len(y), np)
+        return after, float(error + overflow(np.sum(after), np))
 
     def jacobian(self, y: Vector) -> Vector:
         """Return the derivative of the rate by central differences, ``(n_y, n_y)``."""
@@ -154,7 +155,8 @@ class PlainNewton:
         """Return the error of the step, in units of the tolerance."""
         gamma, weights = self._scheme.embedded
         raw = self._slope + weights @ stages / (gamma * self._size)
-        return self._norm((self._inverses[0] @ raw).real, tolerance)
+        error = self._norm((self._inverses[0] @ raw).real, tolerance)
+        return error + float(overflow(np.sum(self._y + stages[-1]), np))
 
     def _norm(self, change: Vector, tolerance: Tolerance) -> float:
         scale = tolerance.absolute + tolerance.relative * np.abs(self._y)

@@ -6,6 +6,7 @@ and 3.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -61,6 +62,16 @@ def error_norm(fifth_squared: Any, third_squared: Any, size: Any, n_y: int, func
     largest = functions.fmax(ratio, _LEAST_RATIO)
     # A sum passes NaN on, where the larger of two may not.
     return size * functions.sqrt(fifth_squared / n_y) * (largest + 0 * mixed)
+
+
+def overflow(total: Any, functions: Any) -> Any:
+    """Return infinity if a sum of states is infinite, else zero: such a step must be refused.
+
+    Args:
+        total: Sum of the entries of a state.
+        functions: ``numpy`` or ``casadi``, for ``fabs`` and ``fmax``.
+    """
+    return functions.fmax(functions.fabs(total) - sys.float_info.max, 0.0)
 
 
 def _weighted(row: Row, slopes: list[Any]) -> Any:

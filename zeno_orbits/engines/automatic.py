@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from zeno_orbits.dynamics import GuardedFlow, Tolerance, Vector
-from zeno_orbits.engines.protocol import Leg, Passage, Step
+from zeno_orbits.engines.protocol import FAR, Leg, Passage, Step
 from zeno_orbits.engines.radau import Radau
 from zeno_orbits.engines.runge_kutta import RungeKutta
 from zeno_orbits.engines.stepping import follow_steps
@@ -45,20 +45,22 @@ class Automatic:
         Raises:
             StepSizeError: If the step size falls to rounding level.
         """
-        return follow_steps(self.steps(leg.flow, leg.y, leg.tolerance), leg)
+        return follow_steps(self.steps(leg.flow, leg.y, leg.tolerance, leg.horizon), leg)
 
-    def steps(self, flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> Iterator[Step]:
-        """Yield steps from ``y`` on, without end.
+    def steps(
+        self, flow: GuardedFlow, y: Vector, tolerance: Tolerance, horizon: float = FAR
+    ) -> Iterator[Step]:
+        """Yield steps from ``y`` on, without end, none longer than the horizon.
 
         Raises:
             StepSizeError: If the step size falls to rounding level.
         """
-        for count, step in enumerate(self.explicit.steps(flow, y, tolerance), start=1):
+        for count, step in enumerate(self.explicit.steps(flow, y, tolerance, horizon), start=1):
             yield step
             if count % _PATIENCE == 0 and is_held_back(flow, step.after, step.size):
                 end = step.start + step.size
                 yield from self.implicit.steps(
-                    flow, step.after, tolerance, time=end, size=2 * step.size
+                    flow, step.after, tolerance, horizon, time=end, size=2 * step.size
                 )
 
 

@@ -9,6 +9,9 @@ from typing import Protocol
 
 from zeno_orbits.dynamics import GuardedFlow, Tolerance, Vector
 
+FAR = 1e300
+"""A horizon that no flow reaches; steps that grow without bound end in NaN."""
+
 Watch = Callable[[int, float, Vector], None]
 """Told of every few steps: how many, the time at their end, the state there. It may raise."""
 

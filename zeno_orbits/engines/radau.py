@@ -14,7 +14,7 @@ import numpy as np
 
 from zeno_orbits.collocation import Collocation, radau
 from zeno_orbits.dynamics import GuardedFlow, NewtonPieces, Tolerance, Vector
-from zeno_orbits.engines.protocol import Leg, Passage
+from zeno_orbits.engines.protocol import FAR, Leg, Passage
 from zeno_orbits.engines.runge_kutta import first_size
 from zeno_orbits.engines.stepping import follow_steps
 from zeno_orbits.errors import StepSizeError
@@ -50,13 +50,14 @@ class Radau:
         Raises:
             StepSizeError: If the step size falls to rounding level.
         """
-        return follow_steps(self.steps(leg.flow, leg.y, leg.tolerance), leg)
+        return follow_steps(self.steps(leg.flow, leg.y, leg.tolerance, leg.horizon), leg)
 
     def steps(
         self,
         flow: GuardedFlow,
         y: Vector,
         tolerance: Tolerance,
+        horizon: float = FAR,
         *,
         time: float = 0.0,
         size: float | None = None,
@@ -67,6 +68,7 @@ class Radau:
             flow: The flow.
             y: State at the start, ``(n_y,)``.
             tolerance: Local error of a step.
+            horizon: No step is longer.
             time: Time at the start.
             size: First step to try; one is guessed by default.
 
@@ -74,7 +76,8 @@ class Radau:
             StepSizeError: If the step size falls to rounding level.
         """
         pieces = flow.newton(self.scheme)
-        size = min(size or first_size(flow, y, tolerance), self.largest_step)
+        largest = min(self.largest_step, horizon)
+        size = min(size or first_size(flow, y, tolerance), largest)
         exponent = -1.0 / (self.scheme.n_stages + 1)
         last: RadauStep | None = None
         refused = False
@@ -110,7 +113,7 @@ class Radau:
             yield last
             time += size
             y = last.after
-            size = min(size * min(1.0 if refused else _GROW, factor), self.largest_step)
+            size = min(size * min(1.0 if refused else _GROW, factor), largest)
             refused = False
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from zeno_orbits.dynamics import GuardedFlow, Tolerance, Vector
-from zeno_orbits.engines.protocol import Leg, Passage
+from zeno_orbits.engines.protocol import FAR, Leg, Passage
 from zeno_orbits.engines.stepping import follow_steps
 from zeno_orbits.errors import StepSizeError
 
@@ -38,16 +38,19 @@ class RungeKutta:
         Raises:
             StepSizeError: If the step size falls to rounding level.
         """
-        return follow_steps(self.steps(leg.flow, leg.y, leg.tolerance), leg)
+        return follow_steps(self.steps(leg.flow, leg.y, leg.tolerance, leg.horizon), leg)
 
-    def steps(self, flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> Iterator[ExplicitStep]:
-        """Yield steps from ``y`` on, without end.
+    def steps(
+        self, flow: GuardedFlow, y: Vector, tolerance: Tolerance, horizon: float = FAR
+    ) -> Iterator[ExplicitStep]:
+        """Yield steps from ``y`` on, without end, none longer than the horizon.
 
         Raises:
             StepSizeError: If the step size falls to rounding level.
         """
         time = 0.0
-        size = min(first_size(flow, y, tolerance), self.largest_step)
+        largest = min(self.largest_step, horizon)
+        size = min(first_size(flow, y, tolerance), largest)
         refused = False
         while True:
             after, error = flow.attempt(y, size, tolerance)
@@ -68,7 +71,7 @@ class RungeKutta:
             y = after
             growth = _GROW if error == 0.0 else _SAFETY * error**_EXPONENT
             size *= min(1.0 if refused else _GROW, max(_SHRINK, growth))
-            size = min(size, self.largest_step)
+            size = min(size, largest)
             refused = False
 
 
