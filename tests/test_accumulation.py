@@ -21,7 +21,7 @@ from tests.scenes import (
     forced_oscillator,
     oscillator_state,
 )
-from zeno_orbits.accumulation import is_settled, pass_through
+from zeno_orbits.accumulation import pass_through
 from zeno_orbits.compiled import bind, compile_problem
 from zeno_orbits.completion import ZenoExtrapolation, ZenoPassage
 from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
@@ -29,6 +29,7 @@ from zeno_orbits.engines import RungeKutta
 from zeno_orbits.execution import Execution
 from zeno_orbits.hops import Hop, rescaled_hop
 from zeno_orbits.problem import load_problem
+from zeno_orbits.settling import is_settled
 from zeno_orbits.simulate import SimulationSettings, simulate
 from zeno_orbits.zeno import TailEstimate, ZenoLimit
 
@@ -207,6 +208,16 @@ def test_the_number_of_flights_does_not_grow_as_restitution_nears_one(passage_ti
         counts.append(hop.n)
     assert max(counts) <= 100
     assert counts == sorted(counts, reverse=True)
+
+
+def test_a_curved_stop_costs_no_more_as_restitution_nears_one() -> None:
+    # A move onto the disc that is not exact would be divided by the fall of the speed, and count.
+    for restitution in (0.999, 0.9999, 0.99999):
+        dynamics = bead_on_disc(restitution)
+        hop = _Counted(dynamics)
+        speed = _speed(0.1, 2 * GRAVITY, restitution)
+        assert _pass(dynamics, _on_disc(ANGLE, TURN), speed, hop=hop) is not None
+        assert hop.n <= 150
 
 
 def test_no_more_flights_are_made_than_allowed() -> None:

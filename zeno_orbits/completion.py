@@ -10,11 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from zeno_orbits.accumulation import is_settled, pass_through
+from zeno_orbits.accumulation import pass_through
 from zeno_orbits.dynamics import HybridDynamics, Tolerance
 from zeno_orbits.engines import RungeKutta
 from zeno_orbits.engines.protocol import Stepper
 from zeno_orbits.hops import rescaled_hop
+from zeno_orbits.settling import is_settled
 from zeno_orbits.zeno import TailEstimate, ZenoLimit, extrapolate
 
 _MAY_BEND = 0.1

@@ -30,6 +30,10 @@ _NUDGE = 1e-5
 _PROJECTED_OUT = 1e-3
 """A singular value of the projection onto the stop below this belongs to a direction it removes."""
 
+_ON_STOP = 4e-16
+"""A gap below this, relative to the state, is rounding."""
+_MOST_MOVES = 4
+
 _SLOW = 0.5
 """An iteration that converges no faster than this does not converge."""
 
@@ -54,6 +58,17 @@ class ImpactCurve:
     most_hops: int
     n_hops: int = 0
 
+    def on_stop(self, x: Vector) -> Vector:
+        """Return a state moved onto the stop to rounding: the slope divides what is left by a fall.
+
+        One move leaves the square of the gap where the stop is curved.
+        """
+        for _ in range(_MOST_MOVES):
+            x = self.dynamics.on_stop(x)
+            if abs(self.dynamics.gap(x)) <= _ON_STOP * (1 + float(np.max(np.abs(x)))):
+                break
+        return x
+
     def slope(self, z: Vector, w: float) -> tuple[Vector, float]:
         """Return :math:`g(z, w)`, ``(n_x + 1,)``, and the fall of the speed :math:`w - w'`.
 
@@ -62,7 +77,7 @@ class ImpactCurve:
         """
         dynamics = self.dynamics
         restitution = dynamics.restitution
-        resting = dynamics.on_stop(z[:-1])
+        resting = self.on_stop(z[:-1])
         acceleration = dynamics.gap_acceleration(resting)
         if not acceleration < 0.0:
             raise CurveLostError
@@ -79,7 +94,7 @@ class ImpactCurve:
         fall = w + restitution * approach_rate
         if not fall > 0.0:
             raise CurveLostError
-        after = dynamics.on_stop(dynamics.reset_map(state_minus, approach_rate))
+        after = self.on_stop(dynamics.reset_map(state_minus, approach_rate))
         return np.append(after - resting, duration) / fall, fall
 
     def slopes(self, z: Vector, w: Vector) -> tuple[Vector, Vector]:
