@@ -53,6 +53,9 @@ _SHAPE = 1e-3
 _HOPELESS_FEW, _HOPELESS_SOME = 3e-3, 3e-5
 """A larger error at few, and at some nodes, will not fall below 1e-12 at many."""
 
+_CAUTION = 2.0
+"""Claimed over estimated error: near a layer the estimate has been seen a fifth too small."""
+
 _LAYER = 20.0
 """Decay along a piece, as a power of e, above which a layer at its start may be to blame."""
 _FIRST_DECAY, _NEXT_DECAY = 6.0, 5.4
@@ -90,8 +93,8 @@ def pass_through(
         time: Time of the impact [s].
         state: State just after it; its gap rate may be there or not.
         speed: Gap rate just after it, exactly.
-        tolerance: Largest estimated error of the limit, relative to ``1 + |x|``; where rounding
-            does not allow it, ``1e-14 / (1 - e)`` instead.
+        tolerance: Largest estimated error of a piece, relative to ``1 + |x|``; the limit claims
+            twice the sum over its few pieces. It is ``1e-14 / (1 - e)`` if rounding leaves that.
         most_hops: Flights before it is given up.
     """
     curve = ImpactCurve(dynamics, hop, most_hops)
@@ -104,7 +107,7 @@ def pass_through(
         for _ in range(_MOST_PIECES):
             passed = _longest_piece(curve, start_at(curve, z, w), layer, allowed)
             z, layer = passed.step.end, passed.layer
-            error += passed.error
+            error += _CAUTION * passed.error
             path.append(passed.step)
             length = passed.step.piece.length
             w = 0.0 if length == w else w - length
@@ -199,7 +202,7 @@ class CurveStep:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Passed:
-    """A converged piece, its relative error, and the layer after it."""
+    """A converged piece, its estimated relative error, and the layer after it."""
 
     step: CurveStep
     error: float

@@ -91,8 +91,8 @@ class ZenoPassage:
     belong to that one, and need not be small.
 
     Attributes:
-        tolerance: Largest estimated error of the limit, relative to ``1 + |x|``; along a curve
-            ``1e-14 / (1 - e)`` if that is larger, which is what rounding leaves.
+        tolerance: Largest estimated error of the limit, relative to ``1 + |x|``; along a curve, of
+            each piece of it, and ``1e-14 / (1 - e)`` if that is larger, which rounding leaves.
         resolved: Part of the first speed at which an impact by impact sequence would end.
         engine: The integrator of flights that are not recorded.
     """
