@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from zeno_orbits.completion import ZenoPassage
+from zeno_orbits.completion import ZenoExtrapolation
 from zeno_orbits.cycle import Cycle, cycles
 from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
 from zeno_orbits.errors import RunawayError, SimulationError
@@ -42,7 +42,7 @@ class SettlingSettings:
     simulation: SimulationSettings = field(
         default_factory=lambda: SimulationSettings(
             tolerance=Tolerance(relative=1e-8, absolute=1e-10),
-            completion=ZenoPassage(tolerance=1e-11),
+            completion=ZenoExtrapolation(tolerance=1e-11),
             far=_TURNS,
         )
     )

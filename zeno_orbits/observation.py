@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from zeno_orbits.completion import ZenoPassage
+from zeno_orbits.completion import ZenoExtrapolation
 from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.execution import Arc, Execution, Impact, Mode, Release, ZenoPoint
@@ -160,7 +160,7 @@ def observe(
             relative=LOOSER * simulation.tolerance.relative,
             absolute=LOOSER * simulation.tolerance.absolute,
         ),
-        completion=ZenoPassage(tolerance=1e-10),
+        completion=ZenoExtrapolation(tolerance=1e-10),
     )
     error = _looser_return(dynamics, start, cycle, loose)
     return Observation(

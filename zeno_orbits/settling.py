@@ -1,4 +1,4 @@
-"""Whether the impacts of a sequence have come onto their curve (theory (20))."""
+"""Whether the impacts of a sequence have come onto their curve (theory (22))."""
 
 from __future__ import annotations
 
