@@ -1,0 +1,89 @@
+"""The command line, one module a command.
+
+Exit codes: 0, yes; 1, searched or checked and the answer is no; 2, wrong usage or input;
+130, interrupted.
+
+A command imports what it runs when it runs: `--help` and a mistyped option need no CasADi.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+
+from zeno_orbits import report
+from zeno_orbits.cli.conditions import add_conditions
+from zeno_orbits.cli.fidelity import add_fidelity
+from zeno_orbits.cli.plot import add_plot
+from zeno_orbits.cli.problems import add_problems
+from zeno_orbits.cli.search import add_search
+from zeno_orbits.cli.shared import INTERRUPTED, MISUSE, NO, YES, Parser
+from zeno_orbits.cli.simulate import add_simulate
+from zeno_orbits.cli.trade import add_trade
+from zeno_orbits.cli.verify import add_verify
+from zeno_orbits.errors import InputError, ZenoOrbitsError
+from zeno_orbits.interrupts import Interrupts
+
+__all__ = ["main"]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code."""
+    options = _parser().parse_args(arguments)
+    try:
+        with Interrupts() as interrupts:
+            options.interrupts = interrupts
+            return options.run(options)
+    except InputError as error:
+        return _end(error, MISUSE, options)
+    except ZenoOrbitsError as error:
+        return _end(error, NO, options)
+    except BrokenPipeError:
+        # The reader has seen enough; nothing is left to flush at the end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return YES
+    except KeyboardInterrupt:
+        report.print_error("interrupted; nothing was written")
+        return INTERRUPTED
+    except Exception as error:
+        # The last line of defence against a raw traceback.
+        if options.debug:
+            raise
+        text = f"internal error, please report it ({type(error).__name__}: {error}); see --debug"
+        report.print_error(text)
+        return MISUSE
+
+
+def _end(error: Exception, code: int, options: argparse.Namespace) -> int:
+    if options.debug:
+        raise error
+    report.print_error(str(error))
+    return code
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = Parser(
+        prog="zeno-orbits",
+        description="Find, verify and follow Zeno periodic orbits.",
+        epilog=(
+            "exit codes: 0 yes; 1 searched or checked, and the answer is no; 2 wrong usage or "
+            "input\n\n"
+            "example:\n"
+            "  zeno-orbits search motor_pendulum -o orbit.json\n"
+            "  zeno-orbits verify orbit.json\n"
+            "  zeno-orbits plot orbit.json -o pictures"
+        ),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    add_problems(commands)
+    add_conditions(commands)
+    add_simulate(commands)
+    add_fidelity(commands)
+    add_search(commands)
+    add_verify(commands)
+    add_trade(commands)
+    add_plot(commands)
+    return parser

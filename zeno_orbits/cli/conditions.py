@@ -1,0 +1,79 @@
+"""The command `conditions`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from zeno_orbits import report
+from zeno_orbits.cli.shared import (
+    NO,
+    YES,
+    add_command,
+    add_gain_values,
+    add_scene,
+    print_json,
+    say_written,
+    setting_of,
+)
+from zeno_orbits.files import require_picture
+
+
+def add_conditions(commands: Any) -> None:
+    """Add the command `conditions`."""
+    parser = add_command(
+        commands,
+        "conditions",
+        _run_conditions,
+        "Theorem 1: d2h/dt2 at the Zeno equilibria, in symbols and numbers",
+        [
+            "zeno-orbits conditions motor_pendulum",
+            "zeno-orbits conditions motor_pendulum --set m2=0.12 -o region.png",
+        ],
+    )
+    add_scene(parser)
+    add_gain_values(parser)
+    parser.add_argument("-o", "--output", type=Path, help="draw the region d2h/dt2 < 0 here")
+
+
+def _run_conditions(options: argparse.Namespace) -> int:
+    from zeno_orbits.problem import load_problem
+    from zeno_orbits.symbolic import (
+        equilibrium_acceleration,
+        six_digits,
+        with_numbers,
+    )
+
+    problem = load_problem(options.problem)
+    setting = setting_of(problem, options)
+    if options.output is not None:
+        require_picture(options.output)
+    formula = equilibrium_acceleration(problem)
+    numbers = with_numbers(formula, setting)
+    always = bool(numbers < 0) if numbers.is_number else None
+    if options.json:
+        print_json(
+            {
+                "problem": problem.name,
+                "restitution": setting.parameters["restitution"],
+                "formula": str(formula),
+                "numbers": six_digits(numbers),
+                "coefficients": {
+                    str(term): float(factor)
+                    for term, factor in numbers.as_coefficients_dict().items()
+                },
+                "parameters": dict(setting.parameters),
+            }
+        )
+    else:
+        report.print_conditions(problem, setting, str(formula), six_digits(numbers), always=always)
+    if options.output is not None:
+        from zeno_orbits import plots
+        from zeno_orbits.compiled import bind
+        from zeno_orbits.models import compiled_model
+
+        dynamics = bind(compiled_model(problem), setting.values())
+        plots.save_figure(plots.plot_zeno_region(problem, dynamics), options.output)
+        say_written(options, [options.output])
+    return NO if always is False else YES

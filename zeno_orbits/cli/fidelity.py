@@ -1,0 +1,50 @@
+"""The command `fidelity`."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+from typing import Any
+
+from zeno_orbits import report
+from zeno_orbits.cli.shared import (
+    YES,
+    add_command,
+    add_gain_values,
+    add_scene,
+    print_json,
+    setting_of,
+)
+
+
+def add_fidelity(commands: Any) -> None:
+    """Add the command `fidelity`."""
+    parser = add_command(
+        commands,
+        "fidelity",
+        _run_fidelity,
+        "what a scene's reduced models cost in accuracy, before one is taken",
+        [
+            "zeno-orbits fidelity motor_pendulum",
+            "zeno-orbits fidelity motor_pendulum --set L=0.02 --measure --json",
+        ],
+    )
+    add_scene(parser)
+    add_gain_values(parser)
+    parser.add_argument(
+        "--measure", action="store_true", help="find the full scene's orbit, too, and compare"
+    )
+
+
+def _run_fidelity(options: argparse.Namespace) -> int:
+    from zeno_orbits.fidelity import reduction_costs
+    from zeno_orbits.problem import load_problem
+
+    problem = load_problem(options.problem)
+    setting = setting_of(problem, options)
+    costs = list(reduction_costs(problem, setting, measure=options.measure).values())
+    if options.json:
+        print_json([asdict(cost) for cost in costs])
+    else:
+        report.print_costs(costs)
+    return YES

@@ -1,0 +1,85 @@
+"""The command `plot`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from zeno_orbits.arguments import read_count
+from zeno_orbits.cli.shared import (
+    YES,
+    add_command,
+    add_orbit,
+    orbit_and_problem,
+    print_json,
+    say_written,
+)
+from zeno_orbits.errors import InputError
+from zeno_orbits.files import require_writable
+
+_PICTURES = ("portraits", "time", "zeno", "region")
+
+
+def add_plot(commands: Any) -> None:
+    """Add the command `plot`."""
+    parser = add_command(
+        commands,
+        "plot",
+        _run_plot,
+        "draw an orbit",
+        [
+            "zeno-orbits plot orbit.json -o pictures",
+            "zeno-orbits plot orbit.json --kind portraits --format pdf",
+        ],
+    )
+    add_orbit(parser)
+    parser.add_argument(
+        "--kind",
+        action="append",
+        choices=_PICTURES,
+        help="which picture: phase portraits, states over time, zoom into the Zeno point, "
+        "region d2h/dt2 < 0; may be repeated; all by default",
+    )
+    parser.add_argument("--format", choices=("png", "pdf", "svg"), default="png")
+    parser.add_argument(
+        "--periods", type=read_count, default=1, metavar="N", help="periods to draw"
+    )
+    parser.add_argument("-o", "--output", type=Path, default=Path(), help="folder for the pictures")
+
+
+def _run_plot(options: argparse.Namespace) -> int:
+    from zeno_orbits import plots
+    from zeno_orbits.simulate import simulate
+    from zeno_orbits.verify import problem_dynamics
+
+    orbit, problem = orbit_and_problem(options)
+    dynamics = problem_dynamics(orbit, problem)
+    if options.output.exists() and not options.output.is_dir():
+        raise InputError(f"Argument `output` must be a folder, but `{options.output}` is a file.")
+    release = problem.state_vector(orbit.release_state)
+    # A little longer, so that rounding does not cut off the last release.
+    horizon = options.periods * orbit.period * (1 + 1e-6)
+    execution = simulate(dynamics, release, until=horizon)
+    draw = {
+        "portraits": lambda: plots.plot_portraits(problem, execution),
+        "time": lambda: plots.plot_time_series(problem, execution),
+        "zeno": lambda: plots.plot_zeno_zoom(problem, execution, dynamics),
+        "region": lambda: plots.plot_zeno_region(problem, dynamics, execution),
+    }
+    try:
+        options.output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        message = (
+            f"Argument `output` must be a folder that can be made, but `{options.output}` is not"
+        )
+        raise InputError(f"{message} ({error.strerror}).") from error
+    paths = [options.output / f"{kind}.{options.format}" for kind in options.kind or _PICTURES]
+    for path in paths:
+        require_writable(path)
+        plots.save_figure(draw[path.stem](), path)
+    if options.json:
+        print_json({"pictures": [str(path) for path in paths]})
+    else:
+        say_written(options, paths)
+    return YES

@@ -1,0 +1,197 @@
+"""What the commands share: exit codes, options, what the options stand for, and JSON."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from zeno_orbits import report
+from zeno_orbits.arguments import read_numbers
+from zeno_orbits.errors import InputError
+
+if TYPE_CHECKING:
+    from zeno_orbits.orbit import ZenoOrbit
+    from zeno_orbits.problem import Problem, Setting
+    from zeno_orbits.simulate import SimulationSettings
+    from zeno_orbits.verify import VerificationSettings
+
+YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser that complains in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """Exit with the code of misuse."""
+        report.print_error(f"{message} (see `{self.prog} --help`)")
+        sys.exit(MISUSE)
+
+
+def add_command(
+    commands: Any,
+    name: str,
+    run: Callable[[argparse.Namespace], int],
+    summary: str,
+    examples: Sequence[str],
+) -> argparse.ArgumentParser:
+    """Return the parser of a command, with what all commands share."""
+    parser = commands.add_parser(
+        name,
+        help=summary,
+        description=summary[0].upper() + summary[1:] + ".",
+        epilog="examples:\n" + "\n".join(f"  {example}" for example in examples),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.set_defaults(run=run)
+    parser.add_argument("--json", action="store_true", help="print JSON for programs")
+    parser.add_argument("--debug", action="store_true", help="show where an error comes from")
+    return parser
+
+
+def add_scene(parser: argparse.ArgumentParser) -> None:
+    """Add the scene and its parameters."""
+    parser.add_argument(
+        "problem", metavar="PROBLEM", help="a scene's name or Python file, or scene@fidelity"
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="change a parameter of the scene; may be repeated",
+    )
+
+
+def add_gain_values(parser: argparse.ArgumentParser) -> None:
+    """Add the gains at which a scene is looked at."""
+    parser.add_argument(
+        "--gain",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="change a gain; may be repeated",
+    )
+
+
+def add_start(parser: argparse.ArgumentParser) -> None:
+    """Add the initial state."""
+    parser.add_argument(
+        "--start",
+        action="append",
+        default=[],
+        metavar="STATE=VALUE",
+        help="initial state; what is not named is zero; by default the scene's first start",
+    )
+
+
+def add_accuracy(parser: argparse.ArgumentParser) -> None:
+    """Add the accuracy and the engine."""
+    parser.add_argument(
+        "--accuracy",
+        type=float,
+        metavar="A",
+        help="take the cheapest settings measured to reach this relative error, 1e-6 for instance, "
+        "and report the error that was made; by default as accurate as is cheap",
+    )
+    parser.add_argument(
+        "--engine",
+        choices=("automatic", "explicit", "implicit", "taylor"),
+        default="automatic",
+        help="the integrator; automatic steps explicitly, and implicitly where the scene is stiff; "
+        "taylor needs the extra of that name",
+    )
+
+
+def add_orbit(parser: argparse.ArgumentParser) -> None:
+    """Add the orbit file and its scene."""
+    parser.add_argument("orbit", metavar="ORBIT.json", type=Path, help="an orbit file")
+    parser.add_argument(
+        "--problem", metavar="FILE.py", help="the scene, where it is not a bundled one"
+    )
+
+
+def setting_of(problem: Problem, options: argparse.Namespace) -> Setting:
+    """Return the numbers that were asked for."""
+    return problem.setting(
+        gains=read_numbers(options.gain, "gain"), parameters=read_numbers(options.set, "set")
+    )
+
+
+def start_of(problem: Problem, options: argparse.Namespace) -> tuple[float, ...]:
+    """Return the initial state that was asked for, ``(n_x,)``."""
+    named = read_numbers(options.start, "start") if options.start else problem.starts[0]
+    return problem.state_vector(named)
+
+
+def simulation_of(options: argparse.Namespace) -> SimulationSettings:
+    """Return the simulator's settings for the engine that was asked for."""
+    from zeno_orbits.engines import Automatic, Radau, RungeKutta, Taylor
+    from zeno_orbits.simulate import SimulationSettings
+    from zeno_orbits.translate import load_heyoka
+
+    if options.engine == "taylor":
+        load_heyoka()
+    engines = {
+        "automatic": Automatic,
+        "explicit": RungeKutta,
+        "implicit": Radau,
+        "taylor": Taylor,
+    }
+    return SimulationSettings(engine=engines[options.engine]())
+
+
+def verification_of(options: argparse.Namespace, tolerance: float) -> VerificationSettings:
+    """Return how to check at the accuracy that was asked for, if one was."""
+    from zeno_orbits.accuracy import settings_for
+    from zeno_orbits.observation import LOOSER
+    from zeno_orbits.verify import VerificationSettings
+
+    simulation = simulation_of(options)
+    if options.accuracy is None:
+        return VerificationSettings(tolerance=tolerance, simulation=simulation)
+    # The looser of the two integrations has to reach the accuracy, too.
+    fine = settings_for(max(options.accuracy / LOOSER, 1e-12), simulation)
+    settings_for(options.accuracy)
+    return VerificationSettings(tolerance=options.accuracy, simulation=fine)
+
+
+def orbit_and_problem(options: argparse.Namespace) -> tuple[ZenoOrbit, Problem]:
+    """Return the orbit of a file and its scene."""
+    from zeno_orbits.orbit import read_orbit
+    from zeno_orbits.problem import bundled_problems, load_problem, split_fidelity
+
+    orbit = read_orbit(options.orbit)
+    scene, fidelity = split_fidelity(orbit.problem)
+    if options.problem is not None:
+        problem = load_problem(options.problem)
+        if fidelity is not None and problem.name == scene:
+            problem = problem.at_fidelity(fidelity)
+        if problem.name != orbit.problem:
+            wanted = f"must be the scene `{orbit.problem}` of the orbit"
+            raise InputError(f"Argument `problem` {wanted}, but it is `{problem.name}`.")
+        return orbit, problem
+    if scene not in bundled_problems():
+        message = f"Argument `problem` must name the file of scene `{scene}`, but it is missing."
+        raise InputError(message)
+    return orbit, load_problem(orbit.problem)
+
+
+def print_json(data: Any) -> None:
+    """Print data as JSON."""
+    print(json_text(data))
+
+
+def json_text(data: Any) -> str:
+    """Return data as JSON; what is not finite is an error."""
+    import json
+
+    return json.dumps(data, indent=2, allow_nan=False)
+
+
+def say_written(options: argparse.Namespace, paths: Sequence[Path]) -> None:
+    """Name the files that were written, unless JSON is printed."""
+    if not options.json:
+        report.print_lines(f"Written: {path}" for path in paths)

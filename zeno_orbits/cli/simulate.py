@@ -1,0 +1,140 @@
+"""The command `simulate`."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from zeno_orbits import report
+from zeno_orbits.cli.shared import (
+    YES,
+    add_accuracy,
+    add_command,
+    add_gain_values,
+    add_scene,
+    add_start,
+    print_json,
+    say_written,
+    setting_of,
+    simulation_of,
+    start_of,
+)
+from zeno_orbits.files import require_picture
+
+if TYPE_CHECKING:
+    from zeno_orbits.dynamics import HybridDynamics
+    from zeno_orbits.execution import Execution
+    from zeno_orbits.problem import Problem
+
+
+def add_simulate(commands: Any) -> None:
+    """Add the command `simulate`."""
+    parser = add_command(
+        commands,
+        "simulate",
+        _run_simulate,
+        "follow a completed execution",
+        [
+            "zeno-orbits simulate motor_pendulum --until 10",
+            "zeno-orbits simulate motor_pendulum --start theta1=1.2 --start dtheta2=0.5",
+            "zeno-orbits simulate motor_pendulum --set L=1e-6 --accuracy 1e-6",
+            "zeno-orbits simulate bouncing_ball --set restitution=0.8 --until 5 --json",
+        ],
+    )
+    add_scene(parser)
+    add_gain_values(parser)
+    add_accuracy(parser)
+    parser.add_argument("--until", type=float, default=10.0, metavar="T", help="how long [s]")
+    add_start(parser)
+    parser.add_argument("-o", "--output", type=Path, help="draw the states over time here")
+
+
+def _run_simulate(options: argparse.Namespace) -> int:
+    from zeno_orbits.accuracy import why_engine
+    from zeno_orbits.compiled import bind
+    from zeno_orbits.models import compiled_model
+    from zeno_orbits.problem import load_problem
+
+    problem = load_problem(options.problem)
+    setting = setting_of(problem, options)
+    state = start_of(problem, options)
+    if options.output is not None:
+        require_picture(options.output)
+    dynamics = bind(compiled_model(problem), setting.values())
+    execution, error = _simulated(options, dynamics, state)
+    if options.json:
+        accuracy = {} if error is None else {"error": error}
+        print_json(_execution_json(problem, execution) | accuracy)
+    else:
+        report.print_execution(problem, execution)
+        report.print_engine(options.engine, why_engine(dynamics, state), error)
+    if options.output is not None:
+        from zeno_orbits import plots
+
+        plots.save_figure(plots.plot_time_series(problem, execution), options.output)
+        say_written(options, [options.output])
+    return YES
+
+
+def _simulated(
+    options: argparse.Namespace, dynamics: HybridDynamics, state: Sequence[float]
+) -> tuple[Execution, float | None]:
+    """Return the execution, and its estimated error if an accuracy was asked for."""
+    from zeno_orbits.accuracy import simulate_to
+    from zeno_orbits.simulate import simulate
+
+    settings = simulation_of(options)
+    with report.Progress(options.interrupts.check) as progress:
+
+        def tell(time: float) -> None:
+            progress.tell("simulating", time / options.until)
+
+        if options.accuracy is None:
+            execution = simulate(
+                dynamics, state, until=options.until, settings=settings, on_progress=tell
+            )
+            return execution, None
+        assured = simulate_to(
+            dynamics,
+            state,
+            until=options.until,
+            accuracy=options.accuracy,
+            settings=settings,
+            on_progress=tell,
+        )
+    return assured.execution, assured.error
+
+
+def _execution_json(problem: Problem, execution: Execution) -> dict[str, Any]:
+    from zeno_orbits.execution import Impact, ZenoPoint
+
+    def named(state: Any) -> dict[str, float]:
+        return dict(zip(problem.state_names, map(float, state), strict=True))
+
+    events: list[dict[str, Any]] = []
+    for event in execution.events:
+        if isinstance(event, Impact):
+            events.append(
+                {
+                    "event": "impact",
+                    "time": event.time,
+                    "approach_rate": event.approach_rate,
+                    "state_minus": named(event.state_minus),
+                    "state_plus": named(event.state_plus),
+                }
+            )
+        else:
+            kind = "zeno_point" if isinstance(event, ZenoPoint) else "release"
+            entry = {"event": kind, "time": event.time, "state": named(event.state)}
+            if isinstance(event, ZenoPoint):
+                entry["error"] = event.error
+            events.append(entry)
+    return {
+        "problem": problem.name,
+        "end_time": execution.end_time,
+        "end_mode": execution.arcs[-1].mode.value,
+        "end_state": named(execution.end_state),
+        "events": events,
+    }

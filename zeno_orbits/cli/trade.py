@@ -1,0 +1,78 @@
+"""The command `trade`."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from zeno_orbits import report
+from zeno_orbits.cli.shared import (
+    YES,
+    add_command,
+    add_gain_values,
+    add_scene,
+    add_start,
+    json_text,
+    print_json,
+    say_written,
+    setting_of,
+    start_of,
+)
+from zeno_orbits.files import require_picture, require_writable, write_whole
+
+
+def add_trade(commands: Any) -> None:
+    """Add the command `trade`."""
+    parser = add_command(
+        commands,
+        "trade",
+        _run_trade,
+        "measure what accuracy costs: engines, tolerances, closures, meshes, reduced models",
+        [
+            "zeno-orbits trade motor_pendulum",
+            "zeno-orbits trade motor_pendulum --set L=1e-5 --quick",
+            "zeno-orbits trade bouncing_ball --until 1.5 -o trade.json --picture trade.png",
+        ],
+    )
+    add_scene(parser)
+    add_gain_values(parser)
+    add_start(parser)
+    parser.add_argument("--until", type=float, metavar="T", help="how long an execution [s]")
+    parser.add_argument("--quick", action="store_true", help="a first look: few settings, one run")
+    parser.add_argument("--picture", type=Path, help="draw the work-precision diagram here")
+    parser.add_argument("-o", "--output", type=Path, help="write all figures here, as JSON")
+
+
+def _run_trade(options: argparse.Namespace) -> int:
+    from zeno_orbits.problem import load_problem
+    from zeno_orbits.trade import QUICK, TradeSettings, trade
+
+    problem = load_problem(options.problem)
+    setting = setting_of(problem, options)
+    state = start_of(problem, options)
+    if options.output is not None:
+        require_writable(options.output)
+    if options.picture is not None:
+        require_picture(options.picture)
+    settings = QUICK if options.quick else TradeSettings()
+    if options.until is not None:
+        settings = replace(settings, until=options.until)
+    with report.Progress(options.interrupts.check) as progress:
+        found = trade(problem, setting, state, settings=settings, tell=progress.tell)
+    written: list[Path] = []
+    if options.output is not None:
+        write_whole(options.output, (json_text(found.as_json()) + "\n").encode())
+        written.append(options.output)
+    if options.picture is not None:
+        from zeno_orbits import plots
+
+        plots.save_figure(plots.plot_trade(found), options.picture)
+        written.append(options.picture)
+    if options.json:
+        print_json(found.as_json())
+    else:
+        report.print_trade(found)
+    say_written(options, written)
+    return YES

@@ -1,0 +1,78 @@
+"""The command `verify`."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from typing import Any
+
+from zeno_orbits import report
+from zeno_orbits.arguments import read_count
+from zeno_orbits.cli.shared import (
+    NO,
+    YES,
+    add_accuracy,
+    add_command,
+    add_orbit,
+    orbit_and_problem,
+    print_json,
+    verification_of,
+)
+from zeno_orbits.errors import InputError
+
+
+def add_verify(commands: Any) -> None:
+    """Add the command `verify`."""
+    parser = add_command(
+        commands,
+        "verify",
+        _run_verify,
+        "check an orbit by forward integration from its file alone",
+        [
+            "zeno-orbits verify orbit.json",
+            "zeno-orbits verify orbit.json --model reference --tolerance 1e-8 --json",
+        ],
+    )
+    add_orbit(parser)
+    parser.add_argument(
+        "--tolerance",
+        type=float,
+        metavar="TOL",
+        help="largest relative residual that passes; the accuracy by default, or 1e-9",
+    )
+    add_accuracy(parser)
+    parser.add_argument(
+        "--periods", type=read_count, default=3, metavar="N", help="periods to follow"
+    )
+    parser.add_argument(
+        "--model",
+        choices=("derived", "reference"),
+        default="derived",
+        help="integrate the model derived from energies, or the scene's hand-written one",
+    )
+
+
+def _run_verify(options: argparse.Namespace) -> int:
+    from zeno_orbits.verify import verify
+
+    tolerance = options.tolerance
+    if tolerance is not None and not 0.0 < tolerance < 1.0:
+        raise InputError(f"Argument `tolerance` must lie in (0, 1), but it is {tolerance:g}.")
+    orbit, problem = orbit_and_problem(options)
+    settings = replace(
+        verification_of(options, 1e-9 if tolerance is None else tolerance),
+        n_periods=options.periods,
+        use_reference=options.model == "reference",
+    )
+    if tolerance is not None:
+        settings = replace(settings, tolerance=tolerance)
+    with report.Progress(options.interrupts.check) as progress:
+        certificate = verify(orbit, problem, settings=settings, on_progress=progress.tell)
+    if options.json:
+        print_json(certificate.as_json())
+    else:
+        report.print_certificate(certificate)
+        report.print_verdict(certificate)
+        if options.accuracy is not None:
+            report.print_error_made(certificate.integration_error)
+    return YES if certificate.passed else NO
