@@ -8,20 +8,25 @@ and the difference is reported.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from enum import Enum
+from itertools import pairwise
 
 import numpy as np
 
 from zeno_orbits.completion import ZenoPassage
 from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
 from zeno_orbits.engines.automatic import PAYS, decay_rates
-from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.execution import Execution
+from zeno_orbits.errors import InputError, PenetrationError, SimulationError
+from zeno_orbits.execution import Event, Execution, Impact, ZenoPoint
 from zeno_orbits.simulate import SimulationSettings, simulate
 
 FINEST, COARSEST = 1e-12, 1e-2
 """Accuracies that can be asked for."""
+
+ROUNDING = 4e-15
+"""Differences below this are rounding, of which a single one says little."""
 
 _SHARE = 0.1
 """Tolerance in units of the accuracy: errors over ten periods stay below ten tolerances."""
@@ -29,16 +34,30 @@ _SHARE = 0.1
 _TIGHTEST = 1e-14
 _STEP = 10.0
 
+_NOTHING = 1e-12
+"""A state that is never larger is zero to rounding, and no unit of its own error."""
+
+
+class Kind(Enum):
+    """What a landmark is."""
+
+    IMPACT = "impact"
+    ZENO = "Zeno point"
+    RELEASE = "release"
+    END = "end"
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Landmark:
     """A point of an execution that another one has, too.
 
     Attributes:
+        kind: What it is.
         time: When [s].
-        state: Where, ``(n_x,)``.
+        state: Where, ``(n_x,)``; before the impact, where it is one.
     """
 
+    kind: Kind
     time: float
     state: Vector
 
@@ -50,8 +69,8 @@ class Assured:
     Attributes:
         execution: The execution.
         settings: What it was computed with.
-        error: Its difference from one of ten times the tolerance: the error of that, and so more
-            than its own. Relative: times to the horizon, states to their size.
+        error: Its ``difference`` from one of ten times the tolerance, the error of that and so more
+            than its own, or its Zeno points' own estimate where that is more.
     """
 
     execution: Execution
@@ -90,7 +109,7 @@ def simulate_to(
         dynamics: The system at fixed numbers.
         state: Initial state, ``(n_x,)``.
         until: When to stop [s].
-        accuracy: Largest relative error of the landmarks (see ``landmarks``).
+        accuracy: Largest relative error of every event and of the end (see ``difference``).
         settings: Engine and limits; tolerance and completion follow the accuracy.
         on_progress: Called with the time reached.
 
@@ -99,56 +118,90 @@ def simulate_to(
         SimulationError: If the estimate stays above it: the motion magnifies rounding.
     """
     chosen = settings_for(accuracy, settings)
-    coarse = _at_tolerance(chosen, _STEP * chosen.tolerance.relative)
-    previous = simulate(dynamics, state, until=until, settings=coarse, on_progress=on_progress)
-    error = math.inf
-    while chosen.tolerance.relative >= _TIGHTEST:
-        execution = simulate(dynamics, state, until=until, settings=chosen, on_progress=on_progress)
-        error = apart(landmarks(previous), landmarks(execution), until)
-        if error <= accuracy:
-            return Assured(execution=execution, settings=chosen, error=error)
-        previous = execution
-        chosen = _at_tolerance(chosen, chosen.tolerance.relative / _STEP)
+    tolerances = [_STEP * chosen.tolerance.relative]
+    while tolerances[-1] > 2 * _TIGHTEST:
+        tolerances.append(tolerances[-1] / _STEP)
+    previous: Execution | None = None
+    best = math.inf
+    for tolerance in tolerances:
+        tried = _at_tolerance(chosen, tolerance)
+        try:
+            found = simulate(dynamics, state, until=until, settings=tried, on_progress=on_progress)
+        except PenetrationError:
+            # So coarse a run may go through the stop; the finest one may not.
+            if tolerance == tolerances[-1]:
+                raise
+            continue
+        if previous is not None:
+            error = max(difference(previous, found), _limit_error(found), ROUNDING)
+            if error <= accuracy:
+                return Assured(execution=found, settings=tried, error=error)
+            best = min(best, error)
+        previous = found
+    reached = f"the best estimate is {best:.1e}" if best < math.inf else "no two runs go one way"
     raise SimulationError(
-        f"The accuracy {accuracy:.0e} is out of reach: the best estimate is {error:.1e}",
+        f"The accuracy {accuracy:.0e} is out of reach: {reached}",
         time=until,
         state=tuple(float(value) for value in state),
     )
 
 
-def landmarks(execution: Execution) -> tuple[Landmark, ...]:
-    """Return what an execution is judged by: its releases, and the end if that is no impact's.
+def difference(first: Execution, second: Execution) -> float:
+    """Return how far two executions are apart: the largest relative difference of what they have.
 
-    Without a release, its Zeno points; without these, its impacts. So the paper's rule, whose Zeno
-    instants mean little, is judged by what comes later.
+    That is every event and the end. Times are relative to the last event's, states to their largest
+    value. Near a Zeno point one may resolve more impacts than the other. An event so late that the
+    other one lacks it is held against the end of that.
+
+    Args:
+        first: One execution.
+        second: Another one to the same time.
+
+    Returns:
+        Infinity if they go different ways.
     """
-    events = execution.releases or execution.zeno_points
-    if events:
-        return tuple(Landmark(time=event.time, state=event.state) for event in events)
-    impacts = tuple(Landmark(time=i.time, state=i.state_minus) for i in execution.impacts)
-    return impacts or (Landmark(time=execution.end_time, state=execution.end_state),)
+    pairs = list(_pairs(_stretches(first), _stretches(second)))
+    last = max((event.time for event in second.events), default=0.0)
+    return _largest(pairs, sizes(second), last or second.end_time)
 
 
-def apart(first: Sequence[Landmark], second: Sequence[Landmark], horizon: float) -> float:
+def landmarks(execution: Execution) -> tuple[Landmark, ...]:
+    """Return what executions of different completions are judged by: releases, if there are any.
+
+    Without a release, Zeno points; without these, impacts; without these, the end. So the paper's
+    rule, whose Zeno instants mean little, is judged by what comes later.
+    """
+    for events in (execution.releases, execution.zeno_points, execution.impacts):
+        if events:
+            return tuple(_landmark(event) for event in events)
+    return (_end(execution),)
+
+
+def apart(first: Sequence[Landmark], second: Sequence[Landmark], scale: Vector) -> float:
     """Return the largest relative difference of two executions' landmarks.
 
     Args:
         first: Of one execution.
-        second: Of the other.
-        horizon: Unit of the times [s].
+        second: Of the other; the time of the last one is the unit of the times.
+        scale: Size of each state, ``(n_x,)`` (see ``sizes``).
 
     Returns:
         Infinity if one has a landmark that the other lacks.
     """
-    if len(first) != len(second):
+    if [mark.kind for mark in first] != [mark.kind for mark in second]:
         return math.inf
-    states = np.abs(np.array([mark.state for mark in second]))
-    sizes = np.max(states, axis=0)
-    scale = np.where(sizes > 0.0, sizes, 1.0)
-    return max(
-        max(abs(a.time - b.time) / horizon, float(np.max(np.abs(a.state - b.state) / scale)))
-        for a, b in zip(first, second, strict=True)
-    )
+    return _largest(list(zip(first, second, strict=True)), scale, second[-1].time or 1.0)
+
+
+def sizes(execution: Execution) -> Vector:
+    """Return the largest value of each state at the ends of arcs, ``(n_x,)``; 1 for no value."""
+    return sizes_of([x for arc in execution.arcs for x in (arc.start_state, arc.end_state)])
+
+
+def sizes_of(states: Sequence[Sequence[float] | Vector]) -> Vector:
+    """Return the largest value of each state among some, ``(n_x,)``; 1 for no value."""
+    largest = np.max(np.abs(np.array(states, dtype=np.float64)), axis=0)
+    return np.where(largest > _NOTHING, largest, 1.0)
 
 
 def why_engine(dynamics: HybridDynamics, state: Sequence[float] | Vector) -> str:
@@ -173,3 +226,58 @@ def _at_tolerance(settings: SimulationSettings, tolerance: float) -> SimulationS
         tolerance=Tolerance(relative=tolerance, absolute=_SHARE * tolerance),
         completion=ZenoPassage(tolerance=max(tolerance, 1e-12)),
     )
+
+
+def _limit_error(execution: Execution) -> float:
+    """Return the largest error that the Zeno points themselves expect, relative to the states.
+
+    Two runs that complete after the same impact share most of it, and so do not show it.
+    """
+    scale = sizes(execution)
+    shares = [
+        point.error * float(np.max((1.0 + np.abs(point.state)) / scale))
+        for point in execution.zeno_points
+    ]
+    return max(shares, default=0.0)
+
+
+def _landmark(event: Event) -> Landmark:
+    if isinstance(event, Impact):
+        return Landmark(kind=Kind.IMPACT, time=event.time, state=event.state_minus)
+    kind = Kind.ZENO if isinstance(event, ZenoPoint) else Kind.RELEASE
+    return Landmark(kind=kind, time=event.time, state=event.state)
+
+
+def _end(execution: Execution) -> Landmark:
+    return Landmark(kind=Kind.END, time=execution.end_time, state=execution.end_state)
+
+
+def _stretches(execution: Execution) -> list[list[Landmark]]:
+    """Return the landmarks in stretches: some impacts, then a Zeno point, a release or the end."""
+    marks = [*map(_landmark, execution.events), _end(execution)]
+    cuts = [k for k, mark in enumerate(marks, start=1) if mark.kind is not Kind.IMPACT]
+    return [marks[start:stop] for start, stop in pairwise([0, *cuts])]
+
+
+def _pairs(
+    first: Sequence[Sequence[Landmark]], second: Sequence[Sequence[Landmark]]
+) -> Iterator[tuple[Landmark, Landmark]]:
+    """Yield what corresponds to each other."""
+    for (*some, mark), (*others, other) in zip(first, second, strict=False):
+        yield from zip(some, others, strict=False)
+        if mark.kind is other.kind is Kind.END and len(some) != len(others):
+            # One more impact before the end of one than before the end of the other.
+            n = min(len(some), len(others))
+            yield [*some, mark][n], [*others, other][n]
+        else:
+            yield mark, other
+
+
+def _largest(pairs: Sequence[tuple[Landmark, Landmark]], scale: Vector, unit: float) -> float:
+    """Return the largest relative difference within pairs; infinity if a pair is none."""
+    if any(a.kind is not b.kind and Kind.END not in (a.kind, b.kind) for a, b in pairs):
+        return math.inf
+    times = [abs(a.time - b.time) / unit for a, b in pairs]
+    states = [float(np.max(np.abs(a.state - b.state) / scale)) for a, b in pairs]
+    # NumPy's maximum keeps NaN, which Python's may lose.
+    return float(np.max([*times, *states]))

@@ -28,6 +28,10 @@ RESIDUALS: Mapping[str, str] = {
 """Name to what is true where it is zero, in causal order: the first to fail explains the rest."""
 
 
+_MISSES = ("release", "first_impact", "impact_sequence", "zeno_point", "closure", "period")
+"""Residuals that compare the orbit's numbers with an integration's."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeltaCut:
     """One cut of the impact sequence by the paper's rule.
@@ -111,6 +115,20 @@ class OrbitCertificate:
     def stable(self) -> bool:
         """Whether the multipliers, their error included, are inside the unit circle."""
         return self.spectral_radius + self.multiplier_error < 1.0
+
+    @property
+    def orbit_error(self) -> float:
+        """Estimated relative error of the orbit: how far off the true one's numbers its own are.
+
+        A return that misses by d comes from a fixed point d / |1 - mu| away, mu the multiplier;
+        infinite where the return or the multipliers could not be had.
+        """
+        miss = max(self.residuals.get(name, math.inf) for name in _MISSES) + self.integration_error
+        if not (math.isfinite(miss) and math.isfinite(self.multiplier_error)):
+            return math.inf
+        # The Zeno point and the period miss by themselves, however strongly the orbit attracts.
+        least = min([1.0, *(abs(1.0 - mu) for mu in self.multipliers)])
+        return miss / least if least > 0.0 else math.inf
 
     def verdict(self) -> str:
         """Return yes or no in one sentence, with the residual that explains a no."""

@@ -71,13 +71,13 @@ class SearchSettings:
         """
         transcription = replace(
             self.transcription,
-            mesh_tolerance=min(max(_MESH_FOR * accuracy, self.transcription.mesh_tolerance), 1e-2),
-            closure_tolerance=max(0.03 * accuracy, self.transcription.closure_tolerance),
+            mesh_tolerance=min(_MESH_FOR * accuracy, _COARSEST_MESH),
+            closure_tolerance=max(0.03 * accuracy, 1e-12),
         )
-        agreement = max(0.3 * accuracy, self.agreement)
-        return replace(self, transcription=transcription, agreement=agreement)
+        return replace(self, transcription=transcription, agreement=0.3 * accuracy)
 
 
+_COARSEST_MESH = 1e-2
 _MESH_FOR = 100.0
 """Mesh tolerance in units of the accuracy: ends of intervals are that much better than insides."""
 

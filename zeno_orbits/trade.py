@@ -11,14 +11,12 @@ import statistics
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
-
-from zeno_orbits.accuracy import Landmark, apart, landmarks
+from zeno_orbits.accuracy import ROUNDING, apart, landmarks
 from zeno_orbits.compiled import bind
-from zeno_orbits.completion import Completion, FixedImpacts, Truncation, ZenoExtrapolation
-from zeno_orbits.dynamics import HybridDynamics, Tolerance
+from zeno_orbits.completion import Completion, FixedImpacts, Truncation
+from zeno_orbits.dynamics import HybridDynamics
 from zeno_orbits.engines import Automatic, Engine, Radau, RungeKutta, SciPy, Taylor
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.execution import Execution
@@ -26,11 +24,7 @@ from zeno_orbits.models import compiled_model
 from zeno_orbits.problem import Problem, Setting
 from zeno_orbits.simulate import SimulationSettings, simulate
 from zeno_orbits.translate import heyoka_is_installed
-
-if TYPE_CHECKING:
-    from zeno_orbits.extended import ExtendedExecution
-
-TRUTH_DIGITS = 20
+from zeno_orbits.truth import Truth, settings_at, true_landmarks
 
 Tell = Callable[[str, float], None]
 
@@ -78,11 +72,14 @@ class Trade:
 
     @property
     def front(self) -> tuple[Trial, ...]:
-        """The trials that no other one beats in both time and error, the fastest first."""
+        """The trials that no other one beats in both time and error, the fastest first.
+
+        Errors below rounding are luck and do not count as smaller.
+        """
         comparable = [t for t in self.trials if t.sweep in SAME_WORK and math.isfinite(t.error)]
         front: list[Trial] = []
         for trial in sorted(comparable, key=lambda t: (t.seconds, t.error)):
-            if not front or trial.error < front[-1].error:
+            if not front or max(trial.error, ROUNDING) < front[-1].error:
                 front.append(trial)
         return tuple(front)
 
@@ -93,7 +90,7 @@ class Trade:
             "problem": self.problem,
             "work": self.work,
             "truth": self.truth,
-            "truth_error": self.truth_error,
+            "truth_error": self.truth_error if math.isfinite(self.truth_error) else None,
             "trials": [
                 {
                     "sweep": trial.sweep,
@@ -171,7 +168,7 @@ def trade(
     say = tell or _nobody
     dynamics = _model(problem, setting)
     say("computing the truth", 0.0)
-    truth, how, certain = _truth(problem, setting, dynamics, state, settings.until)
+    truth = true_landmarks(problem, setting, dynamics, state, settings.until)
     plans = [*_plans(dynamics, state, settings), *_reduced(problem, setting, state, settings)]
     trials: list[Trial] = []
     for k, plan in enumerate(plans):
@@ -181,8 +178,8 @@ def trade(
     return Trade(
         problem=problem.name,
         work=f"{settings.until:g} s from {_named(problem, state)}",
-        truth=how,
-        truth_error=certain,
+        truth=truth.how,
+        truth_error=truth.error,
         trials=tuple(trials),
     )
 
@@ -193,13 +190,14 @@ def _nobody(_what: str, _part: float) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Plan:
-    """A trial to be made: which part of the truth's state it knows, and how it runs."""
+    """A trial to be made: how it runs, and which entries of the truth's state it knows."""
 
     sweep: str
     name: str
     value: float
     dynamics: HybridDynamics
     state: Sequence[float]
+    entries: Sequence[int]
     simulation: SimulationSettings
 
 
@@ -232,14 +230,15 @@ def _plans(
             value=value,
             dynamics=dynamics,
             state=state,
+            entries=range(len(state)),
             simulation=simulation,
         )
 
     for name, engine in engines().items():
         for tolerance in settings.tolerances:
             if not isinstance(engine, SciPy) or tolerance >= settings.slow_from:
-                yield plan("engine", name, tolerance, _at(engine, tolerance))
-    tight = _at(Automatic(), min(settings.tolerances))
+                yield plan("engine", name, tolerance, settings_at(engine, tolerance))
+    tight = settings_at(Automatic(), min(settings.tolerances))
     closures: list[tuple[str, str, float, Completion]] = [
         *(("cut", "plastic below", delta, Truncation(delta=delta)) for delta in settings.cuts),
         *(("impacts", "limit after", n, FixedImpacts(n_impacts=n)) for n in settings.impacts),
@@ -252,61 +251,22 @@ def _reduced(
     problem: Problem, setting: Setting, state: Sequence[float], settings: TradeSettings
 ) -> Iterator[_Plan]:
     """Plan the reduced models of a scene; the truth stays that of the full one."""
-    named = dict(zip(problem.state_names, state, strict=True))
     for reduced in problem.ladder()[1:]:
         dynamics = _model(reduced, reduced.shared(setting))
-        start = [named[name] for name in reduced.state_names]
+        entries = [problem.state_names.index(name) for name in reduced.state_names]
         for tolerance in settings.tolerances:
             yield _Plan(
                 sweep="fidelity",
                 name=reduced.name.partition("@")[2],
                 value=tolerance,
                 dynamics=dynamics,
-                state=start,
-                simulation=_at(Automatic(), tolerance),
+                state=[state[entry] for entry in entries],
+                entries=entries,
+                simulation=settings_at(Automatic(), tolerance),
             )
 
 
-def _at(engine: Engine, tolerance: float) -> SimulationSettings:
-    return SimulationSettings(
-        engine=engine,
-        tolerance=Tolerance(relative=tolerance, absolute=0.1 * tolerance),
-        completion=ZenoExtrapolation(tolerance=max(tolerance, 1e-12)),
-    )
-
-
-def _truth(
-    problem: Problem,
-    setting: Setting,
-    dynamics: HybridDynamics,
-    state: Sequence[float],
-    until: float,
-) -> tuple[tuple[Landmark, ...], str, float]:
-    """Return the true landmarks, how they were had, and how certain they are."""
-    if heyoka_is_installed():
-        from zeno_orbits.extended import extended_execution
-
-        exact = extended_execution(problem, setting, state, until=until, digits=TRUTH_DIGITS)
-        return _exact_landmarks(exact), "extended precision", exact.error
-    finest, next_finest = (
-        landmarks(simulate(dynamics, state, until=until, settings=_at(Radau(), tolerance)))
-        for tolerance in (1e-14, 1e-13)
-    )
-    how = "double precision at 1e-14; install the extra `taylor` for a better truth"
-    return finest, how, apart(next_finest, finest, until)
-
-
-def _exact_landmarks(exact: ExtendedExecution) -> tuple[Landmark, ...]:
-    points = exact.releases or exact.zeno_points
-    if not points:
-        raise ZenoOrbitsError("There is nothing to compare: no release and no Zeno point so soon.")
-    return tuple(
-        Landmark(time=float(p.time), state=np.array([float(value) for value in p.state]))
-        for p in points
-    )
-
-
-def _tried(plan: _Plan, truth: Sequence[Landmark], settings: TradeSettings) -> Trial:
+def _tried(plan: _Plan, truth: Truth, settings: TradeSettings) -> Trial:
     """Run a plan, once to warm up and then for its time, and hold it against the truth."""
     trial = Trial(
         sweep=plan.sweep, name=plan.name, value=plan.value, seconds=math.inf, error=math.inf
@@ -314,14 +274,15 @@ def _tried(plan: _Plan, truth: Sequence[Landmark], settings: TradeSettings) -> T
     try:
         execution, _ = _timed(plan, settings.until)
         times = [_timed(plan, settings.until)[1] for _ in range(settings.repeats)]
-    except ZenoOrbitsError as error:
+    except (ZenoOrbitsError, ArithmeticError, ValueError) as error:
+        # Other people's integrators overflow in their own words.
         return replace(trial, trouble=str(error))
-    n_x = len(plan.state)
-    known = [Landmark(time=mark.time, state=mark.state[:n_x]) for mark in truth]
+    entries = list(plan.entries)
+    known = [replace(mark, state=mark.state[entries]) for mark in truth.marks]
     return replace(
         trial,
         seconds=statistics.median(times),
-        error=apart(landmarks(execution), known, settings.until),
+        error=apart(landmarks(execution), known, truth.scale[entries]),
         n_impacts=len(execution.impacts),
     )
 
@@ -346,16 +307,18 @@ def _meshes(
         transcription = TranscriptionSettings(mesh_tolerance=tolerance)
         looked = SearchSettings(transcription=transcription, agreement=math.inf, rounds=1)
         result = find_orbit(problem, setting, settings=looked)
-        if result.orbit is None:
-            return
+        found = result.orbit is not None
         yield Trial(
             sweep="mesh",
-            name=f"{result.n_unknowns} unknowns",
+            name=f"{result.n_unknowns} unknowns" if found else "no orbit",
             value=tolerance,
-            seconds=result.solve_time,
-            error=result.agreement,
-            n_impacts=len(result.orbit.impacts),
+            seconds=result.solve_time if found else math.inf,
+            error=result.agreement if found else math.inf,
+            n_impacts=0 if result.orbit is None else len(result.orbit.impacts),
+            trouble="" if found else f"{result.status.value} {result.detail}".strip(),
         )
+        if not found:
+            return
 
 
 def _model(problem: Problem, setting: Setting) -> HybridDynamics:

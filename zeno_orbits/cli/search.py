@@ -15,6 +15,7 @@ from zeno_orbits.cli.shared import (
     add_command,
     add_scene,
     print_json,
+    require_engine,
     say_written,
     verification_of,
 )
@@ -75,6 +76,8 @@ def add_search(commands: Any) -> None:
 
 
 def _run_search(options: argparse.Namespace) -> int:
+    from zeno_orbits.compiled import bind
+    from zeno_orbits.models import compiled_model
     from zeno_orbits.problem import load_problem
     from zeno_orbits.search import SearchSettings, search_gains
     from zeno_orbits.verify import verify
@@ -96,6 +99,7 @@ def _run_search(options: argparse.Namespace) -> int:
     if options.accuracy is not None:
         settings = settings.for_accuracy(options.accuracy)
     verification = verification_of(options, 1e-9)
+    require_engine(options, bind(compiled_model(problem), setting.values()))
     found: dict[str, Any] = {}
 
     def accept(orbit: ZenoOrbit) -> str:
@@ -104,6 +108,9 @@ def _run_search(options: argparse.Namespace) -> int:
             radius = certificate.spectral_radius
             unstable = f"The orbit does not attract: its spectral radius is {radius:.4g}."
             return unstable if certificate.passed else certificate.verdict()
+        error = certificate.orbit_error
+        if options.accuracy is not None and not error <= options.accuracy:
+            return f"Its numbers are certain to {error:.1e} only."
         found["certificate"] = certificate
         return ""
 
@@ -153,7 +160,7 @@ def _finish_search(
         report.print_search(result)
         report.print_orbit(problem, orbit, certificate)
         if options.accuracy is not None:
-            report.print_error_made(max(result.agreement, certificate.integration_error))
+            report.print_error_made(certificate.orbit_error)
         report.print_verdict(certificate)
         say_written(options, [] if options.output is None else [options.output])
     return YES

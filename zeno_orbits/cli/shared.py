@@ -13,6 +13,7 @@ from zeno_orbits.arguments import read_numbers
 from zeno_orbits.errors import InputError
 
 if TYPE_CHECKING:
+    from zeno_orbits.dynamics import HybridDynamics
     from zeno_orbits.orbit import ZenoOrbit
     from zeno_orbits.problem import Problem, Setting
     from zeno_orbits.simulate import SimulationSettings
@@ -145,17 +146,29 @@ def simulation_of(options: argparse.Namespace) -> SimulationSettings:
 
 def verification_of(options: argparse.Namespace, tolerance: float) -> VerificationSettings:
     """Return how to check at the accuracy that was asked for, if one was."""
-    from zeno_orbits.accuracy import settings_for
+    from zeno_orbits.accuracy import FINEST, settings_for
     from zeno_orbits.observation import LOOSER
     from zeno_orbits.verify import VerificationSettings
 
     simulation = simulation_of(options)
     if options.accuracy is None:
         return VerificationSettings(tolerance=tolerance, simulation=simulation)
-    # The looser of the two integrations has to reach the accuracy, too.
-    fine = settings_for(max(options.accuracy / LOOSER, 1e-12), simulation)
     settings_for(options.accuracy)
+    # The looser of the two integrations has to reach the accuracy, too.
+    fine = settings_for(max(options.accuracy / LOOSER, FINEST), simulation)
     return VerificationSettings(tolerance=options.accuracy, simulation=fine)
+
+
+def require_engine(options: argparse.Namespace, dynamics: HybridDynamics) -> None:
+    """Refuse an engine that cannot follow a system, before any work is done with it."""
+    if options.engine != "taylor":
+        return
+    from zeno_orbits.dynamics import Tolerance
+    from zeno_orbits.engines.series import carrier, symbols_of
+
+    for flow in (dynamics.free, dynamics.locked, dynamics.flight(1.0)):
+        mode, _ = symbols_of(flow)
+        carrier(mode, Tolerance().absolute)
 
 
 def orbit_and_problem(options: argparse.Namespace) -> tuple[ZenoOrbit, Problem]:

@@ -20,6 +20,7 @@ from zeno_orbits.cli.shared import (
     setting_of,
     start_of,
 )
+from zeno_orbits.errors import InputError
 from zeno_orbits.files import require_picture, require_writable, write_whole
 
 
@@ -56,23 +57,24 @@ def _run_trade(options: argparse.Namespace) -> int:
         require_writable(options.output)
     if options.picture is not None:
         require_picture(options.picture)
+    if options.output is not None and options.output == options.picture:
+        both = f"but both are `{options.output}`"
+        raise InputError(f"Argument `picture` must be another file than `output`, {both}.")
     settings = QUICK if options.quick else TradeSettings()
     if options.until is not None:
         settings = replace(settings, until=options.until)
     with report.Progress(options.interrupts.check) as progress:
         found = trade(problem, setting, state, settings=settings, tell=progress.tell)
-    written: list[Path] = []
-    if options.output is not None:
-        write_whole(options.output, (json_text(found.as_json()) + "\n").encode())
-        written.append(options.output)
+    # The file comes last: drawing takes long enough to be interrupted.
     if options.picture is not None:
         from zeno_orbits import plots
 
         plots.save_figure(plots.plot_trade(found), options.picture)
-        written.append(options.picture)
+    if options.output is not None:
+        write_whole(options.output, json_text(found.as_json()) + "\n")
     if options.json:
         print_json(found.as_json())
     else:
         report.print_trade(found)
-    say_written(options, written)
+    say_written(options, [path for path in (options.output, options.picture) if path is not None])
     return YES

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
+from math import isfinite
 from typing import Any
 
 from zeno_orbits import report
@@ -16,6 +17,7 @@ from zeno_orbits.cli.shared import (
     add_orbit,
     orbit_and_problem,
     print_json,
+    require_engine,
     verification_of,
 )
 from zeno_orbits.errors import InputError
@@ -53,7 +55,7 @@ def add_verify(commands: Any) -> None:
 
 
 def _run_verify(options: argparse.Namespace) -> int:
-    from zeno_orbits.verify import verify
+    from zeno_orbits.verify import problem_dynamics, verify
 
     tolerance = options.tolerance
     if tolerance is not None and not 0.0 < tolerance < 1.0:
@@ -66,13 +68,19 @@ def _run_verify(options: argparse.Namespace) -> int:
     )
     if tolerance is not None:
         settings = replace(settings, tolerance=tolerance)
+    dynamics = problem_dynamics(orbit, problem, use_reference=settings.use_reference)
+    require_engine(options, dynamics)
     with report.Progress(options.interrupts.check) as progress:
-        certificate = verify(orbit, problem, settings=settings, on_progress=progress.tell)
+        certificate = verify(
+            orbit, problem, settings=settings, dynamics=dynamics, on_progress=progress.tell
+        )
     if options.json:
-        print_json(certificate.as_json())
+        error = certificate.orbit_error
+        accuracy = {"error": error if isfinite(error) else None} if options.accuracy else {}
+        print_json(certificate.as_json() | accuracy)
     else:
         report.print_certificate(certificate)
         report.print_verdict(certificate)
         if options.accuracy is not None:
-            report.print_error_made(certificate.integration_error)
+            report.print_error_made(certificate.orbit_error)
     return YES if certificate.passed else NO

@@ -1,0 +1,126 @@
+"""The truth that trials are held against: an execution in extended precision, and its error."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from zeno_orbits.accuracy import ROUNDING, Kind, Landmark, apart, landmarks, sizes, sizes_of
+from zeno_orbits.completion import ZenoExtrapolation
+from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
+from zeno_orbits.engines import Engine, Radau
+from zeno_orbits.errors import TranslationError, ZenoOrbitsError
+from zeno_orbits.problem import Problem, Setting
+from zeno_orbits.simulate import SimulationSettings, simulate
+from zeno_orbits.translate import heyoka_is_installed
+
+if TYPE_CHECKING:
+    from zeno_orbits.extended import ExtendedExecution
+
+TRUTH_DIGITS = 20
+
+_SAMPLES = 64
+"""Times at which the truth is looked at for the size of its states."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Truth:
+    """What trials are held against.
+
+    Attributes:
+        marks: The landmarks.
+        scale: Size of each state, ``(n_x,)``.
+        how: How they were had, as a phrase.
+        error: How certain they are.
+    """
+
+    marks: tuple[Landmark, ...]
+    scale: Vector
+    how: str
+    error: float
+
+
+def true_landmarks(
+    problem: Problem,
+    setting: Setting,
+    dynamics: HybridDynamics,
+    state: Sequence[float],
+    until: float,
+) -> Truth:
+    """Return the truth in extended precision, or in doubles where that cannot be had.
+
+    Args:
+        problem: The scene.
+        setting: Its numbers.
+        dynamics: The system at these numbers.
+        state: Initial state, ``(n_x,)``.
+        until: When to stop [s].
+
+    Raises:
+        InputError: If the state is not admissible or the horizon not a positive number.
+        ZenoOrbitsError: If nothing happens that a motion could be judged by, or it cannot be
+            followed.
+    """
+    if not heyoka_is_installed():
+        return _truth_in_doubles(dynamics, state, until, "install the extra `taylor` for a better")
+    from zeno_orbits.extended import extended_execution
+
+    try:
+        exact = extended_execution(
+            problem,
+            setting,
+            state,
+            until=until,
+            times=np.linspace(0.0, until, _SAMPLES).tolist(),
+            digits=TRUTH_DIGITS,
+        )
+    except TranslationError:
+        return _truth_in_doubles(
+            dynamics, state, until, "not all of the scene is analytic, for a better"
+        )
+    return Truth(
+        marks=_exact_landmarks(exact),
+        scale=sizes_of([[float(value) for value in sample.state] for sample in exact.samples]),
+        how="extended precision",
+        error=exact.error,
+    )
+
+
+def _truth_in_doubles(
+    dynamics: HybridDynamics, state: Sequence[float], until: float, why: str
+) -> Truth:
+    """Return the truth of the tightest tolerances, of an engine that the default one is not."""
+    finest, next_finest = (
+        simulate(dynamics, state, until=until, settings=settings_at(Radau(), tolerance))
+        for tolerance in (1e-14, 1e-13)
+    )
+    marks, scale = landmarks(finest), sizes(finest)
+    return Truth(
+        marks=marks,
+        scale=scale,
+        how=f"double precision at 1e-14 ({why} truth)",
+        error=max(apart(landmarks(next_finest), marks, scale), ROUNDING),
+    )
+
+
+def _exact_landmarks(exact: ExtendedExecution) -> tuple[Landmark, ...]:
+    points = exact.releases or exact.zeno_points
+    if not points:
+        raise ZenoOrbitsError("There is nothing to compare: no release and no Zeno point so soon.")
+    kind = Kind.RELEASE if exact.releases else Kind.ZENO
+    return tuple(
+        Landmark(kind=kind, time=float(p.time), state=np.array([float(v) for v in p.state]))
+        for p in points
+    )
+
+
+def settings_at(engine: Engine, tolerance: float) -> SimulationSettings:
+    """Return the settings of an engine at a tolerance, the Zeno limit's included."""
+    return SimulationSettings(
+        engine=engine,
+        tolerance=Tolerance(relative=tolerance, absolute=0.1 * tolerance),
+        completion=ZenoExtrapolation(tolerance=max(tolerance, 1e-12)),
+    )
