@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import cache, partial
 
 import work
 from work import HORIZON, Method, Motion
@@ -13,13 +13,16 @@ from work import HORIZON, Method, Motion
 from zeno_orbits.compiled import bind, compile_problem
 from zeno_orbits.completion import ZenoExtrapolation
 from zeno_orbits.dynamics import HybridDynamics, Tolerance
+from zeno_orbits.engines import Automatic, Engine, Radau, RungeKutta, Taylor
 from zeno_orbits.problem import load_problem
 from zeno_orbits.simulate import SimulationSettings, simulate
+from zeno_orbits.translate import heyoka_is_installed
 
 
-def settings(accuracy: float) -> SimulationSettings:
-    """Return how to simulate at a local error; the only place that names an engine."""
+def settings(accuracy: float, engine: Engine | None = None) -> SimulationSettings:
+    """Return how to simulate at a local error."""
     return SimulationSettings(
+        engine=engine or Automatic(),
         tolerance=Tolerance(relative=accuracy, absolute=accuracy / 10),
         completion=ZenoExtrapolation(tolerance=accuracy),
     )
@@ -34,13 +37,13 @@ def scene(name: str, rate: float | None = None) -> HybridDynamics:
 
 
 def prepare(
-    rate: float, accuracy: float, start: Sequence[float], _locked: bool
+    engine: Engine, rate: float, accuracy: float, start: Sequence[float], _locked: bool
 ) -> Callable[[], Motion]:
     """Return the whole motion as a function without arguments."""
     machine = scene("motor_pendulum", rate)
 
     def follow() -> Motion:
-        motion = simulate(machine, start, until=HORIZON, settings=settings(accuracy))
+        motion = simulate(machine, start, until=HORIZON, settings=settings(accuracy, engine))
         return Motion(
             state=motion.end_state.tolist(),
             impacts=len(motion.impacts),
@@ -61,15 +64,23 @@ def prepare_ball(accuracy: float) -> Callable[[], float]:
     return zeno_time
 
 
-METHODS = [
-    Method(
-        name="ours, RungeKutta",
+def method(name: str, engine: Engine, *, grows: bool) -> Method:
+    """Return one of our engines as a competitor."""
+    return Method(
+        name=f"ours, {name}",
         accuracies=(1e-3, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12, 1e-13),
         sweep_accuracies=(1e-4, 1e-5, 1e-6),
-        prepare=prepare,
-        ball=prepare_ball,
-        grows=True,
+        prepare=partial(prepare, engine),
+        ball=prepare_ball if isinstance(engine, Automatic) else None,
+        grows=grows,
     )
+
+
+METHODS = [
+    method("automatic", Automatic(), grows=False),
+    method("explicit", RungeKutta(), grows=True),
+    method("implicit", Radau(), grows=False),
+    *([method("Taylor", Taylor(), grows=True)] if heyoka_is_installed() else []),
 ]
 
 if __name__ == "__main__":
