@@ -26,7 +26,7 @@ FINEST, COARSEST = 1e-12, 1e-2
 """Accuracies that can be asked for."""
 
 ROUNDING = 4e-15
-"""Differences below this are rounding, of which a single one says little."""
+"""Differences below this, times the number of events, are rounding: two runs may share it."""
 
 _SHARE = 0.1
 """Tolerance in units of the accuracy: errors over ten periods stay below ten tolerances."""
@@ -133,7 +133,8 @@ def simulate_to(
                 raise
             continue
         if previous is not None:
-            error = max(difference(previous, found), _limit_error(found), ROUNDING)
+            rounding = ROUNDING * (1 + len(found.events))
+            error = max(difference(previous, found), _limit_error(found), rounding)
             if error <= accuracy:
                 return Assured(execution=found, settings=tried, error=error)
             best = min(best, error)
@@ -151,7 +152,8 @@ def difference(first: Execution, second: Execution) -> float:
 
     That is every event and the end. Times are relative to the last event's, states to their largest
     value. Near a Zeno point one may resolve more impacts than the other. An event so late that the
-    other one lacks it is held against the end of that.
+    other one lacks it is held against the end of that: an end so near an impact is before it or
+    after it, and no accuracy says which.
 
     Args:
         first: One execution.

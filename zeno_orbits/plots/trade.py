@@ -13,7 +13,8 @@ from zeno_orbits.plots.style import FULL_WIDTH, INK, add_legend, panels_of
 from zeno_orbits.trade import SAME_WORK, Trade, Trial
 
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F", "#000000")
-_MARKERS = "osD^vP*X"
+_FULL, _OPEN = "osD^vP*", "<>dph"
+"""Markers of engines, and of what else is varied."""
 _LEAST = 1e-17
 """Errors below this are drawn at it: the axis is logarithmic."""
 
@@ -29,15 +30,17 @@ def plot_trade(trade: Trade, *, width: float = FULL_WIDTH) -> Figure:
     drawn = [t for t in trade.trials if t.sweep in SAME_WORK and math.isfinite(t.error)]
     for k, (label, group) in enumerate(groupby(drawn, key=_label)):
         trials = sorted(group, key=lambda trial: trial.value)
+        engine = trials[0].sweep == "engine"
+        markers = _FULL if engine else _OPEN
         ax.plot(
             [max(trial.error, _LEAST) for trial in trials],
             [1e3 * trial.seconds for trial in trials],
             color=_COLOURS[k % len(_COLOURS)],
-            marker=_MARKERS[k % len(_MARKERS)],
-            ls="-" if trials[0].sweep == "engine" else ":",
+            marker=markers[k % len(markers)],
+            ls="-" if engine else ":",
             lw=1.0,
-            ms=4.0,
-            mfc=None if trials[0].sweep == "engine" else "none",
+            ms=4.0 if engine else 5.0,
+            mfc=None if engine else "none",
             label=label,
         )
     front = trade.front
@@ -57,5 +60,10 @@ def plot_trade(trade: Trade, *, width: float = FULL_WIDTH) -> Figure:
     return figure
 
 
+_CLOSURES = {"cut": "plastic below a speed", "impacts": "limit after n impacts"}
+
+
 def _label(trial: Trial) -> str:
-    return trial.name if trial.sweep in {"engine", "cut", "impacts"} else f"model: {trial.name}"
+    if trial.sweep == "engine":
+        return trial.name
+    return _CLOSURES.get(trial.sweep, f"model {trial.name}")
