@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -12,7 +13,7 @@ from zeno_orbits.accuracy import ROUNDING, Kind, Landmark, apart, landmarks, siz
 from zeno_orbits.completion import ZenoExtrapolation
 from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
 from zeno_orbits.engines import Engine, Radau
-from zeno_orbits.errors import TranslationError, ZenoOrbitsError
+from zeno_orbits.errors import InputError, TranslationError, ZenoOrbitsError
 from zeno_orbits.problem import Problem, Setting
 from zeno_orbits.simulate import SimulationSettings, simulate
 from zeno_orbits.translate import heyoka_is_installed
@@ -64,6 +65,9 @@ def true_landmarks(
         ZenoOrbitsError: If nothing happens that a motion could be judged by, or it cannot be
             followed.
     """
+    if not 0.0 < until < math.inf:
+        message = f"Argument `until` must be a positive number of seconds, but it is {until}."
+        raise InputError(message)
     if not heyoka_is_installed():
         return _truth_in_doubles(dynamics, state, until, "install the extra `taylor` for a better")
     from zeno_orbits.extended import extended_execution

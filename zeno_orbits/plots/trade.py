@@ -53,7 +53,7 @@ def plot_trade(trade: Trade, *, width: float = FULL_WIDTH) -> Figure:
         zorder=1,
         label="nothing is faster and better",
     )
-    ax.set(xscale="log", yscale="log", xlabel="relative error [1]", ylabel="wall time [ms]")
+    ax.set(xscale="log", yscale="log", xlabel="relative error [1]", ylabel="processor time [ms]")
     ax.invert_xaxis()
     ax.grid(visible=True, which="major", lw=0.4, alpha=0.5)
     add_legend(figure, width)
