@@ -20,15 +20,19 @@ from typing import Any, NoReturn
 
 import pytest
 
-from tests.reference_orbit import ORBIT_KEYS, PERIOD
+from tests.reference_orbit import ORBIT_KEYS, PERIOD, RELEASE
 from zeno_orbits import report, symbolic
+from zeno_orbits.certificate import OrbitCertificate
 from zeno_orbits.cli import main
 from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.extended_orbit import ExtendedOrbit, extended_orbit
 from zeno_orbits.problem import Problem, bundled_problems, load_problem
 from zeno_orbits.search import SearchSettings
 
 YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
-COMMANDS = ("problems", "conditions", "simulate", "search", "verify", "plot")
+COMMANDS = (
+    *("problems", "conditions", "simulate", "fidelity", "search", "verify", "trade", "plot"),
+)
 PUBLISHED_GAINS = ("--fix", "Kp=2.5", "--fix", "Kd=-1")
 
 
@@ -366,6 +370,195 @@ def test_plot_writes_the_picture_that_is_asked_for(orbit: Path, here: Path) -> N
     assert (here / "portraits.pdf").read_bytes().startswith(b"%PDF")
 
 
+# ------------------------------------------------------------------- accuracy and engines
+
+
+def error_said(answer: Answer) -> float:
+    """Return the estimated error that a command prints."""
+    (number,) = re.findall(r"Estimated relative error: (\S+)\.$", answer.out, flags=re.MULTILINE)
+    return float(number)
+
+
+@pytest.fixture(name="exact", scope="module")
+def _exact() -> ExtendedOrbit:
+    """The orbit at the published gains, to 25 digits."""
+    pytest.importorskip("heyoka")
+    scene = load_problem("motor_pendulum")
+    return extended_orbit(scene, scene.setting(), RELEASE)
+
+
+def orbit_miss(data: Mapping[str, Any], exact: ExtendedOrbit) -> float:
+    """Return how far an orbit file is off, in the units of its residuals.
+
+    The largest values of the states on the orbit: 1.2 rad, 17 rad/s and more.
+    """
+    sizes = {"theta1": 1.2, "theta2": 1.0, "dtheta1": 8.0, "dtheta2": 16.9, "current": 3.0}
+    period, zeno = float(exact.period), exact.zeno_points[0]
+    times = [(data["period"], exact.period), (data["zeno_time"], zeno.time)]
+    times += [
+        (i["time"], true.time) for i, true in zip(data["impacts"], exact.impacts, strict=False)
+    ]
+    misses = [abs(time - float(true)) / period for time, true in times]
+    for found, true in (("release_state", exact.release_state), ("zeno_state", zeno.state)):
+        for name, value in zip(exact.state_names, true, strict=True):
+            misses.append(abs(data[found][name] - float(value)) / sizes[name])
+    return max(misses)
+
+
+@pytest.mark.parametrize("wanted", [1e-4, 1e-6, 1e-10])
+def test_a_search_to_an_accuracy_keeps_it_and_bounds_its_error(
+    wanted: float, here: Path, exact: ExtendedOrbit
+) -> None:
+    accuracy = f"--accuracy={wanted}"
+    answer = ask("search", "motor_pendulum", *PUBLISHED_GAINS, accuracy, "-o", "o.json")
+    assert answer.code == YES
+    said = error_said(answer)
+    data = json.loads((here / "o.json").read_text())
+    # Two digits of the estimate are printed, and the sizes above are rounded.
+    assert orbit_miss(data, exact) < 1.1 * said
+    assert said <= wanted
+    checked = ask("verify", "o.json", accuracy)
+    assert checked.code == YES
+    assert error_said(checked) <= wanted
+
+
+def test_an_orbit_that_is_not_the_one_is_seen_to_miss_it(
+    orbit_data: dict[str, Any], exact: ExtendedOrbit
+) -> None:
+    assert orbit_miss(orbit_data, exact) < 1e-9
+    orbit_data["zeno_state"]["current"] += 1e-5
+    assert orbit_miss(orbit_data, exact) > 1e-6
+
+
+def test_verify_at_an_accuracy_refuses_a_period_that_is_further_off(
+    orbit_data: dict[str, Any], here: Path
+) -> None:
+    orbit_data["period"] *= 1 + 1e-5
+    (here / "off.json").write_text(json.dumps(orbit_data))
+    refused = ask("verify", "off.json", "--accuracy", "1e-6")
+    assert refused.code == NO
+    assert "Refused: `period` is 1.00e-05, above 1e-06" in refused.out
+    assert error_said(refused) >= 0.99e-5
+    assert ask("verify", "off.json", "--accuracy", "1e-4").code == YES
+
+
+def test_an_accuracy_that_the_orbit_misses_is_a_no_of_the_search(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every residual passes; the orbit attracts so weakly that its numbers are worse than that."""
+    weak = property(lambda _certificate: 3e-4)
+    monkeypatch.setattr(OrbitCertificate, "orbit_error", weak)
+    search = ("search", "motor_pendulum", *PUBLISHED_GAINS, "-o", "o.json")
+    answer = ask(*search, "--accuracy", "1e-4")
+    assert answer.code == NO
+    assert "certain to 3.0e-04 only" in answer.out
+    assert contents(here) == {}
+
+
+def test_simulate_at_an_accuracy_reports_the_error_as_text_and_json() -> None:
+    ball = ("simulate", "bouncing_ball", "--until", "5", "--accuracy", "1e-6")
+    assert 0.0 < error_said(ask(*ball)) <= 1e-6
+    assert 0.0 < ask(*ball, "--json").data["error"] <= 1e-6
+    assert "error" not in ask(*ball[:4], "--json").data
+
+
+def test_verify_at_an_accuracy_reports_the_error_as_json(orbit: Path) -> None:
+    assert 0.0 < ask("verify", orbit, "--accuracy", "1e-6", "--json").data["error"] <= 1e-6
+
+
+def test_an_accuracy_out_of_reach_is_a_no(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A machine that rounds a thousand times worse."""
+    monkeypatch.setattr("zeno_orbits.accuracy.ROUNDING", 4e-12)
+    ball = ("simulate", "bouncing_ball", "--until", "1", "-o", "f.png", "--accuracy")
+    answer = ask(*ball, "1e-12")
+    assert answer.code == NO
+    assert answer.out == ""
+    assert re.fullmatch(r"zeno-orbits: The accuracy 1e-12 is out of reach: .*\n", answer.err)
+    assert contents(here) == {}
+    assert ask(*ball, "1e-9").code == YES
+
+
+@pytest.mark.parametrize("engine", ["automatic", "explicit", "implicit", "taylor"])
+def test_every_engine_simulates_and_is_named(engine: str) -> None:
+    if engine == "taylor":
+        pytest.importorskip("heyoka")
+    answer = ask("simulate", "motor_pendulum", "--until", "2", "--engine", engine)
+    assert answer.code == YES
+    assert f"Engine: {engine}," in answer.out
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("simulate", "motor_pendulum", "-o", "f.png"),
+        ("search", "motor_pendulum", "-o", "f.json"),
+        ("verify", "orbit.json"),
+    ],
+    ids=lambda command: command[0],
+)
+def test_taylor_without_heyoka_is_refused_with_what_to_install(
+    command: tuple[str, ...], orbit: Path, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert orbit.exists()
+    before = contents(here)
+    monkeypatch.setitem(sys.modules, "heyoka", None)
+    assert_refused(ask(*command, "--engine", "taylor"), "heyoka", "zeno_orbits[taylor]")
+    assert contents(here) == before
+
+
+# ------------------------------------------------------------------------ fidelity and trade
+
+
+def test_fidelity_names_the_reduced_models_and_their_cost() -> None:
+    answer = ask("fidelity", "motor_pendulum")
+    assert answer.code == YES
+    assert "motor_pendulum@quasi_static" in answer.out
+    costs = ask("fidelity", "motor_pendulum", "--json").data
+    assert {cost["problem"].partition("@")[2] for cost in costs} == {"corrected", "quasi_static"}
+
+
+TRADING = ("trade", "bouncing_ball", "--quick", "--until", "4.5")
+
+
+def test_trade_writes_what_it_prints_and_draws_it(here: Path) -> None:
+    answer = ask(*TRADING, "--json", "-o", "trade.json", "--picture", "trade.png")
+    assert answer.code == YES
+    assert answer.data == json.loads((here / "trade.json").read_text())
+    assert {"problem", "truth", "truth_error", "trials"} <= set(answer.data)
+    assert any(trial["on_front"] for trial in answer.data["trials"])
+    assert (here / "trade.png").read_bytes().startswith(b"\x89PNG")
+    assert sorted(contents(here)) == ["trade.json", "trade.png"]
+
+
+@pytest.mark.parametrize("scene", ["bouncing_ball", "motor_pendulum", "motor_pendulum@corrected"])
+def test_trade_shows_the_cheapest_setting_of_each_accuracy(scene: str) -> None:
+    answer = ask("trade", scene, "--quick", "--until", "4.5")
+    assert answer.code == YES
+    for words in ("cheapest setting", "SciPy LSODA", "plastic below", "Truth:", "Work: 4.5 s"):
+        assert words in answer.out
+
+
+def test_trade_where_nothing_happens_so_soon_is_a_no_in_one_line(here: Path) -> None:
+    answer = ask("trade", "bouncing_ball", "--until", "0.1", "-o", "t.json", "--picture", "t.png")
+    assert answer.code == NO
+    assert answer.out == ""
+    assert answer.err.startswith("zeno-orbits: There is nothing to compare")
+    assert answer.err.count("\n") == 1
+    assert contents(here) == {}
+
+
+@pytest.mark.parametrize("where", ["trade.trade", "plots.plot_trade", "plots.save_figure"])
+def test_an_interrupted_trade_writes_nothing(
+    where: str, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(f"zeno_orbits.{where}", raising(KeyboardInterrupt()))
+    answer = ask(*TRADING, "-o", "t.json", "--picture", "t.png")
+    assert answer.code == INTERRUPTED
+    assert answer.out == ""
+    assert answer.err == "zeno-orbits: interrupted; nothing was written\n"
+    assert contents(here) == {}
+
+
 # ------------------------------------------------------------------- scenes by their file
 
 
@@ -519,6 +712,35 @@ BAD_ARGUMENTS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
         ("conditions", "motor_pendulum", "-o", "none/f.png"),
         ("`output`", "none/f.png"),
     ),
+    "trade for no time": (("trade", "bouncing_ball", "--until", "0"), ("`until`", "positive")),
+    "trade for nan": (("trade", "bouncing_ball", "--until", "nan"), ("`until`", "nan")),
+    "trade without end": (("trade", "bouncing_ball", "--until", "inf"), ("`until`", "inf")),
+    "trade into a missing folder": (
+        ("trade", "bouncing_ball", "-o", "none/t.json"),
+        ("`output`", "none/t.json"),
+    ),
+    "trade drawn into a missing folder": (
+        ("trade", "bouncing_ball", "--picture", "none/t.png"),
+        ("`output`", "none/t.png"),
+    ),
+    "trade drawn in an unknown format": (
+        ("trade", "bouncing_ball", "--picture", "t.gif"),
+        (".png", "t.gif"),
+    ),
+    "trade written and drawn into one file": (
+        ("trade", "bouncing_ball", "--picture", "t.png", "-o", "t.png"),
+        ("`picture`", "t.png"),
+    ),
+    **{
+        f"accuracy {value} of {command[0]}": (
+            (*command, f"--accuracy={value}"),
+            ("`accuracy`", "[1e-12, 0.01]", f"it is {value}."),
+        )
+        for command in (simulating("-o", "f.png"), searching(*PUBLISHED_GAINS))
+        for value in ("nan", "inf", "0", "-1", "1e-20", "1", "2")
+    },
+    "accuracy not a number": (simulating("--accuracy", "good"), ("--accuracy", "good")),
+    "engine unknown": (simulating("--engine", "euler"), ("--engine", "euler", "implicit")),
     "plot into an unknown format": (("plot", "o.json", "--format", "gif"), ("gif", "svg")),
     "plot an unknown kind": (("plot", "o.json", "--kind", "pie"), ("pie", "portraits")),
     "verify nothing": (("verify",), ("ORBIT.json",)),
@@ -548,6 +770,14 @@ def test_bad_arguments_are_refused_in_one_line(case: str, here: Path) -> None:
         (("verify", "orbit.json", "--model", "guessed"), ("--model", "reference")),
         (("verify", "orbit.json", "--problem", "bouncing_ball"), ("bouncing_ball",)),
         (("verify", "orbit.json", "--problem", "none.py"), ("`none.py`",)),
+        *(
+            (("verify", "orbit.json", f"--accuracy={value}"), ("`accuracy`", f"it is {value}."))
+            for value in ("nan", "0", "-1", "1e-20", "1", "2")
+        ),
+        (
+            ("verify", "orbit.json", "--engine", "taylor", "--model", "reference"),
+            ("formulas", "Taylor"),
+        ),
         (("plot", "orbit.json", "--problem", "bouncing_ball", "-o", "p"), ()),
         (("plot", "orbit.json", "-o", "orbit.json"), ("`output`", "folder")),
         (("plot", "orbit.json", "-o", "orbit.json/p"), ("`output`", "folder")),
@@ -765,17 +995,15 @@ def test_the_help_of_the_program_names_every_command_and_the_exit_codes() -> Non
         assert command in answer.out
 
 
+LONG_WORDS = {"--objective", "reference", "--measure", "trade"}
 QUICK = tuple(
     example
     for command in COMMANDS
     for example in examples(command)
-    if "--objective" not in example and "reference" not in example
+    if not LONG_WORDS & set(example)
 )
 LONG = tuple(
-    example
-    for command in COMMANDS
-    for example in examples(command)
-    if "--objective" in example or "reference" in example
+    example for command in COMMANDS for example in examples(command) if LONG_WORDS & set(example)
 )
 
 
@@ -793,6 +1021,8 @@ def test_a_long_example_of_the_help_is_understood(
     reached = raising(ZenoOrbitsError("The work would begin here."))
     monkeypatch.setattr("zeno_orbits.search.search_gains", reached)
     monkeypatch.setattr("zeno_orbits.verify.verify", reached)
+    monkeypatch.setattr("zeno_orbits.trade.trade", reached)
+    monkeypatch.setattr("zeno_orbits.fidelity.reduction_costs", reached)
     answer = ask(*example)
     assert answer.code == NO
     assert answer.err == "zeno-orbits: The work would begin here.\n"

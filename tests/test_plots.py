@@ -30,12 +30,14 @@ from zeno_orbits.plots import (
     FULL_WIDTH,
     plot_portraits,
     plot_time_series,
+    plot_trade,
     plot_zeno_region,
     plot_zeno_zoom,
     save_figure,
 )
 from zeno_orbits.problem import Problem, load_problem, restitution
 from zeno_orbits.simulate import SimulationSettings, simulate
+from zeno_orbits.trade import Trade, Trial
 
 RELEASE = (0.1985068301199, 0.0, -5.2365375521764, 0.0, -1.8591703843225)
 UNIT = re.compile(r" \[[^\]]+\]$")
@@ -340,3 +342,61 @@ def test_a_failed_write_leaves_the_old_picture_and_no_partial_file(
         save_figure(Figure(), path)
     assert [file.name for file in tmp_path.iterdir()] == ["picture.png"]
     assert path.read_text() == "old"
+
+
+# ---------------------------------------------------------------------------------- a trade
+
+
+def measured(sweep: str, name: str, *pairs: tuple[float, float]) -> tuple[Trial, ...]:
+    """Return trials of times and errors, the loosest first."""
+    return tuple(
+        Trial(sweep=sweep, name=name, value=10.0**-k, seconds=seconds, error=error)
+        for k, (seconds, error) in enumerate(pairs)
+    )
+
+
+TRADE = Trade(
+    problem="p",
+    work="w",
+    truth="t",
+    truth_error=1e-25,
+    trials=(
+        *measured("engine", "explicit", (1e-3, 1e-3), (4e-3, 1e-9)),
+        *measured("engine", "implicit", (2e-3, 0.0), (np.inf, np.inf)),
+        *measured("cut", "plastic below", (3e-3, 1e-2)),
+        *measured("fidelity", "quasi_static", (5e-4, 1e-1)),
+        *measured("mesh", "868 unknowns", (1e-6, 1e-6)),
+    ),
+)
+
+
+def lines_of(figure: Figure) -> dict[str, Line2D]:
+    return {str(line.get_label()): line for line in figure.axes[0].get_lines()}
+
+
+def test_a_trade_has_a_line_an_engine_and_one_for_the_front() -> None:
+    figure = plot_trade(TRADE)
+    lines = lines_of(figure)
+    assert list(lines) == [
+        *("explicit", "implicit", "plastic below a speed", "model quasi_static"),
+        "nothing is faster and better",
+    ]
+    assert lines["explicit"].get_linestyle() != lines["plastic below a speed"].get_linestyle()
+    looks = {(line.get_color(), line.get_marker()) for line in lines.values()}
+    assert len(looks) == len(lines)
+
+
+def test_a_trade_shows_times_in_milliseconds_and_what_is_lost_nowhere() -> None:
+    lines = lines_of(plot_trade(TRADE))
+    assert sorted(np.asarray(lines["explicit"].get_ydata())) == pytest.approx([1.0, 4.0])
+    # An error of zero has no logarithm and an infinite one no place.
+    (error,) = np.asarray(lines["implicit"].get_xdata())
+    assert 0.0 < error < 1e-15
+    front = lines["nothing is faster and better"]
+    assert list(np.asarray(front.get_ydata())) == pytest.approx([0.5, 1.0, 2.0])
+
+
+def test_a_trade_without_any_result_is_an_empty_picture(tmp_path: Path) -> None:
+    lost = Trade(problem="p", work="w", truth="t", truth_error=1e-25, trials=())
+    save_figure(plot_trade(lost), tmp_path / "lost.png")
+    assert (tmp_path / "lost.png").read_bytes().startswith(b"\x89PNG")
