@@ -54,6 +54,9 @@ def plot_trade(trade: Trade, *, width: float = FULL_WIDTH) -> Figure:
         label="nothing is faster and better",
     )
     ax.set(xscale="log", yscale="log", xlabel="relative error [1]", ylabel="processor time [ms]")
+    if not drawn:
+        # Logarithmic axes find no limits of their own where nothing is.
+        ax.set(xlim=(_LEAST, 1.0), ylim=(1.0, 1e3))
     ax.invert_xaxis()
     ax.grid(visible=True, which="major", lw=0.4, alpha=0.5)
     add_legend(figure, width)
