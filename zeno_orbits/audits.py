@@ -13,11 +13,12 @@ from zeno_orbits.compiled import bind
 from zeno_orbits.completion import Truncation
 from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.execution import Impact
 from zeno_orbits.hybrid import audited
-from zeno_orbits.models import compiled_model
+from zeno_orbits.models import compiled_model, reference_model
 from zeno_orbits.observation import Claim, FirstCycle, distance
 from zeno_orbits.orbit import ZenoOrbit
-from zeno_orbits.problem import Problem, load_reference
+from zeno_orbits.problem import Problem
 from zeno_orbits.simulate import SimulationSettings, simulate
 
 
@@ -29,6 +30,8 @@ def delta_sweep(
     simulation: SimulationSettings,
 ) -> tuple[DeltaCut, ...]:
     """Cut the sequence by the paper's rule at falling thresholds, and compare on the locked arc.
+
+    Each cut motion is integrated from its last impact that the completed motion has, too.
 
     Args:
         dynamics: The system.
@@ -47,15 +50,25 @@ def delta_sweep(
     fastest = abs(cycle.impacts[0].approach_rate)
     found: list[DeltaCut] = []
     for share in cuts:
-        rule = replace(simulation, completion=Truncation(delta=share * fastest))
+        delta = share * fastest
+        rule = replace(simulation, completion=Truncation(delta=delta))
+        before = _last_common_impact(cycle, delta)
+        start = dynamics.on_stop(before.state_minus)
+        start = start + before.approach_rate * dynamics.impulse_direction(start)
         try:
-            run = simulate(dynamics, dynamics.on_stop(claim.release), until=when, settings=rule)
+            run = simulate(dynamics, start, until=when - before.time, settings=rule)
         except ZenoOrbitsError:
-            return (*found, DeltaCut(delta=share * fastest, speed=math.nan, error=math.inf))
-        last = run.impacts[-1] if run.impacts else cycle.impacts[0]
+            return (*found, DeltaCut(delta=delta, speed=math.nan, error=math.inf))
+        last = run.impacts[-1] if run.impacts else before
         error = distance(run.end_state, truth, cycle.scale)
-        found.append(DeltaCut(delta=share * fastest, speed=abs(last.approach_rate), error=error))
+        found.append(DeltaCut(delta=delta, speed=abs(last.approach_rate), error=error))
     return tuple(found)
+
+
+def _last_common_impact(cycle: FirstCycle, delta: float) -> Impact:
+    """Return the last impact up to which a cut and the completed motion are the same."""
+    slow = (impact for impact in cycle.impacts if abs(impact.approach_rate) < delta)
+    return next(slow, cycle.impacts[-1])
 
 
 def cut_order(sweep: tuple[DeltaCut, ...]) -> float:
@@ -107,7 +120,7 @@ def imbalance(energies: Mapping[str, float]) -> float:
 def second_model(orbit: ZenoOrbit, problem: Problem, cycle: FirstCycle) -> float:
     """Return the largest relative difference of the two derivations along the orbit."""
     setting = orbit.setting(problem)
-    by_hand: HybridDynamics = load_reference(problem).dynamics(setting)
+    by_hand: HybridDynamics = reference_model(problem)(setting)
     derived = bind(compiled_model(problem), setting.values())
     times = np.linspace(0.0, cycle.end.time, 41)
     free = [cycle.execution.state_at(float(t)) for t in times]

@@ -7,7 +7,8 @@ from functools import lru_cache
 
 from zeno_orbits.compiled import CompiledSystem, compile_problem
 from zeno_orbits.hybrid import CompletedSystem
-from zeno_orbits.problem import Problem
+from zeno_orbits.dynamics import HybridDynamics
+from zeno_orbits.problem import Problem, Setting, load_reference
 
 _MOST = 16
 """Compiled scenes that are remembered; a session that makes thousands must not keep them all."""
@@ -27,3 +28,16 @@ def compiled_model(
         transform: A change of the completed system first, a function of a module.
     """
     return compile_problem(problem, transform)
+
+
+@lru_cache(maxsize=_MOST)
+def reference_model(problem: Problem) -> Callable[[Setting], HybridDynamics]:
+    """Return the hand-written model of a scene as a function of its numbers.
+
+    Its file is read once for each scene, as the scene's own was.
+
+    Raises:
+        InputError: If the scene has none.
+        ProblemFileError: If its file does not load.
+    """
+    return load_reference(problem).dynamics

@@ -46,12 +46,18 @@ class ReleaseSection:
         """Return the release state at section coordinates, ``(n_x,)``."""
         x = self.centre + self.scale * (self.tangent @ coordinates)
         for _ in range(_CORRECTIONS):
-            x = x - self.scale * (self.normal @ _conditions(dynamics, x))
+            correction = self.normal @ _conditions(dynamics, x)
+            x = x - self.scale * correction
+            if np.max(np.abs(correction)) < _EXACT:
+                break
         return x
 
 
 _CORRECTIONS = 12
-"""Newton steps with the gradient at the centre; each gains the size of the displacement."""
+"""Newton steps at most, with the gradient at the centre; each gains the size of the displacement."""
+
+_EXACT = 1e-15
+"""Correction in scaled states after which the next one is rounding."""
 
 _DIFFERENCE = 2e-5
 """Displacement in scaled section coordinates: its cube and the integration error balance."""

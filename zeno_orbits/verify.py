@@ -16,11 +16,11 @@ from zeno_orbits.certificate import DeltaCut, OrbitCertificate
 from zeno_orbits.compiled import bind
 from zeno_orbits.dynamics import HybridDynamics
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.models import compiled_model
+from zeno_orbits.models import compiled_model, reference_model
 from zeno_orbits.observation import Claim, FirstCycle, claim_of, observe
 from zeno_orbits.orbit import ZenoOrbit
 from zeno_orbits.poincare import Multipliers, floquet_multipliers
-from zeno_orbits.problem import Problem, load_reference
+from zeno_orbits.problem import Problem
 from zeno_orbits.residuals import margins_of, orbit_residuals
 from zeno_orbits.simulate import SimulationSettings
 
@@ -141,7 +141,7 @@ def problem_dynamics(
     """
     setting = orbit.setting(problem)
     if use_reference:
-        return load_reference(problem).dynamics(setting)
+        return reference_model(problem)(setting)
     return bind(compiled_model(problem), setting.values())
 
 
