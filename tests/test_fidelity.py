@@ -382,7 +382,7 @@ def test_the_layer_of_one_motor_is_its_inductance_over_its_resistance(scene: Pro
 
 
 def test_a_release_from_which_nothing_returns_is_refused(scene: Problem) -> None:
-    full = bind(compile_problem(scene), _with_inductance(scene, 1.0).values())
+    full = bind(compile_problem(scene), _with_inductance(scene, 10.0).values())
     release = np.array([0.198, 0.0, -5.236, 0.0])
     with pytest.raises(SimulationError, match=r"No Zeno point|No orbit"):
         orbit_near(full, release, 1.81)

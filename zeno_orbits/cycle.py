@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -12,7 +13,7 @@ from zeno_orbits.execution import Arc, Ending, Execution, Impact, Mode, Release,
 from zeno_orbits.zeno import TailEstimate, estimate_tail, extrapolate, spread_nodes
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Cycle:
     """Release, flight, impacts, Zeno point, locked arc, next release.
 
@@ -47,11 +48,15 @@ class Cycle:
 
     def scale(self) -> Vector:
         """Return the size of each state over the cycle, ``(n_x,)``, nowhere zero."""
-        states = [self.start.state, self.zeno.state, self.end.state]
-        for arc in (self.flight, *self.hops, self.locked):
-            grid = np.linspace(arc.start_time, arc.end_time, 17)
-            states += [arc.state_at(float(time)) for time in grid]
-        sizes = np.max(np.abs(np.array(states)), axis=0)
+        return self._sizes.copy()
+
+    @cached_property
+    def _sizes(self) -> Vector:
+        # Between impacts only the gap has its largest value inside, and it is tiny there.
+        ends = [self.start.state, self.zeno.state, self.end.state]
+        ends += [state for i in self.impacts for state in (i.state_minus, i.state_plus)]
+        states = np.concatenate([ends, self.flight.flow_states, self.locked.flow_states])
+        sizes = np.max(np.abs(states), axis=0)
         return np.where(sizes > 0.0, sizes, 1.0)
 
 

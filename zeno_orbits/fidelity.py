@@ -12,26 +12,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from zeno_orbits.closing import close_cycle, cycle_near
 from zeno_orbits.compiled import bind, compile_problem
-from zeno_orbits.cycle import Cycle, cycles
+from zeno_orbits.cycle import Cycle
 from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.poincare import floquet_multipliers, poincare_map, release_section
+from zeno_orbits.poincare import floquet_multipliers, release_section
 from zeno_orbits.problem import Problem, Setting
 from zeno_orbits.search import find_orbit
-from zeno_orbits.simulate import SimulationSettings, simulate
+from zeno_orbits.simulate import SimulationSettings
 
 QUASI_STATIC, CORRECTED = "quasi_static", "corrected"
 """The words by which a scene declares the two reduced models."""
 
 LANDMARKS = ("period", "first_impact", "zeno_time", "release", "zeno_state")
 """What two orbits are compared by."""
-
-_REPEATS = 1e-12
-"""Change of the release over a period that counts as none, relative."""
-_STALLED = 1e-8
-"""Change that rounding may leave where the flow is stiff; more than this is no orbit."""
-_MOST_RETURNS = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,29 +140,24 @@ def orbit_near(dynamics: HybridDynamics, release: Vector, period: float) -> Cycl
     """
     settings = SimulationSettings()
     x = dynamics.on_stop(np.concatenate([release, _resting_current(dynamics, release)]))
-    cycle = _cycle_from(dynamics, x, period)
-    scale = cycle.scale()
-    section = release_section(dynamics, x, scale)
-    here = np.zeros(section.dimension)
-    centre = section.state(dynamics, here)
-    slope = floquet_multipliers(
-        dynamics, centre, scale=scale, period=period, settings=settings
-    ).jacobian
-    change = np.inf
-    for _ in range(_MOST_RETURNS):
-        start = dynamics.on_stop(section.state(dynamics, here))
-        _, end = poincare_map(dynamics, start, horizon=2 * period, settings=settings)
-        miss = section.coordinates(end) - here
-        last, change = change, float(np.max(np.abs(miss)))
-        if change <= _REPEATS or (change <= _STALLED and change >= last):
-            return _cycle_from(dynamics, start, period)
-        # Least squares: at a fold of a family the matrix is singular, and that is no crash.
-        here = here + np.linalg.lstsq(np.eye(section.dimension) - slope, miss, rcond=None)[0]
-    raise SimulationError(
-        "No orbit of this fidelity is near that of the other: the reduction is too coarse here",
-        time=period,
-        state=tuple(x.tolist()),
-    )
+    try:
+        scale = cycle_near(dynamics, x, period=period, settings=settings).scale()
+        section = release_section(dynamics, x, scale)
+        x = section.state(dynamics, np.zeros(section.dimension))
+        # Far from the orbit returns alone may wander: the slope keeps to what is near.
+        slope = floquet_multipliers(
+            dynamics, x, scale=scale, period=period, settings=settings
+        ).jacobian
+        return close_cycle(
+            dynamics, x, scale=scale, period=period, settings=settings, slope=slope
+        ).cycle
+    except SimulationError as error:
+        raise SimulationError(
+            "No orbit of this fidelity is near that of the other, the reduction is too coarse: "
+            f"{error.reason}",
+            time=period,
+            state=tuple(x.tolist()),
+        ) from error
 
 
 def landmark_errors(reduced: Cycle, other: Cycle) -> dict[str, float]:
@@ -242,17 +232,6 @@ def _rate(dynamics: HybridDynamics, cycle: Cycle) -> float:
 
 def _dynamics(problem: Problem, setting: Setting) -> HybridDynamics:
     return bind(compile_problem(problem), problem.shared(setting).values())
-
-
-def _cycle_from(dynamics: HybridDynamics, x: Vector, period: float) -> Cycle:
-    found = cycles(simulate(dynamics, x, until=2 * period), start=x)
-    if not found:
-        raise SimulationError(
-            "No Zeno point and release follow from the other fidelity's release",
-            time=2 * period,
-            state=tuple(x.tolist()),
-        )
-    return found[0]
 
 
 def _first_impact(cycle: Cycle) -> float:

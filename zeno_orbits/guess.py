@@ -11,9 +11,11 @@ from zeno_orbits.completion import ZenoExtrapolation
 from zeno_orbits.cycle import Cycle, cycles
 from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
 from zeno_orbits.errors import RunawayError, SimulationError
+from zeno_orbits.execution import Execution
+from zeno_orbits.poincare import to_next_release
 from zeno_orbits.simulate import SimulationSettings, simulate
 
-_TURNS = 20 * np.pi
+RUNAWAY = 20 * np.pi
 """A coordinate beyond this many radians, or metres, will not come back."""
 
 _FADED = 1e-3
@@ -22,6 +24,9 @@ _FADED = 1e-3
 _STILL = 1e-6
 """Speeds and accelerations below this are rest, in the scene's units."""
 
+_LARGER = 10.0
+"""A state may be that much larger between the events of a period than the largest one at them."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SettlingSettings:
@@ -29,7 +34,7 @@ class SettlingSettings:
 
     Attributes:
         horizon: Longest simulated time from one start [s].
-        chunk: Simulated time between two looks [s].
+        chunk: Longest simulated time between two looks [s]; there is one at every release, too.
         settled: Change of the release state over a period that counts as repeating, relative.
         usable: Change up to which the last period still serves as a guess.
         simulation: Accuracy; looser than a verification.
@@ -43,7 +48,7 @@ class SettlingSettings:
         default_factory=lambda: SimulationSettings(
             tolerance=Tolerance(relative=1e-8, absolute=1e-10),
             completion=ZenoExtrapolation(tolerance=1e-11),
-            far=_TURNS,
+            far=RUNAWAY,
         )
     )
 
@@ -84,20 +89,20 @@ def settle(
 
 
 def _settle_from(dynamics: HybridDynamics, state: Vector, settings: SettlingSettings) -> Settling:
-    elapsed, fastest, best = 0.0, 0.0, None
+    elapsed, fastest, best, at_release = 0.0, 0.0, None, False
     while elapsed < settings.horizon:
         try:
-            run = simulate(dynamics, state, until=settings.chunk, settings=settings.simulation)
+            run = _to_next_look(dynamics, state, settings, at_release=at_release)
         except RunawayError as error:
             return Settling(cycle=None, reason=error.reason)
         except SimulationError as error:
             clause = error.reason[0].lower() + error.reason[1:]
             return Settling(cycle=None, reason=f"the simulation stops: {clause}")
         elapsed += run.end_time
-        found = cycles(run)
+        found = cycles(run, start=state if at_release else None)
         if found:
             best = found[-1]
-            if best.drift(best.scale()) < settings.settled:
+            if _may_repeat(best, settings) and best.drift(best.scale()) < settings.settled:
                 return Settling(cycle=best)
             speeds = [-cycle.impacts[0].approach_rate for cycle in found]
             fastest = max(fastest, *speeds)
@@ -105,11 +110,29 @@ def _settle_from(dynamics: HybridDynamics, state: Vector, settings: SettlingSett
                 return Settling(cycle=None, reason="the motion dies out")
         if not run.events and _is_at_rest(dynamics, run.end_state):
             return Settling(cycle=None, reason="the motion dies out")
-        state = run.end_state
+        at_release = run.releases[-1:] != () and run.releases[-1].time == run.end_time
+        state = run.releases[-1].state if at_release else run.end_state
     if best is not None and best.drift(best.scale()) < settings.usable:
         return Settling(cycle=best)
     what = "its periods differ" if best is not None else "no release is followed by a Zeno point"
     return Settling(cycle=None, reason=f"{what} after {settings.horizon:g} s")
+
+
+def _may_repeat(cycle: Cycle, settings: SettlingSettings) -> bool:
+    """Tell whether the sizes of the states, which cost an integration, are worth the asking."""
+    events = [cycle.start.state, cycle.zeno.state, *(i.state_minus for i in cycle.impacts)]
+    change = np.max(np.abs(cycle.end.state - cycle.start.state))
+    return bool(change <= _LARGER * settings.settled * np.max(np.abs(events)))
+
+
+def _to_next_look(
+    dynamics: HybridDynamics, state: Vector, settings: SettlingSettings, *, at_release: bool
+) -> Execution:
+    """Return the execution to the next release, or over a chunk without any."""
+    until, simulation = settings.chunk, settings.simulation
+    if at_release:
+        return to_next_release(dynamics, state, horizon=until, settings=simulation)
+    return simulate(dynamics, state, until=until, releases=1, settings=simulation)
 
 
 def _is_at_rest(dynamics: HybridDynamics, state: Vector) -> bool:

@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
@@ -91,6 +92,12 @@ class ZenoOrbit:
 
 def versions() -> dict[str, str]:
     """Return name to version of what computes an orbit."""
+    return dict(_versions())
+
+
+@cache
+def _versions() -> tuple[tuple[str, str], ...]:
+    """Ask the installation once: it takes longer than a period of simulation."""
     # Both take as long to import as a small module of ours, and a reader needs neither.
     import platform
     from importlib.metadata import PackageNotFoundError, version
@@ -101,7 +108,7 @@ def versions() -> dict[str, str]:
             found[name] = version(name)
         except PackageNotFoundError:
             found[name] = "not installed"
-    return found
+    return tuple(found.items())
 
 
 def write_orbit(orbit: ZenoOrbit, path: Path) -> None:

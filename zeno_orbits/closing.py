@@ -1,0 +1,275 @@
+r"""Orbits closed by simulation: Newton's method on the return map, at given gains.
+
+On the release section the orbit is the root of :math:`P(y) - y` (theory (18)). The slope of
+:math:`P` is taken from the returns themselves, a rank-one correction each [Broyden1965]_; only
+where that does not converge, as on an orbit that repels, it is measured by differences.
+
+It takes a tenth of the time of the collocation program, and less can be said of it: the orbit
+comes from the simulator, which the checker uses, too. Certify it with another engine than it was
+closed with, or with the model written by hand, or take `find_orbit`, which shares the model alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from zeno_orbits.compiled import bind
+from zeno_orbits.cycle import Cycle, cycles
+from zeno_orbits.dynamics import HybridDynamics, Vector
+from zeno_orbits.engines import Taylor
+from zeno_orbits.errors import InputError, SimulationError, ZenoOrbitsError
+from zeno_orbits.guess import RUNAWAY, SettlingSettings, settle
+from zeno_orbits.models import compiled_model
+from zeno_orbits.orbit import OrbitImpact, ZenoOrbit, versions
+from zeno_orbits.poincare import floquet_multipliers, release_section, to_next_release
+from zeno_orbits.problem import Problem, Setting
+from zeno_orbits.simulate import SimulationSettings, simulate
+
+_REPEATS = 1e-12
+"""Change of the release over a period that counts as none, relative."""
+_STALLED = 1e-8
+"""Change that rounding may leave where the flow is stiff; more than this is no orbit."""
+_MOST_RETURNS = 16
+_NEAR = (1e-2, 1e-6)
+"""How far a motion has settled when it is closed: early, and if that fails, late."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClosedCycle:
+    """A period that repeats.
+
+    Attributes:
+        cycle: The period, simulated from its release.
+        miss: Change of the release over it, relative.
+        returns: Returns that it took, those for a slope by differences not counted.
+    """
+
+    cycle: Cycle
+    miss: float
+    returns: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Closing:
+    """Outcome of closing an orbit by simulation, successful or not.
+
+    Attributes:
+        orbit: The orbit, not verified, if there is one.
+        miss: Change of its release over a period, relative; infinite without an orbit.
+        returns: Returns that it took.
+        detail: The reason in words, if there is no orbit.
+    """
+
+    orbit: ZenoOrbit | None
+    miss: float = np.inf
+    returns: int = 0
+    detail: str = ""
+
+    def unwrap(self) -> ZenoOrbit:
+        """Return the orbit.
+
+        Raises:
+            OrbitNotClosedError: If there is none; the error carries this result.
+        """
+        if self.orbit is None:
+            raise OrbitNotClosedError(self)
+        return self.orbit
+
+
+class OrbitNotClosedError(ZenoOrbitsError):
+    """No simulation was closed to an orbit.
+
+    Attributes:
+        result: How it ended.
+    """
+
+    def __init__(self, result: Closing) -> None:
+        super().__init__(result.detail)
+        self.result = result
+
+
+def close_orbit(
+    problem: Problem,
+    setting: Setting,
+    *,
+    near: ZenoOrbit | None = None,
+    simulation: SimulationSettings | None = None,
+) -> Closing:
+    """Return the orbit at given gains to which a simulation settles, or one near another orbit.
+
+    The simulator makes the orbit here and checks it in `verify`: an error of the simulator that is
+    the same in both is not seen. Verify with another engine, or `use_reference`, or both.
+
+    Args:
+        problem: The scene.
+        setting: Its numbers.
+        near: An orbit of the scene to start from, at these numbers or near them; else the scene's
+            starts are followed until the motion nearly repeats.
+        simulation: Engine and accuracy; by default Taylor's method at full accuracy where heyoka is
+            installed and the scene analytic, else the default engine.
+
+    Raises:
+        InputError: If ``near`` is of another scene, or ``simulation`` asks for what is missing.
+    """
+    if near is not None and near.problem != problem.name:
+        message = f"must be of scene `{problem.name}`, but it is of `{near.problem}`"
+        raise InputError(f"Argument `near` {message}.")
+    if simulation is not None:
+        return _closed(problem, setting, near, simulation)
+    try:
+        return _closed(problem, setting, near, SimulationSettings(engine=Taylor()))
+    except InputError:
+        # No heyoka or no formulas for it; what else is wrong is wrong for every engine.
+        return _closed(problem, setting, near, SimulationSettings())
+
+
+def close_cycle(
+    dynamics: HybridDynamics,
+    release: Vector,
+    *,
+    scale: Vector,
+    period: float,
+    settings: SimulationSettings,
+    slope: Vector | None = None,
+) -> ClosedCycle:
+    r"""Return the period that repeats, near a release.
+
+    With :math:`r_k = P(y_k) - y_k`, steps :math:`(1 - J) s_k = r_k`, and after each
+    :math:`J \leftarrow J + (r_{k+1} - r_k - (J - 1) s_k) s_k^\top / s_k^\top s_k`.
+
+    Args:
+        dynamics: The system.
+        release: A release state near the orbit's, ``(n_x,)``.
+        scale: Size of each state, ``(n_x,)``.
+        period: Of the orbit, roughly [s].
+        settings: Engine and accuracy.
+        slope: Derivative of the return map in the section around ``release``, if it is known.
+
+    Raises:
+        SimulationError: If a release does not return, or no return repeats.
+    """
+    section = release_section(dynamics, dynamics.on_stop(release), scale)
+    one, measured = np.eye(section.dimension), slope is not None
+    j = np.zeros_like(one) if slope is None else slope
+    here, miss, change = np.zeros(section.dimension), np.zeros(section.dimension), np.inf
+    step: Vector | None = None
+    for count in range(1, _MOST_RETURNS + 1):
+        start = dynamics.on_stop(section.state(dynamics, here))
+        cycle = _return(dynamics, start, period, settings)
+        before, miss = miss, section.coordinates(cycle.end.state) - here
+        last, change = change, float(np.max(np.abs(miss), initial=0.0))
+        if change <= _REPEATS or (change <= _STALLED and change >= last):
+            return ClosedCycle(cycle=cycle, miss=change, returns=count)
+        if step is not None and float(step @ step) > 0.0:
+            j = j + np.outer(miss - before - (j - one) @ step, step) / (step @ step)
+        if not measured and change > last / 2:
+            # Returns alone do not close in: the orbit repels, or attracts hardly.
+            j = floquet_multipliers(
+                dynamics, start, scale=scale, period=period, settings=settings
+            ).jacobian
+            measured = True
+        # Least squares: at a fold of a family the matrix is singular, and that is no crash.
+        step = np.linalg.lstsq(one - j, miss, rcond=None)[0]
+        here = here + step
+    raise SimulationError(
+        f"No return repeats, the last misses by {change:.1e}",
+        time=period,
+        state=tuple(release.tolist()),
+    )
+
+
+def cycle_near(
+    dynamics: HybridDynamics, x: Vector, *, period: float, settings: SimulationSettings
+) -> Cycle:
+    """Return the first period of the motion from a state on the stop, near a release or at one.
+
+    Raises:
+        SimulationError: If no Zeno point and release follow within two periods.
+    """
+    run = simulate(dynamics, x, until=2 * period, settings=settings)
+    return _first(cycles(run, start=x), x, 2 * period)
+
+
+def _return(
+    dynamics: HybridDynamics, release: Vector, period: float, settings: SimulationSettings
+) -> Cycle:
+    run = to_next_release(dynamics, release, horizon=2 * period, settings=settings)
+    return _first(cycles(run, start=release), release, 2 * period)
+
+
+def _first(found: Sequence[Cycle], x: Vector, horizon: float) -> Cycle:
+    if not found:
+        reason = "No Zeno point and release follow"
+        raise SimulationError(reason, time=horizon, state=tuple(x.tolist()))
+    return found[0]
+
+
+def _closed(
+    problem: Problem, setting: Setting, near: ZenoOrbit | None, simulation: SimulationSettings
+) -> Closing:
+    dynamics = bind(compiled_model(problem), setting.values())
+    detail = ""
+    for settled in _NEAR if near is None else (np.inf,):
+        try:
+            if near is None:
+                cycle = _settled(dynamics, problem, settled, simulation)
+            else:
+                x = dynamics.on_stop(np.array(problem.state_vector(near.release_state)))
+                cycle = cycle_near(dynamics, x, period=near.period, settings=simulation)
+            closed = close_cycle(
+                dynamics,
+                cycle.end.state,
+                scale=cycle.scale(),
+                period=cycle.period,
+                settings=simulation,
+            )
+        except _NoGuessError as error:
+            return Closing(orbit=None, detail=str(error))
+        except SimulationError as error:
+            detail = str(error)
+            continue
+        orbit = orbit_of(closed.cycle, problem, setting)
+        return Closing(orbit=orbit, miss=closed.miss, returns=closed.returns)
+    return Closing(orbit=None, detail=detail)
+
+
+class _NoGuessError(ZenoOrbitsError):
+    """No start settled."""
+
+
+def _settled(
+    dynamics: HybridDynamics, problem: Problem, settled: float, simulation: SimulationSettings
+) -> Cycle:
+    starts: Sequence[tuple[float, ...]] = [problem.state_vector(x) for x in problem.starts]
+    settings = SettlingSettings(settled=settled, simulation=replace(simulation, far=RUNAWAY))
+    settling = settle(dynamics, starts, settings)
+    if settling.cycle is None:
+        raise _NoGuessError(f"{settling.reason[0].upper()}{settling.reason[1:]}.")
+    return settling.cycle
+
+
+def orbit_of(cycle: Cycle, problem: Problem, setting: Setting) -> ZenoOrbit:
+    """Return a period that repeats as an orbit without a certificate."""
+
+    def named(state: Vector) -> Mapping[str, float]:
+        return dict(zip(problem.state_names, state.tolist(), strict=True))
+
+    start = cycle.start.time
+    return ZenoOrbit(
+        problem=problem.name,
+        parameters=dict(setting.parameters),
+        gains=dict(setting.gains),
+        period=cycle.period,
+        release_state=named(cycle.start.state),
+        impacts=tuple(
+            OrbitImpact(time=impact.time - start, state_minus=named(impact.state_minus))
+            for impact in cycle.impacts
+        ),
+        zeno_time=cycle.zeno.time - start,
+        zeno_state=named(cycle.zeno.state),
+        certificate={},
+        versions=versions(),
+    )
