@@ -11,7 +11,7 @@ closed with, or with the model written by hand, or take `find_orbit`, which shar
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -97,6 +97,7 @@ def close_orbit(
     *,
     near: ZenoOrbit | None = None,
     simulation: SimulationSettings | None = None,
+    on_progress: Callable[[str], None] | None = None,
 ) -> Closing:
     """Return the orbit at given gains to which a simulation settles, or one near another orbit.
 
@@ -110,6 +111,7 @@ def close_orbit(
             starts are followed until the motion nearly repeats.
         simulation: Engine and accuracy; by default Taylor's method at full accuracy where heyoka is
             installed and the scene analytic, else the default engine.
+        on_progress: Called with the name of each stage as it begins.
 
     Raises:
         InputError: If ``near`` is of another scene, or ``simulation`` asks for what is missing.
@@ -117,13 +119,14 @@ def close_orbit(
     if near is not None and near.problem != problem.name:
         message = f"must be of scene `{problem.name}`, but it is of `{near.problem}`"
         raise InputError(f"Argument `near` {message}.")
+    tell = on_progress or (lambda _: None)
     if simulation is not None:
-        return _closed(problem, setting, near, simulation)
+        return _closed(problem, setting, near, simulation, tell)
     try:
-        return _closed(problem, setting, near, SimulationSettings(engine=Taylor()))
+        return _closed(problem, setting, near, SimulationSettings(engine=Taylor()), tell)
     except InputError:
         # No heyoka or no formulas for it; what else is wrong is wrong for every engine.
-        return _closed(problem, setting, near, SimulationSettings())
+        return _closed(problem, setting, near, SimulationSettings(), tell)
 
 
 def close_cycle(
@@ -208,17 +211,23 @@ def _first(found: Sequence[Cycle], x: Vector, horizon: float) -> Cycle:
 
 
 def _closed(
-    problem: Problem, setting: Setting, near: ZenoOrbit | None, simulation: SimulationSettings
+    problem: Problem,
+    setting: Setting,
+    near: ZenoOrbit | None,
+    simulation: SimulationSettings,
+    tell: Callable[[str], None],
 ) -> Closing:
     dynamics = bind(compiled_model(problem), setting.values())
     detail = ""
     for settled in _NEAR if near is None else (np.inf,):
         try:
+            tell("simulating")
             if near is None:
                 cycle = _settled(dynamics, problem, settled, simulation)
             else:
                 x = dynamics.on_stop(np.array(problem.state_vector(near.release_state)))
                 cycle = cycle_near(dynamics, x, period=near.period, settings=simulation)
+            tell("closing the orbit")
             closed = close_cycle(
                 dynamics,
                 cycle.end.state,
