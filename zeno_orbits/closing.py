@@ -17,8 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from zeno_orbits.compiled import bind
+from zeno_orbits.completion import ZenoExtrapolation
 from zeno_orbits.cycle import Cycle, cycles
-from zeno_orbits.dynamics import HybridDynamics, Vector
+from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
 from zeno_orbits.engines import Taylor
 from zeno_orbits.errors import InputError, SimulationError, ZenoOrbitsError
 from zeno_orbits.guess import RUNAWAY, SettlingSettings, settle
@@ -33,8 +34,10 @@ _REPEATS = 1e-12
 _STALLED = 1e-8
 """Change that rounding may leave where the flow is stiff; more than this is no orbit."""
 _MOST_RETURNS = 16
-_NEAR = (1e-2, 1e-6)
+_NEAR = (1e-2, 1e-4)
 """How far a motion has settled when it is closed: early, and if that fails, late."""
+_ROUGH = 1e-6
+"""Accuracy of the motion on its way there."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -231,7 +234,7 @@ def _closed(
             closed = close_cycle(
                 dynamics,
                 cycle.end.state,
-                scale=cycle.scale(),
+                scale=cycle.scale_at_events(),
                 period=cycle.period,
                 settings=simulation,
             )
@@ -253,7 +256,17 @@ def _settled(
     dynamics: HybridDynamics, problem: Problem, settled: float, simulation: SimulationSettings
 ) -> Cycle:
     starts: Sequence[tuple[float, ...]] = [problem.state_vector(x) for x in problem.starts]
-    settings = SettlingSettings(settled=settled, simulation=replace(simulation, far=RUNAWAY))
+    tolerance = Tolerance(
+        relative=max(simulation.tolerance.relative, _ROUGH),
+        absolute=max(simulation.tolerance.absolute, _ROUGH),
+    )
+    rough = replace(
+        simulation,
+        tolerance=tolerance,
+        completion=ZenoExtrapolation(tolerance=_ROUGH),
+        far=RUNAWAY,
+    )
+    settings = SettlingSettings(settled=settled, simulation=rough)
     settling = settle(dynamics, starts, settings)
     if settling.cycle is None:
         raise _NoGuessError(f"{settling.reason[0].upper()}{settling.reason[1:]}.")

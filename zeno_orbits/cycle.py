@@ -12,6 +12,9 @@ from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.execution import Arc, Ending, Execution, Impact, Mode, Release, ZenoPoint
 from zeno_orbits.zeno import TailEstimate, estimate_tail, extrapolate, spread_nodes
 
+_VANISHING = 1e-9
+"""Part of the largest state below which one is rounding."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Cycle:
@@ -50,13 +53,25 @@ class Cycle:
         """Return the size of each state over the cycle, ``(n_x,)``, nowhere zero."""
         return self._sizes.copy()
 
+    def scale_at_events(self) -> Vector:
+        """Return the size of each state at the events of the cycle, ``(n_x,)``, nowhere near zero.
+
+        Sizes in between cost an integration with some engines. A state that vanishes at every
+        event, as the gap does, does not drift there; it is given the largest size.
+        """
+        sizes = np.max(np.abs(self._event_states()), axis=0)
+        largest = float(np.max(sizes))
+        return np.where(sizes > _VANISHING * largest, sizes, largest if largest > 0.0 else 1.0)
+
+    def _event_states(self) -> Vector:
+        ends = [self.start.state, self.zeno.state, self.end.state]
+        return np.array([*ends, *(x for i in self.impacts for x in (i.state_minus, i.state_plus))])
+
     @cached_property
     def _sizes(self) -> Vector:
         # Between impacts only the gap has its largest value inside, and it is tiny there.
-        ends = [self.start.state, self.zeno.state, self.end.state]
-        ends += [state for i in self.impacts for state in (i.state_minus, i.state_plus)]
-        states = np.concatenate([ends, self.flight.flow_states, self.locked.flow_states])
-        sizes = np.max(np.abs(states), axis=0)
+        inside = [self.flight.flow_states, self.locked.flow_states]
+        sizes = np.max(np.abs(np.concatenate([self._event_states(), *inside])), axis=0)
         return np.where(sizes > 0.0, sizes, 1.0)
 
 

@@ -24,9 +24,6 @@ _FADED = 1e-3
 _STILL = 1e-6
 """Speeds and accelerations below this are rest, in the scene's units."""
 
-_LARGER = 10.0
-"""A state may be that much larger between the events of a period than the largest one at them."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SettlingSettings:
@@ -102,7 +99,7 @@ def _settle_from(dynamics: HybridDynamics, state: Vector, settings: SettlingSett
         found = cycles(run, start=state if at_release else None)
         if found:
             best = found[-1]
-            if _may_repeat(best, settings) and best.drift(best.scale()) < settings.settled:
+            if best.drift(best.scale_at_events()) < settings.settled:
                 return Settling(cycle=best)
             speeds = [-cycle.impacts[0].approach_rate for cycle in found]
             fastest = max(fastest, *speeds)
@@ -116,13 +113,6 @@ def _settle_from(dynamics: HybridDynamics, state: Vector, settings: SettlingSett
         return Settling(cycle=best)
     what = "its periods differ" if best is not None else "no release is followed by a Zeno point"
     return Settling(cycle=None, reason=f"{what} after {settings.horizon:g} s")
-
-
-def _may_repeat(cycle: Cycle, settings: SettlingSettings) -> bool:
-    """Tell whether the sizes of the states, which cost an integration, are worth the asking."""
-    events = [cycle.start.state, cycle.zeno.state, *(i.state_minus for i in cycle.impacts)]
-    change = np.max(np.abs(cycle.end.state - cycle.start.state))
-    return bool(change <= _LARGER * settings.settled * np.max(np.abs(events)))
 
 
 def _to_next_look(

@@ -197,7 +197,7 @@ def _first_cycle(
     arcs = tuple(arc for arc in execution.arcs if arc.start_time < end.time)
     states = np.concatenate([arc.flow_states[:, : len(end.state)] for arc in arcs])
     sizes = np.max(np.abs(states), axis=0)
-    gaps = [abs(dynamics.gap(x)) for x in states]
+    gaps = [_largest_gap(dynamics, arc) for arc in arcs]
     forces = [
         abs(dynamics.multiplier(x))
         for arc in arcs
@@ -214,6 +214,14 @@ def _first_cycle(
         gap_scale=max(gaps),
         force_scale=max([*forces, abs(dynamics.multiplier(zeno.state))]),
     )
+
+
+def _largest_gap(dynamics: HybridDynamics, arc: Arc) -> float:
+    """Return the largest gap of an arc; a rescaled flight carries it along."""
+    states = arc.flow_states
+    if arc.mode is Mode.FREE and states.shape[1] > len(arc.start_state):
+        return float(np.max(np.abs(states[:, -2]))) * arc.time_unit**2
+    return max(abs(dynamics.gap(x)) for x in states)
 
 
 def distance(a: Vector, b: Vector, scale: Vector) -> float:
