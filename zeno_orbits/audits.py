@@ -24,7 +24,6 @@ from zeno_orbits.simulate import SimulationSettings, simulate
 
 def delta_sweep(
     dynamics: HybridDynamics,
-    claim: Claim,
     cycle: FirstCycle,
     cuts: Sequence[float],
     simulation: SimulationSettings,
@@ -35,7 +34,6 @@ def delta_sweep(
 
     Args:
         dynamics: The system.
-        claim: The orbit as claimed.
         cycle: The first period, completed by the extrapolated limit.
         cuts: Thresholds in units of the first impact speed, falling.
         simulation: Accuracy.

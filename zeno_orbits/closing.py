@@ -4,8 +4,8 @@ On the release section the orbit is the root of :math:`P(y) - y` (theory (18)). 
 :math:`P` is taken from the returns themselves, a rank-one correction each [Broyden1965]_; only
 where that does not converge, as on an orbit that repels, it is measured by differences.
 
-It takes a tenth of the time of the collocation program, and less can be said of it: the orbit
-comes from the simulator, which the checker uses, too. Certify it with another engine than it was
+It is faster than the collocation program by far, and less can be said of it: the orbit comes from
+the simulator, which the checker uses, too. Certify it with another engine than it was
 closed with, or with the model written by hand, or take `find_orbit`, which shares the model alone.
 """
 
@@ -122,7 +122,11 @@ def close_orbit(
     if near is not None and near.problem != problem.name:
         message = f"must be of scene `{problem.name}`, but it is of `{near.problem}`"
         raise InputError(f"Argument `near` {message}.")
-    tell = on_progress or (lambda _: None)
+
+    def tell(stage: str) -> None:
+        if on_progress is not None:
+            on_progress(stage)
+
     if simulation is not None:
         return _closed(problem, setting, near, simulation, tell)
     try:
@@ -160,8 +164,8 @@ def close_cycle(
     section = release_section(dynamics, dynamics.on_stop(release), scale)
     one, measured = np.eye(section.dimension), slope is not None
     j = np.zeros_like(one) if slope is None else slope
-    here, miss, change = np.zeros(section.dimension), np.zeros(section.dimension), np.inf
-    step: Vector | None = None
+    here = miss = step = np.zeros(section.dimension)
+    change = np.inf
     for count in range(1, _MOST_RETURNS + 1):
         start = dynamics.on_stop(section.state(dynamics, here))
         cycle = _return(dynamics, start, period, settings)
@@ -169,8 +173,9 @@ def close_cycle(
         last, change = change, float(np.max(np.abs(miss), initial=0.0))
         if change <= _REPEATS or (change <= _STALLED and change >= last):
             return ClosedCycle(cycle=cycle, miss=change, returns=count)
-        if step is not None and float(step @ step) > 0.0:
-            j = j + np.outer(miss - before - (j - one) @ step, step) / (step @ step)
+        length = float(step @ step)
+        if length > 0.0:
+            j = j + np.outer(miss - before - (j - one) @ step, step) / length
         if not measured and change > last / 2:
             # Returns alone do not close in: the orbit repels, or attracts hardly.
             j = floquet_multipliers(

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from functools import lru_cache
 
 from zeno_orbits.compiled import CompiledSystem, compile_problem
-from zeno_orbits.hybrid import CompletedSystem
 from zeno_orbits.dynamics import HybridDynamics
+from zeno_orbits.hybrid import CompletedSystem
 from zeno_orbits.problem import Problem, Setting, load_reference
 
 _MOST = 16

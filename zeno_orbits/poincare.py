@@ -54,7 +54,7 @@ class ReleaseSection:
 
 
 _CORRECTIONS = 12
-"""Newton steps at most, with the gradient at the centre; each gains the size of the displacement."""
+"""Newton steps at most, with the gradient at the centre; each gains what the displacement is."""
 
 _EXACT = 1e-15
 """Correction in scaled states after which the next one is rounding."""

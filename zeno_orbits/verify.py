@@ -85,7 +85,7 @@ def verify(
     sweep: tuple[DeltaCut, ...] = ()
     if seen.cycle is not None:
         tell("cutting the impact sequence")
-        sweep = delta_sweep(dynamics, claim, seen.cycle, settings.cuts, settings.simulation)
+        sweep = delta_sweep(dynamics, seen.cycle, settings.cuts, settings.simulation)
         if sweep:
             residuals["delta_sweep"] = sweep[-1].error
         tell("balancing the energy")
