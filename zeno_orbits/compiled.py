@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -11,7 +11,15 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.collocation import Collocation
-from zeno_orbits.dynamics import GuardedFlow, HybridDynamics, NewtonPieces, Tolerance, Vector
+from zeno_orbits.dynamics import (
+    FusedResting,
+    GuardedFlow,
+    HybridDynamics,
+    NewtonPieces,
+    Resting,
+    Tolerance,
+    Vector,
+)
 from zeno_orbits.hybrid import CompletedSystem
 from zeno_orbits.implicit import implicit_expressions
 from zeno_orbits.problem import Problem
@@ -62,6 +70,8 @@ class CompiledSystem:
         flight: The rescaled flight, in ``((x, h / w^2, (dh/dt) / w), (p, w))`` (theory (14)).
         contact: ``(x, p) -> (gap, gap_rate, gap_acceleration, multiplier, multiplier_rate)``.
         impulse: ``(x, p) -> (impulse_direction, normal_inertia, restitution)``.
+        reset: ``(x, p, approach rate) -> x after the impact``.
+        resting: ``(x, p) -> (x on the stop, its gap_acceleration, its locked flow)``.
         powers: ``(x, p) -> (input_power, copper_loss, other_loss)`` [W].
         energy: ``(x, p) -> energy`` [J].
         holonomic: ``(x, p) -> (eta, eta_rate)``.
@@ -74,6 +84,8 @@ class CompiledSystem:
     flight: ModeFunctions
     contact: ca.Function
     impulse: ca.Function
+    reset: ca.Function
+    resting: ca.Function
     powers: ca.Function
     energy: ca.Function
     holonomic: ca.Function
@@ -154,10 +166,32 @@ def compile_system(
         impulse=function(
             "impulse", system.impulse_direction, system.normal_inertia, system.restitution
         ),
+        reset=_function("reset", [system.state, parameters, speed], [_reset(system, speed)]),
+        resting=function("resting", *_resting(system)),
         powers=function("powers", powers),
         energy=function("energy", system.energy),
         holonomic=function("holonomic", system.holonomic),
     )
+
+
+def _reset(system: CompletedSystem, approach_rate: ca.SX) -> ca.SX:
+    """Return the state after an impact: Newton's law along the impulse, theory (7).
+
+    The rate is given, and exact where the state holds only rounding.
+    """
+    change = (1 + system.restitution) * approach_rate * system.impulse_direction
+    return system.state - change
+
+
+def _resting(system: CompletedSystem) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Return the state moved onto the stop as by ``HybridDynamics.on_stop``, and its rates."""
+    x, n_q, direction = system.state, system.n_q, system.impulse_direction
+    moved = ca.vertcat(x[:n_q] - system.gap * direction[n_q : 2 * n_q], x[n_q:])
+    rate, direction = ca.substitute([system.gap_rate, direction], [x], [moved])
+    resting = moved - rate * direction
+    flows = [system.gap_acceleration, system.locked_flow]
+    acceleration, locked = ca.substitute(flows, [x], [resting])
+    return resting, acceleration, locked
 
 
 def bind(compiled: CompiledSystem, values: Sequence[float]) -> HybridDynamics:
@@ -172,21 +206,16 @@ def bind(compiled: CompiledSystem, values: Sequence[float]) -> HybridDynamics:
     impulse = _Call(compiled.impulse, p)
     energy = _Call(compiled.energy, p)
     holonomic = _Call(compiled.holonomic, p)
-    restitution = float(impulse(np.zeros(compiled.n_x), 2)[0])
 
     def flight(speed: float) -> GuardedFlow:
         numbers = np.empty(p.size + 1)
         numbers[:-1], numbers[-1] = p, speed
         return CompiledFlow(compiled.flight, numbers)
 
-    def reset_map(x: Vector, approach_rate: float) -> Vector:
-        # Newton's law along the impulse, theory (7); the rate is exact where x holds only rounding.
-        return x - (1 + restitution) * approach_rate * impulse(x, 0)
-
-    return HybridDynamics(
+    plain = HybridDynamics(
         state_names=compiled.state_names,
         n_q=compiled.n_q,
-        restitution=restitution,
+        restitution=float(impulse(np.zeros(compiled.n_x), 2)[0]),
         free=CompiledFlow(compiled.free, p),
         locked=CompiledFlow(compiled.locked, p),
         flight=flight,
@@ -195,12 +224,14 @@ def bind(compiled: CompiledSystem, values: Sequence[float]) -> HybridDynamics:
         gap_acceleration=lambda x: float(contact(x)[2]),
         multiplier=lambda x: float(contact(x)[3]),
         multiplier_rate=lambda x: float(contact(x)[4]),
-        reset_map=reset_map,
+        reset_map=_ResetCall(compiled.reset, p),
         impulse_direction=lambda x: impulse(x, 0).copy(),
         normal_inertia=lambda x: float(impulse(x, 1)[0]),
         energy=lambda x: float(energy(x)[0]),
         holonomic=lambda x: holonomic(x).copy(),
     )
+    at_rest = FusedResting(evaluate=_RestingCall(compiled.resting, p), parts=plain.resting_parts)
+    return replace(plain, fused_resting=at_rest)
 
 
 class CompiledFlow:
@@ -385,6 +416,43 @@ class _StepCall:
         self._numbers[:] = (size, tolerance.relative, tolerance.absolute)
         self._evaluate()
         return self._after.copy(), self._error.item()
+
+
+class _ResetCall:
+    """The reset map at fixed ``p``, called through preallocated memory."""
+
+    def __init__(self, function: ca.Function, p: Vector) -> None:
+        self._x = np.zeros(function.size1_in(0))
+        self._rate = np.zeros(1)
+        self._after = np.zeros_like(self._x)
+        self._evaluate = _caller(function, (self._x, p, self._rate), (self._after,))
+
+    def __call__(self, x: Vector, approach_rate: float) -> Vector:
+        self._x[:] = x
+        self._rate[0] = approach_rate
+        self._evaluate()
+        return self._after.copy()
+
+
+class _RestingCall:
+    """The rest of a state on the stop at fixed ``p``, called through preallocated memory."""
+
+    def __init__(self, function: ca.Function, p: Vector) -> None:
+        self._x = np.zeros(function.size1_in(0))
+        self._state = np.zeros_like(self._x)
+        self._acceleration = np.zeros(1)
+        self._rate = np.zeros_like(self._x)
+        results = (self._state, self._acceleration, self._rate)
+        self._evaluate = _caller(function, (self._x, p), results)
+
+    def __call__(self, x: Vector) -> Resting:
+        self._x[:] = x
+        self._evaluate()
+        return Resting(
+            state=self._state.copy(),
+            gap_acceleration=self._acceleration.item(),
+            rate=self._rate.copy(),
+        )
 
 
 def _caller(

@@ -16,7 +16,7 @@ from zeno_orbits.engines import RungeKutta
 from zeno_orbits.engines.protocol import Stepper
 from zeno_orbits.hops import rescaled_hop
 from zeno_orbits.settling import is_settled
-from zeno_orbits.zeno import TailEstimate, ZenoLimit, extrapolate
+from zeno_orbits.zeno import TailEstimate, ZenoLimit, combine, extrapolate
 
 _MAY_BEND = 0.1
 """Largest relative change of d2h/dt2 over a Zeno tail; beyond it the tail is not geometric yet."""
@@ -73,9 +73,9 @@ class ZenoExtrapolation:
         last = estimates[-1]
         if last.speed > self.resolved * estimates[0].speed:
             return None
-        limit = extrapolate(dynamics, estimates)
-        if limit.error > self.tolerance:
+        if combine(estimates).error > self.tolerance:
             return None
+        limit = extrapolate(dynamics, estimates)
         bend = abs(dynamics.gap_acceleration(limit.state) - last.gap_acceleration)
         return limit if bend <= _MAY_BEND * abs(last.gap_acceleration) else None
 

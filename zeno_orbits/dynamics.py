@@ -164,6 +164,34 @@ class PlainNewton:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Resting:
+    r"""A state moved onto the stop, and what happens there.
+
+    Attributes:
+        state: Gap and gap rate zero, ``(n_x,)``.
+        gap_acceleration: :math:`\ddot h` of the free flow there.
+        rate: :math:`\dot x` of the locked flow there, ``(n_x,)``.
+    """
+
+    state: Vector
+    gap_acceleration: float
+    rate: Vector
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FusedResting:
+    """All that an impact asks of the stop in one evaluation, and the functions that it stands for.
+
+    Attributes:
+        evaluate: From a state to its rest.
+        parts: What it is made of, as ``HybridDynamics.resting_parts`` lists it.
+    """
+
+    evaluate: Callable[[Vector], Resting]
+    parts: tuple[object, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class HybridDynamics:
     r"""A completed hybrid system as numeric functions of the state ``x``, ``(n_x,)``.
 
@@ -186,6 +214,8 @@ class HybridDynamics:
         energy: Mechanical and magnetic energy [J].
         holonomic: :math:`(\eta, \dot\eta)`, ``(2 n_eta,)``; zero on admissible states.
         n_q: Number of coordinates; ``x`` begins with them, then as many velocities.
+        fused_resting: The method `resting` in one evaluation, if there is such a thing. It serves
+            as long as the functions that it stands for are this system's own.
     """
 
     state_names: tuple[str, ...]
@@ -204,19 +234,41 @@ class HybridDynamics:
     normal_inertia: Scalar
     energy: Scalar
     holonomic: Callable[[Vector], Vector]
+    fused_resting: FusedResting | None = None
 
     def __post_init__(self) -> None:
         """Refuse a restitution that is none, as a corrected drive beyond its reach has."""
+        if self.fused_resting is not None and self.fused_resting.parts != self.resting_parts:
+            # A part was replaced, by a wrong one in a test for instance: the whole is no longer it.
+            object.__setattr__(self, "fused_resting", None)
         if not 0.0 <= self.restitution < 1.0:
             message = f"must lie in [0, 1) at these numbers, but it is {self.restitution:g}"
             reason = "." if not math.isnan(self.restitution) else _BEYOND
             raise InputError(f"Argument `restitution` {message}{reason}")
+
+    @property
+    def resting_parts(self) -> tuple[object, ...]:
+        """The functions that `resting` is made of."""
+        return (self.gap, self.gap_rate, self.gap_acceleration, self.impulse_direction, self.locked)
+
+    def resting(self, x: Vector) -> Resting:
+        """Return the state moved onto the stop, as by `on_stop`, and what happens there."""
+        if self.fused_resting is not None:
+            return self.fused_resting.evaluate(x)
+        state = self.on_stop(x)
+        return Resting(
+            state=state,
+            gap_acceleration=self.gap_acceleration(state),
+            rate=self.locked.rate(state),
+        )
 
     def on_stop(self, x: Vector) -> Vector:
         """Return the state moved onto the stop, gap and gap rate zero, along the impulse.
 
         The velocity part is the plastic reset; the position part only takes away rounding.
         """
+        if self.fused_resting is not None:
+            return self.fused_resting.evaluate(x).state
         projected = x.copy()
         gap, direction = self.gap(projected), self.impulse_direction(projected)
         if gap != 0.0:

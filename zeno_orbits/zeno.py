@@ -74,6 +74,11 @@ def spread_nodes(speeds: Sequence[float]) -> list[int]:
     nodes = [len(speeds) - 1]
     while len(nodes) < N_NODES:
         wanted = speeds[nodes[-1]] / NODE_RATIO
+        before = nodes[-1] - 1
+        if before >= 0 and 0.0 < wanted <= speeds[before]:
+            # Mostly the speeds fall that fast at every impact.
+            nodes.append(before)
+            continue
         earlier = bisect_right(speeds, -wanted, key=lambda speed: -speed) - 1
         if earlier < 0 or wanted == 0.0:
             break
@@ -132,47 +137,57 @@ def estimate_tail(
         state_plus: State just after it.
         speed: Gap rate just after it, exactly; the state holds it only to rounding.
     """
-    resting = dynamics.on_stop(state_plus)
-    acceleration = dynamics.gap_acceleration(resting)
-    if not acceleration < 0.0:
+    resting = dynamics.resting(state_plus)
+    if not resting.gap_acceleration < 0.0:
         return None
-    remaining = tail_time(speed, acceleration, dynamics.restitution)
+    remaining = tail_time(speed, resting.gap_acceleration, dynamics.restitution)
     return TailEstimate(
         impact_time=time,
-        resting=resting,
+        resting=resting.state,
         speed=speed,
         time=time + remaining,
-        state=resting + remaining * dynamics.locked.rate(resting),
-        gap_acceleration=acceleration,
+        state=resting.state + remaining * resting.rate,
+        gap_acceleration=resting.gap_acceleration,
     )
 
 
 def extrapolate(dynamics: HybridDynamics, estimates: Sequence[TailEstimate]) -> ZenoLimit:
     """Return the Zeno point from the tail estimates of a sequence of impacts at falling speeds.
 
-    The error estimate is the difference from what the impacts a node earlier gave: the error of
-    that, and so more than this one's. Leaving out the fastest node instead would not do: where the
-    current's layer is longer than the last flights it hardly has a weight.
-
     Args:
         dynamics: The system.
         estimates: One an impact, at least one. With a single one the error is unknown: infinite,
             or zero if the impact was plastic.
     """
-    chosen = spread_nodes([estimate.speed for estimate in estimates])
-    time, state = _combine([estimates[k] for k in chosen])
+    limit = combine(estimates)
+    state = dynamics.on_stop(limit.state)
+    return ZenoLimit(time=limit.time, state=state, error=limit.error)
+
+
+def combine(estimates: Sequence[TailEstimate]) -> ZenoLimit:
+    """Return the extrapolated limit before it is moved onto the stop, which it misses by rounding.
+
+    The error estimate is the difference from what the impacts a node earlier gave: the error of
+    that, and so more than this one's. Leaving out the fastest node instead would not do: where the
+    current's layer is longer than the last flights it hardly has a weight.
+
+    Args:
+        estimates: As for `extrapolate`.
+    """
+    speeds = [estimate.speed for estimate in estimates]
+    chosen = spread_nodes(speeds)
+    time, state = _limit([estimates[k] for k in chosen])
     if len(chosen) == 1:
-        error = 0.0 if estimates[-1].speed == 0.0 else math.inf
+        error = 0.0 if speeds[-1] == 0.0 else math.inf
     else:
-        before = estimates[: chosen[-2] + 1]
-        earlier = spread_nodes([estimate.speed for estimate in before])
-        time_before, state_before = _combine([before[k] for k in earlier])
+        earlier = spread_nodes(speeds[: chosen[-2] + 1])
+        time_before, state_before = _limit([estimates[k] for k in earlier])
         change = np.abs(state - state_before) / (1 + np.abs(state))
         error = max(abs(time - time_before) / (1 + abs(time)), float(change.max()))
-    return ZenoLimit(time=time, state=dynamics.on_stop(state), error=error)
+    return ZenoLimit(time=time, state=state, error=error)
 
 
-def _combine(nodes: Sequence[TailEstimate]) -> tuple[float, Vector]:
+def _limit(nodes: Sequence[TailEstimate]) -> tuple[float, Vector]:
     """Return time and state of the limit that a polynomial through these nodes has."""
     weights = limit_weights([node.speed for node in nodes])
     time = sum(weight * node.time for weight, node in zip(weights, nodes, strict=True))
