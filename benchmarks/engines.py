@@ -110,7 +110,11 @@ def measure(
     settings = SimulationSettings(
         engine=ENGINES[name],
         tolerance=Tolerance(relative=relative, absolute=relative / 10),
-        completion=Truncation(delta=CUT) if name.endswith("cut") else ZenoExtrapolation(),
+        completion=(
+            Truncation(delta=CUT)
+            if name.endswith("cut")
+            else ZenoExtrapolation(tolerance=max(relative, 1e-12))
+        ),
         most_steps=MOST_STEPS,
     )
     try:

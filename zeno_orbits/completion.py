@@ -73,9 +73,10 @@ class ZenoExtrapolation:
         last = estimates[-1]
         if last.speed > self.resolved * estimates[0].speed:
             return None
-        if combine(estimates).error > self.tolerance:
+        raw = combine(estimates)
+        if raw.error > self.tolerance:
             return None
-        limit = extrapolate(dynamics, estimates)
+        limit = ZenoLimit(time=raw.time, state=dynamics.on_stop(raw.state), error=raw.error)
         bend = abs(dynamics.gap_acceleration(limit.state) - last.gap_acceleration)
         return limit if bend <= _MAY_BEND * abs(last.gap_acceleration) else None
 
