@@ -1,12 +1,14 @@
 """The compiled functions give every entry its place, sparse as the symbols may be."""
 
 import gc
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import DOP853
 
+from problems.motor_pendulum import reference
 from zeno_orbits.compiled import bind, compile_problem, compile_system
 from zeno_orbits.drives import no_drive
 from zeno_orbits.dynamics import HybridDynamics, PlainFlow, Tolerance
@@ -50,6 +52,39 @@ def test_the_numbers_of_a_flow_outlive_their_maker() -> None:
         speed = 10.0**-k
         expected = np.array([speed, 0.5 * speed, 0.0, -9.81 * speed, 1.0, -9.81])
         assert flight.rate(y) == pytest.approx(expected, rel=ROUNDING)
+
+
+def test_the_fused_rest_is_that_of_the_pendulum_written_by_hand() -> None:
+    problem = load_problem("motor_pendulum")
+    setting = problem.setting()
+    compiled, by_hand = (
+        bind(compile_problem(problem), setting.values()),
+        reference.dynamics(setting),
+    )
+    assert compiled.fused_resting is not None
+    assert by_hand.fused_resting is None
+    random = np.random.default_rng(0)
+    for gap in (0.0, 1e-9, 0.1):
+        x = random.uniform(-2.0, 2.0, 5)
+        x[1] = gap
+        fused, plain = compiled.resting(x), by_hand.resting(x)
+        # Forces of size 100 over inertias of 0.01 cancel in the accelerations.
+        assert fused.state == pytest.approx(plain.state, rel=1e-13, abs=1e-14)
+        assert fused.gap_acceleration == pytest.approx(plain.gap_acceleration, rel=1e-11, abs=1e-11)
+        assert fused.rate == pytest.approx(plain.rate, rel=1e-11, abs=1e-11)
+        assert compiled.on_stop(x).tolist() == fused.state.tolist()
+
+
+def test_the_fused_rest_gives_way_to_a_part_that_was_replaced() -> None:
+    ball = _uncoupled_ball()
+    x = np.array([0.0, 0.1, 1.0, -1.0])
+    assert ball.resting(x).gap_acceleration == pytest.approx(-9.81)
+    heavy = replace(ball, gap_acceleration=lambda _: -20.0)
+    assert heavy.resting(x).gap_acceleration == -20.0
+    sideways = replace(ball, impulse_direction=lambda _: np.array([0.0, 0.0, 0.5, 1.0]))
+    assert sideways.on_stop(x) == pytest.approx(np.array([-0.05, 0.0, 1.5, 0.0]))
+    # What it does not stand for leaves it alone.
+    assert replace(ball, energy=lambda _: 0.0).fused_resting is ball.fused_resting
 
 
 def test_a_compiled_step_is_the_plain_step() -> None:
