@@ -57,10 +57,8 @@ def test_the_numbers_of_a_flow_outlive_their_maker() -> None:
 def test_the_fused_rest_is_that_of_the_pendulum_written_by_hand() -> None:
     problem = load_problem("motor_pendulum")
     setting = problem.setting()
-    compiled, by_hand = (
-        bind(compile_problem(problem), setting.values()),
-        reference.dynamics(setting),
-    )
+    compiled = bind(compile_problem(problem), setting.values())
+    by_hand = reference.dynamics(setting)
     assert compiled.fused_resting is not None
     assert by_hand.fused_resting is None
     random = np.random.default_rng(0)
