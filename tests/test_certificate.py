@@ -171,3 +171,33 @@ def test_the_certificate_of_an_orbit_is_plain_data(certificate: OrbitCertificate
     data = certificate.as_json()
     assert json.loads(json.dumps(data, allow_nan=False)) == data
     assert data["failed"] == []
+
+
+@pytest.mark.parametrize("multiplier", [-0.9, 0.0, 0.5, 0.99, 1.01, 3.0])
+def test_the_error_of_an_orbit_bounds_its_distance_from_the_fixed_point(multiplier: float) -> None:
+    """Of the map x -> multiplier x: a point at 1e-8 returns with this miss."""
+    distance = 1e-8
+    miss = abs(1.0 - multiplier) * distance
+    seen = replace(_with(closure=miss), multipliers=(multiplier,))
+    assert seen.orbit_error >= distance
+    # Nor is it ever below what the other residuals miss by.
+    assert seen.orbit_error >= miss
+
+
+@pytest.mark.parametrize(
+    "name", ["release", "first_impact", "impact_sequence", "zeno_point", "closure", "period"]
+)
+def test_every_residual_of_the_orbits_numbers_counts_in_its_error(name: str) -> None:
+    assert GOOD.orbit_error < 1e-11
+    assert _with(**{name: 1e-6}).orbit_error >= 1e-6
+    assert math.isinf(_with(**{name: math.nan}).orbit_error)
+    assert math.isinf(_with(**{name: math.inf}).orbit_error)
+
+
+def test_an_orbit_of_unknown_or_unit_multipliers_has_an_error_without_bound() -> None:
+    unknown = replace(GOOD, multipliers=(), multiplier_error=math.inf)
+    assert math.isinf(unknown.orbit_error)
+    assert math.isinf(replace(GOOD, multipliers=(1.0,)).orbit_error)
+    assert math.isinf(replace(GOOD, residuals={}).orbit_error)
+    # A section of one point has no multipliers and nothing to magnify.
+    assert replace(GOOD, multipliers=()).orbit_error == pytest.approx(2e-12)

@@ -308,3 +308,14 @@ def test_an_orbit_is_kept_where_the_way_to_the_nearest_gains_is_lost(
     )
     assert result.status is SearchStatus.FOUND
     assert "not the nearest" in result.detail
+
+
+@pytest.mark.parametrize("wanted", [1e-12, 1e-10, 1e-6, 1e-2])
+def test_an_accuracy_asks_for_an_agreement_below_it_and_changes_nothing_else(wanted: float) -> None:
+    given = SearchSettings(n_starts=3, seed=7)
+    chosen = given.for_accuracy(wanted)
+    assert chosen.agreement < wanted
+    assert chosen.transcription.closure_tolerance <= wanted
+    assert chosen.transcription.mesh_tolerance <= 1e-2
+    same = replace(chosen, agreement=given.agreement, transcription=given.transcription)
+    assert same == given

@@ -123,11 +123,12 @@ class OrbitCertificate:
         A return that misses by d comes from a fixed point d / |1 - mu| away, mu the multiplier;
         infinite where the return or the multipliers could not be had.
         """
-        miss = max(self.residuals.get(name, math.inf) for name in _MISSES) + self.integration_error
-        if not (math.isfinite(miss) and math.isfinite(self.multiplier_error)):
+        misses = [self.residuals.get(name, math.inf) for name in _MISSES]
+        if not all(map(math.isfinite, (*misses, self.integration_error, self.multiplier_error))):
             return math.inf
         # The Zeno point and the period miss by themselves, however strongly the orbit attracts.
         least = min([1.0, *(abs(1.0 - mu) for mu in self.multipliers)])
+        miss = max(misses) + self.integration_error
         return miss / least if least > 0.0 else math.inf
 
     def verdict(self) -> str:

@@ -276,7 +276,7 @@ def print_trade(trade: Trade) -> None:
             trial.name,
             f"{trial.value:g}" if trial.sweep == "impacts" else f"{trial.value:.0e}",
             f"{1e3 * trial.seconds:.2f}" if trial.seconds < math.inf else "-",
-            f"{trial.error:.1e}" if trial.error < math.inf else "another motion",
+            _error_of(trial),
             trial.trouble or (str(trial.n_impacts) if trial.n_impacts else ""),
         )
     _print(table)
@@ -293,6 +293,12 @@ def print_trade(trade: Trade) -> None:
             "* no other setting is both faster and more accurate. Times are of this machine.",
         ]
     )
+
+
+def _error_of(trial: Trial) -> str:
+    if trial.trouble:
+        return "-"
+    return f"{trial.error:.1e}" if trial.error < math.inf else "another motion"
 
 
 def _figures(trial: Trial) -> tuple[str, str, str]:
