@@ -27,7 +27,7 @@ from zeno_orbits.accuracy import (
     why_engine,
 )
 from zeno_orbits.compiled import bind
-from zeno_orbits.completion import ZenoExtrapolation
+from zeno_orbits.completion import ZenoPassage
 from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
 from zeno_orbits.engines import Automatic, Radau, RungeKutta
 from zeno_orbits.errors import InputError, PenetrationError, SimulationError
@@ -97,7 +97,7 @@ def test_the_tolerance_is_below_the_accuracy_and_all_else_is_kept(wanted: float)
     given = SimulationSettings(engine=Radau(), most_impacts=17)
     chosen = settings_for(wanted, given)
     assert chosen.tolerance.absolute < chosen.tolerance.relative < wanted
-    assert isinstance(chosen.completion, ZenoExtrapolation)
+    assert isinstance(chosen.completion, ZenoPassage)
     assert chosen.completion.tolerance <= wanted
     same = replace(chosen, tolerance=given.tolerance, completion=given.completion)
     assert same == given

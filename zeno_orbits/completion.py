@@ -102,12 +102,16 @@ class ZenoPassage:
     resolved: float = 1e-3
     engine: Stepper = field(default_factory=RungeKutta)
 
+    @property
+    def one_by_one(self) -> ZenoExtrapolation:
+        """The same limit with every impact on the way, for those who have to count them."""
+        return ZenoExtrapolation(tolerance=self.tolerance, resolved=self.resolved)
+
     def limit(
         self, dynamics: HybridDynamics, estimates: Sequence[TailEstimate]
     ) -> ZenoLimit | None:
         """Return the Zeno point if it is told by the impacts so far, or found by their curve."""
-        known = ZenoExtrapolation(tolerance=self.tolerance, resolved=self.resolved)
-        limit = known.limit(dynamics, estimates)
+        limit = self.one_by_one.limit(dynamics, estimates)
         if limit is not None:
             return limit
         left = self._flights_left(dynamics.restitution, estimates)
