@@ -15,11 +15,11 @@ import pytest
 
 from tests.reference_orbit import FIRST_IMPACT, FIRST_RATE, PERIOD, RELEASE, ZENO_STATE, ZENO_TIME
 from tests.scenes import GRAVITY, falling_away
-from zeno_orbits import compiled
-from zeno_orbits.compiled import CompiledFlow, bind, compile_problem
+from zeno_orbits.compiled import bind, compile_problem
 from zeno_orbits.dynamics import GuardedFlow, HybridDynamics, PlainFlow, Tolerance, Vector
 from zeno_orbits.engines import Leg, Outcome, Passage, RungeKutta, Taylor, series, taylor
 from zeno_orbits.errors import InputError, PenetrationError, SimulationError, StepSizeError
+from zeno_orbits.flows import CompiledFlow, mode_functions
 from zeno_orbits.problem import load_problem
 from zeno_orbits.simulate import SimulationSettings, simulate
 
@@ -70,7 +70,7 @@ def _clock(guard: Callable[[Any], Any]) -> GuardedFlow:
     """Return a clock ``y' = 1`` with a guard that is a function of its time."""
     y, p = ca.SX.sym("y"), ca.SX(0, 1)
     pair = ca.vertcat(guard(y), ca.jacobian(guard(y), y))
-    return CompiledFlow(compiled._mode("clock", y, p, ca.SX(1), pair), np.zeros(0))
+    return CompiledFlow(mode_functions("clock", y, p, ca.SX(1), pair), np.zeros(0))
 
 
 def _leg(flow: GuardedFlow, y: Any, *, on_guard: bool = False, **others: Any) -> Leg:
@@ -238,7 +238,7 @@ def test_a_fall_after_the_time_is_over_is_none() -> None:
 def test_many_batches_of_steps_make_one_leg() -> None:
     y = ca.SX.sym("y", 3)
     rate, guard = ca.vertcat(y[1], -y[0], 1), ca.vertcat(900 - y[2], -1)
-    flow = CompiledFlow(compiled._mode("long", y, ca.SX(0, 1), rate, guard), np.zeros(0))
+    flow = CompiledFlow(mode_functions("long", y, ca.SX(0, 1), rate, guard), np.zeros(0))
     counts: list[int] = []
     passage = _follow(flow, [0, 1, 0], horizon=1e4, watch=lambda steps, *_: counts.append(steps))
     assert len(counts) > 1
@@ -258,7 +258,7 @@ def series_steps(duration: float) -> float:
 
 def test_a_flow_that_blows_up_is_an_error_with_its_time_and_state() -> None:
     y = ca.SX.sym("y")
-    mode = compiled._mode("blow_up", y, ca.SX(0, 1), y**2, ca.vertcat(y, y**2))
+    mode = mode_functions("blow_up", y, ca.SX(0, 1), y**2, ca.vertcat(y, y**2))
     with pytest.raises(StepSizeError) as stop:
         _follow(CompiledFlow(mode, np.zeros(0)), [1.0])
     assert stop.value.time == pytest.approx(1.0, abs=1e-6)

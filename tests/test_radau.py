@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from zeno_orbits.collocation import radau
-from zeno_orbits.compiled import CompiledFlow, ModeFunctions, bind, compile_problem
+from zeno_orbits.compiled import bind, compile_problem
 from zeno_orbits.dynamics import GuardedFlow, PlainFlow, Tolerance, Vector
 from zeno_orbits.engines import Automatic, Leg, Outcome, Passage, Radau, RungeKutta
 from zeno_orbits.engines.automatic import decay_rates
 from zeno_orbits.engines.radau import solved
 from zeno_orbits.errors import StepSizeError
+from zeno_orbits.flows import CompiledFlow, ModeFunctions
 from zeno_orbits.problem import load_problem
 
 TIGHT = Tolerance(relative=1e-11, absolute=1e-12)

@@ -13,10 +13,11 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.collocation import Array, Collocation, radau
-from zeno_orbits.compiled import CompiledSystem, ModeFunctions
+from zeno_orbits.compiled import CompiledSystem
 from zeno_orbits.cycle import Closure, Cycle
 from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.execution import Arc
+from zeno_orbits.flows import ModeFunctions
 from zeno_orbits.linear_algebra import null_space
 from zeno_orbits.meshes import graded_mesh, stage_fractions
 from zeno_orbits.problem import Setting
