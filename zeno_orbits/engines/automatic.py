@@ -1,7 +1,8 @@
 """The default engine: explicit where a flow is smooth, implicit where a fast decay holds it back.
 
 Every leg begins explicitly, which a layer after an impact needs anyway. Once the decay of the
-fastest component, and no longer the accuracy, sets the step, the implicit engine takes over.
+fastest component, and no longer the accuracy, sets the step, the implicit engine takes over
+(theory (23)).
 """
 
 from __future__ import annotations

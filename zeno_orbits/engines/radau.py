@@ -1,7 +1,7 @@
 """The stiff engine: Radau IIA of order 13, whose steps do not know how fast a layer decays.
 
 Dense output is the collocation polynomial; an event time is finished on a step that ends there.
-Source: [HairerWanner1996]_, IV.8 for the iteration and the step control.
+Source: [HairerWanner1996]_, IV.8 for the iteration and the step control, theory (23).
 """
 
 from __future__ import annotations
