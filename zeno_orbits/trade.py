@@ -272,8 +272,9 @@ def _tried(plan: _Plan, truth: Truth, settings: TradeSettings) -> Trial:
         sweep=plan.sweep, name=plan.name, value=plan.value, seconds=math.inf, error=math.inf
     )
     try:
-        execution, _ = _timed(plan, settings.until)
-        times = [_timed(plan, settings.until)[1] for _ in range(settings.repeats)]
+        execution, first = _timed(plan, settings.until)
+        repeats = settings.repeats if first < _LONG else 0
+        times = [_timed(plan, settings.until)[1] for _ in range(repeats)] or [first]
     except (ZenoOrbitsError, ArithmeticError, ValueError) as error:
         # Other people's integrators overflow in their own words.
         return replace(trial, trouble=str(error))
@@ -287,9 +288,17 @@ def _tried(plan: _Plan, truth: Truth, settings: TradeSettings) -> Trial:
     )
 
 
+_LONG = 2.0
+"""A run longer than this is not repeated [s]: nothing that warms up matters then."""
+
+_MOST_STEPS = 10_000
+"""Steps for every second of motion after which a setting is given up; good ones take 1000."""
+
+
 def _timed(plan: _Plan, until: float) -> tuple[Execution, float]:
+    limited = replace(plan.simulation, most_steps=round(_MOST_STEPS * max(until, 1.0)))
     started = time.process_time()
-    execution = simulate(plan.dynamics, plan.state, until=until, settings=plan.simulation)
+    execution = simulate(plan.dynamics, plan.state, until=until, settings=limited)
     return execution, time.process_time() - started
 
 

@@ -13,6 +13,7 @@ from zeno_orbits.accuracy import ROUNDING, Kind, Landmark, apart, landmarks, siz
 from zeno_orbits.completion import ZenoExtrapolation
 from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
 from zeno_orbits.engines import Engine, Radau
+from zeno_orbits.engines.automatic import decay_rates
 from zeno_orbits.errors import InputError, TranslationError, ZenoOrbitsError
 from zeno_orbits.problem import Problem, Setting
 from zeno_orbits.simulate import SimulationSettings, simulate
@@ -25,6 +26,10 @@ TRUTH_DIGITS = 20
 
 _SAMPLES = 64
 """Times at which the truth is looked at for the size of its states."""
+
+
+_MOST_DECAYS = 1e5
+"""Fastest decay times horizon up to which extended precision takes less than a minute or so."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,6 +75,9 @@ def true_landmarks(
         raise InputError(message)
     if not heyoka_is_installed():
         return _truth_in_doubles(dynamics, state, until, "install the extra `taylor` for a better")
+    fastest, _ = decay_rates(dynamics.free, np.array(state, dtype=np.float64))
+    if fastest * until > _MOST_DECAYS:
+        return _truth_in_doubles(dynamics, state, until, "the scene is too stiff for a better")
     from zeno_orbits.extended import extended_execution
 
     try:
