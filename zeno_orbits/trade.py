@@ -13,11 +13,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from zeno_orbits.accuracy import ROUNDING, apart, landmarks
 from zeno_orbits.compiled import bind
 from zeno_orbits.completion import Completion, FixedImpacts, Truncation
 from zeno_orbits.dynamics import HybridDynamics
 from zeno_orbits.engines import Automatic, Engine, Radau, RungeKutta, SciPy, Taylor
+from zeno_orbits.engines.automatic import decay_rates
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.execution import Execution
 from zeno_orbits.models import compiled_model
@@ -271,6 +274,9 @@ def _tried(plan: _Plan, truth: Truth, settings: TradeSettings) -> Trial:
     trial = Trial(
         sweep=plan.sweep, name=plan.name, value=plan.value, seconds=math.inf, error=math.inf
     )
+    fastest, _ = decay_rates(plan.dynamics.free, np.array(plan.state, dtype=np.float64))
+    if isinstance(plan.simulation.engine, Taylor) and fastest * settings.until > _MOST_DECAYS:
+        return replace(trial, trouble="left out: its steps are explicit, and the scene is stiff")
     try:
         execution, first = _timed(plan, settings.until)
         repeats = settings.repeats if first < _LONG else 0
@@ -287,6 +293,9 @@ def _tried(plan: _Plan, truth: Truth, settings: TradeSettings) -> Trial:
         n_impacts=len(execution.impacts),
     )
 
+
+_MOST_DECAYS = 1e5
+"""Fastest decay times horizon beyond which a series, explicit as it is, takes minutes."""
 
 _LONG = 2.0
 """A run longer than this is not repeated [s]: nothing that warms up matters then."""
