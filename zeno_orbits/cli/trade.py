@@ -34,7 +34,7 @@ def add_trade(commands: Any) -> None:
         [
             "zeno-orbits trade motor_pendulum",
             "zeno-orbits trade motor_pendulum --set L=1e-5 --quick",
-            "zeno-orbits trade bouncing_ball --until 1.5 -o trade.json --picture trade.png",
+            "zeno-orbits trade bouncing_ball --until 5 -o trade.json --picture trade.png",
         ],
     )
     add_scene(parser)
