@@ -95,3 +95,11 @@ def test_a_fall_among_scaled_gaps_near_the_end_of_the_doubles_is_found() -> None
     far = 1e127
     found = _fall(lambda t: 1e254 * (0.3 - t / far), lambda _: -1e254 / far, far)
     assert found == pytest.approx(0.3 * far, rel=LOCATED)
+
+
+def test_a_start_on_the_guard_that_rounding_puts_above_it_is_no_root_either() -> None:
+    def guard(t: float) -> float:
+        return 1e-17 - t
+
+    assert _fall(guard, lambda _: -1.0, 1.0, on_guard=True) is None
+    assert _fall(guard, lambda _: -1.0, 1.0) == pytest.approx(1e-17, abs=LOCATED)

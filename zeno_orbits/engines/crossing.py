@@ -53,7 +53,7 @@ def first_fall(
         return after if offset == size else flow.guard(step.state_at(offset))
 
     falls_once = before[0] > 0.0 > after[0] and (second > 0.0 or third < 0.0)
-    if falls_once and _is_cubic(dense(size / 2)[0], size, before, after):
+    if not on_guard and falls_once and _is_cubic(dense(size / 2)[0], size, before, after):
         return _polished(flow, step, _root(dense, 0.0, size))
     left, left_pair = 0.0, before
     armed = not on_guard
