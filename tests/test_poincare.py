@@ -19,9 +19,9 @@ from zeno_orbits.poincare import (
     floquet_multipliers,
     poincare_map,
     release_section,
-    to_next_release,
 )
 from zeno_orbits.problem import Problem
+from zeno_orbits.returns import to_next_release
 from zeno_orbits.simulate import SimulationSettings, simulate
 
 SETTINGS = SimulationSettings()

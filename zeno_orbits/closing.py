@@ -25,8 +25,9 @@ from zeno_orbits.errors import InputError, SimulationError, ZenoOrbitsError
 from zeno_orbits.guess import RUNAWAY, SettlingSettings, settle
 from zeno_orbits.models import compiled_model
 from zeno_orbits.orbit import OrbitImpact, ZenoOrbit, versions
-from zeno_orbits.poincare import floquet_multipliers, release_section, to_next_release
+from zeno_orbits.poincare import release_section, return_slope
 from zeno_orbits.problem import Problem, Setting
+from zeno_orbits.returns import to_next_release
 from zeno_orbits.simulate import SimulationSettings, simulate
 
 _REPEATS = 1e-12
@@ -178,9 +179,7 @@ def close_cycle(
             j = j + np.outer(miss - before - (j - one) @ step, step) / length
         if not measured and change > last / 2:
             # Returns alone do not close in: the orbit repels, or attracts hardly.
-            j = floquet_multipliers(
-                dynamics, start, scale=scale, period=period, settings=settings
-            ).jacobian
+            j = return_slope(dynamics, start, scale=scale, period=period, settings=settings)
             measured = True
         # Least squares: at a fold of a family the matrix is singular, and that is no crash.
         step = np.linalg.lstsq(one - j, miss, rcond=None)[0]
