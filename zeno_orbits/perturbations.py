@@ -175,7 +175,9 @@ class Perturbations:
             shift += np.concatenate([states.T, times[None, :]]) @ reweighted
         on_stop = self.differentials.resting(state)[: self.n_x]
         return EventShift(
-            time=shift[-1], state=self._total(on_stop, shift[:-1]), rate=np.zeros(shift.shape[1])
+            time=shift[-1],
+            state=self._total(on_stop, shift[:-1]),
+            rate=np.zeros(self.restitution.size),
         )
 
     def _tail(self, bounce: Bounce) -> Vector:
@@ -203,7 +205,7 @@ class Perturbations:
         return EventShift(
             time=zeno.time + delay,
             state=self._total(on_stop, moved),
-            rate=np.zeros(delay.size),
+            rate=np.zeros(self.restitution.size),
         )
 
     def of_gap_acceleration(self, x: Vector, shift: EventShift) -> Vector:
