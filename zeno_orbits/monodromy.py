@@ -14,9 +14,9 @@ from zeno_orbits.completion import ZenoExtrapolation, ZenoPassage
 from zeno_orbits.differentials import GAP, GAP_RATE, Differentials
 from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.execution import Ending, Execution, Impact, ZenoPoint
+from zeno_orbits.execution import Ending, Execution, Impact, Mode, Release, ZenoPoint
 from zeno_orbits.perturbations import Bounce, EventShift, Perturbations
-from zeno_orbits.returns import to_next_release
+from zeno_orbits.returns import first_return, to_next_release
 from zeno_orbits.simulate import SimulationSettings
 
 
@@ -39,7 +39,8 @@ class Sensitivity:
 class ReturnDerivative:
     r"""A return to the release and its derivatives.
 
-    The start is taken as a state of the free flow: a perturbation off the section does not lock.
+    A start on the section is taken as a state of the free flow: a perturbation off it does not
+    lock. A start that does lock, longer than by rounding, follows the locked flow to its release.
 
     Attributes:
         parameters: Places in ``p`` of the parameters that were chosen, ``(k,)``.
@@ -96,7 +97,8 @@ def return_derivative(
     closed = replace(settings, completion=extrapolated(settings))
     start = dynamics.on_stop(x)
     execution = to_next_release(dynamics, start, horizon=horizon, settings=closed)
-    if not execution.returns(horizon):
+    release = first_return(execution)
+    if release is None:
         raise SimulationError("There is no next release", time=horizon, state=tuple(x.tolist()))
     perturbations = Perturbations(
         dynamics=dynamics,
@@ -104,7 +106,7 @@ def return_derivative(
         n_parameters=len(chosen),
         tolerance=settings.tolerance,
     )
-    found = _derivative(perturbations, execution, start, horizon)
+    found = _derivative(perturbations, execution, start, release)
     return replace(found, parameters=chosen)
 
 
@@ -143,6 +145,10 @@ def saltation_matrix(dynamics: HybridDynamics, impact: Impact) -> Vector:
     return jump + (after - jump @ before)[:, None] * contact[GAP] / impact.approach_rate
 
 
+_AT_ONCE = 1e-6
+"""A start that locks for less than this part of a return is locked by rounding: it is released."""
+
+
 def extrapolated(settings: SimulationSettings) -> ZenoExtrapolation:
     """Return the completion that visits the impacts, as accurate as what is asked for."""
     completion = settings.completion
@@ -163,16 +169,17 @@ def differentials_of(dynamics: HybridDynamics, chosen: tuple[int, ...]) -> Diffe
 
 
 def _derivative(
-    perturbations: Perturbations, execution: Execution, start: Vector, horizon: float
+    perturbations: Perturbations, execution: Execution, start: Vector, release: Release
 ) -> ReturnDerivative:
     """Return what an execution to the next release tells, with derivatives."""
-    release = execution.returns(horizon)[0]
-    # A start that rounding has locked is taken as released.
-    begin = max((r.time for r in execution.releases if r.time < release.time), default=-1.0)
-    events = [event for event in execution.events if event.time > begin]
+    arcs, events = list(execution.arcs), execution.events
+    here = perturbations.at_start()
+    if arcs[0].mode is Mode.LOCKED:
+        lock = arcs.pop(0)
+        if lock.end_time > _AT_ONCE * release.time:
+            here = perturbations.released(lock, here)
     impacts = [event for event in events if isinstance(event, Impact)]
     zenos = [event for event in events if isinstance(event, ZenoPoint)]
-    arcs = [arc for arc in execution.arcs if arc.start_time >= begin]
     flights = [arc for arc in arcs if arc.ending is Ending.IMPACT]
     if len(zenos) != 1 or len(flights) != len(impacts) or arcs[-1].ending is not Ending.RELEASE:
         raise SimulationError(
@@ -181,7 +188,6 @@ def _derivative(
             time=release.time,
             state=tuple(release.state.tolist()),
         )
-    here = perturbations.at_start()
     bounces: list[Bounce] = []
     landings: list[EventShift] = []
     for arc, impact in zip(flights, impacts, strict=True):

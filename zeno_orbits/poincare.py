@@ -23,7 +23,7 @@ from zeno_orbits.monodromy import (
     extrapolated,
     return_derivative,
 )
-from zeno_orbits.returns import to_next_release
+from zeno_orbits.returns import first_return, to_next_release
 from zeno_orbits.simulate import SimulationSettings
 
 
@@ -171,10 +171,10 @@ def poincare_map(
         SimulationError: If there is no release within the horizon.
     """
     execution = to_next_release(dynamics, dynamics.on_stop(x), horizon=horizon, settings=settings)
-    later = execution.returns(horizon)
-    if not later:
+    later = first_return(execution)
+    if later is None:
         raise SimulationError("There is no next release", time=horizon, state=tuple(x.tolist()))
-    return later[0].time, later[0].state
+    return later.time, later.state
 
 
 def floquet_multipliers(
