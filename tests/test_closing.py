@@ -313,6 +313,16 @@ def test_returns_that_never_repeat_are_no_orbit(
     assert "No return repeats" in closed.detail
 
 
+def test_a_motion_that_shrinks_to_rest_is_no_orbit(scene: Problem) -> None:
+    # With so large an inductance all orbits have shrunk: the return map's fixed point is rest.
+    setting = scene.setting(parameters={"L": 10.0})
+    machine = bind(compiled_model(scene), setting.values())
+    x = machine.on_stop(np.array([0.198, 0.0, -5.236, 0.0, 0.0]))
+    scale = cycle_near(machine, x, period=PERIOD, settings=SETTINGS).scale()
+    with pytest.raises(SimulationError, match="its size goes to zero"):
+        close_cycle(machine, x, scale=scale, period=PERIOD, settings=SETTINGS)
+
+
 def test_a_start_from_which_nothing_returns_is_refused(machine: HybridDynamics) -> None:
     x = np.array(RELEASE)
     with pytest.raises(SimulationError, match="No Zeno point and release follow"):

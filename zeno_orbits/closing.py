@@ -35,6 +35,8 @@ _REPEATS = 1e-12
 """Change of the release over a period that counts as none, relative."""
 _STALLED = 1e-8
 """Change that rounding may leave where the flow is stiff; more than this is no orbit."""
+_OWN = 1e-6
+"""The same, relative to the size of the period itself: a motion that dies out repeats, too."""
 _MOST_RETURNS = 16
 _SHORTER = 4.0
 """Divisor of a step that did not help although its slope was exact."""
@@ -165,7 +167,7 @@ def close_cycle(
         slope: Derivative of the return map in the section around ``release``, if it is known.
 
     Raises:
-        SimulationError: If a release does not return, or no return repeats.
+        SimulationError: If a release does not return, no return repeats, or only rest does.
     """
     section = release_section(dynamics, dynamics.on_stop(release), scale)
     one, at = np.eye(section.dimension), np.zeros(section.dimension)
@@ -175,10 +177,10 @@ def close_cycle(
     for count in range(1, _MOST_RETURNS + 1):
         trial = _tried(dynamics, section, at, period, settings, needed=best is None)
         if trial is not None and trial.change <= _REPEATS:
-            return ClosedCycle(cycle=trial.cycle, miss=trial.change, returns=count)
+            return _sized(trial, count)
         if trial is not None and best is not None:
             if trial.change <= _STALLED and trial.change >= best.change:
-                return ClosedCycle(cycle=best.cycle, miss=best.change, returns=count)
+                return _sized(best, count)
             j = _broyden(j, best, trial)
         if trial is not None and (best is None or trial.change < best.change / 2):
             # A slope that was known beforehand counts for the first point only.
@@ -221,6 +223,22 @@ class _Trial:
     def change(self) -> float:
         """How far the return is from repeating."""
         return float(np.max(np.abs(self.miss), initial=0.0))
+
+
+def _sized(trial: _Trial, count: int) -> ClosedCycle:
+    """Return a return that repeats, unless only its size has gone to zero.
+
+    Raises:
+        SimulationError: If it does not repeat in units of its own size.
+    """
+    cycle = trial.cycle
+    if cycle.drift(cycle.scale_at_events()) > _OWN:
+        raise SimulationError(
+            "What repeats is no orbit, its size goes to zero",
+            time=cycle.period,
+            state=tuple(cycle.start.state.tolist()),
+        )
+    return ClosedCycle(cycle=cycle, miss=trial.change, returns=count)
 
 
 def _tried(
