@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 
 import casadi as ca
 import numpy as np
 
 from zeno_orbits.calls import Call, ResetCall, RestingCall
+from zeno_orbits.differentials import Differentiation
 from zeno_orbits.dynamics import FusedResting, GuardedFlow, HybridDynamics
 from zeno_orbits.flows import CompiledFlow, ModeFunctions, dense_function, mode_functions
 from zeno_orbits.hybrid import CompletedSystem
 from zeno_orbits.problem import Problem
+from zeno_orbits.variations import CompiledDifferentials, PointFunctions
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class CompiledSystem:
     """The functions of a completed system in ``(x, p)``; ``p`` holds gains, then parameters.
 
@@ -46,6 +49,17 @@ class CompiledSystem:
     powers: ca.Function
     energy: ca.Function
     holonomic: ca.Function
+
+    @cached_property
+    def points(self) -> PointFunctions:
+        """What is differentiated at a point."""
+        return PointFunctions(
+            contact=self.contact,
+            holonomic=self.holonomic,
+            impulse=self.impulse,
+            reset=self.reset,
+            resting=self.resting,
+        )
 
     @property
     def n_x(self) -> int:
@@ -188,4 +202,11 @@ def bind(compiled: CompiledSystem, values: Sequence[float]) -> HybridDynamics:
         holonomic=lambda x: holonomic(x).copy(),
     )
     at_rest = FusedResting(evaluate=RestingCall(compiled.resting, p), parts=plain.resting_parts)
-    return replace(plain, fused_resting=at_rest)
+
+    @lru_cache(maxsize=8)
+    def derivatives(chosen: tuple[int, ...]) -> CompiledDifferentials:
+        modes = (compiled.free, compiled.locked, compiled.flight)
+        return CompiledDifferentials(modes, compiled.points, p, chosen)
+
+    derivable = Differentiation(by=derivatives, parts=plain.derivable_parts)
+    return replace(plain, fused_resting=at_rest, differentiation=derivable)

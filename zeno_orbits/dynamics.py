@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.collocation import Collocation
+from zeno_orbits.differentials import Differentiation
 from zeno_orbits.errors import InputError
 from zeno_orbits.runge_kutta import error_norm, explicit_attempt, overflow
 
@@ -216,6 +217,7 @@ class HybridDynamics:
         n_q: Number of coordinates; ``x`` begins with them, then as many velocities.
         fused_resting: The method `resting` in one evaluation, if there is such a thing. It serves
             as long as the functions that it stands for are this system's own.
+        differentiation: Its derivatives, if it has formulas. They serve as long, too.
     """
 
     state_names: tuple[str, ...]
@@ -235,12 +237,16 @@ class HybridDynamics:
     energy: Scalar
     holonomic: Callable[[Vector], Vector]
     fused_resting: FusedResting | None = None
+    differentiation: Differentiation | None = None
 
     def __post_init__(self) -> None:
         """Refuse a restitution that is none, as a corrected drive beyond its reach has."""
         if self.fused_resting is not None and self.fused_resting.parts != self.resting_parts:
             # A part was replaced, by a wrong one in a test for instance: the whole is no longer it.
             object.__setattr__(self, "fused_resting", None)
+        derivable = self.differentiation
+        if derivable is not None and derivable.parts != self.derivable_parts:
+            object.__setattr__(self, "differentiation", None)
         if not 0.0 <= self.restitution < 1.0:
             message = f"must lie in [0, 1) at these numbers, but it is {self.restitution:g}"
             reason = "." if not math.isnan(self.restitution) else _BEYOND
@@ -250,6 +256,19 @@ class HybridDynamics:
     def resting_parts(self) -> tuple[object, ...]:
         """The functions that `resting` is made of."""
         return (self.gap, self.gap_rate, self.gap_acceleration, self.impulse_direction, self.locked)
+
+    @property
+    def derivable_parts(self) -> tuple[object, ...]:
+        """Everything that derivatives are derivatives of."""
+        contact = (self.multiplier, self.multiplier_rate, self.holonomic)
+        return (
+            *self.resting_parts,
+            *contact,
+            self.free,
+            self.flight,
+            self.reset_map,
+            self.restitution,
+        )
 
     def resting(self, x: Vector) -> Resting:
         """Return the state moved onto the stop, as by `on_stop`, and what happens there."""

@@ -17,7 +17,7 @@ from zeno_orbits.compiled import bind, compile_problem
 from zeno_orbits.cycle import Cycle
 from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.poincare import floquet_multipliers, release_section
+from zeno_orbits.poincare import release_section, return_slope
 from zeno_orbits.problem import Problem, Setting
 from zeno_orbits.search import find_orbit
 from zeno_orbits.simulate import SimulationSettings
@@ -145,9 +145,7 @@ def orbit_near(dynamics: HybridDynamics, release: Vector, period: float) -> Cycl
         section = release_section(dynamics, x, scale)
         x = section.state(dynamics, np.zeros(section.dimension))
         # Far from the orbit returns alone may wander: the slope keeps to what is near.
-        slope = floquet_multipliers(
-            dynamics, x, scale=scale, period=period, settings=settings
-        ).jacobian
+        slope = return_slope(dynamics, x, scale=scale, period=period, settings=settings)
         return close_cycle(
             dynamics, x, scale=scale, period=period, settings=settings, slope=slope
         ).cycle

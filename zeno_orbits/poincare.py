@@ -6,15 +6,25 @@ The section is the set of release states, :math:`h = \dot h = \lambda = 0`, of d
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from zeno_orbits.dynamics import HybridDynamics, Vector
+from zeno_orbits.completion import ZenoExtrapolation
+from zeno_orbits.differentials import GAP, GAP_RATE, MULTIPLIER
+from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.execution import Execution
 from zeno_orbits.linear_algebra import null_space
-from zeno_orbits.simulate import SimulationSettings, simulate
+from zeno_orbits.monodromy import (
+    ReturnDerivative,
+    Sensitivity,
+    differentials_of,
+    extrapolated,
+    return_derivative,
+)
+from zeno_orbits.returns import first_return, to_next_release
+from zeno_orbits.simulate import SimulationSettings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,16 +93,33 @@ class Multipliers:
         return max((abs(value) for value in self.values), default=0.0)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SectionDerivative:
+    r"""The derivative of the return map in section coordinates `y`.
+
+    The chart moves with the parameters, as the section does: a release state at fixed coordinates
+    stays a release state.
+
+    Attributes:
+        jacobian: By the coordinates, ``(d, d)``.
+        by_parameters: By the chosen parameters at fixed coordinates, ``(d, k)``.
+        lift: Derivative of the release state by coordinates, then parameters, ``(n_x, d + k)``.
+    """
+
+    jacobian: Vector
+    by_parameters: Vector
+    lift: Vector
+
+    def of(self, number: Sensitivity) -> Vector:
+        """Return the derivative of a number by coordinates, then parameters, ``(d + k,)``."""
+        gradient = number.by_state @ self.lift
+        d = len(self.jacobian)
+        return np.concatenate([gradient[:d], gradient[d:] + number.by_parameters])
+
+
 def release_section(dynamics: HybridDynamics, centre: Vector, scale: Vector) -> ReleaseSection:
     """Return a chart of the release section around a release state."""
-    step = 1e-6
-    columns: list[Vector] = []
-    for k in range(len(centre)):
-        shift = np.zeros(len(centre))
-        shift[k] = step * scale[k]
-        rise = _conditions(dynamics, centre + shift) - _conditions(dynamics, centre - shift)
-        columns.append(rise / (2 * step))
-    gradient = np.stack(columns, axis=1)
+    gradient = _conditions_gradient(dynamics, centre, scale)
     return ReleaseSection(
         centre=centre,
         scale=scale,
@@ -101,25 +128,32 @@ def release_section(dynamics: HybridDynamics, centre: Vector, scale: Vector) -> 
     )
 
 
-def to_next_release(
-    dynamics: HybridDynamics, x: Vector, *, horizon: float, settings: SimulationSettings
-) -> Execution:
-    """Return the execution from a release until the next one, or to the horizon without any.
+def section_derivative(
+    dynamics: HybridDynamics, derivative: ReturnDerivative, scale: Vector
+) -> SectionDerivative:
+    r"""Return the derivative of the return map in a chart around the start of a return.
+
+    .. math:: \frac{\partial (\phi \circ P \circ \phi^{-1})}{\partial y} =
+        Z^\top S^{-1} \frac{\partial P}{\partial x} S Z
+
+    with the tangent `Z` and the scale `S` (theory (27)).
 
     Args:
         dynamics: The system.
-        x: A release state, on the stop, ``(n_x,)``.
-        horizon: Longest time to wait [s].
-        settings: Accuracy.
-
-    Raises:
-        SimulationError: If the execution cannot be continued so far.
+        derivative: Of the return, by the state.
+        scale: Size of each state, ``(n_x,)``.
     """
-    execution = simulate(dynamics, x, until=horizon, releases=1, settings=settings)
-    if execution.releases and not execution.returns(horizon):
-        # The start was locked by a rounding error and released at once: the next one is meant.
-        execution = simulate(dynamics, x, until=horizon, releases=2, settings=settings)
-    return execution
+    section = release_section(dynamics, derivative.start, scale)
+    tangent = scale[:, None] * section.tangent
+    shift = _conditions_by_parameters(dynamics, derivative)
+    lift = np.concatenate([tangent, -scale[:, None] * (section.normal @ shift)], axis=1)
+    d = section.dimension
+    moved = derivative.by_state @ lift
+    moved[:, d:] += derivative.by_parameters
+    coordinates = section.tangent.T @ (moved / scale[:, None])
+    return SectionDerivative(
+        jacobian=coordinates[:, :d], by_parameters=coordinates[:, d:], lift=lift
+    )
 
 
 def poincare_map(
@@ -137,10 +171,10 @@ def poincare_map(
         SimulationError: If there is no release within the horizon.
     """
     execution = to_next_release(dynamics, dynamics.on_stop(x), horizon=horizon, settings=settings)
-    later = execution.returns(horizon)
-    if not later:
+    later = first_return(execution)
+    if later is None:
         raise SimulationError("There is no next release", time=horizon, state=tuple(x.tolist()))
-    return later[0].time, later[0].state
+    return later.time, later.state
 
 
 def floquet_multipliers(
@@ -152,10 +186,10 @@ def floquet_multipliers(
     settings: SimulationSettings,
     noise: float = 0.0,
 ) -> Multipliers:
-    """Return the multipliers of an orbit by differences of the return map.
+    """Return the multipliers of an orbit.
 
-    Central differences at two displacements are combined to fourth order; the change that this
-    makes, and what the noise of a return makes of it, estimate the error.
+    A system with formulas is differentiated exactly, and once more at looser tolerances: what they
+    change is the error estimate. Of one without, differences of the return map are taken.
 
     Args:
         dynamics: The system.
@@ -163,10 +197,92 @@ def floquet_multipliers(
         scale: Size of each state, ``(n_x,)``.
         period: Period of the orbit [s].
         settings: Accuracy.
-        noise: Error of a returned state, relative to ``scale``, if it is known.
+        noise: Error of a returned state, relative to ``scale``, if it is known; it matters to
+            differences.
 
     Raises:
-        SimulationError: If a displaced state does not return.
+        SimulationError: If the state, or one displaced by little, does not return.
+    """
+    if dynamics.differentiation is None:
+        near, far = _differences(dynamics, x, scale=scale, period=period, settings=settings)
+        return _multipliers((4 * near - far) / 3, near, noise / _DIFFERENCE)
+    jacobian = return_slope(dynamics, x, scale=scale, period=period, settings=settings)
+    try:
+        rough = return_slope(dynamics, x, scale=scale, period=period, settings=_looser(settings))
+    except SimulationError:
+        return _multipliers(jacobian, jacobian, math.inf)
+    return _multipliers(jacobian, rough, _LEAST * settings.tolerance.relative)
+
+
+def return_slope(
+    dynamics: HybridDynamics,
+    x: Vector,
+    *,
+    scale: Vector,
+    period: float,
+    settings: SimulationSettings,
+) -> Vector:
+    """Return the derivative of the return map in section coordinates around a state, ``(d, d)``.
+
+    Args:
+        dynamics: The system; without formulas, differences are taken.
+        x: A release state, ``(n_x,)``.
+        scale: Size of each state, ``(n_x,)``.
+        period: Time of the return, roughly [s].
+        settings: Accuracy.
+
+    Raises:
+        SimulationError: If the state, or one displaced by little, does not return.
+    """
+    if dynamics.differentiation is None:
+        near, far = _differences(dynamics, x, scale=scale, period=period, settings=settings)
+        return (4 * near - far) / 3
+    derivative = return_derivative(dynamics, x, horizon=2 * period, settings=settings)
+    return section_derivative(dynamics, derivative, scale).jacobian
+
+
+def _multipliers(jacobian: Vector, rough: Vector, noise: float) -> Multipliers:
+    """Return the eigenvalues of a slope; how a rougher one differs, and noise, are the error."""
+    values = sorted(np.linalg.eigvals(jacobian), key=abs, reverse=True)
+    others = np.linalg.eigvals(rough)
+    change = max((float(np.min(np.abs(others - value))) for value in values), default=0.0)
+    return Multipliers(
+        values=tuple(complex(value) for value in values), error=change + noise, jacobian=jacobian
+    )
+
+
+def _looser(settings: SimulationSettings) -> SimulationSettings:
+    """Return settings whose errors are larger by far: the steps, and the limit of the impacts."""
+    tolerance, completion = settings.tolerance, extrapolated(settings)
+    return replace(
+        settings,
+        tolerance=Tolerance(
+            relative=_LOOSER * tolerance.relative, absolute=_LOOSER * tolerance.absolute
+        ),
+        completion=ZenoExtrapolation(
+            tolerance=_LOOSER * completion.tolerance, resolved=min(10 * completion.resolved, 0.5)
+        ),
+    )
+
+
+_LOOSER = 100.0
+"""Factor of the tolerances at which the multipliers are taken a second time."""
+
+_LEAST = 10.0
+"""Error that is claimed at least, in units of the tolerance: two runs may agree by chance."""
+
+
+def _differences(
+    dynamics: HybridDynamics,
+    x: Vector,
+    *,
+    scale: Vector,
+    period: float,
+    settings: SimulationSettings,
+) -> tuple[Vector, Vector]:
+    """Return the slope of the return map by central differences, at one displacement and at two.
+
+    Extrapolated, they are right to fourth order.
     """
     section = release_section(dynamics, x, scale)
 
@@ -184,17 +300,37 @@ def floquet_multipliers(
         ]
         return np.stack(columns, axis=1) if columns else np.zeros((0, 0))
 
-    near, far = differences(_DIFFERENCE), differences(2 * _DIFFERENCE)
-    jacobian = (4 * near - far) / 3
-    values = sorted(np.linalg.eigvals(jacobian), key=abs, reverse=True)
-    rough = sorted(np.linalg.eigvals(near), key=abs, reverse=True)
-    change = max((abs(a - b) for a, b in zip(values, rough, strict=True)), default=0.0)
-    error = change + noise / _DIFFERENCE
-    return Multipliers(
-        values=tuple(complex(value) for value in values), error=float(error), jacobian=jacobian
-    )
+    return differences(_DIFFERENCE), differences(2 * _DIFFERENCE)
 
 
 def _conditions(dynamics: HybridDynamics, x: Vector) -> Vector:
     contact = [dynamics.gap(x), dynamics.gap_rate(x), dynamics.multiplier(x)]
     return np.concatenate([contact, dynamics.holonomic(x)])
+
+
+def _conditions_gradient(dynamics: HybridDynamics, x: Vector, scale: Vector) -> Vector:
+    """Return the derivative of the conditions of a release by scaled states, ``(n, n_x)``."""
+    if dynamics.differentiation is not None:
+        return _conditions_derivative(dynamics, x, ()) * scale
+    step = 1e-6
+    columns: list[Vector] = []
+    for k in range(len(x)):
+        shift = np.zeros(len(x))
+        shift[k] = step * scale[k]
+        rise = _conditions(dynamics, x + shift) - _conditions(dynamics, x - shift)
+        columns.append(rise / (2 * step))
+    return np.stack(columns, axis=1)
+
+
+def _conditions_by_parameters(dynamics: HybridDynamics, derivative: ReturnDerivative) -> Vector:
+    x = derivative.start
+    return _conditions_derivative(dynamics, x, derivative.parameters)[:, x.size :]
+
+
+def _conditions_derivative(
+    dynamics: HybridDynamics, x: Vector, parameters: tuple[int, ...]
+) -> Vector:
+    """Return the derivative of the conditions by states and parameters, ``(n, n_x + k)``."""
+    differentials = differentials_of(dynamics, parameters)
+    rows = differentials.contact(x)[[GAP, GAP_RATE, MULTIPLIER]]
+    return np.concatenate([rows, differentials.holonomic(x)])

@@ -62,6 +62,26 @@ def limit_weights(speeds: Sequence[Any]) -> list[Any]:
     return weights
 
 
+def limit_slopes(speeds: Sequence[float]) -> Vector:
+    r"""Return the derivatives of the weights, a row each, by logarithms of the speeds, ``(n, n)``.
+
+    .. math:: \frac{\partial \ln \alpha_k}{\partial \ln w_j} =
+        \frac{1/w_j}{\sum_i 1/w_i} - \begin{cases}
+            w_k / (w_j - w_k) & j \ne k\\
+            1 - \sum_{i \ne k} w_k / (w_i - w_k) & j = k
+        \end{cases}
+
+    Logarithms, as the speeds may be as small as numbers get.
+    """
+    w = np.array(speeds)
+    weights = np.array(limit_weights(speeds))
+    shares = w[-1] / w
+    apart = w[None, :] - w[:, None] + np.eye(len(w))
+    quotients = w[:, None] / apart * (1 - np.eye(len(w)))
+    diagonal = np.diag(1 - np.sum(quotients, axis=1))
+    return np.asarray(weights[:, None] * (shares / np.sum(shares) - quotients - diagonal))
+
+
 def spread_nodes(speeds: Sequence[float]) -> list[int]:
     """Return which of the falling speeds to extrapolate from: the last, and faster ones before.
 
