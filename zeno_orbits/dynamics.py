@@ -46,22 +46,26 @@ class Continuation(NamedTuple):
     ratio: float
 
 
+FIRST_ITERATIONS = 3
+"""Newton's iterations that every implicit step begins with; few steps need another."""
+
+
 class Corrected(NamedTuple):
-    """An implicit step after two iterations of Newton's method.
+    """An implicit step after its first iterations of Newton's method.
 
     Attributes:
         stages: Stage increments, ``(n_stages, n_y)``.
         coefficients: Of the polynomial through them, powers 1 up, ``(n_stages, n_y)``.
         after: State at the end, ``(n_y,)``.
-        first: Size of the first correction, in units of the tolerance.
-        last: Size of the second.
+        before: Size of the last correction but one, in units of the tolerance.
+        last: Size of the last.
         error: Error of the step, in units of the tolerance.
     """
 
     stages: Vector
     coefficients: Vector
     after: Vector
-    first: float
+    before: float
     last: float
     error: float
 
@@ -77,7 +81,7 @@ class NewtonPieces(Protocol):
     def begin(
         self, y: Vector, size: float, tolerance: Tolerance, guess: Continuation | None
     ) -> Corrected:
-        """Factorize for a step and return what two iterations give.
+        """Factorize for a step and return what its first iterations give.
 
         Args:
             y: State before the step, ``(n_y,)``.
@@ -174,7 +178,7 @@ class PlainNewton:
     def begin(
         self, y: Vector, size: float, tolerance: Tolerance, guess: Continuation | None
     ) -> Corrected:
-        """Factorize for a step and return what two iterations give."""
+        """Factorize for a step and return what its first iterations give."""
         self._y, self._size, self._tolerance = y, size, tolerance
         with np.errstate(all="ignore"):
             # What overflows is refused by its NaN.
@@ -183,13 +187,14 @@ class PlainNewton:
             self._inverses = [
                 np.linalg.inv(mu / size * eye - jacobian) for mu in self.scheme.spectrum.values
             ]
-            stages = np.zeros((self.scheme.n_stages, len(y)))
+            stages, before = np.zeros((self.scheme.n_stages, len(y))), 0.0
             if guess is not None:
                 stages = self.scheme.continued(*guess)
-            stages, first = self.correct(stages)
+            for _ in range(FIRST_ITERATIONS - 1):
+                stages, before = self.correct(stages)
             stages, last = self.correct(stages)
             coefficients, error = self.scheme.coefficients(stages), self.error(stages)
-            return Corrected(stages, coefficients, y + stages[-1], first, last, error)
+            return Corrected(stages, coefficients, y + stages[-1], before, last, error)
 
     def correct(self, stages: Vector) -> tuple[Vector, float]:
         """Return the stage increments after one more iteration and the size of its correction."""

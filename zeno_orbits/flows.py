@@ -10,7 +10,14 @@ import numpy as np
 
 from zeno_orbits.calls import Call, StepCall, caller
 from zeno_orbits.collocation import Collocation
-from zeno_orbits.dynamics import Continuation, Corrected, NewtonPieces, Tolerance, Vector
+from zeno_orbits.dynamics import (
+    FIRST_ITERATIONS,
+    Continuation,
+    Corrected,
+    NewtonPieces,
+    Tolerance,
+    Vector,
+)
 from zeno_orbits.implicit import implicit_expressions
 from zeno_orbits.runge_kutta import error_norm, explicit_attempt, overflow
 
@@ -41,8 +48,8 @@ class NewtonFunctions:
 
     Attributes:
         begin: ``(y, p, numbers, coefficients continued) -> (factors of Newton's matrices, stages
-            and coefficients after two iterations, y after, (sizes of both corrections, error in
-            units of the tolerance, guard and its rate after))``.
+            and coefficients after the first iterations, y after, (sizes of the last two
+            corrections, error in units of the tolerance, guard and its rate after))``.
         correct: ``(y, p, numbers, factors, stages) -> (stages, size of the correction)``.
         error: ``(y, p, numbers, factors, stages) -> error in units of the tolerance``.
     """
@@ -200,7 +207,7 @@ class CompiledNewton:
     def begin(
         self, y: Vector, size: float, tolerance: Tolerance, guess: Continuation | None
     ) -> Corrected:
-        """Factorize for a step and return what two iterations give."""
+        """Factorize for a step and return what its first iterations give."""
         calls = self._flow.calls().newton(self.scheme)
         corrected, guard = calls.begin(y, size, tolerance, guess)
         self._flow.keep_end(corrected.after, guard)
@@ -238,15 +245,15 @@ class NewtonCalls:
     def begin(
         self, y: Vector, size: float, tolerance: Tolerance, guess: Continuation | None
     ) -> tuple[Corrected, tuple[float, float]]:
-        """Factorize for a step and return what two iterations give, and the guard at its end."""
+        """Factorize and return what the first iterations give, and the guard at the end."""
         start, ratio = (0.0, 0.0) if guess is None else (guess.start, guess.ratio)
         self._y[:] = y
         self._continued[:] = self._nothing if guess is None else guess.coefficients
         self._numbers[:] = (size, tolerance.relative, tolerance.absolute, start, ratio)
         self._begin()
-        first, last, error, value, rate = self._told.tolist()
+        before, last, error, value, rate = self._told.tolist()
         corrected = Corrected(
-            self._begun.copy(), self._coefficients.copy(), self._after.copy(), first, last, error
+            self._begun.copy(), self._coefficients.copy(), self._after.copy(), before, last, error
         )
         return corrected, (value, rate)
 
@@ -289,12 +296,12 @@ def _newton_functions(mode: ModeFunctions, scheme: Collocation) -> NewtonFunctio
     continued = ca.SX.sym("continued", y.numel(), scheme.n_stages)
     factorized = ca.substitute(pieces.factorized, pieces.size, size)
     corrected, norms = _continued(continued, scheme, start, ratio), list[ca.SX]()
-    for _ in range(2):
+    for _ in range(FIRST_ITERATIONS):
         corrected, last = correct(y, p, numbers, factorized, corrected)
         norms.append(last)
     after = y + corrected[:, -1]
     estimate = error(y, p, numbers, factorized, corrected)
-    told = ca.vertcat(*norms, estimate, mode.guard(after, p))
+    told = ca.vertcat(*norms[-2:], estimate, mode.guard(after, p))
     coefficients = ca.mtimes(corrected, ca.DM(scheme.monomials).T)
     return NewtonFunctions(
         begin=function("begin", [continued], factorized, corrected, coefficients, after, told),

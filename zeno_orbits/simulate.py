@@ -388,15 +388,13 @@ class _Run:
         if len(last) < _RISING or any(b.speed < _RISE * a.speed for a, b in pairwise(last)):
             return
         before = last[-2]
-        pace = (
-            (self.n_steps - before.steps) / (time - before.time) if time > before.time else math.inf
-        )
-        needed = pace * (self.until - time)
+        steps, passed = self.n_steps - before.steps, time - before.time
+        needed = (self.until - time) * steps / passed if passed > 0.0 else math.inf
         if self.n_steps + needed > self.settings.most_steps:
             name = self.dynamics.state_names[n_q + int(np.argmax(rates))]
             raise RunawayError(
-                f"{name} grows without end: at the pace of its last {self.n_steps - before.steps} "
-                f"steps, {needed:.1g} more would be needed",
+                f"{name} grows without end: at the pace of its last {steps} steps, "
+                f"{needed:.1g} more would be needed",
                 time=time,
                 state=tuple(y.tolist()),
             )

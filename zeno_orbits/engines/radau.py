@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 from zeno_orbits.collocation import Collocation, radau
 from zeno_orbits.dynamics import (
+    FIRST_ITERATIONS,
     Continuation,
     Corrected,
     GuardedFlow,
@@ -131,14 +132,13 @@ def solved(
         guess: What the stage increments start from; zero by default.
     """
     found = pieces.begin(y, size, tolerance, guess)
-    # The first correction tells nothing of the rate of convergence, the second does.
-    stages, norm, last = found.stages, found.last, found.first
-    for count in range(2, _MOST_ITERATIONS + 1):
+    stages, norm, last = found.stages, found.last, found.before
+    for count in range(FIRST_ITERATIONS, _MOST_ITERATIONS + 1):
         if not math.isfinite(norm):
             return None
         rate = norm / last if last > 0.0 else 1.0
         if norm <= _FLOOR or norm * rate <= _NEWTON_SHARE * (1.0 - rate):
-            if count == 2:
+            if count == FIRST_ITERATIONS:
                 return found
             return found._replace(
                 stages=stages,
