@@ -45,6 +45,18 @@ def test_a_guard_that_stays_positive_gives_none() -> None:
     assert _fall(lambda t: 0.1 + (t - 0.5) ** 2, lambda t: 2 * (t - 0.5), 1.0) is None
 
 
+def test_a_shallow_dip_costs_no_look_inside_the_step() -> None:
+    asked: list[float] = []
+
+    def guard(t: float) -> float:
+        asked.append(t)
+        return 1.0 + 0.1 * (t - 0.5) ** 2
+
+    assert _fall(guard, lambda t: 0.2 * (t - 0.5), 1.0) is None
+    # The two ends, which whoever takes the step has anyway.
+    assert asked == [0.0, 1.0]
+
+
 def test_the_guard_at_the_start_is_not_a_root() -> None:
     flight = _fall(lambda t: t * (0.7 - t), lambda t: 0.7 - 2 * t, 1.0, on_guard=True)
     assert flight == pytest.approx(0.7, abs=LOCATED)

@@ -304,7 +304,8 @@ def test_without_heyoka_the_extra_is_named(
 
 def test_heyoka_prints_nothing(ball: HybridDynamics, capfd: pytest.CaptureFixture[str]) -> None:
     # A step of this length overflows heyoka's root finder, which tells so on the standard output.
-    kept = series.carrier(series.symbols_of(ball.flight(1e-200))[0], 1e-13)
+    start = np.array([0.0, 1e-200, 0.0, 1.0])
+    kept = series.carrier(series.symbols_of(ball.flight(1e-200))[0], 1e-13, start)
     flow = ball.flight(1e-200)
     kept.begin(np.array([0.0, 1e-200, 0.0, 1.0]), series.symbols_of(flow)[1])
     kept.advance(1e250, 1e250, 10)
@@ -376,3 +377,52 @@ def test_threads_do_not_share_an_integrator() -> None:
 
     with ThreadPoolExecutor(2) as pool:
         assert list(pool.map(run, range(6))) == pytest.approx([PERIOD] * 6, abs=1e-13)
+
+
+def test_the_lean_formulas_of_a_mode_are_its_own() -> None:
+    problem = load_problem("motor_pendulum")
+    dynamics = bind(compile_problem(problem), problem.setting().values())
+    generator = np.random.default_rng(3)
+    for flow in (dynamics.free, dynamics.locked, dynamics.flight(0.7)):
+        mode, p = series.symbols_of(flow)
+        lean = series.lean_mode(mode)
+        y = generator.uniform(-1.0, 1.0, lean.n_y)
+        got = np.array(lean.formulas(y, p, lean.factors(p))).ravel()
+        # The same operations in another order.
+        assert got == pytest.approx([*flow.rate(y), flow.guard(y)[0]], rel=1e-12, abs=1e-12)
+
+
+def test_only_what_rests_is_left_out() -> None:
+    problem = load_problem("motor_pendulum")
+    dynamics = bind(compile_problem(problem), problem.setting().values())
+    (free, _), (locked, p) = (series.symbols_of(f) for f in (dynamics.free, dynamics.locked))
+    # The gap and its rate rest on the stop; off it gravity sets the link in motion.
+    assert series._resting(locked, (1, 3)) == (1, 3)
+    assert series._resting(locked, (1, 3, 4)) == (1, 3)
+    # Hanging straight down nothing moves at all; that much is not left out.
+    assert series._resting(locked, (0, 1, 2, 3, 4)) == ()
+    # A gap of zero alone does not rest, if its rate need not be zero.
+    assert series._resting(locked, (1,)) == ()
+    assert series._resting(free, (1, 3)) == ()
+    lean = series.lean_mode(locked, (1, 3))
+    assert lean.moving == (0, 2, 4)
+    y = np.array([1.2, 0.0, 1.7, 0.0, -0.4])
+    got = np.array(lean.formulas(y[[0, 2, 4]], p, lean.factors(p))).ravel()
+    wanted = [*dynamics.locked.rate(y)[[0, 2, 4]], dynamics.locked.guard(y)[0]]
+    assert got == pytest.approx(wanted, rel=1e-12)
+
+
+def test_a_gap_that_is_not_quite_zero_stays_in_the_series_of_a_locked_arc() -> None:
+    problem = load_problem("motor_pendulum")
+    dynamics = bind(compile_problem(problem), problem.setting().values())
+    ends: list[Passage] = []
+    for gap in (0.0, 1e-14):
+        start = np.array([1.236, gap, 1.749, 0.0, -0.46])
+        leg = Leg(flow=dynamics.locked, y=start, horizon=2.0, tolerance=Tolerance(), on_guard=False)
+        ends.append(Taylor().follow(leg))
+    assert ends[0].state[1] == 0.0
+    assert ends[1].state[1] == pytest.approx(1e-14, rel=1e-6)
+    assert ends[1].duration == pytest.approx(ends[0].duration, abs=1e-11)
+    assert ends[1].state == pytest.approx(ends[0].state, abs=1e-11)
+    # Dense output is of all states.
+    assert ends[0].trajectory.state_at(0.1).shape == (5,)

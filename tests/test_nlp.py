@@ -13,6 +13,7 @@ from zeno_orbits.nlp import (
     IpoptSettings,
     Solution,
     SolveStatus,
+    row_rounding,
     solve,
 )
 from zeno_orbits.program import Program, ProgramBuilder
@@ -193,3 +194,44 @@ def test_every_known_status_has_its_own_sentence() -> None:
 @pytest.mark.parametrize("word", ["", "Internal_Error", "solve_succeeded", "A new word"])
 def test_a_status_that_nobody_knows_is_a_stop_and_no_success(word: str) -> None:
     assert SolveStatus.from_ipopt(word) is SolveStatus.STOPPED
+
+
+def _drowned(target: float) -> Program:
+    """Return a program whose first row is the difference of two terms of size 1e9."""
+    builder = ProgramBuilder()
+    x = builder.variable("x", [0.9, 1.1])
+    builder.equal("difference", 1e9 * (ca.sin(x[0]) - ca.sin(x[1]) * ca.sin(target) / ca.sin(2)))
+    builder.equal("sum", x[0] + ca.sin(x[1]) - 1.7)
+    return builder.build()
+
+
+@pytest.mark.parametrize("target", [1.0, 1.1, 1.3])
+def test_a_row_is_met_as_well_as_the_rounding_of_its_terms_lets_it(target: float) -> None:
+    # Sines are right to half a rounding: the row to about 1e9 * 1e-16, far above the tolerance.
+    solution = solve(_drowned(target), IpoptSettings(hessian=Hessian.LIMITED_MEMORY))
+    assert solution.status is SolveStatus.SOLVED
+    assert solution.iterations < 12
+    # Residuals are told as they are, not as they were weighted.
+    assert solution.residuals["difference"] < 4 * 1e9 * np.finfo(np.float64).eps
+    x = solution.values["x"][:, 0]
+    assert math.sin(x[0]) == pytest.approx(math.sin(x[1]) * math.sin(target) / math.sin(2))
+
+
+def test_the_rounding_of_a_row_is_that_of_its_terms() -> None:
+    builder = ProgramBuilder()
+    x = builder.variable("x", [2.0, -3.0])
+    builder.equal("steep", 1e6 * x[0] + 4 * x[1])
+    builder.equal("endless", 1 / (x[0] - 2))
+    eps = float(np.finfo(np.float64).eps)
+    # A pole at the guess has no rounding; the row keeps its weight and is missed.
+    assert row_rounding(builder.build()) == pytest.approx([4 * eps * (2e6 + 12.0), 0.0])
+
+
+def test_a_steep_row_that_cannot_be_met_is_still_missed() -> None:
+    builder = ProgramBuilder()
+    x = builder.variable("x", [0.5, 0.5])
+    builder.equal("on the circle", 1e9 * (ca.sumsqr(x) - 1))
+    builder.equal("far to the right", x[0] - 3)
+    solution = solve(builder.build())
+    assert solution.status not in (SolveStatus.SOLVED, SolveStatus.ACCEPTABLE)
+    assert solution.worst(1)[0][1] > 0.1

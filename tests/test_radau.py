@@ -10,10 +10,12 @@ import pytest
 
 from zeno_orbits.collocation import radau
 from zeno_orbits.compiled import bind, compile_problem
-from zeno_orbits.dynamics import GuardedFlow, PlainFlow, Tolerance, Vector
+from zeno_orbits.dynamics import Continuation, GuardedFlow, PlainFlow, Tolerance, Vector
 from zeno_orbits.engines import Automatic, Leg, Outcome, Passage, Radau, RungeKutta
 from zeno_orbits.engines.automatic import decay_rates
 from zeno_orbits.engines.radau import solved
+from zeno_orbits.engines.runge_kutta import ExplicitStep
+from zeno_orbits.engines.stepping import SteppedTrajectory
 from zeno_orbits.errors import StepSizeError
 from zeno_orbits.flows import CompiledFlow, ModeFunctions
 from zeno_orbits.problem import load_problem
@@ -53,9 +55,9 @@ def test_the_order_is_two_s_minus_one() -> None:
     scheme = radau(3)
     errors: list[float] = []
     for size in (0.2, 0.1):
-        stages = solved(flow.newton(scheme), np.array([1.0]), size, TIGHT, None)
-        assert stages is not None
-        errors.append(abs(1.0 + float(stages[-1, 0]) - math.exp(-size)))
+        step = solved(flow.newton(scheme), np.array([1.0]), size, TIGHT, None)
+        assert step is not None
+        errors.append(abs(float(step.after[0]) - math.exp(-size)))
     # The next term of the expansion changes the ratio by a few tens of the smaller step, 20 %.
     assert errors[0] / errors[1] == pytest.approx(2.0**6, rel=0.2)
 
@@ -82,9 +84,18 @@ def test_compiled_and_plain_iterations_are_the_same() -> None:
     theirs = solved(plain.newton(scheme), y, size, TIGHT, None)
     assert ours is not None
     assert theirs is not None
-    assert ours == pytest.approx(theirs, abs=1e-11)
+    assert ours.stages == pytest.approx(theirs.stages, abs=1e-11)
     by_hand = RungeKutta().follow(_leg(flow, y, size)).state
-    assert y + ours[-1] == pytest.approx(by_hand, abs=1e-9)
+    assert ours.after == pytest.approx(by_hand, abs=1e-9)
+    # What a step hands on is what a step without symbols would: the polynomial and the guard.
+    assert ours.coefficients == pytest.approx(scheme.coefficients(ours.stages), abs=1e-12)
+    assert flow.guard(ours.after) == pytest.approx(flow.guard(ours.after.copy()), rel=1e-14)
+    onwards = Continuation(ours.coefficients, 1.0, 1.7)
+    ahead = flow.newton(scheme).begin(ours.after, 1.7 * size, TIGHT, onwards)
+    by_plain = plain.newton(scheme).begin(ours.after, 1.7 * size, TIGHT, onwards)
+    assert ahead.stages == pytest.approx(by_plain.stages, abs=1e-11)
+    # A continuation from elsewhere would leave corrections far above the tolerance.
+    assert ahead.last < 1e-3
 
 
 def test_the_jacobian_of_a_compiled_flow_is_its_derivative() -> None:
@@ -117,6 +128,64 @@ def test_the_default_engine_goes_over_to_implicit_steps_where_they_pay() -> None
     assert ours.state.tolist() == theirs.state.tolist()
 
 
+def _n_explicit(passage: Passage) -> int:
+    trajectory = passage.trajectory
+    assert isinstance(trajectory, SteppedTrajectory)
+    return sum(isinstance(step, ExplicitStep) for step in trajectory.steps)
+
+
+@pytest.mark.parametrize("rate", [1e4, 1e6, 1e8])
+def test_a_layer_is_all_that_the_default_engine_steps_through_explicitly(rate: float) -> None:
+    tolerance = Tolerance(relative=1e-8, absolute=1e-9)
+    # From y(0) = 2 a layer exp(-rate t) is added to cos t. Order 8 crosses it, ln(1 / 1e-9) = 21
+    # times 1 / rate, in steps that grow from 0.3 to 3 of that.
+    leg = _leg(_prothero_robinson(rate), np.array([2.0, 0.0]), 10.0, tolerance)
+    passage = Automatic().follow(leg)
+    assert 10 < _n_explicit(passage) < 40
+    assert passage.duration == pytest.approx(math.pi / 2, abs=10 * tolerance.relative)
+    # Without the layer the first look at the rates is after five steps.
+    smooth = _leg(_prothero_robinson(rate), np.array([1.0, 0.0]), 10.0, tolerance)
+    assert _n_explicit(Automatic().follow(smooth)) <= 6
+
+
+def test_a_leg_that_is_nearly_over_is_finished_explicitly() -> None:
+    # Stiff, but the guard falls after 20 / rate.
+    rate = 1e6
+    leg = _leg(_prothero_robinson(rate), np.array([math.cos(1.0), 1.0]), 20.0 / rate)
+    passage = Automatic().follow(leg)
+    assert _n_explicit(passage) == _n_steps(passage)
+
+
+def test_flights_that_share_their_memory_do_not_disturb_each_other() -> None:
+    problem = load_problem("motor_pendulum")
+    values = problem.setting().values()
+    compiled = compile_problem(problem)
+    shared = bind(compiled, values)
+    y = np.array([0.2, 0.0, -5.0, 1.0, -1.8, 0.0, 1.0])
+    speeds = (0.3, 2.0)
+    for take in (_explicit_end, _implicit_end):
+        alone = [take(bind(compiled, values).flight(speed), y) for speed in speeds]
+        flows = [shared.flight(speed) for speed in speeds]
+        # In turns: first both rates, then both steps, then the first guard again.
+        assert flows[0].rate(y)[:2] * 2.0 == pytest.approx(flows[1].rate(y)[:2] * 0.3)
+        together = [take(flow, y) for flow in flows]
+        for (after, guard), (after_alone, guard_alone) in zip(together, alone, strict=True):
+            assert after.tolist() == after_alone.tolist()
+            assert guard == guard_alone
+        assert flows[0].guard(together[0][0]) == alone[0][1]
+        assert flows[0].guard(together[1][0]) == alone[1][1]
+
+
+def _explicit_end(flow: GuardedFlow, y: Vector) -> tuple[Vector, tuple[float, float]]:
+    after, _ = flow.attempt(y, 1e-3, TIGHT)
+    return after, flow.guard(after)
+
+
+def _implicit_end(flow: GuardedFlow, y: Vector) -> tuple[Vector, tuple[float, float]]:
+    after = flow.newton(radau(7)).begin(y, 1e-3, TIGHT, None).after
+    return after, flow.guard(after)
+
+
 @pytest.mark.parametrize("engine", [Radau(), Automatic()])
 def test_a_flow_that_blows_up_ends_in_a_named_error(engine: Radau | Automatic) -> None:
     # y' = y^2 from 1 is infinite at t = 1.
@@ -129,7 +198,7 @@ def test_a_singular_newton_matrix_refuses_the_step_and_no_wrong_state_comes_out(
     # y' = y: the matrix (mu / h) - 1 has a zero pivot where h is the real eigenvalue itself.
     y, p = ca.SX.sym("y"), ca.SX.sym("p", 0)
     rate = ca.Function("rate", [y, p], [y])
-    dummy = ca.Function("dummy", [y, p], [y])
+    dummy = ca.Function("dummy", [y, p], [ca.vertcat(y, y)])
     numbers = ca.SX.sym("numbers", 3)
     step = ca.Function("step", [y, p, numbers], [y, y])
     jacobian = ca.Function("jacobian", [y, p], [ca.SX(1.0)])
@@ -140,4 +209,4 @@ def test_a_singular_newton_matrix_refuses_the_step_and_no_wrong_state_comes_out(
     assert solved(flow.newton(scheme), np.array([1.0]), singular, TIGHT, None) is None
     good = solved(flow.newton(scheme), np.array([1.0]), 0.5, TIGHT, None)
     assert good is not None
-    assert 1.0 + float(good[-1, 0]) == pytest.approx(math.exp(0.5), rel=1e-12)
+    assert float(good.after[0]) == pytest.approx(math.exp(0.5), rel=1e-12)

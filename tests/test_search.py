@@ -57,6 +57,19 @@ def _box(problem: Problem) -> dict[str, tuple[float, float]]:
 # At fixed gains.
 
 
+@pytest.mark.parametrize("inductance", [1e-6, 1e-8])
+def test_a_current_that_decays_within_nanoseconds_leaves_the_orbit_of_the_reduced_model(
+    scene: Problem, inductance: float
+) -> None:
+    found = find_orbit(scene, scene.setting(parameters={"L": inductance}))
+    assert found.status is SearchStatus.FOUND
+    reduced = load_problem("motor_pendulum@corrected")
+    without = find_orbit(reduced, reduced.setting(parameters={"L": inductance}))
+    # The reduced model errs by 4e-7 at 2 mH and by the square of L: by less than rounding here.
+    # Each search agrees with its simulation to 3e-10.
+    assert found.unwrap().period == pytest.approx(without.unwrap().period, rel=6e-10)
+
+
 def test_the_orbit_at_the_published_gains_is_the_declared_one(orbit: ZenoOrbit) -> None:
     assert orbit.period == pytest.approx(PERIOD, abs=ACCURACY)
     assert list(orbit.release_state.values()) == pytest.approx(RELEASE, abs=ACCURACY)

@@ -33,7 +33,13 @@ from zeno_orbits.compiled import bind, compile_problem
 from zeno_orbits.completion import Truncation, ZenoExtrapolation
 from zeno_orbits.dynamics import HybridDynamics, Tolerance
 from zeno_orbits.engines import Engine, Radau, RungeKutta, SciPy
-from zeno_orbits.errors import ChatterError, InputError, PenetrationError, StepSizeError
+from zeno_orbits.errors import (
+    ChatterError,
+    InputError,
+    PenetrationError,
+    RunawayError,
+    StepSizeError,
+)
 from zeno_orbits.execution import Ending, Execution, Impact, Mode, Release, ZenoPoint
 from zeno_orbits.problem import Problem, load_problem, load_reference
 from zeno_orbits.simulate import SimulationSettings, simulate
@@ -669,6 +675,26 @@ def test_a_motion_that_dies_out_is_followed_to_rest() -> None:
     assert np.max(np.abs(execution.end_state)) < 1e-3
     speeds = [-impact.approach_rate for impact in execution.impacts]
     assert all(speed > 0.0 for speed in speeds)
+
+
+@pytest.mark.parametrize("gain", [-10.0, -1e3])
+def test_a_motion_that_speeds_up_without_end_is_told_in_a_tenth_of_the_steps(gain: float) -> None:
+    # Feedback of the wrong sign: the shoulder whirls ever faster, and every turn takes its steps.
+    problem = load_problem("motor_pendulum")
+    dynamics = bind(compile_problem(problem), problem.setting(gains={"Kd": gain}).values())
+    with pytest.raises(RunawayError, match="dtheta1 grows without end") as caught:
+        simulate(dynamics, problem.state_vector(problem.starts[0]), until=10.0)
+    # Looks come at 25 000 steps and at every doubling: the fourth ends it, at 200 000 of 2 million.
+    assert "its last 100000 steps" in str(caught.value)
+    assert caught.value.time is not None
+    assert caught.value.time < 4.0
+
+
+def test_an_oscillation_of_many_steps_is_no_runaway() -> None:
+    # Some 180 000 steps: the looks at 25 000, 50 000 and 100 000 see no speed that keeps growing.
+    small = SimulationSettings(engine=RungeKutta(largest_step=1e-3), most_steps=200_000)
+    execution = simulate(_forced(), LOCKED_START, until=50.0, settings=small)
+    assert execution.end_time == 50.0
 
 
 # Horizons and heights at the end of the range of doubles.

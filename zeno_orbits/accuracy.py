@@ -91,7 +91,23 @@ def settings_for(accuracy: float, settings: SimulationSettings | None = None) ->
     if not FINEST <= accuracy <= COARSEST:
         wanted = f"must lie in [{FINEST:g}, {COARSEST:g}]"
         raise InputError(f"Argument `accuracy` {wanted}, but it is {accuracy:g}.")
-    return _at_tolerance(settings or SimulationSettings(), _SHARE * accuracy)
+    return at_tolerance(_SHARE * accuracy, settings)
+
+
+def at_tolerance(
+    tolerance: float, settings: SimulationSettings | None = None
+) -> SimulationSettings:
+    """Return settings at a tolerance, the Zeno limit's included.
+
+    Args:
+        tolerance: Relative error of a step.
+        settings: Everything else: engine, limits.
+    """
+    return replace(
+        settings or SimulationSettings(),
+        tolerance=Tolerance(relative=tolerance, absolute=_SHARE * tolerance),
+        completion=ZenoPassage(tolerance=max(tolerance, 1e-12)),
+    )
 
 
 def simulate_to(
@@ -124,7 +140,7 @@ def simulate_to(
     previous: Execution | None = None
     best = math.inf
     for tolerance in tolerances:
-        tried = _at_tolerance(chosen, tolerance)
+        tried = at_tolerance(tolerance, chosen)
         try:
             found = simulate(dynamics, state, until=until, settings=tried, on_progress=on_progress)
         except PenetrationError:
@@ -220,14 +236,6 @@ def why_engine(dynamics: HybridDynamics, state: Sequence[float] | Vector) -> str
     if fastest > PAYS * slower:
         return f"explicit steps (DOP853) in layers, then implicit (Radau IIA, order 13): {rates}."
     return f"explicit steps (DOP853): {rates}."
-
-
-def _at_tolerance(settings: SimulationSettings, tolerance: float) -> SimulationSettings:
-    return replace(
-        settings,
-        tolerance=Tolerance(relative=tolerance, absolute=_SHARE * tolerance),
-        completion=ZenoPassage(tolerance=max(tolerance, 1e-12)),
-    )
 
 
 def _limit_error(execution: Execution) -> float:

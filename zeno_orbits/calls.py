@@ -33,16 +33,26 @@ class StepCall:
         self._y = np.zeros(function.size1_in(0))
         self._numbers = np.zeros(3)
         self._after = np.zeros_like(self._y)
-        self._error = np.zeros(1)
-        results = (self._after, self._error)
+        self._told = np.zeros(3)
+        results = (self._after, self._told[:1], self._told[1:])
         self._evaluate = caller(function, (self._y, p, self._numbers), results)
+        self._tolerance: Tolerance | None = None
 
-    def __call__(self, y: Vector, size: float, tolerance: Tolerance) -> tuple[Vector, float]:
-        """Return the state after a step of a size, and its error in units of the tolerance."""
+    def __call__(
+        self, y: Vector, size: float, tolerance: Tolerance
+    ) -> tuple[Vector, float, tuple[float, float]]:
+        """Return the state after a step of a size, its error, and guard and guard rate there.
+
+        The error is in units of the tolerance.
+        """
+        if tolerance is not self._tolerance:
+            self._numbers[1:] = (tolerance.relative, tolerance.absolute)
+            self._tolerance = tolerance
         self._y[:] = y
-        self._numbers[:] = (size, tolerance.relative, tolerance.absolute)
+        self._numbers[0] = size
         self._evaluate()
-        return self._after.copy(), self._error.item()
+        error, value, rate = self._told.tolist()
+        return self._after.copy(), error, (value, rate)
 
 
 class ResetCall:

@@ -12,7 +12,13 @@ import numpy as np
 from zeno_orbits.calls import Call, ResetCall, RestingCall
 from zeno_orbits.differentials import Differentiation
 from zeno_orbits.dynamics import FusedResting, GuardedFlow, HybridDynamics
-from zeno_orbits.flows import CompiledFlow, ModeFunctions, dense_function, mode_functions
+from zeno_orbits.flows import (
+    CompiledFlow,
+    FlowMemory,
+    ModeFunctions,
+    dense_function,
+    mode_functions,
+)
 from zeno_orbits.hybrid import CompletedSystem
 from zeno_orbits.problem import Problem
 from zeno_orbits.variations import CompiledDifferentials, PointFunctions
@@ -178,10 +184,12 @@ def bind(compiled: CompiledSystem, values: Sequence[float]) -> HybridDynamics:
     energy = Call(compiled.energy, p)
     holonomic = Call(compiled.holonomic, p)
 
+    flights = FlowMemory(compiled.flight)
+
     def flight(speed: float) -> GuardedFlow:
         numbers = np.empty(p.size + 1)
         numbers[:-1], numbers[-1] = p, speed
-        return CompiledFlow(compiled.flight, numbers)
+        return CompiledFlow(compiled.flight, numbers, flights)
 
     plain = HybridDynamics(
         state_names=compiled.state_names,

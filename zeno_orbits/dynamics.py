@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,23 +33,70 @@ class Tolerance:
     absolute: float = 1e-13
 
 
-class NewtonPieces(Protocol):
-    """Newton's iteration for one implicit step of a flow, ready for its state and size."""
+class Continuation(NamedTuple):
+    """Where the stages of a step may start from: the polynomial of another step, continued.
 
-    def begin(self, y: Vector, size: float, guess: Vector | None) -> Vector:
-        """Factorize for a step and return the stage increments to start from."""
+    Attributes:
+        coefficients: Of that polynomial, powers 1 up, ``(n_stages, n_y)``.
+        start: Where the step starts, in units of the other one.
+        ratio: Its size in these units.
+    """
+
+    coefficients: Vector
+    start: float
+    ratio: float
+
+
+FIRST_ITERATIONS = 3
+"""Newton's iterations that every implicit step begins with; few steps need another."""
+
+
+class Corrected(NamedTuple):
+    """An implicit step after its first iterations of Newton's method.
+
+    Attributes:
+        stages: Stage increments, ``(n_stages, n_y)``.
+        coefficients: Of the polynomial through them, powers 1 up, ``(n_stages, n_y)``.
+        after: State at the end, ``(n_y,)``.
+        before: Size of the last correction but one, in units of the tolerance.
+        last: Size of the last.
+        error: Error of the step, in units of the tolerance.
+    """
+
+    stages: Vector
+    coefficients: Vector
+    after: Vector
+    before: float
+    last: float
+    error: float
+
+
+class NewtonPieces(Protocol):
+    """Newton's iteration for one implicit step of a flow."""
+
+    @property
+    def scheme(self) -> Collocation:
+        """The collocation scheme."""
         ...
 
-    def correct(self, stages: Vector, tolerance: Tolerance) -> tuple[Vector, float]:
-        """Return the stage increments after one iteration and the size of its correction.
+    def begin(
+        self, y: Vector, size: float, tolerance: Tolerance, guess: Continuation | None
+    ) -> Corrected:
+        """Factorize for a step and return what its first iterations give.
 
         Args:
-            stages: Stage increments, ``(n_stages, n_y)``.
-            tolerance: Unit of the size.
+            y: State before the step, ``(n_y,)``.
+            size: Its size.
+            tolerance: Unit of corrections and error.
+            guess: What the stage increments start from; zero by default.
         """
         ...
 
-    def error(self, stages: Vector, tolerance: Tolerance) -> float:
+    def correct(self, stages: Vector) -> tuple[Vector, float]:
+        """Return the stage increments after one more iteration and the size of its correction."""
+        ...
+
+    def error(self, stages: Vector) -> float:
         """Return the error of the step, in units of the tolerance."""
         ...
 
@@ -127,39 +174,56 @@ class PlainNewton:
     def __init__(self, flow: PlainFlow, scheme: Collocation) -> None:
         self._field = flow.field
         self._jacobian = flow.jacobian
-        self._scheme = scheme
+        self.scheme = scheme
 
-    def begin(self, y: Vector, size: float, guess: Vector | None) -> Vector:
-        """Factorize for a step and return the stage increments to start from."""
-        self._y, self._size = y, size
-        self._slope = self._field(y)
-        jacobian, eye = self._jacobian(y), np.eye(len(y))
-        self._inverses = [
-            np.linalg.inv(mu / size * eye - jacobian) for mu in self._scheme.spectrum.values
-        ]
-        return np.zeros((self._scheme.n_stages, len(y))) if guess is None else guess
+    def begin(
+        self, y: Vector, size: float, tolerance: Tolerance, guess: Continuation | None
+    ) -> Corrected:
+        """Factorize for a step and return what its first iterations give."""
+        self._y, self._size, self._tolerance = y, size, tolerance
+        with np.errstate(all="ignore"):
+            # What overflows is refused by its NaN.
+            self._slope = self._field(y)
+            jacobian, eye = self._jacobian(y), np.eye(len(y))
+            self._inverses = [
+                np.linalg.inv(mu / size * eye - jacobian) for mu in self.scheme.spectrum.values
+            ]
+            stages, before = np.zeros((self.scheme.n_stages, len(y))), 0.0
+            if guess is not None:
+                stages = self.scheme.continued(*guess)
+            for _ in range(FIRST_ITERATIONS - 1):
+                stages, before = self.correct(stages)
+            stages, last = self.correct(stages)
+            coefficients, error = self.scheme.coefficients(stages), self.error(stages)
+            return Corrected(stages, coefficients, y + stages[-1], before, last, error)
 
-    def correct(self, stages: Vector, tolerance: Tolerance) -> tuple[Vector, float]:
-        """Return the stage increments after one iteration and the size of its correction."""
-        rates = np.array([self._field(self._y + stage) for stage in stages])
-        residual = rates - self._scheme.inverse @ stages / self._size
-        spectrum = self._scheme.spectrum
-        correction = np.zeros_like(stages)
-        for mu, column, row, inverse in zip(
-            spectrum.values, spectrum.columns, spectrum.rows, self._inverses, strict=True
-        ):
-            part = np.outer(column, inverse @ (row @ residual))
-            correction += part.real if mu.imag == 0.0 else 2 * part.real
-        return stages + correction, self._norm(correction, tolerance)
+    def correct(self, stages: Vector) -> tuple[Vector, float]:
+        """Return the stage increments after one more iteration and the size of its correction."""
+        with np.errstate(all="ignore"):
+            rates = np.array([self._field(self._y + stage) for stage in stages])
+            residual = rates - self.scheme.inverse @ stages / self._size
+            correction = np.zeros_like(stages)
+            for mu, column, row, inverse in zip(
+                self.scheme.spectrum.values,
+                self.scheme.spectrum.columns,
+                self.scheme.spectrum.rows,
+                self._inverses,
+                strict=True,
+            ):
+                part = np.outer(column, inverse @ (row @ residual))
+                correction += part.real if mu.imag == 0.0 else 2 * part.real
+            return stages + correction, self._norm(correction)
 
-    def error(self, stages: Vector, tolerance: Tolerance) -> float:
+    def error(self, stages: Vector) -> float:
         """Return the error of the step, in units of the tolerance."""
-        gamma, weights = self._scheme.embedded
-        raw = self._slope + weights @ stages / (gamma * self._size)
-        error = self._norm((self._inverses[0] @ raw).real, tolerance)
-        return error + float(overflow(np.sum(self._y + stages[-1]), np))
+        gamma, weights = self.scheme.embedded
+        with np.errstate(all="ignore"):
+            raw = self._slope + weights @ stages / (gamma * self._size)
+            error = self._norm((self._inverses[0] @ raw).real)
+            return error + float(overflow(np.sum(self._y + stages[-1]), np))
 
-    def _norm(self, change: Vector, tolerance: Tolerance) -> float:
+    def _norm(self, change: Vector) -> float:
+        tolerance = self._tolerance
         scale = tolerance.absolute + tolerance.relative * np.abs(self._y)
         return float(np.sqrt(np.mean((change / scale) ** 2)))
 

@@ -142,6 +142,27 @@ def _quiet_about_interrupts() -> contextlib.AbstractContextManager[object]:
     return contextlib.nullcontext()
 
 
+def row_rounding(program: Program) -> Array:
+    r"""Return to what each row can be met at all, ``(m,)``: the rounding of its terms at the guess.
+
+    .. math:: \epsilon \sum_j |J_{ij} x_j|
+
+    A row that holds a decay of rate :math:`\rho` over an interval :math:`h` has terms of size
+    :math:`h \rho`, and no iterate meets it better than their rounding. To ask for more ends in
+    Ipopt's iteration limit, at a solution.
+    """
+    at = ca.Function("jacobian", [program.unknowns], [program.jacobian])(program.guess)
+    terms = ca.mtimes(ca.fabs(at), ca.fabs(ca.DM(program.guess)))
+    sizes = np.array(terms.full()).ravel()
+    # A row whose terms overflow is not met by anything, and must not be weighted away.
+    finite = np.where(np.isfinite(sizes), sizes, 0.0)
+    return _ROUNDINGS * float(np.finfo(np.float64).eps) * finite
+
+
+_ROUNDINGS = 4.0
+"""Roundings of its terms that a row collects, a few."""
+
+
 def solve(program: Program, settings: IpoptSettings | None = None) -> Solution:
     """Solve a program with Ipopt, from its guess.
 
@@ -150,9 +171,11 @@ def solve(program: Program, settings: IpoptSettings | None = None) -> Solution:
     """
     settings = settings or IpoptSettings()
     nothing = ca.MX.sym("nothing", 0)
-    rows = ca.Function("rows", [program.unknowns, nothing], [program.rows, program.jacobian])
+    weights = 1.0 / np.maximum(1.0, row_rounding(program) / settings.tolerance)
+    weighted = [weights * program.rows, ca.mtimes(ca.diag(ca.DM(weights)), program.jacobian)]
+    rows = ca.Function("rows", [program.unknowns, nothing], weighted)
     options = settings.as_casadi() | {"jac_g": rows}
-    nlp = {"x": program.unknowns, "f": program.objective, "g": program.rows}
+    nlp = {"x": program.unknowns, "f": program.objective, "g": weighted[0]}
     solver = ca.nlpsol("orbit", "ipopt", nlp, options)
     started = time.perf_counter()
     with _quiet_about_interrupts():
@@ -160,8 +183,8 @@ def solve(program: Program, settings: IpoptSettings | None = None) -> Solution:
             x0=program.guess,
             lbx=program.lower,
             ubx=program.upper,
-            lbg=program.row_lower,
-            ubg=program.row_upper,
+            lbg=weights * program.row_lower,
+            ubg=weights * program.row_upper,
         )
     wall_time = time.perf_counter() - started
     stats = solver.stats()
@@ -169,8 +192,8 @@ def solve(program: Program, settings: IpoptSettings | None = None) -> Solution:
     if return_status in ("NonIpopt_Exception_Thrown", "User_Requested_Stop"):
         raise KeyboardInterrupt
     scaled = np.array(answer["x"].full()).ravel()
-    rows = np.array(answer["g"].full()).ravel()
-    violation = np.maximum(program.row_lower - rows, rows - program.row_upper)
+    met = np.array(answer["g"].full()).ravel() / weights
+    violation = np.maximum(program.row_lower - met, met - program.row_upper)
     residuals: dict[str, float] = {}
     for name, value in zip(program.row_names, violation, strict=True):
         residuals[name] = max(residuals.get(name, 0.0), float(value))

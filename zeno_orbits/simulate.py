@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
@@ -114,6 +115,28 @@ class _Start:
     impact: Impact | None = None
 
 
+_FIRST_LOOK = 25_000
+"""Steps before the first look at the pace of an execution; good motions take some 150 a second."""
+
+_RISING, _RISE = 4, 1.5
+"""Looks in a row between which a speed grows by this factor or more: that is no oscillation."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Look:
+    """How far an execution has come.
+
+    Attributes:
+        steps: Steps so far.
+        time: When [s].
+        speed: Largest velocity.
+    """
+
+    steps: int
+    time: float
+    speed: float
+
+
 class _Run:
     """One execution in the making."""
 
@@ -135,6 +158,7 @@ class _Run:
         self.events: list[Event] = []
         self.n_impacts = 0
         self.n_steps = 0
+        self.looks: list[_Look] = []
         self.n_releases = 0
 
     def follow(self, start: _Start) -> None:
@@ -335,6 +359,8 @@ class _Run:
 
         def watch(steps: int, offset: float, y: Vector) -> None:
             self.n_steps += steps
+            if self.n_steps >= _FIRST_LOOK * 2 ** len(self.looks):
+                self._look(start + unit * offset, y)
             if self.n_steps > settings.most_steps:
                 raise SimulationError(
                     f"The execution takes more than {settings.most_steps} steps",
@@ -348,6 +374,30 @@ class _Run:
                 )
 
         return watch
+
+    def _look(self, time: float, y: Vector) -> None:
+        """End a motion that speeds up so much that its steps will not last to the horizon.
+
+        A look comes at every doubling of the steps. Speeds that grow from look to look, and the
+        pace since the last one, tell in a tenth of the steps what all of them would.
+        """
+        n_q = self.dynamics.n_q
+        rates = np.abs(y[n_q : 2 * n_q])
+        self.looks.append(_Look(steps=self.n_steps, time=time, speed=float(rates.max())))
+        last = self.looks[-_RISING:]
+        if len(last) < _RISING or any(b.speed < _RISE * a.speed for a, b in pairwise(last)):
+            return
+        before = last[-2]
+        steps, passed = self.n_steps - before.steps, time - before.time
+        needed = (self.until - time) * steps / passed if passed > 0.0 else math.inf
+        if self.n_steps + needed > self.settings.most_steps:
+            name = self.dynamics.state_names[n_q + int(np.argmax(rates))]
+            raise RunawayError(
+                f"{name} grows without end: at the pace of its last {steps} steps, "
+                f"{needed:.1g} more would be needed",
+                time=time,
+                state=tuple(y.tolist()),
+            )
 
     def _arc(
         self, start: _Start, flow: GuardedFlow, natural: Ending, *, on_guard: bool

@@ -13,21 +13,18 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
-from zeno_orbits.accuracy import ROUNDING, apart, landmarks
+from zeno_orbits.accuracy import ROUNDING, apart, at_tolerance, landmarks
 from zeno_orbits.compiled import bind
 from zeno_orbits.completion import Completion, FixedImpacts, Truncation
 from zeno_orbits.dynamics import HybridDynamics
 from zeno_orbits.engines import Automatic, Engine, Radau, RungeKutta, SciPy, Taylor
-from zeno_orbits.engines.automatic import decay_rates
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.execution import Execution
 from zeno_orbits.models import compiled_model
 from zeno_orbits.problem import Problem, Setting
 from zeno_orbits.simulate import SimulationSettings, simulate
 from zeno_orbits.translate import heyoka_is_installed
-from zeno_orbits.truth import Truth, settings_at, true_landmarks
+from zeno_orbits.truth import Truth, is_too_stiff, true_landmarks
 
 Tell = Callable[[str, float], None]
 
@@ -240,8 +237,8 @@ def _plans(
     for name, engine in engines().items():
         for tolerance in settings.tolerances:
             if not isinstance(engine, SciPy) or tolerance >= settings.slow_from:
-                yield plan("engine", name, tolerance, settings_at(engine, tolerance))
-    tight = settings_at(Automatic(), min(settings.tolerances))
+                yield plan("engine", name, tolerance, _settings(engine, tolerance))
+    tight = _settings(Automatic(), min(settings.tolerances))
     closures: list[tuple[str, str, float, Completion]] = [
         *(("cut", "plastic below", delta, Truncation(delta=delta)) for delta in settings.cuts),
         *(("impacts", "limit after", n, FixedImpacts(n_impacts=n)) for n in settings.impacts),
@@ -265,7 +262,7 @@ def _reduced(
                 dynamics=dynamics,
                 state=[state[entry] for entry in entries],
                 entries=entries,
-                simulation=settings_at(Automatic(), tolerance),
+                simulation=_settings(Automatic(), tolerance),
             )
 
 
@@ -274,8 +271,8 @@ def _tried(plan: _Plan, truth: Truth, settings: TradeSettings) -> Trial:
     trial = Trial(
         sweep=plan.sweep, name=plan.name, value=plan.value, seconds=math.inf, error=math.inf
     )
-    fastest, _ = decay_rates(plan.dynamics.free, np.array(plan.state, dtype=np.float64))
-    if isinstance(plan.simulation.engine, Taylor) and fastest * settings.until > _MOST_DECAYS:
+    by_series = isinstance(plan.simulation.engine, Taylor)
+    if by_series and is_too_stiff(plan.dynamics, plan.state, settings.until):
         return replace(trial, trouble="left out: its steps are explicit, and the scene is stiff")
     try:
         execution, first = _timed(plan, settings.until)
@@ -293,9 +290,6 @@ def _tried(plan: _Plan, truth: Truth, settings: TradeSettings) -> Trial:
         n_impacts=len(execution.impacts),
     )
 
-
-_MOST_DECAYS = 1e5
-"""Fastest decay times horizon beyond which a series, explicit as it is, takes minutes."""
 
 _LONG = 2.0
 """A run longer than this is not repeated [s]: nothing that warms up matters then."""
@@ -337,6 +331,10 @@ def _meshes(
         )
         if not found:
             return
+
+
+def _settings(engine: Engine, tolerance: float) -> SimulationSettings:
+    return at_tolerance(tolerance, SimulationSettings(engine=engine))
 
 
 def _model(problem: Problem, setting: Setting) -> HybridDynamics:

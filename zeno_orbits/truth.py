@@ -9,10 +9,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from zeno_orbits.accuracy import ROUNDING, Kind, Landmark, apart, landmarks, sizes, sizes_of
-from zeno_orbits.completion import ZenoExtrapolation
-from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
-from zeno_orbits.engines import Engine, Radau
+from zeno_orbits.accuracy import (
+    ROUNDING,
+    Kind,
+    Landmark,
+    apart,
+    at_tolerance,
+    landmarks,
+    sizes,
+    sizes_of,
+)
+from zeno_orbits.dynamics import HybridDynamics, Vector
+from zeno_orbits.engines import Radau
 from zeno_orbits.engines.automatic import decay_rates
 from zeno_orbits.errors import InputError, TranslationError, ZenoOrbitsError
 from zeno_orbits.problem import Problem, Setting
@@ -27,9 +35,8 @@ TRUTH_DIGITS = 20
 _SAMPLES = 64
 """Times at which the truth is looked at for the size of its states."""
 
-
 _MOST_DECAYS = 1e5
-"""Fastest decay times horizon up to which extended precision takes less than a minute or so."""
+"""Fastest decay times horizon up to which a series takes less than a minute or so."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,8 +82,7 @@ def true_landmarks(
         raise InputError(message)
     if not heyoka_is_installed():
         return _truth_in_doubles(dynamics, state, until, "install the extra `taylor` for a better")
-    fastest, _ = decay_rates(dynamics.free, np.array(state, dtype=np.float64))
-    if fastest * until > _MOST_DECAYS:
+    if is_too_stiff(dynamics, state, until):
         return _truth_in_doubles(dynamics, state, until, "the scene is too stiff for a better")
     from zeno_orbits.extended import extended_execution
 
@@ -101,12 +107,19 @@ def true_landmarks(
     )
 
 
+def is_too_stiff(dynamics: HybridDynamics, state: Sequence[float], until: float) -> bool:
+    """Tell whether Taylor series, explicit as they are, would take minutes over a horizon [s]."""
+    fastest, _ = decay_rates(dynamics.free, np.array(state, dtype=np.float64))
+    return fastest * until > _MOST_DECAYS
+
+
 def _truth_in_doubles(
     dynamics: HybridDynamics, state: Sequence[float], until: float, why: str
 ) -> Truth:
     """Return the truth of the tightest tolerances, of an engine that the default one is not."""
+    implicit = SimulationSettings(engine=Radau())
     finest, next_finest = (
-        simulate(dynamics, state, until=until, settings=settings_at(Radau(), tolerance))
+        simulate(dynamics, state, until=until, settings=at_tolerance(tolerance, implicit))
         for tolerance in (1e-14, 1e-13)
     )
     marks, scale = landmarks(finest), sizes(finest)
@@ -126,13 +139,4 @@ def _exact_landmarks(exact: ExtendedExecution) -> tuple[Landmark, ...]:
     return tuple(
         Landmark(kind=kind, time=float(p.time), state=np.array([float(v) for v in p.state]))
         for p in points
-    )
-
-
-def settings_at(engine: Engine, tolerance: float) -> SimulationSettings:
-    """Return the settings of an engine at a tolerance, the Zeno limit's included."""
-    return SimulationSettings(
-        engine=engine,
-        tolerance=Tolerance(relative=tolerance, absolute=0.1 * tolerance),
-        completion=ZenoExtrapolation(tolerance=max(tolerance, 1e-12)),
     )

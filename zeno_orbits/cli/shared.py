@@ -163,12 +163,18 @@ def require_engine(options: argparse.Namespace, dynamics: HybridDynamics) -> Non
     """Refuse an engine that cannot follow a system, before any work is done with it."""
     if options.engine != "taylor":
         return
+    import numpy as np
+
     from zeno_orbits.dynamics import Tolerance
     from zeno_orbits.engines.series import carrier, symbols_of
 
-    for flow in (dynamics.free, dynamics.locked, dynamics.flight(1.0)):
+    # Some state off the stop and on it: what rests there is no part of the series.
+    off = np.ones(len(dynamics.state_names))
+    starts = (off, dynamics.on_stop(off), np.append(off, (1.0, 1.0)))
+    flows = (dynamics.free, dynamics.locked, dynamics.flight(1.0))
+    for flow, start in zip(flows, starts, strict=True):
         mode, _ = symbols_of(flow)
-        carrier(mode, Tolerance().absolute)
+        carrier(mode, Tolerance().absolute, start)
 
 
 def orbit_and_problem(options: argparse.Namespace) -> tuple[ZenoOrbit, Problem]:

@@ -1,12 +1,13 @@
 """The default engine: explicit where a flow is smooth, implicit where a fast decay holds it back.
 
 Every leg begins explicitly, which a layer after an impact needs anyway. Once the decay of the
-fastest component, and no longer the accuracy, sets the step, the implicit engine takes over
-(theory (23)).
+fastest component, and no longer the accuracy, sets the step, and enough of the leg is left, the
+implicit engine takes over with a step for the slow rest (theory (23)).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -18,14 +19,25 @@ from zeno_orbits.engines.radau import Radau
 from zeno_orbits.engines.runge_kutta import RungeKutta
 from zeno_orbits.engines.stepping import follow_steps
 
-_PATIENCE = 24
-"""Explicit steps between two looks at what holds the step back."""
+_FIRST_LOOK = 5
+"""Explicit steps before the decay rates of a flow are asked for."""
 
-_HELD = 1.0
-"""Step times fastest decay at which stability begins to set the explicit step, near its 6."""
+_PATIENCE = 24
+"""Explicit steps between two looks at the rates."""
+
+_HELD, _STUCK = 3.0, 1.0
+"""Step times fastest decay from which stability sets the explicit step, near its 6: of any step,
+and of one that no longer grows, as it does to the end of a layer."""
 
 PAYS = 25.0
 """Fastest decay over the next rate from which an implicit step pays."""
+
+_LONG = 60.0
+"""Fastest decay times what is left of the leg from which going over pays."""
+
+_FIRST_STEP = 2.5
+"""First implicit step times the next rate, over the eighth root of the tolerance: what the error
+estimate of order 8 mostly takes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,19 +68,43 @@ class Automatic:
         Raises:
             StepSizeError: If the step size falls to rounding level.
         """
+        fastest, first, size = 0.0, 0.0, 0.0
         for count, step in enumerate(self.explicit.steps(flow, y, tolerance, horizon), start=1):
             yield step
-            if count % _PATIENCE == 0 and is_held_back(flow, step.after, step.size):
-                end = step.start + step.size
-                yield from self.implicit.steps(
-                    flow, step.after, tolerance, horizon, time=end, size=2 * step.size
-                )
+            if count == _FIRST_LOOK or count % _PATIENCE == 0:
+                fastest, first = _limits(flow, step.after, tolerance)
+            stuck, size = step.size <= size, step.size
+            if size * fastest > (_STUCK if stuck else _HELD):
+                end = step.start + size
+                left = min(_time_left(flow, step), horizon - end)
+                if left * fastest > _LONG:
+                    size = max(2 * size, min(first, 1.1 * left))
+                    yield from self.implicit.steps(
+                        flow, step.after, tolerance, horizon, time=end, size=size
+                    )
 
 
-def is_held_back(flow: GuardedFlow, y: Vector, size: float) -> bool:
-    """Tell whether a fast decay, far faster than all else, sets an explicit step of this size."""
+def _limits(flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> tuple[float, float]:
+    """Return the decay that holds explicit steps back and an implicit step to begin with.
+
+    The decay is zero where nothing decays far faster than all else.
+    """
     fastest, next_rate = decay_rates(flow, y)
-    return size * fastest > _HELD and fastest > PAYS * next_rate
+    if not fastest > PAYS * next_rate:
+        return 0.0, 0.0
+    first = _FIRST_STEP * tolerance.relative ** (1 / 8)
+    return fastest, first / next_rate if next_rate > 0.0 else 0.0
+
+
+def _time_left(flow: GuardedFlow, step: Step) -> float:
+    """Return how long the guard takes to fall from the end of a step, as a parabola tells it."""
+    (_, rate_before), (value, rate) = flow.guard(step.before), flow.guard(step.after)
+    bend = (rate - rate_before) / step.size
+    if value < 0.0:
+        return 0.0
+    if bend < 0.0:
+        return (rate + math.sqrt(rate * rate - 2.0 * bend * value)) / -bend
+    return -value / rate if rate < 0.0 else math.inf
 
 
 def decay_rates(flow: GuardedFlow, y: Vector) -> tuple[float, float]:

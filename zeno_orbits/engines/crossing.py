@@ -45,7 +45,11 @@ def first_fall(
     # roots than they have changes of sign.
     second, third = before[0] + size / 3 * before[1], after[0] - size / 3 * after[1]
     started = before[0] > 0.0 or (on_guard and before[0] == 0.0 and before[1] > 0.0)
-    dips = before[1] < 0.0 < after[1]
+    # A rate that changes sign may hide a dip, but not one to zero where the cubic falls by less
+    # than half.
+    dips = before[1] < 0.0 < after[1] and not (
+        second > before[0] / 2 > 0.0 and third > after[0] / 2 > 0.0
+    )
     if started and second > 0.0 and third > 0.0 and after[0] > 0.0 and not dips:
         return None
 
@@ -53,18 +57,22 @@ def first_fall(
         return after if offset == size else flow.guard(step.state_at(offset))
 
     falls_once = before[0] > 0.0 > after[0] and (second > 0.0 or third < 0.0)
-    if not on_guard and falls_once and _is_cubic(dense(size / 2)[0], size, before, after):
-        return _polished(flow, step, _root(dense, 0.0, size))
+    if not on_guard and falls_once:
+        middle = dense(size / 2)
+        if _is_cubic(middle[0], size, before, after):
+            return _polished(flow, step, _halved_root(dense, size, before, middle, after))
     left, left_pair = 0.0, before
     armed = not on_guard
     for offset in (*(size * fraction for fraction in _FRACTIONS), size):
         pair = dense(offset)
         if armed and pair[0] < 0.0:
-            return _polished(flow, step, _root(dense, left, offset))
+            return _polished(flow, step, _root(dense, left, offset, left_pair, pair))
         if armed and left_pair[1] < 0.0 < pair[1]:
-            lowest = _root(lambda at: (dense(at)[1], None), left, offset)
-            if dense(lowest)[0] < 0.0:
-                return _polished(flow, step, _root(dense, left, lowest))
+            falling, rising = (left_pair[1], None), (pair[1], None)
+            lowest = _root(lambda at: (dense(at)[1], None), left, offset, falling, rising)
+            low_pair = dense(lowest)
+            if low_pair[0] < 0.0:
+                return _polished(flow, step, _root(dense, left, lowest, left_pair, low_pair))
         armed = armed or pair[0] > 0.0
         left, left_pair = offset, pair
     if armed or after[0] >= 0.0:
@@ -84,12 +92,13 @@ _CUBIC = 0.1
 
 def _short_rise(flow: GuardedFlow, step: Step, dense: Callable[[float], Guard]) -> float | None:
     """Return the fall after a rise from the guard that is far shorter than the step, if any."""
-    right = step.size
+    right, right_pair = step.size, dense(step.size)
     for _ in range(_HALVINGS):
         left = right / 2
-        if dense(left)[0] > 0.0:
-            return _polished(flow, step, _root(dense, left, right))
-        right = left
+        left_pair = dense(left)
+        if left_pair[0] > 0.0:
+            return _polished(flow, step, _root(dense, left, right, left_pair, right_pair))
+        right, right_pair = left, left_pair
     return None
 
 
@@ -101,54 +110,82 @@ def _polished(flow: GuardedFlow, step: Step, offset: float) -> float:
         moved = min(max(offset + change, 0.0), step.size)
         if abs(moved - offset) > _POLISH * step.size:
             # A guard that falls so slowly that dense output and steps disagree: graze, not fall.
-            return _root(lambda at: flow.guard(step.end_at(at)), *_bracket(flow, step, offset))
-        if abs(moved - offset) <= _TINY * step.size:
+            return _slow_root(flow, step, offset)
+        if abs(moved - offset) <= _DOUBLES * step.size:
+            # Newton's method squares what is left.
             return moved
         offset = moved
     return offset
 
 
+_DOUBLES = 1e-9
+"""After a last change below this part of the step, Newton's method leaves less than rounding."""
+
 _POLISH = 1e-3
 """Newton's method moves a root of the dense output by no more than this part of the step."""
 
 
-def _bracket(flow: GuardedFlow, step: Step, offset: float) -> tuple[float, float]:
-    """Return two offsets around a root of the dense output where true steps differ in sign."""
+def _slow_root(flow: GuardedFlow, step: Step, offset: float) -> float:
+    """Return the root of true steps near one of the dense output, if they differ in sign there."""
+
+    def true(at: float) -> Guard:
+        return flow.guard(step.end_at(at))
+
     width = _POLISH * step.size
     while width < step.size:
         left, right = max(offset - width, 0.0), min(offset + width, step.size)
-        if flow.guard(step.end_at(left))[0] > 0.0 > flow.guard(step.end_at(right))[0]:
-            return left, right
+        low, high = true(left), true(right)
+        if low[0] > 0.0 > high[0]:
+            return _root(true, left, right, low, high)
         width *= 4
-    return offset, offset
+    return offset
+
+
+def _halved_root(
+    dense: Callable[[float], Guard], size: float, before: Guard, middle: Guard, after: Guard
+) -> float:
+    """Return the root of a step in which the guard falls once, in the half that has it."""
+    if middle[0] > 0.0:
+        return _root(dense, size / 2, size, middle, after)
+    return _root(dense, 0.0, size / 2, before, middle)
+
+
+Pair = tuple[float, float | None]
+"""A function and its derivative, where it is known."""
 
 
 def _root(
-    function: Callable[[float], tuple[float, float | None]], left: float, right: float
+    function: Callable[[float], Pair], left: float, right: float, low: Pair, high: Pair
 ) -> float:
     """Return a root between two offsets at which a function differs in sign, to rounding.
 
     Newton's method where the rate is known, while it stays in the bracket and its steps at least
     halve; bisection elsewhere.
+
+    Args:
+        function: The function.
+        left: One offset.
+        right: The other.
+        low: The function at the left one.
+        high: The function at the right one.
     """
-    low, high = function(left)[0], function(right)[0]
-    if low == 0.0 or left == right:
+    if low[0] == 0.0 or left == right:
         return left
-    if high == 0.0:
+    if high[0] == 0.0:
         return right
     accuracy = _TINY * (right - left)
-    # The quotient first: scaled gaps of a flight that goes far reach 1e300.
-    at, last = left - low / (high - low) * (right - left), right - left
+    close = _DOUBLES * (right - left)
+    at, last = _cubic_root(left, right, low, high), right - left
     while right - left > accuracy:
         value, rate = function(at)
         if value == 0.0:
             return at
-        if (value > 0.0) == (low > 0.0):
+        if (value > 0.0) == (low[0] > 0.0):
             left = at
         else:
             right = at
         change = -value / rate if rate else math.inf
-        if abs(change) <= accuracy:
+        if abs(change) <= close:
             return min(max(at + change, left), right)
         if left < at + change < right and abs(change) < last / 2:
             at, last = at + change, abs(change)
@@ -157,6 +194,27 @@ def _root(
             if at in {left, right}:
                 break
     return (left + right) / 2
+
+
+def _cubic_root(left: float, right: float, low: Pair, high: Pair) -> float:
+    """Return where to look for a root first: where the cubic interpolant has one, or the chord."""
+    # The quotient first: scaled gaps of a flight that goes far reach 1e300.
+    drop = 1.0 - high[0] / low[0]
+    at = 1.0 / drop
+    if low[1] is not None and high[1] is not None:
+        # In units of the value at the left, on [0, 1]: 1 + b x + c x^2 + d x^3.
+        b, end = low[1] / low[0] * (right - left), high[1] / low[0] * (right - left)
+        c, d = -3.0 * drop - 2.0 * b - end, 2.0 * drop + b + end
+        for _ in range(_CUBIC_STEPS):
+            rate = b + at * (2.0 * c + at * 3.0 * d)
+            moved = at - (1.0 + at * (b + at * (c + at * d))) / rate if rate < 0.0 else math.nan
+            if not 0.0 < moved < 1.0:
+                break
+            at = moved
+    return left + at * (right - left)
+
+
+_CUBIC_STEPS = 4
 
 
 def end_state(step: Step, offset: float) -> Vector:

@@ -10,10 +10,16 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from zeno_orbits.collocation import Collocation, radau
-from zeno_orbits.dynamics import GuardedFlow, NewtonPieces, Tolerance, Vector
+from zeno_orbits.dynamics import (
+    FIRST_ITERATIONS,
+    Continuation,
+    Corrected,
+    GuardedFlow,
+    NewtonPieces,
+    Tolerance,
+    Vector,
+)
 from zeno_orbits.engines.protocol import FAR, Leg, Passage
 from zeno_orbits.engines.runge_kutta import first_size
 from zeno_orbits.engines.stepping import follow_steps
@@ -82,15 +88,11 @@ class Radau:
         last: RadauStep | None = None
         refused = False
         while True:
-            with np.errstate(all="ignore"):
-                # What overflows is refused by its NaN.
-                guess = None
-                if last is not None:
-                    guess = self.scheme.continued(last.coefficients, 1.0, size / last.size)
-                stages = solved(pieces, y, size, tolerance, guess)
-                error = math.inf if stages is None else pieces.error(stages, tolerance)
+            guess = None if last is None else Continuation(last.coefficients, 1.0, size / last.size)
+            found = solved(pieces, y, size, tolerance, guess)
+            error = math.inf if found is None else found.error
             factor = _SAFETY * max(error, 1e-300) ** exponent if error < math.inf else _UNSOLVED
-            if stages is None or not error <= 1.0:
+            if found is None or not error <= 1.0:
                 size *= max(_SHRINK, min(factor, 0.5 if last is None else 1.0))
                 refused = True
                 if not size > 4 * math.ulp(time) or size < 1e-300:
@@ -107,8 +109,8 @@ class Radau:
                 start=time,
                 size=size,
                 before=y,
-                after=y + stages[-1],
-                coefficients=self.scheme.coefficients(stages),
+                after=found.after,
+                coefficients=found.coefficients,
             )
             yield last
             time += size
@@ -118,32 +120,36 @@ class Radau:
 
 
 def solved(
-    pieces: NewtonPieces, y: Vector, size: float, tolerance: Tolerance, guess: Vector | None
-) -> Vector | None:
-    """Return the stage increments of a step, ``(n_stages, n_y)``, or nothing if Newton fails.
+    pieces: NewtonPieces, y: Vector, size: float, tolerance: Tolerance, guess: Continuation | None
+) -> Corrected | None:
+    """Return a step with its stages solved for, or nothing if Newton's method fails.
 
     Args:
         pieces: The iteration.
         y: State before the step, ``(n_y,)``.
         size: Its size.
         tolerance: What the iteration is measured by.
-        guess: Stage increments to start from; zero by default.
+        guess: What the stage increments start from; zero by default.
     """
-    stages = pieces.begin(y, size, guess)
-    last = 0.0
-    for _ in range(_MOST_ITERATIONS):
-        stages, norm = pieces.correct(stages, tolerance)
+    found = pieces.begin(y, size, tolerance, guess)
+    stages, norm, last = found.stages, found.last, found.before
+    for count in range(FIRST_ITERATIONS, _MOST_ITERATIONS + 1):
         if not math.isfinite(norm):
             return None
-        if norm <= _FLOOR:
-            return stages
-        # The first correction tells nothing of the rate of convergence.
         rate = norm / last if last > 0.0 else 1.0
-        if norm * rate <= _NEWTON_SHARE * (1.0 - rate):
-            return stages
+        if norm <= _FLOOR or norm * rate <= _NEWTON_SHARE * (1.0 - rate):
+            if count == FIRST_ITERATIONS:
+                return found
+            return found._replace(
+                stages=stages,
+                coefficients=pieces.scheme.coefficients(stages),
+                after=y + stages[-1],
+                error=pieces.error(stages),
+            )
         if rate >= 2.0:
             return None
         last = norm
+        stages, norm = pieces.correct(stages)
     return None
 
 
@@ -172,7 +178,7 @@ class RadauStep:
             return self.after
         if offset <= 0.0:
             return self.before
-        guess = self.scheme.continued(self.coefficients, 0.0, offset / self.size)
+        guess = Continuation(self.coefficients, 0.0, offset / self.size)
         pieces = self.flow.newton(self.scheme)
-        stages = solved(pieces, self.before, offset, self.tolerance, guess)
-        return self.state_at(offset) if stages is None else self.before + stages[-1]
+        found = solved(pieces, self.before, offset, self.tolerance, guess)
+        return self.state_at(offset) if found is None else found.after

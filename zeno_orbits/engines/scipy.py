@@ -58,7 +58,9 @@ class SciPy:
         before = y
         while True:
             start = float(solver.t)
-            message = solver.step()
+            with np.errstate(all="ignore"):
+                # A step that overflows is refused by its NaN; the user need not hear of it.
+                message = solver.step()
             if solver.status == "failed":
                 raise StepSizeError(
                     f"SciPy's {self.method.__name__} stopped: {message}",

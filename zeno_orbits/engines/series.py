@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Protocol
 
@@ -63,9 +64,14 @@ class Carrier:
     Terminal events are the fall itself and, as a net under it, the fall through a depth.
     """
 
-    def __init__(self, mode: SymbolicMode, tolerance: float) -> None:
-        heyoka, names, rates, guard = _formulas(mode)
-        depth = heyoka.par[mode.rate.size1_in(1)]
+    def __init__(self, mode: SymbolicMode, tolerance: float, resting: tuple[int, ...]) -> None:
+        heyoka = _heyoka()
+        lean = lean_mode(mode, resting)
+        n_p, n_factors = lean.formulas.size1_in(1), lean.formulas.size1_in(2)
+        names = [heyoka.expression(f"y{k}") for k in range(len(lean.moving))]
+        numbers = [heyoka.par[k] for k in range(n_p + n_factors)]
+        *rates, guard = translate(lean.formulas, [names, numbers[:n_p], numbers[n_p:]])
+        depth = heyoka.par[n_p + n_factors]
         falls = heyoka.event_direction.negative
         self._taylor: Any = heyoka.taylor_adaptive(
             list(zip(names, rates, strict=True)),
@@ -80,11 +86,15 @@ class Carrier:
             # this code, and whatever is in doubt is followed again by the stepper, which is strict.
             fast_math=True,
         )
-        # Both arrays are the integrator's own memory, here and in CasADi's call.
-        self.state: Vector = self._taylor.state
+        # These arrays are the integrator's own memory, here and in CasADi's calls.
+        self._moved: Vector = self._taylor.state
         self._numbers: Vector = self._taylor.pars
+        self._moving = list(lean.moving)
+        self._p = self._numbers[:n_p]
+        self._full = self._moved if not resting else np.zeros(lean.n_y)
         self._pair = np.zeros(2)
-        self._guard = _caller(mode.guard, (self.state, self._numbers[:-1]), self._pair)
+        self._guard = _caller(mode.guard, (self._full, self._p), self._pair)
+        self._fold = _caller(lean.factors, (self._p,), self._numbers[n_p : n_p + n_factors])
         limits = heyoka.taylor_outcome
         self.time_limit, self.step_limit = int(limits.time_limit), int(limits.step_limit)
         self.fall = -1
@@ -94,12 +104,21 @@ class Carrier:
         taylor = self._taylor
         taylor.time = 0.0
         taylor.reset_cooldowns()
-        self.state[:] = y
-        self._numbers[:-1] = p
+        self._p[:] = p
+        self._fold()
+        self._moved[:] = y if self._full is self._moved else y[self._moving]
         return self.guard()
+
+    @property
+    def state(self) -> Vector:
+        """The state of the flow where it is, ``(n_y,)``, in memory that changes with it."""
+        if self._full is not self._moved:
+            self._full[self._moving] = self._moved
+        return self._full
 
     def guard(self) -> tuple[float, float]:
         """Return the guard and its rate where the state is."""
+        _ = self.state
         self._guard()
         value, rate = self._pair.tolist()
         return value, rate
@@ -123,7 +142,8 @@ class Stepper:
     """Takes single steps of a mode."""
 
     def __init__(self, mode: SymbolicMode, tolerance: float) -> None:
-        heyoka, names, rates, _ = _formulas(mode)
+        heyoka = _heyoka()
+        names, rates = _formulas(heyoka, mode)
         self._taylor: Any = heyoka.taylor_adaptive(
             list(zip(names, rates, strict=True)),
             np.zeros(len(names)),
@@ -168,9 +188,17 @@ class Stepper:
         return float(size), after, np.array(taylor.tc)
 
 
-def carrier(mode: SymbolicMode, tolerance: float) -> Carrier:
-    """Return the integrator of a mode that stops at its guard, kept from an earlier call."""
-    return _carrier(mode, max(tolerance, _FINEST), threading.get_ident())
+def carrier(mode: SymbolicMode, tolerance: float, y: Vector) -> Carrier:
+    """Return the integrator of a mode that stops at its guard, kept from an earlier call.
+
+    Args:
+        mode: The formulas.
+        tolerance: Of a step.
+        y: Where a leg starts: what is zero there and stays so is left out.
+    """
+    zeros = tuple(k for k, value in enumerate(y.tolist()) if value == 0.0)
+    resting = _resting(mode, zeros) if zeros else ()
+    return _carrier(mode, max(tolerance, _FINEST), resting, threading.get_ident())
 
 
 def stepper(mode: SymbolicMode, tolerance: float) -> Stepper:
@@ -179,9 +207,11 @@ def stepper(mode: SymbolicMode, tolerance: float) -> Stepper:
 
 
 @lru_cache(maxsize=_KEPT)
-def _carrier(mode: SymbolicMode, tolerance: float, _thread: int) -> Carrier:
+def _carrier(
+    mode: SymbolicMode, tolerance: float, resting: tuple[int, ...], _thread: int
+) -> Carrier:
     # An integrator holds one state, so each thread has its own.
-    return Carrier(mode, tolerance)
+    return Carrier(mode, tolerance, resting)
 
 
 @lru_cache(maxsize=_KEPT)
@@ -189,15 +219,75 @@ def _stepper(mode: SymbolicMode, tolerance: float, _thread: int) -> Stepper:
     return Stepper(mode, tolerance)
 
 
-def _formulas(mode: SymbolicMode) -> tuple[Any, list[Any], list[Any], Any]:
-    """Return heyoka, the names of the states, their rates and the guard."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LeanMode:
+    """A mode without what need not be a series: states at rest, and factors of numbers alone.
+
+    Attributes:
+        moving: Indices of the states that are left.
+        formulas: ``(moving states, p, factors) -> (their rates, guard)``.
+        factors: ``p -> factors``.
+        n_y: Number of states of the mode.
+    """
+
+    moving: tuple[int, ...]
+    formulas: ca.Function
+    factors: ca.Function
+    n_y: int
+
+
+def lean_mode(mode: SymbolicMode, resting: tuple[int, ...] = ()) -> LeanMode:
+    """Return a mode at states that rest at zero, parts that depend on numbers alone taken out.
+
+    On the stop a gap and its rate rest; a mass matrix is made of factors of masses and lengths.
+    """
+    y, p = ca.SX.sym("y", mode.rate.size1_in(0)), ca.SX.sym("p", mode.rate.size1_in(1))
+    moving = tuple(k for k in range(y.numel()) if k not in resting)
+    rates, guard = _at_rest(mode, y, p, resting)
+    kept = ca.vertcat(*(rates[k] for k in moving), guard)
+    formulas, symbols, factors = ca.extract_parametric(kept, p)
+    inputs = [y[list(moving)], p, ca.vertcat(*symbols)]
+    return LeanMode(
+        moving=moving,
+        formulas=ca.Function("lean", inputs, [formulas], {"cse": True}),
+        factors=ca.Function("factors", [p], [ca.densify(ca.vertcat(*factors))], {"cse": True}),
+        n_y=y.numel(),
+    )
+
+
+def _at_rest(
+    mode: SymbolicMode, y: ca.SX, p: ca.SX, resting: tuple[int, ...]
+) -> tuple[ca.SX, ca.SX]:
+    """Return the rates and the guard at states of which some are zero."""
+    at = ca.vertcat(*(0 if k in resting else y[k] for k in range(y.numel())))
+    return ca.densify(mode.rate(at, p)), mode.guard(at, p)[0]
+
+
+@lru_cache(maxsize=4 * _KEPT)
+def _resting(mode: SymbolicMode, zeros: tuple[int, ...]) -> tuple[int, ...]:
+    """Return which of some states that are zero stay so: their rates vanish while they do."""
+    y, p = ca.SX.sym("y", mode.rate.size1_in(0)), ca.SX.sym("p", mode.rate.size1_in(1))
+    while True:
+        rates, _ = _at_rest(mode, y, p, zeros)
+        left = tuple(k for k in zeros if rates[k].is_zero())
+        if left == zeros:
+            # An equilibrium rests altogether, and something has to be left to follow.
+            return left if len(left) < y.numel() else ()
+        zeros = left
+
+
+def _heyoka() -> Any:
+    """Return heyoka, which prints its warnings on the standard output; they are checked here."""
     heyoka = load_heyoka()
-    # heyoka prints its warnings on the standard output; what they warn of is checked here.
     heyoka.set_logger_level_critical()
+    return heyoka
+
+
+def _formulas(heyoka: Any, mode: SymbolicMode) -> tuple[list[Any], list[Any]]:
+    """Return the names of the states and their rates."""
     n_y, n_p = mode.rate.size1_in(0), mode.rate.size1_in(1)
     names = [heyoka.expression(f"y{k}") for k in range(n_y)]
-    arguments = [names, [heyoka.par[k] for k in range(n_p)]]
-    return heyoka, names, translate(mode.rate, arguments), translate(mode.guard, arguments)[0]
+    return names, translate(mode.rate, [names, [heyoka.par[k] for k in range(n_p)]])
 
 
 def _is_large(mode: SymbolicMode) -> bool:

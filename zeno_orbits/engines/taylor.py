@@ -57,7 +57,7 @@ class Taylor:
             StepSizeError: If the step size falls to rounding level.
         """
         mode, p = symbols_of(leg.flow)
-        passage = _carried(leg, mode, p, carrier(mode, _single(leg.tolerance)))
+        passage = _carried(leg, mode, p, carrier(mode, _single(leg.tolerance), leg.y))
         return passage or follow_steps(self.steps(leg.flow, leg.y, leg.tolerance), leg)
 
     def steps(self, flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> Iterator[TaylorStep]:
