@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from zeno_orbits.audits import cut_order, delta_sweep, energies_of, imbalance, second_model
 from zeno_orbits.certificate import DeltaCut, OrbitCertificate
 from zeno_orbits.compiled import bind
-from zeno_orbits.dynamics import HybridDynamics
+from zeno_orbits.dynamics import HybridDynamics, Tolerance
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.models import compiled_model, reference_model
 from zeno_orbits.observation import Claim, FirstCycle, claim_of, observe
@@ -46,6 +46,10 @@ class VerificationSettings:
 
 _SHARE = 0.1
 """Part of the looser integration's error that the finer one may have, to be on the safe side."""
+
+
+_MULTIPLIERS = 1e-10
+"""Relative local error at which multipliers are taken; finer costs more and tells no more."""
 
 
 def verify(
@@ -160,8 +164,16 @@ def _multipliers(
             dynamics.on_stop(claim.release),
             scale=cycle.scale,
             period=cycle.end.time,
-            settings=settings.simulation,
+            settings=replace(settings.simulation, tolerance=_no_finer(settings.simulation.tolerance)),
             noise=integration_error * _SHARE,
         )
     except ZenoOrbitsError:
         return None
+
+
+def _no_finer(tolerance: Tolerance) -> Tolerance:
+    """Return a tolerance that multipliers, of which eight digits are read, can do with."""
+    return Tolerance(
+        relative=max(tolerance.relative, _MULTIPLIERS),
+        absolute=max(tolerance.absolute, _MULTIPLIERS / 10),
+    )
