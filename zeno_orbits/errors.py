@@ -37,6 +37,18 @@ class OrbitFileError(InputError):
         self.path = path
 
 
+class MapFileError(InputError):
+    """A map file could not be read.
+
+    Attributes:
+        path: The file.
+    """
+
+    def __init__(self, path: Path, reason: str) -> None:
+        super().__init__(f"Map file `{path}` must hold a map, but {reason}.")
+        self.path = path
+
+
 class TranslationError(InputError):
     """A model uses an operation that Taylor's method cannot follow.
 

@@ -5,6 +5,7 @@ takes a width in inches: ``COLUMN_WIDTH`` stacks the panels for one column of a 
 ``FULL_WIDTH`` sets them side by side.
 """
 
+from zeno_orbits.plots.map import plot_map
 from zeno_orbits.plots.orbit import plot_portraits, plot_time_series
 from zeno_orbits.plots.region import plot_zeno_region
 from zeno_orbits.plots.style import COLUMN_WIDTH, FULL_WIDTH, save_figure
@@ -14,6 +15,7 @@ from zeno_orbits.plots.zoom import plot_zeno_zoom
 __all__ = [
     "COLUMN_WIDTH",
     "FULL_WIDTH",
+    "plot_map",
     "plot_portraits",
     "plot_time_series",
     "plot_trade",

@@ -5,7 +5,18 @@ every result passes through JSON, and a finished chunk is kept in a checkpoint. 
 come out for any number of workers, and after any number of new starts.
 """
 
+from zeno_orbits.work.checkpoint import remove_checkpoint
 from zeno_orbits.work.plan import Cluster, Lost, Place, Plan, Workers
 from zeno_orbits.work.spreading import Task, Tell, spread
 
-__all__ = ["Cluster", "Lost", "Place", "Plan", "Task", "Tell", "Workers", "spread"]
+__all__ = [
+    "Cluster",
+    "Lost",
+    "Place",
+    "Plan",
+    "Task",
+    "Tell",
+    "Workers",
+    "remove_checkpoint",
+    "spread",
+]

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
-import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -60,10 +60,6 @@ class Checkpoint:
         chunks = range(len(self.sizes))
         return {k: self._read(k) for k in chunks if self._file(k).exists()}
 
-    def remove(self) -> None:
-        """Delete the folder: the work is done."""
-        shutil.rmtree(self.folder, ignore_errors=True)
-
     def _file(self, chunk: int) -> Path:
         return self.folder / f"chunk-{chunk:06d}.json"
 
@@ -104,6 +100,15 @@ def open_checkpoint(folder: Path, identity: Mapping[str, Any], sizes: Sequence[i
         folder.mkdir(exist_ok=True)
         write_whole(path, json.dumps(wanted, indent=2) + "\n")
     return Checkpoint(folder=folder, work=_digest(wanted), sizes=tuple(sizes))
+
+
+def remove_checkpoint(folder: Path) -> None:
+    """Delete a checkpoint whose work is done; what else is in the folder stays, and so it does."""
+    kept = (*folder.glob("chunk-*.json"), *folder.glob(".*.json.*"), folder / _IDENTITY)
+    for file in kept:
+        file.unlink(missing_ok=True)
+    with contextlib.suppress(OSError):
+        folder.rmdir()
 
 
 def _require_empty(folder: Path) -> None:
