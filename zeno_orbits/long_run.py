@@ -15,7 +15,7 @@ import numpy as np
 from zeno_orbits.attractors import Attractor, Fate
 from zeno_orbits.compiled import bind
 from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
-from zeno_orbits.errors import RunawayError, SimulationError
+from zeno_orbits.errors import InputError, RunawayError, SimulationError
 from zeno_orbits.execution import Execution, Impact, Mode, Release
 from zeno_orbits.models import compiled_model
 from zeno_orbits.poincare import release_section
@@ -28,7 +28,7 @@ _LOOK_BACK = 3
 """Periods that have to repeat before a motion counts as settled."""
 _DIFFERENCE = 1e-4
 """Displacement for multipliers, relative; its square and the error of a return balance."""
-_LEAST_TREND = 4
+_LEAST_TREND = 3
 """Marks that tell a trend."""
 _FAR = 1e4
 """A coordinate of a scene that declares no escapes has run away beyond this."""
@@ -54,6 +54,11 @@ class LongRun:
             tolerance=Tolerance(relative=1e-10, absolute=1e-12)
         )
     )
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.until) and self.until > 0.0):
+            wanted = "must be a positive number of seconds"
+            raise InputError(f"Argument `until` {wanted}, but it is {self.until:g}.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,8 +140,7 @@ def attractor_of(
         if settled is not None:
             return settled
         x = execution.end_state
-    marks = _marks(stretches, dynamics.n_q)
-    return Attractor(fate=Fate.UNSETTLED, trend=_trend(marks))
+    return Attractor(fate=Fate.UNSETTLED, trend=_trend(stretches, dynamics.n_q))
 
 
 def _bounded(problem: Problem, settings: SimulationSettings) -> SimulationSettings:
@@ -184,11 +188,19 @@ def _rests(stretches: Sequence[_Stretch], close: float) -> bool:
 
 def _marks(stretches: Sequence[_Stretch], n_q: int) -> list[_Mark]:
     """Return releases if the motion still has them, else impacts, else turning points."""
-    middle = stretches[-1].end / 2
-    for kind in (Release, Impact):
-        found = [mark for stretch in stretches for mark in stretch.marks(kind)]
-        if sum(mark.time > middle for mark in found) > 1:
-            return found
+    releases = _events(stretches, Release)
+    return releases or _events(stretches, Impact) or _turns(stretches, n_q)
+
+
+def _events(stretches: Sequence[_Stretch], kind: type[Release] | type[Impact]) -> list[_Mark]:
+    """Return the events of a kind, none if the second half of the motion has fewer than two."""
+    found = [mark for stretch in stretches for mark in stretch.marks(kind)]
+    late = sum(mark.time > stretches[-1].end / 2 for mark in found)
+    return found if late > 1 else []
+
+
+def _turns(stretches: Sequence[_Stretch], n_q: int) -> list[_Mark]:
+    """Return where the coordinate that moves most is largest."""
     states = stretches[-1].execution.sampled(10)[1]
     moving = int(np.argmax(np.ptp(states[:, :n_q], axis=0)))
     return [mark for stretch in stretches for mark in stretch.turns(moving, n_q)]
@@ -323,9 +335,14 @@ def _margins(dynamics: HybridDynamics, cycle: Execution) -> dict[str, float]:
     return {name: min(values) for name, values in named.items() if values}
 
 
-def _trend(marks: Sequence[_Mark]) -> float:
-    """Return the factor by which the motion grows a mark, over its last third; NaN if unknown."""
-    late = marks[-max(len(marks) // 3, 2) :]
+def _trend(stretches: Sequence[_Stretch], n_q: int) -> float:
+    """Return the factor by which the motion grows a period, over its second half.
+
+    A period lasts from release to release, or else from one turning point to the next; NaN where
+    there are too few of them.
+    """
+    marks = _events(stretches, Release) or _turns(stretches, n_q)
+    late = marks[-max(len(marks) // 2, _LEAST_TREND) :]
     if len(late) < _LEAST_TREND:
         return math.nan
     scale = _scale(marks)

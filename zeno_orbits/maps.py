@@ -74,7 +74,17 @@ class Plane:
     def __call__(self, points: Sequence[Sequence[float]]) -> list[dict[str, Any]]:
         """Return the attractors at some points as plain data: the task of a worker."""
         problem = self.scene.load()
-        return [attractor_json(self._attractor(problem, *point)) for point in points]
+        settings: dict[int, Setting] = {}
+        found: dict[int, Attractor] = {}
+        for k, (x, y) in enumerate(points):
+            try:
+                settings[k] = self.setting(problem, x, y)
+            except InputError as error:
+                # An axis is inside its range, but what is derived from it need not be.
+                found[k] = Attractor(fate=Fate.FAILED, detail=str(error))
+        attractors = _attractors_at(problem, tuple(settings.values()), self)
+        found |= dict(zip(settings, attractors, strict=True))
+        return [attractor_json(found[k]) for k in range(len(points))]
 
     def points(self) -> tuple[tuple[float, float], ...]:
         """Return the points of the grid, row by row from below."""
@@ -94,13 +104,12 @@ class Plane:
             gains={**self.gains, **gains}, parameters={**self.parameters, **others}
         )
 
-    def _attractor(self, problem: Problem, x: float, y: float) -> Attractor:
-        try:
-            setting = self.setting(problem, x, y)
-        except InputError as error:
-            # An axis is inside its range, but what is derived from it need not be.
-            return Attractor(fate=Fate.FAILED, detail=str(error))
-        return attractor_of(problem, setting, self.start, run=self.run)
+
+def _attractors_at(
+    problem: Problem, settings: Sequence[Setting], plane: Plane
+) -> tuple[Attractor, ...]:
+    """Return what motions settle to at some settings."""
+    return tuple(attractor_of(problem, one, plane.start, run=plane.run) for one in settings)
 
 
 def require_plane(plane: Plane) -> Plane:

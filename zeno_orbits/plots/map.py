@@ -19,20 +19,26 @@ from zeno_orbits.dynamics import Vector
 from zeno_orbits.maps import Axis, Boundary, ParameterMap
 from zeno_orbits.plots.style import COLUMN_WIDTH, FULL_WIDTH, INK, TEXT
 
-_PERIODS = {1: "#56B4E9", 2: "#009E73", 4: "#005A43", 8: "#5D3A9B"}
+_PERIODS = {1: "#4393C3", 2: "#009E73", 4: "#005A43", 8: "#5D3A9B"}
 _OTHER_PERIOD = "#8C7AA9"
 _PLAIN = {
     Fate.SIMPLE: "#A6D854",
     Fate.NO_ZENO: "#CC79A7",
-    Fate.REST: "#DDDDDD",
+    Fate.REST: "#FFFFFF",
     Fate.FAILED: "#000000",
 }
 _ESCAPES = ("#D55E00", "#E69F00", "#8C510A", "#B2182B")
 _UNSETTLED = "#F0E442"
-_GROWING, _DYING = "#FFB000", "#FBF6C8"
-_PERIOD: dict[str, Any] = {"colors": INK, "linewidths": 0.7}
+_GROWING, _DYING = "#8F8F8F", "#DADADA"
+_PERIOD: dict[str, Any] = {"colors": "black", "linewidths": 0.7}
 _RADIUS: dict[str, Any] = {"colors": "white", "linewidths": 0.9, "linestyles": "dashed"}
 _RADII = (0.2, 0.4, 0.6, 0.8, 0.9)
+_BESIDE = 0.8
+"""Part of a page from which on the legend stands beside the map, else below it."""
+_SHAPE = {True: 0.5, False: 0.72}
+"""Height over width, the legend below not counted."""
+_ENTRY = 0.145
+"""Height of an entry of the legend [in]."""
 _BOUNDARIES = ("-", "--", "-.", ":")
 
 
@@ -47,9 +53,9 @@ def plot_map(
         width: Width of the picture [in].
     """
     phrases = _phrases(found.attractors)
-    beside = width >= 0.8 * FULL_WIDTH
-    figure = Figure(figsize=(width, 0.75 * width if not beside else 0.5 * width))
-    figure.set_layout_engine("constrained")
+    beside = width >= _BESIDE * FULL_WIDTH
+    height = _SHAPE[beside] * width
+    figure = Figure(figsize=(width, height), layout="constrained")
     ax = figure.add_subplot()
     looks = {phrase: _colour(one, k) for phrase, (one, k) in phrases.items()}
     order = list(looks)
@@ -63,16 +69,20 @@ def plot_map(
         shading="nearest",
         rasterized=True,
     )
-    handles: list[Any] = [Patch(color=colour, label=phrase) for phrase, colour in looks.items()]
+    edge: dict[str, Any] = {"edgecolor": INK, "linewidth": 0.4}
+    handles: list[Any] = [
+        Patch(facecolor=colour, label=phrase, **edge) for phrase, colour in looks.items()
+    ]
     handles += _draw_contours(ax, found)
     handles += _draw_boundaries(ax, found, boundaries)
     ax.set_xlabel(_label(found.x), fontsize=TEXT)
     ax.set_ylabel(_label(found.y), fontsize=TEXT)
     ax.tick_params(labelsize=TEXT - 1)
+    if not beside:
+        figure.set_figheight(height + _ENTRY * (len(handles) + 1))
     figure.legend(
         handles=handles,
         loc="outside right upper" if beside else "outside lower center",
-        ncols=1 if beside or width < COLUMN_WIDTH * 1.2 else 2,
         fontsize=TEXT - 1,
         frameon=False,
         handlelength=1.5,
@@ -120,7 +130,7 @@ def _draw_contours(ax: Axes, found: ParameterMap) -> list[Line2D]:
         if any(len(path) for path in lines.get_paths()):
             ax.clabel(lines, fontsize=TEXT - 2, fmt="%.4g")
             dash = "--" if look is _RADIUS else "-"
-            colour = "#999999" if look is _RADIUS else INK
+            colour = "#999999" if look is _RADIUS else "black"
             handles.append(Line2D([], [], color=colour, ls=dash, lw=0.9, label=label))
     return handles
 
