@@ -17,6 +17,7 @@ from zeno_orbits.compiled import bind
 from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
 from zeno_orbits.errors import InputError, RunawayError, SimulationError
 from zeno_orbits.execution import Execution, Impact, Mode, Release
+from zeno_orbits.marks import Mark, Stretch, marks_of, repeats, rests, scale_of, trend_of
 from zeno_orbits.models import compiled_model
 from zeno_orbits.poincare import release_section
 from zeno_orbits.problem import Problem, Setting
@@ -24,12 +25,8 @@ from zeno_orbits.simulate import SimulationSettings, simulate
 
 _PIECES = 6
 """Pieces of a run; after each it is asked whether it has settled."""
-_LOOK_BACK = 3
-"""Periods that have to repeat before a motion counts as settled."""
 _DIFFERENCE = 1e-4
 """Displacement for multipliers, relative; its square and the error of a return balance."""
-_LEAST_TREND = 3
-"""Marks that tell a trend."""
 _FAR = 1e4
 """A coordinate of a scene that declares no escapes has run away beyond this."""
 
@@ -61,50 +58,6 @@ class LongRun:
             raise InputError(f"Argument `until` {wanted}, but it is {self.until:g}.")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Mark:
-    """A state of the motion that comes back if the motion does."""
-
-    time: float
-    state: Vector
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Stretch:
-    """A piece of the run: an execution and the time at which it starts."""
-
-    start: float
-    execution: Execution
-
-    @property
-    def end(self) -> float:
-        return self.start + self.execution.end_time
-
-    def marks(self, kind: type[Release] | type[Impact]) -> list[_Mark]:
-        found: list[_Mark] = []
-        for event in self.execution.events:
-            if isinstance(event, kind):
-                state = event.state_minus if isinstance(event, Impact) else event.state
-                found.append(_Mark(time=self.start + event.time, state=state))
-        return found
-
-    def turns(self, coordinate: int, n_q: int) -> list[_Mark]:
-        """Return where a coordinate is largest, to the root of its velocity."""
-        times, states = self.execution.sampled(20)
-        rates = states[:, n_q + coordinate]
-        falls = np.flatnonzero((rates[:-1] > 0.0) & (rates[1:] <= 0.0) & (np.diff(times) > 0.0))
-        return [self._turn(times[k], times[k + 1], n_q + coordinate) for k in falls]
-
-    def _turn(self, low: float, high: float, velocity: int) -> _Mark:
-        for _ in range(80):
-            middle = (low + high) / 2
-            if self.execution.state_at(middle)[velocity] > 0.0:
-                low = middle
-            else:
-                high = middle
-        return _Mark(time=self.start + high, state=self.execution.state_at(high))
-
-
 def attractor_of(
     problem: Problem,
     setting: Setting,
@@ -123,7 +76,7 @@ def attractor_of(
     run = run or LongRun()
     dynamics = bind(compiled_model(problem), setting.values())
     x = np.array(problem.state_vector(problem.starts[0]) if state is None else state)
-    stretches: list[_Stretch] = []
+    stretches: list[Stretch] = []
     piece, settings = run.until / _PIECES, _bounded(problem, run.simulation)
     for k in range(_PIECES):
         try:
@@ -132,7 +85,7 @@ def attractor_of(
             return _escape(problem, np.array(error.state[: len(x)]))
         except SimulationError as error:
             return Attractor(fate=Fate.FAILED, detail=str(error))
-        stretches.append(_Stretch(start=k * piece, execution=execution))
+        stretches.append(Stretch(start=k * piece, execution=execution))
         far = [s for s in execution.sampled(20)[1] if problem.escaped(s)]
         if far:
             return _escape(problem, far[0])
@@ -140,7 +93,7 @@ def attractor_of(
         if settled is not None:
             return settled
         x = execution.end_state
-    return Attractor(fate=Fate.UNSETTLED, trend=_trend(stretches, dynamics.n_q))
+    return Attractor(fate=Fate.UNSETTLED, trend=trend_of(stretches, dynamics.n_q))
 
 
 def _bounded(problem: Problem, settings: SimulationSettings) -> SimulationSettings:
@@ -160,84 +113,28 @@ def _escape(problem: Problem, state: Vector) -> Attractor:
 
 
 def _settled(
-    problem: Problem, dynamics: HybridDynamics, stretches: Sequence[_Stretch], run: LongRun
+    problem: Problem, dynamics: HybridDynamics, stretches: Sequence[Stretch], run: LongRun
 ) -> Attractor | None:
     """Return what the motion has settled to, if it has."""
-    if _rests(stretches, run.close):
+    if rests(stretches, run.close):
         return Attractor(
             fate=Fate.REST,
             state=dict(
                 zip(problem.state_names, stretches[-1].execution.end_state.tolist(), strict=True)
             ),
         )
-    marks = _marks(stretches, dynamics.n_q)
+    marks = marks_of(stretches, dynamics.n_q)
     for n in range(1, run.most_returns + 1):
-        if _repeats(marks, n, run.close):
+        if repeats(marks, n, run.close, now=stretches[-1].end):
             return _orbit(problem, dynamics, stretches, marks, n, run)
     return None
-
-
-def _rests(stretches: Sequence[_Stretch], close: float) -> bool:
-    """Tell whether what is left of the motion in the last quarter is none."""
-    everything = np.concatenate([s.execution.sampled(10)[1] for s in stretches])
-    times, states = stretches[-1].execution.sampled(10)
-    late = states[times >= 0.75 * times[-1]]
-    size = np.ptp(everything, axis=0)
-    return bool(np.all(np.ptp(late, axis=0) <= close * np.where(size > 0.0, size, 1.0)))
-
-
-def _marks(stretches: Sequence[_Stretch], n_q: int) -> list[_Mark]:
-    """Return releases if the motion still has them, else impacts, else turning points."""
-    releases = _events(stretches, Release)
-    return releases or _events(stretches, Impact) or _turns(stretches, n_q)
-
-
-def _events(stretches: Sequence[_Stretch], kind: type[Release] | type[Impact]) -> list[_Mark]:
-    """Return the events of a kind, none if the second half of the motion has fewer than two."""
-    found = [mark for stretch in stretches for mark in stretch.marks(kind)]
-    late = sum(mark.time > stretches[-1].end / 2 for mark in found)
-    return found if late > 1 else []
-
-
-def _turns(stretches: Sequence[_Stretch], n_q: int) -> list[_Mark]:
-    """Return where the coordinate that moves most is largest."""
-    states = stretches[-1].execution.sampled(10)[1]
-    moving = int(np.argmax(np.ptp(states[:, :n_q], axis=0)))
-    return [mark for stretch in stretches for mark in stretch.turns(moving, n_q)]
-
-
-def _scale(marks: Sequence[_Mark]) -> Vector:
-    """Return the size of each state at some marks, ``(n_x,)``, the largest where one vanishes."""
-    sizes = np.max(np.abs([mark.state for mark in marks]), axis=0)
-    largest = float(np.max(sizes))
-    return np.where(sizes > 1e-9 * largest, sizes, largest or 1.0)
-
-
-def _repeats(marks: Sequence[_Mark], n: int, close: float) -> bool:
-    """Tell whether the motion is close to one that repeats after `n` marks.
-
-    The distance left is that of the last two periods, summed as the geometric series they begin.
-    """
-    if len(marks) < _LOOK_BACK * n + 1:
-        return False
-    scale = _scale(marks[-_LOOK_BACK * n - 1 :])
-
-    def change(k: int) -> float:
-        return float(np.max(np.abs(marks[-k].state - marks[-k - n].state) / scale))
-
-    now = max(change(k) for k in range(1, n + 1))
-    before = max(change(k) for k in range(n + 1, 2 * n + 1))
-    if now <= 1e-3 * close:
-        return True
-    ratio = now / before
-    return ratio < 1.0 and now * ratio / (1.0 - ratio) <= close and now <= close
 
 
 def _orbit(
     problem: Problem,
     dynamics: HybridDynamics,
-    stretches: Sequence[_Stretch],
-    marks: Sequence[_Mark],
+    stretches: Sequence[Stretch],
+    marks: Sequence[Mark],
     n: int,
     run: LongRun,
 ) -> Attractor:
@@ -250,7 +147,7 @@ def _orbit(
     round_trip = _Return(dynamics=dynamics, n=n, horizon=2.0 * period, settings=run.simulation)
     try:
         cycle = round_trip.execution(last.state)
-        multipliers = _multipliers(round_trip, last.state, _scale(marks[-n - 1 :]))
+        multipliers = _multipliers(round_trip, last.state, scale_of(marks[-n - 1 :]))
     except SimulationError as error:
         return Attractor(fate=Fate.FAILED, period=period, state=state, detail=str(error))
     zenos = cycle.zeno_points
@@ -265,7 +162,7 @@ def _orbit(
     )
 
 
-def _releases(stretches: Sequence[_Stretch], after: float) -> bool:
+def _releases(stretches: Sequence[Stretch], after: float) -> bool:
     return any(mark.time >= after for s in stretches for mark in s.marks(Release))
 
 
@@ -333,21 +230,3 @@ def _margins(dynamics: HybridDynamics, cycle: Execution) -> dict[str, float]:
         "locked_time": [arc.end_time - arc.start_time for arc in locked],
     }
     return {name: min(values) for name, values in named.items() if values}
-
-
-def _trend(stretches: Sequence[_Stretch], n_q: int) -> float:
-    """Return the factor by which the motion grows a period, over its second half.
-
-    A period lasts from release to release, or else from one turning point to the next; NaN where
-    there are too few of them.
-    """
-    marks = _events(stretches, Release) or _turns(stretches, n_q)
-    late = marks[-max(len(marks) // 2, _LEAST_TREND) :]
-    if len(late) < _LEAST_TREND:
-        return math.nan
-    scale = _scale(marks)
-    sizes = [float(np.max(np.abs(mark.state) / scale)) for mark in late]
-    if min(sizes) <= 0.0:
-        return math.nan
-    slope = np.polyfit(np.arange(len(sizes)), np.log(sizes), 1)[0]
-    return float(np.exp(slope))
