@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -20,6 +21,10 @@ import pytest
 from tests import chores
 from tests.chores import Deadly, Diary
 from zeno_orbits.errors import InputError, WorkError
+from zeno_orbits.map_file import write_map
+from zeno_orbits.maps import Axis, Plane, parameter_map
+from zeno_orbits.problem import bundled_problems
+from zeno_orbits.scenes import scene_file
 from zeno_orbits.work import Cluster, Lost, Plan, Workers, spread
 
 pytest.importorskip("distributed", reason="needs the extra `cluster`")
@@ -145,6 +150,23 @@ def test_failures_come_home_from_a_cluster_and_its_end_is_noticed(cluster: DaskC
     slow = Diary(folder=str(cluster.folder / "diary"), pause=0.2)
     with pytest.raises(WorkError, match="has lost its scheduler or all its workers"):
         spread(slow, POINTS, plan(cluster.place()), tell=stop)
+
+
+def test_a_map_made_on_a_cluster_is_the_file_made_here(
+    cluster: DaskCluster, tmp_path: Path
+) -> None:
+    scene = tmp_path / "ball.py"
+    shutil.copy(bundled_problems()["bouncing_ball"], scene)
+    cluster.start_worker("--no-nanny")
+    plane = Plane(
+        scene=scene_file(scene),
+        x=Axis(name="m", lower=1.0, upper=2.0, count=3),
+        y=Axis(name="restitution", lower=0.1, upper=0.5, count=3),
+        start=(1.0, 0.0),
+    )
+    for name, place in (("there", cluster.place()), ("here", Workers(count=1))):
+        write_map(parameter_map(plane, plan(place)), tmp_path / name)
+    assert (tmp_path / "there").read_bytes() == (tmp_path / "here").read_bytes()
 
 
 def test_workers_with_other_code_are_refused(

@@ -26,7 +26,7 @@ from zeno_orbits.errors import CheckpointError, InputError, MapFileError, Proble
 from zeno_orbits.long_run import attractor_of
 from zeno_orbits.map_file import read_map, write_map
 from zeno_orbits.maps import Axis, ParameterMap, Plane, parameter_map, require_plane
-from zeno_orbits.problem import bundled_problems, load_problem
+from zeno_orbits.problem import Escape, bundled_problems, load_problem
 from zeno_orbits.scenes import scene_file
 from zeno_orbits.work import Cluster, Plan, Workers
 
@@ -197,6 +197,13 @@ def test_a_reduced_model_can_be_mapped() -> None:
     scene = scene_file("motor_pendulum@quasi_static")
     assert scene.load().name == "motor_pendulum@quasi_static"
     assert scene.digest == scene_file("motor_pendulum").digest
+    assert set(scene.load().escapes) == {"theta1", "theta2"}
+
+
+def test_a_scene_that_lets_an_unknown_state_escape_is_refused() -> None:
+    scene = load_problem("bouncing_ball")
+    with pytest.raises(InputError, match=r"`escapes` must be one of height, speed, but it is `x`"):
+        replace(scene, escapes={"x": Escape(beyond=1.0, phrase="x leaves")})
 
 
 def test_a_checkpoint_of_another_scene_of_the_same_name_is_refused(tmp_path: Path) -> None:

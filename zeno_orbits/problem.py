@@ -170,6 +170,11 @@ class Problem:
     fidelities: Mapping[str, Problem] = field(default_factory=dict["str", "Problem"])
     escapes: Mapping[str, Escape] = field(default_factory=dict[str, Escape])
 
+    def __post_init__(self) -> None:
+        for name in self.escapes:
+            if name not in self.state_names:
+                raise InputError(_unknown("escapes", name, self.state_names))
+
     def escaped(self, state: Sequence[float]) -> str:
         """Return the name of a coordinate that has run away, or an empty text.
 

@@ -16,6 +16,9 @@ from zeno_orbits.errors import InputError, WorkError
 from zeno_orbits.work.chunks import Task, code_digest, run_chunk
 from zeno_orbits.work.plan import Cluster
 
+_PAUSE = 1.0
+"""Between two questions to the scheduler [s]."""
+
 
 class ClusterPool:
     """Workers of a Dask cluster."""
@@ -30,7 +33,7 @@ class ClusterPool:
         # The second chunk of a worker travels while it computes the first.
         self.window = 2 * max(len(self._workers()), 1)
         self._executor: Executor = client.get_executor(pure=False)
-        self._seen = time.monotonic()
+        self._asked = self._seen = time.monotonic()
 
     def submit(self, task: Task, points: Sequence[Any]) -> Future[str]:
         """Send a chunk to the scheduler."""
@@ -61,6 +64,9 @@ class ClusterPool:
     def check(self) -> None:
         """Raise if the scheduler is gone, or all workers have been for long."""
         now = time.monotonic()
+        if now - self._asked < _PAUSE:
+            return
+        self._asked = now
         if self._client.status not in ("running", "connecting"):
             raise self._gone()
         if self._client.status == "running" and self._workers():
