@@ -32,6 +32,7 @@ from zeno_orbits.search import SearchSettings
 YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
 COMMANDS = (
     *("problems", "conditions", "simulate", "fidelity", "search", "verify", "trade", "plot"),
+    "map",
 )
 PUBLISHED_GAINS = ("--fix", "Kp=2.5", "--fix", "Kd=-1")
 
@@ -996,15 +997,12 @@ def test_the_help_of_the_program_names_every_command_and_the_exit_codes() -> Non
 
 
 LONG_WORDS = {"--objective", "reference", "--measure", "trade"}
-QUICK = tuple(
-    example
-    for command in COMMANDS
-    for example in examples(command)
-    if not LONG_WORDS & set(example)
+# The examples of `map` take minutes, and one a cluster: `test_maps.py` runs smaller ones.
+EXAMPLES = tuple(
+    example for command in COMMANDS if command != "map" for example in examples(command)
 )
-LONG = tuple(
-    example for command in COMMANDS for example in examples(command) if LONG_WORDS & set(example)
-)
+QUICK = tuple(example for example in EXAMPLES if not LONG_WORDS & set(example))
+LONG = tuple(example for example in EXAMPLES if LONG_WORDS & set(example))
 
 
 @pytest.mark.parametrize("example", QUICK, ids=" ".join)

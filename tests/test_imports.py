@@ -9,17 +9,24 @@ from collections.abc import Sequence
 import pytest
 
 SCIPY = ("scipy.integrate", "scipy.linalg", "scipy.optimize", "scipy.special", "scipy.stats")
-RARE = ("heyoka", "matplotlib", "rich", "sympy", *SCIPY)
+RARE = ("dask", "distributed", "heyoka", "joblib", "matplotlib", "rich", "sympy", *SCIPY)
 """No search, verification or simulation needs these to compute."""
 
 EVERY_MODULE = (
     *("zeno_orbits", "zeno_orbits.problem", "zeno_orbits.compiled", "zeno_orbits.simulate"),
     *("zeno_orbits.verify", "zeno_orbits.search", "zeno_orbits.objectives", "zeno_orbits.cli"),
     *("zeno_orbits.orbit", "zeno_orbits.certificate", "zeno_orbits.report"),
+    *("zeno_orbits.maps", "zeno_orbits.map_file", "zeno_orbits.work"),
 )
-WITHOUT_CASADI = ("zeno_orbits", "zeno_orbits.cli", "zeno_orbits.report", "zeno_orbits.arguments")
+WITHOUT_CASADI = (
+    "zeno_orbits.work",
+    "zeno_orbits",
+    "zeno_orbits.cli",
+    "zeno_orbits.report",
+    "zeno_orbits.arguments",
+)
 
-HELP = ("--help", "search --help", "verify --help", "search --gian Kp=2")
+HELP = ("--help", "map --help", "search --help", "verify --help", "search --gian Kp=2")
 
 
 def loaded_by(statements: str, names: Sequence[str]) -> set[str]:

@@ -6,17 +6,18 @@ import io
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
+from matplotlib.collections import LineCollection, QuadMesh
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from zeno_orbits.attractors import Attractor, Fate
 from zeno_orbits.compiled import bind, compile_problem
 from zeno_orbits.completion import Truncation, ZenoExtrapolation
 from zeno_orbits.drives import no_drive
@@ -24,10 +25,12 @@ from zeno_orbits.dynamics import HybridDynamics
 from zeno_orbits.errors import InputError
 from zeno_orbits.execution import Execution, Mode
 from zeno_orbits.hybrid import CompletedSystem, complete
+from zeno_orbits.maps import Axis, Boundary, ParameterMap
 from zeno_orbits.mechanics import HybridLagrangian
 from zeno_orbits.plots import (
     COLUMN_WIDTH,
     FULL_WIDTH,
+    plot_map,
     plot_portraits,
     plot_time_series,
     plot_trade,
@@ -400,3 +403,97 @@ def test_a_trade_without_any_result_is_an_empty_picture(tmp_path: Path) -> None:
     lost = Trade(problem="p", work="w", truth="t", truth_error=1e-25, trials=())
     save_figure(plot_trade(lost), tmp_path / "lost.png")
     assert (tmp_path / "lost.png").read_bytes().startswith(b"\x89PNG")
+
+
+def _small_map(*attractors: Attractor) -> ParameterMap:
+    return ParameterMap(
+        problem="motor_pendulum",
+        x=Axis(name="Kp", lower=1.0, upper=3.0, count=3, unit="V/rad"),
+        y=Axis(name="Kd", lower=-2.0, upper=-1.0, count=len(attractors) // 3, unit="V s/rad"),
+        gains={},
+        parameters={},
+        start={},
+        until=60.0,
+        attractors=attractors,
+        versions={},
+    )
+
+
+def _zeno(period: float, radius: float, returns: int = 1) -> Attractor:
+    multipliers = (complex(radius), 0j)
+    return Attractor(fate=Fate.ZENO, returns=returns, period=period, multipliers=multipliers)
+
+
+EVERY_FATE = (
+    *(_zeno(1.70 + 0.1 * k, 0.1 + 0.15 * k) for k in range(3)),
+    *(_zeno(1.75 + 0.1 * k, 0.2 + 0.15 * k) for k in range(3)),
+    *(_zeno(3.6, 0.5, returns=n) for n in (2, 4, 3)),
+    Attractor(fate=Fate.SIMPLE, returns=1, period=1.8),
+    Attractor(fate=Fate.NO_ZENO, period=1.8),
+    Attractor(fate=Fate.REST),
+    Attractor(fate=Fate.ESCAPE, escaped="theta1", detail="link 1 whirls"),
+    Attractor(fate=Fate.ESCAPE, escaped="theta2", detail="link 2 goes over the top"),
+    Attractor(fate=Fate.UNSETTLED),
+    Attractor(fate=Fate.UNSETTLED, trend=1.1),
+    Attractor(fate=Fate.UNSETTLED, trend=0.9),
+    Attractor(fate=Fate.FAILED, detail="no"),
+)
+
+
+def _legend(figure: Figure) -> dict[str, Any]:
+    (legend,) = figure.legends
+    handles = legend.legend_handles
+    return {text.get_text(): handle for text, handle in zip(legend.texts, handles, strict=True)}
+
+
+@pytest.mark.parametrize("width", [COLUMN_WIDTH, FULL_WIDTH])
+def test_a_map_names_every_fate_once_in_a_colour_of_its_own(width: float) -> None:
+    figure = plot_map(_small_map(*EVERY_FATE), width=width)
+    entries = _legend(figure)
+    phrases = {attractor.phrase for attractor in EVERY_FATE}
+    assert phrases <= set(entries)
+    assert {"period [s]", "spectral radius"} <= set(entries)
+    colours = [entries[phrase].get_facecolor() for phrase in phrases]
+    assert len(set(colours)) == len(phrases)
+    (ax,) = figure.axes
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("Kp [V/rad]", "Kd [V s/rad]")
+
+
+@pytest.mark.parametrize("width", [COLUMN_WIDTH, FULL_WIDTH])
+def test_the_legend_of_a_map_stands_outside_and_inside_the_picture(width: float) -> None:
+    figure = plot_map(_small_map(*EVERY_FATE), width=width)
+    figure.savefig(io.BytesIO(), format="png")
+    (ax,) = figure.axes
+    (legend,) = figure.legends
+    inside, outside = ax.get_window_extent(), legend.get_window_extent()
+    assert not inside.overlaps(outside)
+    assert figure.bbox.x0 <= outside.x0
+    assert outside.x1 <= figure.bbox.x1
+    assert outside.y0 >= figure.bbox.y0
+    assert inside.width > 0.5 * inside.height > 0.15 * inside.width
+
+
+def test_the_cells_of_a_map_have_the_colours_of_their_fates() -> None:
+    figure = plot_map(_small_map(*EVERY_FATE))
+    (mesh,) = (c for c in figure.axes[0].collections if isinstance(c, QuadMesh))
+    figure.savefig(io.BytesIO(), format="png")
+    entries = _legend(figure)
+    cells = mesh.get_facecolor().reshape(-1, 4)
+    for cell, attractor in zip(cells, EVERY_FATE, strict=True):
+        assert tuple(cell) == pytest.approx(entries[attractor.phrase].get_facecolor())
+
+
+def test_boundaries_are_drawn_on_top_of_a_map_and_leave_its_limits() -> None:
+    curve = Boundary(name="flip", points=((0.0, -1.5), (9.0, -1.5)))
+    figure = plot_map(_small_map(*EVERY_FATE), boundaries=[curve])
+    (ax,) = figure.axes
+    assert "flip" in _legend(figure)
+    assert any(np.array_equal(line.get_xdata(), [0.0, 9.0]) for line in ax.lines)
+    assert ax.get_xlim() == pytest.approx((0.5, 3.5))
+
+
+def test_a_map_of_one_fate_has_no_contours() -> None:
+    rest = [Attractor(fate=Fate.REST)] * 6
+    assert list(_legend(plot_map(_small_map(*rest)))) == ["rest"]
+    same = [_zeno(1.8, 0.1)] * 6
+    assert list(_legend(plot_map(_small_map(*same)))) == ["Zeno periodic orbit, period 1"]

@@ -27,16 +27,16 @@ def read_numbers(entries: Sequence[str], option: str) -> dict[str, float]:
     return numbers
 
 
-def read_boxes(entries: Sequence[str]) -> dict[str, tuple[float, float]]:
+def read_boxes(entries: Sequence[str], option: str = "gain") -> dict[str, tuple[float, float]]:
     """Return name to bounds from ``NAME=LOW:HIGH`` entries."""
     boxes: dict[str, tuple[float, float]] = {}
     for entry in entries:
         name, sign, bounds = entry.partition("=")
         low, colon, high = bounds.partition(":")
         if not sign or not colon or not name:
-            raise InputError(f"Argument `gain` must be NAME=LOW:HIGH, but it is `{entry}`.")
+            raise InputError(f"Argument `{option}` must be NAME=LOW:HIGH, but it is `{entry}`.")
         if name in boxes:
-            raise InputError(f"Argument `gain` must name `{name}` once, but it does so twice.")
+            raise InputError(f"Argument `{option}` must name `{name}` once, but it does so twice.")
         boxes[name] = (read_number(low, name), read_number(high, name))
     return boxes
 
@@ -54,6 +54,14 @@ def read_count(text: str) -> int:
     if not text.isdigit() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"must be a positive whole number, but it is `{text}`")
     return int(text)
+
+
+def read_grid(text: str) -> tuple[int, int]:
+    """Return two positive whole numbers from ``NxM``, for ``argparse``."""
+    first, sign, second = text.partition("x")
+    if not sign:
+        raise argparse.ArgumentTypeError(f"must be NxM, 50x50 for instance, but it is `{text}`")
+    return read_count(first), read_count(second)
 
 
 def read_seed(text: str) -> int:

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import Any
+
+_STEADY = 1e-3
+"""A motion that changes less than this part of itself a period neither grows nor dies."""
 
 
 class Fate(Enum):
@@ -47,6 +52,61 @@ class Attractor:
     detail: str = ""
 
     @property
+    def phrase(self) -> str:
+        """What it is, in the words of a legend."""
+        if self.fate is Fate.ZENO:
+            return f"{self.fate.value}, period {self.returns}"
+        if self.fate is Fate.SIMPLE and self.returns > 1:
+            return f"{self.fate.value}, period {self.returns}"
+        if self.fate is Fate.ESCAPE:
+            return self.detail or f"{self.escaped} runs away"
+        if self.fate is Fate.UNSETTLED and self.trend > 1.0 + _STEADY:
+            return f"{self.fate.value}, growing"
+        if self.fate is Fate.UNSETTLED and self.trend < 1.0 - _STEADY:
+            return f"{self.fate.value}, dying out"
+        return self.fate.value
+
+    @property
     def spectral_radius(self) -> float:
         """Largest modulus of the multipliers; NaN without any."""
         return max((abs(value) for value in self.multipliers), default=float("nan"))
+
+
+def attractor_json(attractor: Attractor) -> dict[str, Any]:
+    """Return an attractor as plain data, every bit of it; what is unknown is left out."""
+    entries = {
+        "fate": attractor.fate.name.lower(),
+        "returns": attractor.returns,
+        "period": attractor.period,
+        "multipliers": [[value.real, value.imag] for value in attractor.multipliers],
+        "margins": dict(attractor.margins),
+        "state": dict(attractor.state),
+        "escaped": attractor.escaped,
+        "trend": attractor.trend,
+        "detail": attractor.detail,
+    }
+    empty: tuple[object, ...] = ("", [], {})
+    return {
+        name: value
+        for name, value in entries.items()
+        if value not in empty and not (isinstance(value, float) and math.isnan(value))
+    }
+
+
+def attractor_from_json(entries: Mapping[str, Any]) -> Attractor:
+    """Return the attractor of plain data.
+
+    Raises:
+        KeyError, TypeError, ValueError: If the data are none.
+    """
+    return Attractor(
+        fate=Fate[str(entries["fate"]).upper()],
+        returns=int(entries.get("returns", 0)),
+        period=float(entries.get("period", math.nan)),
+        multipliers=tuple(complex(*pair) for pair in entries.get("multipliers", ())),
+        margins={str(k): float(v) for k, v in dict(entries.get("margins", {})).items()},
+        state={str(k): float(v) for k, v in dict(entries.get("state", {})).items()},
+        escaped=str(entries.get("escaped", "")),
+        trend=float(entries.get("trend", math.nan)),
+        detail=str(entries.get("detail", "")),
+    )

@@ -37,6 +37,18 @@ class OrbitFileError(InputError):
         self.path = path
 
 
+class MapFileError(InputError):
+    """A map file could not be read.
+
+    Attributes:
+        path: The file.
+    """
+
+    def __init__(self, path: Path, reason: str) -> None:
+        super().__init__(f"Map file `{path}` must hold a map, but {reason}.")
+        self.path = path
+
+
 class TranslationError(InputError):
     """A model uses an operation that Taylor's method cannot follow.
 
@@ -79,3 +91,27 @@ class PenetrationError(SimulationError):
 
 class ChatterError(SimulationError):
     """The impacts did not settle to a Zeno point within the allowed number."""
+
+
+class CheckpointError(InputError):
+    """A folder cannot keep the finished parts of a work; it is left as it is.
+
+    Attributes:
+        folder: The folder.
+    """
+
+    def __init__(self, folder: Path, reason: str) -> None:
+        super().__init__(f"Checkpoint `{folder}` must belong to this work, but {reason}.")
+        self.folder = folder
+
+
+class WorkError(ZenoOrbitsError):
+    """Work that was spread over processes or machines cannot be finished.
+
+    Attributes:
+        trace: Where it went wrong in the worker; empty if no worker told.
+    """
+
+    def __init__(self, reason: str, *, trace: str = "") -> None:
+        super().__init__(reason)
+        self.trace = trace

@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib.util
 import math
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
@@ -100,6 +100,19 @@ def restitution(default: float) -> Quantity:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Escape:
+    """A coordinate that has gone too far to come back.
+
+    Attributes:
+        beyond: The size of the coordinate from which on it has.
+        phrase: What that means, for the user.
+    """
+
+    beyond: float
+    phrase: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Setting:
     """Numbers for every name of a scene.
 
@@ -138,6 +151,7 @@ class Problem:
             ``Setting`` that returns a ``HybridDynamics``.
         fidelities: Reduced models of the same scene, by the word after the ``@``. A parameter that
             a reduced model does not have has no influence there.
+        escapes: Coordinates that may run away, by name. Others are followed as far as they go.
     """
 
     name: str
@@ -154,6 +168,23 @@ class Problem:
     derive: Callable[[Mapping[str, float]], Mapping[str, float]] | None = None
     reference: Path | None = None
     fidelities: Mapping[str, Problem] = field(default_factory=dict["str", "Problem"])
+    escapes: Mapping[str, Escape] = field(default_factory=dict[str, Escape])
+
+    def __post_init__(self) -> None:
+        for name in self.escapes:
+            if name not in self.state_names:
+                raise InputError(_unknown("escapes", name, self.state_names))
+
+    def escaped(self, state: Sequence[float]) -> str:
+        """Return the name of a coordinate that has run away, or an empty text.
+
+        Args:
+            state: A state, ``(n_x,)``.
+        """
+        for name, escape in self.escapes.items():
+            if abs(state[self.state_names.index(name)]) > escape.beyond:
+                return name
+        return ""
 
     def at_fidelity(self, word: str) -> Problem:
         """Return the reduced model of that name; its own name is ``scene@word``.

@@ -16,9 +16,11 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+    from zeno_orbits.attractors import Attractor
     from zeno_orbits.certificate import OrbitCertificate
     from zeno_orbits.execution import Execution
     from zeno_orbits.fidelity import ReductionCost
+    from zeno_orbits.maps import ParameterMap
     from zeno_orbits.orbit import ZenoOrbit
     from zeno_orbits.problem import Problem, Setting
     from zeno_orbits.search import SearchResult
@@ -26,6 +28,8 @@ if TYPE_CHECKING:
 
 _PATIENCE = 1.0
 """Work shorter than this says nothing [s]."""
+_RARER = 0.1
+"""A file gets no more lines than one in this part of the time so far."""
 
 
 class Progress:
@@ -68,7 +72,7 @@ class Progress:
         """
         self._check()
         elapsed = time.perf_counter() - self._started
-        pause = 0.1 if self._terminal else _PATIENCE
+        pause = 0.1 if self._terminal else max(_PATIENCE, _RARER * elapsed)
         if elapsed < _PATIENCE or elapsed - self._said < pause:
             return
         self._said = elapsed
@@ -296,6 +300,27 @@ def print_trade(trade: Trade) -> None:
             "* no other setting is both faster and more accurate. Times are of this machine.",
         ]
     )
+
+
+def print_map(found: ParameterMap) -> None:
+    """Print how many points of a map settle to what."""
+    table = _table("the motion settles to", "points", "share", "period [s]", "spectral radius")
+    groups: dict[str, list[Attractor]] = {}
+    for attractor in found.attractors:
+        groups.setdefault(attractor.phrase, []).append(attractor)
+    for phrase, group in sorted(groups.items(), key=lambda item: -len(item[1])):
+        share = f"{100 * len(group) / len(found.attractors):.1f} %"
+        periods = _range([one.period for one in group])
+        radii = _range([one.spectral_radius for one in group])
+        table.add_row(phrase, str(len(group)), share, periods, radii)
+    _print(table)
+    axes = (f"{a.name} = {a.lower:g} ... {a.upper:g} ({a.count})" for a in (found.x, found.y))
+    print_lines([f"{' by '.join(axes)}; each motion was followed for {found.until:g} s at most."])
+
+
+def _range(values: Sequence[float]) -> str:
+    finite = [value for value in values if math.isfinite(value)]
+    return f"{min(finite):.4g} ... {max(finite):.4g}" if finite else ""
 
 
 def _error_of(trial: Trial) -> str:

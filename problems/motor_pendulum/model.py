@@ -18,7 +18,7 @@ from zeno_orbits.drives import MotorBank, corrected_drive, full_drive, quasi_sta
 from zeno_orbits.errors import InputError
 from zeno_orbits.hybrid import CompletedSystem, complete
 from zeno_orbits.mechanics import HybridLagrangian
-from zeno_orbits.problem import Problem, Quantity, positive, restitution
+from zeno_orbits.problem import Escape, Problem, Quantity, positive, restitution
 
 CURRENT_COEFFICIENT = 2.92437
 """Published: minus the factor of the current in d2h/dt2 [rad/(s^2 A)]."""
@@ -190,6 +190,12 @@ FULL = Problem(
     portraits=(("theta1", "dtheta1"), ("theta2", "dtheta2")),
     amplitude_of="theta1",
     derive=calibrate,
+    # Link 2 swings to half a turn and comes back; after a whole one it meets the stop from behind.
+    # Link 1 never came back from the top in what was tried, but only a whole turn is beyond doubt.
+    escapes={
+        "theta1": Escape(beyond=2 * math.pi, phrase="link 1 whirls"),
+        "theta2": Escape(beyond=2 * math.pi, phrase="link 2 goes over the top"),
+    },
     reference=Path(__file__).with_name("reference.py"),
 )
 

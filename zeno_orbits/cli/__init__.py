@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from zeno_orbits import report
 from zeno_orbits.cli.conditions import add_conditions
 from zeno_orbits.cli.fidelity import add_fidelity
+from zeno_orbits.cli.map import add_map
 from zeno_orbits.cli.plot import add_plot
 from zeno_orbits.cli.problems import add_problems
 from zeno_orbits.cli.search import add_search
@@ -84,6 +85,7 @@ def _parser() -> argparse.ArgumentParser:
     add_fidelity(commands)
     add_search(commands)
     add_verify(commands)
+    add_map(commands)
     add_trade(commands)
     add_plot(commands)
     return parser

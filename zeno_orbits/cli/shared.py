@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from zeno_orbits import report
-from zeno_orbits.arguments import read_numbers
+from zeno_orbits.arguments import read_count, read_numbers
 from zeno_orbits.errors import InputError
 
 if TYPE_CHECKING:
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from zeno_orbits.problem import Problem, Setting
     from zeno_orbits.simulate import SimulationSettings
     from zeno_orbits.verify import VerificationSettings
+    from zeno_orbits.work import Place
 
 YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
 
@@ -104,6 +105,37 @@ def add_accuracy(parser: argparse.ArgumentParser) -> None:
         help="the integrator; automatic steps explicitly, and implicitly where the scene is stiff; "
         "taylor needs the extra of that name",
     )
+
+
+def add_place(parser: argparse.ArgumentParser) -> None:
+    """Add where the work is done, and where what is finished is kept."""
+    parser.add_argument(
+        "--workers", type=read_count, metavar="N", help="processes; one a core by default"
+    )
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="work on the Dask cluster of this scheduler instead, tcp://host:8786 for instance",
+    )
+    parser.add_argument(
+        "--checkpoint",
+        type=Path,
+        metavar="FOLDER",
+        help="keep what is finished here, and go on from what is kept here already; by default "
+        "beside the output, until that is written",
+    )
+
+
+def place_of(options: argparse.Namespace) -> Place:
+    """Return where the work is to be done."""
+    from zeno_orbits.work import Cluster, Workers
+
+    if options.scheduler is None:
+        return Workers(count=options.workers)
+    if options.workers is not None:
+        message = "must not be given with a scheduler, which has its own workers"
+        raise InputError(f"Argument `workers` {message}, but it is {options.workers}.")
+    return Cluster(address=options.scheduler)
 
 
 def add_orbit(parser: argparse.ArgumentParser) -> None:

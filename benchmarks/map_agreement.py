@@ -1,0 +1,185 @@
+"""Whether a map agrees with long simulations at random points of the Kp-Kd plane.
+
+A map is computed by the fast function, and 500 random points of its grid are simulated for several
+times as long by `zeno_orbits.long_run`, which shares the model with it and nothing else. Fates must
+be the same, and for periodic ones the number of releases, the period and the spectral radius to
+their tolerances. A point within one cell of a boundary, where a neighbour in the map has another
+fate, is listed and excused.
+
+Exit 1 if another point disagrees.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from zeno_orbits import report
+from zeno_orbits.attractors import Attractor, Fate, attractor_from_json, attractor_json
+from zeno_orbits.long_run import LongRun, attractor_of
+from zeno_orbits.map_file import read_map, write_map
+from zeno_orbits.maps import Axis, ParameterMap, Plane, parameter_map
+from zeno_orbits.scenes import scene_file
+from zeno_orbits.work import Plan, spread
+
+Fast = Callable[[Plane, Plan], ParameterMap]
+"""What is tested: from a plane to its map."""
+
+LONGER = 5.0
+"""Times as long as the map follows a motion at most, it is followed here."""
+PERIOD, RADIUS = 1e-6, 1e-3
+"""Largest difference of periods, relative, and of spectral radii: those of a long run, with room.
+
+It stops at a part 1e-6 from the orbit, and takes multipliers by differences over 1e-4.
+"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Comparison:
+    """One point of both.
+
+    Attributes:
+        point: ``(x, y)``.
+        fast: What the map says.
+        slow: What the long simulation says.
+        near_boundary: Whether a neighbour in the map has another fate.
+    """
+
+    point: tuple[float, float]
+    fast: Attractor
+    slow: Attractor
+    near_boundary: bool
+
+    @property
+    def agrees(self) -> bool:
+        """Whether both say the same."""
+        fast, slow = self.fast, self.slow
+        if (fast.fate, fast.returns, fast.escaped) != (slow.fate, slow.returns, slow.escaped):
+            return False
+        if fast.fate not in (Fate.ZENO, Fate.SIMPLE):
+            return True
+        period = abs(fast.period - slow.period) <= PERIOD * slow.period
+        return period and abs(fast.spectral_radius - slow.spectral_radius) <= RADIUS
+
+    def line(self) -> str:
+        """Return the point in words."""
+        x, y = self.point
+        return f"({x:.6g}, {y:.6g}): map {_words(self.fast)}; long run {_words(self.slow)}"
+
+
+def _words(one: Attractor) -> str:
+    numbers = f" T = {one.period:.10g}, radius {one.spectral_radius:.4g}" if one.returns else ""
+    trend = f" x{one.trend:.4g}" if one.fate is Fate.UNSETTLED else ""
+    return f"{one.phrase}{numbers}{trend}"
+
+
+def near_boundary(found: ParameterMap, index: int) -> bool:
+    """Tell whether one of the eight neighbours of a point has another fate."""
+    phrases = np.array([f"{a.fate.name} {a.returns} {a.escaped}" for a in found.attractors])
+    grid = phrases.reshape(found.shape)
+    row, column = divmod(index, found.x.count)
+    around = grid[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
+    return bool(np.any(around != grid[row, column]))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LongRuns:
+    """The long runs at points of a plane: the task of a worker."""
+
+    plane: Plane
+    run: LongRun
+
+    def __call__(self, points: Sequence[Sequence[float]]) -> list[dict[str, Any]]:
+        """Return the attractors at some points as plain data."""
+        problem = self.plane.scene.load()
+        settings = [self.plane.setting(problem, x, y) for x, y in points]
+        found = [attractor_of(problem, one, self.plane.start, run=self.run) for one in settings]
+        return [attractor_json(one) for one in found]
+
+
+def compare(found: ParameterMap, task: LongRuns, indices: Sequence[int]) -> list[Comparison]:
+    """Return both answers at some points of a map; the long runs are spread over all cores."""
+    points = [task.plane.points()[k] for k in indices]
+    with report.Progress(lambda: None) as progress:
+        slow = spread(task, points, Plan(chunk=4), tell=progress.tell)
+    return [
+        Comparison(
+            point=point,
+            fast=found.attractors[k],
+            slow=attractor_from_json(answer),
+            near_boundary=near_boundary(found, k),
+        )
+        for k, point, answer in zip(indices, points, slow, strict=True)
+    ]
+
+
+def computed(plane: Plane, plan: Plan) -> ParameterMap:
+    """Return the map by the package's own function."""
+    with report.Progress(lambda: None) as progress:
+        return parameter_map(plane, plan, tell=progress.tell)
+
+
+def main(fast: Fast = computed) -> int:
+    """Compare and print."""
+    options = _options()
+    plane = Plane(
+        scene=scene_file("motor_pendulum"),
+        x=Axis(name="Kp", lower=1.0, upper=5.0, count=options.grid),
+        y=Axis(name="Kd", lower=-2.0, upper=0.0, count=options.grid),
+        start=(0.6, 0.0, 0.0, 0.0, 0.0),
+        run=LongRun(until=options.until),
+    )
+    if options.map is None:
+        found = fast(plane, Plan())
+    else:
+        found = read_map(options.map)
+        plane = replace(plane, x=found.x, y=found.y, run=LongRun(until=found.until))
+    if options.write is not None:
+        write_map(found, options.write)
+    random = np.random.default_rng(options.seed)
+    drawn = random.choice(len(found.attractors), size=options.points, replace=False)
+    task = LongRuns(plane=plane, run=LongRun(until=LONGER * plane.run.until))
+    compared = compare(found, task, [int(k) for k in sorted(drawn)])
+    return _tell(compared, as_json=options.json)
+
+
+def _tell(compared: Sequence[Comparison], *, as_json: bool) -> int:
+    off = [one for one in compared if not one.agrees]
+    wrong = [one for one in off if not one.near_boundary]
+    numbers: dict[str, Any] = {
+        "points": len(compared),
+        "agree": len(compared) - len(off),
+        "differ, within a cell of a boundary": len(off) - len(wrong),
+        "disagree": len(wrong),
+    }
+    if as_json:
+        print(json.dumps(numbers | {"off": [one.line() for one in off]}, indent=2))
+    else:
+        for name, value in numbers.items():
+            print(f"{name:36} {value}")
+        for one in off:
+            print("excused  " if one.near_boundary else "DISAGREES", one.line())
+    return 1 if wrong else 0
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--points", type=int, default=500, help="random points of the grid")
+    parser.add_argument("--grid", type=int, default=100, help="points along each axis of the map")
+    parser.add_argument("--until", type=float, default=60.0, help="how long to follow [s]")
+    parser.add_argument("--seed", type=int, default=0, help="of the random points")
+    parser.add_argument("--map", type=Path, help="a map file to test, in place of a new map")
+    parser.add_argument("--write", type=Path, help="write the new map here")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

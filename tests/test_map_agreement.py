@@ -1,0 +1,58 @@
+"""The benchmark that holds maps against long runs notices what it is there to notice."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from benchmarks import map_agreement
+from zeno_orbits.attractors import Attractor, Fate
+from zeno_orbits.long_run import LongRun
+from zeno_orbits.maps import Axis, Plane, parameter_map
+from zeno_orbits.scenes import scene_file
+from zeno_orbits.work import Plan, Workers
+
+ZENO = Attractor(fate=Fate.ZENO, returns=1, period=1.8, multipliers=(0.5 + 0j,))
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        replace(ZENO, fate=Fate.SIMPLE),
+        replace(ZENO, fate=Fate.UNSETTLED),
+        replace(ZENO, returns=2),
+        replace(ZENO, period=1.8 * (1 + 2e-6)),
+        replace(ZENO, multipliers=(0.502 + 0j,)),
+        replace(ZENO, multipliers=()),
+        Attractor(fate=Fate.ESCAPE, escaped="theta1"),
+    ],
+)
+def test_another_answer_is_a_disagreement(other: Attractor) -> None:
+    def compared(fast: Attractor, slow: Attractor, near: bool = False) -> object:
+        return map_agreement.Comparison(point=(1.0, 2.0), fast=fast, slow=slow, near_boundary=near)
+
+    assert compared(ZENO, ZENO).agrees
+    assert not compared(ZENO, other).agrees
+    assert not compared(other, ZENO).agrees
+    assert map_agreement._tell([compared(ZENO, other)], as_json=False) == 1
+    assert map_agreement._tell([compared(ZENO, other, near=True)], as_json=False) == 0
+    assert map_agreement._tell([compared(ZENO, ZENO)], as_json=True) == 0
+
+
+def test_a_cell_beside_another_fate_is_near_a_boundary() -> None:
+    plane = Plane(
+        scene=scene_file("bouncing_ball"),
+        x=Axis(name="m", lower=1.0, upper=2.0, count=4),
+        y=Axis(name="g", lower=1.0, upper=2.0, count=2),
+        start=(1.0, 0.0),
+        run=LongRun(until=60.0),
+    )
+    found = parameter_map(plane, Plan(place=Workers(count=1)))
+    assert not any(map_agreement.near_boundary(found, k) for k in range(8))
+    mixed = replace(found, attractors=(ZENO, *found.attractors[1:]))
+    near = [k for k in range(8) if map_agreement.near_boundary(mixed, k)]
+    assert near == [0, 1, 4, 5]
+    task = map_agreement.LongRuns(plane=plane, run=LongRun(until=120.0))
+    fates = [one["fate"] for one in task(plane.points()[:2])]
+    assert fates == ["rest", "rest"]

@@ -1,0 +1,156 @@
+"""The command `map`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from zeno_orbits import report
+from zeno_orbits.arguments import read_boxes, read_grid, read_numbers
+from zeno_orbits.cli.shared import (
+    INTERRUPTED,
+    NO,
+    YES,
+    add_command,
+    add_gain_values,
+    add_place,
+    add_scene,
+    add_start,
+    place_of,
+    print_json,
+    say_written,
+    start_of,
+)
+from zeno_orbits.errors import InputError
+from zeno_orbits.files import require_picture, require_writable
+
+if TYPE_CHECKING:
+    from zeno_orbits.maps import Axis, ParameterMap, Plane
+
+_UNTIL = 60.0
+
+
+def add_map(commands: Any) -> None:
+    """Add the command `map`."""
+    parser = add_command(
+        commands,
+        "map",
+        _run_map,
+        "tell what motions settle to over a plane of two gains or parameters; the answer is no "
+        "if nowhere to a Zeno periodic orbit",
+        [
+            "zeno-orbits map motor_pendulum --x Kp=1:5 --y Kd=-2:0 -o map.json --picture map.png",
+            "zeno-orbits map motor_pendulum --x restitution=0:0.5 --y Kd=-1.6:-0.4 --points 20x30",
+            "zeno-orbits map motor_pendulum --x Kp=1:5 --y R=2:4 --scheduler tcp://host:8786",
+        ],
+    )
+    add_scene(parser)
+    add_gain_values(parser)
+    add_start(parser)
+    for side, where in (("x", "across"), ("y", "upwards")):
+        parser.add_argument(
+            f"--{side}",
+            action="append",
+            required=True,
+            metavar="NAME=LOW:HIGH",
+            help=f"the gain or parameter that goes {where}",
+        )
+    parser.add_argument(
+        "--points",
+        type=read_grid,
+        default=(50, 50),
+        metavar="NxM",
+        help="points across and upwards; 50x50 by default",
+    )
+    parser.add_argument(
+        "--until",
+        type=float,
+        default=_UNTIL,
+        metavar="T",
+        help=f"how long a motion may take to settle [s]; {_UNTIL:g} by default",
+    )
+    add_place(parser)
+    parser.add_argument("--picture", type=Path, help="draw the map here")
+    parser.add_argument("-o", "--output", type=Path, help="write the map here, as JSON")
+
+
+def _run_map(options: argparse.Namespace) -> int:
+    from zeno_orbits.map_file import write_map
+    from zeno_orbits.maps import CHUNK, parameter_map, require_plane
+    from zeno_orbits.work import Plan, remove_checkpoint
+
+    plane = require_plane(_plane(options))
+    _require_outputs(options)
+    checkpoint = _checkpoint(options)
+    plan = Plan(place=place_of(options), chunk=CHUNK, checkpoint=checkpoint)
+    try:
+        with report.Progress(options.interrupts.check) as progress:
+            found = parameter_map(plane, plan, tell=progress.tell)
+    except KeyboardInterrupt:
+        kept = "nothing is kept" if checkpoint is None else f"`{checkpoint}` keeps what is finished"
+        report.print_error(f"interrupted; {kept}")
+        return INTERRUPTED
+    # The file comes last: drawing takes long enough to be interrupted.
+    if options.picture is not None:
+        from zeno_orbits import plots
+
+        plots.save_figure(plots.plot_map(found), options.picture)
+    if options.output is not None:
+        write_map(found, options.output)
+        if options.checkpoint is None and checkpoint is not None:
+            remove_checkpoint(checkpoint)
+    return _show(options, found)
+
+
+def _show(options: argparse.Namespace, found: ParameterMap) -> int:
+    if options.json:
+        print_json(found.as_json())
+    else:
+        report.print_map(found)
+    say_written(options, [path for path in (options.output, options.picture) if path is not None])
+    return YES if found.has_zeno else NO
+
+
+def _plane(options: argparse.Namespace) -> Plane:
+    from zeno_orbits.long_run import LongRun
+    from zeno_orbits.maps import Plane
+    from zeno_orbits.scenes import scene_file
+
+    scene = scene_file(options.problem)
+    return Plane(
+        scene=scene,
+        x=_axis(options.x, options.points[0], "x"),
+        y=_axis(options.y, options.points[1], "y"),
+        gains=read_numbers(options.gain, "gain"),
+        parameters=read_numbers(options.set, "set"),
+        start=start_of(scene.load(), options),
+        run=LongRun(until=options.until),
+    )
+
+
+def _axis(entries: list[str], count: int, side: str) -> Axis:
+    from zeno_orbits.maps import Axis
+
+    if len(entries) != 1:
+        raise InputError(f"Argument `{side}` must be given once, but it is {len(entries)} times.")
+    ((name, (lower, upper)),) = read_boxes(entries, side).items()
+    return Axis(name=name, lower=lower, upper=upper, count=count)
+
+
+def _require_outputs(options: argparse.Namespace) -> None:
+    if options.output is not None:
+        require_writable(options.output)
+    if options.picture is not None:
+        require_picture(options.picture)
+    if options.output is not None and options.output == options.picture:
+        both = f"but both are `{options.output}`"
+        raise InputError(f"Argument `picture` must be another file than `output`, {both}.")
+
+
+def _checkpoint(options: argparse.Namespace) -> Path | None:
+    """Return the folder that was named, else one beside the output."""
+    if options.checkpoint is not None:
+        return options.checkpoint
+    output = options.output
+    return None if output is None else output.with_name(f"{output.name}.checkpoint")

@@ -1,0 +1,62 @@
+"""Map files: JSON with one line a point, written whole or not at all."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, cast
+
+from zeno_orbits.attractors import attractor_from_json, attractor_json
+from zeno_orbits.errors import MapFileError
+from zeno_orbits.files import write_whole
+from zeno_orbits.maps import FORMAT, Axis, ParameterMap
+
+
+def write_map(found: ParameterMap, path: Path) -> None:
+    """Write a map file, whole or not at all, one line a point.
+
+    Raises:
+        InputError: If the folder cannot be written.
+    """
+    head = json.dumps(found.header(), indent=2, allow_nan=False).removesuffix("\n}")
+    lines = (json.dumps(attractor_json(one), allow_nan=False) for one in found.attractors)
+    write_whole(path, head + ',\n  "points": [\n    ' + ",\n    ".join(lines) + "\n  ]\n}\n")
+
+
+def read_map(path: Path) -> ParameterMap:
+    """Read a map file.
+
+    Raises:
+        MapFileError: If it is missing, cut short, of a wrong type or of a newer format.
+    """
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise MapFileError(path, f"it is no complete JSON ({type(error).__name__})") from error
+    if not isinstance(data, dict):
+        raise MapFileError(path, "it is no object with names")
+    entries = cast("dict[str, Any]", data)
+    if not isinstance(entries.get("format"), int) or not 1 <= entries["format"] <= FORMAT:
+        raise MapFileError(path, f"its format is {entries.get('format')}, not one up to {FORMAT}")
+    try:
+        found = _map_of(entries)
+    except (KeyError, TypeError, ValueError) as error:
+        raise MapFileError(path, f"an entry does not fit ({error!r})") from error
+    if len(found.attractors) != found.x.count * found.y.count:
+        raise MapFileError(path, "it has not one entry a point")
+    return found
+
+
+def _map_of(entries: Mapping[str, Any]) -> ParameterMap:
+    return ParameterMap(
+        problem=str(entries["problem"]),
+        x=Axis(**entries["x"]),
+        y=Axis(**entries["y"]),
+        gains=dict(entries["gains"]),
+        parameters=dict(entries["parameters"]),
+        start=dict(entries["start"]),
+        until=float(entries["until"]),
+        attractors=tuple(attractor_from_json(point) for point in entries["points"]),
+        versions=dict(entries["versions"]),
+    )

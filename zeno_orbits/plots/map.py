@@ -1,0 +1,160 @@
+# pyright: reportUnknownMemberType=false
+# The stubs of matplotlib leave most keyword arguments untyped.
+"""A map as a picture: regions by colour, contours inside the region of Zeno orbits, boundaries."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from zeno_orbits.attractors import Attractor, Fate
+from zeno_orbits.dynamics import Vector
+from zeno_orbits.maps import Axis, Boundary, ParameterMap
+from zeno_orbits.plots.style import COLUMN_WIDTH, FULL_WIDTH, INK, TEXT
+
+_PERIODS = {1: "#4393C3", 2: "#009E73", 4: "#005A43", 8: "#5D3A9B"}
+_OTHER_PERIOD = "#8C7AA9"
+_PLAIN = {
+    Fate.SIMPLE: "#A6D854",
+    Fate.NO_ZENO: "#CC79A7",
+    Fate.REST: "#FFFFFF",
+    Fate.FAILED: "#000000",
+}
+_ESCAPES = ("#D55E00", "#E69F00", "#8C510A", "#B2182B")
+_UNSETTLED = "#F0E442"
+_GROWING, _DYING = "#8F8F8F", "#DADADA"
+_PERIOD: dict[str, Any] = {"colors": "black", "linewidths": 0.7}
+_RADIUS: dict[str, Any] = {"colors": "white", "linewidths": 0.9, "linestyles": "dashed"}
+_RADII = (0.2, 0.4, 0.6, 0.8, 0.9)
+_BESIDE = 0.8
+"""Part of a page from which on the legend stands beside the map, else below it."""
+_SHAPE = {True: 0.5, False: 0.72}
+"""Height over width, the legend below not counted."""
+_ENTRY = 0.145
+"""Height of an entry of the legend [in]."""
+_BOUNDARIES = ("-", "--", "-.", ":")
+
+
+def plot_map(
+    found: ParameterMap, *, boundaries: Sequence[Boundary] = (), width: float = 1.4 * COLUMN_WIDTH
+) -> Figure:
+    """Return a map as a picture.
+
+    Args:
+        found: The map.
+        boundaries: Curves to draw on top.
+        width: Width of the picture [in].
+    """
+    phrases = _phrases(found.attractors)
+    beside = width >= _BESIDE * FULL_WIDTH
+    height = _SHAPE[beside] * width
+    figure = Figure(figsize=(width, height), layout="constrained")
+    ax = figure.add_subplot()
+    looks = {phrase: _colour(one, k) for phrase, (one, k) in phrases.items()}
+    order = list(looks)
+    codes = np.array([order.index(one.phrase) for one in found.attractors]).reshape(found.shape)
+    ax.pcolormesh(
+        *(np.array(axis.values()) for axis in (found.x, found.y)),
+        codes,
+        cmap=ListedColormap(list(looks.values())),
+        vmin=-0.5,
+        vmax=len(order) - 0.5,
+        shading="nearest",
+        rasterized=True,
+    )
+    edge: dict[str, Any] = {"edgecolor": INK, "linewidth": 0.4}
+    handles: list[Any] = [
+        Patch(facecolor=colour, label=phrase, **edge) for phrase, colour in looks.items()
+    ]
+    handles += _draw_contours(ax, found)
+    handles += _draw_boundaries(ax, found, boundaries)
+    ax.set_xlabel(_label(found.x), fontsize=TEXT)
+    ax.set_ylabel(_label(found.y), fontsize=TEXT)
+    ax.tick_params(labelsize=TEXT - 1)
+    if not beside:
+        figure.set_figheight(height + _ENTRY * (len(handles) + 1))
+    figure.legend(
+        handles=handles,
+        loc="outside right upper" if beside else "outside lower center",
+        fontsize=TEXT - 1,
+        frameon=False,
+        handlelength=1.5,
+    )
+    return figure
+
+
+def _phrases(attractors: Sequence[Attractor]) -> dict[str, tuple[Attractor, int]]:
+    """Return each phrase with an attractor it stands for and its number among escapes."""
+    found: dict[str, Attractor] = {}
+    for one in attractors:
+        found.setdefault(one.phrase, one)
+    fates = list(Fate)
+    order = sorted(found, key=lambda p: (fates.index(found[p].fate), found[p].returns, p))
+    escapes = [phrase for phrase in order if found[phrase].fate is Fate.ESCAPE]
+    return {p: (found[p], escapes.index(p) if p in escapes else 0) for p in order}
+
+
+def _colour(attractor: Attractor, escape: int) -> str:
+    if attractor.fate is Fate.ZENO:
+        return _PERIODS.get(attractor.returns, _OTHER_PERIOD)
+    if attractor.fate is Fate.ESCAPE:
+        return _ESCAPES[escape % len(_ESCAPES)]
+    if attractor.fate is Fate.UNSETTLED:
+        growing = {"growing": _GROWING, "dying out": _DYING}
+        return growing.get(attractor.phrase.rpartition(", ")[2], _UNSETTLED)
+    return _PLAIN[attractor.fate]
+
+
+def _draw_contours(ax: Axes, found: ParameterMap) -> list[Line2D]:
+    """Draw period and spectral radius where the motion settles to an orbit of period 1."""
+    first = [one.fate in (Fate.ZENO, Fate.SIMPLE) and one.returns == 1 for one in found.attractors]
+    inside = np.reshape(first, found.shape)
+    handles: list[Line2D] = []
+    fields: list[tuple[Vector, Any, dict[str, Any], str]] = [
+        (found.numbers("period"), 6, _PERIOD, "period [s]"),
+        (found.numbers("spectral_radius"), list(_RADII), _RADIUS, "spectral radius"),
+    ]
+    for values, levels, look, label in fields:
+        shown = np.ma.masked_where(~inside | ~np.isfinite(values), values)
+        # A contour needs a cell with four corners, and a field that changes.
+        if shown.count() < _CORNERS or float(np.ma.ptp(shown)) == 0.0:
+            continue
+        lines = ax.contour(found.x.values(), found.y.values(), shown, levels=levels, **look)
+        if any(len(path) for path in lines.get_paths()):
+            ax.clabel(lines, fontsize=TEXT - 2, fmt="%.4g")
+            dash = "--" if look is _RADIUS else "-"
+            colour = "#999999" if look is _RADIUS else "black"
+            handles.append(Line2D([], [], color=colour, ls=dash, lw=0.9, label=label))
+    return handles
+
+
+_CORNERS = 4
+
+
+def _draw_boundaries(ax: Axes, found: ParameterMap, boundaries: Sequence[Boundary]) -> list[Line2D]:
+    handles: list[Line2D] = []
+    for k, boundary in enumerate(boundaries):
+        dash = _BOUNDARIES[k % len(_BOUNDARIES)]
+        look: dict[str, Any] = {"color": "black", "lw": 1.6, "ls": dash}
+        xs, ys = np.array(boundary.points).reshape(-1, 2).T
+        ax.plot(xs, ys, **look)
+        handles.append(Line2D([], [], label=boundary.name, **look))
+    if boundaries:
+        ax.set(xlim=_reach(found.x), ylim=_reach(found.y))
+    return handles
+
+
+def _reach(axis: Axis) -> tuple[float, float]:
+    half = (axis.upper - axis.lower) / (axis.count - 1) / 2
+    return axis.lower - half, axis.upper + half
+
+
+def _label(axis: Axis) -> str:
+    return f"{axis.name} [{axis.unit}]"

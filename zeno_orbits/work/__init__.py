@@ -1,0 +1,22 @@
+"""Work spread over many processes, here or on a cluster, that survives being killed.
+
+A task is a pure function of a chunk of points. Chunks are cut without regard to who computes them,
+every result passes through JSON, and a finished chunk is kept in a checkpoint. So the same results
+come out for any number of workers, and after any number of new starts.
+"""
+
+from zeno_orbits.work.checkpoint import remove_checkpoint
+from zeno_orbits.work.plan import Cluster, Lost, Place, Plan, Workers
+from zeno_orbits.work.spreading import Task, Tell, spread
+
+__all__ = [
+    "Cluster",
+    "Lost",
+    "Place",
+    "Plan",
+    "Task",
+    "Tell",
+    "Workers",
+    "remove_checkpoint",
+    "spread",
+]

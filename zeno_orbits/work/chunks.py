@@ -1,0 +1,85 @@
+"""What a worker does: one chunk at a time, by the same code as everybody else."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import threading
+import traceback
+from collections.abc import Callable, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from zeno_orbits.errors import InputError, WorkError
+
+Task = Callable[[Sequence[Any]], Sequence[Any]]
+"""From a chunk of points to their results, all plain data; it can be pickled."""
+
+_ONE_AT_A_TIME = threading.Lock()
+"""Models of a process share memory, and a Dask worker may have several threads."""
+
+
+def run_chunk(task: Task, points: Sequence[Any], code: str) -> str:
+    """Return the results of a chunk as JSON, or what went wrong.
+
+    An exception goes home as text: one that cannot be unpickled there would pass for the death of
+    the worker.
+
+    Args:
+        task: What to do.
+        points: The chunk.
+        code: Digest of the code that asks.
+    """
+    try:
+        with _ONE_AT_A_TIME:
+            return json.dumps({"results": _results(task, points, code)}, allow_nan=False)
+    except Exception as error:  # noqa: BLE001, it is told at home
+        told = {"misuse": isinstance(error, InputError), "text": _told(error)}
+        return json.dumps({"error": told | {"trace": traceback.format_exc()}})
+
+
+def _results(task: Task, points: Sequence[Any], code: str) -> list[Any]:
+    if code_digest() != code:
+        raise InputError(
+            "Argument `scheduler` must lead to workers with the same code as the program that "
+            "asks them, but one has another version of zeno_orbits."
+        )
+    results = list(task(points))
+    if len(results) != len(points):
+        lengths = f"must return one result a point, but of {len(points)} points it returns"
+        raise InputError(f"Argument `task` {lengths} {len(results)}.")
+    return results
+
+
+def results_of(answer: str) -> list[Any]:
+    """Return the results in an answer.
+
+    Raises:
+        InputError: If the task was misused.
+        WorkError: If it failed otherwise.
+    """
+    told = json.loads(answer)
+    if "error" not in told:
+        return told["results"]
+    error = told["error"]
+    if error["misuse"]:
+        raise InputError(error["text"])
+    raise WorkError(f"A chunk of the work fails: {error['text']}", trace=error["trace"])
+
+
+def _told(error: Exception) -> str:
+    return str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+
+
+@cache
+def code_digest() -> str:
+    """Return a digest of the package's own source, by which two installations can be compared."""
+    package = Path(__file__).resolve().parents[1]
+    digest = hashlib.sha256()
+    for file in sorted(package.rglob("*.py")):
+        name = file.relative_to(package)
+        # Scenes are installed inside the package, and stand beside it in the source.
+        if name.parts[0] != "problems":
+            digest.update(f"{name.as_posix()}\n".encode() + file.read_bytes())
+    return digest.hexdigest()

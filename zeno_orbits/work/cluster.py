@@ -1,0 +1,156 @@
+"""The workers of a Dask cluster as a pool."""
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
+# pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Generator, Sequence
+from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Any
+
+from zeno_orbits.errors import InputError, WorkError
+from zeno_orbits.work.chunks import Task, code_digest, run_chunk
+from zeno_orbits.work.plan import Cluster
+
+_PAUSE = 1.0
+"""Between two questions to the scheduler [s]."""
+
+
+class ClusterPool:
+    """Workers of a Dask cluster."""
+
+    # The scheduler gives a chunk to several workers by itself before it calls it a killer.
+    attempts = 1
+    one_fate = False
+
+    def __init__(self, client: Any, cluster: Cluster) -> None:
+        self._client = client
+        self._cluster = cluster
+        # The second chunk of a worker travels while it computes the first.
+        self.window = 2 * max(len(self._workers()), 1)
+        self._executor: Executor = client.get_executor(pure=False)
+        self._asked = self._seen = time.monotonic()
+
+    def submit(self, task: Task, points: Sequence[Any]) -> Future[str]:
+        """Send a chunk to the scheduler."""
+        return self._executor.submit(run_chunk, task, points, code_digest())
+
+    def died(self, future: Future[str]) -> bool:
+        """Tell whether a chunk killed one worker after the other.
+
+        Raises:
+            WorkError: If it ended for another reason than its task.
+        """
+        from distributed import KilledWorker
+
+        if future.cancelled():
+            raise self._gone()
+        error = future.exception()
+        if error is None:
+            return False
+        if isinstance(error, CancelledError):
+            raise self._gone()
+        if isinstance(error, KilledWorker):
+            return True
+        raise WorkError(
+            f"The workers of the cluster `{self._cluster.address}` cannot compute a chunk "
+            f"({type(error).__name__}: {error}); is zeno_orbits installed there?"
+        ) from error
+
+    def check(self) -> None:
+        """Raise if the scheduler is gone, or all workers have been for long."""
+        now = time.monotonic()
+        if now - self._asked < _PAUSE:
+            return
+        self._asked = now
+        if self._client.status not in ("running", "connecting"):
+            raise self._gone()
+        if self._client.status == "running" and self._workers():
+            self._seen = now
+        elif now - self._seen > 4 * self._cluster.patience:
+            raise self._gone()
+
+    def _workers(self) -> dict[str, Any]:
+        return self._client.scheduler_info(n_workers=-1)["workers"]
+
+    def _gone(self) -> WorkError:
+        return WorkError(
+            f"The cluster `{self._cluster.address}` has lost its scheduler or all its workers; "
+            "what is finished is kept in the checkpoint, if there is one"
+        )
+
+
+@contextmanager
+def open_cluster(cluster: Cluster) -> Generator[ClusterPool]:
+    """Give the workers of a cluster for as long as the context lasts.
+
+    Raises:
+        InputError: If Dask is not installed, the scheduler does not answer, or it has no worker.
+    """
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise InputError(
+            "Argument `scheduler` must not be given without the extra `cluster`, but Dask is not "
+            "installed; run `pip install 'zeno_orbits[cluster]'`."
+        ) from error
+    _require_scheduler(cluster)
+    patience = cluster.patience
+    with _quiet(), Client(cluster.address, timeout=patience, set_as_default=False) as client:
+        try:
+            client.wait_for_workers(1, timeout=patience)
+        except TimeoutError as error:
+            asked = _asked(cluster)
+            raise InputError(f"{asked} has no worker after {patience:g} s.") from error
+        yield ClusterPool(client, cluster)
+
+
+def _asked(cluster: Cluster) -> str:
+    return f"Argument `scheduler` must be the address of a Dask scheduler, but `{cluster.address}`"
+
+
+def _require_scheduler(cluster: Cluster) -> None:
+    """Ask who answers at an address; a client would wait for a silent one for ever."""
+    from distributed import Security
+    from distributed.core import rpc
+
+    async def ask() -> dict[str, Any]:
+        security = Security().get_connection_args("client")
+        other: Any
+        async with rpc(cluster.address, connection_args=security) as other:
+            return await other.identity()
+
+    async def ask_in_time() -> dict[str, Any]:
+        return await asyncio.wait_for(ask(), cluster.patience)
+
+    # A notebook has an event loop of its own, and no second one may run in its thread.
+    with ThreadPoolExecutor(1) as thread:
+        try:
+            found = thread.submit(asyncio.run, ask_in_time()).result()["type"]
+        except OSError as error:
+            # The class of all that has to do with time-outs and connections.
+            late = f"does not answer within {cluster.patience:g} s"
+            raise InputError(f"{_asked(cluster)} {late}.") from error
+        except Exception as error:
+            reason = f"is none ({type(error).__name__}: {error})"
+            raise InputError(f"{_asked(cluster)} {reason}.") from error
+    if found != "Scheduler":
+        raise InputError(f"{_asked(cluster)} is that of a {found}.")
+
+
+@contextmanager
+def _quiet() -> Generator[None]:
+    """Keep Dask from logging what is dealt with here."""
+    loggers = [logging.getLogger(f"distributed.{name}") for name in ("client", "comm")]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)

@@ -1,0 +1,73 @@
+"""Where work is done, how it is cut, and where what is finished is kept."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from zeno_orbits.errors import InputError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Workers:
+    """Processes on this machine.
+
+    Attributes:
+        count: How many; ``None`` for one a core.
+        attempts: How often a chunk may kill the worker that computes it alone.
+    """
+
+    count: int | None = None
+    attempts: int = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cluster:
+    """A Dask cluster that is running already.
+
+    Attributes:
+        address: Of its scheduler, ``tcp://host:8786`` for instance.
+        patience: How long the scheduler may take to answer, and a cluster to have a worker [s].
+    """
+
+    address: str
+    patience: float = 8.0
+
+
+Place = Workers | Cluster
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
+    """How work is done; none of it changes a result but the size of a chunk.
+
+    Attributes:
+        place: Where.
+        chunk: Points a chunk. It must not depend on the place: points that are computed together
+            may differ in the last bits from the same points computed apart.
+        checkpoint: Folder that keeps finished chunks; ``None`` keeps none.
+        identity: What tells this work from another, as plain data: the command, the scene and its
+            content, settings, seeds, versions. Points and the package's own code are added to it.
+    """
+
+    place: Place = field(default_factory=Workers)
+    chunk: int = 16
+    checkpoint: Path | None = None
+    identity: Mapping[str, Any] = field(default_factory=dict[str, Any])
+
+    def __post_init__(self) -> None:
+        if self.chunk < 1:
+            raise InputError(f"Argument `chunk` must be at least 1, but it is {self.chunk}.")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lost:
+    """In place of a result: the point that killed every worker that computed it.
+
+    Attributes:
+        reason: The sentence for the user.
+    """
+
+    reason: str = "The point kills every worker that computes it."

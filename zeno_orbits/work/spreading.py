@@ -1,0 +1,152 @@
+"""Points to results, chunk by chunk, whatever happens to the workers."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from dataclasses import dataclass, field
+from typing import Any
+
+from zeno_orbits.work.checkpoint import Checkpoint, open_checkpoint
+from zeno_orbits.work.chunks import Task, code_digest, results_of
+from zeno_orbits.work.plan import Lost, Plan
+from zeno_orbits.work.pools import Pool, open_pool
+
+Tell = Callable[[str, float], None]
+"""Told in a few words what is done, and the part of what was left at the start."""
+
+_TICK = 0.2
+"""Longest time without a word to ``Tell``, which may look for an interrupt [s]."""
+
+
+def spread(
+    task: Task, points: Sequence[Any], plan: Plan, *, tell: Tell | None = None
+) -> tuple[Any, ...]:
+    """Return the result of every point, in order, the same whoever computes them.
+
+    Args:
+        task: From a chunk of points to their results, one each. A pure function that can be
+            pickled: of a module, or a frozen dataclass with ``__call__``.
+        points: Plain data: numbers, texts, lists and mappings of them.
+        plan: Where, in which chunks, and where finished ones are kept.
+        tell: Told of progress; what it raises ends the work, and finished chunks stay kept.
+
+    Returns:
+        One result a point as it comes out of JSON, or ``Lost`` where the point kills its worker.
+
+    Raises:
+        InputError: If the place cannot be had, or the checkpoint is another's.
+        WorkError: If the task fails, or a cluster goes away.
+    """
+    chunks = tuple(points[k : k + plan.chunk] for k in range(0, len(points), plan.chunk))
+    store = _checkpoint(plan, points, [len(chunk) for chunk in chunks])
+    found = store.finished() if store is not None else {}
+    waiting = [k for k in range(len(chunks)) if k not in found]
+    if waiting:
+        with open_pool(plan.place) as pool:
+            run = _Run(pool=pool, task=task, chunks=chunks, tell=_told(tell, chunks, found))
+            for chunk, results in run.finish(waiting):
+                if store is not None:
+                    store.save(chunk, results)
+                found[chunk] = results
+                run.tell()
+    return tuple(result for k in range(len(chunks)) for result in found[k])
+
+
+def _checkpoint(plan: Plan, points: Sequence[Any], sizes: Sequence[int]) -> Checkpoint | None:
+    if plan.checkpoint is None:
+        return None
+    digest = hashlib.sha256(json.dumps(list(points), allow_nan=False).encode()).hexdigest()
+    own = {"points": len(points), "points_digest": digest, "chunk": plan.chunk}
+    identity = {**plan.identity, **own, "code": code_digest()}
+    return open_checkpoint(plan.checkpoint, identity, sizes)
+
+
+def _told(
+    tell: Tell | None, chunks: Sequence[Sequence[Any]], found: dict[int, list[Any]]
+) -> Callable[[], None]:
+    """Return what tells how far the work is; kept chunks take no time and do not count."""
+    total = sum(map(len, chunks))
+    before = sum(map(len, found.values()))
+
+    def say() -> None:
+        if tell is not None:
+            done = sum(map(len, found.values()))
+            tell(f"{done} of {total} points", (done - before) / max(total - before, 1))
+
+    return say
+
+
+@dataclass(slots=True, kw_only=True)
+class _Run:
+    """Chunks under way.
+
+    A dead worker may take down every chunk under way, and does not say which one killed it. So
+    these are computed again, half as many at once, until the guilty one is alone.
+    """
+
+    pool: Pool
+    task: Task
+    chunks: Sequence[Sequence[Any]]
+    tell: Callable[[], None]
+    deaths: Counter[int] = field(default_factory=Counter[int])
+
+    def finish(self, todo: Sequence[int]) -> Iterator[tuple[int, list[Any]]]:
+        """Give every chunk with its results as it is finished."""
+        waiting, flying = deque(todo), dict[Future[str], int]()
+        doubtful, window = set[int](), self.pool.window
+        while waiting or flying:
+            while waiting and len(flying) < window:
+                chunk = waiting.popleft()
+                flying[self.pool.submit(self.task, self.chunks[chunk])] = chunk
+            crowd = len(flying)
+            landed = [(flying.pop(future), future) for future in self._landed(list(flying))]
+            fallen = [chunk for chunk, future in landed if self.pool.died(future)]
+            for chunk, future in landed:
+                if chunk not in fallen:
+                    doubtful.discard(chunk)
+                    yield chunk, results_of(future.result())
+            if fallen:
+                guilty = crowd == 1 and self._is_killer(fallen[0])
+                if guilty:
+                    doubtful.discard(fallen[0])
+                    yield fallen[0], self._one_by_one(self.chunks[fallen[0]])
+                else:
+                    waiting.extendleft(fallen)
+                    doubtful.update(fallen)
+                    window = max(crowd // 2, 1)
+            if not doubtful:
+                window = self.pool.window
+
+    def _landed(self, flying: Sequence[Future[str]]) -> list[Future[str]]:
+        """Wait a moment and return the futures that are done."""
+        done = wait(flying, timeout=_TICK, return_when=FIRST_COMPLETED).done
+        if self.pool.one_fate and any(future.exception() is not None for future in done):
+            done = wait(flying).done
+        self.pool.check()
+        self.tell()
+        return [future for future in flying if future in done]
+
+    def _is_killer(self, chunk: int) -> bool:
+        self.deaths[chunk] += 1
+        return self.deaths[chunk] >= self.pool.attempts
+
+    def _one_by_one(self, points: Sequence[Any]) -> list[Any]:
+        """Return the results of a chunk that always dies, each point computed by itself."""
+        results: list[Any] = []
+        for k in range(len(points)):
+            answer = self._alone(points[k : k + 1])
+            results.append(Lost() if answer is None else results_of(answer)[0])
+        return results
+
+    def _alone(self, points: Sequence[Any]) -> str | None:
+        for _ in range(self.pool.attempts):
+            future = self.pool.submit(self.task, points)
+            while not self._landed([future]):
+                pass
+            if not self.pool.died(future):
+                return future.result()
+        return None
