@@ -96,14 +96,14 @@ class Batch:
         """Lanes that run."""
         return int(np.count_nonzero(self._lanes.alive))
 
-    def start(self, p: Vector, x: Vector, tolerance: float, until: float) -> Rows:
+    def start(self, p: Vector, x: Vector, tolerance: float, until: Vector) -> Rows:
         """Start lanes from admissible states at time 0 and return which they are.
 
         Args:
             p: Gains and parameters, ``(n, n_p)``.
             x: States, ``(n, n_x)``.
             tolerance: Local error allowed.
-            until: When they end [s].
+            until: When they end [s], ``(n,)``.
         """
         rows = self._take(p, tolerance, until, None)
         with np.errstate(all="ignore"):
@@ -111,7 +111,7 @@ class Batch:
         return rows
 
     def start_released(
-        self, p: Vector, x: Vector, tolerance: float, until: float, *, n_followers: int
+        self, p: Vector, x: Vector, tolerance: float, until: Vector, *, n_followers: int
     ) -> Rows:
         """Start lanes from release states, the first of each `n_followers + 1` the leader.
 
@@ -119,7 +119,7 @@ class Batch:
             p: Gains and parameters, ``(n, n_p)``.
             x: Release states, ``(n, n_x)``.
             tolerance: Local error allowed.
-            until: When they end [s].
+            until: When they end [s], ``(n,)``.
             n_followers: Lanes that follow each leader.
         """
         rows = self._take(p, tolerance, until, n_followers + 1)
@@ -150,7 +150,7 @@ class Batch:
         events, self._events = self._events, []
         return events
 
-    def _take(self, p: Vector, tolerance: float, until: float, bundle: int | None) -> Rows:
+    def _take(self, p: Vector, tolerance: float, until: Vector, bundle: int | None) -> Rows:
         lanes = self._lanes
         rows = np.array([lanes.free_slots.pop() for _ in range(len(p))], dtype=np.intp)
         lanes.alive[rows] = True
