@@ -33,7 +33,7 @@ _MAY_BEND = 0.1
 _STILL = 1e-6
 """Speeds and accelerations below this are rest, in the scene's units."""
 _LOOK = 64
-"""Rounds between two looks for lanes at rest."""
+"""Steps of a lane between two looks whether it is at rest."""
 _FOLLOWED = 1e-10
 _MOST_CORRECTIONS = 8
 
@@ -84,7 +84,6 @@ class Batch:
         self._flows: tuple[BatchFlow, ...] = (model.free, model.flight, model.locked)
         self._events: list[Event] = []
         self._where = np.zeros(n_lanes, dtype=np.intp)
-        self._n_rounds = 0
 
     @property
     def n_free(self) -> int:
@@ -144,9 +143,7 @@ class Batch:
             for mode, rows in enumerate(groups):
                 if len(rows):
                     self._advance(mode, rows)
-            self._n_rounds += 1
-            if self._n_rounds % _LOOK == 0:
-                self._look_for_rest()
+            self._look_for_rest()
         events, self._events = self._events, []
         return events
 
@@ -459,8 +456,11 @@ class Batch:
 
     def _look_for_rest(self) -> None:
         lanes, n_q = self._lanes, self.model.n_q
+        due = lanes.alive & (lanes.steps % _LOOK == _LOOK - 1)
         for mode in (FREE, LOCKED):
-            rows = np.flatnonzero(lanes.alive & (lanes.mode == mode))
+            rows = np.flatnonzero(due & (lanes.mode == mode))
+            if not len(rows):
+                continue
             x = lanes.y[rows, : self.model.n_x]
             slow = np.abs(x[:, n_q : 2 * n_q]).max(axis=1, initial=0.0) < _STILL
             rows, x = rows[slow], x[slow]
@@ -494,11 +494,12 @@ def _followed(
     flow: BatchFlow, y: Vector, p: Vector, offset: Vector, tolerance: Vector
 ) -> Vector:
     """Return the falls of followers by Newton's method from their leaders' falls."""
-    at = offset.copy()
+    at, open_ = offset.copy(), np.arange(len(offset))
     for _ in range(_MOST_CORRECTIONS):
-        guard = flow.attempt(y, p, at, tolerance)[2]
+        guard = flow.attempt(y[open_], p[open_], at[open_], tolerance[open_])[2]
         change = -guard[:, 0] / guard[:, 1]
-        at = at + change
-        if np.all(np.abs(change) <= _FOLLOWED * np.abs(offset)):
+        at[open_] += change
+        open_ = open_[np.abs(change) > _FOLLOWED * np.abs(offset[open_])]
+        if not len(open_):
             break
     return at

@@ -11,6 +11,8 @@ from zeno_orbits.dynamics import Vector
 
 _LARGEST = 8
 """Rows of the widest mapped function, as a power of two; more take several calls."""
+_FEW = 16
+"""Rows of a block that costs hardly more than its call."""
 
 
 class Columns:
@@ -33,11 +35,12 @@ class Columns:
             inputs: One array ``(n, n_in)`` an input.
         """
         n = len(inputs[0])
-        given = [np.ascontiguousarray(array) for array in inputs]
-        results = [np.empty((n, width)) for width in self._widths_out]
+        padded = _padded(n)
+        given = [_filled(array, padded) for array in inputs]
+        results = [np.empty((padded, width)) for width in self._widths_out]
         start, power = 0, _LARGEST
-        while start < n:
-            while (1 << power) > n - start:
+        while start < padded:
+            while (1 << power) > padded - start:
                 power -= 1
             stop = start + (1 << power)
             buffer, evaluate = self._block(power)
@@ -47,10 +50,26 @@ class Columns:
                 buffer.set_res(k, memoryview(array[start:stop].reshape(-1)))
             evaluate()
             start = stop
-        return tuple(results)
+        return tuple(result[:n] for result in results)
 
     def _block(self, power: int) -> tuple[Any, Any]:
         if power not in self._blocks:
             mapped = self._function if power == 0 else self._function.map(1 << power, "serial")
             self._blocks[power] = mapped.buffer()
         return self._blocks[power]
+
+
+def _padded(n: int) -> int:
+    """Return a number of rows not below `n` that takes few blocks: a block costs some rows."""
+    if n <= _FEW:
+        return 1 << max(n - 1, 0).bit_length() if n else 0
+    return -(-n // _FEW) * _FEW
+
+
+def _filled(array: Vector, n: int) -> Vector:
+    """Return the rows in one piece, the last one repeated up to `n`."""
+    if len(array) == n:
+        return np.ascontiguousarray(array)
+    filled = np.empty((n, *array.shape[1:]))
+    filled[: len(array)], filled[len(array) :] = array, array[-1]
+    return filled

@@ -48,7 +48,7 @@ class Accuracy:
     motion: float = 1e-7
     orbit: float = 1e-8
     near: float = 0.03
-    far: float = 0.5
+    far: float = 0.8
     exact: float = 2e-6
     repeats: float = 1e-6
 
@@ -100,8 +100,8 @@ class _Attempt:
     last_step: Vector | None = None
 
 
-_MOST_ITERATIONS = 8
-_SHRINKS = 0.7
+_MOST_ITERATIONS = 12
+_SHRINKS = 0.9
 """Newton's steps shrink at least by this, or the orbit is not near."""
 _STRAIGHT = 0.05
 """Step over the distance of the multipliers from 1 up to which the derivative serves again."""
@@ -109,6 +109,12 @@ _AGREES = 0.5
 """Part by which the motion's last step may differ from what the derivative at the orbit says."""
 _MUCH_NEARER, _LATER = 0.3, 8
 """Newton's method is tried again if a motion is this much nearer, or this many returns later."""
+_NEAR, _REPELS = 0.05, 1.2
+"""An orbit this near with multipliers beyond this is not one that the motion goes to."""
+_VANISHED = 0.02
+"""Part of its amplitude that an orbit would have that is none: the motion dies out."""
+_PATIENCE = 4
+"""Failures of Newton's method after which a motion that has come nearer has to wait like others."""
 _APART = 0.2
 """A motion repeats after more returns only if it is that much nearer after them than before."""
 
@@ -123,12 +129,12 @@ class Point:
         self._start = start
         self._until = until
         self._accuracy = accuracy
-        self._elapsed = 0.0
         self._origin = 0.0
         self._returns: list[tuple[float, Vector]] = []
         self._strikes: list[tuple[float, Vector, float]] = []
         self._amplitudes: list[float] = []
         self._unit: Vector | None = None
+        self._failures = 0
         self._tried: dict[int, tuple[float, int]] = {}
         self._attempt: _Attempt | None = None
 
@@ -181,13 +187,16 @@ class Point:
 
     def _is_worth_it(self, period: int, change: float) -> bool:
         """Tell whether Newton's method may reach an orbit, if it did not the last time."""
-        before, at = self._tried.get(period, (np.inf, -_LATER))
-        again = change < _MUCH_NEARER * before or len(self._amplitudes) >= at + _LATER
-        return change < self._accuracy.near and again
+        if change >= self._accuracy.near:
+            return False
+        before, at = self._tried.get(period, (np.inf, -np.inf))
+        # A motion that never settles comes near many orbits: it is looked at ever less often.
+        later = len(self._amplitudes) >= at + _LATER * 2 ** max(self._failures - 1, 0)
+        return later or (change < _MUCH_NEARER * before and self._failures < _PATIENCE)
 
     def _begin_attempt(self, period: int, change: float, scale: Vector) -> Request | None:
         self._tried[period] = change, len(self._amplitudes)
-        time, state = self._returns[-1]
+        _, state = self._returns[-1]
         bundle = bundle_at(self._dynamics, state, scale)
         if not np.all(np.isfinite(bundle.states)):
             return None
@@ -199,7 +208,6 @@ class Point:
             earlier=self._returns[-1 - period][1],
             returns={},
         )
-        self._elapsed = time
         return self._request(self._attempt, neighbours=True)
 
     def _request(self, attempt: _Attempt, *, neighbours: bool) -> Request:
@@ -241,9 +249,13 @@ class Point:
         near = point.distance < accuracy.far and attempt.iterations <= _MOST_ITERATIONS
         if not (shrinks and near):
             return self._give_up()
+        if point.distance < _NEAR and point.spectral_radius > _REPELS:
+            return self._give_up()
         if attempt.final and point.distance <= accuracy.exact:
             return self._accepted(attempt, point)
         self._look_along(attempt, point)
+        if attempt.contracts and self._vanishes(attempt, point):
+            return Attractor(fate=Fate.REST, trend=point.spectral_radius)
         coarse = not attempt.final and point.distance > _COARSE
         least = min((abs(1 - value) for value in point.multipliers), default=1.0)
         straight = coarse and point.distance < _STRAIGHT * least
@@ -265,6 +277,12 @@ class Point:
         turns = before is not None and float(step @ before) < 0.0 and point.distance > _COARSE
         attempt.contracts &= point.spectral_radius < 1.0 and not turns
         attempt.last_step = step
+
+    def _vanishes(self, attempt: _Attempt, point: FixedPoint) -> bool:
+        """Tell whether the way leads to an amplitude of zero."""
+        scale = attempt.bundle.section.scale
+        left = float(np.max(np.abs(point.state) / scale))
+        return left < _VANISHED * float(np.max(np.abs(attempt.origin) / scale))
 
     def _accepted(self, attempt: _Attempt, point: FixedPoint) -> Request | Attractor:
         """Return the orbit if it attracts and the motion is on its way to it."""
@@ -301,6 +319,7 @@ class Point:
     def _give_up(self) -> Request:
         """Return to the motion, from its last release on."""
         self._attempt = None
+        self._failures += 1
         time, state = self._returns[-1]
         self._origin = time
         return Request(state[None, :], self._accuracy.motion, True, self._until - time)
