@@ -45,9 +45,9 @@ class Columns:
             stop = start + (1 << power)
             buffer, evaluate = self._block(power)
             for k, array in enumerate(given):
-                buffer.set_arg(k, memoryview(array[start:stop].reshape(-1)))
+                buffer.set_arg(k, memoryview(array[start:stop].reshape(-1).data))
             for k, array in enumerate(results):
-                buffer.set_res(k, memoryview(array[start:stop].reshape(-1)))
+                buffer.set_res(k, memoryview(array[start:stop].reshape(-1).data))
             evaluate()
             start = stop
         return tuple(result[:n] for result in results)

@@ -28,7 +28,7 @@ _SQUARED = 1e-10
 """After a correction of this part of the step, Newton's next one is rounding."""
 _MOST = 100
 """Evaluations of a root search; bisection alone needs half of them."""
-_GUESSES = 8
+_GUESSES = 5
 """Newton steps on the cubic through the ends: a guess, so their number hardly matters."""
 
 
@@ -110,6 +110,7 @@ def _search(
     for offset, pair in zip(offsets, pairs, strict=True):
         falls = open_ & armed & (pair[:, 0] < 0.0)
         dips = open_ & armed & ~falls & (here[:, 1] < 0.0) & (pair[:, 1] > 0.0)
+        dips &= ~_stays_above(here, pair, offset - at)
         to, value = offset.copy(), pair.copy()
         for k in np.flatnonzero(dips):
             to[k], value[k] = _lowest(dense, rows[k], at[k], offset[k])
@@ -138,7 +139,14 @@ def _lowest(dense: Dense, row: int, left: float, right: float) -> tuple[float, V
             left = middle
         else:
             right = middle
+        if pair[0] > abs(pair[1]) * (right - left):
+            break
     return (left + right) / 2, pair
+
+
+def _stays_above(left: Vector, right: Vector, width: Vector) -> Mask:
+    """Tell where a guard that falls and then rises stays positive: a tangent lies below it."""
+    return (left[:, 0] > -left[:, 1] * width) | (right[:, 0] > right[:, 1] * width)
 
 
 def _short_rise(

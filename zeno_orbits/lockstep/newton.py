@@ -134,7 +134,8 @@ def newton_step(
         jacobian = np.stack(columns, axis=1) if columns else np.zeros((0, 0))
         slopes = [(c.numbers - numbers) / _DISPLACED for c in cycles[1:]]
         rates = np.stack(slopes, axis=1) if slopes else rates
-    z = np.linalg.solve(np.eye(section.dimension) - jacobian, image)
+    solved = np.linalg.solve(np.eye(section.dimension) - jacobian, image)
+    z = np.asarray(solved, dtype=np.float64)
     return FixedPoint(
         distance=float(np.max(np.abs(z), initial=0.0)),
         jacobian=jacobian,

@@ -1,8 +1,8 @@
-"""One point of a map, as it follows its motion: what it asks of the batch, and what it concludes."""
+"""One point of a map as it follows its motion: what it asks of the batch, what it concludes."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -14,13 +14,12 @@ from zeno_orbits.lockstep.events import Ended, Event, Reason, Released, Struck
 from zeno_orbits.lockstep.newton import (
     MARGINS,
     Bundle,
-    Cycle,
     FixedPoint,
     bundle_at,
     cycle_of,
     newton_step,
 )
-from zeno_orbits.lockstep.returns import PERIODS, Growth, changes, growth_of, scale_of
+from zeno_orbits.lockstep.returns import Growth, changes, growth_of, scale_of
 
 _AT_ONCE = 1e-6
 """A release that soon after the last one [s] is the same: rounding locked the start."""
@@ -232,9 +231,7 @@ class Point:
             return None
         cycles = [cycle_of(self._dynamics, attempt.returns[k]) for k in sorted(attempt.returns)]
         try:
-            point = newton_step(
-                self._dynamics, attempt.bundle.section, cycles, attempt.jacobian
-            )
+            point = newton_step(self._dynamics, attempt.bundle.section, cycles, attempt.jacobian)
         except (np.linalg.LinAlgError, ZenoOrbitsError):
             return self._give_up()
         return self._stepped(attempt, point)
@@ -351,7 +348,7 @@ class Point:
         states = [x for _, x, _ in self._strikes]
         scale = scale_of(states[-_RECENT:], self._dynamics.n_q)
         for period, change in changes(states, scale).items():
-            earlier = states[: -period] if period < len(states) else []
+            earlier = states[:-period] if period < len(states) else []
             if change < self._accuracy.repeats and len(earlier) > period:
                 before = changes(earlier, scale).get(period, np.inf)
                 if before < 2 * self._accuracy.repeats:
