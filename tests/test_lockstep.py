@@ -174,7 +174,9 @@ def test_chatter_beyond_the_cap_and_steps_beyond_theirs_are_failures_with_a_name
 def test_a_coordinate_beyond_its_bound_has_escaped_by_name():
     bounds = np.array([0.5, math.inf, math.inf, math.inf, math.inf])
     batch = Batch(model_in_rows(PENDULUM), 1, bounds=bounds)
-    batch.start_released(np.array([values()]), np.array([RELEASE]), 1e-7, np.array([9.0]), n_followers=0)
+    batch.start_released(
+        np.array([values()]), np.array([RELEASE]), 1e-7, np.array([9.0]), n_followers=0
+    )
     (end,) = [event for event in run(batch) if isinstance(event, Ended)]
     assert (end.reason, end.detail) == (Reason.ESCAPE, "theta1")
 
@@ -218,7 +220,8 @@ def cubic(roots, size):
 
     def dense(rows, offset):
         pairs = [
-            (polynomials[r](t), polynomials[r].deriv()(t)) for r, t in zip(rows, offset, strict=True)
+            (polynomials[r](t), polynomials[r].deriv()(t))
+            for r, t in zip(rows, offset, strict=True)
         ]
         return np.array(pairs).reshape(-1, 2)
 

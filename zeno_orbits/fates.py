@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 
@@ -10,6 +11,7 @@ import numpy as np
 from zeno_orbits.attractors import Attractor
 from zeno_orbits.compiled import bind
 from zeno_orbits.dynamics import Vector
+from zeno_orbits.errors import InputError
 from zeno_orbits.lockstep.batch import Batch
 from zeno_orbits.lockstep.model import model_in_rows
 from zeno_orbits.lockstep.point import Accuracy, Point, Request
@@ -19,7 +21,7 @@ from zeno_orbits.problem import Problem, Setting
 RUNAWAY = 20 * np.pi
 """A coordinate beyond this many radians, or metres, will not come back."""
 
-_LANES = 1024
+_LANES = 2048
 """Lanes in a batch. More share the cost of a round better, until they leave the cache."""
 
 
@@ -46,7 +48,16 @@ def attractors_at(
             20 pi for each.
         accuracy: How accurately motions are followed.
         on_progress: Called with the number of points done, whenever it has grown.
+
+    Raises:
+        InputError: If a name is unknown or a number out of its range.
     """
+    if not (math.isfinite(until) and until > 0.0):
+        raise InputError(
+            f"Argument `until` must be a positive number of seconds, but it is {until}."
+        )
+    if not settings:
+        return ()
     state = np.array(problem.state_vector(problem.starts[0] if start is None else start))
     run = _Run(problem, settings, state, until, _limits(problem, bounds), accuracy or Accuracy())
     done = 0
@@ -62,6 +73,9 @@ def _limits(problem: Problem, bounds: Mapping[str, float] | None) -> Vector:
     model = model_in_rows(problem)
     chosen = dict.fromkeys(model.state_names[: model.n_q], RUNAWAY) | dict(bounds or {})
     problem.state_vector(chosen)
+    for name, bound in chosen.items():
+        if not bound > 0.0:
+            raise InputError(f"Argument `bounds` must be positive, but `{name}` has {bound:g}.")
     return np.array([chosen.get(name, np.inf) for name in model.state_names])
 
 

@@ -44,9 +44,9 @@ class Accuracy:
         repeats: Change that counts as repeating where Newton's method is not available.
     """
 
-    motion: float = 1e-7
+    motion: float = 1e-6
     orbit: float = 1e-8
-    near: float = 0.03
+    near: float = 0.02
     far: float = 0.8
     exact: float = 2e-6
     repeats: float = 1e-6
@@ -377,7 +377,7 @@ class Point:
             if self._amplitudes
             else Growth(factor=float("nan"), dies_out=False)
         )
-        reason = "" if self._amplitudes else "the stop never lets go"
+        reason = "" if self._amplitudes else "no release comes"
         return Attractor(fate=Fate.UNSETTLED, trend=growth.factor, detail=reason)
 
 
