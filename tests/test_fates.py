@@ -5,7 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from tests.closed_forms import COCO, FORCED
 from tests.reference_orbit import PERIOD, PERIODS, RELEASE
+from tests.scenes import clocked_oscillator
 from zeno_orbits.attractors import Fate
 from zeno_orbits.compiled import bind
 from zeno_orbits.errors import InputError, RunawayError
@@ -176,17 +178,35 @@ def point():
     return Point(dynamics_at(PENDULUM.setting()), np.array(START), 100.0, Accuracy())
 
 
+def test_oscillators_with_a_stop_have_their_orbits_in_closed_form():
+    zeno = clocked_oscillator(FORCED, attracting=True)
+    (found,) = attractors_at(zeno, [zeno.setting()], until=200.0)
+    assert found.fate is Fate.ZENO
+    assert found.period == pytest.approx(2 * math.pi, abs=1e-8)
+    # It lets go where the forcing is that of the stop; y = cos t there.
+    assert found.state["y"] == pytest.approx(FORCED.stop, abs=1e-7)
+    # The clock forgets a displacement r of its circle by exp(-2 pi), its only multiplier.
+    assert found.multipliers[0] == pytest.approx(math.exp(-2 * math.pi), rel=1e-4)
+    struck = clocked_oscillator(COCO, attracting=True)
+    (found,) = attractors_at(struck, [struck.setting()], until=400.0)
+    assert found.fate is Fate.NO_ZENO
+    # Just after its impact, by Recipes for Continuation, chapter 15.
+    assert found.period == pytest.approx(2 * math.pi, abs=1e-7)
+    assert found.state["dx"] == pytest.approx(-1.3565863500759056, abs=1e-6)
+    assert found.state["dy"] == pytest.approx(-math.sin(0.07595216493831239), abs=1e-6)
+
+
 def test_impacts_that_repeat_without_a_release_are_an_orbit_without_a_zeno_point():
     motion = point()
     motion.begin()
     answers = []
-    for k in range(12):
+    for k in range(24):
         # Two impacts a period of 1.5 s.
         state = np.array([0.3, 0.0, 1.0 + k % 2, 2.0, 0.1])
         answers.append(
             motion.hear(0, Struck(lane=0, time=0.75 * k, state=state, rate=-1.0 - k % 2))
         )
-    (found,) = [answer for answer in answers if answer is not None][:1]
+    _, found, *_ = [answer for answer in answers if answer is not None]
     assert found.fate is Fate.NO_ZENO
     assert found.period == pytest.approx(1.5)
     assert found.margins == {"first_impact_speed": 1.0}

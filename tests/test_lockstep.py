@@ -152,7 +152,8 @@ def test_a_lane_that_fails_says_why_and_leaves_the_others_untouched():
         return states, [ends[lane] for lane in lanes]
 
     (good, _), (found, ends) = outcome(start), outcome(spoiled)
-    assert found[0] == good[0] and found[3] == good[3]
+    assert found[0] == good[0]
+    assert found[3] == good[3]
     assert [end.reason for end in ends[1:3]] == [Reason.FAILURE, Reason.FAILURE]
     assert "gap is negative" in ends[1].detail
 

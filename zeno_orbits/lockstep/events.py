@@ -33,7 +33,7 @@ class Released:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Struck:
-    """A sequence of impacts began: the impact is no slower than the one before, or the first.
+    """A sequence of impacts began: the impact is the first, or hardly slower than the one before.
 
     Attributes:
         lane: Which.

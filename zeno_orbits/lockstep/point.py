@@ -49,7 +49,7 @@ class Accuracy:
     near: float = 0.02
     far: float = 0.8
     exact: float = 2e-6
-    repeats: float = 1e-6
+    repeats: float = 1e-7
 
 
 class Request(NamedTuple):
@@ -129,6 +129,7 @@ class Point:
         self._until = until
         self._accuracy = accuracy
         self._origin = 0.0
+        self._tolerance = accuracy.motion
         self._returns: list[tuple[float, Vector]] = []
         self._strikes: list[tuple[float, Vector, float]] = []
         self._amplitudes: list[float] = []
@@ -139,7 +140,7 @@ class Point:
 
     def begin(self) -> Request:
         """Return the first lane to run."""
-        return Request(self._start[None, :], self._accuracy.motion, False, self._until)
+        return Request(self._start[None, :], self._tolerance, False, self._until)
 
     def hear(self, rank: int, event: Event) -> Request | Attractor | None:
         """Take an event of one of the point's lanes.
@@ -319,7 +320,7 @@ class Point:
         self._failures += 1
         time, state = self._returns[-1]
         self._origin = time
-        return Request(state[None, :], self._accuracy.motion, True, self._until - time)
+        return Request(state[None, :], self._tolerance, True, self._until - time)
 
     def _orbit(self, attempt: _Attempt, point: FixedPoint) -> Attractor:
         period, *margins = point.numbers.tolist()
@@ -339,7 +340,7 @@ class Point:
     def _named(self, state: Vector) -> dict[str, float]:
         return dict(zip(self._dynamics.state_names, state.tolist(), strict=True))
 
-    def _struck(self, event: Struck, time: float) -> Attractor | None:
+    def _struck(self, event: Struck, time: float) -> Request | Attractor | None:
         """Look back from the first impact of a sequence, where no release comes."""
         self._strikes.append((time, event.state, event.rate))
         del self._strikes[:-_REMEMBERED]
@@ -351,9 +352,19 @@ class Point:
             earlier = states[:-period] if period < len(states) else []
             if change < self._accuracy.repeats and len(earlier) > period:
                 before = changes(earlier, scale).get(period, np.inf)
-                if before < 2 * self._accuracy.repeats:
-                    return self._without_zeno(period)
+                if before < 10 * self._accuracy.repeats:
+                    return self._repeated(period)
         return None
+
+    def _repeated(self, period: int) -> Request | Attractor:
+        """Go on more accurately from impacts that repeat, then conclude."""
+        if self._tolerance == self._accuracy.orbit:
+            return self._without_zeno(period)
+        time, state, _ = self._strikes[-1]
+        self._tolerance, self._origin = self._accuracy.orbit, time
+        self._strikes.clear()
+        # The state is on the stop and leaves it, as after a release.
+        return Request(state[None, :], self._tolerance, True, self._until - time)
 
     def _without_zeno(self, period: int) -> Attractor:
         last, first = self._strikes[-1], self._strikes[-1 - period]

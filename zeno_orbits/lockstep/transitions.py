@@ -231,7 +231,10 @@ class Transitions:
         if not len(rows):
             return
         lead = self.lead(rows)
-        first = (speed >= self._tails.last_speed(rows)) | (self._tails.count[rows] == 0)
+        # Impacts of a sequence slow down by `e` nearly; one that keeps more begins another.
+        keeps = (1 + lanes.restitution[rows]) / 2
+        first = speed >= keeps * self._tails.last_speed(rows)
+        first |= self._tails.count[rows] == 0
         for k in np.flatnonzero(first & (lanes.leader[rows] == rows)):
             self.events.append(
                 Struck(
