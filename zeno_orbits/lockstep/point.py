@@ -52,6 +52,10 @@ class Accuracy:
     repeats: float = 1e-7
 
 
+_DISTINCT = 1e-3
+"""States nearer than this are taken for one another, relative."""
+
+
 class Request(NamedTuple):
     """Lanes that a point asks for, in place of those it has.
 
@@ -349,11 +353,13 @@ class Point:
         states = [x for _, x, _ in self._strikes]
         scale = scale_of(states[-_RECENT:], self._dynamics.n_q)
         for period, change in changes(states, scale).items():
-            earlier = states[:-period] if period < len(states) else []
-            if change < self._accuracy.repeats and len(earlier) > period:
-                before = changes(earlier, scale).get(period, np.inf)
-                if before < 10 * self._accuracy.repeats:
-                    return self._repeated(period)
+            earlier = changes(states[:-period], scale).get(period, np.inf)
+            repeats = self._accuracy.repeats
+            if change < repeats and earlier < 10 * repeats:
+                return self._repeated(period)
+            if change < _DISTINCT:
+                # It is on its way to repeat after so many; more would repeat that.
+                return None
         return None
 
     def _repeated(self, period: int) -> Request | Attractor:
