@@ -13,7 +13,8 @@ from zeno_orbits.compiled import bind
 from zeno_orbits.errors import InputError, RunawayError
 from zeno_orbits.fates import RUNAWAY, attractors_at
 from zeno_orbits.lockstep.events import Ended, Reason, Struck
-from zeno_orbits.lockstep.point import Accuracy, Point
+from zeno_orbits.lockstep.point import Point
+from zeno_orbits.lockstep.request import Accuracy
 from zeno_orbits.lockstep.returns import changes, growth_of, scale_of
 from zeno_orbits.models import compiled_model
 from zeno_orbits.poincare import floquet_multipliers

@@ -14,7 +14,8 @@ from zeno_orbits.dynamics import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.lockstep.batch import Batch
 from zeno_orbits.lockstep.model import model_in_rows
-from zeno_orbits.lockstep.point import Accuracy, Point, Request
+from zeno_orbits.lockstep.point import Point
+from zeno_orbits.lockstep.request import Accuracy, Request
 from zeno_orbits.models import compiled_model
 from zeno_orbits.problem import Problem, Setting
 

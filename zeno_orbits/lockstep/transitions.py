@@ -36,7 +36,7 @@ class BatchSettings:
     resolved: float = 1e-3
     contact: float = 1e-12
     most_impacts: int = 20_000
-    most_steps: int = 1_000_000
+    most_steps: int = 200_000
 
 
 class Transitions:
