@@ -134,18 +134,18 @@ def main(fast: Fast = computed) -> int:
         x=Axis(name="Kp", lower=1.0, upper=5.0, count=options.grid),
         y=Axis(name="Kd", lower=-2.0, upper=0.0, count=options.grid),
         start=(0.6, 0.0, 0.0, 0.0, 0.0),
-        run=LongRun(until=options.until),
+        until=options.until,
     )
     if options.map is None:
         found = fast(plane, Plan())
     else:
         found = read_map(options.map)
-        plane = replace(plane, x=found.x, y=found.y, run=LongRun(until=found.until))
+        plane = replace(plane, x=found.x, y=found.y, until=found.until)
     if options.write is not None:
         write_map(found, options.write)
     random = np.random.default_rng(options.seed)
     drawn = random.choice(len(found.attractors), size=options.points, replace=False)
-    task = LongRuns(plane=plane, run=LongRun(until=LONGER * plane.run.until))
+    task = LongRuns(plane=plane, run=LongRun(until=LONGER * plane.until))
     compared = compare(found, task, [int(k) for k in sorted(drawn)])
     return _tell(compared, as_json=options.json)
 

@@ -46,7 +46,7 @@ def test_a_cell_beside_another_fate_is_near_a_boundary() -> None:
         x=Axis(name="m", lower=1.0, upper=2.0, count=4),
         y=Axis(name="g", lower=1.0, upper=2.0, count=2),
         start=(1.0, 0.0),
-        run=LongRun(until=60.0),
+        until=60.0,
     )
     found = parameter_map(plane, Plan(place=Workers(count=1)))
     assert not any(map_agreement.near_boundary(found, k) for k in range(8))

@@ -12,7 +12,7 @@ import numpy as np
 from zeno_orbits.attractors import Attractor, Fate, attractor_from_json, attractor_json
 from zeno_orbits.dynamics import Vector
 from zeno_orbits.errors import InputError
-from zeno_orbits.long_run import LongRun, attractor_of
+from zeno_orbits.fates import attractors_at
 from zeno_orbits.orbit import versions
 from zeno_orbits.problem import Problem, Setting
 from zeno_orbits.scenes import SceneFile
@@ -20,8 +20,8 @@ from zeno_orbits.work import Lost, Plan, Tell, spread
 
 FORMAT = 1
 """Version of the file format that this code writes, and the newest that it reads."""
-CHUNK = 16
-"""Points that are computed together, whoever computes them."""
+CHUNK = 2000
+"""Points that advance together: so many that the last few motions to settle cost little."""
 _LEAST = 2
 """Points along an axis."""
 
@@ -60,7 +60,7 @@ class Plane:
         gains: Gains elsewhere than at their defaults, but for those of the axes.
         parameters: Parameters, likewise. What is derived from others is derived at every point.
         start: State at which every motion starts, ``(n_x,)``.
-        run: How long and how accurately to simulate.
+        until: How long a motion may take to settle [s].
     """
 
     scene: SceneFile
@@ -69,7 +69,7 @@ class Plane:
     gains: Mapping[str, float] = field(default_factory=dict[str, float])
     parameters: Mapping[str, float] = field(default_factory=dict[str, float])
     start: tuple[float, ...]
-    run: LongRun = field(default_factory=LongRun)
+    until: float = 60.0
 
     def __call__(self, points: Sequence[Sequence[float]]) -> list[dict[str, Any]]:
         """Return the attractors at some points as plain data: the task of a worker."""
@@ -82,7 +82,10 @@ class Plane:
             except InputError as error:
                 # An axis is inside its range, but what is derived from it need not be.
                 found[k] = Attractor(fate=Fate.FAILED, detail=str(error))
-        attractors = _attractors_at(problem, tuple(settings.values()), self)
+        start = dict(zip(problem.state_names, self.start, strict=True))
+        attractors = attractors_at(
+            problem, tuple(settings.values()), start=start, until=self.until
+        )
         found |= dict(zip(settings, attractors, strict=True))
         return [attractor_json(found[k]) for k in range(len(points))]
 
@@ -105,21 +108,17 @@ class Plane:
         )
 
 
-def _attractors_at(
-    problem: Problem, settings: Sequence[Setting], plane: Plane
-) -> tuple[Attractor, ...]:
-    """Return what motions settle to at some settings."""
-    return tuple(attractor_of(problem, one, plane.start, run=plane.run) for one in settings)
-
-
 def require_plane(plane: Plane) -> Plane:
     """Return a plane with its units, or say what is wrong with it.
 
     Raises:
         InputError: If a name is unknown or given twice, bounds are the wrong way round or out of
-            the parameter's range, or there are too few points.
+            the parameter's range, there are too few points, or no time.
     """
     problem = plane.scene.load()
+    if not (math.isfinite(plane.until) and plane.until > 0.0):
+        wanted = "must be a positive number of seconds"
+        raise InputError(f"Argument `until` {wanted}, but it is {plane.until:g}.")
     if plane.x.name == plane.y.name:
         message = f"must be another gain or parameter than `x`, but both are `{plane.x.name}`"
         raise InputError(f"Argument `y` {message}.")
@@ -254,7 +253,7 @@ def parameter_map(plane: Plane, plan: Plan, *, tell: Tell | None = None) -> Para
         gains=plane.gains,
         parameters=plane.parameters,
         start=dict(zip(problem.state_names, plane.start, strict=True)),
-        until=plane.run.until,
+        until=plane.until,
         attractors=tuple(_found(result) for result in results),
         versions=versions(),
     )
@@ -270,7 +269,7 @@ def _identity(plane: Plane, problem: Problem) -> dict[str, Any]:
         "gains": dict(plane.gains),
         "parameters": dict(plane.parameters),
         "start": list(plane.start),
-        "run": repr(plane.run),
+        "until": plane.until,
         "versions": versions(),
     }
 

@@ -113,7 +113,6 @@ def _show(options: argparse.Namespace, found: ParameterMap) -> int:
 
 
 def _plane(options: argparse.Namespace) -> Plane:
-    from zeno_orbits.long_run import LongRun
     from zeno_orbits.maps import Plane
     from zeno_orbits.scenes import scene_file
 
@@ -125,7 +124,7 @@ def _plane(options: argparse.Namespace) -> Plane:
         gains=read_numbers(options.gain, "gain"),
         parameters=read_numbers(options.set, "set"),
         start=start_of(scene.load(), options),
-        run=LongRun(until=options.until),
+        until=options.until,
     )
 
 

@@ -1,0 +1,138 @@
+"""Time a map of the reference scene on one core, and compare it with single simulations.
+
+The bound is 24 ms a point: 100 x 100 points on two cores in two minutes. Agreement: period and
+release of settled points against one period of a single simulation, fates against a long one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import sys
+import time
+from collections import Counter
+
+import numpy as np
+
+from zeno_orbits.attractors import Attractor, Fate
+from zeno_orbits.compiled import bind
+from zeno_orbits.errors import RunawayError
+from zeno_orbits.fates import RUNAWAY, attractors_at
+from zeno_orbits.lockstep.columns import Columns
+from zeno_orbits.models import compiled_model
+from zeno_orbits.problem import Problem, Setting, load_problem
+from zeno_orbits.simulate import SimulationSettings, simulate
+
+BOUND = 24.0
+"""Processor time of a point [ms]."""
+
+LONG = 200.0
+"""Longest single simulation that a fate is compared with [s]."""
+
+
+class TimedColumns:
+    """Adds up the processor time inside CasADi calls, Python around them included."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+        self.rows = 0
+        call = Columns.__call__
+
+        def timed(columns: Columns, *inputs: np.ndarray) -> tuple[np.ndarray, ...]:
+            started = time.process_time()
+            results = call(columns, *inputs)
+            self.seconds += time.process_time() - started
+            self.rows += len(inputs[0])
+            return results
+
+        Columns.__call__ = timed
+
+
+def settings_of(problem: Problem, size: int) -> list[Setting]:
+    """Return a square grid over the plane of the gains."""
+    return [
+        problem.setting(gains={"Kp": float(kp), "Kd": float(kd)})
+        for kd in np.linspace(-2.0, 0.0, size)
+        for kp in np.linspace(1.0, 5.0, size)
+    ]
+
+
+def misses(problem: Problem, setting: Setting, found: Attractor) -> tuple[float, float]:
+    """Return by how much period and release state miss those of a single simulation."""
+    dynamics = bind(compiled_model(problem), setting.values())
+    state = np.array([found.state[name] for name in problem.state_names])
+    run = simulate(dynamics, state, until=1.5 * found.period)
+    back = run.returns(found.period)[found.returns - 1]
+    return abs(back.time - found.period), float(np.max(np.abs(back.state - state)))
+
+
+def same_fate(problem: Problem, setting: Setting, found: Attractor) -> bool:
+    """Tell whether a long single simulation from the same start ends alike."""
+    dynamics = bind(compiled_model(problem), setting.values())
+    start = problem.state_vector(problem.starts[0])
+    try:
+        run = simulate(dynamics, start, until=LONG, settings=SimulationSettings(far=RUNAWAY))
+    except RunawayError as error:
+        return found.fate is Fate.ESCAPE and error.reason.startswith(found.escaped)
+    states = [release.state for release in run.releases]
+    amplitudes = [float(np.max(np.abs(state))) for state in states]
+    if found.fate is Fate.REST:
+        return amplitudes[-1] < 0.9 * amplitudes[len(amplitudes) // 2] < 0.9 * amplitudes[0]
+    if found.fate is not Fate.ZENO:
+        return found.fate is Fate.UNSETTLED
+    named = np.array([found.state[name] for name in problem.state_names])
+    away = [float(np.max(np.abs(state - named))) for state in states]
+    nearest = min(away[-found.returns :])
+    # Where a motion settles slowly it is still on its way, but nearer than before.
+    return nearest < 1e-3 or nearest < 0.7 * min(
+        away[len(away) // 2 - found.returns :][: found.returns]
+    )
+
+
+def main() -> int:
+    """Print the figures; 1 if a point takes longer than the bound."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--size", type=int, default=40, metavar="N", help="points along a side")
+    parser.add_argument("--orbits", type=int, default=50, metavar="N", help="orbits compared")
+    parser.add_argument("--fates", type=int, default=20, metavar="N", help="fates compared")
+    parser.add_argument("--json", action="store_true", help="print JSON for programs")
+    options = parser.parse_args()
+    problem = load_problem("motor_pendulum")
+    settings = settings_of(problem, options.size)
+    attractors_at(problem, settings[:1], until=1.0)
+    timed = TimedColumns()
+    started = time.process_time()
+    found = attractors_at(problem, settings)
+    seconds = time.process_time() - started
+    rng = np.random.default_rng(0)
+    orbits = [k for k, one in enumerate(found) if one.returns]
+    chosen = rng.choice(orbits, size=min(options.orbits, len(orbits)), replace=False)
+    pairs = [misses(problem, settings[k], found[k]) for k in chosen]
+    looked = rng.choice(len(found), size=min(options.fates, len(found)), replace=False)
+    differ = [k for k in looked if not same_fate(problem, settings[k], found[k])]
+    figures = {
+        "points": len(found),
+        "ms_a_point": 1e3 * seconds / len(found),
+        "points_a_second": len(found) / seconds,
+        "share_in_casadi": timed.seconds / seconds,
+        "rows_a_point": timed.rows / len(found),
+        "fates": dict(Counter(one.fate.value for one in found)),
+        "period_miss_median": statistics.median(period for period, _ in pairs),
+        "period_miss_largest": max(period for period, _ in pairs),
+        "release_miss_largest": max(release for _, release in pairs),
+        "fates_compared": len(looked),
+        "fates_that_differ": [
+            dict(settings[k].gains) | {"map": found[k].fate.value} for k in differ
+        ],
+    }
+    if options.json:
+        print(json.dumps(figures, indent=2))
+    else:
+        for name, value in figures.items():
+            print(f"{name:22s} {value:.3g}" if isinstance(value, float) else f"{name:22s} {value}")
+    return int(figures["ms_a_point"] > BOUND)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Many completed executions at once, in lockstep."""

@@ -1,0 +1,130 @@
+r"""One step of a Rosenbrock method of order 5 in symbols: linear solves, and no iteration.
+
+For an autonomous flow, with :math:`W = I - h \gamma\,f'(y)`,
+
+.. math:: W u_i = \gamma h\,f\Bigl(y + \sum_{j<i} a_{ij} u_j\Bigr) + \gamma \sum_{j<i} c_{ij} u_j,
+    \qquad y_1 = y + \sum_i b_i u_i
+
+and the last :math:`u_i` is the difference from a solution of order 4. The method is L-stable, so a
+fast decay costs nothing, and a step is one evaluation of one expression, which is what many
+trajectories in lockstep need. Source: [Steinebach2023]_, Rodas5P; [HairerWanner1996]_, IV.7.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import casadi as ca
+
+_GAMMA = 0.21193756319429014
+
+_STAGE = (
+    (),
+    (3.0,),
+    (2.849394379747939, 0.45842242204463923),
+    (-6.954028509809101, 2.489845061869568, -10.358996098473584),
+    (2.8029986275628964, 0.5072464736228206, -0.3988312541770524, -0.04721187230404641),
+    (
+        -7.502846399306121,
+        2.561846144803919,
+        -11.627539656261098,
+        -0.18268767659942256,
+        0.030198172008377946,
+    ),
+)
+"""Weights `a` of the earlier stages; each later row is the last one and a 1 more."""
+
+_COUPLING = (
+    (),
+    (-14.155112264123755,),
+    (-17.97296035885952, -2.859693295451294),
+    (147.12150275711716, -1.41221402718213, 71.68940251302358),
+    (165.43517024871676, -0.4592823456491126, 42.90938336958603, -5.961986721573306),
+    (
+        24.854864614690072,
+        -3.0009227002832186,
+        47.4931110020768,
+        5.5814197821558125,
+        -0.6610691825249471,
+    ),
+    (
+        30.91273214028599,
+        -3.1208243349937974,
+        77.79954646070892,
+        34.28646028294783,
+        -19.097331116725623,
+        -28.087943162872662,
+    ),
+    (
+        37.80277123390563,
+        -3.2571969029072276,
+        112.26918849496327,
+        66.9347231244047,
+        -40.06618937091002,
+        -54.66780262877968,
+        -9.48861652309627,
+    ),
+)
+"""Weights `c` of the earlier stages in the right-hand sides."""
+
+
+def rosenbrock_step(
+    rate: Callable[[ca.SX], ca.SX], jacobian: ca.SX, y: ca.SX, size: ca.SX
+) -> tuple[ca.SX, ca.SX]:
+    """Return the state after one step, and its difference from a solution of order 4.
+
+    Args:
+        rate: The vector field, autonomous.
+        jacobian: Its derivative at ``y``, ``(n_y, n_y)``.
+        y: State before the step, ``(n_y,)``.
+        size: Step size; at zero the state stays.
+    """
+    factors = _factorized(ca.SX.eye(y.numel()) - _GAMMA * size * jacobian)
+    stages: list[ca.SX] = []
+    inside = y
+    for k, coupling in enumerate(_COUPLING):
+        if k < len(_STAGE):
+            inside = y
+            for weight, stage in zip(_STAGE[k], stages, strict=True):
+                inside += weight * stage
+        else:
+            inside += stages[-1]
+        right = _GAMMA * size * rate(inside)
+        for weight, stage in zip(coupling, stages, strict=True):
+            right += _GAMMA * weight * stage
+        stages.append(_solved(factors, right))
+    return inside + stages[-1], stages[-1]
+
+
+def _factorized(matrix: ca.SX) -> list[list[ca.SX]]:
+    """Return the triangular factors without pivoting, inverse pivots on the diagonal.
+
+    A zero pivot gives NaN, and the step is refused; at small steps the matrix is near one.
+    """
+    n = matrix.shape[0]
+    rows = [[matrix[i, j] for j in range(n)] for i in range(n)]
+    for k in range(n):
+        rows[k][k] = 1 / rows[k][k]
+        right = [j for j in range(k + 1, n) if not rows[k][j].is_zero()]
+        for i in range(k + 1, n):
+            if rows[i][k].is_zero():
+                continue
+            rows[i][k] = rows[i][k] * rows[k][k]
+            for j in right:
+                rows[i][j] = rows[i][j] - rows[i][k] * rows[k][j]
+    return rows
+
+
+def _solved(factors: list[list[ca.SX]], right: ca.SX) -> ca.SX:
+    n = len(factors)
+    x = [right[i] for i in range(n)]
+    for i in range(n):
+        for j in range(i):
+            if not factors[i][j].is_zero():
+                x[i] = x[i] - factors[i][j] * x[j]
+    for i in reversed(range(n)):
+        for j in range(i + 1, n):
+            if not factors[i][j].is_zero():
+                x[i] = x[i] - factors[i][j] * x[j]
+        x[i] = x[i] * factors[i][i]
+    return ca.vertcat(*x)
