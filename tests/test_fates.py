@@ -95,9 +95,16 @@ def test_a_flipped_orbit_has_two_releases_a_period_as_a_long_simulation_has():
     assert abs(first.state[0] - state_of(found)[0]) > 1e-3
 
 
+def test_an_escape_is_told_in_the_words_of_the_scene():
+    (found,) = attractors_at(PENDULUM, [at(1.2, -1.95)])
+    assert found.fate is Fate.ESCAPE
+    assert found.detail == PENDULUM.escapes[found.escaped].phrase
+
+
 def test_what_runs_away_is_named_as_a_single_simulation_names_it():
+    bounds = dict.fromkeys(("theta1", "theta2"), RUNAWAY)
     for setting in (at(1.2, -1.95), at(1.63, -2.0)):
-        (found,) = attractors_at(PENDULUM, [setting])
+        (found,) = attractors_at(PENDULUM, [setting], bounds=bounds)
         assert found.fate is Fate.ESCAPE
         with pytest.raises(RunawayError) as error:
             simulate(

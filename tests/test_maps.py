@@ -307,7 +307,7 @@ def test_a_named_checkpoint_stays_and_another_map_leaves_it_alone(tmp_path: Path
     assert ask(*BALL, "--workers", "1", "--checkpoint", kept, "-o", out).code == NO
     answer = ask(*BALL, "--workers", "1", "--checkpoint", kept, "--until", "50", "-o", out)
     assert answer.code == MISUSE
-    assert "`run` is" in answer.err
+    assert "`until` is" in answer.err
     assert {path.name: path.read_bytes() for path in kept.iterdir()} == before
 
 

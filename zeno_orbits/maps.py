@@ -20,8 +20,9 @@ from zeno_orbits.work import Lost, Plan, Tell, spread
 
 FORMAT = 1
 """Version of the file format that this code writes, and the newest that it reads."""
-CHUNK = 2000
-"""Points that advance together: so many that the last few motions to settle cost little."""
+_CHUNKS = 4
+_SMALLEST, _LARGEST = 16, 1250
+"""Points that advance together: many, so that the last few motions to settle cost little."""
 _LEAST = 2
 """Points along an axis."""
 
@@ -106,6 +107,12 @@ class Plane:
         return problem.setting(
             gains={**self.gains, **gains}, parameters={**self.parameters, **others}
         )
+
+
+def chunk_of(plane: Plane) -> int:
+    """Return how many points of a plane to compute together, whoever computes them."""
+    quarter = math.ceil(plane.x.count * plane.y.count / _CHUNKS)
+    return min(max(quarter, _SMALLEST), _LARGEST)
 
 
 def require_plane(plane: Plane) -> Plane:

@@ -77,13 +77,13 @@ def add_map(commands: Any) -> None:
 
 def _run_map(options: argparse.Namespace) -> int:
     from zeno_orbits.map_file import write_map
-    from zeno_orbits.maps import CHUNK, parameter_map, require_plane
+    from zeno_orbits.maps import chunk_of, parameter_map, require_plane
     from zeno_orbits.work import Plan, remove_checkpoint
 
     plane = require_plane(_plane(options))
     _require_outputs(options)
     checkpoint = _checkpoint(options)
-    plan = Plan(place=place_of(options), chunk=CHUNK, checkpoint=checkpoint)
+    plan = Plan(place=place_of(options), chunk=chunk_of(plane), checkpoint=checkpoint)
     try:
         with report.Progress(options.interrupts.check) as progress:
             found = parameter_map(plane, plan, tell=progress.tell)
