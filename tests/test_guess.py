@@ -116,3 +116,20 @@ def test_a_motion_that_still_drifts_is_a_guess_if_it_drifts_little(
     hopeless = settle(machine, [start], replace(strict, usable=0.0))
     assert hopeless.cycle is None
     assert hopeless.reason == "its periods differ after 10 s"
+
+
+@pytest.mark.parametrize(
+    ("what", "numbers"),
+    [
+        ("clock", {"rho": 0.2, "lean": 0.15, "c": 0.02}),
+        ("stop", {"rho": 0.05, "lean": 0.4, "c": 0.05}),
+    ],
+)
+def test_a_long_loose_simulation_does_not_drift_off_what_a_start_has_to_keep(
+    what: str, numbers: dict[str, float]
+) -> None:
+    # Without being put back, the state leaves clock or stop by 1e-8, and no simulation admits it.
+    problem = load_problem("curved_surface")
+    dynamics = bind(compiled_model(problem), problem.setting(parameters=numbers).values())
+    settling = settle(dynamics, [problem.state_vector(start) for start in problem.starts])
+    assert (settling.cycle is not None) == (what == "clock")

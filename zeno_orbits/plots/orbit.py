@@ -57,13 +57,16 @@ def plot_time_series(
 ) -> Figure:
     """Return coordinates and currents over time, phases shaded, impacts as ticks on the upper edge.
 
+    The clock of a forced scene, the states without a unit behind the velocities, is left out.
+
     Args:
         problem: The scene.
         execution: What to draw.
         width: Width of the picture [in].
     """
     n_q = problem.model(problem.symbols()).n_q
-    rows = [*range(n_q), *range(2 * n_q, len(problem.state_names))]
+    behind = range(2 * n_q, len(problem.state_names))
+    rows = [*range(n_q), *(row for row in behind if problem.state_units[row] != "1")]
     figure, panels = panels_of(width, len(rows), height=max(1.25, 2.0 / len(rows)), columns=1)
     impacts = [impact.time for impact in execution.impacts]
     for ax, row in zip(panels, rows, strict=True):
