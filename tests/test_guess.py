@@ -16,7 +16,8 @@ from zeno_orbits.compiled import bind, compile_problem
 from zeno_orbits.dynamics import HybridDynamics
 from zeno_orbits.execution import Execution
 from zeno_orbits.guess import SettlingSettings, settle
-from zeno_orbits.problem import Problem
+from zeno_orbits.models import compiled_model
+from zeno_orbits.problem import Problem, load_problem
 from zeno_orbits.simulate import simulate
 
 SHORT = SettlingSettings(horizon=30.0)
