@@ -1,8 +1,8 @@
 r"""A ball over a bowl that shakes: the normal of the stop turns with the place.
 
 The bowl is ``y = x^2 / (2 rho)`` and moves as ``A sin(omega t)`` along a direction that leans by
-``lean`` from the vertical; the coordinates are relative to it, so it stands still and the shaking is
-an applied force. The air slows the ball. Without shaking and air every flight is a parabola, the
+``lean`` from the vertical; the coordinates are relative to it, so it stands still and the shaking
+is an applied force. The air slows the ball. Without shaking and air every flight is a parabola, the
 gap along it a polynomial of second degree, and all impacts follow in closed form.
 """
 
@@ -16,7 +16,7 @@ from zeno_orbits.drives import no_drive
 from zeno_orbits.forcing import Clock
 from zeno_orbits.hybrid import CompletedSystem, complete
 from zeno_orbits.mechanics import HybridLagrangian
-from zeno_orbits.problem import Problem, Quantity, positive, restitution
+from zeno_orbits.problem import Output, Problem, Quantity, positive, restitution
 
 
 def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
@@ -64,4 +64,7 @@ PROBLEM = Problem(
     starts=({"cosine": 1.0},),
     portraits=(("x", "y"), ("x", "dx")),
     amplitude_of="x",
+    outputs=(
+        Output(name="gap", unit="m", formula=lambda x, p: x["y"] - x["x"] ** 2 / (2 * p["rho"])),
+    ),
 )

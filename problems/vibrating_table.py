@@ -16,7 +16,7 @@ from zeno_orbits.drives import no_drive
 from zeno_orbits.forcing import Clock
 from zeno_orbits.hybrid import CompletedSystem, complete
 from zeno_orbits.mechanics import HybridLagrangian
-from zeno_orbits.problem import Problem, Quantity, positive, restitution
+from zeno_orbits.problem import Output, Problem, Quantity, positive, restitution
 
 
 def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
@@ -53,4 +53,8 @@ PROBLEM = Problem(
     starts=({"cosine": 1.0},),
     portraits=(("height", "speed"),),
     amplitude_of="height",
+    outputs=(
+        Output(name="table", unit="m", formula=lambda x, p: p["A"] * x["sine"]),
+        Output(name="ball", unit="m", formula=lambda x, p: x["height"] + p["A"] * x["sine"]),
+    ),
 )

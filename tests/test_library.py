@@ -78,7 +78,7 @@ def test_every_scene_goes_through_every_command(
     problem = load_problem(name)
     dynamics = bind(compiled_model(problem), problem.setting().values())
     pictures |= {"region"} if has_zeno_region(dynamics) else set()
-    pictures |= {"outputs"} if getattr(problem, "outputs", ()) else set()
+    pictures |= {"outputs"} if problem.outputs else set()
     assert {path.stem for path in tmp_path.glob("*.png")} == pictures
 
 

@@ -19,6 +19,14 @@ import casadi as ca
 
 from zeno_orbits.errors import InputError, ProblemFileError
 from zeno_orbits.hybrid import CompletedSystem
+from zeno_orbits.soundness import (
+    built,
+    require_known_symbols,
+    require_sound_numbers,
+    require_states,
+    unused_symbols,
+)
+from zeno_orbits.units import powers_of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,6 +52,17 @@ class Quantity:
     upper: float = math.inf
     excluded: tuple[float, ...] = ()
     instead: str = ""
+
+    def __post_init__(self) -> None:
+        """Refuse a name that cannot be typed, a unit that is none and a range that is empty."""
+        _require_name("name", self.name)
+        _require_unit(self.name, self.unit)
+        if not self.lower < self.upper:
+            wanted = f"must have a range with lower < upper for `{self.name}`"
+            raise ValueError(f"Argument `lower` {wanted}, but it is {self.lower:g}:{self.upper:g}.")
+        if self.default is not None and not math.isfinite(self.default):
+            wanted = f"must be a finite number for `{self.name}`"
+            raise ValueError(f"Argument `default` {wanted}, but it is {self.default}.")
 
     def checked(self, value: float) -> float:
         """Return ``value`` if it is a finite number inside the range, else raise ``InputError``."""
@@ -100,6 +119,25 @@ def restitution(default: float) -> Quantity:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Output:
+    """A quantity to look at that is no state: a height, a power, a force.
+
+    Attributes:
+        name: How it is called in pictures.
+        unit: SI unit.
+        formula: From named states and named gains and parameters to its expression.
+    """
+
+    name: str
+    unit: str
+    formula: Callable[[Mapping[str, ca.SX], Mapping[str, ca.SX]], ca.SX]
+
+    def __post_init__(self) -> None:
+        """Refuse a unit that is none."""
+        _require_unit(self.name, self.unit)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Setting:
     """Numbers for every name of a scene.
 
@@ -138,6 +176,7 @@ class Problem:
             ``Setting`` that returns a ``HybridDynamics``.
         fidelities: Reduced models of the same scene, by the word after the ``@``. A parameter that
             a reduced model does not have has no influence there.
+        outputs: What else is to be drawn over time.
     """
 
     name: str
@@ -154,6 +193,53 @@ class Problem:
     derive: Callable[[Mapping[str, float]], Mapping[str, float]] | None = None
     reference: Path | None = None
     fidelities: Mapping[str, Problem] = field(default_factory=dict["str", "Problem"])
+    outputs: tuple[Output, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse names, units and ranges that cannot be; the model is looked at by `checked`."""
+        _require_declarations(self)
+
+    def checked(self) -> Problem:
+        """Return the scene itself, if its model holds together at its own numbers.
+
+        Raises:
+            ValueError: If it does not; the text names the thing at fault.
+        """
+        symbols = self.symbols()
+        system = built(self.model, symbols)
+        require_states(system, self.state_names, self.state_units)
+        require_known_symbols(system, symbols)
+        setting = self.setting()
+        unused = unused_symbols(system, symbols, list(self.output_formulas(system, symbols)))
+        for name in unused:
+            if not self._derives_from(name, setting):
+                kind = "gains" if name in setting.gains else "parameters"
+                wanted = "must appear in the model or an output"
+                raise ValueError(f"Argument `{kind}` {wanted}, but `{name}` appears nowhere.")
+        starts = [self.state_vector(start) for start in self.starts]
+        require_sound_numbers(system, symbols, setting.values(), self.state_names, starts)
+        for word in self.fidelities:
+            self.at_fidelity(word).checked()
+        return self
+
+    def output_formulas(
+        self, system: CompletedSystem, symbols: Mapping[str, ca.SX]
+    ) -> tuple[ca.SX, ...]:
+        """Return the expressions of the outputs in the states of a system and named symbols."""
+        states = {name: system.state[k] for k, name in enumerate(self.state_names)}
+        return tuple(ca.SX(output.formula(states, symbols)) for output in self.outputs)
+
+    def _derives_from(self, name: str, setting: Setting) -> bool:
+        """Tell whether derived parameters change with a parameter."""
+        if self.derive is None or name not in setting.parameters:
+            return False
+        given = {q.name for q in self.parameters if q.default is not None}
+        known = {key: value for key, value in setting.parameters.items() if key in given}
+        moved = {**known, name: known.get(name, 0.0) * 1.01 + 1e-6}
+        try:
+            return dict(self.derive(known)) != dict(self.derive(moved))
+        except ValueError:
+            return True
 
     def at_fidelity(self, word: str) -> Problem:
         """Return the reduced model of that name; its own name is ``scene@word``.
@@ -246,9 +332,11 @@ def load_problem(name_or_path: str | Path) -> Problem:
 
     Either may end in ``@fidelity``, for a reduced model that the scene declares.
 
+    A file's model is checked; those of the bundled scenes the tests have checked.
+
     Raises:
         InputError: If there is no such scene or fidelity.
-        ProblemFileError: If the file raises or defines no ``PROBLEM``.
+        ProblemFileError: If the file raises, defines no ``PROBLEM`` or one that cannot be.
     """
     bundled = bundled_problems()
     scene, fidelity = split_fidelity(name_or_path)
@@ -259,6 +347,8 @@ def load_problem(name_or_path: str | Path) -> Problem:
         if not path.exists():
             raise InputError(_unknown("problem", scene, tuple(bundled)))
     problem = _declared(path)
+    if scene not in bundled:
+        _require_sound(path, problem)
     return problem.at_fidelity(fidelity) if fidelity is not None else problem
 
 
@@ -280,6 +370,14 @@ def _declared(path: Path) -> Problem:
     if not isinstance(problem, Problem):
         raise ProblemFileError(file, "it has no `PROBLEM` of type `Problem`")
     return problem
+
+
+def _require_sound(path: Path, problem: Problem) -> None:
+    try:
+        problem.checked()
+    except Exception as error:
+        file = path / "model.py" if path.is_dir() else path
+        raise ProblemFileError(file, _reason(error)) from error
 
 
 def load_reference(problem: Problem) -> ModuleType:
@@ -321,9 +419,14 @@ def _execute(file: Path) -> ModuleType:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
         del sys.modules[name]
-        reason = f"it raises {type(error).__name__}: {' '.join(str(error).split())}"
-        raise ProblemFileError(file, reason) from error
+        raise ProblemFileError(file, _reason(error)) from error
     return module
+
+
+def _reason(error: BaseException) -> str:
+    """Return an error of a scene's code in one line."""
+    text = " ".join(str(error).split())
+    return f"it raises {type(error).__name__}: {text}".removesuffix(".")
 
 
 def _chosen(
@@ -347,3 +450,66 @@ def _chosen(
 
 def _unknown(kind: str, name: str, known: tuple[str, ...]) -> str:
     return f"Argument `{kind}` must be one of {', '.join(known) or 'none'}, but it is `{name}`."
+
+
+def _require_name(argument: str, name: str) -> None:
+    if not name.isidentifier():
+        wanted = "must be a word of letters, digits and underscores"
+        raise ValueError(f"Argument `{argument}` {wanted}, but it is `{name}`.")
+
+
+def _require_unit(name: str, unit: str) -> None:
+    try:
+        powers_of(unit)
+    except ValueError as error:
+        raise ValueError(f"Argument `unit` must be one for `{name}`, but {error}.") from error
+
+
+def _require_declarations(problem: Problem) -> None:
+    states, quantities = problem.state_names, (*problem.gains, *problem.parameters)
+    seen: set[str] = set()
+    for name in (*states, *(quantity.name for quantity in quantities)):
+        if name in seen:
+            message = "must differ for states, gains and parameters"
+            raise ValueError(f"Argument `name` {message}, but `{name}` is there twice.")
+        seen.add(name)
+    if len(states) != len(problem.state_units):
+        count = f"but there are {len(problem.state_units)} for {len(states)}"
+        raise ValueError(f"Argument `state_units` must be one for every state, {count}.")
+    for name, unit in zip(states, problem.state_units, strict=True):
+        _require_name("state_names", name)
+        _require_unit(name, unit)
+    _require_ranges(problem)
+    if not problem.starts:
+        raise ValueError("Argument `starts` must hold a state to start from, but it is empty.")
+    for argument, named in (
+        *(("starts", name) for start in problem.starts for name in start),
+        *(("portraits", name) for pair in problem.portraits for name in pair),
+        ("amplitude_of", problem.amplitude_of),
+    ):
+        if named not in states:
+            known = ", ".join(states)
+            message = f"must name states ({known}), but it names `{named}`"
+            raise ValueError(f"Argument `{argument}` {message}.")
+
+
+def _require_ranges(problem: Problem) -> None:
+    for gain in problem.gains:
+        if gain.default is None or not math.isfinite(gain.upper - gain.lower):
+            wanted = f"must have a default and a finite range for `{gain.name}`"
+            raise ValueError(f"Argument `gains` {wanted}, but it has not.")
+    for quantity in problem.parameters:
+        if quantity.default is not None:
+            quantity.checked(quantity.default)
+        elif problem.derive is None:
+            wanted = f"must give `{quantity.name}` a default or a `derive`"
+            raise ValueError(f"Argument `parameters` {wanted}, but there is neither.")
+    impact = [quantity for quantity in problem.parameters if quantity.name == "restitution"]
+    if not impact or impact[0].lower < 0.0 or not _is_below_one(impact[0]):
+        wanted = "must hold a `restitution` in [0, 1)"
+        how = "it holds none" if not impact else "its range is another one"
+        raise ValueError(f"Argument `parameters` {wanted}, but {how}; see `restitution()`.")
+
+
+def _is_below_one(quantity: Quantity) -> bool:
+    return quantity.upper < 1.0 or (quantity.upper == 1.0 and 1.0 in quantity.excluded)

@@ -18,7 +18,7 @@ from zeno_orbits.drives import MotorBank, corrected_drive, full_drive, quasi_sta
 from zeno_orbits.errors import InputError
 from zeno_orbits.hybrid import CompletedSystem, complete
 from zeno_orbits.mechanics import HybridLagrangian
-from zeno_orbits.problem import Problem, Quantity, positive, restitution
+from zeno_orbits.problem import Output, Problem, Quantity, positive, restitution
 
 CURRENT_COEFFICIENT = 2.92437
 """Published: minus the factor of the current in d2h/dt2 [rad/(s^2 A)]."""
@@ -76,6 +76,11 @@ def corrected(p: Mapping[str, ca.SX]) -> CompletedSystem:
     """Return the completed system with the inductance to first order: four states."""
     mechanism = lagrangian(p)
     return complete(mechanism, corrected_drive(mechanism, motor(mechanism, p)), p["restitution"])
+
+
+def tip_height(x: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> ca.SX:
+    """Return how high the tip of link 2 is above the shoulder [m]."""
+    return -p["L1"] * ca.cos(x["theta1"]) - p["L2"] * ca.cos(x["theta1"] + x["theta2"])
 
 
 def calibrate(values: Mapping[str, float]) -> dict[str, float]:
@@ -190,6 +195,7 @@ FULL = Problem(
     portraits=(("theta1", "dtheta1"), ("theta2", "dtheta2")),
     amplitude_of="theta1",
     derive=calibrate,
+    outputs=(Output(name="tip_height", unit="m", formula=tip_height),),
     reference=Path(__file__).with_name("reference.py"),
 )
 
