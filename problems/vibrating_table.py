@@ -3,7 +3,8 @@ r"""A ball on a table that shakes: impacts accumulate, the ball sticks, and is t
 The table moves as ``A sin(omega t)``; the coordinate is the ball's height above it, so the stop
 stands still and the table's acceleration is an applied force. On the table the ball is carried
 until ``sin(omega t) = g / (A omega^2)``, where it takes off at rest; the flight is a parabola less
-the table's motion. If the ball comes to rest in time, the period is the table's.
+the table's motion. If the ball comes to rest before the next take-off, the period is the table's;
+if a flight outlasts a turn, a multiple of it.
 """
 
 from __future__ import annotations

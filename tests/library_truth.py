@@ -44,7 +44,7 @@ class Flight:
         rate: Gap rate of a state.
         acceleration: Gap acceleration of a time and a state.
         reset: State before an impact to the one after it.
-        step: Length at which the first long flight is scanned for its end [s].
+        step: Length at which a long flight is scanned for its end [s].
     """
 
     after: Callable[[Any, Any, Any], Any]
@@ -57,7 +57,7 @@ class Flight:
     def sequence(self, time: Any, state: Any, restitution: Any) -> Sequence:
         """Return all impacts of a motion that leaves the stop, or falls on it, at a time."""
         times, speeds = [], []
-        start, length = time, self._first(time, state)
+        start, length = time, self._long(time, state)
         while True:
             time, state = time + length, self.after(time, state, length)
             times.append(time - start)
@@ -71,9 +71,10 @@ class Flight:
                     speeds=speeds,
                     zeno_time=time + tail / (1 - restitution) - start,
                 )
-            length = self._root(time, state, tail)
+            is_short = 0 < tail < 10 * self.step
+            length = self._root(time, state, tail) if is_short else self._long(time, state)
 
-    def _first(self, time: Any, state: Any) -> Any:
+    def _long(self, time: Any, state: Any) -> Any:
         right = mpf(self.step)
         while self.gap(time + right, self.after(time, state, right)) > 0:
             right += self.step

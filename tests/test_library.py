@@ -17,12 +17,14 @@ from scipy.integrate import solve_ivp
 from tests import library_truth as truth
 from tests.reference_orbit import PERIOD
 from zeno_orbits.cli import main
-from zeno_orbits.compiled import bind
+from zeno_orbits.compiled import bind, output_values
 from zeno_orbits.models import compiled_model
 from zeno_orbits.orbit import ZenoOrbit, write_orbit
-from zeno_orbits.plots import has_zeno_region
+from zeno_orbits.plots import has_zeno_region, plot_outputs
 from zeno_orbits.problem import bundled_problems, load_problem
 from zeno_orbits.search import find_orbit
+from zeno_orbits.simulate import simulate
+from zeno_orbits.units import powers_of
 
 NO_ORBIT = {"bouncing_ball", "falling_pendulum"}
 """Nothing drives these: they come to rest."""
@@ -117,18 +119,28 @@ def _hold_run(run: Any, known: truth.Sequence) -> None:
     assert zeno["time"] == pytest.approx(float(known.zeno_time), rel=CLOSED_FORM)
 
 
+@pytest.mark.parametrize(("amplitude", "turns"), [(0.015, 1), (0.012, 1), (0.05, 2)])
 def test_the_ball_on_the_table_flies_and_bounces_as_its_closed_form(
-    capsys: pytest.CaptureFixture[str],
+    amplitude: float, turns: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    found = _answer(capsys, "search", "vibrating_table")
-    p = _parameters("vibrating_table")
-    _hold_orbit(found, "speed", truth.vibrating_table(p), 2 * math.pi / p["omega"])
+    found = _answer(capsys, "search", "vibrating_table", "--set", f"A={amplitude}")
+    p = _parameters("vibrating_table", A=amplitude)
+    _hold_orbit(found, "speed", truth.vibrating_table(p), turns * 2 * math.pi / p["omega"])
     # Where the table falls away as fast as the ball would.
     take_off = p["g"] / (p["A"] * p["omega"] ** 2)
     assert found["release_state"]["sine"] == pytest.approx(take_off, rel=CLOSED_FORM)
     assert found["release_state"]["cosine"] == pytest.approx(
         math.sqrt(1 - take_off**2), rel=CLOSED_FORM
     )
+
+
+def test_a_table_that_shakes_by_less_than_gravity_throws_no_ball(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    p = _parameters("vibrating_table", A=0.0108)
+    assert p["A"] * p["omega"] ** 2 < p["g"]
+    assert main(["search", "vibrating_table", "--set", "A=0.0108"]) == 1
+    assert "dies out" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(("angle", "e"), [(1.8, 0.6), (0.5, 0.2), (2.6, 0.8)])
@@ -306,3 +318,82 @@ def test_an_orbit_with_a_wrong_release_of_the_cart_is_refused(tmp_path: Path) ->
     assert main(["verify", str(file)]) == 1
     write_orbit(_orbit("motor_cart"), file)
     assert main(["verify", str(file)]) == 0
+
+
+# Units and outputs.
+
+BASES = {"kg": 1e3, "m": 7.0, "s": 11.0, "A": 0.3}
+"""How many of other units make one SI unit; the radian stays what it is."""
+
+
+def _factor(unit: str) -> float:
+    return math.prod(BASES.get(base, 1.0) ** power for base, power in powers_of(unit).items())
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_units_of_a_scene_are_those_of_its_equations(name: str) -> None:
+    # In other units every number changes by its unit's factor, and so must every rate; the joule
+    # of the energy, too. A unit that is declared falsely breaks it.
+    problem = load_problem(name)
+    setting = problem.setting()
+    quantities = (*problem.gains, *problem.parameters)
+    numbers = np.array(setting.values())
+    changed = numbers * [_factor(quantity.unit) for quantity in quantities]
+    sizes = np.array([_factor(unit) for unit in problem.state_units])
+    compiled = compiled_model(problem)
+    here, there = bind(compiled, numbers), bind(compiled, changed)
+    random = np.random.default_rng(0)
+    for _ in range(3):
+        x = random.uniform(0.2, 0.8, sizes.size)
+        rate, expected = there.free.rate(sizes * x), sizes / BASES["s"] * here.free.rate(x)
+        assert rate == pytest.approx(expected, rel=1e-9, abs=1e-12 * np.max(np.abs(expected)))
+        locked, expected = there.locked.rate(sizes * x), sizes / BASES["s"] * here.locked.rate(x)
+        assert locked == pytest.approx(expected, rel=1e-9, abs=1e-12 * np.max(np.abs(expected)))
+        assert there.energy(sizes * x) == pytest.approx(_factor("J") * here.energy(x), rel=1e-9)
+
+
+def test_a_unit_that_is_declared_falsely_would_break_it() -> None:
+    problem = load_problem("motor_valve")
+    numbers = dict(problem.setting().parameters)
+    changed = {q.name: numbers[q.name] * _factor(q.unit) for q in problem.parameters}
+    changed["J"] = numbers["J"] * _factor("kg m")
+    compiled = compiled_model(problem)
+    gains = [10.0 * _factor("V/rad"), 0.0]
+    here = bind(compiled, problem.setting().values())
+    there = bind(compiled, [*gains, *changed.values()])
+    x, sizes = np.array([0.3, 0.4, 0.5]), np.array([_factor(u) for u in problem.state_units])
+    expected = sizes / BASES["s"] * here.free.rate(x)
+    assert there.free.rate(sizes * x)[1] != pytest.approx(expected[1], rel=0.5)
+
+
+def test_outputs_are_what_their_formulas_say() -> None:
+    problem = load_problem("vibrating_table")
+    setting = problem.setting(parameters={"A": 0.02})
+    states = np.array([[0.1, 0.0, 0.6, 0.8], [0.0, -1.0, 1.0, 0.0], [0.3, 0.0, 0.0, -1.0]])
+    seen = output_values(problem, setting, states)
+    assert seen == pytest.approx(np.array([[0.016, 0.116], [0.0, 0.0], [-0.02, 0.28]]))
+
+
+def test_outputs_are_drawn_over_the_whole_time_with_their_units() -> None:
+    problem = load_problem("vibrating_table")
+    setting = problem.setting()
+    dynamics = bind(compiled_model(problem), setting.values())
+    run = simulate(dynamics, problem.state_vector(problem.starts[0]), until=0.5)
+    panels = plot_outputs(problem, setting, run).axes
+    assert [ax.get_ylabel() for ax in panels] == ["table [m]", "ball [m]"]
+    drawn = np.concatenate([line.get_xydata() for line in panels[0].lines if len(line.get_xdata())])
+    assert drawn[:, 0].min() == 0.0
+    assert drawn[:, 0].max() == pytest.approx(0.5)
+    p = setting.parameters
+    known = p["A"] * np.sin(p["omega"] * drawn[:, 0])
+    # Times of rescaled flights are rounded to 1e-15, and the integration has 1e-12.
+    assert drawn[:, 1] == pytest.approx(known, abs=1e-10 * p["A"])
+
+
+def test_an_output_of_a_scene_without_any_cannot_be_drawn(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "orbit.json"
+    write_orbit(_orbit("motor_valve"), file)
+    assert main(["plot", str(file), "--kind", "outputs", "-o", str(tmp_path)]) == 2
+    assert "`motor_valve` has, but it has no outputs" in capsys.readouterr().err
