@@ -350,11 +350,12 @@ def test_verify_refuses_a_tampered_orbit_and_names_the_residual(
     assert answer.err == ""
 
 
-def test_plot_writes_four_pictures(orbit: Path, here: Path) -> None:
+def test_plot_writes_five_pictures(orbit: Path, here: Path) -> None:
     answer = ask("plot", orbit, "-o", "pictures")
     assert answer.code == YES
     pictures = sorted((here / "pictures").iterdir())
     assert [path.name for path in pictures] == [
+        "outputs.png",
         "portraits.png",
         "region.png",
         "time.png",
