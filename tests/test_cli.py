@@ -362,7 +362,7 @@ def test_plot_writes_five_pictures(orbit: Path, here: Path) -> None:
         "zeno.png",
     ]
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in pictures)
-    assert answer.out.count("Written: ") == 4
+    assert answer.out.count("Written: ") == 5
 
 
 def test_plot_writes_the_picture_that_is_asked_for(orbit: Path, here: Path) -> None:
