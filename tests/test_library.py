@@ -397,3 +397,12 @@ def test_an_output_of_a_scene_without_any_cannot_be_drawn(
     write_orbit(_orbit("motor_valve"), file)
     assert main(["plot", str(file), "--kind", "outputs", "-o", str(tmp_path)]) == 2
     assert "`motor_valve` has, but it has no outputs" in capsys.readouterr().err
+
+
+def test_a_region_that_cannot_be_drawn_is_refused_before_anything_is_printed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["conditions", "vibrating_table", "-o", str(tmp_path / "region.png")]) == 2
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert "nor a clock" in shown.err
