@@ -351,18 +351,19 @@ def test_verify_refuses_a_tampered_orbit_and_names_the_residual(
     assert answer.err == ""
 
 
-def test_plot_writes_four_pictures(orbit: Path, here: Path) -> None:
+def test_plot_writes_five_pictures(orbit: Path, here: Path) -> None:
     answer = ask("plot", orbit, "-o", "pictures")
     assert answer.code == YES
     pictures = sorted((here / "pictures").iterdir())
     assert [path.name for path in pictures] == [
+        "outputs.png",
         "portraits.png",
         "region.png",
         "time.png",
         "zeno.png",
     ]
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in pictures)
-    assert answer.out.count("Written: ") == 4
+    assert answer.out.count("Written: ") == 5
 
 
 def test_plot_writes_the_picture_that_is_asked_for(orbit: Path, here: Path) -> None:

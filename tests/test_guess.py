@@ -16,7 +16,8 @@ from zeno_orbits.compiled import bind, compile_problem
 from zeno_orbits.dynamics import HybridDynamics
 from zeno_orbits.execution import Execution
 from zeno_orbits.guess import SettlingSettings, settle
-from zeno_orbits.problem import Problem
+from zeno_orbits.models import compiled_model
+from zeno_orbits.problem import Problem, load_problem
 from zeno_orbits.simulate import simulate
 
 SHORT = SettlingSettings(horizon=30.0)
@@ -116,3 +117,20 @@ def test_a_motion_that_still_drifts_is_a_guess_if_it_drifts_little(
     hopeless = settle(machine, [start], replace(strict, usable=0.0))
     assert hopeless.cycle is None
     assert hopeless.reason == "its periods differ after 10 s"
+
+
+@pytest.mark.parametrize(
+    ("what", "numbers"),
+    [
+        ("clock", {"rho": 0.2, "lean": 0.15, "c": 0.02}),
+        ("stop", {"rho": 0.05, "lean": 0.4, "c": 0.05}),
+    ],
+)
+def test_a_long_loose_simulation_does_not_drift_off_what_a_start_has_to_keep(
+    what: str, numbers: dict[str, float]
+) -> None:
+    # Without being put back, the state leaves clock or stop by 1e-8, and no simulation admits it.
+    problem = load_problem("curved_surface")
+    dynamics = bind(compiled_model(problem), problem.setting(parameters=numbers).values())
+    settling = settle(dynamics, [problem.state_vector(start) for start in problem.starts])
+    assert (settling.cycle is not None) == (what == "clock")

@@ -11,7 +11,7 @@ import numpy as np
 
 from zeno_orbits.calls import Call, ResetCall, RestingCall
 from zeno_orbits.differentials import Differentiation
-from zeno_orbits.dynamics import FusedResting, GuardedFlow, HybridDynamics
+from zeno_orbits.dynamics import FusedResting, GuardedFlow, HybridDynamics, Vector
 from zeno_orbits.flows import (
     CompiledFlow,
     FlowMemory,
@@ -20,7 +20,7 @@ from zeno_orbits.flows import (
     mode_functions,
 )
 from zeno_orbits.hybrid import CompletedSystem
-from zeno_orbits.problem import Problem
+from zeno_orbits.problem import Problem, Setting
 from zeno_orbits.variations import CompiledDifferentials, PointFunctions
 
 
@@ -149,6 +149,26 @@ def compile_system(
         energy=function("energy", system.energy),
         holonomic=function("holonomic", system.holonomic),
     )
+
+
+def output_values(problem: Problem, setting: Setting, states: Vector) -> Vector:
+    """Return the outputs of a scene at states.
+
+    Args:
+        problem: The scene.
+        setting: Its numbers.
+        states: ``(n, n_x)``.
+
+    Returns:
+        One column an output, ``(n, n_outputs)``.
+    """
+    symbols = problem.symbols()
+    system = problem.model(symbols)
+    formulas = ca.vertcat(*problem.output_formulas(system, symbols))
+    inputs = [system.state, ca.vertcat(*symbols.values())]
+    function = dense_function("outputs", inputs, [formulas])
+    outputs = Call(function, np.asarray(setting.values(), dtype=np.float64))
+    return np.array([outputs(x).copy() for x in states])
 
 
 def _reset(system: CompletedSystem, approach_rate: ca.SX) -> ca.SX:

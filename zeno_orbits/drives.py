@@ -45,6 +45,12 @@ class MotorBank:
             if shape != (n_motors, n_motors):
                 wanted = f"must be of shape ({n_motors}, {n_motors})"
                 raise ValueError(f"Argument `{name}` {wanted}, but it is {shape}.")
+        for k in range(n_motors):
+            if self.selection[:, k].is_zero():
+                turns = f"but motor {k + 1} turns none"
+                raise ValueError(
+                    f"Argument `selection` must let every motor turn a joint, {turns}."
+                )
         if self.voltage.numel() != n_motors:
             message = (
                 f"Argument `voltage` must have {n_motors} entries, one a motor, "

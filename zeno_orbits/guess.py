@@ -11,7 +11,7 @@ from zeno_orbits.completion import ZenoExtrapolation
 from zeno_orbits.cycle import Cycle, cycles
 from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
 from zeno_orbits.errors import RunawayError, SimulationError
-from zeno_orbits.execution import Execution
+from zeno_orbits.execution import Execution, Mode
 from zeno_orbits.poincare import to_next_release
 from zeno_orbits.simulate import SimulationSettings, simulate
 
@@ -20,6 +20,9 @@ RUNAWAY = 20 * np.pi
 
 _FADED = 1e-3
 """A motion whose first impacts have slowed down to this part of its fastest is dying out."""
+
+_DIFFERENCE = 1e-6
+"""Step of a derivative; its error is that part of a correction that is small itself."""
 
 _STILL = 1e-6
 """Speeds and accelerations below this are rest, in the scene's units."""
@@ -109,6 +112,7 @@ def _settle_from(dynamics: HybridDynamics, state: Vector, settings: SettlingSett
             return Settling(cycle=None, reason="the motion dies out")
         at_release = run.releases[-1:] != () and run.releases[-1].time == run.end_time
         state = run.releases[-1].state if at_release else run.end_state
+        state = _repaired(dynamics, state, locked=run.arcs[-1].mode is Mode.LOCKED)
     if best is not None and best.drift(best.scale()) < settings.usable:
         return Settling(cycle=best)
     what = "its periods differ" if best is not None else "no release is followed by a Zeno point"
@@ -123,6 +127,20 @@ def _to_next_look(
     if at_release:
         return to_next_release(dynamics, state, horizon=until, settings=simulation)
     return simulate(dynamics, state, until=until, releases=1, settings=simulation)
+
+
+def _repaired(dynamics: HybridDynamics, state: Vector, *, locked: bool) -> Vector:
+    """Return the nearest state on what a loose integration drifts off: stop and constraints.
+
+    On the constraints it is a Newton step of least length, its derivatives by differences.
+    """
+    state = dynamics.on_stop(state) if locked else state
+    off = dynamics.holonomic(state)
+    if off.size == 0:
+        return state
+    steps = _DIFFERENCE * np.eye(state.size)
+    slopes = [(dynamics.holonomic(state + step) - off) / _DIFFERENCE for step in steps]
+    return state - np.linalg.lstsq(np.array(slopes).T, off, rcond=None)[0]
 
 
 def _is_at_rest(dynamics: HybridDynamics, state: Vector) -> bool:

@@ -84,9 +84,7 @@ class Plane:
                 # An axis is inside its range, but what is derived from it need not be.
                 found[k] = Attractor(fate=Fate.FAILED, detail=str(error))
         start = dict(zip(problem.state_names, self.start, strict=True))
-        attractors = attractors_at(
-            problem, tuple(settings.values()), start=start, until=self.until
-        )
+        attractors = attractors_at(problem, tuple(settings.values()), start=start, until=self.until)
         found |= dict(zip(settings, attractors, strict=True))
         return [attractor_json(found[k]) for k in range(len(points))]
 

@@ -19,114 +19,37 @@ import casadi as ca
 
 from zeno_orbits.errors import InputError, ProblemFileError
 from zeno_orbits.hybrid import CompletedSystem
+from zeno_orbits.quantities import (
+    Escape,
+    Output,
+    Quantity,
+    Setting,
+    positive,
+    require_names,
+    require_ranges,
+    restitution,
+)
+from zeno_orbits.soundness import (
+    built,
+    require_known_symbols,
+    require_sound_numbers,
+    require_states,
+    unused_symbols,
+)
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Quantity:
-    """A named number of a scene, with its unit and the range in which it makes sense.
-
-    Attributes:
-        name: How it is called on the command line and in files.
-        unit: SI unit, in brackets in tables; ``1`` for a pure number.
-        meaning: One line for the user.
-        default: Its value when nobody sets it; ``None`` if the scene derives it from the others.
-        lower: Smallest sensible value. For a gain, the lower end of the search box.
-        upper: Largest sensible value. For a gain, the upper end of the search box.
-        excluded: Values at the ends that are themselves not allowed.
-        instead: What to do at an excluded value, as a sentence; it ends the refusal.
-    """
-
-    name: str
-    unit: str
-    meaning: str
-    default: float | None
-    lower: float = -math.inf
-    upper: float = math.inf
-    excluded: tuple[float, ...] = ()
-    instead: str = ""
-
-    def checked(self, value: float) -> float:
-        """Return ``value`` if it is a finite number inside the range, else raise ``InputError``."""
-        value = float(value)
-        if not math.isfinite(value):
-            raise InputError(f"Argument `{self.name}` must be a finite number, but it is {value}.")
-        if not self.lower <= value <= self.upper or value in self.excluded:
-            message = f"Argument `{self.name}` must {self._range()}, but it is {value:g}."
-            helped = f"{message} {self.instead}" if value in self.excluded else message
-            raise InputError(helped.rstrip())
-        return value
-
-    def _range(self) -> str:
-        below, above = math.isfinite(self.lower), math.isfinite(self.upper)
-        if not below and not above:
-            return f"differ from {', '.join(f'{value:g}' for value in self.excluded)}"
-        if not above:
-            word = "greater than" if self.lower in self.excluded else "at least"
-            return f"be {word} {self.lower:g}"
-        if not below:
-            word = "less than" if self.upper in self.excluded else "at most"
-            return f"be {word} {self.upper:g}"
-        left = "(" if self.lower in self.excluded else "["
-        right = ")" if self.upper in self.excluded else "]"
-        return f"lie in {left}{self.lower:g}, {self.upper:g}{right}"
-
-
-def positive(
-    name: str, default: float | None, unit: str, meaning: str, *, instead: str = ""
-) -> Quantity:
-    """Return a quantity that must be greater than zero."""
-    return Quantity(
-        name=name,
-        unit=unit,
-        meaning=meaning,
-        default=default,
-        lower=0.0,
-        excluded=(0.0,),
-        instead=instead,
-    )
-
-
-def restitution(default: float) -> Quantity:
-    """Return the coefficient of restitution `e`, in [0, 1)."""
-    return Quantity(
-        name="restitution",
-        unit="1",
-        meaning="coefficient of restitution of the stop",
-        default=default,
-        lower=0.0,
-        upper=1.0,
-        excluded=(1.0,),
-    )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Escape:
-    """A coordinate that has gone too far to come back.
-
-    Attributes:
-        beyond: The size of the coordinate from which on it has.
-        phrase: What that means, for the user.
-    """
-
-    beyond: float
-    phrase: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Setting:
-    """Numbers for every name of a scene.
-
-    Attributes:
-        gains: Name to value, in the scene's order.
-        parameters: Name to value, in the scene's order; derived ones included.
-    """
-
-    gains: Mapping[str, float]
-    parameters: Mapping[str, float]
-
-    def values(self) -> tuple[float, ...]:
-        """Return gains, then parameters: the parameter vector of the compiled system."""
-        return (*self.gains.values(), *self.parameters.values())
+__all__ = [
+    "Escape",
+    "Output",
+    "Problem",
+    "Quantity",
+    "Setting",
+    "bundled_problems",
+    "load_problem",
+    "load_reference",
+    "positive",
+    "restitution",
+    "split_fidelity",
+]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -152,6 +75,7 @@ class Problem:
         fidelities: Reduced models of the same scene, by the word after the ``@``. A parameter that
             a reduced model does not have has no influence there.
         escapes: Coordinates that may run away, by name. Others are followed as far as they go.
+        outputs: What else is to be drawn over time.
     """
 
     name: str
@@ -169,8 +93,13 @@ class Problem:
     reference: Path | None = None
     fidelities: Mapping[str, Problem] = field(default_factory=dict["str", "Problem"])
     escapes: Mapping[str, Escape] = field(default_factory=dict[str, Escape])
+    outputs: tuple[Output, ...] = ()
 
     def __post_init__(self) -> None:
+        """Refuse names, units and ranges that cannot be; the model is looked at by `checked`."""
+        require_names(self.state_names, self.state_units, (*self.gains, *self.parameters))
+        require_ranges(self.gains, self.parameters, derives=self.derive is not None)
+        _require_states(self)
         for name in self.escapes:
             if name not in self.state_names:
                 raise InputError(_unknown("escapes", name, self.state_names))
@@ -185,6 +114,48 @@ class Problem:
             if abs(state[self.state_names.index(name)]) > escape.beyond:
                 return name
         return ""
+
+    def checked(self) -> Problem:
+        """Return the scene itself, if its model holds together at its own numbers.
+
+        Raises:
+            ValueError: If it does not; the text names the thing at fault.
+        """
+        symbols = self.symbols()
+        system = built(self.model, symbols)
+        require_states(system, self.state_names, self.state_units)
+        require_known_symbols(system, symbols)
+        setting = self.setting()
+        unused = unused_symbols(system, symbols, list(self.output_formulas(system, symbols)))
+        for name in unused:
+            if not self._derives_from(name, setting):
+                kind = "gains" if name in setting.gains else "parameters"
+                wanted = "must appear in the model or an output"
+                raise ValueError(f"Argument `{kind}` {wanted}, but `{name}` appears nowhere.")
+        starts = [self.state_vector(start) for start in self.starts]
+        require_sound_numbers(system, symbols, setting.values(), self.state_names, starts)
+        for word in self.fidelities:
+            self.at_fidelity(word).checked()
+        return self
+
+    def output_formulas(
+        self, system: CompletedSystem, symbols: Mapping[str, ca.SX]
+    ) -> tuple[ca.SX, ...]:
+        """Return the expressions of the outputs in the states of a system and named symbols."""
+        states = {name: system.state[k] for k, name in enumerate(self.state_names)}
+        return tuple(ca.SX(output.formula(states, symbols)) for output in self.outputs)
+
+    def _derives_from(self, name: str, setting: Setting) -> bool:
+        """Tell whether derived parameters change with a parameter."""
+        if self.derive is None or name not in setting.parameters:
+            return False
+        given = {q.name for q in self.parameters if q.default is not None}
+        known = {key: value for key, value in setting.parameters.items() if key in given}
+        moved = {**known, name: known.get(name, 0.0) * 1.01 + 1e-6}
+        try:
+            return dict(self.derive(known)) != dict(self.derive(moved))
+        except ValueError:
+            return True
 
     def at_fidelity(self, word: str) -> Problem:
         """Return the reduced model of that name; its own name is ``scene@word``.
@@ -277,9 +248,11 @@ def load_problem(name_or_path: str | Path) -> Problem:
 
     Either may end in ``@fidelity``, for a reduced model that the scene declares.
 
+    A file's model is checked; those of the bundled scenes the tests have checked.
+
     Raises:
         InputError: If there is no such scene or fidelity.
-        ProblemFileError: If the file raises or defines no ``PROBLEM``.
+        ProblemFileError: If the file raises, defines no ``PROBLEM`` or one that cannot be.
     """
     bundled = bundled_problems()
     scene, fidelity = split_fidelity(name_or_path)
@@ -290,6 +263,8 @@ def load_problem(name_or_path: str | Path) -> Problem:
         if not path.exists():
             raise InputError(_unknown("problem", scene, tuple(bundled)))
     problem = _declared(path)
+    if scene not in bundled:
+        _require_sound(path, problem)
     return problem.at_fidelity(fidelity) if fidelity is not None else problem
 
 
@@ -311,6 +286,14 @@ def _declared(path: Path) -> Problem:
     if not isinstance(problem, Problem):
         raise ProblemFileError(file, "it has no `PROBLEM` of type `Problem`")
     return problem
+
+
+def _require_sound(path: Path, problem: Problem) -> None:
+    try:
+        problem.checked()
+    except Exception as error:
+        file = path / "model.py" if path.is_dir() else path
+        raise ProblemFileError(file, _reason(error)) from error
 
 
 def load_reference(problem: Problem) -> ModuleType:
@@ -352,9 +335,30 @@ def _execute(file: Path) -> ModuleType:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
         del sys.modules[name]
-        reason = f"it raises {type(error).__name__}: {' '.join(str(error).split())}"
-        raise ProblemFileError(file, reason) from error
+        raise ProblemFileError(file, _reason(error)) from error
     return module
+
+
+def _reason(error: BaseException) -> str:
+    """Return an error of a scene's code in one line."""
+    text = " ".join(str(error).split())
+    return f"it raises {type(error).__name__}: {text}".removesuffix(".")
+
+
+def _require_states(problem: Problem) -> None:
+    """Refuse starts, portraits and an amplitude that name no state."""
+    states = problem.state_names
+    if not problem.starts:
+        raise ValueError("Argument `starts` must hold a state to start from, but it is empty.")
+    for argument, named in (
+        *(("starts", name) for start in problem.starts for name in start),
+        *(("portraits", name) for pair in problem.portraits for name in pair),
+        ("amplitude_of", problem.amplitude_of),
+    ):
+        if named not in states:
+            known = ", ".join(states)
+            message = f"must name states ({known}), but it names `{named}`"
+            raise ValueError(f"Argument `{argument}` {message}.")
 
 
 def _chosen(

@@ -164,7 +164,9 @@ def _multipliers(
             dynamics.on_stop(claim.release),
             scale=cycle.scale,
             period=cycle.end.time,
-            settings=replace(settings.simulation, tolerance=_no_finer(settings.simulation.tolerance)),
+            settings=replace(
+                settings.simulation, tolerance=_no_finer(settings.simulation.tolerance)
+            ),
             noise=integration_error * _SHARE,
         )
     except ZenoOrbitsError:

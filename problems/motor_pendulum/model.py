@@ -18,7 +18,7 @@ from zeno_orbits.drives import MotorBank, corrected_drive, full_drive, quasi_sta
 from zeno_orbits.errors import InputError
 from zeno_orbits.hybrid import CompletedSystem, complete
 from zeno_orbits.mechanics import HybridLagrangian
-from zeno_orbits.problem import Escape, Problem, Quantity, positive, restitution
+from zeno_orbits.problem import Escape, Output, Problem, Quantity, positive, restitution
 
 CURRENT_COEFFICIENT = 2.92437
 """Published: minus the factor of the current in d2h/dt2 [rad/(s^2 A)]."""
@@ -76,6 +76,11 @@ def corrected(p: Mapping[str, ca.SX]) -> CompletedSystem:
     """Return the completed system with the inductance to first order: four states."""
     mechanism = lagrangian(p)
     return complete(mechanism, corrected_drive(mechanism, motor(mechanism, p)), p["restitution"])
+
+
+def tip_height(x: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> ca.SX:
+    """Return how high the tip of link 2 is above the shoulder [m]."""
+    return -p["L1"] * ca.cos(x["theta1"]) - p["L2"] * ca.cos(x["theta1"] + x["theta2"])
 
 
 def calibrate(values: Mapping[str, float]) -> dict[str, float]:
@@ -196,6 +201,7 @@ FULL = Problem(
         "theta1": Escape(beyond=2 * math.pi, phrase="link 1 whirls"),
         "theta2": Escape(beyond=2 * math.pi, phrase="link 2 goes over the top"),
     },
+    outputs=(Output(name="tip_height", unit="m", formula=tip_height),),
     reference=Path(__file__).with_name("reference.py"),
 )
 

@@ -17,6 +17,7 @@ from zeno_orbits import report
 from zeno_orbits.cli.conditions import add_conditions
 from zeno_orbits.cli.fidelity import add_fidelity
 from zeno_orbits.cli.map import add_map
+from zeno_orbits.cli.new import add_new
 from zeno_orbits.cli.plot import add_plot
 from zeno_orbits.cli.problems import add_problems
 from zeno_orbits.cli.search import add_search
@@ -80,6 +81,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     add_problems(commands)
+    add_new(commands)
     add_conditions(commands)
     add_simulate(commands)
     add_fidelity(commands)

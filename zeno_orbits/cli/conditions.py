@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from zeno_orbits import report
 from zeno_orbits.cli.shared import (
@@ -18,6 +18,9 @@ from zeno_orbits.cli.shared import (
     setting_of,
 )
 from zeno_orbits.files import require_picture
+
+if TYPE_CHECKING:
+    from zeno_orbits.problem import Problem, Setting
 
 
 def add_conditions(commands: Any) -> None:
@@ -47,8 +50,9 @@ def _run_conditions(options: argparse.Namespace) -> int:
 
     problem = load_problem(options.problem)
     setting = setting_of(problem, options)
+    # What cannot be drawn is refused before anything is printed.
     if options.output is not None:
-        require_picture(options.output)
+        _draw_region(problem, setting, options.output)
     formula = equilibrium_acceleration(problem)
     numbers = with_numbers(formula, setting)
     always = bool(numbers < 0) if numbers.is_number else None
@@ -69,11 +73,15 @@ def _run_conditions(options: argparse.Namespace) -> int:
     else:
         report.print_conditions(problem, setting, str(formula), six_digits(numbers), always=always)
     if options.output is not None:
-        from zeno_orbits import plots
-        from zeno_orbits.compiled import bind
-        from zeno_orbits.models import compiled_model
-
-        dynamics = bind(compiled_model(problem), setting.values())
-        plots.save_figure(plots.plot_zeno_region(problem, dynamics), options.output)
         say_written(options, [options.output])
     return NO if always is False else YES
+
+
+def _draw_region(problem: Problem, setting: Setting, path: Path) -> None:
+    from zeno_orbits import plots
+    from zeno_orbits.compiled import bind
+    from zeno_orbits.models import compiled_model
+
+    require_picture(path)
+    dynamics = bind(compiled_model(problem), setting.values())
+    plots.save_figure(plots.plot_zeno_region(problem, dynamics), path)

@@ -18,7 +18,7 @@ from zeno_orbits.cli.shared import (
 from zeno_orbits.errors import InputError
 from zeno_orbits.files import require_writable
 
-_PICTURES = ("portraits", "time", "zeno", "region")
+_PICTURES = ("portraits", "time", "outputs", "zeno", "region")
 
 
 def add_plot(commands: Any) -> None:
@@ -38,8 +38,8 @@ def add_plot(commands: Any) -> None:
         "--kind",
         action="append",
         choices=_PICTURES,
-        help="which picture: phase portraits, states over time, zoom into the Zeno point, "
-        "region d2h/dt2 < 0; may be repeated; by default all that the scene has",
+        help="which picture: phase portraits, states over time, outputs over time, zoom into the "
+        "Zeno point, region d2h/dt2 < 0; may be repeated; by default all that the scene has",
     )
     parser.add_argument("--format", choices=("png", "pdf", "svg"), default="png")
     parser.add_argument(
@@ -64,6 +64,7 @@ def _run_plot(options: argparse.Namespace) -> int:
     draw = {
         "portraits": lambda: plots.plot_portraits(problem, execution),
         "time": lambda: plots.plot_time_series(problem, execution),
+        "outputs": lambda: plots.plot_outputs(problem, orbit.setting(problem), execution),
         "zeno": lambda: plots.plot_zeno_zoom(problem, execution, dynamics),
         "region": lambda: plots.plot_zeno_region(problem, dynamics, execution),
     }
@@ -74,9 +75,12 @@ def _run_plot(options: argparse.Namespace) -> int:
             f"Argument `output` must be a folder that can be made, but `{options.output}` is not"
         )
         raise InputError(f"{message} ({error.strerror}).") from error
-    kinds = options.kind or [
-        kind for kind in _PICTURES if kind != "region" or plots.has_zeno_region(dynamics)
-    ]
+    has = {"outputs": bool(problem.outputs), "region": plots.has_zeno_region(dynamics)}
+    kinds = options.kind or [kind for kind in _PICTURES if has.get(kind, True)]
+    if "outputs" in kinds and not problem.outputs:
+        raise InputError(
+            f"Argument `kind` must be one `{problem.name}` has, but it has no outputs."
+        )
     paths = [options.output / f"{kind}.{options.format}" for kind in kinds]
     for path in paths:
         require_writable(path)

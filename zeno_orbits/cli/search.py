@@ -62,7 +62,7 @@ def add_search(commands: Any) -> None:
         default="nearest",
         metavar="WISH",
         help=(
-            "nearest (to the scene's gains), nearest:Kp=3,Kd=-1, period=SECONDS, "
+            "nearest (to the scene's gains), nearest:NAME=VALUE,..., period=SECONDS, "
             "amplitude=VALUE, or energy"
         ),
     )

@@ -4,11 +4,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from zeno_orbits.compiled import output_values
+from zeno_orbits.dynamics import Vector
 from zeno_orbits.execution import Execution, Mode
 from zeno_orbits.plots.style import (
     AFTER,
@@ -23,7 +26,7 @@ from zeno_orbits.plots.style import (
     panels_of,
     paths_of,
 )
-from zeno_orbits.problem import Problem
+from zeno_orbits.problem import Problem, Setting
 
 
 def plot_portraits(problem: Problem, execution: Execution, *, width: float = FULL_WIDTH) -> Figure:
@@ -57,29 +60,61 @@ def plot_time_series(
 ) -> Figure:
     """Return coordinates and currents over time, phases shaded, impacts as ticks on the upper edge.
 
+    The clock of a forced scene, the states without a unit behind the velocities, is left out.
+
     Args:
         problem: The scene.
         execution: What to draw.
         width: Width of the picture [in].
     """
     n_q = problem.model(problem.symbols()).n_q
-    rows = [*range(n_q), *range(2 * n_q, len(problem.state_names))]
-    figure, panels = panels_of(width, len(rows), height=max(1.25, 2.0 / len(rows)), columns=1)
+    behind = range(2 * n_q, len(problem.state_names))
+    rows = [*range(n_q), *(row for row in behind if problem.state_units[row] != "1")]
+    labels = [label_of(problem, row) for row in rows]
+    return _over_time(execution, labels, lambda states: states[:, rows], width)
+
+
+def plot_outputs(
+    problem: Problem, setting: Setting, execution: Execution, *, width: float = FULL_WIDTH
+) -> Figure:
+    """Return the outputs of a scene over time, drawn as the states are.
+
+    Args:
+        problem: The scene; it has outputs.
+        setting: Its numbers.
+        execution: What to draw.
+        width: Width of the picture [in].
+    """
+    labels = [f"{output.name.replace('_', ' ')} [{output.unit}]" for output in problem.outputs]
+
+    def values(states: Vector) -> Vector:
+        return output_values(problem, setting, states[:, : len(problem.state_names)])
+
+    return _over_time(execution, labels, values, width)
+
+
+def _over_time(
+    execution: Execution,
+    labels: Sequence[str],
+    values: Callable[[Vector], Vector],
+    width: float,
+) -> Figure:
+    """Return one panel a column of what is computed from the states."""
+    figure, panels = panels_of(width, len(labels), height=max(1.25, 2.0 / len(labels)), columns=1)
     impacts = [impact.time for impact in execution.impacts]
-    for ax, row in zip(panels, rows, strict=True):
+    paths = [(times, values(states), look) for times, states, look in paths_of(execution)]
+    for column, (ax, label) in enumerate(zip(panels, labels, strict=True)):
         for mode, start, end in _phases(execution):
             ax.axvspan(start, end, color=TINTS[mode], lw=0, gid=mode.value)
-        for times, states, look in paths_of(execution):
-            ax.plot(times, states[:, row], **look)
+        for times, drawn, look in paths:
+            ax.plot(times, drawn[:, column], **look)
         ax.margins(y=0.14)
         ax.autoscale_view()
         edge = ax.get_xaxis_transform()
         ax.vlines(impacts, 0.91, 1.0, color=INK, lw=0.8, transform=edge, gid="impact")
         if impacts:
             ax.plot([], [], color=INK, ls="", marker="|", ms=7, label="impact")
-        ax.set(
-            ylabel=label_of(problem, row), xlim=(execution.arcs[0].start_time, execution.end_time)
-        )
+        ax.set(ylabel=label, xlim=(execution.arcs[0].start_time, execution.end_time))
         ax.tick_params(labelbottom=ax is panels[-1])
     panels[-1].set_xlabel("time $t$ [s]")
     figure.align_ylabels(panels)
