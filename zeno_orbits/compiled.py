@@ -32,6 +32,7 @@ class CompiledSystem:
         powers: ``(x, p) -> (input_power, copper_loss, other_loss)`` [W].
         energy: ``(x, p) -> energy`` [J].
         holonomic: ``(x, p) -> (eta, eta_rate)``.
+        motors: ``(x, p) -> (current, voltage)`` of every motor, each ``(n_M,)``.
     """
 
     state_names: tuple[str, ...]
@@ -46,6 +47,7 @@ class CompiledSystem:
     powers: ca.Function
     energy: ca.Function
     holonomic: ca.Function
+    motors: ca.Function
 
     @property
     def n_x(self) -> int:
@@ -128,6 +130,7 @@ def compile_system(
         powers=function("powers", powers),
         energy=function("energy", system.energy),
         holonomic=function("holonomic", system.holonomic),
+        motors=function("motors", system.motor_current, system.motor_voltage),
     )
 
 
