@@ -149,9 +149,7 @@ def in_small_steps(hunt: Hunt, setting: Setting, cycle: Cycle, objective: Object
     return hunt.refine(stop.setting, stop.cycle, objective, origin)
 
 
-def where_bounds_are_kept(
-    hunt: Hunt, setting: Setting, cycle: Cycle
-) -> tuple[Setting, Cycle, str]:
+def where_bounds_are_kept(hunt: Hunt, setting: Setting, cycle: Cycle) -> tuple[Setting, Cycle, str]:
     """Walk to where the bounds are passed least; say which cannot be kept, if any."""
     hunt.tell("looking for where the bounds are kept")
     origin = setting
@@ -206,7 +204,7 @@ def toward(
         find = hunt.refine(stop.setting, stop.cycle, wanted, stop.setting)
     if find.status is SearchStatus.FOUND:
         return find
-    return _short_of(hunt, wanted, here, stop.setting, find)
+    return replace(_short_of(hunt, wanted, here, stop.setting, find), detail=find.detail)
 
 
 def _short_of(

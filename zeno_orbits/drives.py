@@ -165,6 +165,8 @@ def ideal_torque_drive(lagrangian: HybridLagrangian, *, selection: ca.SX, torque
         copper_loss=zero,
         conversion_loss=zero,
         magnetic_energy=zero,
+        motor_current=none,
+        motor_voltage=none,
         added_inertia=ca.SX(lagrangian.q.numel(), lagrangian.q.numel()),
     )
 

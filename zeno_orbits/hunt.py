@@ -31,6 +31,9 @@ COARSE = 100.0
 ON_THE_WAY = 1e-4
 """Agreement of program and simulation that suffices for a value on the way to a wanted one."""
 
+_FEASIBLE = 1e-6
+"""Violation of rows with which an iterate may still be an orbit, though not the best one."""
+
 _EXCHANGES = 2
 """Rounds in which a bound's places are drawn anew before it is asked for less instead."""
 
@@ -87,6 +90,8 @@ class Hunt:
             find = hunt.solve_once(origin, setting, cycle, objective, fineness)
             if find.status is SearchStatus.FOUND or find.cycle is None or find.setting is None:
                 return find
+            if find.status is SearchStatus.NOT_SOLVED and not find.agreement < ON_THE_WAY:
+                return find
             setting, cycle = find.setting, find.cycle
             if refinement >= _EXCHANGES:
                 hunt = replace(hunt, bounds=tightened(hunt.bounds, find.excesses))
@@ -106,8 +111,9 @@ class Hunt:
         if not square:
             for bound in self.bounds:
                 keep(terms, bound)
-        return self.solved(terms, closure_error, None if square else objective.cost(terms),
-                           setting, objective)
+        return self.solved(
+            terms, closure_error, None if square else objective.cost(terms), setting, objective
+        )
 
     def least_violation(self, origin: Setting, setting: Setting, cycle: Cycle) -> Find:
         """Solve with the bounds as wishes: the sum of what they are passed by is least."""
@@ -146,7 +152,9 @@ class Hunt:
             settings=replace(settings, mesh_tolerance=coarseness * settings.mesh_tolerance),
         )
         asked = {bound.name for bound in self.bounds}
-        if self.free and "spectral_radius" in asked.union(objective.quantities if objective else ()):
+        if self.free and "spectral_radius" in asked.union(
+            objective.quantities if objective else ()
+        ):
             terms = replace(terms, return_slope=section_map(terms))
         return terms, closure.error
 
@@ -168,7 +176,8 @@ class Hunt:
             closure_error=closure_error,
             n_unknowns=program.unknowns.numel(),
         )
-        if solution.status not in (SolveStatus.SOLVED, SolveStatus.ACCEPTABLE):
+        solved = solution.status in (SolveStatus.SOLVED, SolveStatus.ACCEPTABLE)
+        if not solved and not solution.worst(1)[0][1] < _FEASIBLE:
             return find
         found = {
             name: float(np.clip(solution.values[f"free {name}"][0, 0], *self.free[name]))
@@ -180,7 +189,12 @@ class Hunt:
             bounds=self.bounds if self.free else (),
             agreement=self.settings.agreement,
         )
-        return confirmation.of(find, setting.replaced(found), objective if self.free else None)
+        asked = objective if self.free else None
+        confirmed = confirmation.of(find, setting.replaced(found), asked)
+        if solved:
+            return confirmed
+        # An orbit it may be, but not the best one: good for a step on the way.
+        return replace(confirmed, status=SearchStatus.NOT_SOLVED, detail=find.detail, orbit=None)
 
     def ipopt(self, terms: OrbitTerms) -> IpoptSettings:
         """Return how to solve a program: second derivatives where they cost less than they save."""

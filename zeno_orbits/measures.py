@@ -121,7 +121,9 @@ def smallest_share(dynamics: HybridDynamics, cycle: FirstCycle) -> float:
     The locked arc in periods; :math:`-\ddot h` at the Zeno point and the speed of the first impact,
     each over its largest value on the locked arc and in the first flight.
     """
-    locked = [arc for arc in cycle.arcs if arc.mode is Mode.LOCKED and arc.end_time == cycle.end.time]
+    locked = [
+        arc for arc in cycle.arcs if arc.mode is Mode.LOCKED and arc.end_time == cycle.end.time
+    ]
     flight = next(arc for arc in cycle.arcs if arc.mode is Mode.FREE)
     push = extent_of(dynamics.gap_acceleration, locked[-1:])
     speed = extent_of(dynamics.gap_rate, [flight])

@@ -313,7 +313,7 @@ class FastestContraction:
         radius = terms.program.variable(
             "spectral radius", 1.01 * max(first, LEAST_RADIUS), lower=LEAST_RADIUS
         )[0, 0]
-        keep_radius_below(terms, terms.return_slope, radius)
+        keep_radius_below(terms.program, terms.return_slope, radius)
         return radius
 
     @property

@@ -58,9 +58,7 @@ def smallest_share(terms: OrbitTerms) -> ca.MX:
     return share
 
 
-def largest(
-    terms: OrbitTerms, quantity: Signal, stretches: Sequence[Stretch], label: str
-) -> ca.MX:
+def largest(terms: OrbitTerms, quantity: Signal, stretches: Sequence[Stretch], label: str) -> ca.MX:
     """Declare an unknown that a signal does not exceed in size anywhere, and return it."""
     columns, at_guess = _places(terms, quantity, stretches)
     size = max(float(np.max(np.abs(at_guess))), 1e-9)
@@ -82,7 +80,7 @@ def keep(terms: OrbitTerms, bound: Bound, slack: ca.MX | float = 0.0) -> float:
         if terms.return_slope is None:
             raise ValueError("Argument `terms` must carry the return map, but it has none.")
         radius = bound.upper - RADIUS_SLACK + slack
-        keep_radius_below(terms, terms.return_slope, radius)
+        keep_radius_below(terms.program, terms.return_slope, radius)
         return 1.0
     if bound.name in signal_names(terms.compiled):
         quantity = signal(terms.compiled, bound.name)
@@ -168,7 +166,8 @@ def inside(terms: OrbitTerms, stretch: Stretch, fraction: float) -> ca.MX:
     start = stretch.start if first == 0 else stretch.stages[:, first - 1]
     points = np.concatenate([[0.0], terms.scheme.nodes])
     weights = [
-        np.prod([(place - q) / (point - q) for q in points if q != point]) for point in points
+        math.prod(float((place - q) / (point - q)) for q in points if q != point)
+        for point in points
     ]
     states = ca.horzcat(start, stretch.stages[:, first : first + n])
     return ca.mtimes(states, ca.DM(weights))

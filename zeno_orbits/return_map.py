@@ -11,7 +11,7 @@ import numpy as np
 
 from zeno_orbits.errors import InputError
 from zeno_orbits.linear_algebra import null_space
-from zeno_orbits.program import Array
+from zeno_orbits.program import Array, ProgramBuilder
 from zeno_orbits.shooting import OrbitTerms
 from zeno_orbits.tangents import first_directions, tangent
 
@@ -59,7 +59,7 @@ def section_map(terms: OrbitTerms) -> ca.MX:
     return ca.horzcat(*columns)
 
 
-def keep_radius_below(terms: OrbitTerms, jacobian: ca.MX, radius: ca.MX | float) -> None:
+def keep_radius_below(program: ProgramBuilder, jacobian: ca.MX, radius: ca.MX | float) -> None:
     r"""Require all multipliers to be at most a radius in size.
 
     .. math:: 1 \pm \frac{\operatorname{tr} A}{\rho} + \frac{\det A}{\rho^2} \ge 0, \qquad
@@ -72,10 +72,10 @@ def keep_radius_below(terms: OrbitTerms, jacobian: ca.MX, radius: ca.MX | float)
     determinant = ca.MX(0) if one else ca.det(jacobian) / radius**2
     for sign, word in ((1, "not below -"), (-1, "not above ")):
         name = f"multipliers: real ones {word}the spectral radius"
-        terms.program.at_least_zero(name, 1 + sign * trace + determinant)
+        program.at_least_zero(name, 1 + sign * trace + determinant)
     if not one:
         name = "multipliers: complex ones not above the spectral radius"
-        terms.program.at_least_zero(name, 1 - determinant)
+        program.at_least_zero(name, 1 - determinant)
 
 
 def radius_of(jacobian: Array) -> float:

@@ -1,4 +1,4 @@
-"""A transcribed arc: its mesh, its stages and their continuity, one collocation step an interval."""
+"""A transcribed arc: its mesh, its stages, and one collocation step an interval."""
 
 from __future__ import annotations
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
@@ -97,17 +98,19 @@ def first_directions(
     matrix = program.at_guess(jacobian).sparse().tocsc()
     right = np.zeros((matrix.shape[0], targets.shape[1]))
     right[-targets.shape[0] :] = targets
-    found = splu(matrix).solve(right)
-    directions: list[Mapping[str, Array]] = []
-    for column in found.T:
-        pieces = np.split(column, np.cumsum([block.guess.size for block in motion.blocks])[:-1])
-        directions.append(
-            {
-                block.name: piece.reshape(block.guess.shape, order="F") * block.scale[:, None]
-                for block, piece in zip(motion.blocks, pieces, strict=True)
-            }
-        )
-    return directions
+    found = np.asarray(cast("Any", splu(matrix)).solve(right), dtype=np.float64)
+    return [_in_blocks(motion, found[:, k]) for k in range(targets.shape[1])]
+
+
+def _in_blocks(motion: Motion, column: Array) -> dict[str, Array]:
+    """Return the parts of a scaled direction, in the units and shapes of its blocks."""
+    parts: dict[str, Array] = {}
+    start = 0
+    for block in motion.blocks:
+        piece = column[start : start + block.guess.size]
+        parts[block.name] = piece.reshape(block.guess.shape, order="F") * block.scale[:, None]
+        start += block.guess.size
+    return parts
 
 
 def _jacobian(motion: Motion, extra: ca.MX, unknowns: ca.MX) -> ca.MX:
@@ -123,7 +126,8 @@ def _jacobian(motion: Motion, extra: ca.MX, unknowns: ca.MX) -> ca.MX:
                 MappedRows(function=origin.function, parts=origin.parts, n_columns=n, scale=scales)
             )
         else:
-            rows.append(ca.vec(origin / equation.scale))
+            scaled: ca.MX = origin / equation.scale
+            rows.append(ca.vec(scaled))
     return rows_jacobian([*rows, extra], unknowns)
 
 
@@ -140,5 +144,8 @@ def _directional(function: ca.Function) -> ca.Function:
     rows = function.call(parts)[0]
     moved = ca.jtimes(rows, ca.veccat(*parts), ca.veccat(*moves))
     return ca.Function(
-        f"{function.name()}_along", [*parts, *moves], [ca.reshape(moved, *rows.shape)], {"cse": True}
+        f"{function.name()}_along",
+        [*parts, *moves],
+        [ca.reshape(moved, *rows.shape)],
+        {"cse": True},
     )

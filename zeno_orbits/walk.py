@@ -1,7 +1,7 @@
 """A search in small steps: one box around each orbit, as wide as the last steps allow.
 
-A program is drawn around one orbit and trusted near it only. Where the whole way is too far for one,
-each step is a program of its own on the orbit that the last one found, simulated.
+A program is drawn around one orbit and trusted near it only. Where the whole way is too far for
+one, each step is a program of its own on the orbit that the last one found, simulated.
 """
 
 from __future__ import annotations
