@@ -27,7 +27,7 @@ from zeno_orbits.walk import walk
 _AT_BOUND = 0.02
 """A number this near its bound, in units of its range, is said to be at it."""
 
-_VIOLATED = 1e-6
+_VIOLATED = 1e-5
 """A bound that is passed by more than this part of its size cannot be kept."""
 
 

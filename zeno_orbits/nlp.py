@@ -171,6 +171,8 @@ def solve(program: Program, settings: IpoptSettings | None = None) -> Solution:
     scaled = np.array(answer["x"].full()).ravel()
     rows = np.array(answer["g"].full()).ravel()
     violation = np.maximum(program.row_lower - rows, rows - program.row_upper)
+    # A row that is no number must not pass for one that is met.
+    violation[np.isnan(violation)] = np.inf
     residuals: dict[str, float] = {}
     for name, value in zip(program.row_names, violation, strict=True):
         residuals[name] = max(residuals.get(name, 0.0), float(value))

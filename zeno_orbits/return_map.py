@@ -69,13 +69,18 @@ def keep_radius_below(program: ProgramBuilder, jacobian: ca.MX, radius: ca.MX | 
     """
     one = jacobian.shape[0] == 1
     trace = ca.trace(jacobian) / radius
-    determinant = ca.MX(0) if one else ca.det(jacobian) / radius**2
+    # CasADi differentiates its own determinant by the inverse, and one multiplier is often zero.
+    determinant = ca.MX(0) if one else _determinant(jacobian) / radius**2
     for sign, word in ((1, "not below -"), (-1, "not above ")):
         name = f"multipliers: real ones {word}the spectral radius"
         program.at_least_zero(name, 1 + sign * trace + determinant)
     if not one:
         name = "multipliers: complex ones not above the spectral radius"
         program.at_least_zero(name, 1 - determinant)
+
+
+def _determinant(matrix: ca.MX) -> ca.MX:
+    return matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0]
 
 
 def radius_of(jacobian: Array) -> float:
