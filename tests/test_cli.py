@@ -233,7 +233,7 @@ def test_search_with_free_gains_finds_the_orbit_nearest_to_the_scenes_own(here: 
     assert data["gains"] == pytest.approx({"Kp": 2.5, "Kd": -1.0})
 
 
-def test_search_keeps_a_bound_and_says_what_is_asked_and_reached(here: Path) -> None:
+def test_search_keeps_a_bound_and_says_what_is_asked_and_reached() -> None:
     keep = ("--fix", "Kp=2.5", "--gain", "Kd=-1.1:-0.8", "--keep", "theta2=:1.95")
     answer = ask("search", "motor_pendulum", *keep, "--candidates", "2", "--starts", "1", "--json")
     assert answer.code == YES
@@ -297,7 +297,7 @@ def test_a_search_that_misses_says_which_conditions_by_name(
         *("search", "motor_pendulum", "--fix", "Kd=-1", "--gain", "Kp=2.49:2.51"),
         *("--objective", "period=1.95", "--starts", "1", "-o", "f.json"),
     )
-    assert_says_what_was_missed(answer, "Asked for a period of")
+    assert_says_what_was_missed(answer, "missed: `a period of 1.95 s` by 0.1")
     assert contents(here) == {}
 
 
