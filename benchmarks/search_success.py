@@ -89,7 +89,7 @@ def judge(pair: tuple[Setting, Setting]) -> tuple[str, str] | None:
         return None
     problem = pendulum()[0]
     fixed = complaint(find_orbit(problem, setting))
-    return fixed, complaint(search_gains(problem, wrong, free_gains=BOX))
+    return fixed, complaint(search_gains(problem, wrong, free=BOX))
 
 
 def main() -> int:

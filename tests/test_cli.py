@@ -234,6 +234,30 @@ def test_search_with_free_gains_finds_the_orbit_nearest_to_the_scenes_own(here: 
     assert data["gains"] == pytest.approx({"Kp": 2.5, "Kd": -1.0})
 
 
+def test_search_keeps_a_bound_and_says_what_is_asked_and_reached() -> None:
+    keep = ("--fix", "Kp=2.5", "--gain", "Kd=-1.1:-0.8", "--keep", "theta2=:1.95")
+    answer = ask("search", "motor_pendulum", *keep, "--candidates", "2", "--starts", "1", "--json")
+    assert answer.code == YES
+    (asked,) = answer.data["certificate"]["asked"]
+    assert (asked["quantity"], asked["lower"], asked["upper"]) == ("theta2", None, 1.95)
+    assert 1.94 < asked["highest"] <= 1.95 + 1e-9
+    assert asked["kept"] is True
+    scores = [one["score"] for one in answer.data["candidates"]]
+    assert scores == sorted(scores)
+    assert answer.data["candidates"][0]["orbit"]["period"] == answer.data["period"]
+    assert answer.data["failures"] == []
+
+
+def test_search_for_a_parameter_says_what_stays_and_what_is_reached(orbit: Path) -> None:
+    free = (*PUBLISHED_GAINS, "--free", "L1=0.198:0.202", "--objective", "peak=current")
+    answer = ask("search", "motor_pendulum", *free, "--from", orbit, "--candidates", "1")
+    assert answer.code == YES
+    assert "Not free, and kept as at the start: J_rotor, K_torque, K_emf." in answer.out
+    assert "Asked for the least peak of current; measured on a simulation" in answer.out
+    assert re.search(r"^L1 +0\.\d+ +m", answer.out, re.MULTILINE)
+    assert max(map(len, answer.out.splitlines())) <= 100
+
+
 def test_search_at_gains_without_an_orbit_answers_no_with_the_reason(here: Path) -> None:
     gains = ("--fix", "Kp=2.5", "--fix", "Kd=1")
     answer = ask("search", "motor_pendulum", *gains, "-o", "f.json")
@@ -274,7 +298,7 @@ def test_a_search_that_misses_says_which_conditions_by_name(
         *("search", "motor_pendulum", "--fix", "Kd=-1", "--gain", "Kp=2.49:2.51"),
         *("--objective", "period=1.95", "--starts", "1", "-o", "f.json"),
     )
-    assert_says_what_was_missed(answer, "Asked for a period of")
+    assert_says_what_was_missed(answer, "missed: `a period of 1.95 s` by 0.1")
     assert contents(here) == {}
 
 
@@ -641,6 +665,26 @@ BAD_ARGUMENTS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "bounds equal": (searching("--gain", "Kp=2:2"), ("`Kp`", "2:2")),
     "bounds not finite": (searching("--gain", "Kp=1:inf"), ("`Kp`", "inf")),
     "bounds twice": (searching("--gain", "Kp=1:5", "--gain", "Kp=2:3"), ("`Kp`", "twice")),
+    "parameter unknown": (searching("--free", "Q=1:2"), ("`free`", "`Q`", "restitution")),
+    "parameter beyond its range": (searching("--free", "restitution=0.1:1"), ("`restitution`",)),
+    "parameter reversed": (searching("--free", "R=4:2"), ("`R`", "4:2")),
+    "parameter starts outside": (searching("--free", "R=2:4", "--set", "R=9"), ("`R`", "9")),
+    "parameter without colon": (searching("--free", "R=1"), ("`free`", "LOW:HIGH")),
+    "gain free twice": (searching("--free", "Kp=1:2", "--gain", "Kp=1:2"), ("`free`", "Kp")),
+    "free and fixed": (searching("--free", "Kp=1:2", "--fix", "Kp=1"), ("`free`", "Kp")),
+    "bound unknown": (searching("--keep", "angle=:1"), ("`keep`", "`angle`", "theta2")),
+    "bound without colon": (searching("--keep", "theta2=1"), ("`keep`", "LOWER:UPPER")),
+    "bound of nothing": (searching("--keep", "theta2=:"), ("`theta2`", "finite")),
+    "bound reversed": (searching("--keep", "theta2=2:1"), ("`theta2`", "2:1")),
+    "bound twice": (searching("--keep", "period=:2", "--keep", "period=1:"), ("`keep`", "twice")),
+    "peak of nothing": (searching("--objective", "peak"), ("`objective`", "peak=SIGNAL")),
+    "peak unknown": (searching("--objective", "peak=torque"), ("`torque`", "voltage")),
+    "contraction of what is fixed": (
+        searching(*PUBLISHED_GAINS, "--objective", "contraction"),
+        ("`objective`", "contraction"),
+    ),
+    "from nowhere": (searching("--from", "none.json"), ("none.json",)),
+    "candidates 0": (searching("--candidates", "0"), ("--candidates", "`0`")),
     "bounds without colon": (searching("--gain", "Kp=1"), ("LOW:HIGH", "`Kp=1`")),
     "bounds not numbers": (searching("--gain", "Kp=a:b"), ("`Kp`", "`a`")),
     "mass negative": (simulating("--set", "m1=-0.3"), ("`m1`", "greater than 0", "-0.3")),

@@ -428,7 +428,7 @@ def test_gains_are_searched_with_the_restitution_that_they_change(scene: Problem
     # So large an inductance that a program with the restitution of its start does not get there.
     setting = problem.setting(parameters={"L": 0.1})
     boxes = {gain.name: (gain.lower, gain.upper) for gain in problem.gains}
-    result = search_gains(problem, setting, free_gains=boxes, objective=WantedPeriod(target=1.83))
+    result = search_gains(problem, setting, free=boxes, objective=WantedPeriod(target=1.83))
     assert result.unwrap().period == pytest.approx(1.83, abs=1e-9)
 
 

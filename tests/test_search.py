@@ -20,12 +20,14 @@ from zeno_orbits.certificate import OrbitCertificate
 from zeno_orbits.compiled import bind, compile_problem
 from zeno_orbits.errors import InputError
 from zeno_orbits.execution import Execution
+from zeno_orbits.finds import Find
 from zeno_orbits.guess import SettlingSettings
-from zeno_orbits.hunt import Find, Hunt
+from zeno_orbits.hunt import Hunt
 from zeno_orbits.objectives import LeastEnergy, NearestGains, WantedAmplitude, WantedPeriod
 from zeno_orbits.orbit import ZenoOrbit
 from zeno_orbits.problem import Problem, load_problem, load_reference
 from zeno_orbits.search import (
+    Judgement,
     OrbitNotFoundError,
     SearchResult,
     SearchSettings,
@@ -126,7 +128,7 @@ def test_the_orbit_is_where_a_long_simulation_ends(
 @pytest.mark.parametrize("period", [1.75, pytest.param(1.90, marks=pytest.mark.slow)])
 def test_a_wanted_period_is_reached(scene: Problem, period: float) -> None:
     wanted = WantedPeriod(target=period)
-    result = search_gains(scene, scene.setting(), free_gains=_box(scene), objective=wanted)
+    result = search_gains(scene, scene.setting(), free=_box(scene), objective=wanted)
     orbit = result.unwrap()
     run = _one_period(orbit, scene)
     assert run.releases[-1].time == pytest.approx(period, abs=ACCURACY)
@@ -139,7 +141,7 @@ def test_one_free_gain_is_enough_for_a_period(scene: Problem) -> None:
     result = search_gains(
         scene,
         scene.setting(),
-        free_gains={"Kd": (-1.5, -0.4)},
+        free={"Kd": (-1.5, -0.4)},
         objective=WantedPeriod(target=1.82),
     )
     orbit = result.unwrap()
@@ -151,7 +153,7 @@ def test_one_free_gain_is_enough_for_a_period(scene: Problem) -> None:
 @pytest.mark.slow
 def test_a_wanted_amplitude_is_reached(scene: Problem) -> None:
     wanted = WantedAmplitude(state="theta1", target=1.2)
-    result = search_gains(scene, scene.setting(), free_gains=_box(scene), objective=wanted)
+    result = search_gains(scene, scene.setting(), free=_box(scene), objective=wanted)
     orbit = result.unwrap()
     run = _one_period(orbit, scene)
     times = np.linspace(0.0, orbit.period, 4001)
@@ -170,7 +172,7 @@ def test_less_energy_is_found_where_gains_may_give(
     scene: Problem, certificate: OrbitCertificate
 ) -> None:
     result = search_gains(
-        scene, scene.setting(), free_gains={"Kd": (-1.1, -0.9)}, objective=LeastEnergy()
+        scene, scene.setting(), free={"Kd": (-1.1, -0.9)}, objective=LeastEnergy()
     )
     orbit = result.unwrap()
     spent = verify(orbit, scene, settings=VerificationSettings(n_periods=1)).energies
@@ -181,7 +183,7 @@ def test_less_energy_is_found_where_gains_may_give(
 def test_gains_that_have_an_orbit_are_their_own_nearest(scene: Problem) -> None:
     target = {"Kp": 3.0, "Kd": -0.9}
     result = search_gains(
-        scene, scene.setting(), free_gains=_box(scene), objective=NearestGains(target=target)
+        scene, scene.setting(), free=_box(scene), objective=NearestGains(target=target)
     )
     assert result.unwrap().gains == target
 
@@ -190,7 +192,7 @@ def test_a_target_outside_the_box_is_met_at_its_edge(scene: Problem) -> None:
     result = search_gains(
         scene,
         scene.setting(),
-        free_gains={"Kp": (2.0, 3.0)},
+        free={"Kp": (2.0, 3.0)},
         objective=NearestGains(target={"Kp": 9.0}),
     )
     assert result.unwrap().gains == pytest.approx({"Kp": 3.0, "Kd": -1.0}, abs=1e-6)
@@ -230,14 +232,14 @@ def test_a_ball_has_no_orbit() -> None:
 def test_an_orbit_that_nobody_accepts_is_not_returned(scene: Problem) -> None:
     seen: list[ZenoOrbit] = []
 
-    def refuse(orbit: ZenoOrbit) -> str:
+    def refuse(orbit: ZenoOrbit) -> Judgement:
         seen.append(orbit)
-        return "it is too plain"
+        return Judgement(objection="it is too plain")
 
     result = search_gains(
         scene,
         scene.setting(),
-        free_gains={"Kp": (2.4, 2.6)},
+        free={"Kp": (2.4, 2.6)},
         accept=refuse,
         settings=replace(IMPATIENT, n_starts=1),
     )
@@ -251,7 +253,7 @@ def test_an_orbit_that_nobody_accepts_is_not_returned(scene: Problem) -> None:
 def test_progress_is_told_in_order(scene: Problem) -> None:
     told: list[str] = []
     result = search_gains(
-        scene, scene.setting(), free_gains={}, accept=lambda _: "", on_progress=told.append
+        scene, scene.setting(), free={}, accept=lambda _: Judgement(), on_progress=told.append
     )
     assert result.status is SearchStatus.FOUND
     assert told[0] == "start 1: simulating Kp = 2.5, Kd = -1"
@@ -266,12 +268,12 @@ def test_a_box_that_is_empty_or_endless_is_refused(
     scene: Problem, bounds: tuple[float, float]
 ) -> None:
     with pytest.raises(InputError, match=r"`Kp` must have .*bounds LOWER < UPPER"):
-        search_gains(scene, scene.setting(), free_gains={"Kp": bounds})
+        search_gains(scene, scene.setting(), free={"Kp": bounds})
 
 
 def test_a_gain_that_the_scene_does_not_have_is_refused(scene: Problem) -> None:
-    with pytest.raises(InputError, match="`gain` must be one of Kp, Kd, but it is `Ki`"):
-        search_gains(scene, scene.setting(), free_gains={"Ki": (1.0, 2.0)})
+    with pytest.raises(InputError, match=r"`free` must be one of Kp, Kd, .* but it is `Ki`"):
+        search_gains(scene, scene.setting(), free={"Ki": (1.0, 2.0)})
 
 
 def test_a_target_of_a_gain_that_the_scene_does_not_have_is_refused(scene: Problem) -> None:
@@ -279,7 +281,7 @@ def test_a_target_of_a_gain_that_the_scene_does_not_have_is_refused(scene: Probl
         search_gains(
             scene,
             scene.setting(),
-            free_gains={"Kp": (1.0, 2.0)},
+            free={"Kp": (1.0, 2.0)},
             objective=NearestGains(target={"Ki": 1.0}),
             settings=replace(IMPATIENT, n_starts=0),
         )
@@ -292,7 +294,7 @@ def test_an_agreement_that_cannot_be_had_ends_the_search() -> None:
     result = search_gains(
         pendulum,
         pendulum.setting(),
-        free_gains={"Kd": (-1.2, -0.8)},
+        free={"Kd": (-1.2, -0.8)},
         objective=WantedPeriod(target=1.81),
         settings=settings,
     )
@@ -306,7 +308,7 @@ def test_an_orbit_is_kept_where_the_way_to_the_nearest_gains_is_lost(
     refine = Hunt.refine
 
     def lose_the_way(hunt: Hunt, *arguments: object) -> Find:
-        if hunt.free_gains:
+        if hunt.free:
             return Find(status=SearchStatus.NOT_SOLVED)
         return refine(hunt, *arguments)
 
@@ -316,7 +318,7 @@ def test_an_orbit_is_kept_where_the_way_to_the_nearest_gains_is_lost(
     result = search_gains(
         pendulum,
         pendulum.setting(gains={"Kd": 0.5}),
-        free_gains={"Kp": (2.0, 3.0), "Kd": (-1.2, 0.6)},
+        free={"Kp": (2.0, 3.0), "Kd": (-1.2, 0.6)},
         settings=SearchSettings(n_starts=4),
     )
     assert result.status is SearchStatus.FOUND

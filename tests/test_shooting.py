@@ -18,8 +18,9 @@ from zeno_orbits.nlp import Hessian, IpoptSettings, SolveStatus, solve
 from zeno_orbits.problem import Problem, Setting
 from zeno_orbits.program import Program
 from zeno_orbits.search import SearchStatus, find_orbit
-from zeno_orbits.shooting import TranscriptionSettings, transcribe
+from zeno_orbits.shooting import transcribe
 from zeno_orbits.simulate import simulate
+from zeno_orbits.stretches import TranscriptionSettings
 
 MESH = 1e-7
 VISIBLE = 20 * MESH
@@ -39,7 +40,7 @@ def _program(
     cycle: Cycle,
     *,
     mesh_tolerance: float = MESH,
-    free_gains: Mapping[str, tuple[float, float]] | None = None,
+    free: Mapping[str, tuple[float, float]] | None = None,
 ) -> Program:
     compiled = compile_problem(problem)
     dynamics = bind(compiled, setting.values())
@@ -50,8 +51,8 @@ def _program(
         dynamics=dynamics,
         cycle=cycle,
         closure=closure_of(cycle, dynamics, settings.closure_tolerance),
-        free_gains=free_gains or {},
-        first_gains=setting.gains,
+        free=free or {},
+        first={name: setting.number(name) for name in free or {}},
         settings=settings,
     )
     return terms.program.build()
@@ -98,7 +99,7 @@ def test_a_simulated_period_meets_every_condition_to_the_accuracy_of_its_mesh(
 def test_the_jacobian_by_the_chain_rule_is_that_of_the_whole_graph(
     free: dict[str, tuple[float, float]], scene: Problem, cycle: Cycle
 ) -> None:
-    program = _program(scene, scene.setting(), cycle, free_gains=free)
+    program = _program(scene, scene.setting(), cycle, free=free)
     plain = ca.jacobian(program.rows, program.unknowns)
     both = ca.Function("both", [program.unknowns], [program.jacobian, plain])
     # Off the guess, so that no entry vanishes by the orbit's own symmetry.
@@ -119,10 +120,10 @@ def test_every_free_gain_is_one_unknown_more(
     scene: Problem, cycle: Cycle, program: Program
 ) -> None:
     box = {"Kp": (1.0, 6.0), "Kd": (-1.5, -0.4)}
-    wider = _program(scene, scene.setting(), cycle, free_gains=box)
+    wider = _program(scene, scene.setting(), cycle, free=box)
     assert len(wider.guess) == len(program.guess) + 2
     for name, (lower, upper) in box.items():
-        (place, _) = wider.names[f"gain {name}"]
+        (place, _) = wider.names[f"free {name}"]
         scale = wider.scales[place]
         assert wider.lower[place] * scale == pytest.approx(lower)
         assert wider.upper[place] * scale == pytest.approx(upper)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from zeno_orbits.errors import InputError
 
 if TYPE_CHECKING:
+    from zeno_orbits.bounds import Bound
     from zeno_orbits.objectives import Objective
     from zeno_orbits.problem import Problem
 
@@ -39,6 +40,25 @@ def read_boxes(entries: Sequence[str], option: str = "gain") -> dict[str, tuple[
             raise InputError(f"Argument `{option}` must name `{name}` once, but it does so twice.")
         boxes[name] = (read_number(low, name), read_number(high, name))
     return boxes
+
+
+def read_bounds(entries: Sequence[str]) -> tuple[Bound, ...]:
+    """Return bounds from ``NAME=LOWER:UPPER`` entries, an open end left empty."""
+    from zeno_orbits.bounds import Bound
+
+    found: list[Bound] = []
+    for entry in entries:
+        name, sign, ends = entry.partition("=")
+        low, colon, high = ends.partition(":")
+        if not sign or not colon or not name:
+            wanted = "must be NAME=LOWER:UPPER, one end may be empty"
+            raise InputError(f"Argument `keep` {wanted}, but it is `{entry}`.")
+        if name in [bound.name for bound in found]:
+            raise InputError(f"Argument `keep` must name `{name}` once, but it does so twice.")
+        lower = read_number(low, name) if low else -math.inf
+        upper = read_number(high, name) if high else math.inf
+        found.append(Bound(name=name, lower=lower, upper=upper))
+    return tuple(found)
 
 
 def read_number(text: str, name: str) -> float:
@@ -71,40 +91,58 @@ def read_seed(text: str) -> int:
     return int(text)
 
 
+_WISHES = "nearest, period=SECONDS, amplitude=VALUE, energy, peak=SIGNAL, contraction or margin"
+
+
 def read_objective(
     wish: str, problem: Problem, free: Mapping[str, tuple[float, float]]
 ) -> Objective:
     """Return the objective that a wish on the command line stands for."""
     # The objectives bring CasADi, which a line that is not understood does not need.
-    from zeno_orbits.objectives import LeastEnergy, NearestGains, WantedAmplitude, WantedPeriod
+    from zeno_orbits import objectives
 
     word, _, target = wish.partition(":") if wish.startswith("nearest") else wish.partition("=")
-    if word == "energy" and not target:
-        return LeastEnergy()
+    plain = {
+        "energy": objectives.LeastEnergy,
+        "contraction": objectives.FastestContraction,
+        "margin": objectives.WidestMargin,
+    }
+    if word in plain and not target:
+        _require_freedom(free, word)
+        return plain[word]()
     if word == "nearest":
-        wanted = read_numbers([part for part in target.split(",") if part], "objective")
-        for name in wanted:
-            if name not in free:
-                known = ", ".join(free) or "none"
-                message = (
-                    f"Argument `objective` must name free gains ({known}), but it names `{name}`."
-                )
-                raise InputError(message)
-            low, high = free[name]
-            if not low <= wanted[name] <= high:
-                bounds = f"must lie in the range of `{name}`, [{low:g}, {high:g}]"
-                raise InputError(f"Argument `objective` {bounds}, but it is {wanted[name]:g}.")
-        return NearestGains(target=wanted)
+        return _nearest(target, free)
+    if word == "peak" and target:
+        _require_freedom(free, word)
+        return objectives.LeastPeak(signal=target)
     if word not in ("period", "amplitude"):
-        message = "must be nearest, period=SECONDS, amplitude=VALUE or energy"
-        raise InputError(f"Argument `objective` {message}, but it is `{wish}`.")
+        raise InputError(f"Argument `objective` must be {_WISHES}, but it is `{wish}`.")
     value = read_number(target, f"objective {word}")
     if not 0.0 < value < math.inf:
         raise InputError(f"Argument `objective` must have a positive {word}, but it is {value:g}.")
-    if not free:
-        raise InputError(
-            f"Argument `objective` must leave a gain free for the {word}, but none is."
-        )
+    _require_freedom(free, word)
     if word == "period":
-        return WantedPeriod(target=value)
-    return WantedAmplitude(state=problem.amplitude_of, target=value)
+        return objectives.WantedPeriod(target=value)
+    return objectives.WantedAmplitude(state=problem.amplitude_of, target=value)
+
+
+def _nearest(target: str, free: Mapping[str, tuple[float, float]]) -> Objective:
+    from zeno_orbits.objectives import NearestGains
+
+    wanted = read_numbers([part for part in target.split(",") if part], "objective")
+    for name in wanted:
+        if name not in free:
+            known = ", ".join(free) or "none"
+            message = f"must name what is free ({known}), but it names `{name}`"
+            raise InputError(f"Argument `objective` {message}.")
+        low, high = free[name]
+        if not low <= wanted[name] <= high:
+            bounds = f"must lie in the range of `{name}`, [{low:g}, {high:g}]"
+            raise InputError(f"Argument `objective` {bounds}, but it is {wanted[name]:g}.")
+    return NearestGains(target=wanted)
+
+
+def _require_freedom(free: Mapping[str, tuple[float, float]], word: str) -> None:
+    if not free:
+        message = f"must leave a gain or a parameter free for the {word}, but none is"
+        raise InputError(f"Argument `objective` {message}.")

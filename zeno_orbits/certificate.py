@@ -71,6 +71,7 @@ class OrbitCertificate:
         n_periods: Periods that were integrated.
         model: Which derivation was integrated.
         trouble: Why the integration stopped early; empty if it did not.
+        asked: Bounds that a search was asked to keep, with what a simulation measured.
     """
 
     tolerance: float
@@ -87,6 +88,7 @@ class OrbitCertificate:
     n_periods: int
     model: str
     trouble: str = ""
+    asked: tuple[Mapping[str, Any], ...] = ()
 
     @property
     def failed(self) -> tuple[str, ...]:
@@ -190,6 +192,7 @@ class OrbitCertificate:
             "n_periods": self.n_periods,
             "model": self.model,
             "trouble": self.trouble,
+            "asked": [dict(one) for one in self.asked],
         }
 
 

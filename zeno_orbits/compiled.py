@@ -41,6 +41,7 @@ class CompiledSystem:
         powers: ``(x, p) -> (input_power, copper_loss, other_loss)`` [W].
         energy: ``(x, p) -> energy`` [J].
         holonomic: ``(x, p) -> (eta, eta_rate)``.
+        motors: ``(x, p) -> (current, voltage)`` of every motor, each ``(n_M,)``.
     """
 
     state_names: tuple[str, ...]
@@ -55,6 +56,7 @@ class CompiledSystem:
     powers: ca.Function
     energy: ca.Function
     holonomic: ca.Function
+    motors: ca.Function
 
     @cached_property
     def points(self) -> PointFunctions:
@@ -148,6 +150,7 @@ def compile_system(
         powers=function("powers", powers),
         energy=function("energy", system.energy),
         holonomic=function("holonomic", system.holonomic),
+        motors=function("motors", system.motor_current, system.motor_voltage),
     )
 
 

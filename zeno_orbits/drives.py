@@ -72,6 +72,8 @@ class Drive:
         conversion_loss: Electrical less mechanical power of the air gap [W]; zero when the torque
             and the back-EMF constants are equal.
         magnetic_energy: Energy stored in the inductances [J].
+        motor_current: Current of every motor, a state or not, ``(n_M,)`` [A].
+        motor_voltage: Voltage of every motor, ``(n_M,)`` [V].
         added_inertia: What the drive adds to the mass matrix, constant and symmetric,
             ``(n_q, n_q)``; empty but for a corrected drive. The mechanism then strikes its stop
             with that inertia too, and `complete` corrects the restitution for it.
@@ -84,6 +86,8 @@ class Drive:
     copper_loss: ca.SX
     conversion_loss: ca.SX
     magnetic_energy: ca.SX
+    motor_current: ca.SX
+    motor_voltage: ca.SX
     added_inertia: ca.SX
 
 
@@ -172,6 +176,8 @@ def ideal_torque_drive(lagrangian: HybridLagrangian, *, selection: ca.SX, torque
         copper_loss=zero,
         conversion_loss=zero,
         magnetic_energy=zero,
+        motor_current=none,
+        motor_voltage=none,
         added_inertia=ca.SX(lagrangian.q.numel(), lagrangian.q.numel()),
     )
 
@@ -203,6 +209,8 @@ def _drive(
         copper_loss=ca.dot(current, ca.mtimes(motors.resistance, current)),
         conversion_loss=ca.dot(current, emf) - ca.dot(torque, speed),
         magnetic_energy=stored,
+        motor_current=current,
+        motor_voltage=motors.voltage,
         added_inertia=ca.SX(lagrangian.q.numel(), lagrangian.q.numel()),
     )
 

@@ -1,123 +1,44 @@
 """One start of a search: guess, transcribe, solve, and simulate what came out.
 
-Ipopt's word is not an orbit: every solution is simulated for one period and the mesh is drawn
-anew on that period, until program and simulation agree.
+Every solution is simulated for one period and the mesh is drawn anew on that period, until
+program and simulation agree.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from enum import Enum
+from dataclasses import dataclass, replace
 
+import casadi as ca
 import numpy as np
 
+from zeno_orbits.bounds import Bound
 from zeno_orbits.compiled import CompiledSystem, bind
-from zeno_orbits.cycle import Cycle, closure_of, cycles
-from zeno_orbits.dynamics import HybridDynamics, Vector
-from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.guess import SettlingSettings, settle
+from zeno_orbits.confirmation import Confirmation, tightened
+from zeno_orbits.cycle import Cycle, closure_of
+from zeno_orbits.dynamics import HybridDynamics
+from zeno_orbits.finds import Find, SearchSettings, SearchStatus
 from zeno_orbits.nlp import Hessian, IpoptSettings, Solution, SolveStatus, solve
-from zeno_orbits.objectives import NearestGains, Objective, WantedAmplitude, WantedPeriod
-from zeno_orbits.orbit import OrbitImpact, ZenoOrbit, versions
-from zeno_orbits.poincare import to_next_release
+from zeno_orbits.objectives import Objective
 from zeno_orbits.problem import Problem, Setting
-from zeno_orbits.shooting import TranscriptionSettings, transcribe
-from zeno_orbits.simulate import SimulationSettings
+from zeno_orbits.restraints import keep
+from zeno_orbits.return_map import section_map
+from zeno_orbits.shooting import OrbitTerms, transcribe
 
-
-class SearchStatus(Enum):
-    """How a search ended. The value is the sentence shown to the user."""
-
-    FOUND = "The search found an orbit."
-    NO_GUESS = "No simulation settled to a motion with one Zeno point a period."
-    NOT_SOLVED = "The conditions of the orbit could not be met."
-    NOT_FOLLOWED = "A simulation does not follow the solution."
-    NOT_ACCEPTED = "The orbits that were found were not accepted."
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SearchSettings:
-    """How hard to look.
-
-    Attributes:
-        settling: How long a simulation may take to repeat itself.
-        transcription: Scheme, mesh and closure.
-        ipopt: Solver settings; the square case approximates the Hessian whatever they say.
-        agreement: Largest relative difference of program and simulation over one period.
-        rounds: Times the mesh is drawn anew.
-        n_starts: Quasi-random starting gains after the given ones.
-        first_step: Change of a wanted value that is tried at once, in units of the value.
-        smallest_step: Smallest change before the search gives up, likewise.
-        seed: Of the quasi-random gains.
-    """
-
-    settling: SettlingSettings = field(default_factory=SettlingSettings)
-    transcription: TranscriptionSettings = field(default_factory=TranscriptionSettings)
-    ipopt: IpoptSettings = field(default_factory=lambda: IpoptSettings(most_iterations=60))
-    agreement: float = 3e-10
-    rounds: int = 4
-    n_starts: int = 12
-    first_step: float = 0.03
-    smallest_step: float = 0.003
-    seed: int = 0
-
-    def for_accuracy(self, accuracy: float) -> SearchSettings:
-        """Return the cheapest settings that reach a relative accuracy of the orbit.
-
-        A mesh is drawn anew, ten times finer, until program and simulation agree so far; the first
-        one is what `zeno-orbits trade` measured to be near.
-        """
-        transcription = replace(
-            self.transcription,
-            mesh_tolerance=min(_MESH_FOR * accuracy, _COARSEST_MESH),
-            closure_tolerance=max(0.03 * accuracy, 1e-12),
-        )
-        return replace(self, transcription=transcription, agreement=0.3 * accuracy)
-
-
-_COARSEST_MESH = 1e-2
-_MESH_FOR = 100.0
-"""Mesh tolerance in units of the accuracy: ends of intervals are that much better than insides."""
-
-_COARSE = 100.0
+COARSE = 100.0
 """First mesh of a search for gains, in units of the mesh tolerance; the gains still move."""
 
-_ON_THE_WAY = 1e-4
+ON_THE_WAY = 1e-4
 """Agreement of program and simulation that suffices for a value on the way to a wanted one."""
 
-_AT_BOUND = 0.02
-"""A gain this near its bound, in units of its range, is said to be at it."""
+_FEASIBLE = 1e-6
+"""Violation of rows with which an iterate may still be an orbit, though not the best one."""
 
+_EXCHANGES = 2
+"""Rounds in which a bound's places are drawn anew before it is asked for less instead."""
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Find:
-    """What came of one start or one solve.
-
-    Attributes:
-        status: How it ended.
-        detail: The reason in words, where there is no orbit.
-        orbit: The orbit, if there is one.
-        gains: Gains of the solution.
-        cycle: One period simulated from the solution.
-        solution: What the solver returned.
-        agreement: Relative difference of solution and simulation.
-        closure_error: Estimated error of the Zeno closure, relative.
-        n_unknowns: Unknowns of the program.
-        shortfall: How far from a wanted value the start ended.
-    """
-
-    status: SearchStatus
-    detail: str = ""
-    orbit: ZenoOrbit | None = None
-    gains: Mapping[str, float] = field(default_factory=dict[str, float])
-    cycle: Cycle | None = None
-    solution: Solution | None = None
-    agreement: float = np.inf
-    closure_error: float = np.inf
-    n_unknowns: int = 0
-    shortfall: float = np.inf
+_NEAR = 1e-3
+"""Weight of nearness while the violation of bounds is made as small as may be."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,9 +48,10 @@ class Hunt:
     Attributes:
         problem: The scene.
         compiled: Its functions.
-        setting: Its numbers; the gains are those of the first start.
-        free_gains: Name to bounds of the gains to be found.
+        setting: Its numbers; what is free is near them if nothing else is asked.
+        free: Name to bounds of the gains and parameters to be found.
         objective: What is asked.
+        bounds: What the orbit must keep.
         settings: How hard to look.
         tell: Called with what is being done.
     """
@@ -137,223 +59,158 @@ class Hunt:
     problem: Problem
     compiled: CompiledSystem
     setting: Setting
-    free_gains: Mapping[str, tuple[float, float]]
+    free: Mapping[str, tuple[float, float]]
     objective: Objective
+    bounds: tuple[Bound, ...]
     settings: SearchSettings
     tell: Callable[[str], None]
 
-    def from_gains(self, gains: Mapping[str, float]) -> Find:
-        """Search from one set of gains."""
-        dynamics = self.dynamics(gains)
-        starts = [self.problem.state_vector(start) for start in self.problem.starts]
-        settling = settle(dynamics, starts, self.settings.settling)
-        if settling.cycle is None:
-            where = f"At {listed(gains)}, " if gains else ""
-            detail = f"{where}{settling.reason}."
-            return Find(status=SearchStatus.NO_GUESS, detail=detail[0].upper() + detail[1:])
-        # The noise of the loose settling would be meshed; one period costs little.
-        start = settling.cycle.start.state
-        cycle = _one_cycle(dynamics, start, 2 * settling.cycle.period) or settling.cycle
-        if isinstance(self.objective, WantedPeriod | WantedAmplitude):
-            return self.toward(gains, cycle, self.objective)
-        if (
-            isinstance(self.objective, NearestGains)
-            and self.objective.target.items() <= gains.items()
-        ):
-            # Nothing is nearer than the target itself: its gains need no freedom.
-            return replace(self, free_gains={}).refine(gains, cycle, self.objective)
-        find = self.refine(gains, cycle, self.objective)
-        if find.status is not SearchStatus.FOUND and isinstance(self.objective, NearestGains):
-            # Nearness is a wish, the orbit the point: keep the one at the gains of the start.
-            here = replace(self, free_gains={}).refine(gains, cycle, self.objective)
-            if here.status is SearchStatus.FOUND:
-                return replace(
-                    here, detail="Its gains are not the nearest: the way there was lost."
-                )
-        return find
-
-    def toward(
-        self, gains: Mapping[str, float], cycle: Cycle, wanted: WantedPeriod | WantedAmplitude
-    ) -> Find:
-        """Reach a wanted value, directly if possible, else through values on the way."""
-        here, last = wanted.measured(cycle), None
-        start, growth = gains, 2.0
-        step, smallest = self.settings.first_step, self.settings.smallest_step
-        while step >= smallest:
-            far = step * abs(wanted.target)
-            ahead = wanted.target - here
-            last_step = abs(ahead) <= far
-            value = wanted.target if last_step else here + math.copysign(far, ahead)
-            self.tell(f"asking for {wanted.at(value).wish}")
-            if last_step:
-                find = self.refine(gains, cycle, wanted, start)
-            else:
-                find = self.solve_once(start, gains, cycle, wanted.at(value), _COARSE)
-            if find.status is SearchStatus.FOUND and last_step:
-                return find
-            if last_step or find.cycle is None or not find.agreement < _ON_THE_WAY:
-                last, step, growth = find, step / 2, 1.0
-                continue
-            here, gains, cycle = value, find.gains, find.cycle
-            step *= growth
-        return self._short_of(wanted, here, gains, last)
-
-    def _short_of(
-        self,
-        wanted: WantedPeriod | WantedAmplitude,
-        here: float,
-        gains: Mapping[str, float],
-        last: Find | None,
-    ) -> Find:
-        """Return a failure that says how near a wanted value came, and what held it."""
-        held = [
-            f"{name} at its bound {bound:g}"
-            for name, bounds in self.free_gains.items()
-            for bound in bounds
-            if abs(gains[name] - bound) <= _AT_BOUND * (bounds[1] - bounds[0])
-        ]
-        reached = f"The nearest that was reached is {wanted.at(here).wish}, at {listed(gains)}"
-        detail = f"{reached} ({', '.join(held)})." if held else f"{reached}."
-        return replace(
-            last or Find(status=SearchStatus.NOT_SOLVED),
-            status=SearchStatus.NOT_SOLVED,
-            detail=f"{detail} {'' if last is None else last.detail}".strip(),
-            shortfall=abs(wanted.target - here),
-        )
-
     def refine(
         self,
-        gains: Mapping[str, float],
+        setting: Setting,
         cycle: Cycle,
         objective: Objective,
-        start: Mapping[str, float] | None = None,
+        origin: Setting | None = None,
     ) -> Find:
-        """Solve on the mesh of a cycle, simulate the solution, and again on the mesh of that."""
+        """Solve on the mesh of a cycle, simulate the solution, and again on the mesh of that.
+
+        Args:
+            setting: Numbers of the cycle.
+            cycle: One simulated period.
+            objective: What is asked.
+            origin: Where the search started, by default here.
+        """
         find = Find(status=SearchStatus.NOT_SOLVED)
-        start = start or gains
-        coarse = _COARSE if self.free_gains else 1.0
-        for refinement in range(self.settings.rounds):
-            find = self.solve_once(start, gains, cycle, objective, coarse * 0.1**refinement)
-            if find.status is SearchStatus.FOUND or find.cycle is None:
+        origin = origin or setting
+        hunt, coarse = self, COARSE if self.free else 1.0
+        rounds = self.settings.rounds + (_EXCHANGES if self.bounds else 0)
+        for refinement in range(rounds):
+            # A finer mesh than the settings' own is of no use to an exchange of places.
+            fineness = coarse * 0.1 ** min(refinement, self.settings.rounds)
+            find = hunt.solve_once(origin, setting, cycle, objective, fineness)
+            if find.status is SearchStatus.FOUND or find.cycle is None or find.setting is None:
                 return find
-            gains, cycle = find.gains, find.cycle
+            if find.status is SearchStatus.NOT_SOLVED and not find.agreement < ON_THE_WAY:
+                return find
+            setting, cycle = find.setting, find.cycle
+            if refinement >= _EXCHANGES:
+                hunt = replace(hunt, bounds=tightened(hunt.bounds, find.excesses))
         return find
 
     def solve_once(
         self,
-        start: Mapping[str, float],
-        gains: Mapping[str, float],
+        origin: Setting,
+        setting: Setting,
         cycle: Cycle,
         objective: Objective,
         coarseness: float = 1.0,
     ) -> Find:
         """Solve one program and hold its solution against a simulation."""
-        dynamics = self.dynamics(gains)
-        tolerance = self.settings.transcription.closure_tolerance
-        closure = closure_of(cycle, dynamics, tolerance)
+        terms, closure_error = self.transcribed(origin, setting, cycle, coarseness, objective)
+        square = not self.free
+        if not square:
+            for bound in self.bounds:
+                keep(terms, bound)
+        return self.solved(
+            terms, closure_error, None if square else objective.cost(terms), setting, objective
+        )
+
+    def least_violation(self, origin: Setting, setting: Setting, cycle: Cycle) -> Find:
+        """Solve with the bounds as wishes: the sum of what they are passed by is least."""
+        terms, closure_error = self.transcribed(origin, setting, cycle, COARSE, None)
+        total = ca.MX(0)
+        for k, bound in enumerate(self.bounds):
+            name = f"slack {k}"
+            slack = terms.program.variable(name, 0.1, lower=0.0)[0, 0]
+            terms.program.report(f"excess {k}", slack * keep(terms, bound, slack))
+            total += slack
+        for name, unknown in terms.free.items():
+            low, high = self.free[name]
+            total += _NEAR * ((unknown - origin.number(name)) / (high - low)) ** 2
+        return self.solved(terms, closure_error, total, setting, None)
+
+    def transcribed(
+        self,
+        origin: Setting,
+        setting: Setting,
+        cycle: Cycle,
+        coarseness: float,
+        objective: Objective | None,
+    ) -> tuple[OrbitTerms, float]:
+        """Return the terms of a program around a cycle, and the error of its Zeno closure."""
         settings = self.settings.transcription
+        dynamics = self.dynamics(setting)
+        closure = closure_of(cycle, dynamics, settings.closure_tolerance)
         terms = transcribe(
             self.compiled,
-            replace(self.setting, gains=gains),
+            setting,
             dynamics=dynamics,
             cycle=cycle,
             closure=closure,
-            free_gains=self.free_gains,
-            first_gains=start,
+            free=self.free,
+            first={name: origin.number(name) for name in self.free},
             settings=replace(settings, mesh_tolerance=coarseness * settings.mesh_tolerance),
         )
-        square = not self.free_gains
-        cost = None if square else objective.cost(terms)
-        ipopt = self.settings.ipopt
+        asked = {bound.name for bound in self.bounds}
+        if self.free and "spectral_radius" in asked.union(
+            objective.quantities if objective else ()
+        ):
+            terms = replace(terms, return_slope=section_map(terms))
+        return terms, closure.error
+
+    def solved(
+        self,
+        terms: OrbitTerms,
+        closure_error: float,
+        cost: ca.MX | None,
+        setting: Setting,
+        objective: Objective | None,
+    ) -> Find:
+        """Solve a program and hold its solution against a simulation."""
         program = terms.program.build(cost)
-        solution = solve(
-            program, replace(ipopt, hessian=Hessian.LIMITED_MEMORY) if square else ipopt
-        )
+        solution = solve(program, self.ipopt(terms))
         find = Find(
             status=SearchStatus.NOT_SOLVED,
-            detail=_complaint(solution, objective if self.free_gains else None),
+            detail=_complaint(solution, objective if self.free else None),
             solution=solution,
-            closure_error=closure.error,
+            closure_error=closure_error,
             n_unknowns=program.unknowns.numel(),
         )
-        if solution.status not in (SolveStatus.SOLVED, SolveStatus.ACCEPTABLE):
+        solved = solution.status in (SolveStatus.SOLVED, SolveStatus.ACCEPTABLE)
+        if not solved and not solution.worst(1)[0][1] < _FEASIBLE:
             return find
         found = {
-            name: float(solution.values[f"gain {name}"][0, 0]) if name in self.free_gains else value
-            for name, value in gains.items()
+            name: float(np.clip(solution.values[f"free {name}"][0, 0], *self.free[name]))
+            for name in self.free
         }
-        return self.confirm(find, solution, found, objective)
-
-    def confirm(
-        self, find: Find, solution: Solution, gains: Mapping[str, float], objective: Objective
-    ) -> Find:
-        """Simulate one period of a solution and compare."""
-        dynamics = self.dynamics(gains)
-        release = dynamics.on_stop(solution.values["release state"][:, 0])
-        period = float(solution.values["period"][0, 0])
-        zeno_time = float(solution.values["Zeno time"][0, 0])
-        zeno = solution.values["Zeno state"][:, 0]
-        cycle = _one_cycle(dynamics, release, 2 * period)
-        if cycle is None:
-            detail = "From the solution's release no Zeno point and release follow."
-            return replace(find, status=SearchStatus.NOT_FOLLOWED, detail=detail)
-        agreement = max(
-            cycle.drift(cycle.scale()),
-            abs(cycle.period - period) / period,
-            abs(cycle.zeno.time - zeno_time) / period,
-            float(np.max(np.abs(cycle.zeno.state - zeno) / cycle.scale())),
-            _impact_difference(cycle, solution),
-            _miss(objective, cycle) if self.free_gains else 0.0,
+        confirmation = Confirmation(
+            problem=self.problem,
+            compiled=self.compiled,
+            bounds=self.bounds if self.free else (),
+            agreement=self.settings.agreement,
         )
-        agrees = agreement <= self.settings.agreement
-        return replace(
-            find,
-            status=SearchStatus.FOUND if agrees else SearchStatus.NOT_FOLLOWED,
-            detail="" if agrees else f"Solution and simulation differ by {agreement:.1e}.",
-            orbit=self.orbit(solution, gains, release) if agrees else None,
-            gains=gains,
-            cycle=cycle,
-            agreement=agreement,
-        )
+        asked = objective if self.free else None
+        confirmed = confirmation.of(find, setting.replaced(found), asked)
+        if solved:
+            return confirmed
+        # An orbit it may be, but not the best one: good for a step on the way.
+        return replace(confirmed, status=SearchStatus.NOT_SOLVED, detail=find.detail, orbit=None)
 
-    def orbit(self, solution: Solution, gains: Mapping[str, float], release: Vector) -> ZenoOrbit:
-        """Return the orbit of a solution."""
-        values = solution.values
-        times = np.cumsum(values["flight times"][:, 0])
-        return ZenoOrbit(
-            problem=self.problem.name,
-            parameters=dict(self.setting.parameters),
-            gains=dict(gains),
-            period=float(values["period"][0, 0]),
-            release_state=self.named(release),
-            impacts=tuple(
-                OrbitImpact(time=float(time), state_minus=self.named(state))
-                for time, state in zip(times, values["impact states"].T, strict=True)
-            ),
-            zeno_time=float(values["Zeno time"][0, 0]),
-            zeno_state=self.named(self.dynamics(gains).on_stop(values["Zeno state"][:, 0])),
-            certificate={},
-            versions=versions(),
-        )
+    def ipopt(self, terms: OrbitTerms) -> IpoptSettings:
+        """Return how to solve a program: second derivatives where they cost less than they save."""
+        settings = self.settings.ipopt
+        if not self.free or terms.return_slope is not None:
+            return replace(settings, hessian=Hessian.LIMITED_MEMORY)
+        return settings
 
-    def named(self, state: Vector) -> dict[str, float]:
-        """Return state name to value."""
-        return dict(zip(self.problem.state_names, map(float, state), strict=True))
+    def dynamics(self, setting: Setting) -> HybridDynamics:
+        """Return the system at given numbers."""
+        return bind(self.compiled, setting.values())
 
-    def dynamics(self, gains: Mapping[str, float]) -> HybridDynamics:
-        """Return the system at given gains."""
-        return bind(self.compiled, replace(self.setting, gains=gains).values())
-
-
-def _one_cycle(dynamics: HybridDynamics, release: Vector, horizon: float) -> Cycle | None:
-    """Return the period that starts at a release state, at full accuracy."""
-    settings = SimulationSettings()
-    try:
-        run = to_next_release(dynamics, release, horizon=horizon, settings=settings)
-    except ZenoOrbitsError:
-        return None
-    found = cycles(run, start=release)
-    return found[0] if found else None
+    def numbers(self, setting: Setting) -> dict[str, float]:
+        """Return the numbers to name a start by: all gains, and the parameters that are free."""
+        free = {name: setting.number(name) for name in self.free}
+        return {**setting.gains, **free}
 
 
 def _complaint(solution: Solution, objective: Objective | None) -> str:
@@ -362,28 +219,3 @@ def _complaint(solution: Solution, objective: Objective | None) -> str:
     worst = [f"`{name}` by {size:.1e}" for name, size in solution.worst() if size > 1e-9]
     missed = f"; missed: {', '.join(worst)}" if worst else ""
     return f"{asked}, {solution.status.value}{missed}."
-
-
-def _impact_difference(cycle: Cycle, solution: Solution) -> float:
-    """Return the largest difference of a solution's impacts from a cycle's, relative."""
-    times = np.cumsum(solution.values["flight times"][:, 0])
-    states = solution.values["impact states"].T
-    return max(
-        max(
-            abs(impact.time - cycle.start.time - time) / cycle.period,
-            float(np.max(np.abs(impact.state_minus - state) / cycle.scale())),
-        )
-        for impact, time, state in zip(cycle.impacts, times, states, strict=False)
-    )
-
-
-def _miss(objective: Objective, cycle: Cycle) -> float:
-    """Return how far a simulated cycle is from a wanted value, relative; 0 if none is wanted."""
-    if not isinstance(objective, WantedPeriod | WantedAmplitude):
-        return 0.0
-    return abs(objective.measured(cycle) - objective.target) / objective.target
-
-
-def listed(gains: Mapping[str, float]) -> str:
-    """Return gains in words."""
-    return ", ".join(f"{name} = {value:.6g}" for name, value in gains.items()) or "the scene"

@@ -38,6 +38,8 @@ class CompletedSystem:
         other_loss: Power lost to passive forces and to unequal motor constants [W].
         holonomic: :math:`(\eta, \dot\eta)`, ``(2 n_eta,)``, and the clock's distance from its
             circle; zero on admissible states.
+        motor_current: Current of every motor, a state or not, ``(n_M,)`` [A].
+        motor_voltage: Voltage of every motor, ``(n_M,)`` [V].
     """
 
     n_q: int
@@ -57,6 +59,8 @@ class CompletedSystem:
     copper_loss: ca.SX
     other_loss: ca.SX
     holonomic: ca.SX
+    motor_current: ca.SX
+    motor_voltage: ca.SX
 
 
 def complete(lagrangian: HybridLagrangian, drive: Drive, restitution: ca.SX) -> CompletedSystem:
@@ -120,6 +124,8 @@ def complete(lagrangian: HybridLagrangian, drive: Drive, restitution: ca.SX) -> 
         copper_loss=drive.copper_loss,
         other_loss=drive.conversion_loss - ca.dot(lagrangian.passive_force, v),
         holonomic=ca.vertcat(lagrangian.holonomic, eta_rate, off_circle),
+        motor_current=drive.motor_current,
+        motor_voltage=drive.motor_voltage,
     )
 
 

@@ -194,6 +194,8 @@ def solve(program: Program, settings: IpoptSettings | None = None) -> Solution:
     scaled = np.array(answer["x"].full()).ravel()
     met = np.array(answer["g"].full()).ravel() / weights
     violation = np.maximum(program.row_lower - met, met - program.row_upper)
+    # A row that is no number must not pass for one that is met.
+    violation[np.isnan(violation)] = np.inf
     residuals: dict[str, float] = {}
     for name, value in zip(program.row_names, violation, strict=True):
         residuals[name] = max(residuals.get(name, 0.0), float(value))

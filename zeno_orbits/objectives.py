@@ -1,22 +1,28 @@
-"""What a search may ask of an orbit when gains are free: one small value an objective.
+"""What a search may ask of an orbit when numbers are free: one small value an objective.
 
 Each adds its rows to a program and returns the cost to minimise. Where an orbit is asked to have
-a property, the cost keeps the gains near where they started, so that the answer is unique.
+a property, the cost keeps the free numbers near where they started, so that the answer is unique.
+What was reached is measured on a simulation.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import casadi as ca
 import numpy as np
 
+from zeno_orbits.bounds import Extent
 from zeno_orbits.cycle import Cycle
 from zeno_orbits.dynamics import Vector
 from zeno_orbits.execution import Arc
-from zeno_orbits.shooting import OrbitTerms, Stretch
+from zeno_orbits.restraints import largest, smallest_share
+from zeno_orbits.return_map import LEAST_RADIUS, keep_radius_below, radius_of
+from zeno_orbits.shooting import OrbitTerms
+from zeno_orbits.signals import signal
+from zeno_orbits.stretches import Stretch
 
 
 class Objective(Protocol):
@@ -25,6 +31,26 @@ class Objective(Protocol):
     @property
     def wish(self) -> str:
         """What is asked, as a clause for the user."""
+        ...
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """Names of what has to be measured of an orbit to tell how good it is."""
+        ...
+
+    def score(
+        self,
+        numbers: Mapping[str, float],
+        first: Mapping[str, float],
+        extents: Mapping[str, Extent],
+    ) -> float:
+        """Return how good an orbit is; less is better.
+
+        Args:
+            numbers: Name to value of what is free, at the orbit.
+            first: The same where the search started.
+            extents: The measured quantities.
+        """
         ...
 
     def cost(self, terms: OrbitTerms) -> ca.MX:
@@ -54,7 +80,22 @@ class NearestGains:
 
     def cost(self, terms: OrbitTerms) -> ca.MX:
         """Return half the squared distance of the gains."""
-        return _distance(terms, {**terms.first_gains, **self.target})
+        return _distance(terms, {**terms.first, **self.target})
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """Nothing but the free numbers tells how good it is."""
+        return ()
+
+    def score(
+        self,
+        numbers: Mapping[str, float],
+        first: Mapping[str, float],
+        extents: Mapping[str, Extent],
+    ) -> float:
+        """Return half the squared distance of the free numbers."""
+        del extents
+        return _how_far(numbers, {**first, **self.target})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,16 +115,31 @@ class WantedPeriod:
 
     def cost(self, terms: OrbitTerms) -> ca.MX:
         """Require the period; return the squared distance of the gains from their start."""
-        terms.program.equal(self.wish, terms.period - self.target)
-        return _distance(terms, terms.first_gains)
+        terms.program.equal(self.wish, self.value(terms) - self.target)
+        return _distance(terms, terms.first)
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """Nothing but the free numbers tells how good it is."""
+        return ()
+
+    def score(
+        self,
+        numbers: Mapping[str, float],
+        first: Mapping[str, float],
+        extents: Mapping[str, Extent],
+    ) -> float:
+        """Return half the squared distance of the free numbers."""
+        del extents
+        return _how_far(numbers, first)
+
+    def value(self, terms: OrbitTerms) -> ca.MX:
+        """Return the period [s]."""
+        return terms.period
 
     def measured(self, cycle: Cycle) -> float:
         """Return the period of a simulated cycle [s]."""
         return cycle.period
-
-    def at(self, target: float) -> WantedPeriod:
-        """Return the same wish for another period."""
-        return replace(self, target=target)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,19 +161,67 @@ class WantedAmplitude:
 
     def cost(self, terms: OrbitTerms) -> ca.MX:
         """Require the amplitude; return the squared distance of the gains from their start."""
+        terms.program.equal(self.wish, self.value(terms) - self.target)
+        return _distance(terms, terms.first)
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """Nothing but the free numbers tells how good it is."""
+        return ()
+
+    def score(
+        self,
+        numbers: Mapping[str, float],
+        first: Mapping[str, float],
+        extents: Mapping[str, Extent],
+    ) -> float:
+        """Return half the squared distance of the free numbers."""
+        del extents
+        return _how_far(numbers, first)
+
+    def value(self, terms: OrbitTerms) -> ca.MX:
+        """Return the amplitude, in the unit of the state."""
         index = terms.state_names.index(self.state)
-        travel = _peak(terms, index, 1.0) - _peak(terms, index, -1.0)
-        terms.program.equal(self.wish, travel / 2 - self.target)
-        return _distance(terms, terms.first_gains)
+        return (_peak(terms, index, 1.0) - _peak(terms, index, -1.0)) / 2
 
     def measured(self, cycle: Cycle) -> float:
         """Return the amplitude of a simulated cycle."""
         index = cycle.state_names.index(self.state)
         return (_highest(cycle, index, 1.0) + _highest(cycle, index, -1.0)) / 2
 
-    def at(self, target: float) -> WantedAmplitude:
-        """Return the same wish for another amplitude."""
-        return replace(self, target=target)
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Approach:
+    """As near to a wanted value as may be: what leads to it, or as far as it goes.
+
+    Attributes:
+        wanted: The value.
+    """
+
+    wanted: WantedPeriod | WantedAmplitude
+
+    @property
+    def wish(self) -> str:
+        """What is asked."""
+        return f"{self.wanted.wish}, or near it"
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """What the wanted value needs."""
+        return self.wanted.quantities
+
+    def score(
+        self,
+        numbers: Mapping[str, float],
+        first: Mapping[str, float],
+        extents: Mapping[str, Extent],
+    ) -> float:
+        """Return what the wanted value says."""
+        return self.wanted.score(numbers, first, extents)
+
+    def cost(self, terms: OrbitTerms) -> ca.MX:
+        """Return half the squared relative distance from the value."""
+        return ((self.wanted.value(terms) - self.wanted.target) / self.wanted.target) ** 2 / 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,17 +234,151 @@ class LeastEnergy:
         return "the least electrical energy a period"
 
     def cost(self, terms: OrbitTerms) -> ca.MX:
-        """Return the electrical work of one period [J]."""
-        return terms.electrical_work
+        """Return the electrical work of one period, in units of the guess's."""
+        size = abs(float(terms.guessed(terms.electrical_work)[0, 0]))
+        return terms.electrical_work / max(size, 1e-9)
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """What tells how good it is."""
+        return ("energy",)
+
+    def score(
+        self,
+        numbers: Mapping[str, float],
+        first: Mapping[str, float],
+        extents: Mapping[str, Extent],
+    ) -> float:
+        """Return the electrical work [J]."""
+        del numbers, first
+        return extents["energy"].highest
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LeastPeak:
+    """The least peak of a signal: its largest absolute value in a period.
+
+    Attributes:
+        signal: Its name.
+    """
+
+    signal: str
+
+    @property
+    def wish(self) -> str:
+        """What is asked."""
+        return f"the least peak of {self.signal}"
+
+    def cost(self, terms: OrbitTerms) -> ca.MX:
+        """Return an unknown that the signal does not exceed anywhere, in units of its size."""
+        size = self._size(terms)
+        quantity = signal(terms.compiled, self.signal)
+        return largest(terms, quantity, terms.stretches, f"peak of {self.signal}") / size
+
+    def _size(self, terms: OrbitTerms) -> float:
+        value = signal(terms.compiled, self.signal).at(terms.numbers)
+        ends = [abs(value(stretch.arc.start_state)) for stretch in terms.stretches]
+        return max(*ends, 1e-6)
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """What tells how good it is."""
+        return (self.signal,)
+
+    def score(
+        self,
+        numbers: Mapping[str, float],
+        first: Mapping[str, float],
+        extents: Mapping[str, Extent],
+    ) -> float:
+        """Return the peak, in the unit of the signal."""
+        del numbers, first
+        return extents[self.signal].largest
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FastestContraction:
+    """The fastest return after a disturbance: the least spectral radius of the return map."""
+
+    @property
+    def wish(self) -> str:
+        """What is asked."""
+        return "the fastest contraction"
+
+    def cost(self, terms: OrbitTerms) -> ca.MX:
+        """Return an unknown that no multiplier exceeds in size (theory (31))."""
+        if terms.return_slope is None:
+            raise ValueError("Argument `terms` must carry the return map, but it has none.")
+        first = radius_of(terms.guessed(terms.return_slope))
+        radius = terms.program.variable(
+            "spectral radius", 1.01 * max(first, LEAST_RADIUS), lower=LEAST_RADIUS
+        )[0, 0]
+        keep_radius_below(terms.program, terms.return_slope, radius)
+        return radius
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """What tells how good it is."""
+        return ("spectral_radius",)
+
+    def score(
+        self,
+        numbers: Mapping[str, float],
+        first: Mapping[str, float],
+        extents: Mapping[str, Extent],
+    ) -> float:
+        """Return the spectral radius; below the least that is asked for, that."""
+        del numbers, first
+        return max(extents["spectral_radius"].highest, LEAST_RADIUS)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WidestMargin:
+    """The widest margin to losing the orbit: the largest smallest share (theory (32))."""
+
+    @property
+    def wish(self) -> str:
+        """What is asked."""
+        return "the widest margin to losing the orbit"
+
+    def cost(self, terms: OrbitTerms) -> ca.MX:
+        """Return minus the smallest share."""
+        return -smallest_share(terms)
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """What tells how good it is."""
+        return ("margin",)
+
+    def score(
+        self,
+        numbers: Mapping[str, float],
+        first: Mapping[str, float],
+        extents: Mapping[str, Extent],
+    ) -> float:
+        """Return minus the smallest share."""
+        del numbers, first
+        return -extents["margin"].lowest
 
 
 def _distance(terms: OrbitTerms, target: Mapping[str, float]) -> ca.MX:
-    """Return half the squared distance of the gains from a target, each in units of its size."""
+    """Return half the squared distance of what is free from a target, each in units of its size."""
     cost = ca.MX(0)
-    for name, gain in terms.gains.items():
-        size = max(abs(target[name]), 1e-3)
-        cost += ((gain - target[name]) / size) ** 2 / 2
+    for name, unknown in terms.free.items():
+        cost += ((unknown - target[name]) / _size_of(target[name])) ** 2 / 2
     return cost
+
+
+def _how_far(numbers: Mapping[str, float], target: Mapping[str, float]) -> float:
+    """Return the same of numbers."""
+    return sum(
+        ((value - target[name]) / _size_of(target[name])) ** 2 / 2
+        for name, value in numbers.items()
+    )
+
+
+def _size_of(value: float) -> float:
+    return max(abs(value), 1e-3)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

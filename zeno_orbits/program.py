@@ -55,11 +55,56 @@ class Program:
     row_upper: Array
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Along:
+    """The first output of a function at many columns of arguments.
+
+    Attributes:
+        function: From a column, one input a part, to its rows and whatever else.
+        parts: The parts of all columns, side by side.
+    """
+
+    function: ca.Function
+    parts: tuple[ca.MX, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Equation:
+    """Rows that have to vanish, as they were declared.
+
+    Attributes:
+        names: One name for all columns, or one a column.
+        origin: What vanishes.
+        scale: What it is measured in.
+    """
+
+    names: str | Sequence[str]
+    origin: ca.MX | Along
+    scale: Any
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Block:
+    """A block of unknowns as it was declared.
+
+    Attributes:
+        name: Its name.
+        symbol: Its scaled unknowns, as one column.
+        scale: Its scale, one a row.
+        guess: Its first values, in its own units and shape.
+    """
+
+    name: str
+    symbol: ca.MX
+    scale: Array
+    guess: Array
+
+
 class ProgramBuilder:
     """Collects unknowns and rows; the only thing here that accumulates."""
 
     def __init__(self) -> None:
-        self._symbols: list[ca.MX] = []
+        self._blocks: list[Block] = []
         self._names: dict[str, tuple[int, tuple[int, int]]] = {}
         self._scales: list[Array] = []
         self._guess: list[Array] = []
@@ -68,6 +113,7 @@ class ProgramBuilder:
         self._origins: list[ca.MX | MappedRows] = []
         self._row_names: list[str] = []
         self._row_bounds: list[tuple[float, float]] = []
+        self._equations: list[Equation] = []
         self._reports: dict[str, ca.MX] = {}
         self._size = 0
 
@@ -100,7 +146,9 @@ class ProgramBuilder:
 
         sizes = spread(scale)
         symbol = ca.MX.sym(name, *matrix.shape)
-        self._symbols.append(ca.vec(symbol))
+        self._blocks.append(
+            Block(name=name, symbol=ca.vec(symbol), scale=sizes[:, 0], guess=matrix)
+        )
         self._names[name] = (self._size, (matrix.shape[0], matrix.shape[1]))
         self._size += matrix.size
         for store, block in ((self._scales, sizes), (self._guess, matrix / sizes)):
@@ -116,6 +164,8 @@ class ProgramBuilder:
     def equal(self, names: str | Sequence[str], expression: ca.MX, *, scale: Any = 1.0) -> None:
         """Require an expression to vanish, measured in units of its scale."""
         self._constrain(names, expression, scale, (0.0, 0.0))
+        if expression.numel():
+            self._equations.append(Equation(names=names, origin=expression, scale=scale))
 
     def at_least_zero(
         self, names: str | Sequence[str], expression: ca.MX, *, scale: Any = 1.0
@@ -142,7 +192,10 @@ class ProgramBuilder:
         Returns:
             The other outputs, side by side.
         """
-        return self._constrain_along(names, function, parts, scale, (0.0, 0.0))
+        others = self._constrain_along(names, function, parts, scale, (0.0, 0.0))
+        along = Along(function=function, parts=tuple(parts))
+        self._equations.append(Equation(names=names, origin=along, scale=scale))
+        return others
 
     def at_least_zero_along(
         self,
@@ -155,6 +208,22 @@ class ProgramBuilder:
         """Require the first output of a function to be non-negative at many columns."""
         self._constrain_along(names, function, parts, scale, (0.0, math.inf))
 
+    @property
+    def blocks(self) -> tuple[Block, ...]:
+        """The blocks of unknowns that have been declared."""
+        return tuple(self._blocks)
+
+    @property
+    def equations(self) -> tuple[Equation, ...]:
+        """The rows that have been required to vanish."""
+        return tuple(self._equations)
+
+    def at_guess(self, expression: ca.MX) -> ca.DM:
+        """Return the value of an expression at the first values of the unknowns."""
+        unknowns = ca.vertcat(*(block.symbol for block in self._blocks))
+        guess = np.concatenate(self._guess)
+        return ca.DM(ca.Function("at_guess", [unknowns], [expression])(guess))
+
     def report(self, name: str, expression: ca.MX) -> None:
         """Ask for the value of an expression at the solution."""
         self._reports[name] = expression
@@ -163,7 +232,7 @@ class ProgramBuilder:
         """Return the program; without an objective, any point that meets the rows will do."""
         bounds = np.array([np.concatenate(side) for side in zip(*self._bounds, strict=True)])
         rows = np.array(self._row_bounds)
-        unknowns = ca.vertcat(*self._symbols)
+        unknowns = ca.vertcat(*(block.symbol for block in self._blocks))
         return Program(
             reports=dict(self._reports),
             unknowns=unknowns,

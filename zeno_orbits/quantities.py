@@ -139,6 +139,17 @@ class Setting:
         """Return gains, then parameters: the parameter vector of the compiled system."""
         return (*self.gains.values(), *self.parameters.values())
 
+    def number(self, name: str) -> float:
+        """Return a gain or a parameter."""
+        return self.gains[name] if name in self.gains else self.parameters[name]
+
+    def replaced(self, numbers: Mapping[str, float]) -> Setting:
+        """Return a setting with other numbers for some names; what is derived stays as it is."""
+        return Setting(
+            gains={name: numbers.get(name, value) for name, value in self.gains.items()},
+            parameters={name: numbers.get(name, value) for name, value in self.parameters.items()},
+        )
+
 
 def _require_name(argument: str, name: str) -> None:
     if not name.isidentifier():

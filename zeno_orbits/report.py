@@ -8,15 +8,16 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
     from zeno_orbits.attractors import Attractor
+    from zeno_orbits.bounds import Extent
     from zeno_orbits.certificate import OrbitCertificate
     from zeno_orbits.execution import Execution
     from zeno_orbits.fidelity import ReductionCost
@@ -187,12 +188,28 @@ def print_error_made(error: float) -> None:
     print_lines([f"Estimated relative error: {error:.1e}."])
 
 
-def print_orbit(problem: Problem, orbit: ZenoOrbit, certificate: OrbitCertificate) -> None:
-    """Print an orbit and the gist of its certificate."""
+def print_orbit(
+    problem: Problem,
+    orbit: ZenoOrbit,
+    certificate: OrbitCertificate,
+    free: Iterable[str] = (),
+) -> None:
+    """Print an orbit and the gist of its certificate.
+
+    Args:
+        problem: Its scene.
+        orbit: The orbit.
+        certificate: What a verification said of it.
+        free: Parameters that were searched, to be shown among the gains.
+    """
     table = _table("quantity", "value", "unit")
     units = {gain.name: gain.unit for gain in problem.gains}
     for name, value in orbit.gains.items():
         table.add_row(name, f"{value:.12g}", units[name])
+    for quantity in problem.parameters:
+        if quantity.name in free:
+            value = orbit.parameters[quantity.name]
+            table.add_row(quantity.name, f"{value:.12g}", quantity.unit)
     table.add_row("period", f"{orbit.period:.12g}", "s")
     for name, unit in zip(problem.state_names, problem.state_units, strict=True):
         table.add_row(f"{name} at release", f"{orbit.release_state[name]:.12g}", unit)
@@ -259,7 +276,8 @@ def print_search(result: SearchResult) -> None:
     if len(result.attempts) > 1:
         table = _table("start", "ended", "why")
         for attempt in result.attempts:
-            gains = ", ".join(f"{name} = {value:.4g}" for name, value in attempt.gains.items())
+            numbers = {**attempt.gains, **attempt.parameters}
+            gains = ", ".join(f"{name} = {value:.4g}" for name, value in numbers.items())
             ended = attempt.status.name.lower().replace("_", " ")
             table.add_row(gains, ended, Text(attempt.detail))
         _print(table)
@@ -270,6 +288,43 @@ def print_search(result: SearchResult) -> None:
             f"its Zeno closure to {result.closure_error:.0e}. "
             f"Search: {result.wall_time:.1f} s."
         )
+
+
+def print_candidates(result: SearchResult) -> None:
+    """Print the verified orbits, the best first."""
+    table = _table("rank", "score", "period [s]", "radius", "numbers")
+    for rank, one in enumerate(result.candidates, start=1):
+        radius = math.nan if one.certificate is None else one.certificate.spectral_radius
+        free = {**one.orbit.gains, **_freed(result, one.orbit)}
+        numbers = ", ".join(f"{name} = {value:.5g}" for name, value in free.items())
+        figures = (f"{one.score:.6g}", f"{one.orbit.period:.8g}", f"{radius:.4g}")
+        table.add_row(str(rank), *figures, numbers)
+    _print(table)
+
+
+def _freed(result: SearchResult, orbit: ZenoOrbit) -> dict[str, float]:
+    return {name: orbit.parameters[name] for name in result.attempts[0].parameters}
+
+
+def print_goal(wish: str, extents: Mapping[str, Extent], quantities: Sequence[str]) -> None:
+    """Print what was asked for and what a simulation of the orbit measures of it."""
+    for name in quantities:
+        extent = extents[name]
+        reached = f"{extent.lowest:.8g}"
+        if extent.highest > extent.lowest:
+            reached = f"{extent.lowest:.8g} to {extent.highest:.8g}"
+        print_lines([f"Asked for {wish}; measured on a simulation, {name}: {reached}."])
+
+
+def print_asked(asked: Sequence[Mapping[str, Any]]) -> None:
+    """Print the bounds that were asked for and what a simulation reaches."""
+    if not asked:
+        return
+    table = _table("kept", "from", "to", "reached from", "reached to")
+    for one in asked:
+        ends = ("-" if one[end] is None else f"{one[end]:g}" for end in ("lower", "upper"))
+        table.add_row(one["quantity"], *ends, f"{one['lowest']:.8g}", f"{one['highest']:.8g}")
+    _print(table)
 
 
 def print_trade(trade: Trade) -> None:

@@ -6,92 +6,72 @@ interval is one collocation step whose last stage is the next node (theory (16),
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
-from zeno_orbits.collocation import Array, Collocation, radau
+from zeno_orbits.collocation import Array, Collocation
 from zeno_orbits.compiled import CompiledSystem
 from zeno_orbits.cycle import Closure, Cycle
 from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.execution import Arc
-from zeno_orbits.flows import ModeFunctions
 from zeno_orbits.linear_algebra import null_space
-from zeno_orbits.meshes import graded_mesh, stage_fractions
 from zeno_orbits.problem import Setting
 from zeno_orbits.program import ProgramBuilder
+from zeno_orbits.stretches import Stretch, StretchWriter, TranscriptionSettings, flow_scale
+from zeno_orbits.tangents import Motion
 from zeno_orbits.zeno import limit_weights, tail_time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TranscriptionSettings:
-    """How finely an orbit is transcribed.
-
-    Attributes:
-        scheme: The collocation scheme of every interval.
-        mesh_tolerance: Largest deviation of an interval's polynomial from the guess between its
-            stages, in units of the size of each state. Ends of intervals are more accurate.
-        closure_tolerance: Largest estimated error of the Zeno closure.
-    """
-
-    scheme: Collocation = field(default_factory=lambda: radau(7))
-    mesh_tolerance: float = 3e-8
-    closure_tolerance: float = 1e-11
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Stretch:
-    """A transcribed arc.
-
-    Attributes:
-        name: ``flight 0``, ``flight 1``, ... or ``locked``.
-        arc: The simulated arc that is its guess.
-        mesh: Ends of its intervals, fractions of its duration, ``(n_intervals + 1,)``.
-        start: State of its flow at its start, ``(n_y, 1)``.
-        stages: States at its stages, ``(n_y, n_intervals * n_stages)``.
-        duration: Its length [s].
-        work: Electrical work over it [J].
-    """
-
-    name: str
-    arc: Arc
-    mesh: Array
-    start: ca.MX
-    stages: ca.MX
-    duration: ca.MX
-    work: ca.MX
-
-    @property
-    def end(self) -> ca.MX:
-        """State of its flow at its end, ``(n_y, 1)``."""
-        return self.stages[:, -1]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class OrbitTerms:
-    """What an objective may speak of, as expressions in the unknowns of the program.
+    """What an objective or a bound may speak of, as expressions in the unknowns of the program.
 
     Attributes:
         program: The program, open for more rows.
-        gains: Name to value.
-        first_gains: Gains from which the search started.
+        compiled: The functions of the scene.
+        p: Gains, then parameters, numbers or unknowns, ``(n_p,)``.
+        free: Name to unknown of what is free.
+        first: Name to value of what is free, where the search started.
         period: [s].
         electrical_work: Work of the sources in one period [J].
+        approach_rate: Gap rate before the first impact, negative.
+        release: Release state, ``(n_x,)``.
+        zeno: Zeno state, ``(n_x,)``.
+        scale: Size of each state, ``(n_x,)``.
+        tangent: Basis of the scaled states near the release with gap and gap rate zero.
         stretches: The transcribed arcs, in order.
-        scheme: Their collocation scheme.
+        motion: From any release to the end of a locked arc, not closed.
+        scheme: The collocation scheme of the arcs.
         state_names: Name of each state.
+        numbers: Gains, then parameters, in the guess.
+        return_slope: Derivative of the return map, ``(d, d)``, if it was declared.
     """
 
     program: ProgramBuilder
-    gains: Mapping[str, ca.MX]
-    first_gains: Mapping[str, float]
+    compiled: CompiledSystem
+    p: ca.MX
+    free: Mapping[str, ca.MX]
+    first: Mapping[str, float]
     period: ca.MX
     electrical_work: ca.MX
+    approach_rate: ca.MX
+    release: ca.MX
+    zeno: ca.MX
+    scale: Vector
+    tangent: Array
     stretches: tuple[Stretch, ...]
+    motion: Motion
     scheme: Collocation
     state_names: tuple[str, ...]
+    numbers: tuple[float, ...]
+    return_slope: ca.MX | None = None
+
+    def guessed(self, expression: ca.MX) -> Array:
+        """Return the value of an expression in the guess."""
+        return np.array(self.program.at_guess(expression).full())
 
 
 def transcribe(
@@ -101,40 +81,45 @@ def transcribe(
     dynamics: HybridDynamics,
     cycle: Cycle,
     closure: Closure,
-    free_gains: Mapping[str, tuple[float, float]],
-    first_gains: Mapping[str, float],
+    free: Mapping[str, tuple[float, float]],
+    first: Mapping[str, float],
     settings: TranscriptionSettings,
 ) -> OrbitTerms:
     """Declare the unknowns and the conditions of an orbit.
 
     Args:
         compiled: The functions of the scene.
-        setting: Its numbers; a free gain starts at its value here.
+        setting: Its numbers; what is free starts at its value here.
         dynamics: The system at these numbers.
         cycle: One simulated period, the guess.
         closure: Which impacts are resolved, and which of them tell the Zeno point.
-        free_gains: Name to bounds of the gains that are unknown.
-        first_gains: Gains from which the search started, for the objective.
+        free: Name to bounds of the gains and parameters that are unknown.
+        first: Numbers from which the search started, for the objective.
         settings: Scheme, mesh and closure.
 
     Returns:
         The terms of an objective, with the program they belong to.
     """
     program = ProgramBuilder()
-    gains = _declare_gains(program, setting, free_gains)
-    p = ca.vertcat(*gains.values(), *setting.parameters.values())
-    restitution = _restitution(compiled, p, len(gains), dynamics.restitution)
+    unknown = _declare_free(program, setting, free)
+    named = {**setting.gains, **setting.parameters}
+    p = ca.vertcat(*(unknown.get(name, ca.MX(value)) for name, value in named.items()))
+    places = [k for k, name in enumerate(named) if name in unknown]
+    restitution = _restitution(compiled, p, places, dynamics.restitution)
     writer = _Writer(program, compiled, settings, p, restitution, setting.values(), dynamics, cycle)
 
+    n_free = len(program.blocks)
     release = program.variable("release state", cycle.start.state, scale=writer.scale)[:, 0]
-    flight = writer.stretch("flight 0", cycle.flight, compiled.free, p, release)
+    flight = writer.stretches.stretch("flight 0", cycle.flight, compiled.free, p, release)
     hops, limit = writer.impacts(flight, cycle, closure)
     zeno = program.variable("Zeno state", cycle.zeno.state, scale=writer.scale)[:, 0]
     program.equal("Zeno point", zeno - limit[2:], scale=ca.DM(writer.scale))
-    locked = writer.stretch("locked", cycle.locked, compiled.locked, p, zeno)
+    locked = writer.stretches.stretch("locked", cycle.locked, compiled.locked, p, zeno)
     stretches = (flight, *hops, locked)
     writer.keep_apart(stretches)
-    writer.close(cycle.start.state, release, zeno, locked.end)
+    writer.start(release, zeno)
+    motion = Motion(blocks=program.blocks[n_free:], equations=program.equations)
+    tangent = writer.close(cycle.start.state, release, locked.end)
 
     period = limit[0] + locked.duration
     work = limit[1] + locked.work
@@ -145,41 +130,50 @@ def transcribe(
     program.report("flight times", ca.vertcat(*(s.duration for s in (flight, *hops))))
     return OrbitTerms(
         program=program,
-        gains=gains,
-        first_gains=first_gains,
+        compiled=compiled,
+        p=p,
+        free=unknown,
+        first=first,
         period=period,
         electrical_work=work,
+        approach_rate=compiled.contact(flight.end, p)[1],
+        release=release,
+        zeno=zeno,
+        scale=writer.scale,
+        tangent=tangent,
         stretches=stretches,
+        motion=motion,
         scheme=settings.scheme,
         state_names=compiled.state_names,
+        numbers=setting.values(),
     )
 
 
-def _declare_gains(
+def _declare_free(
     program: ProgramBuilder, setting: Setting, free: Mapping[str, tuple[float, float]]
 ) -> dict[str, ca.MX]:
-    gains: dict[str, ca.MX] = {}
-    for name, value in setting.gains.items():
-        if name in free:
-            lower, upper = free[name]
-            gains[name] = program.variable(
-                f"gain {name}", value, scale=max(abs(value), 1e-3), lower=lower, upper=upper
-            )
-        else:
-            gains[name] = ca.MX(value)
-    return gains
+    unknown: dict[str, ca.MX] = {}
+    for name, (lower, upper) in free.items():
+        value = setting.number(name)
+        size = max(abs(value), 0.01 * (upper - lower))
+        unknown[name] = program.variable(
+            f"free {name}", value, scale=size, lower=lower, upper=upper
+        )[0, 0]
+    return unknown
 
 
-def _restitution(compiled: CompiledSystem, p: ca.MX, n_gains: int, number: float) -> ca.MX:
-    """Return the restitution: a number, or under a corrected drive a function of the gains."""
+def _restitution(
+    compiled: CompiledSystem, p: ca.MX, free_places: Sequence[int], number: float
+) -> ca.MX:
+    """Return the restitution: a number, or a function of what is free if it depends on that."""
     _, columns = compiled.impulse.jac_sparsity(2, 1).get_triplet()
-    if min(columns, default=n_gains) >= n_gains:
+    if not set(columns) & set(free_places):
         return ca.MX(number)
     return compiled.impulse(ca.DM.zeros(compiled.n_x), p)[2]
 
 
 class _Writer:
-    """Writes arcs and conditions into one program."""
+    """Writes the conditions of an orbit into one program."""
 
     def __init__(
         self,
@@ -194,49 +188,14 @@ class _Writer:
     ) -> None:
         self.program = program
         self.compiled = compiled
-        self.settings = settings
         self.p = p
         self.values = values
         self.rebound = dynamics.restitution
         self.restitution = restitution
         self.scale = cycle.scale()
+        self.stretches = StretchWriter(program, compiled, settings, p, self.scale)
         self.gap_scale = _largest(cycle.flight, dynamics.gap)
         self.force_scale = _largest(cycle.locked, dynamics.multiplier)
-        self.intervals: dict[str, ca.Function] = {}
-
-    def stretch(self, name: str, arc: Arc, mode: ModeFunctions, p: ca.MX, start: ca.MX) -> Stretch:
-        """Declare the stages of an arc and its continuity."""
-        scheme, n_stages = self.settings.scheme, self.settings.scheme.n_stages
-        length = arc.duration
-        scale = _flow_scale(arc, self.scale)
-
-        def trajectory(fraction: float) -> Vector:
-            return arc.flow_state_at(fraction * length)
-
-        mesh = graded_mesh(trajectory, scheme, scale=scale, tolerance=self.settings.mesh_tolerance)
-        fractions = stage_fractions(mesh, scheme)
-        guess = np.array([trajectory(float(fraction)) for fraction in fractions]).T
-        stages = self.program.variable(f"{name} stages", guess, scale=scale)
-        duration = self.program.variable(f"{name} duration", length, scale=length)
-        n_intervals = len(mesh) - 1
-        starts = ca.horzcat(start, stages[:, n_stages - 1 : -1 : n_stages])
-        sizes = duration * ca.DM(np.diff(mesh)).T
-        (works,) = self.program.equal_along(
-            [f"continuity[{name}, interval {k}]" for k in range(n_intervals)],
-            self._interval(mode),
-            (starts, stages, sizes, ca.repmat(p, 1, n_intervals)),
-            scale=np.repeat(scale[:, None], n_stages, axis=1),
-        )
-        unit = p[-1] if mode is self.compiled.flight else ca.MX(1)
-        return Stretch(
-            name=name,
-            arc=arc,
-            mesh=mesh,
-            start=start,
-            stages=stages,
-            duration=unit * duration,
-            work=unit * ca.sum2(works),
-        )
 
     def impacts(
         self, flight: Stretch, cycle: Cycle, closure: Closure
@@ -269,7 +228,7 @@ class _Writer:
                 speed + self.restitution * approach_rate,
                 scale=size,
             )
-            hop = self.stretch(
+            hop = self.stretches.stretch(
                 f"flight {k + 1}",
                 cycle.hops[k],
                 self.compiled.flight,
@@ -277,7 +236,7 @@ class _Writer:
                 ca.vertcat(after, 0, 1),
             )
             hops.append(hop)
-            size = float(_flow_scale(cycle.hops[k], self.scale)[-2])
+            size = float(flow_scale(cycle.hops[k], self.scale)[-2])
             program.equal(f"gap closes at impact {k + 2}", hop.end[-2], scale=size)
             here, approach_rate = hop.end[:-2], speed * hop.end[-1]
             time, work = time + hop.duration, work + hop.work
@@ -292,12 +251,12 @@ class _Writer:
         flight, *hops, locked = stretches
         self._never_negative("gap >= 0 in flight 0", 0, flight, self.gap_scale)
         for hop in hops:
-            size = float(_flow_scale(hop.arc, self.scale)[-2])
+            size = float(flow_scale(hop.arc, self.scale)[-2])
             self.program.at_least_zero(f"gap >= 0 in {hop.name}", hop.stages[-2, :-1], scale=size)
         self._never_negative("multiplier >= 0 on the stop", 3, locked, self.force_scale)
 
-    def close(self, at: Vector, release: ca.MX, zeno: ca.MX, end: ca.MX) -> None:
-        """Require the release conditions, and that the locked arc ends at the same release."""
+    def start(self, release: ca.MX, zeno: ca.MX) -> None:
+        """Require the release conditions, and that the stop attracts at the Zeno point."""
         contact = self.compiled.contact(release, self.p)
         eta = self.compiled.holonomic(release, self.p)
         self.program.equal("release: gap = 0", contact[0], scale=self.gap_scale)
@@ -307,9 +266,13 @@ class _Writer:
         self.program.at_least_zero("release: multiplier falls", -contact[4])
         attracted = -self.compiled.contact(zeno, self.p)[2]
         self.program.at_least_zero("Zeno point: d2h/dt2 < 0", attracted)
+
+    def close(self, at: Vector, release: ca.MX, end: ca.MX) -> Array:
+        """Require that the locked arc ends at the release; return the directions that closes."""
         tangent = self._stop_tangent(at)
         change = (end - release) / ca.DM(self.scale)
         self.program.equal("the orbit closes", ca.mtimes(ca.DM(tangent).T, change))
+        return tangent
 
     def _tail(
         self, minus: ca.MX, approach_rate: ca.MX, direction: ca.MX, time: ca.MX, work: ca.MX
@@ -335,38 +298,12 @@ class _Writer:
         parameters = ca.repmat(self.p, 1, states.shape[1])
         self.program.at_least_zero_along(name, quantity, (states, parameters), scale=scale)
 
-    def _interval(self, mode: ModeFunctions) -> ca.Function:
-        """Return one collocation step: defects of its stages, work over it (theory (17))."""
-        name = mode.rate.name()
-        if name not in self.intervals:
-            scheme = self.settings.scheme
-            n_y, n_p = mode.rate.size1_in(0), mode.rate.size1_in(1)
-            n_x, n_values = self.compiled.n_x, self.p.numel()
-            y, size, p = ca.SX.sym("y", n_y), ca.SX.sym("size"), ca.SX.sym("p", n_p)
-            stages = ca.SX.sym("stages", n_y, scheme.n_stages)
-            columns = ca.horzsplit(stages)
-            rates = ca.horzcat(*(mode.rate(stage, p) for stage in columns))
-            defects = stages - y - size * ca.mtimes(rates, ca.DM(scheme.matrix).T)
-            powers = [self.compiled.powers(stage[:n_x], p[:n_values])[0] for stage in columns]
-            work = size * ca.dot(ca.DM(scheme.weights), ca.vertcat(*powers))
-            self.intervals[name] = ca.Function(
-                f"{name}_interval", [y, stages, size, p], [defects, work], {"cse": True}
-            )
-        return self.intervals[name]
-
     def _stop_tangent(self, at: Vector) -> Array:
         """Return a basis of the scaled states near ``at`` with zero gap and gap rate."""
         x, p = ca.SX.sym("x", self.compiled.n_x), ca.SX.sym("p", len(self.values))
         held = ca.vertcat(self.compiled.contact(x, p)[0:2], self.compiled.holonomic(x, p))
         gradient = ca.Function("gradient", [x, p], [ca.jacobian(held, x)])(at, self.values)
         return null_space(np.asarray(gradient.full(), dtype=np.float64) * self.scale)
-
-
-def _flow_scale(arc: Arc, scale: Vector) -> Vector:
-    """Return the size of the states of an arc's flow: in a rescaled flight, gap and rate too."""
-    states = [arc.flow_state_at(float(s)) for s in np.linspace(0.0, arc.duration, 9)]
-    scaled = np.max(np.abs(np.array(states)), axis=0)[len(scale) :]
-    return np.concatenate([scale, scaled])
 
 
 def _largest(arc: Arc, quantity: Callable[[Vector], float]) -> float:

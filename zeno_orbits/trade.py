@@ -312,7 +312,7 @@ def _meshes(
     if not settings.meshes:
         return
     from zeno_orbits.search import SearchSettings, find_orbit
-    from zeno_orbits.shooting import TranscriptionSettings
+    from zeno_orbits.stretches import TranscriptionSettings
 
     for tolerance in settings.meshes:
         say(f"mesh: {tolerance:.0e}", 0.99)

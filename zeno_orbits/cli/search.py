@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 import argparse
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zeno_orbits import report
-from zeno_orbits.arguments import read_boxes, read_count, read_numbers, read_objective, read_seed
+from zeno_orbits.arguments import (
+    read_bounds,
+    read_boxes,
+    read_count,
+    read_numbers,
+    read_objective,
+    read_seed,
+)
 from zeno_orbits.cli.shared import (
     NO,
     YES,
@@ -23,9 +33,12 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.files import require_writable
 
 if TYPE_CHECKING:
+    from zeno_orbits.bounds import Bound
+    from zeno_orbits.objectives import Objective
     from zeno_orbits.orbit import ZenoOrbit
-    from zeno_orbits.problem import Problem
-    from zeno_orbits.search import SearchResult
+    from zeno_orbits.problem import Problem, Setting
+    from zeno_orbits.search import Judgement, SearchResult
+    from zeno_orbits.verify import VerificationSettings
 
 
 def add_search(commands: Any) -> None:
@@ -39,7 +52,11 @@ def add_search(commands: Any) -> None:
             "zeno-orbits search motor_pendulum -o orbit.json",
             "zeno-orbits search motor_pendulum --fix Kp=4 --fix Kd=-1",
             "zeno-orbits search motor_pendulum --gain Kp=1:5 --fix Kd=-1 --objective period=1.83",
-            "zeno-orbits search motor_pendulum --set R=2 --objective energy",
+            "zeno-orbits search motor_pendulum --fix Kp=2.5 --objective energy --keep theta2=:1.9",
+            "zeno-orbits search motor_pendulum --fix Kp=2.5 --fix Kd=-1 --free R=2:4 "
+            "--objective peak=current",
+            "zeno-orbits search motor_pendulum --from orbit.json --set restitution=0.3",
+            "zeno-orbits search motor_pendulum --objective margin --candidates 3",
         ],
     )
     add_scene(parser)
@@ -49,6 +66,14 @@ def add_search(commands: Any) -> None:
         default=[],
         metavar="NAME=LOW:HIGH",
         help="search a gain in this range; one that is not named is searched in the scene's range",
+    )
+    parser.add_argument(
+        "--free",
+        action="append",
+        default=[],
+        metavar="NAME=LOW:HIGH",
+        help="search a physical parameter (or a gain) in this range, too; what the scene derives "
+        "from it stays as it is at the start",
     )
     parser.add_argument(
         "--fix",
@@ -63,8 +88,32 @@ def add_search(commands: Any) -> None:
         metavar="WISH",
         help=(
             "nearest (to the scene's gains), nearest:NAME=VALUE,..., period=SECONDS, "
-            "amplitude=VALUE, or energy"
+            "amplitude=VALUE, energy, peak=SIGNAL (least peak of current, voltage or a state), "
+            "contraction (least spectral radius), or margin (widest to losing the orbit)"
         ),
+    )
+    parser.add_argument(
+        "--keep",
+        action="append",
+        default=[],
+        metavar="NAME=LOWER:UPPER",
+        help="bounds that the orbit must keep, an open end left empty (theta2=:1.2): a state, "
+        "current or voltage at all times; period, energy, spectral_radius, or a margin of the "
+        "certificate; may be repeated",
+    )
+    parser.add_argument(
+        "--from",
+        dest="near",
+        type=Path,
+        metavar="ORBIT.json",
+        help="start from this orbit; its numbers are the scene's unless --set or --fix say else",
+    )
+    parser.add_argument(
+        "--candidates",
+        type=read_count,
+        default=1,
+        metavar="N",
+        help="go on until so many different orbits are verified, and rank them",
     )
     parser.add_argument(
         "--allow-unstable", action="store_true", help="take an orbit that does not attract, too"
@@ -75,61 +124,156 @@ def add_search(commands: Any) -> None:
     parser.add_argument("-o", "--output", type=Path, help="write the verified orbit here")
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Judge:
+    """Verifies an orbit and says why it will not do, if it will not.
+
+    Attributes:
+        problem: The scene.
+        settings: How to check.
+        allow_unstable: Whether an orbit that does not attract will do.
+        accuracy: Largest error of its numbers, if one was asked for.
+    """
+
+    problem: Problem
+    settings: VerificationSettings
+    allow_unstable: bool
+    accuracy: float | None
+
+    def __call__(self, orbit: ZenoOrbit) -> Judgement:
+        from zeno_orbits.search import Judgement
+        from zeno_orbits.verify import verify
+
+        certificate = verify(orbit, self.problem, settings=self.settings)
+        objection = ""
+        if not certificate.passed:
+            objection = certificate.verdict()
+        elif not (certificate.stable or self.allow_unstable):
+            radius = certificate.spectral_radius
+            objection = f"The orbit does not attract: its spectral radius is {radius:.4g}."
+        elif self.accuracy is not None and not certificate.orbit_error <= self.accuracy:
+            objection = f"Its numbers are certain to {certificate.orbit_error:.1e} only."
+        return Judgement(objection=objection, certificate=certificate)
+
+
 def _run_search(options: argparse.Namespace) -> int:
     from zeno_orbits.compiled import bind
     from zeno_orbits.models import compiled_model
     from zeno_orbits.problem import load_problem
     from zeno_orbits.search import SearchSettings, search_gains
-    from zeno_orbits.verify import verify
 
     problem = load_problem(options.problem)
-    fixed = read_numbers(options.fix, "fix")
-    boxes = read_boxes(options.gain)
-    both = sorted(set(fixed) & set(boxes))
-    if both:
-        message = f"Argument `gain` must not name a fixed gain, but it names {', '.join(both)}."
-        raise InputError(message)
-    setting = problem.setting(gains=fixed, parameters=read_numbers(options.set, "set"))
-    scene_boxes = {gain.name: (gain.lower, gain.upper) for gain in problem.gains}
-    free = {name: box for name, box in {**scene_boxes, **boxes}.items() if name not in fixed}
+    near = _known_orbit(options, problem)
+    setting, free = _numbers(options, problem, near)
     objective = read_objective(options.objective, problem, free)
+    bounds = read_bounds(options.keep)
     if options.output is not None:
         require_writable(options.output)
-    settings = SearchSettings(n_starts=options.starts, seed=options.seed)
+    settings = SearchSettings(
+        n_starts=options.starts, seed=options.seed, candidates=options.candidates
+    )
     if options.accuracy is not None:
         settings = settings.for_accuracy(options.accuracy)
-    verification = verification_of(options, 1e-9)
+    judge = _Judge(
+        problem=problem,
+        settings=verification_of(options, 1e-9),
+        allow_unstable=options.allow_unstable,
+        accuracy=options.accuracy,
+    )
     require_engine(options, bind(compiled_model(problem), setting.values()))
-    found: dict[str, Any] = {}
-
-    def accept(orbit: ZenoOrbit) -> str:
-        certificate = verify(orbit, problem, settings=verification)
-        if not certificate.passed or not (certificate.stable or options.allow_unstable):
-            radius = certificate.spectral_radius
-            unstable = f"The orbit does not attract: its spectral radius is {radius:.4g}."
-            return unstable if certificate.passed else certificate.verdict()
-        error = certificate.orbit_error
-        if options.accuracy is not None and not error <= options.accuracy:
-            return f"Its numbers are certain to {error:.1e} only."
-        found["certificate"] = certificate
-        return ""
-
     with report.Progress(options.interrupts.check) as progress:
         result = search_gains(
             problem,
             setting,
-            free_gains=free,
+            free=free,
             objective=objective,
+            bounds=bounds,
+            near=near,
             settings=settings,
-            accept=accept,
+            accept=judge,
             on_progress=progress.tell,
         )
-    return _finish_search(options, problem, result, found)
+    held = _held(problem, setting, free)
+    return _finish_search(options, problem, result, objective if free else None, bounds, held)
+
+
+def _known_orbit(options: argparse.Namespace, problem: Problem) -> ZenoOrbit | None:
+    from zeno_orbits.orbit import read_orbit
+
+    if options.near is None:
+        return None
+    orbit = read_orbit(options.near)
+    if orbit.problem != problem.name:
+        message = f"must be an orbit of `{problem.name}`, but it is of `{orbit.problem}`"
+        raise InputError(f"Argument `from` {message}.")
+    return orbit
+
+
+def _numbers(
+    options: argparse.Namespace, problem: Problem, near: ZenoOrbit | None
+) -> tuple[Setting, dict[str, tuple[float, float]]]:
+    """Return the numbers to start from and what is free."""
+    fixed = read_numbers(options.fix, "fix")
+    boxes = read_boxes(options.gain, "gain")
+    gains = {gain.name: (gain.lower, gain.upper) for gain in problem.gains}
+    for name in boxes:
+        if name not in gains:
+            known = ", ".join(gains) or "none"
+            raise InputError(f"Argument `gain` must be one of {known}, but it is `{name}`.")
+    named = read_boxes(options.free, "free")
+    given = read_numbers(options.set, "set")
+    for option, names in (("gain", {*boxes}), ("free", {*named})):
+        for held, taken in (("fix", {*fixed}), ("set", {*given})):
+            both = sorted(names & taken)
+            if both and (option, held) != ("free", "set"):
+                what = "a fixed gain" if held == "fix" else "what is set"
+                message = f"must not name {what}, but it names {', '.join(both)}"
+                raise InputError(f"Argument `{option}` {message}.")
+    twice = sorted({*boxes} & {*named})
+    if twice:
+        message = f"must not name a gain that `gain` names, but it names {', '.join(twice)}"
+        raise InputError(f"Argument `free` {message}.")
+    free = {name: box for name, box in {**gains, **boxes, **named}.items() if name not in fixed}
+    if near is not None:
+        fixed, known = {**near.gains, **fixed}, {**near.parameters, **given}
+    else:
+        known = given
+    setting = problem.setting(gains=fixed, parameters=known)
+    for name in given:
+        low, high = free.get(name, (-math.inf, math.inf))
+        if not low <= given[name] <= high:
+            message = f"must start in its box [{low:g}, {high:g}], but it is set to {given[name]:g}"
+            raise InputError(f"Argument `{name}` {message}.")
+    return setting, free
+
+
+def _held(problem: Problem, setting: Setting, free: Mapping[str, tuple[float, float]]) -> list[str]:
+    """Return the parameters that the scene derives from free ones, which stay as they are."""
+    if problem.derive is None:
+        return []
+    known = {
+        n.name: setting.parameters[n.name] for n in problem.parameters if n.default is not None
+    }
+    moved = dict(known)
+    for name, box in free.items():
+        if name in moved:
+            moved[name] = sum(box) / 2 if moved[name] == box[0] else box[0]
+    try:
+        before, after = problem.derive(known), problem.derive(moved)
+    except InputError:
+        return [n.name for n in problem.parameters if n.default is None and n.name not in free]
+    return [name for name in before if before[name] != after[name] and name not in free]
 
 
 def _finish_search(
-    options: argparse.Namespace, problem: Problem, result: SearchResult, found: dict[str, Any]
+    options: argparse.Namespace,
+    problem: Problem,
+    result: SearchResult,
+    objective: Objective | None,
+    bounds: Sequence[Bound],
+    held: Sequence[str],
 ) -> int:
+    from zeno_orbits.bounds import asked_and_reached
     from zeno_orbits.orbit import write_orbit
     from zeno_orbits.verify import certified
 
@@ -140,27 +284,68 @@ def _finish_search(
                     "found": False,
                     "status": result.status.value,
                     "detail": result.detail,
-                    "attempts": [
-                        {"gains": dict(a.gains), "status": a.status.value, "detail": a.detail}
-                        for a in result.attempts
-                    ],
+                    "attempts": _attempts(result),
                 }
             )
         else:
             report.print_search(result)
         return NO
     options.interrupts.check()
-    certificate = found["certificate"]
+    best = result.candidates[0]
+    certificate = best.certificate
+    if certificate is None:
+        raise InputError("Argument `accept` must give a certificate, but it gave none.")
+    certificate = replace(certificate, asked=tuple(asked_and_reached(bounds, best.extents)))
     orbit = certified(result.orbit, certificate)
     if options.output is not None:
         write_orbit(orbit, options.output)
     if options.json:
-        print_json(orbit.as_json())
+        print_json(orbit.as_json() | _ranking(options, result))
     else:
         report.print_search(result)
-        report.print_orbit(problem, orbit, certificate)
+        if options.candidates > 1:
+            report.print_candidates(result)
+        report.print_orbit(problem, orbit, certificate, result.attempts[0].parameters)
+        if objective is not None:
+            report.print_goal(objective.wish, best.extents, objective.quantities)
+        report.print_asked(certificate.asked)
+        if held:
+            report.print_lines([f"Not free, and kept as at the start: {', '.join(held)}."])
         if options.accuracy is not None:
             report.print_error_made(certificate.orbit_error)
         report.print_verdict(certificate)
         say_written(options, [] if options.output is None else [options.output])
     return YES
+
+
+def _attempts(result: SearchResult) -> list[dict[str, Any]]:
+    return [
+        {
+            "gains": dict(a.gains),
+            "parameters": dict(a.parameters),
+            "status": a.status.value,
+            "detail": a.detail,
+        }
+        for a in result.attempts
+    ]
+
+
+def _ranking(options: argparse.Namespace, result: SearchResult) -> dict[str, Any]:
+    """Return the ranked orbits and the failures, if more than one was asked for."""
+    if options.candidates == 1:
+        return {}
+    from zeno_orbits.search import SearchStatus
+    from zeno_orbits.verify import certified
+
+    ranked = [
+        {
+            "score": one.score,
+            "orbit": (
+                one.orbit if one.certificate is None else certified(one.orbit, one.certificate)
+            ).as_json(),
+        }
+        for one in result.candidates
+    ]
+    pairs = zip(result.attempts, _attempts(result), strict=True)
+    failures = [data for attempt, data in pairs if attempt.status is not SearchStatus.FOUND]
+    return {"candidates": ranked, "failures": failures}
