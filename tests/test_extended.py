@@ -196,7 +196,15 @@ def test_a_holonomic_constraint_changes_no_digit() -> None:
         (polar, ("q", "v"), (0.0, 1.0)),
         (planar, ("x", "y", "vx", "vy"), (0.0, -0.5, 0.5, 0.0)),
     ):
-        problem = replace(BALL, model=model, state_names=names)
+        problem = replace(
+            BALL,
+            model=model,
+            state_names=names,
+            state_units=tuple("1" for _ in names),
+            starts=({},),
+            portraits=(),
+            amplitude_of=names[0],
+        )
         setting = problem.setting(parameters={"restitution": 0.3})
         swing = extended_execution(problem, setting, state, until=2.0, digits=25)
         ends.append(swing.zeno_points[0].time)

@@ -51,7 +51,7 @@ def test_the_page_lists_every_bundled_scene_with_its_number_of_states() -> None:
 
 WORDS = re.compile(
     r"\b(d?theta\d|pendulum|knee|shoulder|elbow|link[12]|cart|bowl|valve|hammer|piston|"
-    r"L1|L2|lc1|lc2|J_rotor|K[pd]\d?|oscillator|bouncing|vibrating|table_|motor_\w+|two_motors|"
+    r"L1|L2|lc1|lc2|J_rotor|K[pd]\d?|oscillator|bouncing|vibrating|table_|motor_(?!current|voltage)\w+|two_motors|"
     r"forced_\w+|falling_\w+|curved_\w+|torque_pendulum)\b"
 )
 SCENES = {"new.py"}

@@ -53,10 +53,18 @@ class ReleaseSection:
         return self.tangent.T @ ((x - self.centre) / self.scale)
 
     def state(self, dynamics: HybridDynamics, coordinates: Vector) -> Vector:
-        """Return the release state at section coordinates, ``(n_x,)``."""
+        """Return the release state at section coordinates, ``(n_x,)``.
+
+        Raises:
+            SimulationError: If there is none: so far from the centre the conditions have no root.
+        """
         x = self.centre + self.scale * (self.tangent @ coordinates)
         for _ in range(_CORRECTIONS):
-            correction = self.normal @ _conditions(dynamics, x)
+            conditions = _conditions(dynamics, x)
+            if not np.all(np.abs(conditions) < _LOST):
+                state = tuple(self.centre.tolist())
+                raise SimulationError("The release section is lost", time=0.0, state=state)
+            correction = self.normal @ conditions
             x = x - self.scale * correction
             if np.max(np.abs(correction)) < _EXACT:
                 break
@@ -65,6 +73,9 @@ class ReleaseSection:
 
 _CORRECTIONS = 12
 """Newton steps at most, with the gradient at the centre; each gains what the displacement is."""
+
+_LOST = 1e100
+"""A condition that has grown so far will not be met any more."""
 
 _EXACT = 1e-15
 """Correction in scaled states after which the next one is rounding."""

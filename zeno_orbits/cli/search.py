@@ -97,7 +97,7 @@ def add_search(commands: Any) -> None:
         action="append",
         default=[],
         metavar="NAME=LOWER:UPPER",
-        help="bounds that the orbit must keep, an open end left empty (theta2=:1.2): a state, "
+        help="bounds that the orbit must keep, an open end left empty (NAME=:1.2): a state, "
         "current or voltage at all times; period, energy, spectral_radius, or a margin of the "
         "certificate; may be repeated",
     )
