@@ -124,7 +124,8 @@ class Attempt:
         straight = coarse and point.distance < _STRAIGHT * least
         scale = self.bundle.section.scale
         self.bundle = bundle_at(self.dynamics, point.state, scale)
-        self.before = point.distance
+        # The fixed point moves with the accuracy: the first step at another one says nothing.
+        self.before = point.distance if self.final != coarse else np.inf
         self.final = not coarse
         self.jacobian = point.jacobian if straight else None
         return self.request(neighbours=not straight)
