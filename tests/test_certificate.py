@@ -103,7 +103,8 @@ def test_a_verdict_is_one_sentence_on_one_line(seen: OrbitCertificate) -> None:
 
 def test_the_spectral_radius_is_the_largest_modulus() -> None:
     assert GOOD.spectral_radius == pytest.approx(math.sqrt(0.26))
-    assert math.isnan(replace(GOOD, multipliers=()).spectral_radius)
+    assert math.isnan(replace(GOOD, multipliers=(), multiplier_error=math.inf).spectral_radius)
+    assert replace(GOOD, multipliers=()).spectral_radius == 0.0
 
 
 @pytest.mark.parametrize(

@@ -60,7 +60,8 @@ class OrbitCertificate:
             the multiplier at the release), ``locked_time``.
         energies: Name to energy over one period [J]: ``input_work``, ``copper_loss``,
             ``other_loss``, ``impact_loss``, ``energy_gain``.
-        multipliers: Floquet multipliers; empty if they could not be had.
+        multipliers: Floquet multipliers; empty if they could not be had (their error is infinite
+            then) or if the section is a point.
         multiplier_error: Estimated error of the largest.
         delta_sweep: Cuts at falling thresholds.
         delta_order: Observed order of the error in the speed of the cut; NaN without a sweep.
@@ -108,8 +109,12 @@ class OrbitCertificate:
 
     @property
     def spectral_radius(self) -> float:
-        """Largest modulus of a multiplier; NaN if they could not be had."""
-        return max((abs(value) for value in self.multipliers), default=math.nan)
+        """Largest modulus of a multiplier; NaN if they could not be had.
+
+        Zero for a release section that is a point, as a locked mass without memory has it.
+        """
+        known = 0.0 if math.isfinite(self.multiplier_error) else math.nan
+        return max((abs(value) for value in self.multipliers), default=known)
 
     @property
     def stable(self) -> bool:

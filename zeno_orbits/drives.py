@@ -118,10 +118,15 @@ def corrected_drive(lagrangian: HybridLagrangian, motors: MotorBank) -> Drive:
 
     Raises:
         ValueError: If the added inertia is not constant, or not symmetric: each motor must feed
-            back the speed that it turns at, by a constant factor.
+            back the speed that it turns at, by a constant factor. If the voltage changes with time.
     """
     quasi_static = quasi_static_drive(lagrangian, motors)
     current = _static_current(lagrangian, motors)
+    if lagrangian.clock is not None and ca.depends_on(current, lagrangian.clock.state):
+        raise ValueError(
+            "Argument `motors` must have a voltage of the state alone for a corrected drive, "
+            "but it changes with the clock."
+        )
     torque_per_rate = ca.mtimes(
         ca.mtimes(motors.selection, motors.torque_constant),
         ca.solve(motors.resistance, motors.inductance),

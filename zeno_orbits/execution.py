@@ -123,7 +123,7 @@ class Arc:
         state = self.flow_state_at((time - self.start_time) / self.time_unit)
         return state[: len(self.start_state)]
 
-    def sampled(self, n: int = 60) -> tuple[Vector, Vector]:
+    def sampled(self, n: int = 150) -> tuple[Vector, Vector]:
         """Return times ``(m,)`` and states ``(m, n_x)`` along the arc, for plots.
 
         They stand close where the arc starts and ends and where the integrator slowed down, so
@@ -234,7 +234,7 @@ class Execution:
         at = bisect_right(self.arcs, time, key=lambda arc: arc.start_time)
         return self.arcs[max(at - 1, 0)].state_at(time)
 
-    def sampled(self, n_per_arc: int = 60) -> tuple[Vector, Vector]:
+    def sampled(self, n_per_arc: int = 150) -> tuple[Vector, Vector]:
         """Return times ``(n,)`` and states ``(n, n_x)`` of all arcs, for plots.
 
         Args:

@@ -21,7 +21,7 @@ class CompletedSystem:
 
     Attributes:
         n_q: Number of coordinates.
-        state: ``x = (q, v, i)`` and any ledger states, ``(n_x,)``.
+        state: ``x = (q, v, i)``, the clock of a forced scene and any ledger states, ``(n_x,)``.
         free_flow: :math:`\dot x` off the stop, ``(n_x,)`` (theory (5)).
         locked_flow: :math:`\dot x` on the stop, ``(n_x,)`` (theory (8)).
         gap: :math:`h`.
@@ -33,10 +33,11 @@ class CompletedSystem:
         normal_inertia: :math:`1 / (J W J^\top)`, the inertia that an impact feels.
         restitution: :math:`e`.
         energy: Kinetic, potential and magnetic energy [J].
-        input_power: Power delivered by the sources [W].
+        input_power: Power delivered by the sources and by forces from outside [W].
         copper_loss: Power lost in the windings [W].
         other_loss: Power lost to passive forces and to unequal motor constants [W].
-        holonomic: :math:`(\eta, \dot\eta)`, ``(2 n_eta,)``; zero on admissible states.
+        holonomic: :math:`(\eta, \dot\eta)`, ``(2 n_eta,)``, and the clock's distance from its
+            circle; zero on admissible states.
     """
 
     n_q: int
@@ -93,17 +94,18 @@ def complete(lagrangian: HybridLagrangian, drive: Drive, restitution: ca.SX) -> 
     gap_acceleration = ca.dot(normal, free_acceleration) + ca.jtimes(gap_rate, q, v)
     multiplier = -gap_acceleration * normal_inertia
 
-    state = ca.vertcat(q, v, drive.current)
+    extra, extra_rate, off_circle = _appended(lagrangian, drive)
+    state = ca.vertcat(q, v, extra)
     locked_acceleration = free_acceleration + multiplier * response
-    locked_flow = ca.vertcat(v, locked_acceleration, drive.current_rate)
+    locked_flow = ca.vertcat(v, locked_acceleration, extra_rate)
     direction = ca.vertcat(
-        ca.SX.zeros(q.numel()), response * normal_inertia, ca.SX.zeros(drive.current.numel())
+        ca.SX.zeros(q.numel()), response * normal_inertia, ca.SX.zeros(extra.numel())
     )
     eta_rate = ca.jtimes(lagrangian.holonomic, q, v)
     return CompletedSystem(
         n_q=q.numel(),
         state=state,
-        free_flow=ca.vertcat(v, free_acceleration, drive.current_rate),
+        free_flow=ca.vertcat(v, free_acceleration, extra_rate),
         locked_flow=locked_flow,
         gap=lagrangian.gap,
         gap_rate=gap_rate,
@@ -114,11 +116,20 @@ def complete(lagrangian: HybridLagrangian, drive: Drive, restitution: ca.SX) -> 
         normal_inertia=normal_inertia,
         restitution=ca.SX(restitution),
         energy=lagrangian.kinetic + lagrangian.potential + drive.magnetic_energy,
-        input_power=drive.input_power,
+        input_power=drive.input_power + ca.dot(lagrangian.applied_force, v),
         copper_loss=drive.copper_loss,
         other_loss=drive.conversion_loss - ca.dot(lagrangian.passive_force, v),
-        holonomic=ca.vertcat(lagrangian.holonomic, eta_rate),
+        holonomic=ca.vertcat(lagrangian.holonomic, eta_rate, off_circle),
     )
+
+
+def _appended(lagrangian: HybridLagrangian, drive: Drive) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Return the states beyond ``(q, v)``, their rates, and what is zero on the clock's circle."""
+    clock = lagrangian.clock
+    if clock is None:
+        return drive.current, drive.current_rate, ca.SX(0, 1)
+    states = ca.vertcat(drive.current, clock.state)
+    return states, ca.vertcat(drive.current_rate, clock.rate), clock.off_circle
 
 
 def audited(system: CompletedSystem) -> CompletedSystem:

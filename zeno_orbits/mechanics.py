@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from zeno_orbits.forcing import Clock
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HybridLagrangian:
@@ -26,6 +28,8 @@ class HybridLagrangian:
         potential: :math:`U(q)`, scalar [J].
         passive_force: Forces that depend on ``(q, v)`` alone, friction for instance, ``(n_q,)``.
         holonomic: :math:`\eta(q)`, ``(n_eta,)``; the motion keeps :math:`\eta = 0` (paper eq. 6).
+        applied_force: Forces from outside, of ``(q, v)`` and the clock, ``(n_q,)``.
+        clock: What tells them the time; ``None`` where nothing is forced.
     """
 
     q: ca.SX
@@ -36,6 +40,8 @@ class HybridLagrangian:
     potential: ca.SX
     passive_force: ca.SX
     holonomic: ca.SX
+    applied_force: ca.SX
+    clock: Clock | None = None
 
     @classmethod
     def from_energies(
@@ -48,11 +54,14 @@ class HybridLagrangian:
         gap: ca.SX,
         passive_force: ca.SX | None = None,
         holonomic: ca.SX | None = None,
+        applied_force: ca.SX | None = None,
+        clock: Clock | None = None,
     ) -> HybridLagrangian:
         r"""Derive the equations of motion of :math:`L = T - U`.
 
         .. math:: M = \partial^2 T / \partial v^2,\qquad
-            \mathrm{bias} = \partial_q (M v)\,v - \partial_q T + \partial_q U - F_\mathrm{passive}
+            \mathrm{bias} = \partial_q (M v)\,v - \partial_q T + \partial_q U
+            - F_\mathrm{passive} - F_\mathrm{applied}
 
         Args:
             q: Configuration symbols, ``(n_q,)``.
@@ -62,6 +71,9 @@ class HybridLagrangian:
             gap: :math:`h(q)`.
             passive_force: Friction and other forces of ``(q, v)``, ``(n_q,)``; none by default.
             holonomic: :math:`\eta(q)`, ``(n_eta,)``; none by default.
+            applied_force: Forces from outside, ``(n_q,)``, of ``(q, v)`` and the clock; their work
+                counts as input. None by default.
+            clock: The clock whose states the forces hold, if they change with time.
 
         Returns:
             The mechanism.
@@ -70,9 +82,12 @@ class HybridLagrangian:
             ValueError: If an energy, the gap or a constraint depends on what it must not.
         """
         friction = ca.SX.zeros(q.numel()) if passive_force is None else ca.vec(passive_force)
+        applied = ca.SX.zeros(q.numel()) if applied_force is None else ca.vec(applied_force)
         eta = ca.SX(0, 1) if holonomic is None else ca.vec(holonomic)
         mass_matrix = ca.hessian(kinetic, v)[0]
-        _require_shapes(q, v, friction)
+        _require_shapes(q, v=v, passive_force=friction, applied_force=applied)
+        if clock is not None:
+            _require_timeless(clock, kinetic=kinetic, potential=potential, gap=gap, holonomic=eta)
         for name, expression in (("gap", gap), ("potential", potential), ("holonomic", eta)):
             if ca.depends_on(expression, v):
                 wanted = "must depend on the configuration only, but it depends on the velocity"
@@ -89,6 +104,7 @@ class HybridLagrangian:
             - ca.gradient(kinetic, q)
             + ca.gradient(potential, q)
             - friction
+            - applied
         )
         return cls(
             q=q,
@@ -99,6 +115,8 @@ class HybridLagrangian:
             potential=potential,
             passive_force=friction,
             holonomic=eta,
+            applied_force=applied,
+            clock=clock,
         )
 
     @property
@@ -107,11 +125,19 @@ class HybridLagrangian:
         return ca.dot(self.v, ca.mtimes(self.mass_matrix, self.v)) / 2
 
 
-def _require_shapes(q: ca.SX, v: ca.SX, force: ca.SX) -> None:
-    for name, vector in (("v", v), ("passive_force", force)):
+def _require_shapes(q: ca.SX, **vectors: ca.SX) -> None:
+    for name, vector in vectors.items():
         if vector.numel() != q.numel():
             message = (
                 f"Argument `{name}` must have {q.numel()} entries, one a coordinate, "
                 f"but it has {vector.numel()}."
             )
             raise ValueError(message)
+
+
+def _require_timeless(clock: Clock, **expressions: ca.SX) -> None:
+    """Refuse time in what the equations are derived from as if it stood still."""
+    for name, expression in expressions.items():
+        if ca.depends_on(expression, clock.state):
+            wanted = "must not depend on the clock, but it does: take coordinates relative to what"
+            raise ValueError(f"Argument `{name}` {wanted} moves, and an `applied_force`.")

@@ -200,7 +200,7 @@ def print_orbit(problem: Problem, orbit: ZenoOrbit, certificate: OrbitCertificat
         table.add_row(f"multiplier {k + 1}", _complex(multiplier), "1")
     work = certificate.energies.get("input_work")
     if work is not None:
-        table.add_row("electrical work a period", f"{work:.9g}", "J")
+        table.add_row("work put in a period", f"{work:.9g}", "J")
     _print(table)
 
 
@@ -227,9 +227,12 @@ def print_certificate(certificate: OrbitCertificate) -> None:
         for cut in certificate.delta_sweep:
             sweep.add_row(f"{cut.delta:.3g}", f"{cut.speed:.3g}", f"{cut.error:.1e}")
         _print(sweep)
-        _console().print(f"Observed order of the cut: {certificate.delta_order:.2f} (theory: 3)")
+        order = certificate.delta_order
+        seen = f"{order:.2f}" if math.isfinite(order) else "none, all cuts are at rounding"
+        _console().print(f"Observed order of the cut: {seen} (theory: 3)")
     console = _console()
-    multipliers = ", ".join(_complex(value) for value in certificate.multipliers) or "unknown"
+    none = "none, the section is a point" if certificate.stable else "unknown"
+    multipliers = ", ".join(_complex(value) for value in certificate.multipliers) or none
     console.print(f"Floquet multipliers: {multipliers} (+- {certificate.multiplier_error:.0e})")
     console.print(
         f"Estimated error of the integration: {certificate.integration_error:.0e}, "

@@ -39,7 +39,7 @@ def add_plot(commands: Any) -> None:
         action="append",
         choices=_PICTURES,
         help="which picture: phase portraits, states over time, zoom into the Zeno point, "
-        "region d2h/dt2 < 0; may be repeated; all by default",
+        "region d2h/dt2 < 0; may be repeated; by default all that the scene has",
     )
     parser.add_argument("--format", choices=("png", "pdf", "svg"), default="png")
     parser.add_argument(
@@ -74,7 +74,10 @@ def _run_plot(options: argparse.Namespace) -> int:
             f"Argument `output` must be a folder that can be made, but `{options.output}` is not"
         )
         raise InputError(f"{message} ({error.strerror}).") from error
-    paths = [options.output / f"{kind}.{options.format}" for kind in options.kind or _PICTURES]
+    kinds = options.kind or [
+        kind for kind in _PICTURES if kind != "region" or plots.has_zeno_region(dynamics)
+    ]
+    paths = [options.output / f"{kind}.{options.format}" for kind in kinds]
     for path in paths:
         require_writable(path)
         plots.save_figure(draw[path.stem](), path)

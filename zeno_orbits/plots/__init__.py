@@ -6,7 +6,7 @@ takes a width in inches: ``COLUMN_WIDTH`` stacks the panels for one column of a 
 """
 
 from zeno_orbits.plots.orbit import plot_portraits, plot_time_series
-from zeno_orbits.plots.region import plot_zeno_region
+from zeno_orbits.plots.region import has_zeno_region, plot_zeno_region
 from zeno_orbits.plots.style import COLUMN_WIDTH, FULL_WIDTH, save_figure
 from zeno_orbits.plots.trade import plot_trade
 from zeno_orbits.plots.zoom import plot_zeno_zoom
@@ -14,6 +14,7 @@ from zeno_orbits.plots.zoom import plot_zeno_zoom
 __all__ = [
     "COLUMN_WIDTH",
     "FULL_WIDTH",
+    "has_zeno_region",
     "plot_portraits",
     "plot_time_series",
     "plot_trade",

@@ -52,12 +52,12 @@ def plot_zeno_region(
         width: Width of the picture [in].
 
     Raises:
-        InputError: If the scene has holonomic constraints; its equilibria fill no such plane.
+        InputError: If the scene has constraints or a clock; its equilibria fill no such plane.
     """
-    if dynamics.holonomic(np.zeros(len(dynamics.state_names))).size:
+    if not has_zeno_region(dynamics):
         raise InputError(
-            "Argument `problem` must have no holonomic constraints to show its Zeno equilibria "
-            f"in a plane, but `{problem.name}` has some."
+            "Argument `problem` must have neither holonomic constraints nor a clock to show its "
+            f"Zeno equilibria in a plane, but `{problem.name}` has."
         )
     n_q, base = dynamics.n_q, _base(problem, dynamics)
     across = _free_coordinate(dynamics, base)
@@ -78,6 +78,11 @@ def plot_zeno_region(
         _overlay_orbit(ax, dynamics, execution, across, up)
     add_legend(figure, width)
     return figure
+
+
+def has_zeno_region(dynamics: HybridDynamics) -> bool:
+    """Tell whether the Zeno equilibria fill a plane of states: no constraint, no clock."""
+    return not dynamics.holonomic(np.zeros(len(dynamics.state_names))).size
 
 
 def _base(problem: Problem, dynamics: HybridDynamics) -> Vector:
