@@ -1,0 +1,386 @@
+r"""Families of Zeno periodic orbits in a gain or a parameter, stable or not.
+
+From one orbit the family is followed both ways until it ends, and every point at which it changes
+its character is located and named. Numbers that the scene derives from others, as the motor
+pendulum's calibrated constants, are held at their values at the start: what is followed is one
+machine of which one number changes. Source: [Keller1977]_, theory (37) to (40).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from zeno_orbits.branches import Branch, Steps, Tell, follow
+from zeno_orbits.closing import close_orbit
+from zeno_orbits.corrector import BranchPoint, Metric, correct, first_point
+from zeno_orbits.dynamics import Vector
+from zeno_orbits.errors import InputError, ZenoOrbitsError
+from zeno_orbits.families import Continuation, Family, FamilyPoint, Kind, SpecialPoint
+from zeno_orbits.models import compiled_model
+from zeno_orbits.orbit import ZenoOrbit, versions
+from zeno_orbits.problem import Problem, Setting
+from zeno_orbits.return_maps import Composed, Margin, ReleaseReturns, ReturnMap
+from zeno_orbits.sections import Line
+from zeno_orbits.simulate import SimulationSettings
+from zeno_orbits.singular_points import Located
+
+_PATIENCE = 4.0
+"""Periods of the start to wait for a return."""
+_ONE_RETURN = 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ContinuationSettings:
+    """How to follow families.
+
+    Attributes:
+        steps: The steps.
+        simulation: Accuracy of a return.
+        doublings: How often a branch of twice the period is followed where a flip throws it off.
+    """
+
+    steps: Steps = field(default_factory=Steps)
+    simulation: SimulationSettings = field(default_factory=SimulationSettings)
+    doublings: int = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Track:
+    """What a family is followed on: the map, the units, the box, and how to name things.
+
+    Attributes:
+        problem: The scene.
+        setting: Its numbers at the start.
+        parameter: The number that changes.
+        box: Its range.
+        returns: The return map.
+        metric: Units.
+        n_returns: Returns after which its orbits close.
+    """
+
+    problem: Problem
+    setting: Setting
+    parameter: str
+    box: tuple[float, float]
+    returns: ReturnMap
+    metric: Metric
+    n_returns: int = _ONE_RETURN
+
+    def restitution(self, s: float) -> float:
+        """Return the restitution at a place on the line."""
+        return float(self.returns.line.at(s)[self.problem.names.index("restitution")])
+
+    def doubled(self) -> Track:
+        """Return the same for orbits that close after twice as many returns."""
+        maps = self.returns.maps if isinstance(self.returns, Composed) else (self.returns,)
+        return replace(self, returns=Composed(maps=2 * maps), n_returns=2 * self.n_returns)
+
+
+def _silent(stage: str, part: float | None) -> None:
+    """Tell nobody."""
+
+
+def continue_orbit(
+    problem: Problem,
+    orbit: ZenoOrbit,
+    parameter: str,
+    box: tuple[float, float],
+    *,
+    settings: ContinuationSettings | None = None,
+    tell: Tell = _silent,
+) -> Continuation:
+    """Return the family of an orbit in a gain or a parameter, and what branches off it.
+
+    Args:
+        problem: The scene.
+        orbit: An orbit of it; its parameter must lie in the box.
+        parameter: Name of a gain or a parameter.
+        box: Range in which to follow it, lower end first.
+        settings: How.
+        tell: Called with what happens and the part of the steps that are done.
+
+    Raises:
+        InputError: If a name or a range does not fit, or the orbit is of another scene.
+        SimulationError: If the orbit does not close.
+    """
+    settings = settings or ContinuationSettings()
+    track = track_of(problem, orbit, parameter, box, settings)
+    x = np.array(problem.state_vector(orbit.release_state))
+    s = float(numbers(problem, orbit)[problem.names.index(parameter)])
+    return continuation_on(track, x, s, settings=settings, tell=tell)
+
+
+def continuation_on(
+    track: Track, x: Vector, s: float, *, settings: ContinuationSettings, tell: Tell = _silent
+) -> Continuation:
+    """Return the family through a state of a section, and what branches off it.
+
+    Args:
+        track: What it is followed on.
+        x: A state near a fixed point of the return map, ``(n_x,)``.
+        s: The parameter there.
+        settings: How.
+        tell: Called with what happens and the part of the steps that are done.
+
+    Raises:
+        SimulationError: If there is no fixed point near.
+    """
+    families = [_both_ways(track, x, s, settings, tell)]
+    flips = [(track, located) for located in families[0].flips]
+    found = [families[0].family]
+    for _ in range(settings.doublings):
+        later: list[tuple[Track, Located]] = []
+        for from_track, flip in flips:
+            grown = _thrown_off(from_track, flip, settings, tell)
+            if grown is not None:
+                found.append(grown.family)
+                later += [(from_track.doubled(), one) for one in grown.flips]
+        flips = later
+    return Continuation(families=tuple(found), versions=versions())
+
+
+def numbers(problem: Problem, orbit: ZenoOrbit) -> Vector:
+    """Return the parameter vector of an orbit, ``(n_p,)``."""
+    return np.array(orbit.setting(problem).values())
+
+
+def track_of(
+    problem: Problem,
+    orbit: ZenoOrbit,
+    parameter: str,
+    box: tuple[float, float],
+    settings: ContinuationSettings,
+) -> Track:
+    """Return what an orbit's family is followed on, from release to release.
+
+    Raises:
+        InputError: If a name or a range does not fit, or the orbit is of another scene.
+    """
+    if orbit.problem != problem.name:
+        message = f"must be of scene `{problem.name}`, but it is of `{orbit.problem}`"
+        raise InputError(f"Argument `orbit` {message}.")
+    setting = orbit.setting(problem)
+    p = np.array(setting.values())
+    line = line_in(problem, p, parameter)
+    check_box(problem, parameter, box, float(p[problem.names.index(parameter)]))
+    returns = ReleaseReturns(
+        compiled=compiled_model(problem), line=line, settings=settings.simulation
+    )
+    return Track(
+        problem=problem,
+        setting=setting,
+        parameter=parameter,
+        box=box,
+        returns=returns,
+        metric=Metric(
+            scale=scale_of(problem, orbit),
+            unit=box[1] - box[0],
+            horizon=_PATIENCE * orbit.period,
+        ),
+    )
+
+
+def scale_of(problem: Problem, orbit: ZenoOrbit) -> Vector:
+    """Return the size of each state over the events of an orbit, nowhere near zero, ``(n_x,)``."""
+    events = [orbit.release_state, orbit.zeno_state, *(i.state_minus for i in orbit.impacts)]
+    sizes = np.max(np.abs([problem.state_vector(state) for state in events]), axis=0)
+    largest = float(np.max(sizes))
+    return np.where(sizes > 1e-9 * largest, sizes, largest)
+
+
+def line_in(problem: Problem, p: Vector, parameter: str) -> Line:
+    """Return the line along which one number changes.
+
+    Raises:
+        InputError: If the scene has no such number.
+    """
+    if parameter not in problem.names:
+        known = ", ".join(problem.names)
+        raise InputError(f"Argument `in` must be one of {known}, but it is `{parameter}`.")
+    direction = np.zeros(p.size)
+    direction[problem.names.index(parameter)] = 1.0
+    return Line(origin=p * (1 - direction), direction=direction)
+
+
+def check_box(problem: Problem, parameter: str, box: tuple[float, float], value: float) -> None:
+    """Refuse a range that is none, that a parameter may not have, or without the start.
+
+    Raises:
+        InputError: If it is one of these.
+    """
+    low, high = box
+    if not low < high:
+        message = f"must have the lower end first, but it is {low:g}:{high:g}"
+        raise InputError(f"Argument `in` {message}.")
+    for quantity in problem.parameters:
+        if quantity.name == parameter:
+            quantity.checked(low)
+            quantity.checked(high)
+    if not low <= value <= high:
+        message = f"must hold the start, {parameter} = {value:g}, but it is {low:g}:{high:g}"
+        raise InputError(f"Argument `in` {message}.")
+
+
+def start_orbit(
+    problem: Problem, setting: Setting, *, on_progress: Callable[[str], None] | None = None
+) -> ZenoOrbit:
+    """Return the orbit at given numbers that a motion settles to.
+
+    Raises:
+        OrbitNotClosedError: If there is none.
+    """
+    return close_orbit(problem, setting, on_progress=on_progress).unwrap()
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Grown:
+    """A family, and the flips that were met on it."""
+
+    family: Family
+    flips: tuple[Located, ...]
+
+
+def _both_ways(
+    track: Track, x: Vector, s: float, settings: ContinuationSettings, tell: Tell
+) -> _Grown:
+    up = first_point(track.returns, track.metric, x, s, rising=True)
+    down = first_point(track.returns, track.metric, x, s, rising=False)
+    forward = _followed(track, up, settings, tell)
+    if forward.ending is Kind.CLOSED:
+        return _grown(track, Branch(points=(), special=(), ending=Kind.CLOSED), forward)
+    return _grown(track, _followed(track, down, settings, tell), forward)
+
+
+def _followed(
+    track: Track,
+    start: BranchPoint,
+    settings: ContinuationSettings,
+    tell: Tell,
+    alien: Callable[[BranchPoint], bool] | None = None,
+) -> Branch:
+    return follow(
+        track.returns,
+        track.metric,
+        start,
+        track.box,
+        settings.steps,
+        restitution=track.restitution,
+        tell=tell,
+        alien=alien,
+    )
+
+
+_AWAY = (1e-3, 4e-3, 1.6e-2)
+"""Distances from a flip at which the branch of twice the period is looked for."""
+_APART = 0.2
+"""Part of that distance by which a point must differ from its own first return."""
+
+
+def _thrown_off(
+    track: Track, flip: Located, settings: ContinuationSettings, tell: Tell
+) -> _Grown | None:
+    r"""Return the family of twice the period that a flip throws off.
+
+    It leaves at right angles to the parameter, along the multiplier's own direction `v`:
+    :math:`z = z_* \pm \epsilon v + O(\epsilon^2)`. One sense is enough, as a return leads from
+    either half of the family to the other.
+    """
+    doubled, point = track.doubled(), flip.point
+    values, vectors = np.linalg.eig(point.jacobian)
+    v = np.real(vectors[:, int(np.argmin(np.abs(values + 1)))])
+    here = track.returns.frame(point.x, point.s, track.metric.scale)
+    direction = np.append(here.tangent @ v, 0.0)
+    direction /= np.linalg.norm(direction)
+
+    def alien(other: BranchPoint) -> bool:
+        """Tell an orbit that closes after half the returns."""
+        once = track.returns.follow(other.x, other.s, horizon=track.metric.horizon)
+        away = float(np.linalg.norm(other.z - point.z))
+        return float(np.max(np.abs(once.end - other.x) / track.metric.scale)) < min(
+            _APART * away, _APART * _AWAY[0]
+        )
+
+    for away in _AWAY:
+        z = point.z + away * direction
+        try:
+            start = correct(doubled.returns, doubled.metric, z, direction)
+        except ZenoOrbitsError:
+            continue
+        if not alien(start) and float(start.tangent @ direction) > 0.0:
+            tell(f"branch of {doubled.n_returns} returns at {start.s:.6g}", None)
+            branch = _followed(doubled, start, settings, tell, alien)
+            root = Branch(points=(), special=(), ending=Kind.FLIP, end=flip)
+            return _grown(doubled, root, branch)
+    return None
+
+
+def _grown(track: Track, backward: Branch, forward: Branch) -> _Grown:
+    """Return both directions as one family."""
+    before = len(backward.points)
+    # The start is the first point of both, but a family may grow in one direction only.
+    shared = 1 if before else 0
+    points = (*backward.points[::-1], *forward.points[shared:])
+    special = [
+        _special(track, located, max(before - 2 - index, 0))
+        for index, located in reversed(backward.special)
+    ]
+    special += [
+        _special(track, located, max(before - shared, 0) + index)
+        for index, located in forward.special
+    ]
+    located = [one for _, one in (*backward.special, *forward.special)]
+    return _Grown(
+        family=Family(
+            problem=track.problem.name,
+            parameter=track.parameter,
+            gains=track.setting.gains,
+            parameters=track.setting.parameters,
+            n_returns=track.n_returns,
+            points=tuple(family_point(track, point) for point in points),
+            special=tuple(special),
+            first=_end(track, backward, points[0], 0),
+            last=_end(track, forward, points[-1], len(points) - 1),
+        ),
+        flips=tuple(one for one in located if one.kind is Kind.FLIP),
+    )
+
+
+def family_point(track: Track, point: BranchPoint) -> FamilyPoint:
+    """Return a point of a branch in names."""
+    return FamilyPoint(
+        value=point.s,
+        state=dict(zip(track.problem.state_names, point.x.tolist(), strict=True)),
+        period=point.found.time,
+        multipliers=point.multipliers,
+        margins={
+            _name(margin, track.n_returns): value for margin, value in point.found.margins.items()
+        },
+        miss=point.miss,
+    )
+
+
+def _name(margin: Margin, n_returns: int) -> str:
+    word = margin.loss.value
+    return word if n_returns == _ONE_RETURN else f"{word}, return {margin.place + 1}"
+
+
+def _special(track: Track, located: Located, index: int) -> SpecialPoint:
+    point = family_point(track, located.point)
+    x, s = track.metric.of_place(located.z)
+    at = replace(
+        point,
+        value=s,
+        state=dict(zip(track.problem.state_names, x.tolist(), strict=True)),
+        period=located.period,
+    )
+    return SpecialPoint(kind=located.kind, at=at, error=located.error, index=index)
+
+
+def _end(track: Track, branch: Branch, last: BranchPoint, index: int) -> SpecialPoint:
+    if branch.end is not None:
+        return _special(track, branch.end, index)
+    at = family_point(track, last)
+    return SpecialPoint(kind=branch.ending, at=at, error=0.0, index=index, detail=branch.detail)
