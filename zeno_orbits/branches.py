@@ -282,5 +282,5 @@ class _Walk:
         )
 
 
-_CERTAIN = 1e-4
+_CERTAIN = 1e-6
 """Estimated error of an end, as part of the range, above which it is not one."""

@@ -23,6 +23,7 @@ from zeno_orbits.models import compiled_model
 from zeno_orbits.orbit import ZenoOrbit, versions
 from zeno_orbits.problem import Problem, Setting
 from zeno_orbits.return_maps import Composed, Margin, ReleaseReturns, ReturnMap
+from zeno_orbits.search import find_orbit
 from zeno_orbits.sections import Line
 from zeno_orbits.simulate import SimulationSettings
 from zeno_orbits.singular_points import Located
@@ -225,14 +226,23 @@ def check_box(problem: Problem, parameter: str, box: tuple[float, float], value:
 
 
 def start_orbit(
-    problem: Problem, setting: Setting, *, on_progress: Callable[[str], None] | None = None
+    problem: Problem, setting: Setting, *, tell: Callable[[str], None] | None = None
 ) -> ZenoOrbit:
     """Return the orbit at given numbers that a motion settles to.
 
+    By simulation alone, and where that does not close one, by the search.
+
     Raises:
-        OrbitNotClosedError: If there is none.
+        OrbitNotFoundError: If there is none.
     """
-    return close_orbit(problem, setting, on_progress=on_progress).unwrap()
+    try:
+        closing = close_orbit(problem, setting, on_progress=tell)
+    except InputError:
+        # A rough simulation may drift off a holonomic row; the search is no worse for it.
+        closing = None
+    if closing is not None and closing.orbit is not None:
+        return closing.orbit
+    return find_orbit(problem, setting).unwrap()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -130,6 +130,27 @@ def correct(
     )
 
 
+def corrected_again(returns: ReturnMap, metric: Metric, point: BranchPoint) -> BranchPoint:
+    """Return a point after one more correction, however small its miss is.
+
+    Args:
+        returns: The return map, at another accuracy than the one of the point for instance.
+        metric: Units.
+        point: The point.
+
+    Raises:
+        ZenoOrbitsError: If a return fails.
+    """
+    here = returns.frame(point.x, point.s, metric.scale)
+    found = returns.follow(point.x, point.s, horizon=metric.horizon)
+    rows, ambient = _linearized(here, found, metric)
+    matrix = np.concatenate([rows, (point.tangent @ ambient)[None, :]])
+    missed = np.append(here.coordinates(found.end - point.x), 0.0)
+    change = np.linalg.lstsq(matrix, -missed, rcond=None)[0]
+    place = metric.place(point.x + here.lift @ change, point.s + float(change[-1]))
+    return correct(returns, metric, place, point.tangent)
+
+
 def first_point(
     returns: ReturnMap, metric: Metric, x: Vector, s: float, *, rising: bool
 ) -> BranchPoint:

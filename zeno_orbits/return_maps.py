@@ -141,8 +141,10 @@ class ReleaseReturns:
         run = found.execution
         arcs = [arc for arc in run.arcs if arc.end_time <= found.period.value]
         flight = next(arc for arc in arcs if arc.mode is Mode.FREE)
-        zeno = next(z for z in run.zeno_points if z.time < found.period.value)
-        states = [found.start, zeno.state, *(i.state_plus for i in run.impacts[:1])]
+        zeno = run.zeno_points[0]
+        locked = next(arc for arc in reversed(arcs) if arc.mode is Mode.LOCKED)
+        states = [found.start, zeno.state, run.impacts[0].state_plus]
+        states += [_inside(arc, part) for arc in (flight, locked) for part in _PARTS]
         margins = {
             Margin(loss=Loss.AMPLITUDE): float(np.max(np.ptp(np.array(states), axis=0))),
             Margin(loss=Loss.LOCK): found.locked_time.value,
@@ -150,7 +152,6 @@ class ReleaseReturns:
             Margin(loss=Loss.FIRST_IMPACT): -found.first_rate.value,
             Margin(loss=Loss.RELEASE_RATE): -dynamics.multiplier_rate(found.end),
         }
-        locked = next(arc for arc in reversed(arcs) if arc.mode is Mode.LOCKED)
         least_gap = _least_gap(dynamics, flight)
         if least_gap is not None:
             margins[Margin(loss=Loss.NEAR_MISS)] = least_gap
@@ -164,6 +165,14 @@ class ReleaseReturns:
             by_parameter=found.by_parameters @ line.slopes,
             margins=margins,
         )
+
+
+_PARTS = (0.25, 0.5, 0.75)
+"""Where arcs are looked at for the amplitude: at fixed parts, so that it is smooth."""
+
+
+def _inside(arc: Arc, part: float) -> Vector:
+    return arc.flow_state_at(part * arc.duration)
 
 
 def looser(settings: SimulationSettings) -> SimulationSettings:

@@ -14,7 +14,7 @@ from itertools import combinations
 
 import numpy as np
 
-from zeno_orbits.corrector import BranchPoint, Metric, correct
+from zeno_orbits.corrector import BranchPoint, Metric, correct, corrected_again
 from zeno_orbits.cut_returns import cut_after
 from zeno_orbits.dynamics import Vector
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
@@ -160,12 +160,18 @@ def _doubt(
 ) -> float:
     """Return by how much a looser computation moves a root along the parameter, in its unit."""
     try:
-        again = correct(returns.loosened(), metric, point.z, point.tangent)
+        again = corrected_again(returns.loosened(), metric, point)
     except ZenoOrbitsError:
         return float("inf")
     along = abs(test(again) - test(point)) + abs(test(point))
     shift = along / max(abs(slope), 1e-300)
-    return float(abs(again.z[-1] - point.z[-1]) + abs(point.tangent[-1]) * shift + shift**2)
+    # At a fold the parameter is stationary along the family: a shift counts by its square.
+    moved = abs(again.z[-1] - point.z[-1]) + abs(point.tangent[-1]) * shift + shift**2
+    return float(moved) + _ROUNDING * max(1.0, abs(point.z[-1]))
+
+
+_ROUNDING = 1e-15
+"""Least error that is claimed."""
 
 
 ENDS = {
@@ -181,8 +187,19 @@ ENDS = {
 
 _NEARLY = 0.4
 """Part of a margin's largest value below which its end may be near."""
-_TOGETHER = 0.25
-"""Relative difference of distances at which two margins vanish at one point."""
+_TOGETHER = 0.6
+"""Fall of a margin, as a part of what another's entails, at which both vanish at one point."""
+_ENTAILED: dict[Loss, dict[Loss, float]] = {
+    Loss.AMPLITUDE: {
+        Loss.FIRST_IMPACT: 1.0,
+        Loss.ACCELERATION: 1.0,
+        Loss.RELEASE_RATE: 1.0,
+        Loss.NEAR_MISS: 1.0,
+    },
+    Loss.RELEASE_RATE: {Loss.FIRST_IMPACT: 3.0},
+    Loss.LOCK: {Loss.ACCELERATION: 1.0, Loss.ADHESION: 2.0},
+}
+"""What else vanishes with a margin, and with which power of it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -192,10 +209,12 @@ class Threat:
     Attributes:
         margin: Which.
         distance: Predicted distance along the family.
+        fall: Logarithm of its last fall.
     """
 
     margin: Margin
     distance: float
+    fall: float
 
 
 def threats(points: Sequence[BranchPoint], restitution: float) -> list[Threat]:
@@ -207,38 +226,38 @@ def threats(points: Sequence[BranchPoint], restitution: float) -> list[Threat]:
     """
     before, last = points[-2], points[-1]
     step = float(np.linalg.norm(last.z - before.z))
-    found: dict[Margin, float] = {}
+    found: dict[Margin, Threat] = {}
     for margin, value in last.found.margins.items():
         earlier = before.found.margins.get(margin)
         if earlier is None or step == 0.0 or margin.loss is Loss.CUT:
             continue
         largest = max(p.found.margins.get(margin, 0.0) for p in points)
-        power = 1.0
-        if margin.loss in (Loss.LOCK, Loss.ACCELERATION) and restitution > 0.0:
-            power = 1 / separatrix(restitution).exponent
-        fall = earlier**power - value**power if value > 0.0 else 0.0
-        if fall > 0.0 and value < _NEARLY * largest:
-            found[margin] = step * value**power / fall
+        if 0.0 < value < min(earlier, _NEARLY * largest):
+            power = 1.0
+            if margin.loss is Loss.LOCK and restitution > 0.0:
+                power = 1 / separatrix(restitution).exponent
+            found[margin] = Threat(
+                margin=margin,
+                distance=step / ((earlier / value) ** power - 1),
+                fall=float(np.log(earlier / value)),
+            )
     return _without_consequences(found)
 
 
-def _without_consequences(found: dict[Margin, float]) -> list[Threat]:
-    """Return threats without those that a greater one entails at the same distance."""
-    entailed = {
-        Loss.AMPLITUDE: (Loss.FIRST_IMPACT, Loss.ACCELERATION, Loss.RELEASE_RATE),
-        Loss.LOCK: (Loss.ACCELERATION, Loss.ADHESION),
-    }
+def _without_consequences(found: dict[Margin, Threat]) -> list[Threat]:
+    """Return threats without those that a greater one entails, by how fast they fall together.
+
+    Where the amplitude vanishes everything does that is no time, in proportion. Where the release
+    is not transversal the flight after it vanishes, and lands with the cube of the release's rate.
+    Where the locked arc vanishes, so does the acceleration at its start.
+    """
     left = dict(found)
-    for margin, distance in found.items():
-        for loss in entailed.get(margin.loss, ()):
-            lesser = Margin(loss=loss, place=margin.place)
-            there = left.get(lesser)
-            if there is not None and abs(there - distance) < _TOGETHER * max(there, distance):
-                del left[lesser]
-    return sorted(
-        (Threat(margin=margin, distance=distance) for margin, distance in left.items()),
-        key=lambda threat: threat.distance,
-    )
+    for margin, threat in found.items():
+        for loss, power in _ENTAILED.get(margin.loss, {}).items():
+            lesser = left.get(Margin(loss=loss, place=margin.place))
+            if lesser is not None and threat.fall > _TOGETHER * lesser.fall / power:
+                del left[lesser.margin]
+    return sorted(left.values(), key=lambda threat: threat.distance)
 
 
 def locate_end(
@@ -385,7 +404,7 @@ def _locate_cut(
     else:
         error = float(np.max(np.abs(limits[-1] - limits[-2])[:-1]))
     # The last cut's own convergence, and what a looser computation changes.
-    loose = correct(cut_after(returns, place, n).loosened(), metric, here.z, here.tangent)
+    loose = corrected_again(cut_after(returns, place, n).loosened(), metric, here)
     slope = _slope(cut_after(returns, place, n), metric, here, cut, max(step, 1e-9))
     doubt = abs(loose.found.margins[cut] - here.found.margins[cut]) / abs(slope)
     return Located(
