@@ -41,6 +41,15 @@ def read_boxes(entries: Sequence[str]) -> dict[str, tuple[float, float]]:
     return boxes
 
 
+def read_range(entry: str, option: str) -> tuple[str, tuple[float, float]]:
+    """Return name and bounds from ``NAME=LOW:HIGH``."""
+    name, sign, bounds = entry.partition("=")
+    low, colon, high = bounds.partition(":")
+    if not sign or not colon or not name:
+        raise InputError(f"Argument `{option}` must be NAME=LOW:HIGH, but it is `{entry}`.")
+    return name, (read_number(low, name), read_number(high, name))
+
+
 def read_number(text: str, name: str) -> float:
     """Return a number, or say which name has none."""
     try:

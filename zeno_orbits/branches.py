@@ -98,7 +98,7 @@ def follow(
         box: Range of the parameter.
         steps: How to step.
         restitution: At a parameter.
-        tell: Called with what happens and the part of the steps that are done.
+        tell: Called with what happens.
         alien: Tells a point that belongs to another family: an orbit of lower period.
     """
     walk = _Walk(returns, metric, box, steps, restitution, tell, alien)
@@ -128,7 +128,7 @@ class _Walk:
         self.points.append(start)
         step, trouble = self.steps.first, ""
         while len(self.points) <= self.steps.most:
-            self.tell(f"at {self.points[-1].s:.6g}", len(self.points) / self.steps.most)
+            self.tell(f"{len(self.points)} orbits, at {self.points[-1].s:.6g}", None)
             ended = self._end_within(_SOON * step)
             if ended is not None:
                 return ended

@@ -8,17 +8,18 @@ machine of which one number changes. Source: [Keller1977]_, theory (37) to (40).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from zeno_orbits.boundaries import CurveSteps, Plane, follow_boundary
 from zeno_orbits.branches import Branch, Steps, Tell, follow
 from zeno_orbits.closing import close_orbit
 from zeno_orbits.corrector import BranchPoint, Metric, correct, first_point
 from zeno_orbits.dynamics import Vector
 from zeno_orbits.errors import InputError, ZenoOrbitsError
-from zeno_orbits.families import Continuation, Family, FamilyPoint, Kind, SpecialPoint
+from zeno_orbits.families import Boundary, Continuation, Family, FamilyPoint, Kind, SpecialPoint
 from zeno_orbits.models import compiled_model
 from zeno_orbits.orbit import ZenoOrbit, versions
 from zeno_orbits.problem import Problem, Setting
@@ -40,11 +41,13 @@ class ContinuationSettings:
     Attributes:
         steps: The steps.
         simulation: Accuracy of a return.
+        curve: Steps of a boundary in two parameters.
         doublings: How often a branch of twice the period is followed where a flip throws it off.
     """
 
     steps: Steps = field(default_factory=Steps)
     simulation: SimulationSettings = field(default_factory=SimulationSettings)
+    curve: CurveSteps = field(default_factory=CurveSteps)
     doublings: int = 1
 
 
@@ -74,6 +77,10 @@ class Track:
         """Return the restitution at a place on the line."""
         return float(self.returns.line.at(s)[self.problem.names.index("restitution")])
 
+    def on_line(self, line: Line) -> ReturnMap:
+        """Return the same return map along another line of parameters."""
+        return self.returns.moved_to(line)
+
     def doubled(self) -> Track:
         """Return the same for orbits that close after twice as many returns."""
         maps = self.returns.maps if isinstance(self.returns, Composed) else (self.returns,)
@@ -101,7 +108,7 @@ def continue_orbit(
         parameter: Name of a gain or a parameter.
         box: Range in which to follow it, lower end first.
         settings: How.
-        tell: Called with what happens and the part of the steps that are done.
+        tell: Called with what happens.
 
     Raises:
         InputError: If a name or a range does not fit, or the orbit is of another scene.
@@ -114,6 +121,95 @@ def continue_orbit(
     return continuation_on(track, x, s, settings=settings, tell=tell)
 
 
+def continue_orbit_in_two(
+    problem: Problem,
+    orbit: ZenoOrbit,
+    names: tuple[str, str],
+    boxes: tuple[tuple[float, float], tuple[float, float]],
+    *,
+    kinds: tuple[Kind, ...],
+    settings: ContinuationSettings | None = None,
+    tell: Tell = _silent,
+) -> Continuation:
+    """Return the family of an orbit in the first of two parameters, and its points in both.
+
+    Args:
+        problem: The scene.
+        orbit: An orbit of it; both parameters must lie in their boxes.
+        names: Names of two gains or parameters.
+        boxes: Their ranges.
+        kinds: Which kinds of special points to follow.
+        settings: How.
+        tell: Called with what happens.
+
+    Raises:
+        InputError: If a name or a range does not fit, or the orbit is of another scene.
+        SimulationError: If the orbit does not close.
+    """
+    settings = settings or ContinuationSettings()
+    if names[0] == names[1]:
+        raise InputError(f"Argument `second` must differ from `in`, but both are `{names[0]}`.")
+    p = numbers(problem, orbit)
+    line_in(problem, p, names[1])
+    second = problem.names.index(names[1])
+    check_box(problem, names[1], boxes[1], float(p[second]))
+    track = track_of(problem, orbit, names[0], boxes[0], settings)
+    x = np.array(problem.state_vector(orbit.release_state))
+    first = problem.names.index(names[0])
+    grown = _grown_from(track, x, float(p[first]), settings, tell)
+    plane = Plane(
+        names=names,
+        places=(first, second),
+        box=np.array(boxes),
+        p=p,
+        restitution=problem.names.index("restitution"),
+    )
+    boundaries: list[Boundary] = []
+    for one in grown:
+        for located, leading in (*((s, ()) for s in one.special), *one.ends):
+            value = (located.z[-1] * track.metric.unit, float(p[second]))
+            if located.kind in kinds and not _known(boundaries, plane, located.kind, value):
+                boundaries.append(
+                    follow_boundary(
+                        plane,
+                        one.track.on_line,
+                        track.metric,
+                        located,
+                        value,
+                        leading=leading,
+                        place=located.place,
+                        steps=settings.curve,
+                        tell=tell,
+                    )
+                )
+    return Continuation(
+        families=tuple(one.family for one in grown),
+        boundaries=tuple(boundaries),
+        versions=versions(),
+    )
+
+
+_SAME = 1e-6
+"""Part of a range by which two points on one boundary may differ."""
+
+
+def _known(
+    boundaries: Sequence[Boundary], plane: Plane, kind: Kind, value: tuple[float, float]
+) -> bool:
+    """Tell whether a boundary runs through a point already: a curve may come back to its line."""
+    for boundary in boundaries:
+        if boundary.kind is not kind:
+            continue
+        x, y = np.array(boundary.x), np.array(boundary.y)
+        for k in np.flatnonzero((y[:-1] - value[1]) * (y[1:] - value[1]) <= 0.0):
+            part = (value[1] - y[k]) / (y[k + 1] - y[k]) if y[k + 1] != y[k] else 0.0
+            near = abs(x[k] + part * (x[k + 1] - x[k]) - value[0])
+            bend = 0.1 * abs(x[k + 1] - x[k]) + _SAME * plane.units[0]
+            if near <= bend:
+                return True
+    return False
+
+
 def continuation_on(
     track: Track, x: Vector, s: float, *, settings: ContinuationSettings, tell: Tell = _silent
 ) -> Continuation:
@@ -124,23 +220,30 @@ def continuation_on(
         x: A state near a fixed point of the return map, ``(n_x,)``.
         s: The parameter there.
         settings: How.
-        tell: Called with what happens and the part of the steps that are done.
+        tell: Called with what happens.
 
     Raises:
         SimulationError: If there is no fixed point near.
     """
-    families = [_both_ways(track, x, s, settings, tell)]
-    flips = [(track, located) for located in families[0].flips]
-    found = [families[0].family]
+    grown = _grown_from(track, x, s, settings, tell)
+    return Continuation(families=tuple(one.family for one in grown), versions=versions())
+
+
+def _grown_from(
+    track: Track, x: Vector, s: float, settings: ContinuationSettings, tell: Tell
+) -> list[_Grown]:
+    """Return the family through a state, and those that flips throw off."""
+    found = [_both_ways(track, x, s, settings, tell)]
+    latest = list(found)
     for _ in range(settings.doublings):
-        later: list[tuple[Track, Located]] = []
-        for from_track, flip in flips:
-            grown = _thrown_off(from_track, flip, settings, tell)
-            if grown is not None:
-                found.append(grown.family)
-                later += [(from_track.doubled(), one) for one in grown.flips]
-        flips = later
-    return Continuation(families=tuple(found), versions=versions())
+        later: list[_Grown] = []
+        for one in latest:
+            flips = [located for located in one.special if located.kind is Kind.FLIP]
+            thrown = [_thrown_off(one.track, flip, settings, tell) for flip in flips]
+            later += [grown for grown in thrown if grown is not None]
+        found += later
+        latest = later
+    return found
 
 
 def numbers(problem: Problem, orbit: ZenoOrbit) -> Vector:
@@ -247,10 +350,19 @@ def start_orbit(
 
 @dataclass(frozen=True, kw_only=True)
 class _Grown:
-    """A family, and the flips that were met on it."""
+    """A family with what is needed to go on from it.
+
+    Attributes:
+        family: The family.
+        track: What it was followed on.
+        special: Its special points.
+        ends: Its located ends, each with the last points before it.
+    """
 
     family: Family
-    flips: tuple[Located, ...]
+    track: Track
+    special: tuple[Located, ...]
+    ends: tuple[tuple[Located, tuple[BranchPoint, ...]], ...]
 
 
 def _both_ways(
@@ -354,7 +466,13 @@ def _grown(track: Track, backward: Branch, forward: Branch) -> _Grown:
             first=_end(track, backward, points[0], 0),
             last=_end(track, forward, points[-1], len(points) - 1),
         ),
-        flips=tuple(one for one in located if one.kind is Kind.FLIP),
+        track=track,
+        special=tuple(located),
+        ends=tuple(
+            (branch.end, branch.points[-2:])
+            for branch in (backward, forward)
+            if branch.end is not None and len(branch.points) > 1
+        ),
     )
 
 
@@ -365,16 +483,19 @@ def family_point(track: Track, point: BranchPoint) -> FamilyPoint:
         state=dict(zip(track.problem.state_names, point.x.tolist(), strict=True)),
         period=point.found.time,
         multipliers=point.multipliers,
-        margins={
-            _name(margin, track.n_returns): value for margin, value in point.found.margins.items()
-        },
+        margins=_named(point.found.margins, track.n_returns),
         miss=point.miss,
     )
 
 
-def _name(margin: Margin, n_returns: int) -> str:
-    word = margin.loss.value
-    return word if n_returns == _ONE_RETURN else f"{word}, return {margin.place + 1}"
+def _named(margins: Mapping[Margin, float], n_returns: int) -> dict[str, float]:
+    """Return margins by their words, with the return's number where there are several."""
+    return {
+        margin.loss.value
+        if n_returns == _ONE_RETURN
+        else f"{margin.loss.value}, return {margin.place + 1}": value
+        for margin, value in margins.items()
+    }
 
 
 def _special(track: Track, located: Located, index: int) -> SpecialPoint:
@@ -385,6 +506,7 @@ def _special(track: Track, located: Located, index: int) -> SpecialPoint:
         value=s,
         state=dict(zip(track.problem.state_names, x.tolist(), strict=True)),
         period=located.period,
+        margins=_named(located.margins, track.n_returns),
     )
     return SpecialPoint(kind=located.kind, at=at, error=located.error, index=index)
 

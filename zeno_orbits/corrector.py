@@ -109,7 +109,7 @@ def correct(
     for _ in range(_MOST_ITERATIONS):
         x = returns.projected(x, s, metric.scale)
         here = returns.frame(x, s, metric.scale)
-        found = returns.follow(x, s, horizon=metric.horizon)
+        found = _followed(returns, x, s, metric)
         missed = here.coordinates(found.end - x)
         miss = float(np.max(np.abs(missed), initial=0.0))
         off = float(normal @ (metric.place(x, s) - z))
@@ -142,7 +142,7 @@ def corrected_again(returns: ReturnMap, metric: Metric, point: BranchPoint) -> B
         ZenoOrbitsError: If a return fails.
     """
     here = returns.frame(point.x, point.s, metric.scale)
-    found = returns.follow(point.x, point.s, horizon=metric.horizon)
+    found = _followed(returns, point.x, point.s, metric)
     rows, ambient = _linearized(here, found, metric)
     matrix = np.concatenate([rows, (point.tangent @ ambient)[None, :]])
     missed = np.append(here.coordinates(found.end - point.x), 0.0)
@@ -163,6 +163,17 @@ def first_point(
     upwards = np.zeros(z.size)
     upwards[-1] = 1.0 if rising else -1.0
     return correct(returns, metric, z, upwards)
+
+
+def _followed(returns: ReturnMap, x: Vector, s: float, metric: Metric) -> Return:
+    """Return a return, or say that the numbers ran out of range on the way."""
+    if not (np.all(np.isfinite(x)) and np.isfinite(s)):
+        raise SimulationError("Newton's method diverges", time=0.0, state=tuple(x.tolist()))
+    try:
+        return returns.follow(x, s, horizon=metric.horizon)
+    except (np.linalg.LinAlgError, OverflowError) as error:
+        # A trial far off the family may run away before it is stopped.
+        raise SimulationError(str(error), time=metric.horizon, state=tuple(x.tolist())) from error
 
 
 def _linearized(here: Frame, found: Return, metric: Metric) -> tuple[Vector, Vector]:

@@ -68,6 +68,10 @@ class CutReturns:
         """Return the release state nearest to a state."""
         return self.whole.projected(x, s, scale)
 
+    def moved_to(self, line: Line) -> CutReturns:
+        """Return the same map along another line."""
+        return replace(self, whole=self.whole.moved_to(line))
+
     def loosened(self) -> CutReturns:
         """Return the same at a looser tolerance."""
         return replace(self, whole=self.whole.loosened())

@@ -49,6 +49,10 @@ class ImpactReturns:
         """Return the state on the stop nearest to a state."""
         return projected(self.dynamics(s), IMPACT_ROWS, x, scale)
 
+    def moved_to(self, line: Line) -> ImpactReturns:
+        """Return the same map along another line."""
+        return replace(self, line=line)
+
     def loosened(self) -> ImpactReturns:
         """Return the same map at a looser tolerance."""
         return replace(self, settings=looser(self.settings))

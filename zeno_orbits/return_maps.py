@@ -101,6 +101,10 @@ class ReturnMap(Protocol):
         """Return the same map at a looser tolerance: what that changes is an error estimate."""
         ...
 
+    def moved_to(self, line: Line) -> ReturnMap:
+        """Return the same map along another line."""
+        ...
+
 
 @dataclass(frozen=True, kw_only=True)
 class ReleaseReturns:
@@ -127,6 +131,10 @@ class ReleaseReturns:
     def projected(self, x: Vector, s: float, scale: Vector) -> Vector:
         """Return the release state nearest to a state."""
         return projected(self.dynamics(s), RELEASE_ROWS, x, scale)
+
+    def moved_to(self, line: Line) -> ReleaseReturns:
+        """Return the same map along another line."""
+        return replace(self, line=line)
 
     def loosened(self) -> ReleaseReturns:
         """Return the same map at a looser tolerance."""
@@ -220,6 +228,10 @@ class Composed:
     def projected(self, x: Vector, s: float, scale: Vector) -> Vector:
         """Return the state of the section nearest to a state."""
         return self.maps[0].projected(x, s, scale)
+
+    def moved_to(self, line: Line) -> Composed:
+        """Return the same map along another line."""
+        return Composed(maps=tuple(one.moved_to(line) for one in self.maps))
 
     def loosened(self) -> Composed:
         """Return the same map at a looser tolerance."""

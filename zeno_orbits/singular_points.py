@@ -8,7 +8,7 @@ Theory (38) to (40).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -35,6 +35,8 @@ class Located:
         z: Its ambient place, ``(n_x + 1,)``; at an end, the limit.
         period: [s].
         error: Estimated error of the parameter.
+        margins: How far the orbit is from each loss; at an end, the limits.
+        place: At an end, the return in which it is, counted from 0.
     """
 
     kind: Kind
@@ -42,6 +44,8 @@ class Located:
     z: Vector
     period: float
     error: float
+    margins: Mapping[Margin, float]
+    place: int = 0
 
 
 def fold_test(point: BranchPoint) -> float:
@@ -105,7 +109,12 @@ def locate_inside(
         # Two real multipliers with product one: nothing happens to the orbit.
         return None
     return Located(
-        kind=kind, point=point, z=point.z, period=point.found.time, error=root.error * metric.unit
+        kind=kind,
+        point=point,
+        z=point.z,
+        period=point.found.time,
+        error=root.error * metric.unit,
+        margins=point.found.margins,
     )
 
 
@@ -153,6 +162,57 @@ def root_between(
     other = next((d for d in near if abs(d - root) > 1e-7 * length), near[-1])
     slope = (test(known[other]) - test(point)) / (other - root)
     return Root(point=point, error=_doubt(returns, metric, point, test, slope))
+
+
+_NUDGE = 1e-4
+_MOST_SECANTS = 15
+
+
+def located_near(
+    returns: ReturnMap, metric: Metric, start: BranchPoint, kind: Kind, test: TestFunction
+) -> Located:
+    """Return the special point near a point of a family, by secants along it.
+
+    Raises:
+        ZenoOrbitsError: If there is none near.
+    """
+    here, value = start, test(start)
+    other = correct(returns, metric, here.z + _NUDGE * here.tangent, here.tangent)
+    slope = (test(other) - value) / _NUDGE
+    for _ in range(_MOST_SECANTS):
+        distance = -value / slope if slope else np.inf
+        if not abs(distance) < _NEAR:
+            break
+        if abs(distance) < _ROOT:
+            error = _doubt(returns, metric, here, test, slope) * metric.unit
+            return Located(
+                kind=kind,
+                point=here,
+                z=here.z,
+                period=here.found.time,
+                error=error,
+                margins=here.found.margins,
+            )
+        there = correct(returns, metric, here.z + distance * here.tangent, here.tangent)
+        gone, value_there = float((there.z - here.z) @ here.tangent), test(there)
+        if gone != 0.0 and value_there != value and abs(distance) > _TINY:
+            slope = (value_there - value) / gone
+        here, value = there, value_there
+        if abs(distance) < _TINY:
+            error = _doubt(returns, metric, here, test, slope) * metric.unit
+            return Located(
+                kind=kind,
+                point=here,
+                z=here.z,
+                period=here.found.time,
+                error=error,
+                margins=here.found.margins,
+            )
+    raise SimulationError(f"There is no {kind.value} near", time=0.0, state=())
+
+
+_NEAR, _TINY = 0.3, 1e-8
+"""How far a special point may be along the family, and a secant after which rounding is left."""
 
 
 def _doubt(
@@ -284,6 +344,16 @@ def locate_end(
     return _approach(returns, metric, points[-2], points[-1], threat.margin)
 
 
+def _limits(before: BranchPoint, last: BranchPoint, gone: Margin) -> dict[Margin, float]:
+    """Return margins where one of them vanishes, on a line through the last two points."""
+    early, late = before.found.margins, last.found.margins
+    part = late[gone] / (early[gone] - late[gone])
+    return {
+        margin: max(0.0, value - part * (early.get(margin, value) - value))
+        for margin, value in late.items()
+    }
+
+
 _HALVINGS = 12
 _NODES = 7
 _GOOD = 1e-11
@@ -323,6 +393,8 @@ def _approach(
         z=limit[:-1],
         period=float(limit[-1]),
         error=error * metric.unit,
+        margins=_limits(nodes[-2], nodes[-1], margin),
+        place=margin.place,
     )
 
 
@@ -351,7 +423,7 @@ def _halved(
 
 def _neville(places: Vector, rows: Vector) -> tuple[Vector, float]:
     """Return the value at 0 of the polynomial through rows at places, and the last change."""
-    table = [row for row in rows]
+    table = list(rows)
     previous = table[-1]
     for order in range(1, len(table)):
         previous = table[-1]
@@ -413,6 +485,8 @@ def _locate_cut(
         z=limits[-1][:-1],
         period=float(limits[-1][-1]),
         error=(error + doubt) * metric.unit,
+        margins={**last.found.margins, threat.margin: 0.0},
+        place=place,
     )
 
 
@@ -447,7 +521,7 @@ def _slope(
 def _cut_root(
     returns: ReturnMap, metric: Metric, near: BranchPoint, step: float, cut: Margin
 ) -> BranchPoint:
-    """Return the point at which a cut sequence is on the separatrix, by secants along the family."""
+    """Return the point at which a cut sequence is on the separatrix, by secants."""
     here = correct(returns, metric, near.z, near.tangent)
     value = here.found.margins[cut]
     slope = _slope(returns, metric, here, cut, step)

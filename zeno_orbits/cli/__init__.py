@@ -15,6 +15,7 @@ from collections.abc import Sequence
 
 from zeno_orbits import report
 from zeno_orbits.cli.conditions import add_conditions
+from zeno_orbits.cli.continuation import add_continue
 from zeno_orbits.cli.fidelity import add_fidelity
 from zeno_orbits.cli.plot import add_plot
 from zeno_orbits.cli.problems import add_problems
@@ -84,6 +85,7 @@ def _parser() -> argparse.ArgumentParser:
     add_fidelity(commands)
     add_search(commands)
     add_verify(commands)
+    add_continue(commands)
     add_trade(commands)
     add_plot(commands)
     return parser
