@@ -435,6 +435,8 @@ def _neville(places: Vector, rows: Vector) -> tuple[Vector, float]:
     return table[0], float(np.max(np.abs(table[0] - previous)))
 
 
+_REACH = 4.0
+"""Distance of an end from the last point, as a multiple of the predicted one."""
 _MOST_IMPACTS = 400
 _FIRST_RATIO = 0.9
 
@@ -456,11 +458,12 @@ def _locate_cut(
     rate = law.shrinking / law.repulsion
     # About one decade of convergence between the cuts, so that their differences tell something.
     stride = max(1, round(-1.0 / np.log10(rate)))
+    near = _Near(centre=last.z, reach=_REACH * threat.distance)
     n, here, step = _first_cut(returns, metric, last, place, cut)
     found: list[BranchPoint] = []
     limits: list[Vector] = []
     for _ in range(16):
-        here = _cut_root(cut_after(returns, place, n), metric, here, step, cut)
+        here = _cut_root(cut_after(returns, place, n), metric, here, step, cut, near)
         found.append(here)
         if len(found) > 1:
             change = found[-1].z - found[-2].z
@@ -518,33 +521,56 @@ def _slope(
     raise SimulationError("The cut has no slope", time=0.0, state=())
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Near:
+    """Where a root is looked for: farther off it is another one, or none."""
+
+    centre: Vector
+    reach: float
+
+    def check(self, z: Vector) -> None:
+        """Refuse a place that is too far."""
+        if not float(np.linalg.norm(z - self.centre)) <= self.reach:
+            raise SimulationError("The locked arc does not vanish near", time=0.0, state=())
+
+
+_MOST_CUT_SECANTS, _MOST_CUT_TRIALS = 12, 5
+
+
 def _cut_root(
-    returns: ReturnMap, metric: Metric, near: BranchPoint, step: float, cut: Margin
+    returns: ReturnMap, metric: Metric, start: BranchPoint, step: float, cut: Margin, near: _Near
 ) -> BranchPoint:
     """Return the point at which a cut sequence is on the separatrix, by secants."""
-    here = correct(returns, metric, near.z, near.tangent)
+    here = correct(returns, metric, start.z, start.tangent)
     value = here.found.margins[cut]
     slope = _slope(returns, metric, here, cut, step)
-    for _ in range(30):
+    for _ in range(_MOST_CUT_SECANTS):
         distance = -value / slope
-        if abs(distance) < 1e-13:
+        if abs(distance) < _ROOT:
             return here
-        other: BranchPoint | None = None
-        for _ in range(12):
-            try:
-                other = correct(returns, metric, here.z + distance * here.tangent, here.tangent)
-                if abs(other.found.margins[cut]) < 2 * abs(value):
-                    break
-            except ZenoOrbitsError:
-                pass
-            other, distance = None, distance / 3
-        if other is None:
-            break
+        near.check(here.z + distance * here.tangent)
+        other = _less(returns, metric, here, distance, cut)
         gone = float((other.z - here.z) @ here.tangent)
         if other.found.margins[cut] == value or gone == 0.0:
             return other
         slope = (other.found.margins[cut] - value) / gone
         here, value = other, other.found.margins[cut]
-        if abs(value / slope) < 3e-13:
+        if abs(value / slope) < 3 * _ROOT:
             return here
+    raise SimulationError("The end of the locked arc is not found", time=0.0, state=())
+
+
+def _less(
+    returns: ReturnMap, metric: Metric, here: BranchPoint, distance: float, cut: Margin
+) -> BranchPoint:
+    """Return a point ahead at which the cut's margin is smaller, as far ahead as it can be had."""
+    for _ in range(_MOST_CUT_TRIALS):
+        try:
+            other = correct(returns, metric, here.z + distance * here.tangent, here.tangent)
+        except ZenoOrbitsError:
+            pass
+        else:
+            if abs(other.found.margins[cut]) < 2 * abs(here.found.margins[cut]):
+                return other
+        distance /= 4
     raise SimulationError("The end of the locked arc is not found", time=0.0, state=())
