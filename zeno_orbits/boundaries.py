@@ -86,7 +86,7 @@ class CurveSteps:
 
     first: float = 0.01
     longest: float = 0.05
-    shortest: float = 3e-4
+    shortest: float = 1e-3
     most: int = 80
     bend: float = 0.25
 

@@ -87,7 +87,8 @@ def _settled(returns: ImpactReturns, state: Vector, s: float) -> tuple[Vector, f
         impact = run.impacts[0]
         x = impact.state_plus
         sizes = np.max(np.abs(run.arcs[0].flow_states[:, : x.size]), axis=0)
-        scale = np.where(sizes > _SETTLED * np.max(sizes), sizes, np.max(sizes))
+        largest = float(np.max(sizes))
+        scale = np.where(sizes > _SETTLED * largest, sizes, largest)
         if before is not None and float(np.max(np.abs(x - before) / scale)) < _SETTLED:
             return x, impact.time, scale
         before = x

@@ -39,7 +39,7 @@ class ImpactReturns:
 
     def dynamics(self, s: float) -> HybridDynamics:
         """Return the system at a place on the line."""
-        return bind(self.compiled, self.line.at(s))
+        return bind(self.compiled, self.line.at(s).tolist())
 
     def frame(self, x: Vector, s: float, scale: Vector) -> Frame:
         """Return the section around a state of it."""

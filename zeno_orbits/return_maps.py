@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -122,7 +121,7 @@ class ReleaseReturns:
 
     def dynamics(self, s: float) -> HybridDynamics:
         """Return the system at a place on the line."""
-        return bind(self.compiled, self.line.at(s))
+        return bind(self.compiled, self.line.at(s).tolist())
 
     def frame(self, x: Vector, s: float, scale: Vector) -> Frame:
         """Return the release section around a state of it."""
@@ -216,7 +215,7 @@ class Composed:
 
     maps: tuple[ReturnMap, ...]
 
-    @cached_property
+    @property
     def line(self) -> Line:
         """The parameters."""
         return self.maps[0].line

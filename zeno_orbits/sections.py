@@ -98,6 +98,7 @@ def projected(dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector, scale:
     Raises:
         SimulationError: If Newton's method does not reach the section.
     """
+    size = np.inf
     for _ in range(_MOST_CORRECTIONS):
         gradient = _gradient(dynamics, (), rows, x) * scale
         correction = np.linalg.pinv(gradient, rcond=1e-9) @ _values(dynamics, rows, x)
