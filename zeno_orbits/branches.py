@@ -238,8 +238,12 @@ class _Walk:
                 continue
             self.tried[key] = threat.distance
             end = self._located(threat)
-            if end is not None:
-                return self._branch(end.kind, end=end)
+            if end is None or (not end.path and crossings(self.points[-1], end.point)):
+                # What happens before an end has to be passed step by step.
+                continue
+            for point in end.path:
+                self._accept(point)
+            return self._branch(end.kind, end=end)
         return None
 
     def _threats(self) -> Sequence[Threat]:

@@ -37,6 +37,7 @@ class Located:
         error: Estimated error of the parameter.
         margins: How far the orbit is from each loss; at an end, the limits.
         place: At an end, the return in which it is, counted from 0.
+        path: Points of the family on the way to an end, in order.
     """
 
     kind: Kind
@@ -46,6 +47,7 @@ class Located:
     error: float
     margins: Mapping[Margin, float]
     place: int = 0
+    path: tuple[BranchPoint, ...] = ()
 
 
 def fold_test(point: BranchPoint) -> float:
@@ -395,6 +397,7 @@ def _approach(
         error=error * metric.unit,
         margins=_limits(nodes[-2], nodes[-1], margin),
         place=margin.place,
+        path=tuple(nodes[2:]),
     )
 
 
