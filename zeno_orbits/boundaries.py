@@ -84,7 +84,7 @@ class CurveSteps:
         bend: Largest distance of a point from its prediction, as part of the step.
     """
 
-    first: float = 0.01
+    first: float = 0.005
     longest: float = 0.05
     shortest: float = 1e-3
     most: int = 80
@@ -145,8 +145,12 @@ def follow_boundary(
         before=tuple(relative(point) for point in leading),
     )
     curve = _Curve(plane, on_line, replace(metric, unit=1.0), found.kind, place, steps, tell)
-    sides = [curve.run(first, sense) for sense in (-1.0, 1.0)]
-    spots = [*reversed(sides[0][0]), first, *sides[1][0]]
+    upwards = np.array([0.0, 1.0])
+    above, above_end = curve.run(first, upwards)
+    below, below_end = curve.run(first, _away_from(first, above, -upwards))
+    if below and not above:
+        above, above_end = curve.run(first, _away_from(first, below, upwards))
+    spots = [*reversed(below), first, *above]
     values = np.array([spot.at * plane.units for spot in spots])
     return Boundary(
         kind=found.kind,
@@ -154,8 +158,16 @@ def follow_boundary(
         x=tuple(values[:, 0].tolist()),
         y=tuple(values[:, 1].tolist()),
         errors=tuple(spot.located.error for spot in spots),
-        ends=(sides[0][1], sides[1][1]),
+        ends=(below_end, above_end),
     )
+
+
+def _away_from(first: _Spot, side: list[_Spot], otherwise: Vector) -> Vector:
+    """Return the direction from a point that a curve took on the other side, turned round."""
+    if not side:
+        return otherwise
+    gone = first.at - side[0].at
+    return gone / np.linalg.norm(gone)
 
 
 class _Curve:
@@ -174,11 +186,10 @@ class _Curve:
         self.plane, self.on_line, self.metric, self.kind = plane, on_line, metric, kind
         self.steps, self.tell, self.place = steps, tell, place
 
-    def run(self, first: _Spot, sense: float) -> tuple[list[_Spot], str]:
+    def run(self, first: _Spot, forward: Vector) -> tuple[list[_Spot], str]:
         """Return the curve from a point in one direction, and why it ends."""
         spots = [first]
         step, trouble = self.steps.first, ""
-        forward = np.array([0.0, sense])
         while len(spots) <= self.steps.most:
             last = spots[-1]
             at = last.at + step * forward

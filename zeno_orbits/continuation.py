@@ -469,11 +469,27 @@ def _grown(track: Track, backward: Branch, forward: Branch) -> _Grown:
         track=track,
         special=tuple(located),
         ends=tuple(
-            (branch.end, branch.points[-2:])
+            (branch.end, _leading(branch.points, branch.end))
             for branch in (backward, forward)
             if branch.end is not None and len(branch.points) > 1
         ),
     )
+
+
+_AHEAD, _AWAY_FROM_END = 0.005, 0.2
+"""Distance from an end, in the parameter's range or else in all, from which its curve is found."""
+
+
+def _leading(points: tuple[BranchPoint, ...], end: Located) -> tuple[BranchPoint, ...]:
+    """Return two neighbours before an end, as near to it as a step of its curve may stray."""
+    far = [
+        k
+        for k, point in enumerate(points)
+        if abs(point.z[-1] - end.z[-1]) > _AHEAD
+        or float(np.linalg.norm(point.z - end.z)) > _AWAY_FROM_END
+    ]
+    last = max(far[-1] if far else 1, 1)
+    return points[last - 1 : last + 1]
 
 
 def family_point(track: Track, point: BranchPoint) -> FamilyPoint:
