@@ -246,15 +246,15 @@ def test_a_boundary_in_two_parameters_is_where_the_closed_form_says() -> None:
         OSCILLATOR,
         oscillator_orbit(),
         ("A", "stop"),
-        ((0.6, 1.2), (-1.0, -0.7)),
+        ((0.7, 1.1), (-0.82, -0.78)),
         kinds=(Kind.RELEASE_LOST,),
     )
     (boundary,) = found.boundaries
     assert boundary.names == ("A", "stop")
     sums = np.array(boundary.x) + np.array(boundary.y)
     assert np.max(np.abs(sums)) < 1e-8
-    assert min(boundary.y) == pytest.approx(-1.0, abs=1e-6)
-    assert max(boundary.y) == pytest.approx(-0.7, abs=1e-6)
+    assert min(boundary.y) == pytest.approx(-0.82, abs=1e-6)
+    assert max(boundary.y) == pytest.approx(-0.78, abs=1e-6)
     assert boundary.ends == (Kind.BOUND.value, Kind.BOUND.value)
     assert isinstance(boundary, Boundary)
     assert boundary.as_json()["name"] == "release not transversal"
