@@ -122,6 +122,19 @@ class OrbitCertificate:
         return self.spectral_radius + self.multiplier_error < 1.0
 
     @property
+    def unstable(self) -> bool:
+        """Whether a multiplier is outside the unit circle by more than its error."""
+        return self.spectral_radius - self.multiplier_error > 1.0
+
+    @property
+    def _kind(self) -> str:
+        if self.stable:
+            return "a stable Zeno periodic orbit"
+        if self.unstable:
+            return "an unstable Zeno periodic orbit"
+        return "a Zeno periodic orbit of unknown stability"
+
+    @property
     def orbit_error(self) -> float:
         """Estimated relative error of the orbit: how far off the true one's numbers its own are.
 
@@ -139,9 +152,8 @@ class OrbitCertificate:
     def verdict(self) -> str:
         """Return yes or no in one sentence, with the residual that explains a no."""
         if self.passed:
-            manner = "stable" if self.stable else "unstable or of unknown stability"
             worst = max(self.residuals.values(), default=0.0)
-            return f"Verified: a {manner} Zeno periodic orbit; largest residual {worst:.1e}."
+            return f"Verified: {self._kind}; largest residual {worst:.1e}."
         if self.failed:
             name = self.failed[0]
             size = f"`{name}` is {self.residuals[name]:.2e}, above {self.tolerance:.0e}"

@@ -1,8 +1,9 @@
 r"""Orbits closed by simulation: Newton's method on the return map, at given gains.
 
 On the release section the orbit is the root of :math:`P(y) - y` (theory (18)). The slope of
-:math:`P` is taken from the returns themselves, a rank-one correction each [Broyden1965]_; only
-where that does not converge, as on an orbit that repels, it is measured by differences.
+:math:`P` is taken from the returns themselves, a rank-one correction each [Broyden1965]_: a return
+costs a few times less than an exact slope. Where that does not converge, as on an orbit that
+repels, the exact slope is taken (theory (27)).
 
 It is faster than the collocation program by far, and less can be said of it: the orbit comes from
 the simulator, which the checker uses, too. Certify it with another engine than it was
@@ -25,7 +26,7 @@ from zeno_orbits.errors import InputError, SimulationError, ZenoOrbitsError
 from zeno_orbits.guess import RUNAWAY, SettlingSettings, settle
 from zeno_orbits.models import compiled_model
 from zeno_orbits.orbit import OrbitImpact, ZenoOrbit, versions
-from zeno_orbits.poincare import release_section, return_slope
+from zeno_orbits.poincare import ReleaseSection, release_section, return_slope
 from zeno_orbits.problem import Problem, Setting
 from zeno_orbits.returns import to_next_release
 from zeno_orbits.simulate import SimulationSettings, simulate
@@ -35,6 +36,8 @@ _REPEATS = 1e-12
 _STALLED = 1e-8
 """Change that rounding may leave where the flow is stiff; more than this is no orbit."""
 _MOST_RETURNS = 16
+_SHORTER = 4.0
+"""Divisor of a step that did not help although its slope was exact."""
 _NEAR = (1e-2, 1e-4)
 """How far a motion has settled when it is closed: early, and if that fails, late."""
 _ROUGH = 1e-6
@@ -48,7 +51,7 @@ class ClosedCycle:
     Attributes:
         cycle: The period, simulated from its release.
         miss: Change of the release over it, relative.
-        returns: Returns that it took, those for a slope by differences not counted.
+        returns: Returns that it took, those for a slope not counted.
     """
 
     cycle: Cycle
@@ -149,7 +152,9 @@ def close_cycle(
     r"""Return the period that repeats, near a release.
 
     With :math:`r_k = P(y_k) - y_k`, steps :math:`(1 - J) s_k = r_k`, and after each
-    :math:`J \leftarrow J + (r_{k+1} - r_k - (J - 1) s_k) s_k^\top / s_k^\top s_k`.
+    :math:`J \leftarrow J + (r_{k+1} - r_k - (J - 1) s_k) s_k^\top / s_k^\top s_k`. Where a step
+    does not halve the residual, the next one starts from the better point with the exact slope
+    there (theory (27)), and is shortened if that does not help.
 
     Args:
         dynamics: The system.
@@ -163,32 +168,89 @@ def close_cycle(
         SimulationError: If a release does not return, or no return repeats.
     """
     section = release_section(dynamics, dynamics.on_stop(release), scale)
-    one, measured = np.eye(section.dimension), slope is not None
+    one, at = np.eye(section.dimension), np.zeros(section.dimension)
     j = np.zeros_like(one) if slope is None else slope
-    here = miss = step = np.zeros(section.dimension)
-    change = np.inf
+    best: _Trial | None = None
+    exact, share = slope is not None, 1.0
     for count in range(1, _MOST_RETURNS + 1):
-        start = dynamics.on_stop(section.state(dynamics, here))
-        cycle = _return(dynamics, start, period, settings)
-        before, miss = miss, section.coordinates(cycle.end.state) - here
-        last, change = change, float(np.max(np.abs(miss), initial=0.0))
-        if change <= _REPEATS or (change <= _STALLED and change >= last):
-            return ClosedCycle(cycle=cycle, miss=change, returns=count)
-        length = float(step @ step)
-        if length > 0.0:
-            j = j + np.outer(miss - before - (j - one) @ step, step) / length
-        if not measured and change > last / 2:
+        trial = _tried(dynamics, section, at, period, settings, needed=best is None)
+        if trial is not None and trial.change <= _REPEATS:
+            return ClosedCycle(cycle=trial.cycle, miss=trial.change, returns=count)
+        if trial is not None and best is not None:
+            if trial.change <= _STALLED and trial.change >= best.change:
+                return ClosedCycle(cycle=best.cycle, miss=best.change, returns=count)
+            j = _broyden(j, best, trial)
+        if trial is not None and (best is None or trial.change < best.change / 2):
+            # A slope that was known beforehand counts for the first point only.
+            best, exact, share = trial, exact and best is None, 1.0
+        elif best is not None:
             # Returns alone do not close in: the orbit repels, or attracts hardly.
-            j = return_slope(dynamics, start, scale=scale, period=period, settings=settings)
-            measured = True
-        # Least squares: at a fold of a family the matrix is singular, and that is no crash.
-        step = np.linalg.lstsq(one - j, miss, rcond=None)[0]
-        here = here + step
+            if trial is not None and trial.change < best.change:
+                best, exact, share = trial, False, 1.0
+            if exact:
+                share /= _SHORTER
+            else:
+                start = best.cycle.start.state
+                j = return_slope(dynamics, start, scale=scale, period=period, settings=settings)
+                exact = True
+        if best is not None:
+            # Least squares: at a fold of a family the matrix is singular, and that is no crash.
+            at = best.at + share * np.linalg.lstsq(one - j, best.miss, rcond=None)[0]
     raise SimulationError(
-        f"No return repeats, the last misses by {change:.1e}",
+        f"No return repeats, the last misses by {np.inf if best is None else best.change:.1e}",
         time=period,
         state=tuple(release.tolist()),
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Trial:
+    """A return from a point of the section.
+
+    Attributes:
+        at: Coordinates of the point.
+        cycle: The return.
+        miss: Coordinates of its end minus those of the point.
+    """
+
+    at: Vector
+    cycle: Cycle
+    miss: Vector
+
+    @property
+    def change(self) -> float:
+        """How far the return is from repeating."""
+        return float(np.max(np.abs(self.miss), initial=0.0))
+
+
+def _tried(
+    dynamics: HybridDynamics,
+    section: ReleaseSection,
+    at: Vector,
+    period: float,
+    settings: SimulationSettings,
+    *,
+    needed: bool,
+) -> _Trial | None:
+    """Return the return from a point; where there is none, nothing, unless it is needed."""
+    start = dynamics.on_stop(section.state(dynamics, at))
+    try:
+        cycle = _return(dynamics, start, period, settings)
+    except SimulationError:
+        if needed:
+            raise
+        return None
+    return _Trial(at=at, cycle=cycle, miss=section.coordinates(cycle.end.state) - at)
+
+
+def _broyden(j: Vector, before: _Trial, after: _Trial) -> Vector:
+    """Return the slope after a step that has told more of it."""
+    step = after.at - before.at
+    length = float(step @ step)
+    if length == 0.0:
+        return j
+    told = after.miss - before.miss + step
+    return j + np.outer(told - j @ step, step) / length
 
 
 def cycle_near(
@@ -237,7 +299,8 @@ def _closed(
             tell("closing the orbit")
             closed = close_cycle(
                 dynamics,
-                cycle.end.state,
+                # What repels leads away from what is near.
+                cycle.end.state if near is None else cycle.start.state,
                 scale=cycle.scale_at_events(),
                 period=cycle.period,
                 settings=simulation,

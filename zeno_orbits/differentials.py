@@ -21,8 +21,8 @@ GAP, GAP_RATE, GAP_ACCELERATION, MULTIPLIER, MULTIPLIER_RATE = range(5)
 class FlowDifferential(Protocol):
     """The variational equation of a flow: ``V' = J(y) V + F(y) Q`` along ``y' = f(y, q)``."""
 
-    def step(self, y: Vector, size: float, v: Vector, q: Vector) -> Vector:
-        """Return ``V`` after a step of DOP853 from ``y``, ``(n_y, m)``.
+    def step(self, y: Vector, size: float, v: Vector, q: Vector) -> tuple[Vector, float]:
+        """Return ``V`` after a step of DOP853 from ``y``, ``(n_y, m)``, and its relative error.
 
         Args:
             y: State before the step, ``(n_y,)``.

@@ -13,7 +13,7 @@ from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.execution import Arc, Execution, Impact, Mode, Release, ZenoPoint
 from zeno_orbits.orbit import ZenoOrbit
-from zeno_orbits.poincare import to_next_release
+from zeno_orbits.returns import to_next_release
 from zeno_orbits.problem import Problem
 from zeno_orbits.simulate import SimulationSettings, simulate
 
@@ -146,7 +146,11 @@ def observe(
             dynamics, start, until=horizon, releases=n_periods + 1, settings=simulation
         )
     except ZenoOrbitsError as error:
-        return _nothing(str(error))
+        if n_periods == 1:
+            return _nothing(str(error))
+        # A motion that leaves its orbit later has still told of the first period.
+        first = observe(dynamics, claim, simulation, 1)
+        return replace(first, trouble=first.trouble or str(error))
     returns = execution.returns(claim.period)
     zenos = [z for z in execution.zeno_points if returns and z.time < returns[0].time]
     if not returns or not zenos:

@@ -211,7 +211,7 @@ def floquet_multipliers(
         rough = return_slope(dynamics, x, scale=scale, period=period, settings=_looser(settings))
     except SimulationError:
         return _multipliers(jacobian, jacobian, math.inf)
-    return _multipliers(jacobian, rough, 0.0)
+    return _multipliers(jacobian, rough, _LEAST * settings.tolerance.relative)
 
 
 def return_slope(
@@ -267,6 +267,9 @@ def _looser(settings: SimulationSettings) -> SimulationSettings:
 
 _LOOSER = 100.0
 """Factor of the tolerances at which the multipliers are taken a second time."""
+
+_LEAST = 10.0
+"""Error that is claimed at least, in units of the tolerance: two runs may agree by chance."""
 
 
 def _differences(

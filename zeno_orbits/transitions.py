@@ -5,7 +5,8 @@ derivative of the step; a step of Radau IIA is one linear system,
 
 .. math:: Z = \Delta t\,(A \otimes I)\,\bigl(J_i\,(V + Z_i) + F_i\,Q\bigr)_i, \qquad V^+ = V + Z_s
 
-with the Jacobians at its stages. Where an engine has other steps the arc is stepped once more.
+with the Jacobians at its stages. It serves as well where an explicit step is stable for the state
+alone. Where an engine has other steps the arc is stepped once more.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from zeno_orbits.collocation import Collocation, radau
 from zeno_orbits.differentials import FlowDifferential
 from zeno_orbits.dynamics import GuardedFlow, Tolerance, Vector
 from zeno_orbits.engines import Automatic
@@ -45,10 +47,20 @@ def carried(
     for step in _steps(flow, arc, tolerance):
         size = min(step.size, arc.duration - step.start)
         if isinstance(step, RadauStep):
-            v = _implicit(differential, step, size, v, q)
-        else:
-            v = differential.step(step.before, size, v, q)
+            v = _implicit(differential, step, step.scheme, size, v, q)
+            continue
+        after, error = differential.step(step.before, size, v, q)
+        if not error <= max(_GROWS, _SHARE * tolerance.relative):
+            # The state, on its slow manifold, does not feel that a fast perturbation grows.
+            after = _implicit(differential, step, radau(_STAGES), size, v, q)
+        v = after
     return v
+
+
+_GROWS = 1e-8
+_SHARE = 1e3
+"""Relative error of an explicit step above which it is no good for perturbations; in tolerances."""
+_STAGES = 7
 
 
 def _steps(flow: GuardedFlow, arc: Arc, tolerance: Tolerance) -> Iterator[Step]:
@@ -66,11 +78,15 @@ def _steps(flow: GuardedFlow, arc: Arc, tolerance: Tolerance) -> Iterator[Step]:
 
 
 def _implicit(
-    differential: FlowDifferential, step: RadauStep, size: float, v: Vector, q: Vector
+    differential: FlowDifferential,
+    step: Step,
+    scheme: Collocation,
+    size: float,
+    v: Vector,
+    q: Vector,
 ) -> Vector:
-    """Return the perturbations after a step of Radau IIA of a size."""
-    scheme, n_y, m = step.scheme, len(v), v.shape[1]
-    s = scheme.n_stages
+    """Return the perturbations after a step of Radau IIA, along the states of a step."""
+    s, n_y, m = scheme.n_stages, len(v), v.shape[1]
     linear = np.array([differential.linear(step.state_at(size * place)) for place in scheme.nodes])
     matrix = np.eye(s * n_y)
     coupled = size * np.einsum("ij,jab->iajb", scheme.matrix, linear[:, :, :n_y])

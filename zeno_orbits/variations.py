@@ -27,7 +27,7 @@ class VariationFunctions:
     """The variational equation of a mode for some columns of perturbations.
 
     Attributes:
-        step: ``(y, p, size, V, Q) -> V`` after the step.
+        step: ``(y, p, size, V, Q) -> (V after the step, its error estimate of order 5)``.
         linear: ``(y, p) -> (J, F)``, side by side.
     """
 
@@ -79,11 +79,15 @@ def _variation_functions(
     # Dense, as the stages of both are added up in one column.
     whole = ca.densify(ca.vertcat(rate, ca.vec(varied)))
     both = ca.Function(f"{name}_varied", [ca.vertcat(y, ca.vec(v)), p, q], [whole], {"cse": True})
-    after, _, _ = explicit_attempt(lambda state: both(state, p, q), ca.vertcat(y, ca.vec(v)), size)
-    varied_after = ca.reshape(after[n_y:], n_y, n_columns)
+    after, fifth, _ = explicit_attempt(
+        lambda state: both(state, p, q), ca.vertcat(y, ca.vec(v)), size
+    )
+    varied_after, error = (
+        ca.reshape(column[n_y:], n_y, n_columns) for column in (after, size * fifth)
+    )
     linear = ca.horzcat(jacobian, by_parameters)
     return VariationFunctions(
-        step=dense_function(f"{name}_varied_step", [y, p, size, v, q], [varied_after]),
+        step=dense_function(f"{name}_varied_step", [y, p, size, v, q], [varied_after, error]),
         linear=dense_function(f"{name}_linear", [y, p], [linear]),
     )
 
@@ -132,18 +136,21 @@ class CompiledVariation:
         # CasADi's matrices are stored by columns: here they lie on their side.
         self._y, self._size = np.zeros(n_y), np.zeros(1)
         self._v, self._q = np.zeros((n_columns, n_y)), np.zeros((n_columns, len(chosen)))
-        self._after = np.zeros((n_columns, n_y))
+        self._after, self._error = np.zeros((n_columns, n_y)), np.zeros((n_columns, n_y))
         arguments = (self._y, p, self._size, self._v, self._q)
-        self._step = caller(functions.step, arguments, (self._after,))
+        self._step = caller(functions.step, arguments, (self._after, self._error))
 
-    def step(self, y: Vector, size: float, v: Vector, q: Vector) -> Vector:
-        """Return the perturbations after a step, ``(n_y, m)``."""
+    def step(self, y: Vector, size: float, v: Vector, q: Vector) -> tuple[Vector, float]:
+        """Return the perturbations after a step, ``(n_y, m)``, and their error, relative."""
         self._y[:] = y
         self._size[0] = size
         self._v[:] = v.T
         self._q[:] = q.T
         self._step()
-        return self._after.T.copy()
+        # NaN where a column vanishes, which has no error.
+        with np.errstate(invalid="ignore"):
+            errors = np.abs(self._error).max(axis=1) / np.abs(self._after).max(axis=1)
+        return self._after.T.copy(), float(np.fmax.reduce(errors, initial=0.0))
 
     def linear(self, y: Vector) -> Vector:
         """Return ``(J, F)`` side by side, ``(n_y, n_y + n_q)``."""

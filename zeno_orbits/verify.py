@@ -101,9 +101,11 @@ def verify(
         tell("computing the multipliers")
         multipliers = _multipliers(dynamics, claim, seen.cycle, settings, seen.integration_error)
     stable = multipliers is not None and multipliers.spectral_radius < 1.0
+    trouble = seen.trouble
     if not stable:
         # Rounding grows along an unstable orbit: later returns say nothing of it.
         residuals.pop("drift", None)
+        trouble = trouble if multipliers is None else ""
     return OrbitCertificate(
         tolerance=settings.tolerance,
         residuals=residuals,
@@ -118,7 +120,7 @@ def verify(
         period=math.nan if seen.cycle is None else seen.cycle.end.time,
         n_periods=settings.n_periods,
         model="reference" if settings.use_reference else "derived",
-        trouble=seen.trouble,
+        trouble=trouble,
     )
 
 
