@@ -32,8 +32,8 @@ class FlowDifferential(Protocol):
         """
         ...
 
-    def linear(self, y: Vector) -> Vector:
-        """Return ``(J, F)`` side by side, ``(n_y, n_y + n_q)``."""
+    def linear(self, states: Vector) -> Vector:
+        """Return ``(J, F)`` side by side at the stages of a step, ``(s, n_y, n_y + n_q)``."""
         ...
 
 

@@ -144,6 +144,9 @@ class Arc:
     @property
     def duration(self) -> float:
         """Length in the flow's own time; in a rescaled flight, time over impact speed."""
+        if self.trajectory is not None:
+            # Late and short as a flight may be, its own time is not rounded.
+            return self.trajectory.duration
         return (self.end_time - self.start_time) / self.time_unit
 
     def flow_state_at(self, offset: float) -> Vector:

@@ -100,7 +100,7 @@ class Perturbations:
 
     def flown(self, arc: Arc, start: EventShift) -> EventShift:
         """Return how the impact moves that ends a flight, before its reset."""
-        end = arc.flow_state_at(float(arc.flow_times[-1]))
+        end = arc.flow_state_at(arc.duration)
         if end.size == self.n_x:
             return self._free(arc, start)
         return self._rescaled(arc, start, end)
@@ -124,9 +124,8 @@ class Perturbations:
         v = carried(flow, differential, arc, self.tolerance, launched, q)
         delay = -v[-2] / end[-1]
         moved = v + flow.rate(end)[:, None] * delay
-        duration = float(arc.flow_times[-1])
         return EventShift(
-            time=start.time + duration * start.rate + speed * delay,
+            time=start.time + arc.duration * start.rate + speed * delay,
             state=moved[: self.n_x],
             rate=end[-1] * start.rate + speed * moved[-1],
         )

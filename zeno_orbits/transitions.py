@@ -24,6 +24,7 @@ from zeno_orbits.engines.radau import RadauStep
 from zeno_orbits.engines.runge_kutta import ExplicitStep
 from zeno_orbits.engines.stepping import SteppedTrajectory
 from zeno_orbits.execution import Arc
+from zeno_orbits.variations import N_STAGES
 
 
 def carried(
@@ -47,12 +48,12 @@ def carried(
     for step in _steps(flow, arc, tolerance):
         size = min(step.size, arc.duration - step.start)
         if isinstance(step, RadauStep):
-            v = _implicit(differential, step, step.scheme, size, v, q)
+            v = _implicit(differential, step, radau(N_STAGES), size, v, q)
             continue
         after, error = differential.step(step.before, size, v, q)
         if not error <= max(_GROWS, _SHARE * tolerance.relative):
             # The state, on its slow manifold, does not feel that a fast perturbation grows.
-            after = _implicit(differential, step, radau(_STAGES), size, v, q)
+            after = _implicit(differential, step, radau(N_STAGES), size, v, q)
         v = after
     return v
 
@@ -60,7 +61,6 @@ def carried(
 _GROWS = 1e-8
 _SHARE = 1e3
 """Relative error of an explicit step above which it is no good for perturbations; in tolerances."""
-_STAGES = 7
 
 
 def _steps(flow: GuardedFlow, arc: Arc, tolerance: Tolerance) -> Iterator[Step]:
@@ -87,11 +87,19 @@ def _implicit(
 ) -> Vector:
     """Return the perturbations after a step of Radau IIA, along the states of a step."""
     s, n_y, m = scheme.n_stages, len(v), v.shape[1]
-    linear = np.array([differential.linear(step.state_at(size * place)) for place in scheme.nodes])
-    matrix = np.eye(s * n_y)
-    coupled = size * np.einsum("ij,jab->iajb", scheme.matrix, linear[:, :, :n_y])
-    matrix -= np.reshape(coupled, (s * n_y, s * n_y))
+    linear = differential.linear(_stages(step, scheme, size))
+    jacobians = linear[:, :, :n_y].transpose(1, 0, 2)
+    coupled = size * scheme.matrix[:, None, :, None] * jacobians
+    matrix = np.eye(s * n_y) - np.reshape(coupled, (s * n_y, s * n_y))
     slopes = np.reshape(linear @ np.concatenate([v, q]), (s, n_y * m))
     right = np.reshape(size * scheme.matrix @ slopes, (s * n_y, m))
     stages = np.reshape(np.linalg.solve(matrix, right), (s, n_y, m))
     return np.asarray(v + stages[-1], dtype=np.float64)
+
+
+def _stages(step: Step, scheme: Collocation, size: float) -> Vector:
+    """Return the states at the stages of a part of a step, ``(s, n_y)``."""
+    if isinstance(step, RadauStep):
+        places = size / step.size * scheme.nodes
+        return step.before + places[:, None] ** scheme.powers @ step.coefficients
+    return np.array([step.state_at(size * place) for place in scheme.nodes])

@@ -21,6 +21,9 @@ from zeno_orbits.dynamics import Vector
 from zeno_orbits.flows import ModeFunctions, dense_function
 from zeno_orbits.runge_kutta import explicit_attempt
 
+N_STAGES = 7
+"""Stages of the implicit steps, those of the implicit engine."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class VariationFunctions:
@@ -28,7 +31,7 @@ class VariationFunctions:
 
     Attributes:
         step: ``(y, p, size, V, Q) -> (V after the step, its error estimate of order 5)``.
-        linear: ``(y, p) -> (J, F)``, side by side.
+        linear: ``(states, p) -> (J, F)``, side by side, for every stage of an implicit step.
     """
 
     step: ca.Function
@@ -85,10 +88,10 @@ def _variation_functions(
     varied_after, error = (
         ca.reshape(column[n_y:], n_y, n_columns) for column in (after, size * fifth)
     )
-    linear = ca.horzcat(jacobian, by_parameters)
+    linear = dense_function(f"{name}_linear", [y, p], [ca.horzcat(jacobian, by_parameters)])
     return VariationFunctions(
         step=dense_function(f"{name}_varied_step", [y, p, size, v, q], [varied_after, error]),
-        linear=dense_function(f"{name}_linear", [y, p], [linear]),
+        linear=linear.map(f"{name}_linear_stages", "serial", N_STAGES, [1], []),
     )
 
 
@@ -131,8 +134,9 @@ class CompiledVariation:
         functions = _variation_functions(mode, chosen, n_columns)
         n_y = mode.rate.size1_in(0)
         self.p = p
-        self._linear = Call(functions.linear, p)
-        self._shape = (n_y, n_y + len(chosen))
+        self._states = np.zeros((N_STAGES, n_y))
+        self._pieces = np.zeros((N_STAGES, n_y + len(chosen), n_y))
+        self._linear = caller(functions.linear, (self._states, p), (self._pieces,))
         # CasADi's matrices are stored by columns: here they lie on their side.
         self._y, self._size = np.zeros(n_y), np.zeros(1)
         self._v, self._q = np.zeros((n_columns, n_y)), np.zeros((n_columns, len(chosen)))
@@ -152,9 +156,11 @@ class CompiledVariation:
             errors = np.abs(self._error).max(axis=1) / np.abs(self._after).max(axis=1)
         return self._after.T.copy(), float(np.fmax.reduce(errors, initial=0.0))
 
-    def linear(self, y: Vector) -> Vector:
-        """Return ``(J, F)`` side by side, ``(n_y, n_y + n_q)``."""
-        return _matrix(self._linear(y), self._shape)
+    def linear(self, states: Vector) -> Vector:
+        """Return ``(J, F)`` side by side at every state, ``(N_STAGES, n_y, n_y + n_q)``."""
+        self._states[:] = states
+        self._linear()
+        return self._pieces.transpose(0, 2, 1)
 
 
 class CompiledDifferentials:

@@ -55,6 +55,11 @@ class Trajectory(Protocol):
     """The flow along a leg."""
 
     @property
+    def duration(self) -> float:
+        """Where the leg ends, in the flow's own time from the start."""
+        ...
+
+    @property
     def times(self) -> Vector:
         """Where the steps start, and the end, in the flow's own time from the start, ``(m,)``."""
         ...

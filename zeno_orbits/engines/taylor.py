@@ -191,5 +191,7 @@ class TaylorTrajectory:
         return self._way.states
 
     def state_at(self, offset: float) -> Vector:
-        """Return the state at a time from the start."""
-        return self._way.state_at(offset)
+        """Return the state at a time from the start; its ends cost nothing."""
+        if offset <= 0.0:
+            return self.start
+        return self.end if offset >= self.duration else self._way.state_at(offset)
