@@ -18,14 +18,21 @@ from zeno_orbits.closing import OrbitNotClosedError, close_cycle, close_orbit, c
 from zeno_orbits.compiled import bind
 from zeno_orbits.completion import Truncation
 from zeno_orbits.drives import no_drive
-from zeno_orbits.dynamics import HybridDynamics
+from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.engines import Automatic, Engine, Taylor
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.hybrid import CompletedSystem, complete
 from zeno_orbits.mechanics import HybridLagrangian
 from zeno_orbits.models import compiled_model
+from zeno_orbits.monodromy import return_derivative
 from zeno_orbits.observation import distance
 from zeno_orbits.orbit import ZenoOrbit
+from zeno_orbits.poincare import (
+    floquet_multipliers,
+    poincare_map,
+    release_section,
+    return_slope,
+)
 from zeno_orbits.problem import Problem, load_problem
 from zeno_orbits.search import find_orbit
 from zeno_orbits.simulate import SimulationSettings, simulate
@@ -40,12 +47,12 @@ def simulated_by(engine: Engine) -> SimulationSettings:
     return replace(SETTINGS, engine=engine)
 
 
-def repelling_clock() -> Problem:
+def repelling_clock(pull: float = PULL) -> Problem:
     """Return the clocked oscillator whose clock leaves `y^2 + y'^2 = 1`, which it stays on else."""
 
     def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
         q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
-        away = PULL * (q[1] ** 2 + v[1] ** 2 - 1) * v[1]
+        away = pull * (q[1] ** 2 + v[1] ** 2 - 1) * v[1]
         mechanism = HybridLagrangian.from_energies(
             q=q,
             v=v,
@@ -129,11 +136,150 @@ def test_a_repelling_orbit_is_closed_from_near_it() -> None:
     off = {**known.release_state}
     off = {**off, "y": 1.003 * off["y"], "dy": 1.003 * off["dy"]}
     near = replace(known, release_state=off)
-    closed = close_orbit(problem, problem.setting(), near=near, simulation=SETTINGS)
-    assert closed.unwrap().period == pytest.approx(2 * math.pi, abs=1e-9)
-    release = closed.unwrap().release_state
-    # Off the circle it would grow by exp(2 PULL 2 pi) a period, 1.29.
+    closed = close_orbit(problem, problem.setting(), near=near, simulation=SETTINGS).unwrap()
+    assert closed.period == pytest.approx(2 * math.pi, abs=1e-9)
+    release = closed.release_state
+    # Off the circle it would grow by exp(2 pi PULL) a period, 1.13.
     assert math.hypot(release["y"], release["dy"]) == pytest.approx(1.0, abs=1e-10)
+
+
+def test_an_orbit_that_is_left_later_is_certified_by_its_first_period() -> None:
+    pull = 0.5
+    problem, attracting = repelling_clock(pull), clocked_oscillator(FORCED, attracting=True)
+    known = close_orbit(attracting, attracting.setting(), simulation=SETTINGS).unwrap()
+    # Outside by 1e-11, the clock is off by exp(pi) more after every turn, and soon runs away.
+    off = {name: known.release_state[name] * (1 + 1e-11) for name in ("y", "dy")}
+    orbit = replace(known, release_state={**known.release_state, **off})
+    machine = bind(compiled_model(problem), orbit.setting(problem).values())
+    with pytest.raises(SimulationError):
+        simulate(machine, list(orbit.release_state.values()), until=12 * orbit.period)
+    certificate = verify(orbit, problem, settings=VerificationSettings(n_periods=12))
+    assert certificate.passed, certificate.verdict()
+    assert certificate.unstable
+    # Areas of the clock grow at the rate 2 pull y'^2, as at the rate pull over a turn.
+    assert certificate.multipliers[0] == pytest.approx(math.exp(2 * math.pi * pull), abs=1e-7)
+
+
+FOLD = -1.6218
+"""`Kd` at which the pendulum's orbits turn round, at `Kp = 2.5`: two above it, none below."""
+
+
+@pytest.fixture(name="behind_the_fold", scope="module")
+def _behind_the_fold(scene: Problem) -> ZenoOrbit:
+    """The repelling orbit of the pendulum at `Kd = -1.6`, which no simulation settles to.
+
+    The family of orbits is followed round its fold: from release state and gain along the null
+    vector of `(dP/dx - 1, dP/dp)`, and back onto it by Newton's method at right angles to that.
+    """
+    place = scene.names.index("Kd")
+    values = np.array(scene.setting(gains={"Kd": -1.6}).values())
+    start = close_orbit(scene, scene.setting(gains={"Kd": -1.6}), simulation=SETTINGS).unwrap()
+    z = np.append(list(start.release_state.values()), -1.6)
+    # The release state changes far more than the gain there.
+    size = np.array([1.0, 1.0, 5.0, 5.0, 1.0, 2.0])
+    ahead, period = np.array([0.0, 0.0, 0.0, 0.0, 0.0, -1.0]), start.period
+
+    def looked_at(z: Vector) -> tuple[Vector, Vector, Vector, float]:
+        values[place] = z[-1]
+        machine = bind(compiled_model(scene), values)
+        x = release_section(machine, z[:-1], size[:-1]).state(machine, np.zeros(2))
+        seen = return_derivative(
+            machine, x, horizon=2 * period, settings=SETTINGS, parameters=(place,)
+        )
+        matrix = np.hstack([seen.by_state - np.eye(5), seen.by_parameters]) * size
+        return np.append(x, z[-1]), seen.end - x, matrix, seen.period.value
+
+    z, miss, matrix, period = looked_at(z)
+    for _ in range(25):
+        null = np.linalg.svd(matrix)[2][-1]
+        ahead = null * np.sign(null @ ahead)
+        z = z + 0.01 * size * ahead
+        for _ in range(6):
+            z, miss, matrix, period = looked_at(z)
+            if np.max(np.abs(miss)) < 1e-8:
+                break
+            right = np.append(miss, 0.0)
+            z = z - size * np.linalg.lstsq(np.vstack([matrix, ahead]), right, rcond=None)[0]
+        if ahead[-1] > 0.0 and z[-1] > -1.6:
+            break
+    names = scene.state_names
+    near = replace(
+        start,
+        release_state=dict(zip(names, z[:-1].tolist(), strict=True)),
+        period=period,
+        gains={**start.gains, "Kd": float(z[-1])},
+    )
+    setting = scene.setting(gains={"Kd": -1.6})
+    return close_orbit(scene, setting, near=near, simulation=SETTINGS).unwrap()
+
+
+def test_beside_the_attracting_orbit_there_is_a_repelling_one(
+    scene: Problem, behind_the_fold: ZenoOrbit
+) -> None:
+    setting = scene.setting(gains={"Kd": -1.6})
+    settled = close_orbit(scene, setting, simulation=SETTINGS).unwrap()
+    # They are apart by 0.11 s, and meet at the fold.
+    assert behind_the_fold.period - settled.period == pytest.approx(0.108, abs=2e-3)
+    assert behind_the_fold.gains["Kd"] > FOLD
+
+
+def test_a_repelling_orbit_of_the_pendulum_is_verified_and_called_unstable(
+    scene: Problem, behind_the_fold: ZenoOrbit
+) -> None:
+    for by_hand in (False, True):
+        settings = VerificationSettings(use_reference=by_hand)
+        certificate = verify(behind_the_fold, scene, settings=settings)
+        assert certificate.passed, certificate.verdict()
+        assert certificate.unstable
+        assert not certificate.stable
+        assert "an unstable Zeno periodic orbit" in certificate.verdict()
+        assert "drift" not in certificate.residuals
+
+
+def test_the_multiplier_of_a_repelling_orbit_is_that_of_differences(
+    scene: Problem, behind_the_fold: ZenoOrbit
+) -> None:
+    machine = bind(compiled_model(scene), behind_the_fold.setting(scene).values())
+    x = np.array(list(behind_the_fold.release_state.values()))
+    scale, period = np.abs(x) + 1.0, behind_the_fold.period
+    exact = floquet_multipliers(machine, x, scale=scale, period=period, settings=SETTINGS)
+    section = release_section(machine, x, scale)
+
+    def image(coordinates: Vector) -> Vector:
+        start = section.state(machine, coordinates)
+        _, end = poincare_map(machine, start, horizon=2 * period, settings=SETTINGS)
+        return section.coordinates(end)
+
+    def slope(step: float) -> Vector:
+        columns = [(image(step * one) - image(-step * one)) / (2 * step) for one in np.eye(2)]
+        return np.transpose(columns)
+
+    measured = (4 * slope(2e-5) - slope(4e-5)) / 3
+    assert exact.jacobian == pytest.approx(measured, abs=1e-7)
+    largest = max(np.linalg.eigvals(measured), key=abs)
+    assert exact.values[0] == pytest.approx(largest, abs=1e-7)
+    assert exact.values[0].real == pytest.approx(2.23, abs=0.01)
+    assert exact.error < 1e-9
+
+
+def test_a_step_that_leads_nowhere_is_shortened(
+    scene: Problem, behind_the_fold: ZenoOrbit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[Vector] = []
+
+    def wrong_at_first(*args: object, **named: object) -> Vector:
+        calls.append(return_slope(*args, **named))  # type: ignore[arg-type]
+        # Steps a hundred times too long lead off every return.
+        return calls[-1] if len(calls) > 1 else np.eye(2) + 0.01 * (calls[-1] - np.eye(2))
+
+    monkeypatch.setattr(closing, "return_slope", wrong_at_first)
+    machine = bind(compiled_model(scene), behind_the_fold.setting(scene).values())
+    x = np.array(list(behind_the_fold.release_state.values()))
+    x = x + 1e-4 * np.array([1.0, 0.0, 1.0, 0.0, -1.0])
+    period = behind_the_fold.period
+    scale = cycle_near(machine, x, period=period, settings=SETTINGS).scale()
+    closed = close_cycle(machine, x, scale=scale, period=period, settings=SETTINGS)
+    assert closed.cycle.period == pytest.approx(period, rel=1e-10)
 
 
 def test_a_false_slope_is_mended_by_the_returns(machine: HybridDynamics) -> None:

@@ -3,6 +3,7 @@
 from decimal import Decimal
 
 import mpmath as mp
+import numpy as np
 import pytest
 
 from tests import reference_orbit as measured
@@ -10,8 +11,9 @@ from tests.hand_pendulum import HandPendulum
 from zeno_orbits.compiled import bind, compile_problem
 from zeno_orbits.extended import extended_execution
 from zeno_orbits.extended_orbit import ExtendedOrbit, extended_orbit
+from zeno_orbits.poincare import floquet_multipliers
 from zeno_orbits.problem import load_problem
-from zeno_orbits.simulate import simulate
+from zeno_orbits.simulate import SimulationSettings, simulate
 
 pytest.importorskip("heyoka", reason="needs the extra `taylor`")
 
@@ -57,6 +59,23 @@ def test_the_orbit_is_the_measured_one(orbit: ExtendedOrbit) -> None:
     assert orbit.multipliers[0].real == pytest.approx(measured.MULTIPLIER, abs=5e-8)
     assert orbit.closure < 1e-27
     assert orbit.error < 1e-25
+
+
+@pytest.mark.slow
+def test_exact_multipliers_are_those_of_differences_in_many_digits(orbit: ExtendedOrbit) -> None:
+    setting = PENDULUM.setting()
+    dynamics = bind(compile_problem(PENDULUM), setting.values())
+    release = np.array([float(value) for value in orbit.release_state])
+    found = floquet_multipliers(
+        dynamics,
+        release,
+        scale=1.0 + np.abs(release),
+        period=float(orbit.period),
+        settings=SimulationSettings(),
+    )
+    # Differences of 20 digits at 1e-6: their square times the third derivative is left.
+    for exact, known in zip(found.values, orbit.multipliers, strict=True):
+        assert exact == pytest.approx(known, abs=1e-11)
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from tests.closed_forms import FORCED
 from tests.scenes import forced_oscillator, oscillator_state
 from zeno_orbits.compiled import bind, compile_problem
 from zeno_orbits.completion import ZenoExtrapolation
-from zeno_orbits.dynamics import HybridDynamics
+from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.problem import load_problem
 from zeno_orbits.simulate import SimulationSettings, simulate
 from zeno_orbits.zeno import (
@@ -25,6 +25,7 @@ from zeno_orbits.zeno import (
     TailEstimate,
     estimate_tail,
     extrapolate,
+    limit_slopes,
     limit_weights,
     spread_nodes,
     tail_time,
@@ -252,3 +253,24 @@ def test_the_error_estimate_is_not_deceived_by_the_layer_of_the_current() -> Non
         # Before the sequence is geometric at all, the estimate is large and says no more than that.
         assert limit.error > 1.0 or error <= limit.error + 10 * ROUNDING
     assert limit.error < 1e-12
+
+
+@pytest.mark.parametrize("speeds", [(0.3,), (1.0, 0.2), (1.0, 0.3, 0.1, 0.02, 0.004)])
+def test_the_slopes_of_the_weights_are_those_of_differences(speeds: tuple[float, ...]) -> None:
+    def weights(logarithms: Vector) -> Vector:
+        return np.array(limit_weights(list(np.exp(logarithms))), dtype=float)
+
+    at, step = np.log(speeds), 1e-5
+    for j, one in enumerate(np.eye(len(speeds))):
+        measured = (weights(at + step * one) - weights(at - step * one)) / (2 * step)
+        # Of second order: 1e-10 of the third derivative.
+        assert limit_slopes(speeds)[:, j] == pytest.approx(measured, abs=1e-8)
+
+
+def test_the_slopes_of_the_weights_do_not_know_the_unit_of_speed() -> None:
+    speeds = np.array([1.0, 0.3, 0.1, 0.02])
+    tiny = limit_slopes((1e-290 * speeds).tolist())
+    assert tiny == pytest.approx(limit_slopes(speeds.tolist()), rel=1e-13)
+    # A change of unit changes no weight, and weights always add up to one.
+    assert tiny.sum(axis=1) == pytest.approx(np.zeros(4), abs=1e-12)
+    assert tiny.sum(axis=0) == pytest.approx(np.zeros(4), abs=1e-12)

@@ -13,8 +13,8 @@ from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.execution import Arc, Execution, Impact, Mode, Release, ZenoPoint
 from zeno_orbits.orbit import ZenoOrbit
-from zeno_orbits.returns import to_next_release
 from zeno_orbits.problem import Problem
+from zeno_orbits.returns import to_next_release
 from zeno_orbits.simulate import SimulationSettings, simulate
 
 

@@ -1,0 +1,92 @@
+"""Time a return with its exact derivatives beside a plain one, and its multipliers by differences.
+
+    python benchmarks/multipliers.py [--repeats 15]
+
+Medians of processor time on the reference orbit in one process, so read the ratios. The errors of
+the multipliers are measured against the slope that differences of 20 digits give (heyoka needed).
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from zeno_orbits.closing import close_orbit
+from zeno_orbits.compiled import bind
+from zeno_orbits.dynamics import Tolerance
+from zeno_orbits.extended_orbit import extended_orbit
+from zeno_orbits.models import compiled_model
+from zeno_orbits.monodromy import return_derivative
+from zeno_orbits.poincare import floquet_multipliers, poincare_map
+from zeno_orbits.problem import load_problem
+from zeno_orbits.simulate import SimulationSettings
+
+
+def median_time(call: Callable[[], Any], repeats: int) -> float:
+    """Return the median processor time of a call, warm [ms]."""
+    call()
+    times: list[float] = []
+    for _ in range(repeats):
+        started = time.process_time()
+        call()
+        times.append(1e3 * (time.process_time() - started))
+    return statistics.median(times)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--repeats", type=int, default=15)
+    repeats = parser.parse_args().repeats
+    problem = load_problem("motor_pendulum")
+    setting = problem.setting()
+    orbit = close_orbit(problem, setting, simulation=SimulationSettings()).unwrap()
+    x, period = np.array(list(orbit.release_state.values())), orbit.period
+    scale, horizon = 1.0 + np.abs(x), 2 * period
+    dynamics = bind(compiled_model(problem), setting.values())
+    plain = replace(dynamics, differentiation=None)
+    truth = np.array(extended_orbit(problem, setting, x.tolist(), digits=20).multipliers)
+    print(
+        f"{'tolerance':>9}  {'what':<34} {'ms':>7} {'ratio':>6}  {'true error':>10} {'claimed':>8}"
+    )
+    for exponent in (12, 10, 8):
+        tolerance = Tolerance(relative=10.0**-exponent, absolute=10.0 ** -(exponent + 1))
+        settings = SimulationSettings(tolerance=tolerance)
+
+        def returned(k: int, settings: SimulationSettings = settings) -> object:
+            parameters = tuple(range(k))
+            return return_derivative(
+                dynamics, x, horizon=horizon, settings=settings, parameters=parameters
+            )
+
+        def multipliers(system: Any, settings: SimulationSettings = settings) -> Any:
+            return floquet_multipliers(system, x, scale=scale, period=period, settings=settings)
+
+        def mapped(settings: SimulationSettings = settings) -> object:
+            return poincare_map(dynamics, x, horizon=horizon, settings=settings)
+
+        alone = median_time(mapped, repeats)
+        rows: list[tuple[str, Callable[[], Any], Any]] = [
+            ("return", mapped, None),
+            ("return and derivative", lambda: returned(0), None),
+            ("return and derivative, 2 parameters", lambda: returned(2), None),
+            ("multipliers", lambda: multipliers(dynamics), multipliers(dynamics)),
+            ("multipliers by differences", lambda: multipliers(plain), multipliers(plain)),
+        ]
+        for name, call, found in rows:
+            spent = median_time(call, repeats)
+            line = f"{10.0**-exponent:9.0e}  {name:<34} {spent:7.1f} {spent / alone:6.1f}"
+            if found is not None:
+                off = float(np.max(np.abs(np.array(found.values) - truth)))
+                line += f"  {off:10.1e} {found.error:8.0e}"
+            print(line)
+
+
+if __name__ == "__main__":
+    main()
