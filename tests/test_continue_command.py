@@ -134,7 +134,7 @@ def test_a_picture_has_stable_orbits_solid_unstable_ones_dashed_and_names_points
     (legend,) = figure.legends
     words = {text.get_text() for text in legend.get_texts()}
     assert words == {"stable", "unstable", "flip", "first impact grazes"}
-    assert [ax.get_ylabel() for ax in figure.axes][0] == "period [s]"
+    assert period.get_ylabel() == "period [s]"
     assert period.get_xlabel() == "Kd [V s/rad]"
 
 

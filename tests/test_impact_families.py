@@ -113,9 +113,7 @@ def test_a_flip_throws_off_the_branch_of_twice_the_period() -> None:
     (flip,) = single.special
 
     def make(omega: float) -> ImpactOscillator:
-        return ImpactOscillator(
-            amplitude=1.0, omega=omega, damping=0.1, stop=0.0, restitution=0.8
-        )
+        return ImpactOscillator(amplitude=1.0, omega=omega, damping=0.1, stop=0.0, restitution=0.8)
 
     start = math.atan2(flip.at.state["sine"], flip.at.state["cosine"]) / flip.at.value
     guess = (start, -flip.at.state["speed"], flip.at.value)

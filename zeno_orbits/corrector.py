@@ -115,14 +115,15 @@ def correct(
         off = float(normal @ (metric.place(x, s) - z))
         rows, ambient = _linearized(here, found, metric)
         stalled = miss <= _STALLED and miss > _CONTRACTION * before
-        if max(miss, abs(off)) <= _CLOSED or stalled:
-            return _point(x, s, metric, rows, ambient, found, miss, along)
         if miss > 1e3 * before:
             break
-        before = miss
         matrix = np.concatenate([rows, (normal @ ambient)[None, :]])
         change = np.linalg.lstsq(matrix, -np.append(missed, off), rcond=None)[0]
         x, s = x + here.lift @ change, s + float(change[-1])
+        if max(miss, abs(off)) <= _CLOSED or stalled:
+            # The last correction is too small to be worth another return.
+            return _point(x, s, metric, rows, ambient, found, miss, along)
+        before = miss
     raise SimulationError(
         f"Newton's method does not close the return, it misses by {before:.1e}",
         time=metric.horizon,

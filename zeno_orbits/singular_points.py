@@ -389,6 +389,7 @@ def _approach(
     if best is None:
         raise SimulationError("The end cannot be approached", time=0.0, state=())
     error, limit = best
+    error += _noise(returns, metric, nodes, margin)
     return Located(
         kind=ENDS[margin.loss],
         point=nodes[-1],
@@ -399,6 +400,25 @@ def _approach(
         place=margin.place,
         path=tuple(nodes[2:]),
     )
+
+
+def _noise(
+    returns: ReturnMap, metric: Metric, nodes: Sequence[BranchPoint], margin: Margin
+) -> float:
+    """Return by how much a looser computation moves the nearest points to an end, and it."""
+    before, last = nodes[-2:]
+    fall = last.found.margins[margin] - before.found.margins[margin]
+    slope = abs(float(last.z[-1] - before.z[-1]) / fall)
+    moved = 0.0
+    for node in (before, last):
+        try:
+            again = corrected_again(returns.loosened(), metric, node)
+        except ZenoOrbitsError:
+            continue
+        value = again.found.margins.get(margin, node.found.margins[margin])
+        change = abs(value - node.found.margins[margin])
+        moved = max(moved, abs(float(again.z[-1] - node.z[-1])) + slope * change)
+    return moved
 
 
 def _halved(

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zeno_orbits import report
-from zeno_orbits.arguments import read_count, read_range
+from zeno_orbits.arguments import read_count, read_numbers, read_range
 from zeno_orbits.cli.shared import (
     NO,
     YES,
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from zeno_orbits.continuation import ContinuationSettings
     from zeno_orbits.families import Continuation
     from zeno_orbits.orbit import ZenoOrbit
-    from zeno_orbits.problem import Problem
+    from zeno_orbits.problem import Problem, Setting
 
 
 def add_continue(commands: Any) -> None:
@@ -186,8 +186,24 @@ def _orbit(options: argparse.Namespace, problem: Problem, progress: report.Progr
     from zeno_orbits.orbit import read_orbit
 
     if options.start_orbit is None:
-        return start_orbit(problem, setting_of(problem, options), tell=progress.tell)
+        setting = _inside(problem, setting_of(problem, options), options)
+        return start_orbit(problem, setting, tell=progress.tell)
     if options.gain or options.set:
         message = "must come without --gain and --set, as the orbit has numbers"
         raise InputError(f"Argument `from` {message}, but it does not.")
     return read_orbit(options.start_orbit)
+
+
+def _inside(problem: Problem, setting: Setting, options: argparse.Namespace) -> Setting:
+    """Return the setting to start at: mid-range for what nobody has set and lies outside."""
+    gains, parameters = dict(setting.gains), read_numbers(options.set, "set")
+    named = {*read_numbers(options.gain, "gain"), *parameters}
+    for entry, option in ((options.range, "in"), (options.second, "second")):
+        if entry is None:
+            continue
+        name, (low, high) = read_range(entry, option)
+        value = {**setting.parameters, **gains}.get(name)
+        if value is None or name in named or low <= value <= high:
+            continue
+        (gains if name in gains else parameters)[name] = (low + high) / 2
+    return problem.setting(gains=gains, parameters=parameters)
