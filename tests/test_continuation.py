@@ -11,6 +11,7 @@ import pytest
 
 from tests.closed_forms import StoppedOscillator
 from tests.reference_orbit import RELEASE
+from zeno_orbits.branches import Steps
 from zeno_orbits.closing import close_cycle, close_orbit, orbit_of
 from zeno_orbits.compiled import bind
 from zeno_orbits.continuation import (
@@ -66,7 +67,8 @@ def only(continuation_families: tuple[Family, ...]) -> Family:
 def test_the_forced_oscillator_loses_its_release_where_the_force_just_reaches_the_stop() -> None:
     # The stop lets go where A cos t < stop, which happens at all for A > 0.8 only.
     orbit = oscillator_orbit()
-    family = only(continue_orbit(OSCILLATOR, orbit, "A", (0.5, 1.2)).families)
+    settings = ContinuationSettings(steps=Steps(first=0.05, longest=0.1))
+    family = only(continue_orbit(OSCILLATOR, orbit, "A", (0.5, 1.2), settings=settings).families)
     assert family.first.kind is Kind.RELEASE_LOST
     assert family.first.at.value == pytest.approx(0.8, abs=1e-9)
     assert abs(family.first.at.value - 0.8) < 10 * family.first.error < 1e-9
@@ -134,6 +136,22 @@ def test_the_family_in_the_restitution_ends_where_simulations_stop_closing() -> 
             low, x = middle, closed.cycle.end.state
     # Close to the end a return may fail to be resolved a little early: a lock of 1e-6 s is none.
     assert low - 1e-9 < family.last.at.value < high + 3e-9
+
+
+@pytest.mark.slow
+def test_close_to_the_end_of_the_locked_arc_the_family_is_right_to_many_digits() -> None:
+    pytest.importorskip("heyoka")
+    from zeno_orbits.extended_orbit import extended_orbit
+
+    # Where 1e-5 of the restitution is left, and some milliseconds of the lock.
+    orbit, value = pendulum_orbit(restitution=0.41), 0.41678
+    point = only(continue_orbit(PENDULUM, orbit, "restitution", (0.4, value)).families).points[-1]
+    assert point.margins["locked time"] < 2e-3
+    setting = PENDULUM.setting(parameters={"restitution": value})
+    exact = extended_orbit(PENDULUM, setting, list(point.state.values()), digits=15)
+    assert point.period == pytest.approx(float(exact.period), abs=1e-10)
+    for one, other in zip(point.state.values(), exact.release_state, strict=True):
+        assert one == pytest.approx(float(other), abs=1e-9)
 
 
 def test_periods_of_the_family_in_the_restitution_are_those_measured_beforehand() -> None:
@@ -240,6 +258,7 @@ def test_two_returns_have_the_product_of_the_derivatives() -> None:
     assert np.max(np.abs(point.tangent - once.tangent)) < 1e-7
 
 
+@pytest.mark.slow
 def test_a_boundary_in_two_parameters_is_where_the_closed_form_says() -> None:
     # The release is lost on the line A = -stop.
     found = continue_orbit_in_two(
