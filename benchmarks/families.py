@@ -31,7 +31,7 @@ from zeno_orbits.problem import Problem, load_problem
 KP, KD = (0.5, 12.0), (-2.5, 0.0)
 RESTITUTION = (0.0, 0.5)
 KINDS = tuple(kind for kind in Kind if kind.located)
-SETTINGS = ContinuationSettings(curve=CurveSteps(first=0.005, longest=0.04, most=60))
+SETTINGS = ContinuationSettings(curve=CurveSteps(first=0.005, longest=0.05, most=40))
 
 
 def families(problem: Problem, *, curves: bool) -> dict[str, Continuation]:

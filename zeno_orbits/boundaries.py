@@ -25,6 +25,7 @@ from zeno_orbits.singular_points import (
     Located,
     TestFunction,
     Threat,
+    locate_cut_near,
     locate_end,
     located_near,
 )
@@ -269,6 +270,16 @@ class _Curve:
         self, returns: ReturnMap, line: Line, z: Vector, last: _Spot, across: Vector
     ) -> tuple[Located, tuple[tuple[Vector, Vector], ...]]:
         """Return an end, approached as the last one was from points at the same distance."""
+
+        def restitution(s: float) -> float:
+            return float(line.at(s)[self.plane.restitution])
+
+        if self.kind is Kind.LOCK_VANISHES and restitution(0.0) > 0.0:
+            along = last.located.point.tangent
+            found = locate_cut_near(
+                returns, self.metric, np.append(z, 0.0), along, self.place, restitution
+            )
+            return found, last.before
         loss = next(loss for loss, kind in ENDS.items() if kind is self.kind)
         points: list[BranchPoint] = []
         for state, away in last.before:
@@ -280,10 +291,6 @@ class _Curve:
             normal = np.append(-state, -place)
             points.append(correct(returns, self.metric, target, normal / np.linalg.norm(normal)))
         threat = Threat(margin=Margin(loss=loss, place=self.place), distance=np.inf, fall=1.0)
-
-        def restitution(s: float) -> float:
-            return float(line.at(s)[self.plane.restitution])
-
         located = locate_end(returns, self.metric, points, threat, restitution)
         before = tuple(
             (point.z[:-1] - located.z[:-1], (point.s - located.z[-1]) * across) for point in points

@@ -9,7 +9,7 @@ Theory (38) to (40).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -471,21 +471,74 @@ def _locate_cut(
     threat: Threat,
     restitution: Callable[[float], float],
 ) -> Located:
-    r"""Return where the locked arc vanishes, from sequences cut ever later (theory (39)).
+    """Return where the locked arc vanishes beyond a point of the family."""
+    place = threat.margin.place
+    near = _Near(centre=last.z, reach=_REACH * threat.distance)
+    n, here, step = _first_cut(returns, metric, last, place, Margin(loss=Loss.CUT, place=place))
+    found = _cut_ever_later(returns, metric, here, n, step, place, restitution, near)
+    return replace(found, margins={**last.found.margins, threat.margin: 0.0})
+
+
+def locate_cut_near(
+    returns: ReturnMap,
+    metric: Metric,
+    z: Vector,
+    along: Vector,
+    place: int,
+    restitution: Callable[[float], float],
+) -> Located:
+    """Return where the locked arc vanishes near a place at which it is expected to.
+
+    Args:
+        returns: The return map.
+        metric: Units.
+        z: The place, ``(n_x + 1,)``.
+        along: Tangent of the family there, roughly, ``(n_x + 1,)``.
+        place: The return in which it is.
+        restitution: At a parameter.
+
+    Raises:
+        ZenoOrbitsError: If it does not.
+    """
+    for n in _KNOWN_CUTS:
+        try:
+            here = correct(cut_after(returns, place, n), metric, z, along)
+            near = _Near(centre=here.z, reach=_BESIDE)
+            return _cut_ever_later(returns, metric, here, n, 1e-4, place, restitution, near)
+        except ZenoOrbitsError:
+            # Beyond the end a sequence is let go, the later the nearer: fewer impacts still are.
+            continue
+    raise SimulationError("The end of the locked arc is not near", time=0.0, state=())
+
+
+_KNOWN_CUTS = (9, 7, 5, 4)
+"""Impacts of the first cut where the end is known roughly."""
+_BESIDE = 0.03
+"""How far from there the end may be."""
+
+
+def _cut_ever_later(
+    returns: ReturnMap,
+    metric: Metric,
+    here: BranchPoint,
+    n: int,
+    step: float,
+    place: int,
+    restitution: Callable[[float], float],
+    near: _Near,
+) -> Located:
+    r"""Return the limit of the points at which cut sequences are on the separatrix (theory (39)).
 
     The root of :math:`1 - r_n / r_*` converges like :math:`(\sigma/\kappa)^n`, so every two
     give a better third.
     """
-    place, cut = threat.margin.place, Margin(loss=Loss.CUT, place=threat.margin.place)
-    law = separatrix(restitution(last.s))
-    rate = law.shrinking / law.repulsion
+    cut, law = Margin(loss=Loss.CUT, place=place), separatrix(restitution(here.s))
     # About one decade of convergence between the cuts, so that their differences tell something.
-    stride = max(1, round(-1.0 / np.log10(rate)))
-    near = _Near(centre=last.z, reach=_REACH * threat.distance)
-    n, here, step = _first_cut(returns, metric, last, place, cut)
+    stride = max(1, round(-1.0 / np.log10(law.shrinking / law.repulsion)))
     found: list[BranchPoint] = []
     limits: list[Vector] = []
-    for _ in range(16):
+    error = np.inf
+    for _ in range(_MOST_CUTS):
         here = _cut_root(cut_after(returns, place, n), metric, here, step, cut, near)
         found.append(here)
         if len(found) > 1:
@@ -499,8 +552,6 @@ def _locate_cut(
             if error < _GOOD or step < _GOOD:
                 break
         n += stride
-    else:
-        error = float(np.max(np.abs(limits[-1] - limits[-2])[:-1]))
     # The last cut's own convergence, and what a looser computation changes.
     loose = corrected_again(cut_after(returns, place, n).loosened(), metric, here)
     slope = _slope(cut_after(returns, place, n), metric, here, cut, max(step, 1e-9))
@@ -511,9 +562,12 @@ def _locate_cut(
         z=limits[-1][:-1],
         period=float(limits[-1][-1]),
         error=(error + doubt) * metric.unit,
-        margins={**last.found.margins, threat.margin: 0.0},
+        margins=here.found.margins,
         place=place,
     )
+
+
+_MOST_CUTS = 16
 
 
 def _first_cut(
