@@ -19,7 +19,6 @@ from typing import Any
 from zeno_orbits import plots
 from zeno_orbits.boundaries import CurveSteps
 from zeno_orbits.continuation import (
-    ContinuationSettings,
     continue_orbit,
     continue_orbit_in_two,
     start_orbit,
@@ -27,6 +26,7 @@ from zeno_orbits.continuation import (
 from zeno_orbits.families import Boundary, Continuation, Kind
 from zeno_orbits.files import write_whole
 from zeno_orbits.problem import Problem, load_problem
+from zeno_orbits.tracks import ContinuationSettings
 
 KP, KD = (0.5, 12.0), (-2.5, 0.0)
 RESTITUTION = (0.0, 0.5)

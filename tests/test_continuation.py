@@ -15,11 +15,9 @@ from zeno_orbits.branches import Steps
 from zeno_orbits.closing import close_cycle, close_orbit, orbit_of
 from zeno_orbits.compiled import bind
 from zeno_orbits.continuation import (
-    ContinuationSettings,
     continue_orbit,
     continue_orbit_in_two,
     start_orbit,
-    track_of,
 )
 from zeno_orbits.corrector import first_point
 from zeno_orbits.drives import full_drive
@@ -34,6 +32,7 @@ from zeno_orbits.poincare import poincare_map, release_section
 from zeno_orbits.problem import load_problem
 from zeno_orbits.return_maps import Composed
 from zeno_orbits.simulate import SimulationSettings
+from zeno_orbits.tracks import ContinuationSettings, track_of
 
 PENDULUM = load_problem("motor_pendulum")
 OSCILLATOR = load_problem("forced_oscillator")

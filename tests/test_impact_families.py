@@ -10,7 +10,7 @@ import pytest
 
 from tests.linear_impacts import ImpactOscillator, critical
 from zeno_orbits.branches import Steps
-from zeno_orbits.continuation import ContinuationSettings, Track, continuation_on, line_in
+from zeno_orbits.continuation import continuation_on
 from zeno_orbits.corrector import Metric, first_point
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.families import Continuation, Kind
@@ -19,6 +19,7 @@ from zeno_orbits.impact_returns import ImpactReturns
 from zeno_orbits.models import compiled_model
 from zeno_orbits.problem import load_problem
 from zeno_orbits.simulate import SimulationSettings
+from zeno_orbits.tracks import ContinuationSettings, Track, line_in
 
 OSCILLATOR = load_problem("forced_oscillator")
 COCO = {"c": 0.1, "stop": 1.0, "restitution": 0.8}

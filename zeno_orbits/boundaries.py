@@ -17,18 +17,11 @@ from zeno_orbits.corrector import BranchPoint, Metric, correct
 from zeno_orbits.dynamics import Vector
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
 from zeno_orbits.families import Boundary, Kind
+from zeno_orbits.family_ends import ENDS, Threat, locate_end
+from zeno_orbits.lock_ends import locate_cut_near
 from zeno_orbits.return_maps import Margin, ReturnMap
 from zeno_orbits.sections import Line
-from zeno_orbits.singular_points import (
-    ENDS,
-    INSIDE,
-    Located,
-    TestFunction,
-    Threat,
-    locate_cut_near,
-    locate_end,
-    located_near,
-)
+from zeno_orbits.singular_points import INSIDE, Located, TestFunction, located_near
 
 Tell = Callable[[str, float | None], None]
 OnLine = Callable[[Line], ReturnMap]

@@ -16,15 +16,9 @@ import numpy as np
 from zeno_orbits.corrector import BranchPoint, Metric, correct
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.families import Kind
+from zeno_orbits.family_ends import Threat, locate_end, threats
 from zeno_orbits.return_maps import Loss, ReturnMap
-from zeno_orbits.singular_points import (
-    Located,
-    Threat,
-    crossings,
-    locate_end,
-    locate_inside,
-    threats,
-)
+from zeno_orbits.singular_points import Located, crossings, locate_inside
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

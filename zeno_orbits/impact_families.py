@@ -5,13 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from zeno_orbits.branches import Tell
-from zeno_orbits.continuation import (
-    ContinuationSettings,
-    Track,
-    check_box,
-    continuation_on,
-    line_in,
-)
+from zeno_orbits.continuation import continuation_on
 from zeno_orbits.corrector import Metric
 from zeno_orbits.dynamics import Vector
 from zeno_orbits.errors import SimulationError
@@ -20,6 +14,7 @@ from zeno_orbits.impact_returns import ImpactReturns
 from zeno_orbits.models import compiled_model
 from zeno_orbits.problem import Problem, Setting
 from zeno_orbits.simulate import simulate
+from zeno_orbits.tracks import ContinuationSettings, Track, check_box, line_in
 
 _MOST_IMPACTS = 400
 _SETTLED = 1e-3

@@ -24,10 +24,10 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.files import require_picture, require_writable, write_whole
 
 if TYPE_CHECKING:
-    from zeno_orbits.continuation import ContinuationSettings
     from zeno_orbits.families import Continuation
     from zeno_orbits.orbit import ZenoOrbit
     from zeno_orbits.problem import Problem, Setting
+    from zeno_orbits.tracks import ContinuationSettings
 
 
 def add_continue(commands: Any) -> None:
@@ -95,9 +95,9 @@ def add_continue(commands: Any) -> None:
 
 def _run_continue(options: argparse.Namespace) -> int:
     from zeno_orbits.branches import Steps
-    from zeno_orbits.continuation import ContinuationSettings
     from zeno_orbits.families import Kind
     from zeno_orbits.problem import load_problem
+    from zeno_orbits.tracks import ContinuationSettings
 
     problem = load_problem(options.problem)
     if options.output is not None:

@@ -60,8 +60,9 @@ def plot_families(found: Continuation, problem: Problem, *, width: float = FULL_
     ]
     figure, panels = panels_of(width, len(quantities), height=2.3)
     for ax, (label, value) in zip(panels, quantities, strict=True):
-        for k, family in enumerate(found.families):
-            _draw(ax, family, value, _COLOURS[k % len(_COLOURS)])
+        for family in found.families:
+            doublings = family.n_returns.bit_length() - 1
+            _draw(ax, family, value, _COLOURS[doublings % len(_COLOURS)])
         ax.set(xlabel=_named(problem, main.parameter), ylabel=label)
         ax.margins(0.06)
     _show_radii(panels[-1], found)
@@ -134,7 +135,9 @@ _CONSTANT = 1e-6
 
 def _draw(ax: Axes, family: Family, value: Callable[[FamilyPoint], float], colour: str) -> None:
     """Draw a family piece by piece of one stability, ends included, neighbours joined."""
-    points = [family.first.at, *family.points, family.last.at]
+    # A flip at which a family begins is an orbit of half its period, marked on the other family.
+    root = [] if family.first.kind is Kind.FLIP else [family.first.at]
+    points = [*root, *family.points, family.last.at]
     returns = "" if family.n_returns == 1 else f", {family.n_returns} returns"
     for stable, group in groupby(range(len(points)), key=lambda k: _is_stable(points[k])):
         piece = list(group)
@@ -157,7 +160,8 @@ def _mark_all(ax: Axes, found: Continuation, value: Callable[[FamilyPoint], floa
     low, high = ax.get_ylim()
     for family in found.families:
         for special in family.named:
-            if special.kind in _MARKS:
+            rooted = special is family.first and special.kind is Kind.FLIP
+            if special.kind in _MARKS and not rooted:
                 place = min(max(value(special.at), low), high)
                 look = _SPOT | _MARKS[special.kind]
                 ax.plot(special.at.value, place, label=special.kind.value, clip_on=False, **look)
