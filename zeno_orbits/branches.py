@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -126,12 +127,14 @@ class _Walk:
             ended = self._end_within(_SOON * step)
             if ended is not None:
                 return ended
+            new, at_bound, between = None, False, list[Located]()
             try:
                 new, at_bound = self._stepped(step)
+                trouble = "" if at_bound else self._objection(new, step)
+                if not trouble:
+                    between = self._between(self.points[-1], new)
             except ZenoOrbitsError as error:
-                new, at_bound, trouble = None, False, str(error)
-            else:
-                trouble = self._objection(new, step) if not at_bound else ""
+                trouble = str(error)
             if new is None or trouble:
                 step /= 2
                 if step < self.steps.shortest:
@@ -141,7 +144,7 @@ class _Walk:
                     if ended is not None:
                         return ended
                 continue
-            self._accept(new)
+            self._accept(new, between)
             if at_bound:
                 return self._branch(Kind.BOUND)
             if self._is_back():
@@ -196,16 +199,22 @@ class _Walk:
         ahead = np.linalg.norm(last.z - before.z - step * before.tangent)
         return max(float(angle) / self.steps.turn, float(ahead) / (self.steps.stray * step))
 
-    def _accept(self, new: BranchPoint) -> None:
-        last = self.points[-1]
-        for kind in crossings(last, new):
-            try:
-                found = locate_inside(self.returns, self.metric, last, new, kind)
-            except ZenoOrbitsError:
-                continue
-            if found is not None:
-                self.tell(f"{kind.value} at {found.z[-1] * self.metric.unit:.6g}", None)
-                self.special.append((len(self.points) - 1, found))
+    def _between(self, before: BranchPoint, after: BranchPoint) -> list[Located]:
+        """Return the special points between two neighbours.
+
+        Raises:
+            ZenoOrbitsError: If one cannot be located: the step must be shorter.
+        """
+        found = [
+            locate_inside(self.returns, self.metric, before, after, kind)
+            for kind in crossings(before, after)
+        ]
+        return [located for located in found if located is not None]
+
+    def _accept(self, new: BranchPoint, between: Sequence[Located]) -> None:
+        for located in between:
+            self.tell(f"{located.kind.value} at {located.z[-1] * self.metric.unit:.6g}", None)
+            self.special.append((len(self.points) - 1, located))
         self.points.append(new)
 
     def _is_back(self) -> bool:
@@ -235,8 +244,13 @@ class _Walk:
             if end is None or (not end.path and crossings(self.points[-1], end.point)):
                 # What happens before an end has to be passed step by step.
                 continue
-            for point in end.path:
-                self._accept(point)
+            try:
+                way = (self.points[-1], *end.path)
+                found = [self._between(*neighbours) for neighbours in pairwise(way)]
+            except ZenoOrbitsError:
+                continue
+            for point, between in zip(end.path, found, strict=True):
+                self._accept(point, between)
             return self._branch(end.kind, end=end)
         return None
 
