@@ -198,13 +198,15 @@ class _Curve:
                 new, trouble = None, str(error)
             if new is not None and not self._fits(last, new, at, forward):
                 new, trouble = None, "the curve bends too fast"
+            if new is not None and not self.plane.holds(new.at):
+                # The curve leaves the plane beside the place that was predicted.
+                new, trouble = None, Kind.BOUND.value
             if new is None:
                 step /= 2
                 if step < self.steps.shortest:
-                    return spots[1:], f"{Kind.GAVE_UP.value}: {trouble}"
+                    given_up = trouble != Kind.BOUND.value
+                    return spots[1:], f"{Kind.GAVE_UP.value}: {trouble}" if given_up else trouble
                 continue
-            if not self.plane.holds(new.at):
-                return spots[1:], Kind.BOUND.value
             strayed = float(np.linalg.norm(new.at - at))
             forward = (new.at - last.at) / np.linalg.norm(new.at - last.at)
             spots.append(new)
