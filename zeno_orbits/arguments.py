@@ -32,13 +32,10 @@ def read_boxes(entries: Sequence[str], option: str = "gain") -> dict[str, tuple[
     """Return name to bounds from ``NAME=LOW:HIGH`` entries."""
     boxes: dict[str, tuple[float, float]] = {}
     for entry in entries:
-        name, sign, bounds = entry.partition("=")
-        low, colon, high = bounds.partition(":")
-        if not sign or not colon or not name:
-            raise InputError(f"Argument `{option}` must be NAME=LOW:HIGH, but it is `{entry}`.")
+        name, box = read_range(entry, option)
         if name in boxes:
             raise InputError(f"Argument `{option}` must name `{name}` once, but it does so twice.")
-        boxes[name] = (read_number(low, name), read_number(high, name))
+        boxes[name] = box
     return boxes
 
 
@@ -59,6 +56,15 @@ def read_bounds(entries: Sequence[str]) -> tuple[Bound, ...]:
         upper = read_number(high, name) if high else math.inf
         found.append(Bound(name=name, lower=lower, upper=upper))
     return tuple(found)
+
+
+def read_range(entry: str, option: str) -> tuple[str, tuple[float, float]]:
+    """Return name and bounds from ``NAME=LOW:HIGH``."""
+    name, sign, bounds = entry.partition("=")
+    low, colon, high = bounds.partition(":")
+    if not sign or not colon or not name:
+        raise InputError(f"Argument `{option}` must be NAME=LOW:HIGH, but it is `{entry}`.")
+    return name, (read_number(low, name), read_number(high, name))
 
 
 def read_number(text: str, name: str) -> float:

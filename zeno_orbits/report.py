@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from zeno_orbits.bounds import Extent
     from zeno_orbits.certificate import OrbitCertificate
     from zeno_orbits.execution import Execution
+    from zeno_orbits.families import Continuation
     from zeno_orbits.fidelity import ReductionCost
     from zeno_orbits.maps import ParameterMap
     from zeno_orbits.orbit import ZenoOrbit
@@ -376,6 +377,44 @@ def print_map(found: ParameterMap) -> None:
 def _range(values: Sequence[float]) -> str:
     finite = [value for value in values if math.isfinite(value)]
     return f"{min(finite):.4g} ... {max(finite):.4g}" if finite else ""
+
+
+def print_families(found: Continuation) -> None:
+    """Print the special points and ends of families, and how long boundaries are."""
+    for family in found.families:
+        name = family.parameter
+        returns = "" if family.n_returns == 1 else f", {family.n_returns} returns a period"
+        stable = sum(point.stable for point in family.points)
+        print_lines([f"Family in {name}{returns}: {len(family.points)} orbits, {stable} stable."])
+        table = _table("point", name, "error", "period [s]", "multipliers")
+        for special in family.named:
+            values = special.at.multipliers[:2]
+            table.add_row(
+                special.kind.value,
+                f"{special.at.value:.12g}",
+                f"{special.error:.0e}" if special.kind.located else "",
+                f"{special.at.period:.10g}",
+                ", ".join(_short(value) for value in values),
+            )
+        _print(table)
+        print_lines(
+            f"{special.kind.value}: {special.detail}" for special in family.named if special.detail
+        )
+    if found.boundaries:
+        table = _table("boundary", "points", "in", "largest error", "ends")
+        for boundary in found.boundaries:
+            table.add_row(
+                boundary.kind.value,
+                str(len(boundary.x)),
+                ", ".join(boundary.names),
+                f"{max(boundary.errors):.0e}",
+                "; ".join(boundary.ends),
+            )
+        _print(table)
+
+
+def _short(value: complex) -> str:
+    return f"{value.real:.5g}" if value.imag == 0.0 else f"{value.real:.5g} {value.imag:+.5g} i"
 
 
 def _error_of(trial: Trial) -> str:

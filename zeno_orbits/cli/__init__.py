@@ -15,6 +15,7 @@ from collections.abc import Sequence
 
 from zeno_orbits import report
 from zeno_orbits.cli.conditions import add_conditions
+from zeno_orbits.cli.continuation import add_continue
 from zeno_orbits.cli.fidelity import add_fidelity
 from zeno_orbits.cli.map import add_map
 from zeno_orbits.cli.new import add_new
@@ -88,6 +89,7 @@ def _parser() -> argparse.ArgumentParser:
     add_search(commands)
     add_verify(commands)
     add_map(commands)
+    add_continue(commands)
     add_trade(commands)
     add_plot(commands)
     return parser

@@ -5,6 +5,7 @@ takes a width in inches: ``COLUMN_WIDTH`` stacks the panels for one column of a 
 ``FULL_WIDTH`` sets them side by side.
 """
 
+from zeno_orbits.plots.family import plot_boundaries, plot_families
 from zeno_orbits.plots.map import plot_map
 from zeno_orbits.plots.orbit import plot_outputs, plot_portraits, plot_time_series
 from zeno_orbits.plots.region import has_zeno_region, plot_zeno_region
@@ -16,6 +17,8 @@ __all__ = [
     "COLUMN_WIDTH",
     "FULL_WIDTH",
     "has_zeno_region",
+    "plot_boundaries",
+    "plot_families",
     "plot_map",
     "plot_outputs",
     "plot_portraits",

@@ -1,0 +1,214 @@
+"""Families of orbits as values: points, special points, ends, and their JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+
+FORMAT = 1
+"""Version of the file format."""
+
+
+class Kind(Enum):
+    """What is special about a point of a family. The value is the word shown to the user."""
+
+    START = "start"
+    FOLD = "fold"
+    FLIP = "flip"
+    TORUS = "Neimark-Sacker"
+    BRANCHING = "branch point"
+    LOCK_VANISHES = "locked arc vanishes"
+    THEOREM_LOST = "d2h/dt2 = 0, multiplier rising"
+    GRAZING = "first impact grazes"
+    EARLIER_GRAZING = "earlier contact grazes"
+    RELEASE_LOST = "release not transversal"
+    EARLIER_RELEASE = "earlier release"
+    AMPLITUDE_ZERO = "amplitude zero"
+    BOUND = "end of the range"
+    CLOSED = "family closes"
+    MOST_STEPS = "number of steps"
+    GAVE_UP = "gave up"
+
+    @property
+    def located(self) -> bool:
+        """Tell whether it is a point of the scene, none of the search."""
+        return self not in _OF_THE_SEARCH
+
+
+_OF_THE_SEARCH = (Kind.START, Kind.BOUND, Kind.CLOSED, Kind.MOST_STEPS, Kind.GAVE_UP)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FamilyPoint:
+    """An orbit of a family.
+
+    Attributes:
+        value: Of the parameter that the family is followed in.
+        state: State name to value at the section.
+        period: [s].
+        multipliers: Of the return map, the largest first.
+        margins: What is left before each loss; its name, and the return's number where several.
+        miss: What the return misses the state by, relative.
+    """
+
+    value: float
+    state: Mapping[str, float]
+    period: float
+    multipliers: tuple[complex, ...]
+    margins: Mapping[str, float]
+    miss: float
+
+    @property
+    def spectral_radius(self) -> float:
+        """Largest modulus of a multiplier."""
+        return max((abs(value) for value in self.multipliers), default=0.0)
+
+    @property
+    def stable(self) -> bool:
+        """Tell whether the orbit attracts."""
+        return self.spectral_radius < 1.0
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the point as plain data."""
+        return {
+            "value": self.value,
+            "period": self.period,
+            "state": dict(self.state),
+            "multipliers": [[mu.real, mu.imag] for mu in self.multipliers],
+            "stable": self.stable,
+            "margins": dict(self.margins),
+            "miss": self.miss,
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpecialPoint:
+    """A point of a family with a name.
+
+    Attributes:
+        kind: Its name.
+        at: The orbit; at an end, the limit of the orbits.
+        error: Estimated error of the parameter's value; zero where it is given.
+        index: Place among the family's points after which it comes.
+        detail: What else is to be said.
+    """
+
+    kind: Kind
+    at: FamilyPoint
+    error: float
+    index: int
+    detail: str = ""
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the point as plain data."""
+        return {
+            "kind": self.kind.value,
+            "index": self.index,
+            "error": self.error,
+            "detail": self.detail,
+            **self.at.as_json(),
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Family:
+    """A connected piece of a family, in order along it.
+
+    Attributes:
+        problem: Name of the scene.
+        parameter: Name of the number that it is followed in.
+        gains: Name to value; the parameter's own is that of the start.
+        parameters: Name to value, derived ones included: those are held fixed.
+        n_returns: Returns after which its orbits close.
+        points: The orbits.
+        special: Special points, in order.
+        first: The end before the first point.
+        last: The end after the last one.
+    """
+
+    problem: str
+    parameter: str
+    gains: Mapping[str, float]
+    parameters: Mapping[str, float]
+    n_returns: int
+    points: tuple[FamilyPoint, ...]
+    special: tuple[SpecialPoint, ...]
+    first: SpecialPoint
+    last: SpecialPoint
+
+    @property
+    def named(self) -> tuple[SpecialPoint, ...]:
+        """All points with a name, ends included, in order along the family."""
+        return (self.first, *self.special, self.last)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the family as plain data."""
+        return {
+            "n_returns": self.n_returns,
+            "points": [point.as_json() for point in self.points],
+            "special": [point.as_json() for point in self.special],
+            "ends": [self.first.as_json(), self.last.as_json()],
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Boundary:
+    """A special point followed in two parameters.
+
+    Attributes:
+        kind: What it is.
+        names: The two parameters.
+        x: Values of the first, in order along the curve.
+        y: Values of the second.
+        errors: Estimated error of each point, in the unit of the parameter that was solved for.
+        ends: Why it ends, at either end.
+    """
+
+    kind: Kind
+    names: tuple[str, str]
+    x: tuple[float, ...]
+    y: tuple[float, ...]
+    errors: tuple[float, ...]
+    ends: tuple[str, str]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the boundary as plain data: a polyline with a name."""
+        return {
+            "name": self.kind.value,
+            "parameters": list(self.names),
+            "x": list(self.x),
+            "y": list(self.y),
+            "errors": list(self.errors),
+            "ends": list(self.ends),
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Continuation:
+    """All that a continuation found.
+
+    Attributes:
+        families: The family of the start, then those that branch off.
+        boundaries: Special points in two parameters.
+        versions: Name to version of what computed it.
+    """
+
+    families: tuple[Family, ...]
+    boundaries: tuple[Boundary, ...] = ()
+    versions: Mapping[str, str] = field(default_factory=dict[str, str])
+
+    def as_json(self) -> dict[str, Any]:
+        """Return everything as the plain data of a family file."""
+        main = self.families[0]
+        return {
+            "format": FORMAT,
+            "problem": main.problem,
+            "parameter": main.parameter,
+            "gains": dict(main.gains),
+            "parameters": dict(main.parameters),
+            "families": [family.as_json() for family in self.families],
+            "boundaries": [boundary.as_json() for boundary in self.boundaries],
+            "versions": dict(self.versions),
+        }

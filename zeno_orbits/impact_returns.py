@@ -1,0 +1,102 @@
+r"""From impact to impact: the return map of orbits without a Zeno point.
+
+The section are the states just after an impact, :math:`h = 0`, :math:`\dot h > 0`, of dimension
+:math:`n_x - 1` less the holonomic rows. A flight ends at the next impact and its reset.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from zeno_orbits.compiled import CompiledSystem, bind
+from zeno_orbits.differentials import GAP_RATE
+from zeno_orbits.dynamics import HybridDynamics, Vector
+from zeno_orbits.errors import SimulationError
+from zeno_orbits.execution import Ending
+from zeno_orbits.extrema import least_inside
+from zeno_orbits.monodromy import differentials_of
+from zeno_orbits.perturbations import EventShift, Perturbations
+from zeno_orbits.return_maps import Loss, Margin, Return, looser
+from zeno_orbits.sections import IMPACT_ROWS, Frame, Line, frame, projected
+from zeno_orbits.simulate import SimulationSettings, simulate
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImpactReturns:
+    """From just after an impact to just after the next.
+
+    Attributes:
+        compiled: The scene.
+        line: The parameters.
+        settings: Accuracy.
+    """
+
+    compiled: CompiledSystem
+    line: Line
+    settings: SimulationSettings
+
+    def dynamics(self, s: float) -> HybridDynamics:
+        """Return the system at a place on the line."""
+        return bind(self.compiled, self.line.at(s).tolist())
+
+    def frame(self, x: Vector, s: float, scale: Vector) -> Frame:
+        """Return the section around a state of it."""
+        return frame(self.dynamics(s), self.line, IMPACT_ROWS, x, scale)
+
+    def projected(self, x: Vector, s: float, scale: Vector) -> Vector:
+        """Return the state on the stop nearest to a state."""
+        return projected(self.dynamics(s), IMPACT_ROWS, x, scale)
+
+    def moved_to(self, line: Line) -> ImpactReturns:
+        """Return the same map along another line."""
+        return replace(self, line=line)
+
+    def loosened(self) -> ImpactReturns:
+        """Return the same map at a looser tolerance."""
+        return replace(self, settings=looser(self.settings))
+
+    def follow(self, x: Vector, s: float, *, horizon: float) -> Return:
+        """Return the flight from an impact to the next, and its derivatives.
+
+        Raises:
+            SimulationError: If the stop is not left, or not struck again within the horizon.
+        """
+        dynamics, line = self.dynamics(s), self.line
+        speed = dynamics.gap_rate(x)
+        if not speed > self.settings.contact:
+            raise SimulationError("The stop is not left", time=0.0, state=tuple(x.tolist()))
+        run = simulate(dynamics, x, until=horizon, releases=1, settings=self.settings)
+        if not run.impacts or run.arcs[0].ending is not Ending.IMPACT:
+            raise SimulationError("There is no next impact", time=horizon, state=tuple(x.tolist()))
+        arc, impact = run.arcs[0], run.impacts[0]
+        perturbations = Perturbations(
+            dynamics=dynamics,
+            differentials=differentials_of(dynamics, line.moving),
+            n_parameters=len(line.moving),
+            tolerance=self.settings.tolerance,
+        )
+        after = perturbations.struck(impact, perturbations.flown(arc, _launched(perturbations, x)))
+        n_x = x.size
+        end = projected(dynamics, IMPACT_ROWS, impact.state_plus, np.ones(n_x))
+        margins = {Margin(loss=Loss.FIRST_IMPACT): -impact.approach_rate}
+        least = least_inside(arc, dynamics.gap, dynamics.gap_rate)
+        if least is not None:
+            margins[Margin(loss=Loss.NEAR_MISS)] = least
+        return Return(
+            time=impact.time,
+            end=end,
+            by_state=after.state[:, :n_x],
+            by_parameter=after.state[:, n_x:] @ line.slopes,
+            margins=margins,
+        )
+
+
+def _launched(perturbations: Perturbations, x: Vector) -> EventShift:
+    """Return how a start after an impact moves, its gap rate included."""
+    start = perturbations.at_start()
+    gradient = perturbations.differentials.contact(x)[GAP_RATE]
+    n_x = x.size
+    rate = gradient[:n_x] @ start.state + gradient[n_x:] @ perturbations.parameters
+    return EventShift(time=start.time, state=start.state, rate=rate)

@@ -1,0 +1,158 @@
+r"""What a family is followed on: a scene, the number that changes, a return map and units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from zeno_orbits.boundaries import CurveSteps
+from zeno_orbits.branches import Steps
+from zeno_orbits.corrector import Metric
+from zeno_orbits.dynamics import Vector
+from zeno_orbits.errors import InputError
+from zeno_orbits.models import compiled_model
+from zeno_orbits.orbit import ZenoOrbit
+from zeno_orbits.problem import Problem, Setting
+from zeno_orbits.return_maps import Composed, ReleaseReturns, ReturnMap
+from zeno_orbits.sections import Line
+from zeno_orbits.simulate import SimulationSettings
+
+_PATIENCE = 4.0
+"""Periods of the start to wait for a return."""
+ONE_RETURN = 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ContinuationSettings:
+    """How to follow families.
+
+    Attributes:
+        steps: The steps.
+        simulation: Accuracy of a return.
+        curve: Steps of a boundary in two parameters.
+        doublings: How often a branch of twice the period is followed where a flip throws it off.
+    """
+
+    steps: Steps = field(default_factory=Steps)
+    simulation: SimulationSettings = field(default_factory=SimulationSettings)
+    curve: CurveSteps = field(default_factory=CurveSteps)
+    doublings: int = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Track:
+    """What a family is followed on: the map, the units, the box, and how to name things.
+
+    Attributes:
+        problem: The scene.
+        setting: Its numbers at the start.
+        parameter: The number that changes.
+        box: Its range.
+        returns: The return map.
+        metric: Units.
+        n_returns: Returns after which its orbits close.
+    """
+
+    problem: Problem
+    setting: Setting
+    parameter: str
+    box: tuple[float, float]
+    returns: ReturnMap
+    metric: Metric
+    n_returns: int = ONE_RETURN
+
+    def restitution(self, s: float) -> float:
+        """Return the restitution at a place on the line."""
+        return float(self.returns.line.at(s)[self.problem.names.index("restitution")])
+
+    def on_line(self, line: Line) -> ReturnMap:
+        """Return the same return map along another line of parameters."""
+        return self.returns.moved_to(line)
+
+    def doubled(self) -> Track:
+        """Return the same for orbits that close after twice as many returns."""
+        maps = self.returns.maps if isinstance(self.returns, Composed) else (self.returns,)
+        return replace(self, returns=Composed(maps=2 * maps), n_returns=2 * self.n_returns)
+
+
+def numbers(problem: Problem, orbit: ZenoOrbit) -> Vector:
+    """Return the parameter vector of an orbit, ``(n_p,)``."""
+    return np.array(orbit.setting(problem).values())
+
+
+def track_of(
+    problem: Problem,
+    orbit: ZenoOrbit,
+    parameter: str,
+    box: tuple[float, float],
+    settings: ContinuationSettings,
+) -> Track:
+    """Return what an orbit's family is followed on, from release to release.
+
+    Raises:
+        InputError: If a name or a range does not fit, or the orbit is of another scene.
+    """
+    if orbit.problem != problem.name:
+        message = f"must be of scene `{problem.name}`, but it is of `{orbit.problem}`"
+        raise InputError(f"Argument `orbit` {message}.")
+    setting = orbit.setting(problem)
+    p = np.array(setting.values())
+    line = line_in(problem, p, parameter)
+    check_box(problem, parameter, box, float(p[problem.names.index(parameter)]))
+    returns = ReleaseReturns(
+        compiled=compiled_model(problem), line=line, settings=settings.simulation
+    )
+    return Track(
+        problem=problem,
+        setting=setting,
+        parameter=parameter,
+        box=box,
+        returns=returns,
+        metric=Metric(
+            scale=scale_of(problem, orbit),
+            unit=box[1] - box[0],
+            horizon=_PATIENCE * orbit.period,
+        ),
+    )
+
+
+def scale_of(problem: Problem, orbit: ZenoOrbit) -> Vector:
+    """Return the size of each state over the events of an orbit, nowhere near zero, ``(n_x,)``."""
+    events = [orbit.release_state, orbit.zeno_state, *(i.state_minus for i in orbit.impacts)]
+    sizes = np.max(np.abs([problem.state_vector(state) for state in events]), axis=0)
+    largest = float(np.max(sizes))
+    return np.where(sizes > 1e-9 * largest, sizes, largest)
+
+
+def line_in(problem: Problem, p: Vector, parameter: str) -> Line:
+    """Return the line along which one number changes.
+
+    Raises:
+        InputError: If the scene has no such number.
+    """
+    if parameter not in problem.names:
+        known = ", ".join(problem.names)
+        raise InputError(f"Argument `in` must be one of {known}, but it is `{parameter}`.")
+    direction = np.zeros(p.size)
+    direction[problem.names.index(parameter)] = 1.0
+    return Line(origin=p * (1 - direction), direction=direction)
+
+
+def check_box(problem: Problem, parameter: str, box: tuple[float, float], value: float) -> None:
+    """Refuse a range that is none, that a parameter may not have, or without the start.
+
+    Raises:
+        InputError: If it is one of these.
+    """
+    low, high = box
+    if not low < high:
+        message = f"must have the lower end first, but it is {low:g}:{high:g}"
+        raise InputError(f"Argument `in` {message}.")
+    for quantity in problem.parameters:
+        if quantity.name == parameter:
+            quantity.checked(low)
+            quantity.checked(high)
+    if not low <= value <= high:
+        message = f"must hold the start, {parameter} = {value:g}, but it is {low:g}:{high:g}"
+        raise InputError(f"Argument `in` {message}.")
