@@ -173,7 +173,7 @@ class _Walk:
         """Return why a point is no neighbour of the last one, or nothing."""
         last = self.points[-1]
         if self.alien is not None and self.alien(new):
-            return "the steps lead to an orbit of lower period"
+            return _LOWER
         if float(new.tangent @ last.tangent) < np.cos(self.steps.turn):
             return "the tangent turns too fast"
         ahead = np.linalg.norm(new.z - last.z - step * last.tangent)
@@ -282,6 +282,9 @@ class _Walk:
         ended = self._end_within(np.inf)
         if ended is not None:
             return ended
+        nearest = min((abs(1 - mu) for mu in self.points[-1].multipliers), default=1.0)
+        if trouble == _LOWER and nearest < _REJOINS:
+            return self._branch(Kind.REJOINS, detail="at the flip that is nearest")
         return self._branch(Kind.GAVE_UP, detail=trouble)
 
     def _branch(self, ending: Kind, *, end: Located | None = None, detail: str = "") -> Branch:
@@ -293,6 +296,10 @@ class _Walk:
             detail=detail,
         )
 
+
+_LOWER = "the steps lead to an orbit of lower period"
+_REJOINS = 0.05
+"""Distance of a multiplier from 1 at which a branch ends in the flip of half its period."""
 
 _CERTAIN = 1e-6
 """Estimated error of an end, as part of the range, above which it is not one."""

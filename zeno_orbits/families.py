@@ -28,6 +28,7 @@ class Kind(Enum):
     AMPLITUDE_ZERO = "amplitude zero"
     BOUND = "end of the range"
     CLOSED = "family closes"
+    REJOINS = "joins half the period"
     MOST_STEPS = "number of steps"
     GAVE_UP = "gave up"
 
@@ -37,7 +38,14 @@ class Kind(Enum):
         return self not in _OF_THE_SEARCH
 
 
-_OF_THE_SEARCH = (Kind.START, Kind.BOUND, Kind.CLOSED, Kind.MOST_STEPS, Kind.GAVE_UP)
+_OF_THE_SEARCH = (
+    Kind.START,
+    Kind.BOUND,
+    Kind.CLOSED,
+    Kind.REJOINS,
+    Kind.MOST_STEPS,
+    Kind.GAVE_UP,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""Map files: JSON with one line a point, written whole or not at all."""
+"""Map files: JSON with one line a point, written whole or not at all; curves to lay over them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, cast
 from zeno_orbits.attractors import attractor_from_json, attractor_json
 from zeno_orbits.errors import MapFileError
 from zeno_orbits.files import write_whole
-from zeno_orbits.maps import FORMAT, Axis, ParameterMap
+from zeno_orbits.maps import FORMAT, Axis, Boundary, ParameterMap
 
 
 def write_map(found: ParameterMap, path: Path) -> None:
@@ -46,6 +46,38 @@ def read_map(path: Path) -> ParameterMap:
     if len(found.attractors) != found.x.count * found.y.count:
         raise MapFileError(path, "it has not one entry a point")
     return found
+
+
+def read_boundaries(path: Path, x: str, y: str) -> tuple[Boundary, ...]:
+    """Read the curves of a family file, or a list of such curves, that lie in a plane.
+
+    Args:
+        path: The file.
+        x: Gain or parameter across.
+        y: Upwards.
+
+    Raises:
+        MapFileError: If it is missing, holds no curves, or none in this plane.
+    """
+    try:
+        data: Any = json.loads(path.read_text(encoding="utf-8"))
+        curves: list[Mapping[str, Any]] = data if isinstance(data, list) else data["boundaries"]
+        found = [boundary for curve in curves if (boundary := _boundary_of(curve, x, y))]
+    except (OSError, ValueError, RecursionError, KeyError, TypeError) as error:
+        raise MapFileError(path, f"it holds no boundaries ({type(error).__name__})") from error
+    if not found:
+        raise MapFileError(path, f"it holds no boundary over {x} and {y}")
+    return tuple(found)
+
+
+def _boundary_of(curve: Mapping[str, Any], x: str, y: str) -> Boundary | None:
+    """Return a curve of two parameters, or nothing if they are others."""
+    names = list(curve["parameters"])
+    if sorted(names) != sorted((x, y)):
+        return None
+    across, upwards = ("x", "y") if names == [x, y] else ("y", "x")
+    points = zip(map(float, curve[across]), map(float, curve[upwards]), strict=True)
+    return Boundary(name=str(curve["name"]), points=tuple(points))
 
 
 def _map_of(entries: Mapping[str, Any]) -> ParameterMap:

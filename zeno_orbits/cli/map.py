@@ -26,7 +26,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.files import require_picture, require_writable
 
 if TYPE_CHECKING:
-    from zeno_orbits.maps import Axis, ParameterMap, Plane
+    from zeno_orbits.maps import Axis, Boundary, ParameterMap, Plane
 
 _UNTIL = 60.0
 
@@ -72,16 +72,27 @@ def add_map(commands: Any) -> None:
     )
     add_place(parser)
     parser.add_argument("--picture", type=Path, help="draw the map here")
+    parser.add_argument(
+        "--boundaries",
+        type=Path,
+        metavar="FAMILY.json",
+        help="draw the curves of `continue --second` on top",
+    )
     parser.add_argument("-o", "--output", type=Path, help="write the map here, as JSON")
 
 
 def _run_map(options: argparse.Namespace) -> int:
-    from zeno_orbits.map_file import write_map
+    from zeno_orbits.map_file import read_boundaries, write_map
     from zeno_orbits.maps import chunk_of, parameter_map, require_plane
     from zeno_orbits.work import Plan, remove_checkpoint
 
     plane = require_plane(_plane(options))
     _require_outputs(options)
+    boundaries: tuple[Boundary, ...] = ()
+    if options.boundaries is not None:
+        if options.picture is None:
+            raise InputError("Argument `boundaries` must come with `picture`, but it does not.")
+        boundaries = read_boundaries(options.boundaries, plane.x.name, plane.y.name)
     checkpoint = _checkpoint(options)
     plan = Plan(place=place_of(options), chunk=chunk_of(plane), checkpoint=checkpoint)
     try:
@@ -95,7 +106,7 @@ def _run_map(options: argparse.Namespace) -> int:
     if options.picture is not None:
         from zeno_orbits import plots
 
-        plots.save_figure(plots.plot_map(found), options.picture)
+        plots.save_figure(plots.plot_map(found, boundaries=boundaries), options.picture)
     if options.output is not None:
         write_map(found, options.output)
         if options.checkpoint is None and checkpoint is not None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
+from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -39,6 +40,8 @@ _SHAPE = {True: 0.5, False: 0.72}
 """Height over width, the legend below not counted."""
 _ENTRY = 0.145
 """Height of an entry of the legend [in]."""
+_COLUMNS = 2
+"""Of the legend below."""
 _BOUNDARIES = ("-", "--", "-.", ":")
 
 
@@ -79,9 +82,11 @@ def plot_map(
     ax.set_ylabel(_label(found.y), fontsize=TEXT)
     ax.tick_params(labelsize=TEXT - 1)
     if not beside:
-        figure.set_figheight(height + _ENTRY * (len(handles) + 1))
+        figure.set_figheight(height + _ENTRY * (-(-len(handles) // _COLUMNS) + 1))
     figure.legend(
         handles=handles,
+        ncols=1 if beside else _COLUMNS,
+        columnspacing=1.0,
         loc="outside right upper" if beside else "outside lower center",
         fontsize=TEXT - 1,
         frameon=False,
@@ -128,7 +133,7 @@ def _draw_contours(ax: Axes, found: ParameterMap) -> list[Line2D]:
             continue
         lines = ax.contour(found.x.values(), found.y.values(), shown, levels=levels, **look)
         if any(len(path) for path in lines.get_paths()):
-            ax.clabel(lines, fontsize=TEXT - 2, fmt="%.4g")
+            _label_lines(ax, lines)
             dash = "--" if look is _RADIUS else "-"
             colour = "#999999" if look is _RADIUS else "black"
             handles.append(Line2D([], [], color=colour, ls=dash, lw=0.9, label=label))
@@ -136,6 +141,32 @@ def _draw_contours(ax: Axes, found: ParameterMap) -> list[Line2D]:
 
 
 _CORNERS = 4
+_LONG = 0.6
+"""Part of an axis that a contour line must span to be labelled."""
+
+
+def _label_lines(ax: Axes, lines: QuadContourSet) -> None:
+    """Label every long contour line once, in its middle."""
+    spots: list[tuple[float, float]] = []
+    lowest = np.array([ax.get_xlim()[0], ax.get_ylim()[0]])
+    span = np.array([ax.get_xlim()[1], ax.get_ylim()[1]]) - lowest
+    pieces = [
+        np.asarray(one) for path in lines.get_paths() for one in path.to_polygons(closed_only=False)
+    ]
+    for piece in pieces:
+        places = (piece - lowest) / span
+        lengths = np.ptp(places, axis=0)
+        along = int(np.argmax(lengths))
+        if lengths[along] > _LONG:
+            # Neighbours are labelled at different places, so that labels do not touch.
+            wanted = _PLACES[len(spots) % len(_PLACES)]
+            x, y = piece[int(np.argmin(np.abs(places[:, along] - wanted)))].tolist()
+            spots.append((x, y))
+    ax.clabel(lines, fontsize=TEXT - 2, fmt="%.4g", manual=spots)
+
+
+_PLACES = (0.3, 0.5, 0.7)
+"""Where along an axis contour lines are labelled, in turn."""
 
 
 def _draw_boundaries(ax: Axes, found: ParameterMap, boundaries: Sequence[Boundary]) -> list[Line2D]:
