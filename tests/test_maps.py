@@ -24,7 +24,7 @@ from zeno_orbits import maps, work
 from zeno_orbits.attractors import Attractor, Fate
 from zeno_orbits.errors import CheckpointError, InputError, MapFileError, ProblemFileError
 from zeno_orbits.long_run import attractor_of
-from zeno_orbits.map_file import read_map, write_map
+from zeno_orbits.map_file import read_boundaries, read_map, write_map
 from zeno_orbits.maps import Axis, ParameterMap, Plane, parameter_map, require_plane
 from zeno_orbits.problem import Escape, bundled_problems, load_problem
 from zeno_orbits.scenes import scene_file
@@ -369,3 +369,50 @@ def test_a_map_by_two_workers_one_killed_and_then_all_is_that_of_one_worker(
     assert _start(killed, 2).wait(300) == NO
     assert killed.read_bytes() == quiet.read_bytes()
     assert not kept.exists()
+
+
+# ---------------------------------------------------------------------------- curves on top
+
+
+def _curves(path: Path, parameters: list[str]) -> Path:
+    curve = {"name": "fold", "parameters": parameters, "x": [1.0, 2.0], "y": [0.0, 0.5]}
+    path.write_text(json.dumps({"boundaries": [curve]}))
+    return path
+
+
+def test_curves_of_a_family_file_are_read_whichever_way_round(tmp_path: Path) -> None:
+    straight = read_boundaries(_curves(tmp_path / "a.json", ["m", "e"]), "m", "e")
+    turned = read_boundaries(_curves(tmp_path / "b.json", ["e", "m"]), "m", "e")
+    assert straight[0].points == ((1.0, 0.0), (2.0, 0.5))
+    assert turned[0].points == ((0.0, 1.0), (0.5, 2.0))
+    bare = tmp_path / "c.json"
+    bare.write_text(json.dumps(json.loads((tmp_path / "a.json").read_text())["boundaries"]))
+    assert read_boundaries(bare, "m", "e") == straight
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("no JSON", "holds no boundaries"),
+        ("{}", "holds no boundaries"),
+        ('[{"name": "fold"}]', "holds no boundaries"),
+        ('[{"name": "f", "parameters": ["a", "b"], "x": [], "y": []}]', "no boundary over m and e"),
+    ],
+)
+def test_a_file_without_curves_of_the_plane_is_refused(
+    tmp_path: Path, text: str, reason: str
+) -> None:
+    path = tmp_path / "curves.json"
+    path.write_text(text)
+    with pytest.raises(MapFileError, match=reason):
+        read_boundaries(path, "m", "e")
+
+
+def test_curves_are_drawn_on_top_and_need_a_picture(tmp_path: Path) -> None:
+    curves = _curves(tmp_path / "curves.json", ["m", "restitution"])
+    answer = ask(*BALL, "--boundaries", curves)
+    assert answer.code == MISUSE
+    assert "`boundaries` must come with `picture`" in answer.err
+    picture = tmp_path / "map.png"
+    assert ask(*BALL, "--workers", "1", "--boundaries", curves, "--picture", picture).code == NO
+    assert picture.stat().st_size > 0

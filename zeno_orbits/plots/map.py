@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -90,7 +91,7 @@ def plot_map(
         loc="outside right upper" if beside else "outside lower center",
         fontsize=TEXT - 1,
         frameon=False,
-        handlelength=1.5,
+        handlelength=2.6,
     )
     return figure
 
@@ -150,9 +151,8 @@ def _label_lines(ax: Axes, lines: QuadContourSet) -> None:
     spots: list[tuple[float, float]] = []
     lowest = np.array([ax.get_xlim()[0], ax.get_ylim()[0]])
     span = np.array([ax.get_xlim()[1], ax.get_ylim()[1]]) - lowest
-    pieces = [
-        np.asarray(one) for path in lines.get_paths() for one in path.to_polygons(closed_only=False)
-    ]
+    polygons = (path.to_polygons(closed_only=False) for path in lines.get_paths())
+    pieces = [np.asarray(piece) for level in polygons for piece in level]
     for piece in pieces:
         places = (piece - lowest) / span
         lengths = np.ptp(places, axis=0)
@@ -160,25 +160,36 @@ def _label_lines(ax: Axes, lines: QuadContourSet) -> None:
         if lengths[along] > _LONG:
             # Neighbours are labelled at different places, so that labels do not touch.
             wanted = _PLACES[len(spots) % len(_PLACES)]
-            x, y = piece[int(np.argmin(np.abs(places[:, along] - wanted)))].tolist()
-            spots.append((x, y))
+            at = int(np.argmin(np.abs(places[:, along] - wanted)))
+            if places[at].min() > _EDGE and places[at].max() < 1 - _EDGE:
+                x, y = piece[at].tolist()
+                spots.append((x, y))
     ax.clabel(lines, fontsize=TEXT - 2, fmt="%.4g", manual=spots)
 
 
 _PLACES = (0.3, 0.5, 0.7)
 """Where along an axis contour lines are labelled, in turn."""
+_EDGE = 0.05
+"""Part of an axis at its ends where no label fits."""
 
 
 def _draw_boundaries(ax: Axes, found: ParameterMap, boundaries: Sequence[Boundary]) -> list[Line2D]:
+    """Draw the curves that pass through the plane, those of a name alike."""
+    (left, right), (low, high) = _reach(found.x), _reach(found.y)
+    curves: dict[str, list[Vector]] = {}
+    for boundary in boundaries:
+        points = np.array(boundary.points).reshape(-1, 2)
+        x, y = points.T
+        if np.any((left <= x) & (x <= right) & (low <= y) & (y <= high)):
+            curves.setdefault(boundary.name, []).append(points)
     handles: list[Line2D] = []
-    for k, boundary in enumerate(boundaries):
-        dash = _BOUNDARIES[k % len(_BOUNDARIES)]
+    for (name, alike), dash in zip(curves.items(), cycle(_BOUNDARIES), strict=False):
         look: dict[str, Any] = {"color": "black", "lw": 1.6, "ls": dash}
-        xs, ys = np.array(boundary.points).reshape(-1, 2).T
-        ax.plot(xs, ys, **look)
-        handles.append(Line2D([], [], label=boundary.name, **look))
-    if boundaries:
-        ax.set(xlim=_reach(found.x), ylim=_reach(found.y))
+        for points in alike:
+            ax.plot(*points.T, **look)
+        handles.append(Line2D([], [], label=name, **look))
+    if curves:
+        ax.set(xlim=(left, right), ylim=(low, high))
     return handles
 
 
