@@ -15,6 +15,8 @@ from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.path import Path
+from matplotlib.transforms import Bbox
 
 from zeno_orbits.attractors import Attractor, Fate
 from zeno_orbits.dynamics import Vector
@@ -41,8 +43,8 @@ _SHAPE = {True: 0.5, False: 0.72}
 """Height over width, the legend below not counted."""
 _ENTRY = 0.145
 """Height of an entry of the legend [in]."""
-_COLUMNS = 2
-"""Of the legend below."""
+_TWO_COLUMNS = 1.3 * COLUMN_WIDTH
+"""Width from which on the legend below has two columns [in]."""
 _BOUNDARIES = ("-", "--", "-.", ":")
 
 
@@ -82,11 +84,12 @@ def plot_map(
     ax.set_xlabel(_label(found.x), fontsize=TEXT)
     ax.set_ylabel(_label(found.y), fontsize=TEXT)
     ax.tick_params(labelsize=TEXT - 1)
+    columns = 2 if _TWO_COLUMNS <= width and not beside else 1
     if not beside:
-        figure.set_figheight(height + _ENTRY * (-(-len(handles) // _COLUMNS) + 1))
+        figure.set_figheight(height + _ENTRY * (-(-len(handles) // columns) + 1))
     figure.legend(
         handles=handles,
-        ncols=1 if beside else _COLUMNS,
+        ncols=columns,
         columnspacing=1.0,
         loc="outside right upper" if beside else "outside lower center",
         fontsize=TEXT - 1,
@@ -176,11 +179,11 @@ _EDGE = 0.05
 def _draw_boundaries(ax: Axes, found: ParameterMap, boundaries: Sequence[Boundary]) -> list[Line2D]:
     """Draw the curves that pass through the plane, those of a name alike."""
     (left, right), (low, high) = _reach(found.x), _reach(found.y)
+    plane = Bbox.from_extents(left, low, right, high)
     curves: dict[str, list[Vector]] = {}
     for boundary in boundaries:
         points = np.array(boundary.points).reshape(-1, 2)
-        x, y = points.T
-        if np.any((left <= x) & (x <= right) & (low <= y) & (y <= high)):
+        if Path(points).intersects_bbox(plane, filled=False):
             curves.setdefault(boundary.name, []).append(points)
     handles: list[Line2D] = []
     for (name, alike), dash in zip(curves.items(), cycle(_BOUNDARIES), strict=False):
