@@ -321,3 +321,42 @@ def test_derived_numbers_are_held_when_another_one_changes() -> None:
     time, end = poincare_map(dynamics, x, horizon=4.0, settings=SETTINGS)
     assert np.max(np.abs(end - x) / SCALE) < 1e-9
     assert time == pytest.approx(family.points[-1].period, abs=1e-9)
+
+
+@pytest.mark.slow
+def test_the_pendulum_doubles_its_period_between_two_flips() -> None:
+    orbit = pendulum_orbit(Kp=4.3, Kd=-1.35)
+    found = continue_orbit(PENDULUM, orbit, "Kd", (-1.7, -1.3))
+    family, *doubled = found.families
+    flips = [point for point in family.special if point.kind is Kind.FLIP]
+    assert [one.n_returns for one in doubled] == [2, 2]
+    assert {one.last.kind for one in doubled} == {Kind.REJOINS}
+    low, high = sorted(point.at.value for point in flips)
+    for flip in flips:
+        # Half of a small displacement along the multiplier's direction comes back reversed.
+        dynamics = pendulum(Kp=4.3, Kd=flip.at.value)
+        x = np.array(PENDULUM.state_vector(flip.at.state))
+        section = release_section(dynamics, x, SCALE)
+        away = 1e-4
+
+        def image(y: np.ndarray, section=section, dynamics=dynamics) -> np.ndarray:
+            start = section.state(dynamics, y)
+            return section.coordinates(
+                poincare_map(dynamics, start, horizon=6, settings=SETTINGS)[1]
+            )
+
+        columns = [(image(away * e) - image(-away * e)) / (2 * away) for e in np.eye(2)]
+        values = np.linalg.eigvals(np.stack(columns, axis=1))
+        # Central differences err by the square of the displacement.
+        assert float(np.min(np.abs(values + 1))) < 1e-5
+    for one in doubled:
+        # A branch ends one step before the other flip.
+        assert low - 1e-9 <= min(point.value for point in one.points) < low + 1e-4
+        assert high - 1e-4 < max(point.value for point in one.points) <= high + 1e-9
+        middle = one.points[len(one.points) // 2]
+        dynamics = pendulum(Kp=4.3, Kd=middle.value)
+        x = np.array(PENDULUM.state_vector(middle.state))
+        _, once = poincare_map(dynamics, x, horizon=6, settings=SETTINGS)
+        _, twice = poincare_map(dynamics, once, horizon=6, settings=SETTINGS)
+        assert twice == pytest.approx(x, abs=1e-7)
+        assert np.max(np.abs(once - x)) > 1e-2

@@ -36,6 +36,7 @@ _MARKS: dict[Kind, dict[str, Any]] = {
     Kind.RELEASE_LOST: {"marker": "s", "mfc": "#009E73", "ms": 5.5},
     Kind.EARLIER_RELEASE: {"marker": "p", "mfc": "#009E73"},
     Kind.AMPLITUDE_ZERO: {"marker": "o", "mfc": "white"},
+    Kind.REJOINS: {"marker": ".", "mfc": INK},
     Kind.GAVE_UP: {"marker": "x", "mfc": INK},
 }
 

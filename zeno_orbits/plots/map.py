@@ -84,7 +84,7 @@ def plot_map(
     ax.set_xlabel(_label(found.x), fontsize=TEXT)
     ax.set_ylabel(_label(found.y), fontsize=TEXT)
     ax.tick_params(labelsize=TEXT - 1)
-    columns = 2 if _TWO_COLUMNS <= width and not beside else 1
+    columns = 2 if width >= _TWO_COLUMNS and not beside else 1
     if not beside:
         figure.set_figheight(height + _ENTRY * (-(-len(handles) // columns) + 1))
     figure.legend(
