@@ -337,7 +337,7 @@ def test_the_pendulum_doubles_its_period_between_two_flips() -> None:
         dynamics = pendulum(Kp=4.3, Kd=flip.at.value)
         x = np.array(PENDULUM.state_vector(flip.at.state))
         section = release_section(dynamics, x, SCALE)
-        away = 1e-4
+        away = 1e-5
 
         def image(y: np.ndarray, section=section, dynamics=dynamics) -> np.ndarray:
             start = section.state(dynamics, y)
