@@ -350,9 +350,9 @@ def test_the_pendulum_doubles_its_period_between_two_flips() -> None:
         # Central differences err by the square of the displacement.
         assert float(np.min(np.abs(values + 1))) < 1e-5
     for one in doubled:
-        # A branch ends one step before the other flip.
-        assert low - 1e-9 <= min(point.value for point in one.points) < low + 1e-4
-        assert high - 1e-4 < max(point.value for point in one.points) <= high + 1e-9
+        # A branch starts one step beside its flip, and ends a step before the other.
+        assert low - 1e-9 <= min(point.value for point in one.points) < low + 1e-3
+        assert high - 1e-3 < max(point.value for point in one.points) <= high + 1e-9
         middle = one.points[len(one.points) // 2]
         dynamics = pendulum(Kp=4.3, Kd=middle.value)
         x = np.array(PENDULUM.state_vector(middle.state))

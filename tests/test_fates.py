@@ -146,6 +146,7 @@ def test_a_motion_that_has_not_settled_tells_its_trend():
     assert 0.98 < found.trend < 1.0
 
 
+@pytest.mark.slow
 def test_the_answer_at_a_point_does_not_depend_on_the_other_points():
     grid = [at(kp, kd) for kp in (1.5, 3.0, 4.5) for kd in (-1.9, -1.2, -0.45, -0.2)]
     together = attractors_at(PENDULUM, grid)

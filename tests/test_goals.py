@@ -66,6 +66,7 @@ def test_the_least_peak_is_that_of_a_scan(scene: Problem, quantity: str) -> None
     assert best.score == best.extents[quantity].largest
 
 
+@pytest.mark.slow
 def test_the_widest_margin_is_that_of_a_scan(scene: Problem) -> None:
     values = np.linspace(-1.2, -0.8, 9).tolist()
     scan = _scan(scene, "Kd", values, "margin")

@@ -302,6 +302,7 @@ def test_an_agreement_that_cannot_be_had_ends_the_search() -> None:
     assert "differ by" in result.detail
 
 
+@pytest.mark.slow
 def test_an_orbit_is_kept_where_the_way_to_the_nearest_gains_is_lost(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
