@@ -138,6 +138,27 @@ def place_of(options: argparse.Namespace) -> Place:
     return Cluster(address=options.scheduler)
 
 
+def checkpoint_of(options: argparse.Namespace) -> Path | None:
+    """Return the folder that was named, else one beside the output."""
+    if options.checkpoint is not None:
+        return options.checkpoint
+    output = options.output
+    return None if output is None else output.with_name(f"{output.name}.checkpoint")
+
+
+def interrupted(options: argparse.Namespace, checkpoint: Path | None) -> int:
+    """Say what is kept of interrupted work, and return the exit code."""
+    from zeno_orbits.work import keeps_nothing, remove_checkpoint
+
+    if checkpoint is not None and options.checkpoint is None and keeps_nothing(checkpoint):
+        # Nobody asked for it, and it would stand in the way of another work with that output.
+        remove_checkpoint(checkpoint)
+        checkpoint = None
+    kept = "nothing is kept" if checkpoint is None else f"`{checkpoint}` keeps what is finished"
+    report.print_error(f"interrupted; {kept}")
+    return INTERRUPTED
+
+
 def add_orbit(parser: argparse.ArgumentParser) -> None:
     """Add the orbit file and its scene."""
     parser.add_argument("orbit", metavar="ORBIT.json", type=Path, help="an orbit file")
