@@ -13,7 +13,7 @@ import numpy as np
 from zeno_orbits.errors import InputError
 
 
-def plain(value: Any) -> Any:
+def plain(value: Any, argument: str = "value") -> Any:
     """Return a value as numbers, texts, lists and mappings.
 
     Dataclasses become mappings of their fields with their ``kind``, functions of a module their
@@ -21,32 +21,33 @@ def plain(value: Any) -> Any:
 
     Args:
         value: Of these, or of what JSON holds, enumerations, complex numbers and arrays.
+        argument: What to call it in an error.
 
     Raises:
         InputError: If it is none of these; nothing is left out silently.
     """
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(cast("Any", value).tolist(), argument)
     if value is None or isinstance(value, bool | int | str):
         return value
     if isinstance(value, float):
         return value if math.isfinite(value) else str(value)
     if isinstance(value, complex):
-        return [plain(value.real), plain(value.imag)]
+        return [plain(value.real, argument), plain(value.imag, argument)]
     if isinstance(value, Enum):
         return value.name
     if isinstance(value, Mapping):
         entries = cast("Mapping[Any, Any]", value)
-        return {str(name): plain(entry) for name, entry in entries.items()}
+        return {str(name): plain(entry, argument) for name, entry in entries.items()}
     if isinstance(value, Sequence):
-        return [plain(entry) for entry in cast("Sequence[Any]", value)]
+        return [plain(entry, argument) for entry in cast("Sequence[Any]", value)]
     if is_dataclass(value) and not isinstance(value, type):
-        own = {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+        own = {field.name: plain(getattr(value, field.name), argument) for field in fields(value)}
         return {"kind": _name(type(value)), **own}
-    if isinstance(value, np.ndarray | np.generic):
-        return plain(cast("Any", value).tolist())
     if getattr(value, "__qualname__", "<").isidentifier():
         return _name(value)
     wanted = "must be made of numbers, texts, dataclasses and functions of a module"
-    raise InputError(f"Argument `value` {wanted}, but it has a {_name(type(value))}.")
+    raise InputError(f"Argument `{argument}` {wanted}, but it has a {_name(type(value))}.")
 
 
 def _name(thing: Any) -> str:

@@ -160,11 +160,11 @@ def _identity(
         "gains": plain(hunt.setting.gains),
         "parameters": plain(hunt.setting.parameters),
         "free": plain(hunt.free),
-        "objective": plain(hunt.objective),
+        "objective": plain(hunt.objective, "objective"),
         "bounds": plain(hunt.bounds),
         "from": None if near is None else near.as_json(),
-        "settings": plain(hunt.settings),
-        "accept": plain(accept),
+        "settings": plain(hunt.settings, "settings"),
+        "accept": plain(accept, "accept"),
         "versions": versions(),
     }
 

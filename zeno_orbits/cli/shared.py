@@ -154,7 +154,7 @@ def interrupted(options: argparse.Namespace, checkpoint: Path | None) -> int:
         # Nobody asked for it, and it would stand in the way of another work with that output.
         remove_checkpoint(checkpoint)
         checkpoint = None
-    kept = "nothing is kept" if checkpoint is None else f"`{checkpoint}` keeps what is finished"
+    kept = "nothing was written" if checkpoint is None else f"`{checkpoint}` keeps what is finished"
     report.print_error(f"interrupted; {kept}")
     return INTERRUPTED
 
