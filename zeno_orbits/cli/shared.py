@@ -122,7 +122,7 @@ def add_place(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="FOLDER",
         help="keep what is finished here, and go on from what is kept here already; by default "
-        "beside the output, until that is written",
+        "beside the output, until there is an answer",
     )
 
 

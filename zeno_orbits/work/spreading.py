@@ -83,7 +83,6 @@ def spread_in_order(
         if store is not None:
             store.save(chunk, results)
         found[chunk] = results
-        told()
 
     with ExitStack() as stack:
         pool = None
@@ -99,6 +98,7 @@ def spread_in_order(
                 arrivals = run.finish([j for j in range(len(chunks)) if j not in found])
             while k not in found and arrivals is not None:
                 keep(*next(arrivals))
+                told()
             yield from found[k]
 
 
