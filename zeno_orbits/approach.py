@@ -97,7 +97,7 @@ def _along(hunt: Hunt, start: Start, path: Path, origin: str) -> Find:
     if inside and hunt.free:
         find = from_cycle(hunt, path.setting, path.cycle)
         if find.status is SearchStatus.FOUND:
-            return replace(find, detail=path.ending)
+            return replace(find, detail=f"{path.ending} {find.detail}".strip())
         return find
     return Find(status=SearchStatus.NO_GUESS, detail=path.ending)
 
