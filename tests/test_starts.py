@@ -339,9 +339,11 @@ def test_a_scene_that_workers_would_not_see_is_refused() -> None:
         search_gains(other, other.setting(), free=FREE, spread=Spread(scene=scene, plan=Plan()))
 
 
-def test_a_judge_that_has_no_name_is_refused() -> None:
+def test_a_judge_that_has_no_name_cannot_be_told_from_another_by_a_checkpoint(
+    tmp_path: Path,
+) -> None:
     with pytest.raises(InputError, match="`accept` must be made of"):
-        search(Workers(count=1), accept=lambda _: Judgement())
+        search(Workers(count=1), folder=tmp_path / "kept", accept=lambda _: Judgement())
 
 
 # ---------------------------------------------------------------------------- the pendulum

@@ -149,9 +149,9 @@ def search_gains(
         accept: Says why an orbit will not do, or nothing if it will; any orbit does by default.
         on_progress: Called with what is being done.
         spread: By whom starts after the first are tried; by default one after another in this
-            process. ``accept`` must be a function of a module, or a frozen dataclass with
-            ``__call__``, if it is given. The result is the same bit for bit for any number of
-            workers, times apart: starts count in their order, whoever is first.
+            process. The result is the same bit for bit for any number of workers, times apart:
+            starts count in their order, whoever is first. With a checkpoint, ``accept`` must be
+            a function of a module, or a frozen dataclass with ``__call__``.
 
     Returns:
         The accepted orbits, the best first, or why there is none.

@@ -95,16 +95,14 @@ def trials_spread(
         near=near,
         accept=accept,
     )
-    whole = replace(
-        spread.plan,
-        chunk=1,
-        noun="starts at most",
-        identity={**_identity(hunt, near, accept, spread.scene), **spread.plan.identity},
-    )
+    plan = replace(spread.plan, chunk=1, noun="starts at most")
+    if plan.checkpoint is not None:
+        own = _identity(hunt, near, accept, spread.scene)
+        plan = replace(plan, identity={**own, **plan.identity})
     results = spread_in_order(
         task,
         range(start_count(hunt)),
-        whole,
+        plan,
         here=lambda numbers: task.tried(hunt, numbers),
         tell=spread.tell,
     )
