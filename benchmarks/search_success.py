@@ -14,38 +14,46 @@ Prints the counts and every failure with its cause; exit 1 below 98 % fixed or 9
 from __future__ import annotations
 
 import argparse
+import hashlib
+import itertools
 import json
 import sys
-import time
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
-from functools import cache
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from zeno_orbits.compiled import CompiledSystem, bind, compile_problem
-from zeno_orbits.errors import InputError
+from zeno_orbits import report
+from zeno_orbits.compiled import bind
+from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.guess import settle
-from zeno_orbits.problem import Problem, Setting, load_problem
+from zeno_orbits.models import compiled_model
+from zeno_orbits.orbit import versions
+from zeno_orbits.problem import Problem, Setting
+from zeno_orbits.scenes import scene_file
 from zeno_orbits.search import SearchResult, find_orbit, search_gains
 from zeno_orbits.verify import verify
+from zeno_orbits.work import Cluster, Lost, Plan, Workers, spread_in_order
 
 SETTLED = 1e-6
 FIXED_GOAL, FREE_GOAL = 0.98, 0.95
 BOX = {"Kp": (0.3, 12.0), "Kd": (-2.2, -0.2)}
 
 
-@cache
-def pendulum() -> tuple[Problem, CompiledSystem]:
-    """Return the scene and its functions, once a process."""
-    problem = load_problem("motor_pendulum")
-    return problem, compile_problem(problem)
+MOST = 8
+"""Random scenes for one with an orbit, at most; about every other one has been found to do."""
 
 
-def random_settings(seed: int) -> Iterator[Setting]:
-    """Yield random scenes that the calibration admits, without end."""
-    problem, _ = pendulum()
+def pendulum() -> Problem:
+    """Return the scene, the same object every time in one process, and so are its functions."""
+    return scene_file("motor_pendulum").load()
+
+
+def random_scenes(seed: int) -> Iterator[dict[str, Any]]:
+    """Yield the numbers of random scenes that the calibration admits, without end."""
+    problem = pendulum()
     declared = problem.setting().parameters
     random = np.random.default_rng(seed)
     while True:
@@ -62,15 +70,14 @@ def random_settings(seed: int) -> Iterator[Setting]:
         except InputError:
             continue
         wrong = {name: value * k for (name, value), k in zip(gains.items(), off, strict=True)}
-        yield setting
-        yield replace(setting, gains=wrong)
+        yield {"gains": gains, "wrong": wrong, "parameters": dict(setting.parameters)}
 
 
 def has_orbit(setting: Setting) -> bool:
     """Tell whether a long simulation settles to one Zeno point a period."""
-    problem, compiled = pendulum()
+    problem = pendulum()
     starts = [problem.state_vector(start) for start in problem.starts]
-    cycle = settle(bind(compiled, setting.values()), starts).cycle
+    cycle = settle(bind(compiled_model(problem), setting.values()), starts).cycle
     return cycle is not None and cycle.drift(cycle.scale()) < SETTLED
 
 
@@ -78,18 +85,56 @@ def complaint(result: SearchResult) -> str:
     """Return why a search failed, or nothing if its orbit is verified."""
     if result.orbit is None:
         return f"{result.status.value} {result.detail}"
-    certificate = verify(result.orbit, pendulum()[0])
+    certificate = verify(result.orbit, pendulum())
     return "" if certificate.passed else certificate.verdict()
 
 
-def judge(pair: tuple[Setting, Setting]) -> tuple[str, str] | None:
-    """Return the complaints of the fixed and of the free search; ``None`` if there is no orbit."""
-    setting, wrong = pair
+def judge(scenes: Sequence[dict[str, Any]]) -> list[list[str] | None]:
+    """Return the complaints of the fixed and of the free search; ``None`` without an orbit."""
+    return [_judged(scene) for scene in scenes]
+
+
+def _judged(scene: dict[str, Any]) -> list[str] | None:
+    problem = pendulum()
+    setting = Setting(gains=scene["gains"], parameters=scene["parameters"])
+    wrong = Setting(gains=scene["wrong"], parameters=scene["parameters"])
     if not has_orbit(setting):
         return None
-    problem = pendulum()[0]
     fixed = complaint(find_orbit(problem, setting))
-    return fixed, complaint(search_gains(problem, wrong, free=BOX))
+    return [fixed, complaint(search_gains(problem, wrong, free=BOX))]
+
+
+def study(options: argparse.Namespace) -> tuple[list[list[str]], int]:
+    """Return the complaints about the scenes with an orbit, and how many scenes were looked at."""
+    scenes = list(itertools.islice(random_scenes(options.seed), MOST * options.scenes))
+    place = Workers(count=options.workers)
+    identity = {
+        "work": "search_success",
+        "script": hashlib.sha256(Path(__file__).read_bytes()).hexdigest(),
+        "versions": versions(),
+    }
+    plan = Plan(
+        place=place if options.scheduler is None else Cluster(address=options.scheduler),
+        chunk=1,
+        checkpoint=options.checkpoint,
+        identity=identity,
+    )
+    results: list[list[str]] = []
+    tried = 0
+    with (
+        report.Progress(lambda: None) as progress,
+        closing(spread_in_order(judge, scenes, plan)) as found,
+    ):
+        while len(results) < options.scenes and tried < len(scenes):
+            result = next(found)
+            tried += 1
+            if isinstance(result, Lost):
+                results.append([result.reason] * 2)
+            elif result is not None:
+                results.append(result)
+            done = len(results) / options.scenes
+            progress.tell(f"{len(results)} of {options.scenes} scenes with an orbit", done)
+    return results, tried
 
 
 def main() -> int:
@@ -97,23 +142,19 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="How often a search finds and verifies an orbit.")
     parser.add_argument("--scenes", type=int, default=200, help="scenes with an orbit")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--workers", type=int, help="processes; one a core by default")
+    parser.add_argument("--scheduler", help="address of a Dask cluster to work on instead")
+    parser.add_argument("--checkpoint", type=Path, help="keep what is finished here, and go on")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    started = time.perf_counter()
-    source = random_settings(options.seed)
-    results: list[tuple[str, str]] = []
-    tried = 0
-    with ProcessPoolExecutor(options.workers) as pool:
-        while len(results) < options.scenes:
-            batch = [(next(source), next(source)) for _ in range(4 * options.workers)]
-            results += [result for result in pool.map(judge, batch) if result is not None]
-            tried += len(batch)
-            elapsed = time.perf_counter() - started
-            left = elapsed * (options.scenes / max(len(results), 1) - 1)
-            line = f"{len(results)} of {options.scenes} scenes, {max(left, 0.0):.0f} s left\n"
-            sys.stderr.write(line)
-    results = results[: options.scenes]
+    try:
+        results, tried = study(options)
+    except ZenoOrbitsError as error:
+        report.print_error(str(error))
+        return 2
+    if len(results) < options.scenes:
+        report.print_error(f"only {len(results)} of {tried} random scenes have an orbit")
+        return 1
     failures = [[entry for entry in column if entry] for column in zip(*results, strict=True)]
     rates = [1 - len(column) / len(results) for column in failures]
     if options.json:

@@ -112,6 +112,12 @@ def echo(points: Sequence[float]) -> list[Any]:
     return [(point.hex(), (point,)) for point in points]
 
 
+def slow_at_zero(points: Sequence[float]) -> list[float]:
+    """Return squares, those of a chunk that begins at zero late."""
+    time.sleep(0.0 if points[0] else 0.5)
+    return square(points)
+
+
 class Unsendable:
     """A task that cannot be pickled."""
 

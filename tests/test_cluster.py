@@ -20,6 +20,7 @@ import pytest
 
 from tests import chores
 from tests.chores import Deadly, Diary
+from tests.test_cli import ask
 from zeno_orbits.errors import InputError, WorkError
 from zeno_orbits.map_file import write_map
 from zeno_orbits.maps import Axis, Plane, parameter_map
@@ -167,6 +168,21 @@ def test_a_map_made_on_a_cluster_is_the_file_made_here(
     for name, place in (("there", cluster.place()), ("here", Workers(count=1))):
         write_map(parameter_map(plane, plan(place)), tmp_path / name)
     assert (tmp_path / "there").read_bytes() == (tmp_path / "here").read_bytes()
+
+
+def test_a_search_on_a_cluster_prints_what_it_prints_here(
+    cluster: DaskCluster, tmp_path: Path
+) -> None:
+    scene = tmp_path / "table.py"
+    shutil.copy(bundled_problems()["vibrating_table"], scene)
+    cluster.start_worker("--no-nanny")
+    words = ("--free", "restitution=0.2:0.5", "--candidates", "9", "--starts", "2", "--json")
+    there, here = (
+        ask("search", scene, *words, *place)
+        for place in (("--scheduler", cluster.address), ("--workers", "1"))
+    )
+    assert there.code == here.code == 0
+    assert there.out == here.out
 
 
 def test_workers_with_other_code_are_refused(

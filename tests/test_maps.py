@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 from tests.test_cli import ask
-from zeno_orbits import maps, work
+from zeno_orbits import report, work
 from zeno_orbits.attractors import Attractor, Fate
 from zeno_orbits.errors import CheckpointError, InputError, MapFileError, ProblemFileError
 from zeno_orbits.long_run import attractor_of
@@ -312,14 +312,34 @@ def test_a_named_checkpoint_stays_and_another_map_leaves_it_alone(tmp_path: Path
 
 
 def test_an_interrupt_says_what_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupt(*_: Any, **__: Any) -> None:
-        raise KeyboardInterrupt
+    tell = report.Progress.tell
 
-    monkeypatch.setattr(maps, "parameter_map", interrupt)
-    answer = ask(*BALL, "-o", tmp_path / "map.json")
+    def interrupt(progress: report.Progress, what: str, part: float | None = None) -> None:
+        if part == 1.0:
+            raise KeyboardInterrupt
+        tell(progress, what, part)
+
+    monkeypatch.setattr(report.Progress, "tell", interrupt)
+    out = tmp_path / "map.json"
+    answer = ask(*BALL, "--workers", "1", "-o", out)
     assert answer.code == 130
     assert answer.err.endswith("map.json.checkpoint` keeps what is finished\n")
-    assert ask(*BALL).err == "zeno-orbits: interrupted; nothing is kept\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["map.json.checkpoint"]
+    assert ask(*BALL, "--workers", "1").err == "zeno-orbits: interrupted; nothing was written\n"
+
+
+def test_an_interrupt_with_nothing_finished_leaves_no_checkpoint_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(report.Progress, "tell", interrupt)
+    named = tmp_path / "named"
+    for words in ((), ("--checkpoint", named)):
+        answer = ask(*BALL, "--workers", "1", "-o", tmp_path / "map.json", *words)
+        assert answer.code == 130
+    assert [path.name for path in tmp_path.iterdir()] == ["named"]
 
 
 def _start(out: Path, workers: int) -> subprocess.Popen[bytes]:

@@ -315,7 +315,7 @@ def test_an_orbit_is_kept_where_the_way_to_the_nearest_gains_is_lost(
 
     monkeypatch.setattr(Hunt, "refine", lose_the_way)
     pendulum = load_problem("motor_pendulum")
-    # At Kd = 0.5 the motion dies out, so other starts have to serve.
+    # At Kd = 0.5 the motion dies out, so orbits are followed toward it, up to where they end.
     result = search_gains(
         pendulum,
         pendulum.setting(gains={"Kd": 0.5}),

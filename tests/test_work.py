@@ -19,7 +19,7 @@ import pytest
 from tests import chores
 from tests.chores import Deadly, Diary
 from zeno_orbits.errors import CheckpointError, InputError, WorkError
-from zeno_orbits.work import Lost, Plan, Workers, spread
+from zeno_orbits.work import Lost, Plan, Workers, spread, spread_in_order
 from zeno_orbits.work import spreading as spreading_module
 
 CORES = int(joblib.cpu_count())
@@ -373,3 +373,51 @@ def test_half_written_files_of_a_killed_process_do_not_count(tmp_path: Path, dia
     (folder / ".identity.json.x7f").write_text("{")
     (folder / ".chunk-000001.json.x7f").write_text("{")
     assert list(spread(diary, POINTS, plan(folder))) == alone()
+
+
+# ---------------------------------------------------------------------------- one after the other
+
+
+def numbered(points: Sequence[float]) -> list[float]:
+    """What this process does first."""
+    return [-point for point in points]
+
+
+@needs_two
+def test_results_come_in_the_order_of_their_points_whoever_is_first() -> None:
+    whole = Plan(place=TWO, chunk=1, identity=IDENTITY)
+    found = list(spread_in_order(chores.slow_at_zero, POINTS, whole))
+    assert found == [point * point for point in POINTS]
+
+
+def test_who_has_seen_enough_ends_the_workers(diary: Diary) -> None:
+    slow = Diary(folder=diary.folder, pause=0.1)
+    results = spread_in_order(slow, POINTS, Plan(place=TWO, chunk=1, identity=IDENTITY))
+    assert next(results)["point"] == POINTS[0] / 3
+    results.close()
+    wait_until(lambda: not any(map(is_alive, slow.workers())))
+    assert len(slow.starts()) < len(POINTS)
+
+
+def test_this_process_does_the_first_chunk_and_no_worker_begins_before_it_is_needed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_place: Workers) -> None:
+        raise OSError("a pool is opened")
+
+    default = Plan(chunk=2, checkpoint=tmp_path / "kept", identity=IDENTITY)
+    with monkeypatch.context() as patch:
+        patch.setattr(spreading_module, "open_pool", refuse)
+        results = spread_in_order(chores.square, [1.0, 2.0, 3.0], default, here=numbered)
+        assert [next(results), next(results)] == [-1.0, -2.0]
+        with pytest.raises(OSError, match="a pool is opened"):
+            next(results)
+    # What this process did is kept as well.
+    again = spread_in_order(chores.square, [1.0, 2.0, 3.0], default, here=forbidden)
+    assert list(again) == [-1.0, -2.0, 9.0]
+
+
+def test_a_place_that_cannot_be_had_is_refused_before_any_work() -> None:
+    crowd = Plan(place=Workers(count=CORES + 1), chunk=1, identity=IDENTITY)
+    with pytest.raises(InputError, match="`workers` must be at most"):
+        next(spread_in_order(chores.square, POINTS, crowd, here=forbidden))

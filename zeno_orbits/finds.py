@@ -27,6 +27,10 @@ class SearchStatus(Enum):
     NOT_ACCEPTED = "The orbits that were found were not accepted."
 
 
+_BY_ITERATIONS = IpoptSettings(most_iterations=60, most_seconds=1e9)
+"""A limit of time would let the answer depend on what else the machine does."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchSettings:
     """How hard to look.
@@ -46,7 +50,7 @@ class SearchSettings:
 
     settling: SettlingSettings = field(default_factory=SettlingSettings)
     transcription: TranscriptionSettings = field(default_factory=TranscriptionSettings)
-    ipopt: IpoptSettings = field(default_factory=lambda: IpoptSettings(most_iterations=60))
+    ipopt: IpoptSettings = field(default_factory=lambda: _BY_ITERATIONS)
     agreement: float = 3e-10
     rounds: int = 4
     n_starts: int = 12

@@ -134,6 +134,19 @@ def read_orbit(path: Path) -> ZenoOrbit:
         data = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise OrbitFileError(path, f"it is no complete JSON ({error})") from error
+    return orbit_from_json(data, path)
+
+
+def orbit_from_json(data: object, path: Path) -> ZenoOrbit:
+    """Return the orbit of what `ZenoOrbit.as_json` gave.
+
+    Args:
+        data: Plain data.
+        path: Where it comes from, for messages.
+
+    Raises:
+        OrbitFileError: If it is of a wrong type or of a newer format.
+    """
     return _Reader(path).orbit(data)
 
 

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
-from zeno_orbits.approach import from_start
-from zeno_orbits.bounds import Bound, Extent, objection_to
-from zeno_orbits.certificate import OrbitCertificate
+from zeno_orbits.bounds import Bound
 from zeno_orbits.errors import InputError, ZenoOrbitsError
-from zeno_orbits.finds import Find, SearchSettings, SearchStatus, Start, listed
+from zeno_orbits.finds import SearchSettings, SearchStatus, Start
 from zeno_orbits.hunt import Hunt
-from zeno_orbits.measures import measure
 from zeno_orbits.models import compiled_model
 from zeno_orbits.objectives import NearestGains, Objective, WantedAmplitude, WantedPeriod
 from zeno_orbits.orbit import ZenoOrbit
 from zeno_orbits.problem import Problem, Setting
 from zeno_orbits.questions import Question, clipped, require_sense
+from zeno_orbits.starts import Spread, numbered_start, trials_here, trials_spread
+from zeno_orbits.trials import Accept, Candidate, Judgement, Trial
 
 __all__ = [
     "Attempt",
@@ -29,42 +27,13 @@ __all__ = [
     "SearchResult",
     "SearchSettings",
     "SearchStatus",
+    "Spread",
     "find_orbit",
     "search_gains",
 ]
 
 _SAME = 1e-6
 """Orbits whose free numbers and periods differ by less, relative, are the same candidate."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Judgement:
-    """What a check says of an orbit.
-
-    Attributes:
-        objection: Why it will not do; empty if it will.
-        certificate: What the check saw, if it keeps a record.
-    """
-
-    objection: str = ""
-    certificate: OrbitCertificate | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Candidate:
-    """An accepted orbit.
-
-    Attributes:
-        orbit: The orbit.
-        score: How good it is; less is better.
-        extents: What was measured of it: what is asked, and what is bounded.
-        certificate: What the check saw, if it keeps a record.
-    """
-
-    orbit: ZenoOrbit
-    score: float
-    extents: Mapping[str, Extent]
-    certificate: OrbitCertificate | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,19 +108,6 @@ class OrbitNotFoundError(ZenoOrbitsError):
         self.result = result
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Trial:
-    """What came of one start, judged.
-
-    Attributes:
-        find: What was found.
-        candidate: The orbit with what was measured of it, if it was accepted.
-    """
-
-    find: Find
-    candidate: Candidate | None = None
-
-
 def find_orbit(
     problem: Problem, setting: Setting, *, settings: SearchSettings | None = None
 ) -> SearchResult:
@@ -175,8 +131,9 @@ def search_gains(
     bounds: Sequence[Bound] = (),
     near: ZenoOrbit | None = None,
     settings: SearchSettings | None = None,
-    accept: Callable[[ZenoOrbit], Judgement] | None = None,
+    accept: Accept | None = None,
     on_progress: Callable[[str], None] | None = None,
+    spread: Spread | None = None,
 ) -> SearchResult:
     """Find gains, parameters and initial states of an orbit, from one start after another.
 
@@ -191,12 +148,18 @@ def search_gains(
         settings: How hard to look, and how many orbits to rank.
         accept: Says why an orbit will not do, or nothing if it will; any orbit does by default.
         on_progress: Called with what is being done.
+        spread: By whom starts after the first are tried; by default one after another in this
+            process. The result is the same bit for bit for any number of workers, times apart:
+            starts count in their order, whoever is first. With a checkpoint, ``accept`` must be
+            a function of a module, or a frozen dataclass with ``__call__``.
 
     Returns:
         The accepted orbits, the best first, or why there is none.
 
     Raises:
-        InputError: If a name is unknown or bounds are the wrong way round.
+        InputError: If a name is unknown, bounds are the wrong way round, or the place or the
+            checkpoint of ``spread`` is not usable.
+        WorkError: If the workers of ``spread`` cannot finish.
     """
     question = Question(free=free, objective=objective, bounds=tuple(bounds), near=near)
     require_sense(problem, question)
@@ -217,47 +180,46 @@ def search_gains(
         settings=settings or SearchSettings(),
         tell=on_progress or (lambda _: None),
     )
-    return _search(hunt, near, accept)
+    if spread is None:
+        return _search(hunt, near, trials_here(hunt, near, accept))
+    return _search(hunt, near, trials_spread(hunt, near, accept, spread))
 
 
-def _search(
-    hunt: Hunt, near: ZenoOrbit | None, accept: Callable[[ZenoOrbit], Judgement] | None
-) -> SearchResult:
+def _search(hunt: Hunt, near: ZenoOrbit | None, trials: Generator[Trial]) -> SearchResult:
+    """Rank what trials give, in the order of their starts, until there is enough."""
     started = time.perf_counter()
     attempts: list[Attempt] = []
     candidates: list[Candidate] = []
-    best: Find | None = None
+    best: Trial | None = None
     failures = 0
-    for start in _starts(hunt, near):
-        numbers = hunt.numbers(start.setting)
-        hunt.tell(f"start {len(attempts) + 1}: simulating {listed(numbers)}")
-        trial = judged(hunt, from_start(hunt, start), accept, len(attempts) + 1)
-        find = trial.find
-        attempts.append(_attempt(hunt, start, find))
-        failures += find.status not in (SearchStatus.NO_GUESS, SearchStatus.FOUND)
-        if trial.candidate is None:
-            best = find if best is None else max(best, find, key=_merit)
-        else:
-            if not any(_same(hunt, trial.candidate, other) for other in candidates):
-                candidates.append(trial.candidate)
-            if min(candidates, key=lambda one: one.score) is trial.candidate:
-                best = find
-        if len(candidates) >= hunt.settings.candidates:
-            break
-        if not candidates and failures >= _enough_failures(hunt):
-            break
+    # Whoever tries other starts meanwhile is told to stop.
+    with closing(trials):
+        for number, trial in enumerate(trials):
+            attempts.append(_attempt(hunt, numbered_start(hunt, near, number), trial))
+            failures += trial.status not in (SearchStatus.NO_GUESS, SearchStatus.FOUND)
+            if trial.candidate is None:
+                best = trial if best is None else max(best, trial, key=_merit)
+            else:
+                if not any(_same(hunt, trial.candidate, other) for other in candidates):
+                    candidates.append(trial.candidate)
+                if min(candidates, key=lambda one: one.score) is trial.candidate:
+                    best = trial
+            if len(candidates) >= hunt.settings.candidates:
+                break
+            if not candidates and failures >= _enough_failures(hunt):
+                break
     if best is None:
         raise InputError("Argument `settings` must allow a start, but it allows none.")
     ranked = tuple(sorted(candidates, key=lambda one: one.score))
     return SearchResult(
         status=best.status,
         orbit=ranked[0].orbit if ranked else None,
-        residuals={} if best.solution is None else best.solution.residuals,
+        residuals=best.residuals,
         agreement=best.agreement,
         closure_error=best.closure_error,
         n_unknowns=best.n_unknowns,
-        iterations=0 if best.solution is None else best.solution.iterations,
-        solve_time=0.0 if best.solution is None else best.solution.wall_time,
+        iterations=best.iterations,
+        solve_time=best.solve_time,
         wall_time=time.perf_counter() - started,
         attempts=tuple(attempts),
         candidates=ranked,
@@ -265,51 +227,13 @@ def _search(
     )
 
 
-def judged(
-    hunt: Hunt, find: Find, accept: Callable[[ZenoOrbit], Judgement] | None, number: int
-) -> Trial:
-    """Measure what a start found on a simulation, and let it be accepted or refused."""
-    orbit = find.orbit
-    if find.status is not SearchStatus.FOUND or orbit is None:
-        return Trial(find=find)
-    names = [*hunt.objective.quantities, *(bound.name for bound in hunt.bounds)]
-    if not hunt.free:
-        names = [bound.name for bound in hunt.bounds]
-    extents: Mapping[str, Extent] = {}
-    if names:
-        hunt.tell(f"start {number}: measuring {', '.join(dict.fromkeys(names))}")
-        try:
-            extents = measure(orbit, hunt.problem, names)
-        except ZenoOrbitsError as error:
-            return Trial(
-                find=replace(find, status=SearchStatus.NOT_ACCEPTED, orbit=None, detail=str(error))
-            )
-    objection, certificate = objection_to(hunt.bounds, extents), None
-    if not objection and accept is not None:
-        hunt.tell(f"start {number}: verifying")
-        judgement = accept(orbit)
-        objection, certificate = judgement.objection, judgement.certificate
-    if objection:
-        return Trial(find=replace(find, status=SearchStatus.NOT_ACCEPTED, detail=objection))
-    found = orbit.setting(hunt.problem)
-    score = 0.0
-    if hunt.free:
-        score = hunt.objective.score(
-            {name: found.number(name) for name in hunt.free},
-            {name: hunt.setting.number(name) for name in hunt.free},
-            extents,
-        )
-    candidate = Candidate(orbit=orbit, score=score, extents=extents, certificate=certificate)
-    return Trial(find=find, candidate=candidate)
-
-
-def _attempt(hunt: Hunt, start: Start, find: Find) -> Attempt:
+def _attempt(hunt: Hunt, start: Start, trial: Trial) -> Attempt:
     parameters = start.setting.parameters
     return Attempt(
         gains=start.setting.gains,
         parameters={name: parameters[name] for name in hunt.free if name in parameters},
-        status=find.status,
-        detail=find.detail,
+        status=trial.status,
+        detail=trial.detail,
     )
 
 
@@ -340,35 +264,5 @@ _RANK = {
 }
 
 
-def _merit(find: Find) -> tuple[int, float]:
-    return _RANK[find.status], -find.shortfall
-
-
-def _starts(hunt: Hunt, near: ZenoOrbit | None) -> Iterator[Start]:
-    """Yield the given numbers, moved into their box, then a Halton sequence in the box."""
-    setting, free = hunt.setting, hunt.free
-    first = clipped(setting, free)
-    known = None
-    if near is not None:
-        release = np.array(hunt.problem.state_vector(near.release_state))
-        known = (near.setting(hunt.problem), release)
-    yield Start(setting=first, known=known, easy=_easy_settings(hunt.problem, first))
-    if not free:
-        return
-    # SciPy's statistics take half a second to import, and most searches end at their first start.
-    from scipy.stats import qmc
-
-    lower, upper = np.array(list(free.values())).T
-    sampler = qmc.Halton(len(free), seed=hunt.settings.seed)
-    for point in sampler.random(hunt.settings.n_starts):
-        chosen = dict(zip(free, map(float, lower + point * (upper - lower)), strict=True))
-        yield Start(setting=setting.replaced(chosen))
-
-
-def _easy_settings(problem: Problem, setting: Setting) -> tuple[Setting, ...]:
-    """Return where an orbit is to be had more easily: the scene's own gains, a duller stop."""
-    gains = {gain.name: gain.default for gain in problem.gains if gain.default is not None}
-    own = setting.replaced(gains)
-    dull = {"restitution": setting.parameters["restitution"] / 2}
-    found = [own, setting.replaced(dull), own.replaced(dull), problem.setting()]
-    return tuple(one for k, one in enumerate(found) if one != setting and one not in found[:k])
+def _merit(trial: Trial) -> tuple[int, float]:
+    return _RANK[trial.status], -trial.shortfall

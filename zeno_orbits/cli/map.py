@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 from zeno_orbits import report
 from zeno_orbits.arguments import read_boxes, read_grid, read_numbers
 from zeno_orbits.cli.shared import (
-    INTERRUPTED,
     NO,
     YES,
     add_command,
@@ -17,6 +16,8 @@ from zeno_orbits.cli.shared import (
     add_place,
     add_scene,
     add_start,
+    checkpoint_of,
+    interrupted,
     place_of,
     print_json,
     say_written,
@@ -93,15 +94,13 @@ def _run_map(options: argparse.Namespace) -> int:
         if options.picture is None:
             raise InputError("Argument `boundaries` must come with `picture`, but it does not.")
         boundaries = read_boundaries(options.boundaries, plane.x.name, plane.y.name)
-    checkpoint = _checkpoint(options)
+    checkpoint = checkpoint_of(options)
     plan = Plan(place=place_of(options), chunk=chunk_of(plane), checkpoint=checkpoint)
     try:
         with report.Progress(options.interrupts.check) as progress:
             found = parameter_map(plane, plan, tell=progress.tell)
     except KeyboardInterrupt:
-        kept = "nothing is kept" if checkpoint is None else f"`{checkpoint}` keeps what is finished"
-        report.print_error(f"interrupted; {kept}")
-        return INTERRUPTED
+        return interrupted(options, checkpoint)
     # The file comes last: drawing takes long enough to be interrupted.
     if options.picture is not None:
         from zeno_orbits import plots
@@ -156,11 +155,3 @@ def _require_outputs(options: argparse.Namespace) -> None:
     if options.output is not None and options.output == options.picture:
         both = f"but both are `{options.output}`"
         raise InputError(f"Argument `picture` must be another file than `output`, {both}.")
-
-
-def _checkpoint(options: argparse.Namespace) -> Path | None:
-    """Return the folder that was named, else one beside the output."""
-    if options.checkpoint is not None:
-        return options.checkpoint
-    output = options.output
-    return None if output is None else output.with_name(f"{output.name}.checkpoint")

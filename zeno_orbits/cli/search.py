@@ -23,7 +23,11 @@ from zeno_orbits.cli.shared import (
     YES,
     add_accuracy,
     add_command,
+    add_place,
     add_scene,
+    checkpoint_of,
+    interrupted,
+    place_of,
     print_json,
     require_engine,
     say_written,
@@ -37,6 +41,7 @@ if TYPE_CHECKING:
     from zeno_orbits.objectives import Objective
     from zeno_orbits.orbit import ZenoOrbit
     from zeno_orbits.problem import Problem, Setting
+    from zeno_orbits.scenes import SceneFile
     from zeno_orbits.search import Judgement, SearchResult
     from zeno_orbits.verify import VerificationSettings
 
@@ -56,7 +61,8 @@ def add_search(commands: Any) -> None:
             "zeno-orbits search motor_pendulum --fix Kp=2.5 --fix Kd=-1 --free R=2:4 "
             "--objective peak=current",
             "zeno-orbits search motor_pendulum --from orbit.json --set restitution=0.3",
-            "zeno-orbits search motor_pendulum --objective margin --candidates 3",
+            "zeno-orbits search motor_pendulum --objective margin --candidates 3 -o orbit.json",
+            "zeno-orbits search motor_pendulum --objective energy --scheduler tcp://host:8786",
         ],
     )
     add_scene(parser)
@@ -119,6 +125,7 @@ def add_search(commands: Any) -> None:
         "--allow-unstable", action="store_true", help="take an orbit that does not attract, too"
     )
     add_accuracy(parser)
+    add_place(parser)
     parser.add_argument("--starts", type=read_count, default=12, metavar="N", help="random starts")
     parser.add_argument("--seed", type=read_seed, default=0, help="of the random starts")
     parser.add_argument("-o", "--output", type=Path, help="write the verified orbit here")
@@ -129,13 +136,13 @@ class _Judge:
     """Verifies an orbit and says why it will not do, if it will not.
 
     Attributes:
-        problem: The scene.
+        scene: Where the scene comes from; a worker loads it itself.
         settings: How to check.
         allow_unstable: Whether an orbit that does not attract will do.
         accuracy: Largest error of its numbers, if one was asked for.
     """
 
-    problem: Problem
+    scene: SceneFile
     settings: VerificationSettings
     allow_unstable: bool
     accuracy: float | None
@@ -144,7 +151,7 @@ class _Judge:
         from zeno_orbits.search import Judgement
         from zeno_orbits.verify import verify
 
-        certificate = verify(orbit, self.problem, settings=self.settings)
+        certificate = verify(orbit, self.scene.load(), settings=self.settings)
         objection = ""
         if not certificate.passed:
             objection = certificate.verdict()
@@ -159,10 +166,12 @@ class _Judge:
 def _run_search(options: argparse.Namespace) -> int:
     from zeno_orbits.compiled import bind
     from zeno_orbits.models import compiled_model
-    from zeno_orbits.problem import load_problem
-    from zeno_orbits.search import SearchSettings, search_gains
+    from zeno_orbits.scenes import scene_file
+    from zeno_orbits.search import SearchSettings, Spread, search_gains
+    from zeno_orbits.work import Plan, remove_checkpoint
 
-    problem = load_problem(options.problem)
+    scene = scene_file(options.problem)
+    problem = scene.load()
     near = _known_orbit(options, problem)
     setting, free = _numbers(options, problem, near)
     objective = read_objective(options.objective, problem, free)
@@ -175,26 +184,42 @@ def _run_search(options: argparse.Namespace) -> int:
     if options.accuracy is not None:
         settings = settings.for_accuracy(options.accuracy)
     judge = _Judge(
-        problem=problem,
+        scene=scene,
         settings=verification_of(options, 1e-9),
         allow_unstable=options.allow_unstable,
         accuracy=options.accuracy,
     )
     require_engine(options, bind(compiled_model(problem), setting.values()))
-    with report.Progress(options.interrupts.check) as progress:
-        result = search_gains(
-            problem,
-            setting,
-            free=free,
-            objective=objective,
-            bounds=bounds,
-            near=near,
-            settings=settings,
-            accept=judge,
-            on_progress=progress.tell,
-        )
+    checkpoint = _checkpoint(options, several=bool(free))
+    plan = Plan(place=place_of(options), checkpoint=checkpoint)
+    try:
+        with report.Progress(options.interrupts.check) as progress:
+            result = search_gains(
+                problem,
+                setting,
+                free=free,
+                objective=objective,
+                bounds=bounds,
+                near=near,
+                settings=settings,
+                accept=judge,
+                on_progress=progress.tell,
+                spread=Spread(scene=scene, plan=plan, tell=progress.tell),
+            )
+    except KeyboardInterrupt:
+        return interrupted(options, checkpoint)
     held = _held(problem, setting, free)
-    return _finish_search(options, problem, result, objective if free else None, bounds, held)
+    code = _finish_search(options, problem, result, objective if free else None, bounds, held)
+    if options.checkpoint is None and checkpoint is not None:
+        remove_checkpoint(checkpoint)
+    return code
+
+
+def _checkpoint(options: argparse.Namespace, *, several: bool) -> Path | None:
+    """Return the folder that was named, else one beside the output if there are several starts."""
+    if options.checkpoint is not None or several:
+        return checkpoint_of(options)
+    return None
 
 
 def _known_orbit(options: argparse.Namespace, problem: Problem) -> ZenoOrbit | None:

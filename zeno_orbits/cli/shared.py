@@ -122,7 +122,7 @@ def add_place(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="FOLDER",
         help="keep what is finished here, and go on from what is kept here already; by default "
-        "beside the output, until that is written",
+        "beside the output, until there is an answer",
     )
 
 
@@ -136,6 +136,27 @@ def place_of(options: argparse.Namespace) -> Place:
         message = "must not be given with a scheduler, which has its own workers"
         raise InputError(f"Argument `workers` {message}, but it is {options.workers}.")
     return Cluster(address=options.scheduler)
+
+
+def checkpoint_of(options: argparse.Namespace) -> Path | None:
+    """Return the folder that was named, else one beside the output."""
+    if options.checkpoint is not None:
+        return options.checkpoint
+    output = options.output
+    return None if output is None else output.with_name(f"{output.name}.checkpoint")
+
+
+def interrupted(options: argparse.Namespace, checkpoint: Path | None) -> int:
+    """Say what is kept of interrupted work, and return the exit code."""
+    from zeno_orbits.work import keeps_nothing, remove_checkpoint
+
+    if checkpoint is not None and options.checkpoint is None and keeps_nothing(checkpoint):
+        # Nobody asked for it, and it would stand in the way of another work with that output.
+        remove_checkpoint(checkpoint)
+        checkpoint = None
+    kept = "nothing was written" if checkpoint is None else f"`{checkpoint}` keeps what is finished"
+    report.print_error(f"interrupted; {kept}")
+    return INTERRUPTED
 
 
 def add_orbit(parser: argparse.ArgumentParser) -> None:

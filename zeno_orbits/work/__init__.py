@@ -5,9 +5,9 @@ every result passes through JSON, and a finished chunk is kept in a checkpoint. 
 come out for any number of workers, and after any number of new starts.
 """
 
-from zeno_orbits.work.checkpoint import remove_checkpoint
+from zeno_orbits.work.checkpoint import keeps_nothing, remove_checkpoint
 from zeno_orbits.work.plan import Cluster, Lost, Place, Plan, Workers
-from zeno_orbits.work.spreading import Task, Tell, spread
+from zeno_orbits.work.spreading import Task, Tell, spread, spread_in_order
 
 __all__ = [
     "Cluster",
@@ -17,6 +17,8 @@ __all__ = [
     "Task",
     "Tell",
     "Workers",
+    "keeps_nothing",
     "remove_checkpoint",
     "spread",
+    "spread_in_order",
 ]

@@ -111,6 +111,11 @@ def remove_checkpoint(folder: Path) -> None:
         folder.rmdir()
 
 
+def keeps_nothing(folder: Path) -> bool:
+    """Tell whether no chunk of a checkpoint is finished."""
+    return not any(folder.glob("chunk-*.json"))
+
+
 def _require_empty(folder: Path) -> None:
     if not folder.parent.is_dir() or (folder.exists() and not folder.is_dir()):
         raise CheckpointError(folder, "it is no folder and cannot become one")

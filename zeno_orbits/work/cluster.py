@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import time
 from collections.abc import Generator, Sequence
@@ -115,6 +114,9 @@ def _asked(cluster: Cluster) -> str:
 
 def _require_scheduler(cluster: Cluster) -> None:
     """Ask who answers at an address; a client would wait for a silent one for ever."""
+    # Most work never asks, and this takes longer to import than all else here.
+    import asyncio
+
     from distributed import Security
     from distributed.core import rpc
 

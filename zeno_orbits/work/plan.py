@@ -50,12 +50,14 @@ class Plan:
         checkpoint: Folder that keeps finished chunks; ``None`` keeps none.
         identity: What tells this work from another, as plain data: the command, the scene and its
             content, settings, seeds, versions. Points and the package's own code are added to it.
+        noun: What points are called in words of progress.
     """
 
     place: Place = field(default_factory=Workers)
     chunk: int = 16
     checkpoint: Path | None = None
     identity: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    noun: str = "points"
 
     def __post_init__(self) -> None:
         if self.chunk < 1:

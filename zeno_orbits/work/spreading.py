@@ -5,14 +5,15 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Any
 
 from zeno_orbits.work.checkpoint import Checkpoint, open_checkpoint
 from zeno_orbits.work.chunks import Task, code_digest, results_of
-from zeno_orbits.work.plan import Lost, Plan
+from zeno_orbits.work.plan import Lost, Plan, Workers
 from zeno_orbits.work.pools import Pool, open_pool
 
 Tell = Callable[[str, float], None]
@@ -41,19 +42,64 @@ def spread(
         InputError: If the place cannot be had, or the checkpoint is another's.
         WorkError: If the task fails, or a cluster goes away.
     """
+    return tuple(spread_in_order(task, points, plan, tell=tell))
+
+
+def spread_in_order(
+    task: Task,
+    points: Sequence[Any],
+    plan: Plan,
+    *,
+    here: Task | None = None,
+    tell: Tell | None = None,
+) -> Generator[Any]:
+    """Give the result of every point as soon as it and all before it are known.
+
+    Who has seen enough closes the iterator: what is under way is dropped, and the workers end. How
+    much was seen does not depend on the workers, as the order does not. Workers are started when
+    the first chunk needs them; a place other than the default is tried before any work is done.
+
+    Args:
+        task: As in ``spread``.
+        points: As in ``spread``.
+        plan: As in ``spread``.
+        here: The same task for this process, which does the first chunk before it asks for help;
+            by default it does none.
+        tell: As in ``spread``.
+
+    Yields:
+        As ``spread`` returns them.
+
+    Raises:
+        InputError: If the place cannot be had, or the checkpoint is another's.
+        WorkError: If the task fails, or a cluster goes away.
+    """
     chunks = tuple(points[k : k + plan.chunk] for k in range(0, len(points), plan.chunk))
     store = _checkpoint(plan, points, [len(chunk) for chunk in chunks])
     found = store.finished() if store is not None else {}
-    waiting = [k for k in range(len(chunks)) if k not in found]
-    if waiting:
-        with open_pool(plan.place) as pool:
-            run = _Run(pool=pool, task=task, chunks=chunks, tell=_told(tell, chunks, found))
-            for chunk, results in run.finish(waiting):
-                if store is not None:
-                    store.save(chunk, results)
-                found[chunk] = results
-                run.tell()
-    return tuple(result for k in range(len(chunks)) for result in found[k])
+    told = _told(tell, plan.noun, chunks, found)
+
+    def keep(chunk: int, results: list[Any]) -> None:
+        if store is not None:
+            store.save(chunk, results)
+        found[chunk] = results
+
+    with ExitStack() as stack:
+        pool = None
+        if plan.place != Workers() and len(found) < len(chunks):
+            pool = stack.enter_context(open_pool(plan.place))
+        if here is not None and chunks and 0 not in found:
+            keep(0, json.loads(json.dumps(list(here(chunks[0])), allow_nan=False)))
+        arrivals: Iterator[tuple[int, list[Any]]] | None = None
+        for k in range(len(chunks)):
+            if k not in found and arrivals is None:
+                pool = pool or stack.enter_context(open_pool(plan.place))
+                run = _Run(pool=pool, task=task, chunks=chunks, tell=told)
+                arrivals = run.finish([j for j in range(len(chunks)) if j not in found])
+            while k not in found and arrivals is not None:
+                keep(*next(arrivals))
+                told()
+            yield from found[k]
 
 
 def _checkpoint(plan: Plan, points: Sequence[Any], sizes: Sequence[int]) -> Checkpoint | None:
@@ -66,7 +112,7 @@ def _checkpoint(plan: Plan, points: Sequence[Any], sizes: Sequence[int]) -> Chec
 
 
 def _told(
-    tell: Tell | None, chunks: Sequence[Sequence[Any]], found: dict[int, list[Any]]
+    tell: Tell | None, noun: str, chunks: Sequence[Sequence[Any]], found: dict[int, list[Any]]
 ) -> Callable[[], None]:
     """Return what tells how far the work is; kept chunks take no time and do not count."""
     total = sum(map(len, chunks))
@@ -75,7 +121,7 @@ def _told(
     def say() -> None:
         if tell is not None:
             done = sum(map(len, found.values()))
-            tell(f"{done} of {total} points", (done - before) / max(total - before, 1))
+            tell(f"{done} of {total} {noun}", (done - before) / max(total - before, 1))
 
     return say
 
