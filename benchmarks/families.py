@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 from zeno_orbits import plots
-from zeno_orbits.boundaries import CurveSteps
 from zeno_orbits.continuation import (
     continue_orbit,
     continue_orbit_in_two,
@@ -25,6 +24,7 @@ from zeno_orbits.continuation import (
 )
 from zeno_orbits.families import Boundary, Continuation, Kind
 from zeno_orbits.files import write_whole
+from zeno_orbits.plane import CurveSteps
 from zeno_orbits.problem import Problem, load_problem
 from zeno_orbits.tracks import ContinuationSettings
 
