@@ -24,6 +24,9 @@ CRITICAL = {Kind.FOLD: 1.0, Kind.FLIP: -1.0}
 
 _GROWTH, _EASY = 1.5, 0.4
 _BACK = 3
+"""Points of a curve before it can have come back to its start."""
+_FAR = 2.0
+"""How many steps off a neighbour may be, on a bound for instance."""
 _FOUND = 1e-8
 """Part of a step to which a cusp is known: the parameters err by its square there."""
 
@@ -125,7 +128,7 @@ class _Walk:
             new, at_bound, cusp = None, False, None
             try:
                 new, at_bound = self._stepped(step)
-                trouble = "" if new is None else self._objection(new)
+                trouble = "" if new is None else self._objection(new, step)
                 if new is not None and not trouble:
                     cusp = self._cusp_before(new)
             except ZenoOrbitsError as error:
@@ -178,9 +181,11 @@ class _Walk:
         last = self.points[-1]
         return self.system.corrected(z, normal, last.gradient, last.tangent)
 
-    def _objection(self, new: CriticalPoint) -> str:
+    def _objection(self, new: CriticalPoint, step: float) -> str:
         """Return why a point is no neighbour of the last one, or nothing."""
         last, steps = self.points[-1], self.steps
+        if not 0.0 < float((new.z - last.z) @ last.tangent) < _FAR * step:
+            return "the steps lead to another point"
         if float(new.tangent @ last.tangent) < np.cos(steps.turn):
             return "the curve turns too fast"
         if self.kind is Kind.FOLD and abs(float(new.normal @ last.normal)) < np.cos(steps.turn):

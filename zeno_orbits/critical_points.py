@@ -121,7 +121,7 @@ class CriticalSystem:
         r"""Return the point in the plane through a place at right angles to a normal.
 
         Newton's method with exact derivatives of `P`; those of the test function are corrected
-        after each step by what it changed, and computed anew where it ends.
+        after each step by what it changed, and computed anew where it ends. [Broyden1965]_
 
         Args:
             z: The place, ``(n_x + 2,)``.

@@ -61,7 +61,9 @@ def read_boundaries(path: Path, x: str, y: str) -> tuple[Boundary, ...]:
     """
     try:
         data: Any = json.loads(path.read_text(encoding="utf-8"))
-        curves: list[Mapping[str, Any]] = data if isinstance(data, list) else data["boundaries"]
+        if isinstance(data, dict):
+            data = cast("dict[str, Any]", data)["boundaries"]
+        curves = cast("list[Mapping[str, Any]]", data)
         found = [boundary for curve in curves if (boundary := _boundary_of(curve, x, y))]
     except (OSError, ValueError, RecursionError, KeyError, TypeError) as error:
         raise MapFileError(path, f"it holds no boundaries ({type(error).__name__})") from error
