@@ -2,9 +2,9 @@
 
     python benchmarks/families.py [--quick] [-o boundaries.json] [--pictures FOLDER]
 
-The family in the restitution from 0 to its end; the families in both gains; their special points
-followed in both, as polylines ``{"name": "fold", "x": [Kp ...], "y": [Kd ...]}``. Ten minutes;
-without the curves (``--quick``) one.
+The family in the restitution from 0 to its end; the families in both gains, that in Kd at two
+values of Kp; their special points followed in both, as polylines ``{"name": "fold",
+"x": [Kp ...], "y": [Kd ...]}``. A quarter of an hour; without the curves (``--quick``) one minute.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from zeno_orbits import plots
-from zeno_orbits.boundaries import CurveSteps
 from zeno_orbits.continuation import (
     continue_orbit,
     continue_orbit_in_two,
@@ -25,11 +26,14 @@ from zeno_orbits.continuation import (
 )
 from zeno_orbits.families import Boundary, Continuation, Kind
 from zeno_orbits.files import write_whole
+from zeno_orbits.plane import CurveSteps
 from zeno_orbits.problem import Problem, load_problem
 from zeno_orbits.tracks import ContinuationSettings
 
 KP, KD = (0.5, 12.0), (-2.5, 0.0)
 RESTITUTION = (0.0, 0.5)
+INNER = (4.3, -1.5)
+"""Kp and Kd of an orbit whose family in Kd is shaped like an S, two folds and two flips more."""
 KINDS = tuple(kind for kind in Kind if kind.located)
 SETTINGS = ContinuationSettings(curve=CurveSteps(first=0.005, longest=0.05, most=40))
 
@@ -54,7 +58,49 @@ def families(problem: Problem, *, curves: bool) -> dict[str, Continuation]:
         else:
             found[name] = continue_orbit(problem, orbit, name, box, settings=SETTINGS)
         show(name, found[name], time.process_time() - started)
+    if curves:
+        started = time.process_time()
+        name = f"Kd at Kp = {INNER[0]:g}"
+        found[name] = inner_curves(problem, found)
+        show(name, found[name], time.process_time() - started)
     return found
+
+
+def inner_curves(problem: Problem, found: dict[str, Continuation]) -> Continuation:
+    """Return the S-shaped family in Kd at a higher Kp, with its folds and flips that are new."""
+    kp, kd = INNER
+    inner = continue_orbit_in_two(
+        problem,
+        start_orbit(problem, problem.setting(gains={"Kp": kp, "Kd": kd})),
+        ("Kd", "Kp"),
+        (KD, KP),
+        kinds=(Kind.FOLD, Kind.FLIP),
+        settings=replace(SETTINGS, doublings=0),
+    )
+    known = [in_gains(curve) for one in found.values() for curve in one.boundaries]
+    new = [curve for curve in inner.boundaries if not any(runs_along(curve, k) for k in known)]
+    return replace(inner, boundaries=tuple(new))
+
+
+def runs_along(curve: Boundary, known: Boundary) -> bool:
+    """Tell whether most of a curve lies on a known one of its kind."""
+    if curve.kind is not known.kind or len(known.x) < 2:
+        return False
+    units = np.array([KP[1] - KP[0], KD[1] - KD[0]])
+    curve = in_gains(curve)
+    corners = np.array([known.x, known.y]).T / units
+    starts, ways = corners[:-1], np.diff(corners, axis=0)
+    lengths = np.maximum(np.sum(ways**2, axis=1), 1e-300)
+    off: list[float] = []
+    for at in np.array([curve.x, curve.y]).T / units:
+        parts = np.clip(np.sum((at - starts) * ways, axis=1) / lengths, 0.0, 1.0)
+        nearest = starts + parts[:, None] * ways - at
+        off.append(float(np.min(np.linalg.norm(nearest, axis=1))))
+    return float(np.median(off)) < _SAME
+
+
+_SAME = 1e-3
+"""Part of the ranges by which a curve differs from a chain of its points."""
 
 
 def show(name: str, found: Continuation, seconds: float) -> None:
@@ -97,7 +143,7 @@ def main() -> None:
         write_whole(options.output, json.dumps(data, indent=1) + "\n")
     if options.pictures is not None:
         for name, one in found.items():
-            path = options.pictures / f"family_{name}.png"
+            path = options.pictures / f"family_{name.replace(' ', '')}.png"
             plots.save_figure(plots.plot_families(one, problem), path)
         if curves:
             both = replace(found["Kd"], boundaries=tuple(curves))

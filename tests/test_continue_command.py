@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.reference_orbit import RELEASE
-from zeno_orbits import plots
+from zeno_orbits import plots, report
 from zeno_orbits.cli import main
 from zeno_orbits.closing import close_orbit
 from zeno_orbits.families import Boundary, Continuation, Family, FamilyPoint, Kind, SpecialPoint
@@ -152,6 +152,24 @@ def test_boundaries_are_drawn_over_both_parameters() -> None:
     assert ax.get_xlabel() == "Kp [V/rad]"
     assert ax.get_ylabel() == "Kd [V s/rad]"
     assert ax.lines[0].get_label() == "fold"
+
+
+def test_a_cusp_is_printed_and_drawn(capsys: pytest.CaptureFixture[str]) -> None:
+    boundary = Boundary(
+        kind=Kind.FOLD,
+        names=("Kp", "Kd"),
+        x=(1.0, 2.0, 1.5),
+        y=(-1.0, -2.0, -1.5),
+        errors=(0.0, 0.0, 0.0),
+        ends=("end of the range", "end of the range"),
+        cusps=(1,),
+    )
+    found = Continuation(families=(family(Kind.BOUND),), boundaries=(boundary,))
+    (ax,) = plots.plot_boundaries(found, PENDULUM).axes
+    marks = [line.get_xydata() for line in ax.lines if line.get_label() == "cusp"]
+    assert [mark.tolist() for mark in marks] == [[[2.0, -2.0]]]
+    report.print_families(found)
+    assert "cusp at Kp = 2, Kd = -2." in capsys.readouterr().out
 
 
 def test_giving_up_is_an_answer_of_no(

@@ -8,81 +8,21 @@ with its own error estimate, and a curve may run in any direction. Theory (40).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from zeno_orbits.corrector import BranchPoint, Metric, correct
+from zeno_orbits.critical_curves import CRITICAL, follow_critical
 from zeno_orbits.dynamics import Vector
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
 from zeno_orbits.families import Boundary, Kind
 from zeno_orbits.family_ends import ENDS, Threat, locate_end
 from zeno_orbits.lock_ends import locate_cut_near
+from zeno_orbits.plane import CurveSteps, OnLine, Plane, Tell
 from zeno_orbits.return_maps import Margin, ReturnMap
 from zeno_orbits.sections import Line
 from zeno_orbits.singular_points import INSIDE, Located, TestFunction, located_near
-
-Tell = Callable[[str, float | None], None]
-OnLine = Callable[[Line], ReturnMap]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Plane:
-    """Two parameters and their ranges.
-
-    Attributes:
-        names: Their names.
-        places: Their places in ``p``.
-        box: Lower and upper ends, ``(2, 2)``, a row each.
-        p: All numbers; the two are replaced.
-        restitution: Place of the restitution in ``p``.
-    """
-
-    names: tuple[str, str]
-    places: tuple[int, int]
-    box: Vector
-    p: Vector
-    restitution: int
-
-    @property
-    def units(self) -> Vector:
-        """Lengths of the ranges, ``(2,)``."""
-        return self.box[:, 1] - self.box[:, 0]
-
-    def line(self, at: Vector, direction: Vector) -> Line:
-        """Return the line through a place of the plane; both in units of the ranges, ``(2,)``."""
-        origin, along = self.p.copy(), np.zeros(self.p.size)
-        origin[list(self.places)] = at * self.units
-        along[list(self.places)] = direction * self.units
-        return Line(origin=origin, direction=along)
-
-    def holds(self, at: Vector) -> bool:
-        """Tell whether a place lies in the ranges."""
-        low, high = self.box[:, 0] / self.units, self.box[:, 1] / self.units
-        return bool(np.all(at >= low - _EDGE) and np.all(at <= high + _EDGE))
-
-
-_EDGE = 1e-9
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CurveSteps:
-    """How a boundary is followed.
-
-    Attributes:
-        first: First step, in units of the ranges.
-        longest: Longest step.
-        shortest: Shortest step.
-        most: Points in a direction.
-        bend: Largest distance of a point from its prediction, as part of the step.
-    """
-
-    first: float = 0.005
-    longest: float = 0.05
-    shortest: float = 1e-3
-    most: int = 80
-    bend: float = 0.25
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,6 +65,8 @@ def follow_boundary(
         steps: How to step.
         tell: Called with what happens.
     """
+    if found.kind in CRITICAL:
+        return follow_critical(plane, on_line, metric, found, value, steps=steps, tell=tell)
     at = np.array(value) / plane.units
     scale = plane.units[0] / metric.unit
 
@@ -135,7 +77,7 @@ def follow_boundary(
 
     first = _Spot(
         at=at,
-        located=replace(found, z=np.append(found.z[:-1], 0.0)),
+        located=replace(found, z=np.append(found.z[:-1], 0.0), error=found.error / plane.units[0]),
         before=tuple(relative(point) for point in leading),
     )
     curve = _Curve(plane, on_line, replace(metric, unit=1.0), found.kind, place, steps, tell)
@@ -244,19 +186,16 @@ class _Curve:
             ahead = float(np.linalg.norm(at - last.at))
             z = z + ahead / gone * (last.located.z[:-1] - earlier.located.z[:-1])
         if self.kind in INSIDE:
-            located = self._inside(returns, np.append(z, 0.0), last)
+            located = self._inside(returns, np.append(z, 0.0))
             before = last.before
         else:
             located, before = self._end(returns, line, z, last, across)
         new_at = at + located.z[-1] * across
         return _Spot(at=new_at, located=located, before=before)
 
-    def _inside(self, returns: ReturnMap, z: Vector, last: _Spot) -> Located:
+    def _inside(self, returns: ReturnMap, z: Vector) -> Located:
         normal = np.zeros(z.size)
         normal[-1] = 1.0
-        if self.kind is Kind.FOLD:
-            normal = np.append(last.located.point.tangent[:-1], 0.0)
-            normal /= np.linalg.norm(normal)
         start = correct(returns, self.metric, z, normal)
         test: TestFunction = INSIDE[self.kind]
         return located_near(returns, self.metric, start, self.kind, test)

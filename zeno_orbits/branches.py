@@ -18,7 +18,7 @@ from zeno_orbits.corrector import BranchPoint, Metric, correct
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.families import Kind
 from zeno_orbits.family_ends import Threat, locate_end, threats
-from zeno_orbits.return_maps import Loss, ReturnMap
+from zeno_orbits.return_maps import Loss, Return, ReturnMap
 from zeno_orbits.singular_points import Located, crossings, locate_inside
 
 
@@ -180,17 +180,7 @@ class _Walk:
         behind = np.linalg.norm(new.z - last.z - step * new.tangent)
         if max(ahead, behind) > self.steps.stray * step:
             return "the points do not lie along the tangents"
-        return self._jumps(new)
-
-    def _jumps(self, new: BranchPoint) -> str:
-        """Return which margin is not continuous: an impact more or less, for instance."""
-        before = self.points[-1].found.margins
-        for margin, value in new.found.margins.items():
-            if margin.loss is not Loss.FIRST_IMPACT or margin not in before:
-                continue
-            if not 0.5 < value / before[margin] < 2.0:
-                return "the first impact is another one"
-        return ""
+        return jumped(last.found, new.found)
 
     def _ease(self, step: float) -> float:
         """Return how much of what a step may bend the last one did."""
@@ -295,6 +285,16 @@ class _Walk:
             end=end,
             detail=detail,
         )
+
+
+def jumped(before: Return, after: Return) -> str:
+    """Return what is not continuous between two neighbours: an impact more or less, or nothing."""
+    for margin, value in after.margins.items():
+        if margin.loss is not Loss.FIRST_IMPACT or margin not in before.margins:
+            continue
+        if not 0.5 < value / before.margins[margin] < 2.0:
+            return "the first impact is another one"
+    return ""
 
 
 _LOWER = "the steps lead to an orbit of lower period"

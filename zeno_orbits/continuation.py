@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from zeno_orbits.boundaries import Plane, follow_boundary
+from zeno_orbits.boundaries import follow_boundary
 from zeno_orbits.branches import Branch, Tell, follow
 from zeno_orbits.closing import close_orbit
 from zeno_orbits.corrector import BranchPoint, correct, first_point
@@ -21,6 +21,7 @@ from zeno_orbits.dynamics import Vector
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.families import Boundary, Continuation, Family, FamilyPoint, Kind, SpecialPoint
 from zeno_orbits.orbit import ZenoOrbit, versions
+from zeno_orbits.plane import Plane
 from zeno_orbits.problem import Problem, Setting
 from zeno_orbits.return_maps import Margin
 from zeno_orbits.search import find_orbit

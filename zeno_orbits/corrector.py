@@ -18,9 +18,9 @@ from zeno_orbits.return_maps import Return, ReturnMap
 from zeno_orbits.sections import Frame
 
 _MOST_ITERATIONS = 9
-_CLOSED = 2e-11
+CLOSED = 2e-11
 """Miss of a return, in scaled states, that counts as none."""
-_STALLED = 2e-9
+STALLED = 2e-9
 """Miss that rounding may leave near an end of a family; more is no point of it."""
 _CONTRACTION = 0.5
 
@@ -109,18 +109,18 @@ def correct(
     for _ in range(_MOST_ITERATIONS):
         x = returns.projected(x, s, metric.scale)
         here = returns.frame(x, s, metric.scale)
-        found = _followed(returns, x, s, metric)
+        found = followed(returns, x, s, metric)
         missed = here.coordinates(found.end - x)
         miss = float(np.max(np.abs(missed), initial=0.0))
         off = float(normal @ (metric.place(x, s) - z))
-        rows, ambient = _linearized(here, found, metric)
-        stalled = miss <= _STALLED and miss > _CONTRACTION * before
+        rows, ambient = linearized(here, found, metric)
+        stalled = miss <= STALLED and miss > _CONTRACTION * before
         if miss > 1e3 * before:
             break
         matrix = np.concatenate([rows, (normal @ ambient)[None, :]])
         change = np.linalg.lstsq(matrix, -np.append(missed, off), rcond=None)[0]
         x, s = x + here.lift @ change, s + float(change[-1])
-        if max(miss, abs(off)) <= _CLOSED or stalled:
+        if max(miss, abs(off)) <= CLOSED or stalled:
             # The last correction is too small to be worth another return.
             return _point(x, s, metric, rows, ambient, found, miss, along)
         before = miss
@@ -143,8 +143,8 @@ def corrected_again(returns: ReturnMap, metric: Metric, point: BranchPoint) -> B
         ZenoOrbitsError: If a return fails.
     """
     here = returns.frame(point.x, point.s, metric.scale)
-    found = _followed(returns, point.x, point.s, metric)
-    rows, ambient = _linearized(here, found, metric)
+    found = followed(returns, point.x, point.s, metric)
+    rows, ambient = linearized(here, found, metric)
     matrix = np.concatenate([rows, (point.tangent @ ambient)[None, :]])
     missed = np.append(here.coordinates(found.end - point.x), 0.0)
     change = np.linalg.lstsq(matrix, -missed, rcond=None)[0]
@@ -166,7 +166,7 @@ def first_point(
     return correct(returns, metric, z, upwards)
 
 
-def _followed(returns: ReturnMap, x: Vector, s: float, metric: Metric) -> Return:
+def followed(returns: ReturnMap, x: Vector, s: float, metric: Metric) -> Return:
     """Return a return, or say that the numbers ran out of range on the way."""
     if not (np.all(np.isfinite(x)) and np.isfinite(s)):
         raise SimulationError("Newton's method diverges", time=0.0, state=tuple(x.tolist()))
@@ -177,7 +177,7 @@ def _followed(returns: ReturnMap, x: Vector, s: float, metric: Metric) -> Return
         raise SimulationError(str(error), time=metric.horizon, state=tuple(x.tolist())) from error
 
 
-def _linearized(here: Frame, found: Return, metric: Metric) -> tuple[Vector, Vector]:
+def linearized(here: Frame, found: Return, metric: Metric) -> tuple[Vector, Vector]:
     """Return the derivative of `P - y` and of the ambient place, by coordinates and parameter."""
     d = here.tangent.shape[1]
     moved = found.by_state @ here.lift

@@ -170,8 +170,9 @@ class Boundary:
         names: The two parameters.
         x: Values of the first, in order along the curve.
         y: Values of the second.
-        errors: Estimated error of each point, in the unit of the parameter that was solved for.
+        errors: Estimated error of each point, as part of the ranges.
         ends: Why it ends, at either end.
+        cusps: Which points are cusps of a fold, where two folds meet.
     """
 
     kind: Kind
@@ -180,6 +181,7 @@ class Boundary:
     y: tuple[float, ...]
     errors: tuple[float, ...]
     ends: tuple[str, str]
+    cusps: tuple[int, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """Return the boundary as plain data: a polyline with a name."""
@@ -190,6 +192,7 @@ class Boundary:
             "y": list(self.y),
             "errors": list(self.errors),
             "ends": list(self.ends),
+            "cusps": list(self.cusps),
         }
 
 

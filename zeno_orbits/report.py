@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from zeno_orbits.bounds import Extent
     from zeno_orbits.certificate import OrbitCertificate
     from zeno_orbits.execution import Execution
-    from zeno_orbits.families import Continuation
+    from zeno_orbits.families import Boundary, Continuation
     from zeno_orbits.fidelity import ReductionCost
     from zeno_orbits.maps import ParameterMap
     from zeno_orbits.orbit import ZenoOrbit
@@ -411,6 +411,12 @@ def print_families(found: Continuation) -> None:
                 "; ".join(boundary.ends),
             )
         _print(table)
+        print_lines(_cusp(boundary, k) for boundary in found.boundaries for k in boundary.cusps)
+
+
+def _cusp(boundary: Boundary, place: int) -> str:
+    values = zip(boundary.names, (boundary.x[place], boundary.y[place]), strict=True)
+    return "Two folds meet in a cusp at " + ", ".join(f"{n} = {v:.10g}" for n, v in values) + "."
 
 
 def _short(value: complex) -> str:

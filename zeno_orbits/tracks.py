@@ -6,13 +6,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from zeno_orbits.boundaries import CurveSteps
 from zeno_orbits.branches import Steps
 from zeno_orbits.corrector import Metric
 from zeno_orbits.dynamics import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.models import compiled_model
 from zeno_orbits.orbit import ZenoOrbit
+from zeno_orbits.plane import CurveSteps
 from zeno_orbits.problem import Problem, Setting
 from zeno_orbits.return_maps import Composed, ReleaseReturns, ReturnMap
 from zeno_orbits.sections import Line

@@ -110,6 +110,16 @@ def draw_boundaries(ax: Axes, boundaries: tuple[Boundary, ...]) -> None:
     for boundary in boundaries:
         colour, dash = _BOUNDARIES.get(boundary.kind, (INK, "--"))
         ax.plot(boundary.x, boundary.y, color=colour, ls=dash, lw=1.4, label=boundary.kind.value)
+        for k in boundary.cusps:
+            ax.plot(
+                [boundary.x[k]],
+                [boundary.y[k]],
+                ls="",
+                marker="o",
+                ms=4.5,
+                color=colour,
+                label="cusp",
+            )
 
 
 _MOST_RADIUS = 3.0

@@ -1,0 +1,226 @@
+"""Curves of folds and flips in two parameters, on maps whose curves are known by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from tests.test_branches import Formula
+from zeno_orbits.boundaries import follow_boundary
+from zeno_orbits.continuation import continue_orbit, continue_orbit_in_two, start_orbit
+from zeno_orbits.corrector import Metric, first_point
+from zeno_orbits.errors import SimulationError
+from zeno_orbits.families import Boundary, Family, Kind
+from zeno_orbits.orbit import ZenoOrbit
+from zeno_orbits.plane import CurveSteps, Plane
+from zeno_orbits.problem import load_problem
+from zeno_orbits.return_maps import Return
+from zeno_orbits.sections import Frame, Line
+from zeno_orbits.singular_points import INSIDE, located_near
+from zeno_orbits.tracks import ContinuationSettings
+
+
+@dataclass(frozen=True, kw_only=True)
+class InTwo(Formula):
+    """A return map ``P(y, p)`` of two parameters, along a line of them."""
+
+    along: Line
+    loose: float = 0.0
+    off: float = 0.0
+
+    @property
+    def line(self) -> Line:
+        return self.along
+
+    def follow(self, x: np.ndarray, s: float, *, horizon: float) -> Return:
+        del horizon
+        p = self.along.at(s) + np.array([self.off, 0.0])
+        if p[1] < self.least:
+            raise SimulationError("Nothing returns", time=0.0, state=())
+        end, by_state, by_p = (value.full() for value in self.function(x, p))
+        return Return(
+            time=1.0,
+            end=end.ravel(),
+            by_state=by_state,
+            by_parameter=by_p @ self.along.direction,
+            margins={},
+        )
+
+    def moved_to(self, line: Line) -> InTwo:
+        return replace(self, along=line)
+
+    def loosened(self) -> InTwo:
+        return replace(self, off=self.loose)
+
+
+LINE = Line(origin=np.array([0.0, 0.75]), direction=np.array([1.0, 0.0]))
+BOX = ((-1.0, 1.0), (-1.0, 1.0))
+
+
+def in_two(make: Callable[[ca.SX, ca.SX], ca.SX], size: int) -> ca.Function:
+    y, p = ca.SX.sym("y", size), ca.SX.sym("p", 2)
+    image = make(y, p)
+    return ca.Function("P", [y, p], [image, ca.jacobian(image, y), ca.jacobian(image, p)])
+
+
+def curve_of(
+    function: ca.Function,
+    kind: Kind,
+    y: list[float],
+    p: tuple[float, float],
+    box: tuple[tuple[float, float], tuple[float, float]],
+    steps: CurveSteps | None = None,
+    returns: InTwo | None = None,
+) -> Boundary:
+    """Return the curve of a special point near a state and parameters; found along the first."""
+    line = Line(origin=np.array([0.0, p[1]]), direction=np.array([1.0, 0.0]))
+    returns = (returns or InTwo(function=function, along=line)).moved_to(line)
+    metric = Metric(scale=np.ones(len(y)), unit=box[0][1] - box[0][0], horizon=1.0)
+    start = first_point(returns, metric, np.array(y), p[0], rising=True)
+    found = located_near(returns, metric, start, kind, INSIDE[kind])
+    plane = Plane(names=("a", "b"), places=(0, 1), box=np.array(box), p=np.zeros(2), restitution=0)
+    return follow_boundary(
+        plane,
+        returns.moved_to,
+        metric,
+        found,
+        (found.z[-1] * metric.unit, p[1]),
+        leading=(),
+        steps=steps or CurveSteps(),
+        tell=lambda *_: None,
+    )
+
+
+CUSP = in_two(lambda y, p: y + p[0] + p[1] * y - y**3, 1)
+
+
+def test_two_folds_that_meet_in_a_cusp_are_one_curve_that_is_passed_and_named() -> None:
+    # p1 = 2 y^3, p2 = 3 y^2 in closed form.
+    fold = 2 * (0.75 / 3) ** 1.5
+    curve = curve_of(CUSP, Kind.FOLD, [-0.55], (fold - 0.01, 0.75), BOX)
+    x, y = np.array(curve.x), np.array(curve.y)
+    assert np.max(np.abs(4 * y**3 - 27 * x**2)) < 1e-10
+    assert curve.ends == (Kind.BOUND.value, Kind.BOUND.value)
+    assert sorted((x[0], x[-1])) == pytest.approx([-2 / 27**0.5, 2 / 27**0.5], abs=1e-10)
+    assert (y[0], y[-1]) == pytest.approx((1.0, 1.0), abs=1e-12)
+    (cusp,) = curve.cusps
+    assert (x[cusp], y[cusp]) == pytest.approx((0.0, 0.0), abs=1e-10)
+    assert curve.as_json()["cusps"] == [cusp]
+
+
+def test_every_fold_on_the_curve_is_found_wherever_it_starts() -> None:
+    fold = 2 * (0.75 / 3) ** 1.5
+    one = curve_of(CUSP, Kind.FOLD, [-0.55], (fold - 0.01, 0.75), BOX)
+    other = curve_of(CUSP, Kind.FOLD, [0.55], (0.01 - fold, 0.75), BOX)
+    assert (one.x[0], one.y[0]) == pytest.approx((-other.x[0], other.y[0]), abs=1e-10)
+    assert len(one.cusps) == len(other.cusps) == 1
+
+
+def test_charts_that_turn_with_every_question_change_nothing() -> None:
+    # A section's tangents are any basis: an eigenvalue solver gives one today, another tomorrow.
+    @dataclass(frozen=True, kw_only=True)
+    class Turning(InTwo):
+        dice: np.random.Generator
+
+        def frame(self, x: np.ndarray, s: float, scale: np.ndarray) -> Frame:
+            del x, s
+            angle = self.dice.uniform(0.0, 6.0)
+            tangent = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+            lift = np.column_stack([scale[:, None] * tangent, np.zeros(2)])
+            return Frame(tangent=tangent, lift=lift, scale=scale)
+
+    # The cusp again, with a second multiplier of 1 + p1 - 3: far from the circle.
+    image = in_two(
+        lambda y, p: ca.vertcat(y[0] + p[0] + p[1] * y[0] - y[0] ** 3, (p[0] - 2) * y[1] + y[0]), 2
+    )
+    fold = 2 * (0.75 / 3) ** 1.5
+    plain = curve_of(image, Kind.FOLD, [-0.55, -0.2], (fold - 0.01, 0.75), BOX)
+    turning = Turning(function=image, along=LINE, dice=np.random.default_rng(4))
+    turned = curve_of(image, Kind.FOLD, [-0.55, -0.2], (fold - 0.01, 0.75), BOX, returns=turning)
+    for curve in (plain, turned):
+        x, y = np.array(curve.x), np.array(curve.y)
+        assert np.max(np.abs(4 * y**3 - 27 * x**2)) < 1e-10
+        assert curve.ends == (Kind.BOUND.value, Kind.BOUND.value)
+        assert len(curve.cusps) == 1
+
+
+def test_a_curve_of_flips_turns_back_in_both_parameters_and_closes() -> None:
+    # y* = 0 always; its multiplier is -1 on the circle p1^2 + p2^2 = 1/4.
+    image = in_two(lambda y, p: -(1 + (ca.sumsqr(p) - 0.25)) * y + y**3, 1)
+    curve = curve_of(image, Kind.FLIP, [0.0], (0.35, 0.3), BOX)
+    x, y = np.array(curve.x), np.array(curve.y)
+    assert np.max(np.abs(x**2 + y**2 - 0.25)) < 1e-10
+    assert curve.ends == (Kind.CLOSED.value, Kind.CLOSED.value)
+    assert (x[0], y[0]) == (x[-1], y[-1])
+    # All round: the polygon has nearly the area of the circle.
+    area = abs(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1])) / 2
+    assert area == pytest.approx(np.pi / 4, rel=0.01)
+    assert curve.cusps == ()
+
+
+def test_a_curve_that_is_cut_short_says_why() -> None:
+    fold = 2 * (0.75 / 3) ** 1.5
+    start = (fold - 0.01, 0.75)
+    few = curve_of(CUSP, Kind.FOLD, [-0.55], start, BOX, CurveSteps(most_arcs=3))
+    assert few.ends == ("3 steps", "3 steps")
+    assert len(few.x) == 7
+    lost = InTwo(function=CUSP, along=LINE, least=0.5)
+    curve = curve_of(CUSP, Kind.FOLD, [-0.55], start, BOX, returns=lost)
+    assert curve.ends.count(Kind.BOUND.value) == 1
+    (other,) = (end for end in curve.ends if end != Kind.BOUND.value)
+    assert other.startswith("gave up: Nothing returns")
+    # It is followed up to where its neighbours return no more.
+    assert min(curve.y) == pytest.approx(0.5, abs=1e-3)
+
+
+def test_a_less_accurate_return_is_seen_in_the_error() -> None:
+    rough = InTwo(function=CUSP, along=LINE, loose=1e-6)
+    fold = 2 * (0.75 / 3) ** 1.5
+    curve = curve_of(CUSP, Kind.FOLD, [-0.55], (fold - 0.01, 0.75), BOX, returns=rough)
+    # Off by 1e-6 in p1, half a range's unit; less across the curve, by its slope.
+    errors = np.array(curve.errors)
+    assert np.all(errors < 1e-6)
+    assert np.all(errors > 1e-7)
+
+
+@pytest.mark.slow
+def test_the_folds_and_flips_of_the_pendulum_pass_their_cusp_and_end_where_a_family_has_them() -> (
+    None
+):
+    problem, box = load_problem("motor_pendulum"), (-1.7, -1.3)
+
+    def orbit(kp: float) -> ZenoOrbit:
+        return start_orbit(problem, problem.setting(gains={"Kp": kp, "Kd": -1.5}))
+
+    def family(kp: float) -> Family:
+        settings = ContinuationSettings(doublings=0)
+        return continue_orbit(problem, orbit(kp), "Kd", box, settings=settings).families[0]
+
+    kinds = (Kind.FOLD, Kind.FLIP)
+    found = continue_orbit_in_two(
+        problem,
+        orbit(4.3),
+        ("Kd", "Kp"),
+        (box, (3.7, 4.4)),
+        kinds=kinds,
+        settings=ContinuationSettings(doublings=0),
+    )
+    assert {end for curve in found.boundaries for end in curve.ends} == {Kind.BOUND.value}
+    assert [len(curve.cusps) for curve in found.boundaries if curve.kind is Kind.FOLD] == [1, 0]
+    assert max(error for curve in found.boundaries for error in curve.errors) < 1e-9
+    for kp in (3.7, 4.4):
+        special = family(kp).special
+        for kind in kinds:
+            ends = [
+                curve.x[k]
+                for curve in found.boundaries
+                if curve.kind is kind
+                for k in (0, -1)
+                if abs(curve.y[k] - kp) < 1e-9
+            ]
+            values = [one.at.value for one in special if one.kind is kind]
+            assert sorted(ends) == pytest.approx(sorted(values), abs=1e-8)
