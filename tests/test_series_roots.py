@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from zeno_orbits.errors import InputError
@@ -68,6 +68,8 @@ def test_coefficients_that_are_not_finite_are_refused() -> None:
         first_root(np.array([1.0, np.nan]))
 
 
+@example(roots=[0.5, 0.75], degree=0)  # a root where the interval is halved
+@example(roots=[0.25, 0.5, 0.75], degree=3)
 @given(st.lists(st.floats(0.05, 3.0), min_size=1, max_size=6), st.integers(0, 30))
 def test_the_root_is_the_smallest_in_the_interval(roots: list[float], degree: int) -> None:
     roots = sorted(roots)

@@ -44,7 +44,7 @@ def first_root(coefficients: Coefficients) -> float | None:
         if values[0] <= 0.0:
             return left
         changes = _sign_changes(values)
-        if changes == 0 and (np.min(values) > noise or _leads_away(values, left, right)):
+        if changes == 0 and (np.min(values) > noise or _leads_away(values, left)):
             continue
         if changes == 1 and values[-1] < 0.0:
             return _bisect(coefficients, left, right)
@@ -57,15 +57,14 @@ def first_root(coefficients: Coefficients) -> float | None:
     return None
 
 
-def _leads_away(values: Coefficients, left: float, right: float) -> bool:
-    """Tell whether a piece is near zero at an end of the whole interval only.
+def _leads_away(values: Coefficients, left: float) -> bool:
+    """Tell whether a piece is near zero only where that is no root of its own.
 
-    There it has just come from zero, or the next interval will see it fall.
+    At the start of the whole interval it has just come from zero; where it falls to zero, the
+    next piece, which starts with the same value, or the next interval sees it fall through.
     """
     steps = np.diff(values)
-    return (left == 0.0 and bool(np.all(steps > 0.0))) or (
-        right == 1.0 and bool(np.all(steps < 0.0))
-    )
+    return (left == 0.0 and bool(np.all(steps > 0.0))) or bool(np.all(steps < 0.0))
 
 
 @cache
