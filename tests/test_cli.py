@@ -234,6 +234,7 @@ def test_search_with_free_gains_finds_the_orbit_nearest_to_the_scenes_own(here: 
     assert data["gains"] == pytest.approx({"Kp": 2.5, "Kd": -1.0})
 
 
+@pytest.mark.slow
 def test_search_keeps_a_bound_and_says_what_is_asked_and_reached() -> None:
     keep = ("--fix", "Kp=2.5", "--gain", "Kd=-1.1:-0.8", "--keep", "theta2=:1.95")
     answer = ask("search", "motor_pendulum", *keep, "--candidates", "2", "--starts", "1", "--json")

@@ -160,6 +160,7 @@ def test_one_worker_and_two_find_what_a_search_without_workers_finds() -> None:
     assert timeless(search(Workers(count=2))) == timeless(alone)
 
 
+@pytest.mark.slow
 @needs_two
 def test_the_command_prints_the_same_bytes_for_one_worker_and_two() -> None:
     for words, code in ((TABLE, YES), (BALL, NO)):
