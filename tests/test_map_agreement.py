@@ -40,6 +40,25 @@ def test_another_answer_is_a_disagreement(other: Attractor) -> None:
     assert map_agreement._tell([compared(ZENO, ZENO)], as_json=True) == 0
 
 
+@pytest.mark.parametrize(
+    ("fast", "trend", "code"),
+    [
+        (Attractor(fate=Fate.REST), 0.98, 0),
+        (Attractor(fate=Fate.REST), 1.02, 1),
+        (ZENO, 1.0005, 0),
+        (ZENO, 0.95, 1),
+        (Attractor(fate=Fate.ESCAPE, escaped="x"), 1.0005, 1),
+    ],
+)
+def test_a_long_run_that_has_not_settled_is_excused_only_if_it_moves_as_the_map_says(
+    fast: Attractor, trend: float, code: int
+) -> None:
+    slow = Attractor(fate=Fate.UNSETTLED, trend=trend)
+    one = map_agreement.Comparison(point=(1.0, 2.0), fast=fast, slow=slow, near_boundary=False)
+    assert not one.agrees
+    assert map_agreement._tell([one], as_json=False) == code
+
+
 def test_a_cell_beside_another_fate_is_near_a_boundary() -> None:
     plane = Plane(
         scene=scene_file("bouncing_ball"),
