@@ -14,6 +14,7 @@ import numpy as np
 
 from zeno_orbits.dynamics import Vector
 from zeno_orbits.errors import SimulationError
+from zeno_orbits.linear_algebra import eigenvalues
 from zeno_orbits.return_maps import Return, ReturnMap
 from zeno_orbits.sections import Frame
 
@@ -73,8 +74,7 @@ class BranchPoint:
     @cached_property
     def multipliers(self) -> tuple[complex, ...]:
         """Floquet multipliers, the largest first."""
-        values = sorted(np.linalg.eigvals(self.jacobian), key=abs, reverse=True)
-        return tuple(complex(value) for value in values)
+        return eigenvalues(self.jacobian)
 
     @property
     def spectral_radius(self) -> float:

@@ -23,8 +23,6 @@ from zeno_orbits.sections import Frame, Line
 from zeno_orbits.separatrix import separatrix
 from zeno_orbits.zeno import TailEstimate, ZenoLimit
 
-_AT_ONCE = 1e-6
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _PlasticAfter:

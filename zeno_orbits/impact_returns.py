@@ -6,56 +6,27 @@ The section are the states just after an impact, :math:`h = 0`, :math:`\dot h > 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from zeno_orbits.compiled import CompiledSystem, bind
 from zeno_orbits.differentials import GAP_RATE
-from zeno_orbits.dynamics import HybridDynamics, Vector
+from zeno_orbits.dynamics import Vector
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.execution import Ending
 from zeno_orbits.extrema import least_inside
 from zeno_orbits.monodromy import differentials_of
 from zeno_orbits.perturbations import EventShift, Perturbations
-from zeno_orbits.return_maps import Loss, Margin, Return, looser
-from zeno_orbits.sections import IMPACT_ROWS, Frame, Line, frame, projected
-from zeno_orbits.simulate import SimulationSettings, simulate
+from zeno_orbits.return_maps import Loss, Margin, Return, SectionReturns
+from zeno_orbits.sections import IMPACT_ROWS, projected
+from zeno_orbits.simulate import simulate
 
 
 @dataclass(frozen=True, kw_only=True)
-class ImpactReturns:
-    """From just after an impact to just after the next.
+class ImpactReturns(SectionReturns):
+    """From just after an impact to just after the next."""
 
-    Attributes:
-        compiled: The scene.
-        line: The parameters.
-        settings: Accuracy.
-    """
-
-    compiled: CompiledSystem
-    line: Line
-    settings: SimulationSettings
-
-    def dynamics(self, s: float) -> HybridDynamics:
-        """Return the system at a place on the line."""
-        return bind(self.compiled, self.line.at(s).tolist())
-
-    def frame(self, x: Vector, s: float, scale: Vector) -> Frame:
-        """Return the section around a state of it."""
-        return frame(self.dynamics(s), self.line, IMPACT_ROWS, x, scale)
-
-    def projected(self, x: Vector, s: float, scale: Vector) -> Vector:
-        """Return the state on the stop nearest to a state."""
-        return projected(self.dynamics(s), IMPACT_ROWS, x, scale)
-
-    def moved_to(self, line: Line) -> ImpactReturns:
-        """Return the same map along another line."""
-        return replace(self, line=line)
-
-    def loosened(self) -> ImpactReturns:
-        """Return the same map at a looser tolerance."""
-        return replace(self, settings=looser(self.settings))
+    rows = IMPACT_ROWS
 
     def follow(self, x: Vector, s: float, *, horizon: float) -> Return:
         """Return the flight from an impact to the next, and its derivatives.

@@ -1,6 +1,6 @@
-"""The one thing that is missing in NumPy's linear algebra.
+"""What is missing in NumPy's linear algebra.
 
-``scipy.linalg`` has it too, but takes a tenth of a second to import.
+``scipy.linalg`` has the null space too, but takes a tenth of a second to import.
 """
 
 from __future__ import annotations
@@ -30,3 +30,9 @@ def null_space(matrix: Array, rcond: float | None = None) -> Array:
         rcond = float(np.finfo(np.float64).eps) * max(matrix.shape)
     rank = int(np.sum(sizes > rcond * np.max(sizes, initial=0.0)))
     return np.asarray(rows[rank:].T, dtype=np.float64)
+
+
+def eigenvalues(matrix: Array) -> tuple[complex, ...]:
+    """Return the eigenvalues of a square matrix, the largest in modulus first."""
+    values = sorted(np.linalg.eigvals(matrix), key=abs, reverse=True)
+    return tuple(complex(value) for value in values)

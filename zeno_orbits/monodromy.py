@@ -12,7 +12,7 @@ import numpy as np
 
 from zeno_orbits.completion import ZenoExtrapolation, ZenoPassage
 from zeno_orbits.differentials import GAP, GAP_RATE, Differentials
-from zeno_orbits.dynamics import HybridDynamics, Vector
+from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.execution import Ending, Execution, Impact, Mode, Release, ZenoPoint
 from zeno_orbits.perturbations import Bounce, EventShift, Perturbations
@@ -155,6 +155,33 @@ def extrapolated(settings: SimulationSettings) -> ZenoExtrapolation:
     if isinstance(completion, ZenoPassage):
         return completion.one_by_one
     return completion if isinstance(completion, ZenoExtrapolation) else ZenoExtrapolation()
+
+
+def loosened(
+    settings: SimulationSettings, factor: float, *, resolved: float = 1.0
+) -> SimulationSettings:
+    """Return settings whose errors are larger by far: of the steps, and of the Zeno limit.
+
+    Args:
+        settings: The settings.
+        factor: Of the tolerances.
+        resolved: Factor of the speed from which on impacts may be left.
+    """
+    tolerance, completion = settings.tolerance, extrapolated(settings)
+    return replace(
+        settings,
+        tolerance=Tolerance(
+            relative=factor * tolerance.relative, absolute=factor * tolerance.absolute
+        ),
+        completion=ZenoExtrapolation(
+            tolerance=factor * completion.tolerance,
+            resolved=min(resolved * completion.resolved, max(completion.resolved, _MOST_RESOLVED)),
+        ),
+    )
+
+
+_MOST_RESOLVED = 0.5
+"""Beyond this an impact sequence is hardly resolved at all."""
 
 
 def differentials_of(dynamics: HybridDynamics, chosen: tuple[int, ...]) -> Differentials:

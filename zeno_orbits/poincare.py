@@ -7,23 +7,21 @@ The section is the set of release states, :math:`h = \dot h = \lambda = 0`, of d
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from zeno_orbits.completion import ZenoExtrapolation
-from zeno_orbits.differentials import GAP, GAP_RATE, MULTIPLIER
-from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
+from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.linear_algebra import null_space
+from zeno_orbits.linear_algebra import eigenvalues, null_space
 from zeno_orbits.monodromy import (
     ReturnDerivative,
     Sensitivity,
-    differentials_of,
-    extrapolated,
+    loosened,
     return_derivative,
 )
 from zeno_orbits.returns import first_return, to_next_release
+from zeno_orbits.sections import RELEASE_ROWS, conditions, conditions_gradient
 from zeno_orbits.simulate import SimulationSettings
 
 
@@ -60,11 +58,11 @@ class ReleaseSection:
         """
         x = self.centre + self.scale * (self.tangent @ coordinates)
         for _ in range(_CORRECTIONS):
-            conditions = _conditions(dynamics, x)
-            if not np.all(np.abs(conditions) < _LOST):
+            values = conditions(dynamics, RELEASE_ROWS, x)
+            if not np.all(np.abs(values) < _LOST):
                 state = tuple(self.centre.tolist())
                 raise SimulationError("The release section is lost", time=0.0, state=state)
-            correction = self.normal @ conditions
+            correction = self.normal @ values
             x = x - self.scale * correction
             if np.max(np.abs(correction)) < _EXACT:
                 break
@@ -156,7 +154,9 @@ def section_derivative(
     """
     section = release_section(dynamics, derivative.start, scale)
     tangent = scale[:, None] * section.tangent
-    shift = _conditions_by_parameters(dynamics, derivative)
+    start = derivative.start
+    gradient = conditions_gradient(dynamics, derivative.parameters, RELEASE_ROWS, start)
+    shift = gradient[:, start.size :]
     lift = np.concatenate([tangent, -scale[:, None] * (section.normal @ shift)], axis=1)
     d = section.dimension
     moved = derivative.by_state @ lift
@@ -219,7 +219,13 @@ def floquet_multipliers(
         return _multipliers((4 * near - far) / 3, near, noise / _DIFFERENCE)
     jacobian = return_slope(dynamics, x, scale=scale, period=period, settings=settings)
     try:
-        rough = return_slope(dynamics, x, scale=scale, period=period, settings=_looser(settings))
+        rough = return_slope(
+            dynamics,
+            x,
+            scale=scale,
+            period=period,
+            settings=loosened(settings, _LOOSER, resolved=_FEWER),
+        )
     except SimulationError:
         return _multipliers(jacobian, jacobian, math.inf)
     return _multipliers(jacobian, rough, _LEAST * settings.tolerance.relative)
@@ -254,30 +260,16 @@ def return_slope(
 
 def _multipliers(jacobian: Vector, rough: Vector, noise: float) -> Multipliers:
     """Return the eigenvalues of a slope; how a rougher one differs, and noise, are the error."""
-    values = sorted(np.linalg.eigvals(jacobian), key=abs, reverse=True)
-    others = np.linalg.eigvals(rough)
+    values = eigenvalues(jacobian)
+    others = np.array(eigenvalues(rough))
     change = max((float(np.min(np.abs(others - value))) for value in values), default=0.0)
-    return Multipliers(
-        values=tuple(complex(value) for value in values), error=change + noise, jacobian=jacobian
-    )
-
-
-def _looser(settings: SimulationSettings) -> SimulationSettings:
-    """Return settings whose errors are larger by far: the steps, and the limit of the impacts."""
-    tolerance, completion = settings.tolerance, extrapolated(settings)
-    return replace(
-        settings,
-        tolerance=Tolerance(
-            relative=_LOOSER * tolerance.relative, absolute=_LOOSER * tolerance.absolute
-        ),
-        completion=ZenoExtrapolation(
-            tolerance=_LOOSER * completion.tolerance, resolved=min(10 * completion.resolved, 0.5)
-        ),
-    )
+    return Multipliers(values=values, error=change + noise, jacobian=jacobian)
 
 
 _LOOSER = 100.0
 """Factor of the tolerances at which the multipliers are taken a second time."""
+_FEWER = 10.0
+"""Factor of the speed at which the impacts may then be left."""
 
 _LEAST = 10.0
 """Error that is claimed at least, in units of the tolerance: two runs may agree by chance."""
@@ -314,34 +306,16 @@ def _differences(
     return differences(_DIFFERENCE), differences(2 * _DIFFERENCE)
 
 
-def _conditions(dynamics: HybridDynamics, x: Vector) -> Vector:
-    contact = [dynamics.gap(x), dynamics.gap_rate(x), dynamics.multiplier(x)]
-    return np.concatenate([contact, dynamics.holonomic(x)])
-
-
 def _conditions_gradient(dynamics: HybridDynamics, x: Vector, scale: Vector) -> Vector:
     """Return the derivative of the conditions of a release by scaled states, ``(n, n_x)``."""
     if dynamics.differentiation is not None:
-        return _conditions_derivative(dynamics, x, ()) * scale
+        return conditions_gradient(dynamics, (), RELEASE_ROWS, x) * scale
     step = 1e-6
     columns: list[Vector] = []
     for k in range(len(x)):
         shift = np.zeros(len(x))
         shift[k] = step * scale[k]
-        rise = _conditions(dynamics, x + shift) - _conditions(dynamics, x - shift)
+        ahead = conditions(dynamics, RELEASE_ROWS, x + shift)
+        rise = ahead - conditions(dynamics, RELEASE_ROWS, x - shift)
         columns.append(rise / (2 * step))
     return np.stack(columns, axis=1)
-
-
-def _conditions_by_parameters(dynamics: HybridDynamics, derivative: ReturnDerivative) -> Vector:
-    x = derivative.start
-    return _conditions_derivative(dynamics, x, derivative.parameters)[:, x.size :]
-
-
-def _conditions_derivative(
-    dynamics: HybridDynamics, x: Vector, parameters: tuple[int, ...]
-) -> Vector:
-    """Return the derivative of the conditions by states and parameters, ``(n, n_x + k)``."""
-    differentials = differentials_of(dynamics, parameters)
-    rows = differentials.contact(x)[[GAP, GAP_RATE, MULTIPLIER]]
-    return np.concatenate([rows, differentials.holonomic(x)])

@@ -13,16 +13,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Protocol
+from typing import ClassVar, Protocol, Self
 
 import numpy as np
 
 from zeno_orbits.compiled import CompiledSystem, bind
-from zeno_orbits.completion import ZenoExtrapolation
-from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
+from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.execution import Arc, Mode
 from zeno_orbits.extrema import least_inside
-from zeno_orbits.monodromy import extrapolated, return_derivative
+from zeno_orbits.monodromy import loosened, return_derivative
 from zeno_orbits.sections import RELEASE_ROWS, Frame, Line, frame, projected
 from zeno_orbits.simulate import SimulationSettings
 
@@ -106,38 +105,47 @@ class ReturnMap(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReleaseReturns:
-    """From release to release, through a Zeno point.
+class SectionReturns:
+    """What return maps of a scene share that live on a section of its contact.
 
     Attributes:
         compiled: The scene.
         line: The parameters.
         settings: Accuracy.
+        rows: Conditions of the section, of the class.
     """
 
     compiled: CompiledSystem
     line: Line
     settings: SimulationSettings
+    rows: ClassVar[tuple[int, ...]]
 
     def dynamics(self, s: float) -> HybridDynamics:
         """Return the system at a place on the line."""
         return bind(self.compiled, self.line.at(s).tolist())
 
     def frame(self, x: Vector, s: float, scale: Vector) -> Frame:
-        """Return the release section around a state of it."""
-        return frame(self.dynamics(s), self.line, RELEASE_ROWS, x, scale)
+        """Return the section around a state of it."""
+        return frame(self.dynamics(s), self.line, self.rows, x, scale)
 
     def projected(self, x: Vector, s: float, scale: Vector) -> Vector:
-        """Return the release state nearest to a state."""
-        return projected(self.dynamics(s), RELEASE_ROWS, x, scale)
+        """Return the state of the section nearest to a state."""
+        return projected(self.dynamics(s), self.rows, x, scale)
 
-    def moved_to(self, line: Line) -> ReleaseReturns:
+    def moved_to(self, line: Line) -> Self:
         """Return the same map along another line."""
         return replace(self, line=line)
 
-    def loosened(self) -> ReleaseReturns:
+    def loosened(self) -> Self:
         """Return the same map at a looser tolerance."""
-        return replace(self, settings=looser(self.settings))
+        return replace(self, settings=loosened(self.settings, _LOOSER))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReleaseReturns(SectionReturns):
+    """From release to release, through a Zeno point."""
+
+    rows = RELEASE_ROWS
 
     def follow(self, x: Vector, s: float, *, horizon: float) -> Return:
         """Return what happens from a release to the next."""
@@ -180,20 +188,6 @@ _PARTS = (0.25, 0.5, 0.75)
 
 def _inside(arc: Arc, part: float) -> Vector:
     return arc.flow_state_at(part * arc.duration)
-
-
-def looser(settings: SimulationSettings) -> SimulationSettings:
-    """Return settings whose errors are larger by far: of the steps, and of the Zeno limit."""
-    tolerance, completion = settings.tolerance, extrapolated(settings)
-    return replace(
-        settings,
-        tolerance=Tolerance(
-            relative=_LOOSER * tolerance.relative, absolute=_LOOSER * tolerance.absolute
-        ),
-        completion=ZenoExtrapolation(
-            tolerance=_LOOSER * completion.tolerance, resolved=completion.resolved
-        ),
-    )
 
 
 _LOOSER = 30.0

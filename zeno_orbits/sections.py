@@ -84,7 +84,7 @@ def frame(
         x: The state, ``(n_x,)``.
         scale: Size of each state, ``(n_x,)``.
     """
-    gradient = _gradient(dynamics, line.moving, rows, x)
+    gradient = conditions_gradient(dynamics, line.moving, rows, x)
     by_state, by_parameter = gradient[:, : x.size] * scale, gradient[:, x.size :] @ line.slopes
     tangent = null_space(by_state, rcond=1e-9)
     drift = -np.linalg.pinv(by_state, rcond=1e-9) @ by_parameter
@@ -100,8 +100,8 @@ def projected(dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector, scale:
     """
     size = np.inf
     for _ in range(_MOST_CORRECTIONS):
-        gradient = _gradient(dynamics, (), rows, x) * scale
-        correction = np.linalg.pinv(gradient, rcond=1e-9) @ _values(dynamics, rows, x)
+        gradient = conditions_gradient(dynamics, (), rows, x) * scale
+        correction = np.linalg.pinv(gradient, rcond=1e-9) @ conditions(dynamics, rows, x)
         x = x - scale * correction
         size = float(np.max(np.abs(correction)))
         if size <= _EXACT:
@@ -111,13 +111,19 @@ def projected(dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector, scale:
     return x
 
 
-def _values(dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector) -> Vector:
+def conditions(dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector) -> Vector:
+    """Return what vanishes on a section: rows of the contact, and the holonomic constraints."""
     contact = {GAP: dynamics.gap, GAP_RATE: dynamics.gap_rate, MULTIPLIER: dynamics.multiplier}
     return np.concatenate([[contact[row](x) for row in rows], dynamics.holonomic(x)])
 
 
-def _gradient(
+def conditions_gradient(
     dynamics: HybridDynamics, chosen: tuple[int, ...], rows: tuple[int, ...], x: Vector
 ) -> Vector:
+    """Return its derivative by states and chosen parameters, ``(n, n_x + k)``.
+
+    Raises:
+        InputError: If the system has no formulas.
+    """
     differentials = differentials_of(dynamics, chosen)
     return np.concatenate([differentials.contact(x)[list(rows)], differentials.holonomic(x)])

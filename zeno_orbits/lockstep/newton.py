@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from zeno_orbits.dynamics import HybridDynamics, Vector
+from zeno_orbits.linear_algebra import eigenvalues
 from zeno_orbits.lockstep.events import Released
 from zeno_orbits.poincare import ReleaseSection, release_section
 
@@ -69,8 +70,7 @@ class FixedPoint:
     @property
     def multipliers(self) -> tuple[complex, ...]:
         """Eigenvalues of the derivative, the largest first."""
-        values = sorted(np.linalg.eigvals(self.jacobian), key=abs, reverse=True)
-        return tuple(complex(value) for value in values)
+        return eigenvalues(self.jacobian)
 
     @property
     def spectral_radius(self) -> float:
