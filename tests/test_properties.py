@@ -226,8 +226,17 @@ units = st.builds(
 )
 
 
+def _cut_in_an_event(execution: Execution, within: float) -> bool:
+    """Tell whether rounding decides on which side of the end an event lies."""
+    events = [*execution.impacts, *execution.zeno_points, *execution.releases]
+    until = execution.end_time
+    return any(abs(until - event.time) <= within * max(1.0, until) for event in events)
+
+
 def _same_motion(plain: Execution, other: Execution, within: float) -> None:
     """Hold events and end together; impacts slower than a thousandth may be left to the tail."""
+    if _cut_in_an_event(plain, within) or _cut_in_an_event(other, within):
+        reject()
     fastest = max((-impact.approach_rate for impact in plain.impacts), default=0.0)
 
     def strong(execution: Execution) -> list[Any]:
