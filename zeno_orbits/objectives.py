@@ -7,22 +7,20 @@ What was reached is measured on a simulation.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
 import casadi as ca
-import numpy as np
 
 from zeno_orbits.bounds import Extent
 from zeno_orbits.cycle import Cycle
-from zeno_orbits.dynamics import Vector
-from zeno_orbits.execution import Arc
 from zeno_orbits.restraints import largest, smallest_share
 from zeno_orbits.return_map import LEAST_RADIUS, keep_radius_below, radius_of
 from zeno_orbits.shooting import OrbitTerms
-from zeno_orbits.signals import signal
-from zeno_orbits.stretches import Stretch
+from zeno_orbits.signals import extent_of, signal
+from zeno_orbits.summits import summit
 
 
 class Objective(Protocol):
@@ -98,23 +96,27 @@ class NearestGains:
         return _how_far(numbers, {**first, **self.target})
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WantedPeriod:
-    """A period.
+class _Wanted(ABC):
+    """A wanted value of a quantity; the free numbers stay near where they started."""
 
-    Attributes:
-        target: [s].
-    """
-
+    __slots__ = ()
     target: float
 
     @property
+    @abstractmethod
     def wish(self) -> str:
         """What is asked."""
-        return f"a period of {self.target:.10g} s"
+
+    @abstractmethod
+    def value(self, terms: OrbitTerms) -> ca.MX:
+        """Return the quantity in the unknowns of the program."""
+
+    @abstractmethod
+    def measured(self, cycle: Cycle) -> float:
+        """Return the quantity of a simulated cycle."""
 
     def cost(self, terms: OrbitTerms) -> ca.MX:
-        """Require the period; return the squared distance of the gains from their start."""
+        """Require the value; return the squared distance of the gains from their start."""
         terms.program.equal(self.wish, self.value(terms) - self.target)
         return _distance(terms, terms.first)
 
@@ -133,6 +135,22 @@ class WantedPeriod:
         del extents
         return _how_far(numbers, first)
 
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WantedPeriod(_Wanted):
+    """A period.
+
+    Attributes:
+        target: [s].
+    """
+
+    target: float
+
+    @property
+    def wish(self) -> str:
+        """What is asked."""
+        return f"a period of {self.target:.10g} s"
+
     def value(self, terms: OrbitTerms) -> ca.MX:
         """Return the period [s]."""
         return terms.period
@@ -143,7 +161,7 @@ class WantedPeriod:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WantedAmplitude:
+class WantedAmplitude(_Wanted):
     """An amplitude of a state: half its travel from peak to peak.
 
     Attributes:
@@ -159,35 +177,16 @@ class WantedAmplitude:
         """What is asked."""
         return f"an amplitude of {self.target:.10g} of {self.state}"
 
-    def cost(self, terms: OrbitTerms) -> ca.MX:
-        """Require the amplitude; return the squared distance of the gains from their start."""
-        terms.program.equal(self.wish, self.value(terms) - self.target)
-        return _distance(terms, terms.first)
-
-    @property
-    def quantities(self) -> tuple[str, ...]:
-        """Nothing but the free numbers tells how good it is."""
-        return ()
-
-    def score(
-        self,
-        numbers: Mapping[str, float],
-        first: Mapping[str, float],
-        extents: Mapping[str, Extent],
-    ) -> float:
-        """Return half the squared distance of the free numbers."""
-        del extents
-        return _how_far(numbers, first)
-
     def value(self, terms: OrbitTerms) -> ca.MX:
         """Return the amplitude, in the unit of the state."""
         index = terms.state_names.index(self.state)
-        return (_peak(terms, index, 1.0) - _peak(terms, index, -1.0)) / 2
+        return (summit(terms, index, 1.0) - summit(terms, index, -1.0)) / 2
 
     def measured(self, cycle: Cycle) -> float:
         """Return the amplitude of a simulated cycle."""
         index = cycle.state_names.index(self.state)
-        return (_highest(cycle, index, 1.0) + _highest(cycle, index, -1.0)) / 2
+        extent = extent_of(lambda x: float(x[index]), (cycle.flight, *cycle.hops, cycle.locked))
+        return (extent.highest - extent.lowest) / 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -379,93 +378,3 @@ def _how_far(numbers: Mapping[str, float], target: Mapping[str, float]) -> float
 
 def _size_of(value: float) -> float:
     return max(abs(value), 1e-3)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Summit:
-    """Where the guess has its extreme value: an interval of a stretch and a place in it."""
-
-    stretch: Stretch
-    interval: int
-    place: float
-
-
-def _peak(terms: OrbitTerms, index: int, sign: float) -> ca.MX:
-    """Return the largest value of a state (smallest, if ``sign`` is -1) over the orbit.
-
-    Inside an interval it is where the derivative of the collocation polynomial vanishes, and the
-    place is an unknown; at an impact, where the rate may turn round, it is a node.
-    """
-    summit = max(
-        (_summit(stretch, index, sign) for stretch in terms.stretches),
-        key=lambda found: found[0],
-    )[1]
-    n = terms.scheme.n_stages
-    first = summit.interval * n
-    start = summit.stretch.start if first == 0 else summit.stretch.stages[:, first - 1]
-    values = ca.horzcat(start[index], summit.stretch.stages[index, first : first + n])
-    if summit.place in (0.0, 1.0):
-        return values[0, 0] if summit.place == 0.0 else values[0, -1]
-    label = "highest" if sign > 0 else "lowest"
-    name = f"place where {terms.state_names[index]} is {label}"
-    place = terms.program.variable(name, summit.place, lower=-0.5, upper=1.5)
-    points = np.concatenate([[0.0], terms.scheme.nodes])
-    height = ca.mtimes(values, _basis(points, place))
-    slope = ca.jacobian(height, place)
-    size = float(np.max(np.abs([_value(summit.stretch.arc, index, f) for f in (0.0, 0.5, 1.0)])))
-    terms.program.equal(
-        f"{terms.state_names[index]} is {label} there", slope, scale=max(size, 1e-3)
-    )
-    return height
-
-
-def _summit(stretch: Stretch, index: int, sign: float) -> tuple[float, _Summit]:
-    """Return the extreme of the guess over a stretch, and where it is."""
-    fractions = np.linspace(0.0, 1.0, 400 if stretch.arc.duration > 0 else 1)
-    values = [sign * _value(stretch.arc, index, float(fraction)) for fraction in fractions]
-    best = int(np.argmax(values))
-    at = float(fractions[best])
-    interval = int(np.clip(np.searchsorted(stretch.mesh, at) - 1, 0, len(stretch.mesh) - 2))
-    left, right = stretch.mesh[interval], stretch.mesh[interval + 1]
-    place = 0.0 if best == 0 else 1.0 if best == len(values) - 1 else (at - left) / (right - left)
-    return values[best], _Summit(stretch=stretch, interval=interval, place=float(place))
-
-
-def _value(arc: Arc, index: int, fraction: float) -> float:
-    state: Vector = arc.flow_state_at(fraction * arc.duration)
-    return float(state[index])
-
-
-def _basis(points: Vector, place: ca.MX) -> ca.MX:
-    """Return the Lagrange basis of the points at a place, ``(n_points, 1)``."""
-    entries: list[ca.MX] = []
-    for k, point in enumerate(points):
-        entry = ca.MX(1)
-        for j, other in enumerate(points):
-            if j != k:
-                entry *= (place - float(other)) / float(point - other)
-        entries.append(entry)
-    return ca.vertcat(*entries)
-
-
-def _highest(cycle: Cycle, index: int, sign: float) -> float:
-    """Return the largest value of ``sign`` times a state over a simulated cycle."""
-    return max(_highest_of(arc, index, sign) for arc in (cycle.flight, *cycle.hops, cycle.locked))
-
-
-def _highest_of(arc: Arc, index: int, sign: float) -> float:
-    # SciPy's optimizers take longer to import than an amplitude to compute, and few ask for one.
-    from scipy.optimize import minimize_scalar
-
-    grid = np.linspace(0.0, 1.0, 65)
-    values = [sign * _value(arc, index, float(fraction)) for fraction in grid]
-    best = int(np.argmax(values))
-    if best in (0, len(grid) - 1):
-        return values[best]
-
-    def depth(fraction: float) -> float:
-        return -sign * _value(arc, index, fraction)
-
-    around = (float(grid[best - 1]), float(grid[best + 1]))
-    inside = minimize_scalar(depth, bounds=around, method="bounded", options={"xatol": 1e-9})
-    return max(values[best], -float(inside.fun))
