@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import tempfile
 from pathlib import Path
+from typing import Any, cast
 
 from zeno_orbits.errors import InputError
 
@@ -35,6 +37,21 @@ def require_writable(path: Path) -> None:
         raise InputError(f"Argument `output` must be a file, but `{path}` is a folder.")
     if not folder.is_dir() or not os.access(folder, os.W_OK):
         raise InputError(f"Argument `output` must be in a writable folder, but `{path}` is not.")
+
+
+def read_object(path: Path) -> dict[str, Any]:
+    """Return the names and values of a JSON file.
+
+    Raises:
+        ValueError: Why it has none, as a clause about the file.
+    """
+    try:
+        entries = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise ValueError(f"it is no complete JSON ({type(error).__name__})") from error
+    if not isinstance(entries, dict):
+        raise ValueError("it is no object with names")
+    return cast("dict[str, Any]", entries)
 
 
 def write_whole(path: Path, content: str | bytes) -> None:

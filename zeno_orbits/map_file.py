@@ -9,7 +9,7 @@ from typing import Any, cast
 
 from zeno_orbits.attractors import attractor_from_json, attractor_json
 from zeno_orbits.errors import MapFileError
-from zeno_orbits.files import write_whole
+from zeno_orbits.files import read_object, write_whole
 from zeno_orbits.maps import FORMAT, Axis, Boundary, ParameterMap
 
 
@@ -31,12 +31,9 @@ def read_map(path: Path) -> ParameterMap:
         MapFileError: If it is missing, cut short, of a wrong type or of a newer format.
     """
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise MapFileError(path, f"it is no complete JSON ({type(error).__name__})") from error
-    if not isinstance(data, dict):
-        raise MapFileError(path, "it is no object with names")
-    entries = cast("dict[str, Any]", data)
+        entries = read_object(path)
+    except ValueError as error:
+        raise MapFileError(path, str(error)) from error
     if not isinstance(entries.get("format"), int) or not 1 <= entries["format"] <= FORMAT:
         raise MapFileError(path, f"its format is {entries.get('format')}, not one up to {FORMAT}")
     try:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from zeno_orbits.errors import CheckpointError
-from zeno_orbits.files import write_whole
+from zeno_orbits.files import read_object, write_whole
 from zeno_orbits.work.plan import Lost
 
 FORMAT = 1
@@ -127,12 +127,9 @@ def _require_empty(folder: Path) -> None:
 
 def _object(path: Path) -> dict[str, Any]:
     try:
-        entries = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise _broken(path, f"it is no complete JSON ({type(error).__name__})") from error
-    if not isinstance(entries, dict):
-        raise _broken(path, "it is no object with names")
-    return cast("dict[str, Any]", entries)
+        return read_object(path)
+    except ValueError as error:
+        raise _broken(path, str(error)) from error
 
 
 def _broken(path: Path, reason: str) -> CheckpointError:
