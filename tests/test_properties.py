@@ -233,14 +233,18 @@ def _cut_in_an_event(execution: Execution, within: float) -> bool:
     return any(abs(until - event.time) <= within * max(1.0, until) for event in events)
 
 
+WEAK = 1e-3 / math.pi
+"""Of the fastest impact: slower ones may be left to the tail. No power of a round restitution."""
+
+
 def _same_motion(plain: Execution, other: Execution, within: float) -> None:
-    """Hold events and end together; impacts slower than a thousandth may be left to the tail."""
+    """Hold events and end together, but for weak impacts."""
     if _cut_in_an_event(plain, within) or _cut_in_an_event(other, within):
         reject()
     fastest = max((-impact.approach_rate for impact in plain.impacts), default=0.0)
 
     def strong(execution: Execution) -> list[Any]:
-        return [i for i in execution.impacts if -i.approach_rate > 1e-3 * fastest]
+        return [i for i in execution.impacts if -i.approach_rate > WEAK * fastest]
 
     assert len(plain.zeno_points) == len(other.zeno_points)
     assert len(plain.releases) == len(other.releases)
