@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+
 import pytest
+from hypothesis import settings
 
 from zeno_orbits.certificate import OrbitCertificate
 from zeno_orbits.dynamics import HybridDynamics
@@ -10,6 +13,11 @@ from zeno_orbits.orbit import ZenoOrbit
 from zeno_orbits.problem import Problem, load_problem
 from zeno_orbits.search import SearchResult, find_orbit
 from zeno_orbits.verify import problem_dynamics, verify
+
+# The same examples every time, and no clock: a run that fails must fail again, on any machine.
+settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
+settings.register_profile("new examples", database=None, deadline=None)
+settings.load_profile(os.environ.get("ZENO_ORBITS_EXAMPLES", "repeatable"))
 
 
 @pytest.fixture(scope="session")

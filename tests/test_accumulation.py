@@ -230,7 +230,7 @@ def test_no_more_flights_are_made_than_allowed() -> None:
 # Error estimate.
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     passage_time=st.floats(0.01, 1.2),
     fading=st.floats(-8.0, 5.0),
