@@ -13,7 +13,7 @@ from scipy.integrate import DOP853
 
 from tests import closed_forms
 from tests.closed_forms import COCO, FORCED
-from tests.families import BALL
+from tests.families import BALL, CART
 from tests.reference_orbit import (
     FIRST_IMPACT,
     FIRST_RATE,
@@ -710,3 +710,27 @@ def test_a_ball_that_rises_beyond_every_number_ends_in_a_named_error() -> None:
     # h = 4.9 t^2 leaves the doubles at 6e153 s; an infinite state would be a plausible end.
     with pytest.raises(StepSizeError):
         simulate(BALL.at(m=1.0, g=-9.81, c=0.0, e=0.5), (1.0, 0.0), until=1e200)
+
+
+@pytest.mark.parametrize("turn", [-1e-3, -1e-5, -1e-6, -1e-9, -1e-12])
+def test_a_stop_that_lets_go_and_holds_again_within_rounding_holds(turn: float) -> None:
+    # A cart stops dead while its bob passes the wall's height: the gap opens as a t^2/2 - b t^3/6.
+    dynamics = CART.at(M=1.0, m=0.5, l=0.7, g=9.81, wall=-0.2, e=0.0)
+
+    def run(rate: float) -> Execution:
+        return simulate(dynamics, [0.3, 0.0, -2.0, rate], until=1.0)
+
+    found, straight = run(turn), run(0.0)
+    assert found.end_state == pytest.approx(straight.end_state, abs=10 * abs(turn) + 1e-10)
+    after = found.impacts[0].state_plus
+    a = dynamics.gap_acceleration(after)
+    b = dynamics.multiplier_rate(after) / dynamics.normal_inertia(after)
+    assert a > 0.0
+    if len(found.impacts) == 1:
+        # What is left out is below the rounding of a gap of 0.2.
+        assert 2 * a**3 / (3 * b**2) < 4 * 0.2 * 2.0**-52
+    else:
+        # It closes after 3 a/b, at the speed 3 a^2 / (2 b).
+        second = found.impacts[1]
+        assert second.time - found.impacts[0].time == pytest.approx(3 * a / b, rel=1e-2)
+        assert -second.approach_rate == pytest.approx(1.5 * a**2 / b, rel=1e-2)

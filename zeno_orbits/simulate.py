@@ -118,6 +118,9 @@ class _Start:
 _FIRST_LOOK = 25_000
 """Steps before the first look at the pace of an execution; good motions take some 150 a second."""
 
+_ROUNDING = 4 * 2.0**-52
+"""Of the largest coordinate: what the gap may be off by."""
+
 _RISING, _RISE = 4, 1.5
 """Looks in a row between which a speed grows by this factor or more: that is no oscillation."""
 
@@ -208,8 +211,17 @@ class _Run:
         return _Start(mode=Mode.LOCKED if holds > 0.0 else Mode.FREE, time=time, state=x)
 
     def _slack(self, x: Vector) -> bool:
-        """Tell whether the stop neither holds nor repels, to rounding."""
-        return abs(self.dynamics.gap_acceleration(x)) <= self.settings.contact
+        """Tell whether the stop neither holds nor repels, to rounding.
+
+        With ``a = d2h/dt2 > 0`` that falls at the rate ``b`` the gap would open to ``2 a^3 / (3 b^2)``
+        and close again: no flight, where that is lost in the rounding of the gap.
+        """
+        lift = self.dynamics.gap_acceleration(x)
+        if abs(lift) <= self.settings.contact:
+            return True
+        fall = self.dynamics.multiplier_rate(x) / self.dynamics.normal_inertia(x)
+        lost = _ROUNDING * float(np.max(np.abs(x[: self.dynamics.n_q])))
+        return lift > 0.0 and fall > 0.0 and 2.0 * lift**3 <= 3.0 * lost * fall**2
 
     def carry(self, start: _Start) -> _Start | None:
         """Follow the locked flow to the release."""
