@@ -13,10 +13,19 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tests.orbits import changed
 from tests.reference_orbit import ORBIT_KEYS
 from zeno_orbits.certificate import OrbitCertificate
 from zeno_orbits.errors import InputError, OrbitFileError
-from zeno_orbits.orbit import FORMAT, OrbitImpact, ZenoOrbit, read_orbit, write_orbit
+from zeno_orbits.orbit import (
+    FORMAT,
+    ONE_RELEASE,
+    OrbitImpact,
+    ZenoOrbit,
+    one_release_phase,
+    read_orbit,
+    write_orbit,
+)
 from zeno_orbits.problem import Problem
 from zeno_orbits.verify import certified
 
@@ -26,10 +35,14 @@ SMALL = ZenoOrbit(
     parameters={"m": 1.0, "g": 9.81, "restitution": 0.8},
     gains={},
     period=math.pi,
-    release_state=STATE,
-    impacts=(OrbitImpact(time=0.1, state_minus=STATE),),
-    zeno_time=math.nextafter(2.0, 3.0),
-    zeno_state=STATE,
+    phases=(
+        one_release_phase(
+            release_state=STATE,
+            impacts=(OrbitImpact(time=0.1, state_minus=STATE),),
+            zeno_time=math.nextafter(2.0, 3.0),
+            zeno_state=STATE,
+        ),
+    ),
     floquet_multipliers=(complex(0.1, -0.2),),
     certificate={"passed": True, "residuals": {"closure": None}},
     versions={"python": "3"},
@@ -88,7 +101,8 @@ def test_the_file_has_every_entry_of_the_contract(
 ) -> None:
     data = json.loads(json.dumps(certified(orbit, certificate).as_json(), allow_nan=False))
     assert set(data) == ORBIT_KEYS
-    assert data["format"] == FORMAT == 1
+    assert data["format"] == ONE_RELEASE == 1
+    assert data["shape"] == "zeno"
     assert data["problem"] == scene.name
     assert data["gains"] == {"Kp": 2.5, "Kd": -1.0}
     assert list(data["parameters"]) == [quantity.name for quantity in scene.parameters]
@@ -127,7 +141,7 @@ def test_any_finite_numbers_and_names_come_back(
     times: list[float],
     pair: tuple[float, float],
 ) -> None:
-    original = replace(
+    original = changed(
         SMALL,
         period=period,
         zeno_time=zeno_time,
@@ -149,7 +163,7 @@ def test_an_orbit_that_is_not_finite_is_not_written(tmp_path: Path, value: float
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("name", sorted(ORBIT_KEYS - {"certificate", "versions"}))
+@pytest.mark.parametrize("name", sorted(ORBIT_KEYS - {"certificate", "versions", "shape"}))
 def test_a_missing_entry_is_named(tmp_path: Path, name: str) -> None:
     data = SMALL.as_json()
     del data[name]

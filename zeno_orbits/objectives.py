@@ -450,7 +450,7 @@ def _basis(points: Vector, place: ca.MX) -> ca.MX:
 
 def _highest(cycle: Cycle, index: int, sign: float) -> float:
     """Return the largest value of ``sign`` times a state over a simulated cycle."""
-    return max(_highest_of(arc, index, sign) for arc in (cycle.flight, *cycle.hops, cycle.locked))
+    return max(_highest_of(arc, index, sign) for arc in cycle.arcs)
 
 
 def _highest_of(arc: Arc, index: int, sign: float) -> float:
