@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from zeno_orbits.closing import close_cycle
-from zeno_orbits.confirmation import SAME, one_cycle, round_again
-from zeno_orbits.cycle import Cycle, gone_round_twice
+from zeno_orbits.confirmation import one_cycle
+from zeno_orbits.cycle import Cycle, gone_round_twice, round_again
 from zeno_orbits.dynamics import HybridDynamics
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.finds import Find, SearchStatus, Start, listed
@@ -85,7 +85,7 @@ def _brought_nearer(hunt: Hunt, dynamics: HybridDynamics, cycle: Cycle) -> tuple
         ).cycle
     except ZenoOrbitsError:
         return cycle, ""
-    shorter = gone_round_twice(near, near.scale(), SAME)
+    shorter = gone_round_twice(near)
     if shorter is None:
         return near, ""
     if hunt.shape is not None:

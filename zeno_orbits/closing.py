@@ -19,7 +19,7 @@ import numpy as np
 
 from zeno_orbits.compiled import bind
 from zeno_orbits.completion import ZenoExtrapolation
-from zeno_orbits.cycle import Cycle, cycle_of
+from zeno_orbits.cycle import Cycle, cycle_of, round_again
 from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
 from zeno_orbits.engines import Taylor
 from zeno_orbits.errors import InputError, SimulationError, ZenoOrbitsError
@@ -110,6 +110,7 @@ def close_orbit(
     near: ZenoOrbit | None = None,
     simulation: SimulationSettings | None = None,
     on_progress: Callable[[str], None] | None = None,
+    shape: OrbitShape | None = None,
 ) -> Closing:
     """Return the orbit at given gains to which a simulation settles, or one near another orbit.
 
@@ -124,25 +125,29 @@ def close_orbit(
         simulation: Engine and accuracy; by default Taylor's method at full accuracy where heyoka is
             installed and the scene analytic, else the default engine.
         on_progress: Called with the name of each stage as it begins.
+        shape: The orbit's shape; by default that of ``near``, or what the motion settles to.
 
     Raises:
-        InputError: If ``near`` is of another scene, or ``simulation`` asks for what is missing.
+        InputError: If ``near`` is of another scene or shape, or ``simulation`` asks for what is
+            missing.
     """
     if near is not None and near.problem != problem.name:
         message = f"must be of scene `{problem.name}`, but it is of `{near.problem}`"
         raise InputError(f"Argument `near` {message}.")
+    if near is not None:
+        shape = near.shape.agreed(shape)
 
     def tell(stage: str) -> None:
         if on_progress is not None:
             on_progress(stage)
 
     if simulation is not None:
-        return _closed(problem, setting, near, simulation, tell)
+        return _closed(problem, setting, near, shape, simulation, tell)
     try:
-        return _closed(problem, setting, near, SimulationSettings(engine=Taylor()), tell)
+        return _closed(problem, setting, near, shape, SimulationSettings(engine=Taylor()), tell)
     except InputError:
         # No heyoka or no formulas for it; what else is wrong is wrong for every engine.
-        return _closed(problem, setting, near, SimulationSettings(), tell)
+        return _closed(problem, setting, near, shape, SimulationSettings(), tell)
 
 
 def close_cycle(
@@ -318,21 +323,21 @@ def _closed(
     problem: Problem,
     setting: Setting,
     near: ZenoOrbit | None,
+    wanted: OrbitShape | None,
     simulation: SimulationSettings,
     tell: Callable[[str], None],
 ) -> Closing:
     dynamics = bind(compiled_model(problem), setting.values())
-    detail, shape = "", ONE_ZENO if near is None else near.shape
+    detail = ""
     for settled in _NEAR if near is None else (np.inf,):
         try:
             tell("simulating")
             if near is None:
-                cycle = _settled(dynamics, problem, settled, simulation)
-                shape = cycle.shape
+                cycle = _settled(dynamics, problem, settled, wanted, simulation)
             else:
-                x = placed(dynamics, shape, np.array(problem.state_vector(near.start_state)))
+                x = placed(dynamics, near.shape, np.array(problem.state_vector(near.start_state)))
                 cycle = cycle_near(
-                    dynamics, x, period=near.period, settings=simulation, shape=shape
+                    dynamics, x, period=near.period, settings=simulation, shape=near.shape
                 )
             tell("closing the orbit")
             closed = close_cycle(
@@ -342,12 +347,15 @@ def _closed(
                 scale=cycle.scale_at_events(),
                 period=cycle.period,
                 settings=simulation,
-                shape=shape,
+                shape=cycle.shape,
             )
         except _NoGuessError as error:
             return Closing(orbit=None, detail=str(error))
         except SimulationError as error:
             detail = str(error)
+            continue
+        detail = round_again(closed.cycle)
+        if detail:
             continue
         orbit = orbit_of(closed.cycle, problem, setting)
         return Closing(orbit=orbit, miss=closed.miss, returns=closed.returns)
@@ -359,7 +367,11 @@ class _NoGuessError(ZenoOrbitsError):
 
 
 def _settled(
-    dynamics: HybridDynamics, problem: Problem, settled: float, simulation: SimulationSettings
+    dynamics: HybridDynamics,
+    problem: Problem,
+    settled: float,
+    wanted: OrbitShape | None,
+    simulation: SimulationSettings,
 ) -> Cycle:
     starts: Sequence[tuple[float, ...]] = [problem.state_vector(x) for x in problem.starts]
     tolerance = Tolerance(
@@ -373,7 +385,7 @@ def _settled(
         far=RUNAWAY,
     )
     settings = SettlingSettings(settled=settled, simulation=rough)
-    settling = settle(dynamics, starts, settings)
+    settling = settle(dynamics, starts, settings, wanted)
     if settling.cycle is None:
         raise _NoGuessError(f"{settling.reason[0].upper()}{settling.reason[1:]}.")
     return settling.cycle

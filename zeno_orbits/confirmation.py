@@ -12,7 +12,7 @@ import numpy as np
 
 from zeno_orbits.bounds import KEPT, Bound, Extent, excess
 from zeno_orbits.compiled import CompiledSystem, bind
-from zeno_orbits.cycle import Cycle, cycle_of, gone_round_twice
+from zeno_orbits.cycle import Cycle, cycle_of, round_again
 from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.execution import Impact, ZenoPoint
@@ -27,9 +27,6 @@ from zeno_orbits.shape import ONE_ZENO, OrbitShape
 from zeno_orbits.shooting import labels_of, start_block
 from zeno_orbits.signals import extent_of, signal, signal_names
 from zeno_orbits.simulate import SimulationSettings
-
-SAME = 1e-6
-"""Starts of phases nearer than this, relative, make a period several of a shorter one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -171,16 +168,6 @@ def one_cycle(
         return cycle_of(dynamics, start, shape, horizon=horizon, settings=settings)
     except ZenoOrbitsError:
         return None
-
-
-def round_again(cycle: Cycle) -> str:
-    """Return that a cycle is several periods of a shorter shape, if it is, as a sentence."""
-    shorter = gone_round_twice(cycle, cycle.scale(), SAME)
-    if shorter is None:
-        return ""
-    n = cycle.shape.n_phases // shorter.n_phases
-    what = f"The orbit of shape `{cycle.shape.text}` is one of shape `{shorter.text}`"
-    return f"{what}, gone round {n} times."
 
 
 def _start_times(solution: Solution, shape: OrbitShape) -> list[float]:

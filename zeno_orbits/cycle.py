@@ -178,19 +178,28 @@ def cycle_of(
     return Cycle(state_names=dynamics.state_names, phases=trip.phases)
 
 
-def gone_round_twice(cycle: Cycle, scale: Vector, close: float) -> OrbitShape | None:
-    """Return the shape of which a cycle is several periods, if it is.
+_SAME = 1e-6
+"""Starts of phases nearer than this, relative, make a period several of a shorter one."""
 
-    Args:
-        cycle: One period, or several of a shorter one.
-        scale: Size of each state, ``(n_x,)``.
-        close: Distance of starts that counts as none, in units of ``scale``.
-    """
+
+def gone_round_twice(cycle: Cycle) -> OrbitShape | None:
+    """Return the shape of which a cycle that repeats is several periods, if it is."""
+    scale = cycle.scale()
     for shape in cycle.shape.shorter:
         again = cycle.phases[shape.n_phases].start.state
-        if float(np.max(np.abs(again - cycle.start.state) / scale)) <= close:
+        if float(np.max(np.abs(again - cycle.start.state) / scale)) <= _SAME:
             return shape
     return None
+
+
+def round_again(cycle: Cycle) -> str:
+    """Return that a cycle is several periods of a shorter shape, if it is, as a sentence."""
+    shorter = gone_round_twice(cycle)
+    if shorter is None:
+        return ""
+    n = cycle.shape.n_phases // shorter.n_phases
+    what = f"The orbit of shape `{cycle.shape.text}` is one of shape `{shorter.text}`"
+    return f"{what}, gone round {n} times."
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

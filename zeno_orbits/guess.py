@@ -138,7 +138,7 @@ def _period(dynamics: HybridDynamics, found: Recurring, settings: SettlingSettin
         return Settling(
             cycle=cycle_of(
                 dynamics,
-                placed(dynamics, found.shape, found.start),
+                _repaired(dynamics, placed(dynamics, found.shape, found.start), locked=False),
                 found.shape,
                 horizon=2 * found.period,
                 settings=settings.simulation,

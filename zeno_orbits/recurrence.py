@@ -17,8 +17,11 @@ MOST_RETURNS = 8
 MOST_IMPACTS = 12
 """The same of a motion without releases, in impacts."""
 
-_APART = 100.0
-"""Returns that differ by less than this, in units of what counts as settled, may be the same."""
+_APART, _NOISE = 100.0, 1e-7
+"""Returns that differ by less than this, in units of what is still changing, may be the same.
+
+They may be if a motion throws over from one return to the next and settles, by a hundredth each.
+"""
 _ANY = 1.0
 """Change of the start over a period up to which one of a shape that was asked for is a guess."""
 _KEPT = 4 * max(MOST_RETURNS, MOST_IMPACTS)
@@ -97,7 +100,7 @@ class Recurrence:
             if n == 1 or (
                 before is not None
                 and before.change < self.settled
-                and self._apart(n) > _APART * self.settled
+                and self._apart(n) > _APART * max(last.change, before.change, _NOISE)
             ):
                 return last
         for n in range(1, MOST_IMPACTS + 1):

@@ -16,7 +16,7 @@ from zeno_orbits.objectives import NearestGains, Objective, WantedAmplitude, Wan
 from zeno_orbits.orbit import ZenoOrbit
 from zeno_orbits.problem import Problem, Setting
 from zeno_orbits.questions import Question, clipped, require_sense
-from zeno_orbits.shape import OrbitShape, alike
+from zeno_orbits.shape import OrbitShape
 from zeno_orbits.starts import Spread, numbered_start, trials_here, trials_spread
 from zeno_orbits.trials import Accept, Candidate, Judgement, Trial
 
@@ -172,9 +172,8 @@ def search_gains(
     """
     question = Question(free=free, objective=objective, bounds=tuple(bounds), near=near)
     require_sense(problem, question)
-    if near is not None and shape is not None and not alike(near.shape, shape):
-        wanted = f"must be the shape `{near.shape.text}` of the orbit to start from"
-        raise InputError(f"Argument `shape` {wanted}, but it is `{shape.text}`.")
+    if near is not None:
+        shape = near.shape.agreed(shape)
     objective = objective or NearestGains(target={})
     if isinstance(objective, NearestGains):
         # What has no target stays near its start, so the start is where the target can be met.

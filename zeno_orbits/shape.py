@@ -113,6 +113,17 @@ class OrbitShape:
         held = PhaseKind.PLASTIC if restitution == 0.0 else PhaseKind.ZENO
         return OrbitShape(phases=tuple(held if kind.holds else kind for kind in self.phases))
 
+    def agreed(self, wanted: OrbitShape | None) -> OrbitShape:
+        """Return the shape itself, if it is the one that is wanted.
+
+        Raises:
+            InputError: If they differ in more than whether the stop is plastic.
+        """
+        if wanted is None or [k.holds for k in wanted.phases] == [k.holds for k in self.phases]:
+            return self
+        message = f"must be the shape `{self.text}` of the orbit to start from"
+        raise InputError(f"Argument `shape` {message}, but it is `{wanted.text}`.")
+
     def require_one_release(self) -> None:
         """Refuse a shape with several phases, or without a release.
 
@@ -122,11 +133,6 @@ class OrbitShape:
         if not self.has_one_release:
             wanted = "must have one Zeno point and one release a period"
             raise InputError(f"Argument `orbit` {wanted}, but its shape is `{self.text}`.")
-
-
-def alike(one: OrbitShape, other: OrbitShape) -> bool:
-    """Tell whether two shapes differ at most in whether the stop is plastic."""
-    return [kind.holds for kind in one.phases] == [kind.holds for kind in other.phases]
 
 
 ONE_ZENO = OrbitShape(phases=(PhaseKind.ZENO,))
