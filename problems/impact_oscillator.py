@@ -1,6 +1,6 @@
 r"""A mass on a spring, forced by a cosine, that strikes a stop and never comes to rest on it.
 
-``x'' + c x' + x = A cos(omega t)``, ``x <= stop``, without motor and feedback. At the published
+``m x'' + c x' + k x = A cos(omega t)``, ``x <= stop``, without motor and feedback. At the published
 numbers it strikes the stop once a turn of the force, so its orbit has no Zeno point: the section
 is the states just after the impact. Elsewhere it strikes it several times a turn, or once in two.
 """
@@ -25,8 +25,8 @@ def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
     oscillator = HybridLagrangian.from_energies(
         q=distance,
         v=speed,
-        kinetic=speed**2 / 2,
-        potential=(p["stop"] - distance) ** 2 / 2,
+        kinetic=p["m"] * speed**2 / 2,
+        potential=p["k"] * (p["stop"] - distance) ** 2 / 2,
         gap=distance,
         passive_force=-p["c"] * speed,
         applied_force=-p["A"] * clock.cosine,
@@ -42,10 +42,10 @@ PROBLEM = Problem(
     state_names=("distance", "speed", "cosine", "sine"),
     state_units=("m", "m/s", "1", "1"),
     parameters=(
-        Quantity(name="c", unit="1/s", meaning="damping over mass", default=0.1, lower=0.0),
-        Quantity(
-            name="A", unit="m/s^2", meaning="amplitude of force over mass", default=1.0, lower=0.0
-        ),
+        positive("m", 1.0, "kg", "mass"),
+        Quantity(name="c", unit="N s/m", meaning="damping", default=0.1, lower=0.0),
+        Quantity(name="k", unit="N/m", meaning="stiffness of the spring", default=1.0, lower=0.0),
+        Quantity(name="A", unit="N", meaning="amplitude of the force", default=1.0, lower=0.0),
         positive("omega", 1.0, "rad/s", "frequency of the force"),
         Quantity(
             name="stop",
