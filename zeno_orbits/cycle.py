@@ -184,10 +184,9 @@ _SAME = 1e-6
 
 def gone_round_twice(cycle: Cycle) -> OrbitShape | None:
     """Return the shape of which a cycle that repeats is several periods, if it is."""
-    scale = cycle.scale()
     for shape in cycle.shape.shorter:
         again = cycle.phases[shape.n_phases].start.state
-        if float(np.max(np.abs(again - cycle.start.state) / scale)) <= _SAME:
+        if float(np.max(np.abs(again - cycle.start.state) / cycle.scale())) <= _SAME:
             return shape
     return None
 

@@ -37,6 +37,7 @@ class SettlingSettings:
     Attributes:
         horizon: Longest simulated time from one start [s].
         chunk: Longest simulated time between two looks [s]; there is one at every release, too.
+            A motion that does not come back to its release so soon is waited for twice as long.
         settled: Change of the release state over a period that counts as repeating, relative.
         usable: Change up to which the last period still serves as a guess.
         simulation: Accuracy; looser than a verification.
@@ -97,11 +98,11 @@ def settle(
 def _settle_from(
     dynamics: HybridDynamics, state: Vector, settings: SettlingSettings, wanted: OrbitShape | None
 ) -> Settling:
-    elapsed, fastest, at_release = 0.0, 0.0, False
+    elapsed, fastest, at_release, patience = 0.0, 0.0, False, settings.chunk
     recurrence = Recurrence(dynamics=dynamics, settled=settings.settled, wanted=wanted)
     while elapsed < settings.horizon:
         try:
-            run = _to_next_look(dynamics, state, settings, at_release=at_release)
+            run = _to_next_look(dynamics, state, settings, patience, at_release=at_release)
         except RunawayError as error:
             return Settling(cycle=None, reason=error.reason)
         except SimulationError as error:
@@ -110,6 +111,9 @@ def _settle_from(
         found = cycles(run, start=state if at_release else None)
         recurrence.see(run, found, since=elapsed)
         elapsed += run.end_time
+        if at_release and not run.releases:
+            # Whoever comes back later than this is waited for the next time.
+            patience *= 2
         speeds = [-cycle.impacts[0].approach_rate for cycle in found]
         fastest = max(fastest, *speeds, 0.0)
         settled = recurrence.settled_to()
@@ -149,13 +153,18 @@ def _period(dynamics: HybridDynamics, found: Recurring, settings: SettlingSettin
 
 
 def _to_next_look(
-    dynamics: HybridDynamics, state: Vector, settings: SettlingSettings, *, at_release: bool
+    dynamics: HybridDynamics,
+    state: Vector,
+    settings: SettlingSettings,
+    patience: float,
+    *,
+    at_release: bool,
 ) -> Execution:
     """Return the execution to the next release, or over a chunk without any."""
-    until, simulation = settings.chunk, settings.simulation
+    simulation = settings.simulation
     if at_release:
-        return to_next_release(dynamics, state, horizon=until, settings=simulation)
-    return simulate(dynamics, state, until=until, releases=1, settings=simulation)
+        return to_next_release(dynamics, state, horizon=patience, settings=simulation)
+    return simulate(dynamics, state, until=settings.chunk, releases=1, settings=simulation)
 
 
 def _repaired(dynamics: HybridDynamics, state: Vector, *, locked: bool) -> Vector:

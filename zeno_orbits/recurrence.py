@@ -123,7 +123,11 @@ class Recurrence:
             return f"the motion settles to an orbit of shape `{settled.shape.text}`"
         if self.wanted is not None:
             return f"no period of shape `{self.wanted.text}` comes near to repeating"
-        what = "its periods differ" if self._returns else "no release is followed by a Zeno point"
+        what = "no release is followed by a Zeno point"
+        if self._returns:
+            what = "its periods differ"
+        elif self._struck:
+            what = f"{what}, and its impacts do not repeat,"
         return f"{what} after {horizon:g} s"
 
     def _candidates(self) -> list[Recurring]:

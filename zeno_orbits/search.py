@@ -254,7 +254,8 @@ def _same(hunt: Hunt, one: Candidate, other: Candidate) -> bool:
     a, b = one.orbit.setting(hunt.problem), other.orbit.setting(hunt.problem)
     pairs = [(a.number(name), b.number(name)) for name in hunt.free]
     pairs.append((one.orbit.period, other.orbit.period))
-    return all(abs(p - q) <= _SAME * max(abs(p), abs(q)) for p, q in pairs)
+    alike = one.orbit.shape == other.orbit.shape
+    return alike and all(abs(p - q) <= _SAME * max(abs(p), abs(q)) for p, q in pairs)
 
 
 def _enough_failures(hunt: Hunt) -> int:
