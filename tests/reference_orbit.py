@@ -18,6 +18,7 @@ ORBIT_KEYS = {
     "problem",
     "parameters",
     "gains",
+    "shape",
     "period",
     "release_state",
     "impacts",

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.closed_forms import FORCED
+from tests.orbits import changed
 from tests.reference_orbit import PERIOD, PERIODS, RELEASE, ZENO_STATE, ZENO_TIME
 from tests.scenes import clocked_oscillator
 from zeno_orbits import closing
@@ -135,7 +136,7 @@ def test_a_repelling_orbit_is_closed_from_near_it() -> None:
     known = close_orbit(attracting, attracting.setting(), simulation=SETTINGS).unwrap()
     off = {**known.release_state}
     off = {**off, "y": 1.003 * off["y"], "dy": 1.003 * off["dy"]}
-    near = replace(known, release_state=off)
+    near = changed(known, release_state=off)
     closed = close_orbit(problem, problem.setting(), near=near, simulation=SETTINGS).unwrap()
     assert closed.period == pytest.approx(2 * math.pi, abs=1e-9)
     release = closed.release_state
@@ -149,7 +150,7 @@ def test_an_orbit_that_is_left_later_is_certified_by_its_first_period() -> None:
     known = close_orbit(attracting, attracting.setting(), simulation=SETTINGS).unwrap()
     # Outside by 1e-11, the clock is off by exp(pi) more after every turn, and soon runs away.
     off = {name: known.release_state[name] * (1 + 1e-11) for name in ("y", "dy")}
-    orbit = replace(known, release_state={**known.release_state, **off})
+    orbit = changed(known, release_state={**known.release_state, **off})
     machine = bind(compiled_model(problem), orbit.setting(problem).values())
     with pytest.raises(SimulationError):
         simulate(machine, list(orbit.release_state.values()), until=12 * orbit.period)
@@ -203,7 +204,7 @@ def _behind_the_fold(scene: Problem) -> ZenoOrbit:
         if ahead[-1] > 0.0 and z[-1] > -1.6:
             break
     names = scene.state_names
-    near = replace(
+    near = changed(
         start,
         release_state=dict(zip(names, z[:-1].tolist(), strict=True)),
         period=period,

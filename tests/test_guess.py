@@ -134,3 +134,10 @@ def test_a_long_loose_simulation_does_not_drift_off_what_a_start_has_to_keep(
     dynamics = bind(compiled_model(problem), problem.setting(parameters=numbers).values())
     settling = settle(dynamics, [problem.state_vector(start) for start in problem.starts])
     assert (settling.cycle is not None) == (what == "clock")
+
+
+def test_a_motion_that_comes_back_after_more_than_a_chunk_is_found() -> None:
+    # The period is 2 pi; every look but those from a release is shorter by far.
+    settling = settle(forced_oscillator(FORCED, 0.5), [LOCKED], replace(SHORT, chunk=1.0))
+    assert settling.cycle is not None
+    assert settling.cycle.period == pytest.approx(2 * math.pi, abs=1e-8)

@@ -13,11 +13,22 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tests.orbits import changed
 from tests.reference_orbit import ORBIT_KEYS
 from zeno_orbits.certificate import OrbitCertificate
 from zeno_orbits.errors import InputError, OrbitFileError
-from zeno_orbits.orbit import FORMAT, OrbitImpact, ZenoOrbit, read_orbit, write_orbit
+from zeno_orbits.orbit import (
+    FORMAT,
+    ONE_RELEASE,
+    OrbitImpact,
+    OrbitPhase,
+    ZenoOrbit,
+    one_release_phase,
+    read_orbit,
+    write_orbit,
+)
 from zeno_orbits.problem import Problem
+from zeno_orbits.shape import PhaseKind
 from zeno_orbits.verify import certified
 
 STATE = {"height": 0.1, "speed": -1 / 3}
@@ -26,10 +37,14 @@ SMALL = ZenoOrbit(
     parameters={"m": 1.0, "g": 9.81, "restitution": 0.8},
     gains={},
     period=math.pi,
-    release_state=STATE,
-    impacts=(OrbitImpact(time=0.1, state_minus=STATE),),
-    zeno_time=math.nextafter(2.0, 3.0),
-    zeno_state=STATE,
+    phases=(
+        one_release_phase(
+            release_state=STATE,
+            impacts=(OrbitImpact(time=0.1, state_minus=STATE),),
+            zeno_time=math.nextafter(2.0, 3.0),
+            zeno_state=STATE,
+        ),
+    ),
     floquet_multipliers=(complex(0.1, -0.2),),
     certificate={"passed": True, "residuals": {"closure": None}},
     versions={"python": "3"},
@@ -88,7 +103,8 @@ def test_the_file_has_every_entry_of_the_contract(
 ) -> None:
     data = json.loads(json.dumps(certified(orbit, certificate).as_json(), allow_nan=False))
     assert set(data) == ORBIT_KEYS
-    assert data["format"] == FORMAT == 1
+    assert data["format"] == ONE_RELEASE == 1
+    assert data["shape"] == "zeno"
     assert data["problem"] == scene.name
     assert data["gains"] == {"Kp": 2.5, "Kd": -1.0}
     assert list(data["parameters"]) == [quantity.name for quantity in scene.parameters]
@@ -127,7 +143,7 @@ def test_any_finite_numbers_and_names_come_back(
     times: list[float],
     pair: tuple[float, float],
 ) -> None:
-    original = replace(
+    original = changed(
         SMALL,
         period=period,
         zeno_time=zeno_time,
@@ -149,7 +165,7 @@ def test_an_orbit_that_is_not_finite_is_not_written(tmp_path: Path, value: float
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("name", sorted(ORBIT_KEYS - {"certificate", "versions"}))
+@pytest.mark.parametrize("name", sorted(ORBIT_KEYS - {"certificate", "versions", "shape"}))
 def test_a_missing_entry_is_named(tmp_path: Path, name: str) -> None:
     data = SMALL.as_json()
     del data[name]
@@ -260,3 +276,123 @@ def test_deep_nesting_is_refused(tmp_path: Path) -> None:
 def test_what_is_no_file_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(OrbitFileError, match="it cannot be read"):
         read_orbit(tmp_path / name)
+
+
+# Files of other shapes.
+
+BOUNCE = OrbitImpact(time=0.5, state_minus=STATE)
+OTHER = replace(
+    SMALL,
+    phases=(
+        OrbitPhase(
+            kind=PhaseKind.ZENO,
+            start_time=0.0,
+            start_state=STATE,
+            impacts=(BOUNCE,),
+            zeno_time=0.75,
+            zeno_state=STATE,
+        ),
+        OrbitPhase(
+            kind=PhaseKind.ZENO,
+            start_time=1.0,
+            start_state=STATE,
+            impacts=(replace(BOUNCE, time=2.0),),
+            zeno_time=2.5,
+            zeno_state=STATE,
+        ),
+    ),
+)
+"""No real orbit either: two phases."""
+
+
+@given(
+    times=st.lists(POSITIVE, min_size=1, max_size=4, unique=True),
+    kind=st.sampled_from([PhaseKind.IMPACT, PhaseKind.ZENO]),
+    state=NAMED,
+)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_phases_of_any_finite_numbers_come_back(
+    tmp_path: Path, times: list[float], kind: PhaseKind, state: dict[str, float]
+) -> None:
+    phases = tuple(
+        OrbitPhase(
+            kind=kind,
+            start_time=time if k else 0.0,
+            start_state=state,
+            impacts=(OrbitImpact(time=time, state_minus=state),),
+            zeno_time=time if kind.holds else None,
+            zeno_state=state if kind.holds else None,
+        )
+        for k, time in enumerate(times)
+    )
+    original = replace(SMALL, phases=phases)
+    assert _round_trip(original, tmp_path) == original
+
+
+def test_a_file_without_a_shape_is_read_as_older_versions_wrote_it(tmp_path: Path) -> None:
+    data = SMALL.as_json()
+    del data["shape"]
+    path = tmp_path / "orbit.json"
+    path.write_text(json.dumps(data), encoding="utf-8")
+    assert read_orbit(path) == SMALL
+    # A single impact at the Zeno time itself was a plastic one.
+    data["zeno_time"] = data["impacts"][0]["time"]
+    path.write_text(json.dumps(data), encoding="utf-8")
+    assert read_orbit(path).shape.text == "plastic"
+
+
+def test_an_older_reader_refuses_another_shape_by_its_format() -> None:
+    assert OTHER.as_json()["format"] == FORMAT == 2 > ONE_RELEASE
+    assert OTHER.shape.text == "zeno*2"
+
+
+def _spoilt(*path: str | int, to: Any) -> str:
+    data = OTHER.as_json()
+    here: Any = data
+    for step in path[:-1]:
+        here = here[step]
+    if to is None:
+        del here[path[-1]]
+    else:
+        here[path[-1]] = to
+    return json.dumps(data)
+
+
+@pytest.mark.parametrize(
+    ("path", "to", "words"),
+    [
+        (("shape",), "zeno", "its `shape` is `zeno`, but its phases are `zeno*2`"),
+        (("shape",), "zeno*3", "its `shape` is `zeno*3`, but its phases are `zeno*2`"),
+        (("shape",), 2, "`shape` is not a text"),
+        (("shape",), None, "it has no `shape`"),
+        (("phases",), [], "`phases` is empty"),
+        (("phases",), {}, "`phases` is not a list"),
+        (("phases",), None, "it has no `phases`"),
+        (("phases", 0), 1, "`phases[0]` is not an object"),
+        (("phases", 1, "kind"), "zenon", "`phases[1].kind` is none of zeno, plastic, impact"),
+        (("phases", 1, "kind"), "impact", "is `impact`, and yet there is a Zeno point"),
+        (("phases", 1, "kind"), "plastic", "its phases are no shape: "),
+        (("phases", 1, "zeno_time"), None, "it has no `zeno_time`"),
+        (("phases", 1, "zeno_time"), -1.0, "`phases[1].zeno_time` is not positive"),
+        (("phases", 1, "zeno_state"), None, "it has no `zeno_state`"),
+        (("phases", 1, "start_time"), 0.0, "`phases[1].start_time` is not later than 0"),
+        (("phases", 0, "start_time"), 0.5, "`phases[0].start_time` is not 0"),
+        (("phases", 1, "start_time"), math.nan, "`phases[1].start_time` is not finite"),
+        (("phases", 1, "start_state"), None, "it has no `start_state`"),
+        (("phases", 1, "impacts", 0, "time"), "x", "`phases[1].impacts[0].time` is not a number"),
+        (("format",), 1, "it has no `release_state`"),
+        (("format",), 3, "its format 3 is newer than 2"),
+    ],
+)
+def test_a_file_of_several_phases_that_contradicts_itself_is_refused(
+    tmp_path: Path, path: tuple[str | int, ...], to: Any, words: str
+) -> None:
+    assert words in _refusal(tmp_path, _spoilt(*path, to=to))
+
+
+def test_a_file_of_one_release_has_format_1_and_no_other(tmp_path: Path) -> None:
+    data = OTHER.as_json() | {"shape": "zeno"}
+    data["phases"] = data["phases"][:1]
+    assert "a shape `zeno` has format 1, but it has 2" in _refusal(tmp_path, json.dumps(data))
+    said = SMALL.as_json() | {"shape": "zeno*2"}
+    assert "its `shape` is `zeno*2`" in _refusal(tmp_path, json.dumps(said))

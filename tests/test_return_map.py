@@ -10,7 +10,7 @@ from tests.reference_orbit import MULTIPLIER
 from zeno_orbits.closing import close_orbit
 from zeno_orbits.compiled import bind
 from zeno_orbits.confirmation import one_cycle
-from zeno_orbits.cycle import closure_of
+from zeno_orbits.cycle import closures_of
 from zeno_orbits.dynamics import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.models import compiled_model
@@ -40,7 +40,7 @@ def _terms(problem: Problem, **numbers: float) -> tuple[OrbitTerms, Vector]:
         setting,
         dynamics=dynamics,
         cycle=cycle,
-        closure=closure_of(cycle, dynamics, 1e-11),
+        closures=closures_of(cycle, dynamics, 1e-11),
         free={},
         first={},
         settings=TranscriptionSettings(),

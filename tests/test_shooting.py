@@ -12,7 +12,7 @@ from tests.closed_forms import FORCED
 from tests.reference_orbit import PERIOD, RELEASE, ZENO_TIME
 from tests.scenes import clocked_oscillator
 from zeno_orbits.compiled import bind, compile_problem
-from zeno_orbits.cycle import Cycle, closure_of, cycles
+from zeno_orbits.cycle import Cycle, closures_of, cycles
 from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.nlp import Hessian, IpoptSettings, SolveStatus, solve
 from zeno_orbits.problem import Problem, Setting
@@ -50,7 +50,7 @@ def _program(
         setting,
         dynamics=dynamics,
         cycle=cycle,
-        closure=closure_of(cycle, dynamics, settings.closure_tolerance),
+        closures=closures_of(cycle, dynamics, settings.closure_tolerance),
         free=free or {},
         first={name: setting.number(name) for name in free or {}},
         settings=settings,

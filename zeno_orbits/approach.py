@@ -8,8 +8,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from zeno_orbits.closing import close_cycle
 from zeno_orbits.confirmation import one_cycle
-from zeno_orbits.cycle import Cycle
+from zeno_orbits.cycle import Cycle, gone_round_twice, round_again
+from zeno_orbits.dynamics import HybridDynamics
+from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.finds import Find, SearchStatus, Start, listed
 from zeno_orbits.guess import settle
 from zeno_orbits.homotopy import Path, follow
@@ -22,6 +25,7 @@ from zeno_orbits.objectives import (
     WantedPeriod,
 )
 from zeno_orbits.problem import Setting
+from zeno_orbits.simulate import SimulationSettings
 from zeno_orbits.walk import walk
 
 _AT_BOUND = 0.02
@@ -35,8 +39,8 @@ def from_start(hunt: Hunt, start: Start) -> Find:
     """Search from one start: a pure function of its arguments, whatever has been tried before."""
     setting = start.setting
     if start.known is not None:
-        known, release = start.known
-        path = follow(hunt, known, release, setting)
+        known = start.known
+        path = follow(hunt, known.setting, known.start, setting, known.shape)
         return _along(hunt, start, path, "the known orbit")
     cycle, reason = simulated(hunt, setting)
     if cycle is not None:
@@ -54,12 +58,39 @@ def simulated(hunt: Hunt, setting: Setting) -> tuple[Cycle | None, str]:
     """Return a period to which the scene settles, or why there is none."""
     dynamics = hunt.dynamics(setting)
     starts = [hunt.problem.state_vector(start) for start in hunt.problem.starts]
-    settling = settle(dynamics, starts, hunt.settings.settling)
-    if settling.cycle is None:
+    settling = settle(dynamics, starts, hunt.settings.settling, hunt.shape)
+    cycle = settling.cycle
+    if cycle is None:
         return None, settling.reason
+    if hunt.shape is not None or not cycle.shape.has_one_release:
+        return _brought_nearer(hunt, dynamics, cycle)
     # The noise of the loose settling would be meshed; one period costs little.
-    release = settling.cycle.start.state
-    return one_cycle(dynamics, release, 2 * settling.cycle.period) or settling.cycle, ""
+    return one_cycle(dynamics, cycle.start.state, 2 * cycle.period, cycle.shape) or cycle, ""
+
+
+def _brought_nearer(hunt: Hunt, dynamics: HybridDynamics, cycle: Cycle) -> tuple[Cycle | None, str]:
+    """Return the orbit near a period by simulation, if it closes: it may be a poor guess.
+
+    A motion that settles slowly, throwing over from one period to the next, looks as if it repeated
+    after two.
+    """
+    try:
+        near = close_cycle(
+            dynamics,
+            cycle.start.state,
+            scale=cycle.scale_at_events(),
+            period=cycle.period,
+            settings=SimulationSettings(),
+            shape=cycle.shape,
+        ).cycle
+    except ZenoOrbitsError:
+        return cycle, ""
+    shorter = gone_round_twice(near)
+    if shorter is None:
+        return near, ""
+    if hunt.shape is not None:
+        return None, round_again(near).removesuffix(".")
+    return one_cycle(dynamics, near.start.state, near.period, shorter) or near, ""
 
 
 def _by_an_easier_way(hunt: Hunt, start: Start, find: Find) -> Find:
@@ -71,7 +102,7 @@ def _by_an_easier_way(hunt: Hunt, start: Start, find: Find) -> Find:
         cycle, _ = simulated(hunt, easy)
         if cycle is None:
             continue
-        path = follow(hunt, easy, cycle.start.state, start.setting)
+        path = follow(hunt, easy, cycle.start.state, start.setting, cycle.shape)
         if path.cycle is None:
             continue
         reached = _along(hunt, start, path, listed(_differing(easy, start.setting)))

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from zeno_orbits.bounds import Bound
     from zeno_orbits.objectives import Objective
     from zeno_orbits.problem import Problem
+    from zeno_orbits.shape import OrbitShape
 
 
 def read_numbers(entries: Sequence[str], option: str) -> dict[str, float]:
@@ -37,6 +38,13 @@ def read_boxes(entries: Sequence[str], option: str = "gain") -> dict[str, tuple[
             raise InputError(f"Argument `{option}` must name `{name}` once, but it does so twice.")
         boxes[name] = box
     return boxes
+
+
+def read_shape(text: str | None) -> OrbitShape | None:
+    """Return the shape that a text such as ``zeno*2`` names, if there is one."""
+    from zeno_orbits.shape import OrbitShape
+
+    return None if text is None else OrbitShape.parsed(text)
 
 
 def read_bounds(entries: Sequence[str]) -> tuple[Bound, ...]:

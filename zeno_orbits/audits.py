@@ -18,8 +18,14 @@ from zeno_orbits.hybrid import audited
 from zeno_orbits.models import compiled_model, reference_model
 from zeno_orbits.observation import Claim, FirstCycle, distance
 from zeno_orbits.orbit import ZenoOrbit
+from zeno_orbits.phases import Phase
 from zeno_orbits.problem import Problem
+from zeno_orbits.returns import placed
+from zeno_orbits.shape import PhaseKind
 from zeno_orbits.simulate import SimulationSettings, simulate
+
+_LATER = 1.001
+"""Part of a period that an integration may take longer, by its error."""
 
 
 def delta_sweep(
@@ -39,18 +45,33 @@ def delta_sweep(
         simulation: Accuracy.
 
     Returns:
-        One entry a threshold; none for a plastic stop, whose first impact is its last.
+        One entry a threshold, of the accumulation that its last cut tells worst; none where impacts
+        do not accumulate.
     """
-    if dynamics.restitution == 0.0:
-        return ()
-    when = (cycle.zeno.time + cycle.end.time) / 2
+    sweeps = [
+        _sweep_of(dynamics, cycle, phase, cuts, simulation)
+        for phase in cycle.phases
+        if phase.kind is PhaseKind.ZENO
+    ]
+    return max(sweeps, key=lambda sweep: sweep[-1].error, default=())
+
+
+def _sweep_of(
+    dynamics: HybridDynamics,
+    cycle: FirstCycle,
+    phase: Phase,
+    cuts: Sequence[float],
+    simulation: SimulationSettings,
+) -> tuple[DeltaCut, ...]:
+    zeno = phase.end.time if phase.zeno is None else phase.zeno.time
+    when = (zeno + phase.end.time) / 2
     truth = cycle.execution.state_at(when)
-    fastest = abs(cycle.impacts[0].approach_rate)
+    fastest = abs(phase.impacts[0].approach_rate)
     found: list[DeltaCut] = []
     for share in cuts:
         delta = share * fastest
         rule = replace(simulation, completion=Truncation(delta=delta))
-        before = _last_common_impact(cycle, delta)
+        before = _last_common_impact(phase, delta)
         start = dynamics.on_stop(before.state_minus)
         start = start + before.approach_rate * dynamics.impulse_direction(start)
         try:
@@ -63,10 +84,10 @@ def delta_sweep(
     return tuple(found)
 
 
-def _last_common_impact(cycle: FirstCycle, delta: float) -> Impact:
+def _last_common_impact(phase: Phase, delta: float) -> Impact:
     """Return the last impact up to which a cut and the completed motion are the same."""
-    slow = (impact for impact in cycle.impacts if abs(impact.approach_rate) < delta)
-    return next(slow, cycle.impacts[-1])
+    slow = (impact for impact in phase.impacts if abs(impact.approach_rate) < delta)
+    return next(slow, phase.impacts[-1])
 
 
 def cut_order(sweep: tuple[DeltaCut, ...]) -> float:
@@ -91,8 +112,11 @@ def energies_of(
     if isinstance(simulation.completion, ZenoPassage):
         # Each impact loses its part; only a short tail loses what the last speed says.
         simulation = replace(simulation, completion=simulation.completion.one_by_one)
-    start = np.concatenate([claim.release, np.zeros(3)])
-    run = simulate(dynamics, dynamics.on_stop(start), until=cycle.end.time, settings=simulation)
+    start = placed(dynamics, claim.shape, np.concatenate([claim.start, np.zeros(3)]))
+    last = None if claim.shape.starts_at_release else len(cycle.impacts)
+    # Where an impact ends the period, it is counted: the time of the end may come before it.
+    until = cycle.end.time if last is None else _LATER * cycle.end.time
+    run = simulate(dynamics, start, until=until, impacts=last, settings=simulation)
     impact_loss = 0.0
     for impact in run.impacts:
         inertia = dynamics.normal_inertia(impact.state_minus)
@@ -101,7 +125,7 @@ def energies_of(
     for zeno in run.zeno_points:
         # The tail loses the whole normal kinetic energy that is left.
         impact_loss += dynamics.normal_inertia(zeno.state) * zeno.last_speed**2 / 2
-    end = run.end_state
+    end = run.end_state if last is None else run.impacts[-1].state_plus
     return {
         "input_work": float(end[-3]),
         "copper_loss": float(end[-2]),

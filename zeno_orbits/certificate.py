@@ -1,4 +1,4 @@
-"""The certificate of a Zeno periodic orbit: residuals, margins, stability, and a verdict."""
+"""The certificate of a periodic orbit: residuals, margins, stability, and a verdict."""
 
 from __future__ import annotations
 
@@ -7,19 +7,23 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from zeno_orbits.shape import ONE_ZENO, OrbitShape
+
 RESIDUALS: Mapping[str, str] = {
     "release": "gap, gap rate and multiplier are zero at the release",
+    "start": "the period starts just after an impact",
     "first_impact": "the first impact comes when and where the orbit says",
     "impact_sequence": "so do the impacts after it",
     "restitution": "every impact turns the gap rate round by -e",
     "impact_energy": "every impact loses (1 - e^2)/2 m w^2",
     "zeno_point": "the impacts accumulate when and where the orbit says",
+    "phases": "the other phases start when and where the orbit says",
     "delta_sweep": "cutting the sequence at ever slower impacts tends to the same motion",
     "penetration": "the gap is never negative in flight",
     "adhesion": "the multiplier is never negative on the stop",
-    "closure": "the first return is the release",
-    "period": "it comes after the period that the orbit says",
-    "drift": "so do the later returns",
+    "closure": "the period ends where it starts",
+    "period": "it ends after the time that the orbit says",
+    "drift": "the later periods end there, too",
     "energy_balance": "work in = energy gained + copper, friction and impact losses",
     "holonomic": "the holonomic constraints hold",
     "second_model": "a second derivation of the model gives the same flows and resets",
@@ -28,8 +32,10 @@ RESIDUALS: Mapping[str, str] = {
 """Name to what is true where it is zero, in causal order: the first to fail explains the rest."""
 
 
-_MISSES = ("release", "first_impact", "impact_sequence", "zeno_point", "closure", "period")
-"""Residuals that compare the orbit's numbers with an integration's."""
+_MISSES = ("first_impact", "impact_sequence", "closure", "period")
+"""Residuals that compare the orbit's numbers with an integration's, for every shape."""
+_MISSES_IF_ANY = ("release", "start", "zeno_point", "phases")
+"""The same, for the shapes that have them; one of the first two there must be."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +63,9 @@ class OrbitCertificate:
             where the integration never came so far.
         margins: Name to the distance from losing the orbit: ``gap_acceleration`` (minus d2h/dt2 at
             the Zeno point), ``first_impact_speed``, ``release_transversality`` (minus the rate of
-            the multiplier at the release), ``locked_time``.
+            the multiplier at the release), ``locked_time``, each the least over the phases that
+            have it; ``lets_go`` (d2h/dt2 after a plastic impact that does not hold);
+            ``phases_apart`` (how far the period is from several of a shorter one, relative).
         energies: Name to energy over one period [J]: ``input_work``, ``copper_loss``,
             ``other_loss``, ``impact_loss``, ``energy_gain``.
         multipliers: Floquet multipliers; empty if they could not be had (their error is infinite
@@ -71,6 +79,7 @@ class OrbitCertificate:
         n_periods: Periods that were integrated.
         model: Which derivation was integrated.
         trouble: Why the integration stopped early; empty if it did not.
+        shape: What the orbit says of its phases, as text.
         asked: Bounds that a search was asked to keep, with what a simulation measured.
     """
 
@@ -88,6 +97,7 @@ class OrbitCertificate:
     n_periods: int
     model: str
     trouble: str = ""
+    shape: str = ONE_ZENO.text
     asked: tuple[Mapping[str, Any], ...] = ()
 
     @property
@@ -130,11 +140,17 @@ class OrbitCertificate:
 
     @property
     def _kind(self) -> str:
+        what = "Zeno periodic orbit"
+        shape = OrbitShape.parsed(self.shape)
+        if not shape.starts_at_release:
+            what = "periodic orbit without a Zeno point"
+        if not shape.has_one_release:
+            what = f"{what} (shape {shape.text})"
         if self.stable:
-            return "a stable Zeno periodic orbit"
+            return f"a stable {what}"
         if self.unstable:
-            return "an unstable Zeno periodic orbit"
-        return "a Zeno periodic orbit of unknown stability"
+            return f"an unstable {what}"
+        return f"a {what} of unknown stability"
 
     @property
     def orbit_error(self) -> float:
@@ -144,6 +160,8 @@ class OrbitCertificate:
         infinite where the return or the multipliers could not be had.
         """
         misses = [self.residuals.get(name, math.inf) for name in _MISSES]
+        known = [self.residuals[name] for name in _MISSES_IF_ANY if name in self.residuals]
+        misses += known or [math.inf]
         if not all(map(math.isfinite, (*misses, self.integration_error, self.multiplier_error))):
             return math.inf
         # The Zeno point and the period miss by themselves, however strongly the orbit attracts.
@@ -190,6 +208,7 @@ class OrbitCertificate:
             "zeno_error": _number(self.zeno_error),
             "period": _number(self.period),
             "n_periods": self.n_periods,
+            "shape": self.shape,
             "model": self.model,
             "trouble": self.trouble,
             "asked": [dict(one) for one in self.asked],

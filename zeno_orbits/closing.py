@@ -1,6 +1,6 @@
 r"""Orbits closed by simulation: Newton's method on the return map, at given gains.
 
-On the release section the orbit is the root of :math:`P(y) - y` (theory (18)). The slope of
+On its section the orbit is the root of :math:`P(y) - y` (theory (18), (45)). The slope of
 :math:`P` is taken from the returns themselves, a rank-one correction each [Broyden1965]_: a return
 costs a few times less than an exact slope. Where that does not converge, as on an orbit that
 repels, the exact slope is taken (theory (27)).
@@ -19,16 +19,19 @@ import numpy as np
 
 from zeno_orbits.compiled import bind
 from zeno_orbits.completion import ZenoExtrapolation
-from zeno_orbits.cycle import Cycle, cycles
+from zeno_orbits.cycle import Cycle, cycle_of, round_again
 from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
 from zeno_orbits.engines import Taylor
 from zeno_orbits.errors import InputError, SimulationError, ZenoOrbitsError
 from zeno_orbits.guess import RUNAWAY, SettlingSettings, settle
 from zeno_orbits.models import compiled_model
-from zeno_orbits.orbit import OrbitImpact, ZenoOrbit, versions
-from zeno_orbits.poincare import ReleaseSection, release_section, return_slope
+from zeno_orbits.orbit import OrbitImpact, OrbitPhase, ZenoOrbit, versions
+from zeno_orbits.phases import Phase, follow_each_other, kinds_of, phases_of
+from zeno_orbits.poincare import ReleaseSection, return_slope, section_around
 from zeno_orbits.problem import Problem, Setting
-from zeno_orbits.returns import to_next_release
+from zeno_orbits.returns import placed
+from zeno_orbits.sections import rows_of
+from zeno_orbits.shape import ONE_ZENO, OrbitShape
 from zeno_orbits.simulate import SimulationSettings, simulate
 
 _REPEATS = 1e-12
@@ -107,6 +110,7 @@ def close_orbit(
     near: ZenoOrbit | None = None,
     simulation: SimulationSettings | None = None,
     on_progress: Callable[[str], None] | None = None,
+    shape: OrbitShape | None = None,
 ) -> Closing:
     """Return the orbit at given gains to which a simulation settles, or one near another orbit.
 
@@ -121,25 +125,29 @@ def close_orbit(
         simulation: Engine and accuracy; by default Taylor's method at full accuracy where heyoka is
             installed and the scene analytic, else the default engine.
         on_progress: Called with the name of each stage as it begins.
+        shape: The orbit's shape; by default that of ``near``, or what the motion settles to.
 
     Raises:
-        InputError: If ``near`` is of another scene, or ``simulation`` asks for what is missing.
+        InputError: If ``near`` is of another scene or shape, or ``simulation`` asks for what is
+            missing.
     """
     if near is not None and near.problem != problem.name:
         message = f"must be of scene `{problem.name}`, but it is of `{near.problem}`"
         raise InputError(f"Argument `near` {message}.")
+    if near is not None:
+        shape = near.shape.agreed(shape)
 
     def tell(stage: str) -> None:
         if on_progress is not None:
             on_progress(stage)
 
     if simulation is not None:
-        return _closed(problem, setting, near, simulation, tell)
+        return _closed(problem, setting, near, shape, simulation, tell)
     try:
-        return _closed(problem, setting, near, SimulationSettings(engine=Taylor()), tell)
+        return _closed(problem, setting, near, shape, SimulationSettings(engine=Taylor()), tell)
     except InputError:
         # No heyoka or no formulas for it; what else is wrong is wrong for every engine.
-        return _closed(problem, setting, near, SimulationSettings(), tell)
+        return _closed(problem, setting, near, shape, SimulationSettings(), tell)
 
 
 def close_cycle(
@@ -150,8 +158,9 @@ def close_cycle(
     period: float,
     settings: SimulationSettings,
     slope: Vector | None = None,
+    shape: OrbitShape = ONE_ZENO,
 ) -> ClosedCycle:
-    r"""Return the period that repeats, near a release.
+    r"""Return the period of a shape that repeats, near a state where one starts.
 
     With :math:`r_k = P(y_k) - y_k`, steps :math:`(1 - J) s_k = r_k`, and after each
     :math:`J \leftarrow J + (r_{k+1} - r_k - (J - 1) s_k) s_k^\top / s_k^\top s_k`. Where a step
@@ -160,22 +169,24 @@ def close_cycle(
 
     Args:
         dynamics: The system.
-        release: A release state near the orbit's, ``(n_x,)``.
+        release: A state near the orbit's start, mostly a release, ``(n_x,)``.
         scale: Size of each state, ``(n_x,)``.
         period: Of the orbit, roughly [s].
         settings: Engine and accuracy.
         slope: Derivative of the return map in the section around ``release``, if it is known.
+        shape: The shape.
 
     Raises:
-        SimulationError: If a release does not return, no return repeats, or only rest does.
+        SimulationError: If a start does not return, no return repeats, or only rest does.
     """
-    section = release_section(dynamics, dynamics.on_stop(release), scale)
+    rows = rows_of(shape, dynamics.restitution)
+    section = section_around(dynamics, rows, placed(dynamics, shape, release), scale)
     one, at = np.eye(section.dimension), np.zeros(section.dimension)
     j = np.zeros_like(one) if slope is None else slope
     best: _Trial | None = None
     exact, share = slope is not None, 1.0
     for count in range(1, _MOST_RETURNS + 1):
-        trial = _tried(dynamics, section, at, period, settings, needed=best is None)
+        trial = _tried(dynamics, section, at, shape, period, settings, needed=best is None)
         if trial is not None and trial.change <= _REPEATS:
             return _sized(trial, count)
         if trial is not None and best is not None:
@@ -193,7 +204,9 @@ def close_cycle(
                 share /= _SHORTER
             else:
                 start = best.cycle.start.state
-                j = return_slope(dynamics, start, scale=scale, period=period, settings=settings)
+                j = return_slope(
+                    dynamics, start, scale=scale, period=period, settings=settings, shape=shape
+                )
                 exact = True
         if best is not None:
             # Least squares: at a fold of a family the matrix is singular, and that is no crash.
@@ -245,15 +258,16 @@ def _tried(
     dynamics: HybridDynamics,
     section: ReleaseSection,
     at: Vector,
+    shape: OrbitShape,
     period: float,
     settings: SimulationSettings,
     *,
     needed: bool,
 ) -> _Trial | None:
     """Return the return from a point; where there is none, nothing, unless it is needed."""
-    start = dynamics.on_stop(section.state(dynamics, at))
+    start = placed(dynamics, shape, section.state(dynamics, at))
     try:
-        cycle = _return(dynamics, start, period, settings)
+        cycle = cycle_of(dynamics, start, shape, horizon=2 * period, settings=settings)
     except SimulationError:
         if needed:
             raise
@@ -272,35 +286,44 @@ def _broyden(j: Vector, before: _Trial, after: _Trial) -> Vector:
 
 
 def cycle_near(
-    dynamics: HybridDynamics, x: Vector, *, period: float, settings: SimulationSettings
+    dynamics: HybridDynamics,
+    x: Vector,
+    *,
+    period: float,
+    settings: SimulationSettings,
+    shape: OrbitShape = ONE_ZENO,
 ) -> Cycle:
-    """Return the first period of the motion from a state on the stop, near a release or at one.
+    """Return the first period of a shape of the motion from a state near the start of one.
+
+    Args:
+        dynamics: The system.
+        x: A state on the stop, mostly near a release or at one, ``(n_x,)``.
+        period: Roughly [s].
+        settings: Engine and accuracy.
+        shape: The shape.
 
     Raises:
-        SimulationError: If no Zeno point and release follow within two periods.
+        SimulationError: If there is none within two periods.
     """
+    wanted = shape.at_restitution(dynamics.restitution)
     run = simulate(dynamics, x, until=2 * period, settings=settings)
-    return _first(cycles(run, start=x), x, 2 * period)
-
-
-def _return(
-    dynamics: HybridDynamics, release: Vector, period: float, settings: SimulationSettings
-) -> Cycle:
-    run = to_next_release(dynamics, release, horizon=2 * period, settings=settings)
-    return _first(cycles(run, start=release), release, 2 * period)
-
-
-def _first(found: Sequence[Cycle], x: Vector, horizon: float) -> Cycle:
-    if not found:
-        reason = "No Zeno point and release follow"
-        raise SimulationError(reason, time=horizon, state=tuple(x.tolist()))
-    return found[0]
+    phases = phases_of(run, x, held=wanted.starts_at_release)
+    n = wanted.n_phases
+    for k in range(len(phases) - n + 1):
+        some = phases[k : k + n]
+        if kinds_of(some) == wanted.phases and follow_each_other(some):
+            return Cycle(state_names=dynamics.state_names, phases=some)
+    what = "No Zeno point and release follow"
+    if not wanted.has_one_release:
+        what = f"No period of shape `{wanted.text}` follows"
+    raise SimulationError(what, time=2 * period, state=tuple(x.tolist()))
 
 
 def _closed(
     problem: Problem,
     setting: Setting,
     near: ZenoOrbit | None,
+    wanted: OrbitShape | None,
     simulation: SimulationSettings,
     tell: Callable[[str], None],
 ) -> Closing:
@@ -310,10 +333,12 @@ def _closed(
         try:
             tell("simulating")
             if near is None:
-                cycle = _settled(dynamics, problem, settled, simulation)
+                cycle = _settled(dynamics, problem, settled, wanted, simulation)
             else:
-                x = dynamics.on_stop(np.array(problem.state_vector(near.release_state)))
-                cycle = cycle_near(dynamics, x, period=near.period, settings=simulation)
+                x = placed(dynamics, near.shape, np.array(problem.state_vector(near.start_state)))
+                cycle = cycle_near(
+                    dynamics, x, period=near.period, settings=simulation, shape=near.shape
+                )
             tell("closing the orbit")
             closed = close_cycle(
                 dynamics,
@@ -322,11 +347,15 @@ def _closed(
                 scale=cycle.scale_at_events(),
                 period=cycle.period,
                 settings=simulation,
+                shape=cycle.shape,
             )
         except _NoGuessError as error:
             return Closing(orbit=None, detail=str(error))
         except SimulationError as error:
             detail = str(error)
+            continue
+        detail = round_again(closed.cycle)
+        if detail:
             continue
         orbit = orbit_of(closed.cycle, problem, setting)
         return Closing(orbit=orbit, miss=closed.miss, returns=closed.returns)
@@ -338,7 +367,11 @@ class _NoGuessError(ZenoOrbitsError):
 
 
 def _settled(
-    dynamics: HybridDynamics, problem: Problem, settled: float, simulation: SimulationSettings
+    dynamics: HybridDynamics,
+    problem: Problem,
+    settled: float,
+    wanted: OrbitShape | None,
+    simulation: SimulationSettings,
 ) -> Cycle:
     starts: Sequence[tuple[float, ...]] = [problem.state_vector(x) for x in problem.starts]
     tolerance = Tolerance(
@@ -352,7 +385,7 @@ def _settled(
         far=RUNAWAY,
     )
     settings = SettlingSettings(settled=settled, simulation=rough)
-    settling = settle(dynamics, starts, settings)
+    settling = settle(dynamics, starts, settings, wanted)
     if settling.cycle is None:
         raise _NoGuessError(f"{settling.reason[0].upper()}{settling.reason[1:]}.")
     return settling.cycle
@@ -364,19 +397,28 @@ def orbit_of(cycle: Cycle, problem: Problem, setting: Setting) -> ZenoOrbit:
     def named(state: Vector) -> Mapping[str, float]:
         return dict(zip(problem.state_names, state.tolist(), strict=True))
 
-    start = cycle.start.time
     return ZenoOrbit(
         problem=problem.name,
         parameters=dict(setting.parameters),
         gains=dict(setting.gains),
         period=cycle.period,
-        release_state=named(cycle.start.state),
-        impacts=tuple(
-            OrbitImpact(time=impact.time - start, state_minus=named(impact.state_minus))
-            for impact in cycle.impacts
-        ),
-        zeno_time=cycle.zeno.time - start,
-        zeno_state=named(cycle.zeno.state),
+        phases=tuple(_phase_of(phase, cycle.start.time, named) for phase in cycle.phases),
         certificate={},
         versions=versions(),
+    )
+
+
+def _phase_of(
+    phase: Phase, start: float, named: Callable[[Vector], Mapping[str, float]]
+) -> OrbitPhase:
+    return OrbitPhase(
+        kind=phase.kind,
+        start_time=phase.start.time - start,
+        start_state=named(phase.start.state),
+        impacts=tuple(
+            OrbitImpact(time=impact.time - start, state_minus=named(impact.state_minus))
+            for impact in phase.impacts
+        ),
+        zeno_time=None if phase.zeno is None else phase.zeno.time - start,
+        zeno_state=None if phase.zeno is None else named(phase.zeno.state),
     )

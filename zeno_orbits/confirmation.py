@@ -12,15 +12,19 @@ import numpy as np
 
 from zeno_orbits.bounds import KEPT, Bound, Extent, excess
 from zeno_orbits.compiled import CompiledSystem, bind
-from zeno_orbits.cycle import Cycle, cycles
+from zeno_orbits.cycle import Cycle, cycle_of, round_again
 from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.execution import Impact, ZenoPoint
 from zeno_orbits.finds import Find, SearchStatus
 from zeno_orbits.nlp import Solution
 from zeno_orbits.objectives import Objective, WantedAmplitude, WantedPeriod
-from zeno_orbits.orbit import OrbitImpact, ZenoOrbit, versions
-from zeno_orbits.poincare import to_next_release
+from zeno_orbits.orbit import OrbitImpact, OrbitPhase, ZenoOrbit, versions
+from zeno_orbits.phases import Moment
 from zeno_orbits.problem import Problem, Setting
+from zeno_orbits.returns import placed
+from zeno_orbits.shape import ONE_ZENO, OrbitShape
+from zeno_orbits.shooting import labels_of, start_block
 from zeno_orbits.signals import extent_of, signal, signal_names
 from zeno_orbits.simulate import SimulationSettings
 
@@ -41,37 +45,43 @@ class Confirmation:
     bounds: tuple[Bound, ...]
     agreement: float
 
-    def of(self, find: Find, setting: Setting, objective: Objective | None) -> Find:
+    def of(
+        self, find: Find, setting: Setting, objective: Objective | None, shape: OrbitShape
+    ) -> Find:
         """Simulate one period of a solution and compare.
 
         Args:
             find: What is known; its solution is the one.
             setting: Numbers of the solution.
             objective: What was asked, if anything was free.
+            shape: The shape of the solution.
         """
         solution = find.solution
         if solution is None:
             return find
         dynamics = bind(self.compiled, setting.values())
-        release = dynamics.on_stop(solution.values["release state"][:, 0])
+        start = solution.values[start_block(shape, 0)][:, 0]
+        start = placed(dynamics, shape, start)
         period = float(solution.values["period"][0, 0])
-        cycle = one_cycle(dynamics, release, 2 * period)
+        cycle = one_cycle(dynamics, start, 2 * period, shape)
         if cycle is None:
             detail = "From the solution's release no Zeno point and release follow."
+            if not shape.has_one_release:
+                detail = f"From the solution's start no period of shape `{shape.text}` follows."
             return replace(find, status=SearchStatus.NOT_FOLLOWED, detail=detail)
         differs = max(_difference(cycle, solution), _miss(objective, cycle))
         excesses = self.excesses(setting, cycle)
-        detail = ""
-        if differs > self.agreement:
+        detail = round_again(cycle)
+        if not detail and differs > self.agreement:
             detail = f"Solution and simulation differ by {differs:.1e}."
-        elif excesses:
+        elif not detail and excesses:
             worst = max(excesses.items(), key=lambda item: item[1])
             detail = f"Between its nodes `{worst[0]}` passes its bound by {worst[1]:.1e}."
         return replace(
             find,
             status=SearchStatus.NOT_FOLLOWED if detail else SearchStatus.FOUND,
             detail=detail,
-            orbit=None if detail else self.orbit(solution, setting, release),
+            orbit=None if detail else self.orbit(solution, setting, shape),
             setting=setting,
             cycle=cycle,
             agreement=differs,
@@ -81,7 +91,7 @@ class Confirmation:
     def excesses(self, setting: Setting, cycle: Cycle) -> dict[str, float]:
         """Return by how much a simulated period passes the bounds of signals that it passes."""
         known = signal_names(self.compiled)
-        arcs = (cycle.flight, *cycle.hops, cycle.locked)
+        arcs = cycle.arcs
         found: dict[str, float] = {}
         for bound in self.bounds:
             if bound.name in known:
@@ -92,25 +102,44 @@ class Confirmation:
                     found[bound.name] = max(found.get(bound.name, 0.0), size)
         return found
 
-    def orbit(self, solution: Solution, setting: Setting, release: Vector) -> ZenoOrbit:
+    def orbit(self, solution: Solution, setting: Setting, shape: OrbitShape) -> ZenoOrbit:
         """Return the orbit of a solution."""
-        values = solution.values
-        times = np.cumsum(values["flight times"][:, 0])
         dynamics = bind(self.compiled, setting.values())
+        period = float(solution.values["period"][0, 0])
+        starts = [*_start_times(solution, shape), period]
         return ZenoOrbit(
             problem=self.problem.name,
             parameters=dict(setting.parameters),
             gains=dict(setting.gains),
-            period=float(values["period"][0, 0]),
-            release_state=self.named(release),
-            impacts=tuple(
-                OrbitImpact(time=float(time), state_minus=self.named(state))
-                for time, state in zip(times, values["impact states"].T, strict=True)
+            period=period,
+            phases=tuple(
+                self._phase(solution, dynamics, shape, k, starts[k]) for k in range(shape.n_phases)
             ),
-            zeno_time=float(values["Zeno time"][0, 0]),
-            zeno_state=self.named(dynamics.on_stop(values["Zeno state"][:, 0])),
             certificate={},
             versions=versions(),
+        )
+
+    def _phase(
+        self, solution: Solution, dynamics: HybridDynamics, shape: OrbitShape, k: int, start: float
+    ) -> OrbitPhase:
+        values, label, kind = solution.values, labels_of(shape)[k], shape.phases[k]
+        before = OrbitShape(phases=(shape.phases[k - 1],))
+        times = start + np.cumsum(values[f"{label}flight times"][:, 0])
+        states = values[f"{label}impact states"].T
+        zeno_time, zeno_state = None, None
+        if kind.holds:
+            zeno_time = float(values[f"{label}Zeno time"][0, 0])
+            zeno_state = self.named(dynamics.on_stop(values[f"{label}Zeno state"][:, 0]))
+        return OrbitPhase(
+            kind=kind,
+            start_time=start,
+            start_state=self.named(placed(dynamics, before, values[start_block(shape, k)][:, 0])),
+            impacts=tuple(
+                OrbitImpact(time=float(time), state_minus=self.named(state))
+                for time, state in zip(times, states, strict=True)
+            ),
+            zeno_time=zeno_time,
+            zeno_state=zeno_state,
         )
 
     def named(self, state: Vector) -> dict[str, float]:
@@ -130,42 +159,45 @@ def tightened(bounds: Sequence[Bound], excesses: Mapping[str, float]) -> tuple[B
     return tuple(drawn_in(bound) for bound in bounds)
 
 
-def one_cycle(dynamics: HybridDynamics, release: Vector, horizon: float) -> Cycle | None:
-    """Return the period that starts at a release state, at full accuracy."""
+def one_cycle(
+    dynamics: HybridDynamics, start: Vector, horizon: float, shape: OrbitShape = ONE_ZENO
+) -> Cycle | None:
+    """Return the period of a shape that starts at a state, at full accuracy."""
     settings = SimulationSettings()
     try:
-        run = to_next_release(dynamics, release, horizon=horizon, settings=settings)
+        return cycle_of(dynamics, start, shape, horizon=horizon, settings=settings)
     except ZenoOrbitsError:
         return None
-    found = cycles(run, start=release)
-    return found[0] if found else None
+
+
+def _start_times(solution: Solution, shape: OrbitShape) -> list[float]:
+    """Return when the phases of a solution start [s]."""
+    return [float(solution.values[f"{label}start time"][0, 0]) for label in labels_of(shape)]
 
 
 def _difference(cycle: Cycle, solution: Solution) -> float:
     """Return the largest difference of a solution from a simulated cycle, relative."""
-    period = float(solution.values["period"][0, 0])
-    zeno_time = float(solution.values["Zeno time"][0, 0])
-    zeno = solution.values["Zeno state"][:, 0]
-    return max(
-        cycle.drift(cycle.scale()),
-        abs(cycle.period - period) / period,
-        abs(cycle.zeno.time - zeno_time) / period,
-        float(np.max(np.abs(cycle.zeno.state - zeno) / cycle.scale())),
-        _impact_difference(cycle, solution),
-    )
+    values, period, scale = solution.values, cycle.period, cycle.scale()
 
+    def apart(time: float, state: Vector, at: Moment | Impact | ZenoPoint) -> float:
+        seen = at.state_minus if isinstance(at, Impact) else at.state
+        late = abs(at.time - cycle.start.time - time) / period
+        return max(late, float(np.max(np.abs(seen - state) / scale)))
 
-def _impact_difference(cycle: Cycle, solution: Solution) -> float:
-    """Return the largest difference of a solution's impacts from a cycle's, relative."""
-    times = np.cumsum(solution.values["flight times"][:, 0])
-    states = solution.values["impact states"].T
-    return max(
-        max(
-            abs(impact.time - cycle.start.time - time) / cycle.period,
-            float(np.max(np.abs(impact.state_minus - state) / cycle.scale())),
-        )
-        for impact, time, state in zip(cycle.impacts, times, states, strict=False)
-    )
+    found = [cycle.drift(scale), abs(period - float(values["period"][0, 0])) / period]
+    shape = cycle.shape
+    starts = _start_times(solution, shape)
+    for k, (label, phase) in enumerate(zip(labels_of(shape), cycle.phases, strict=True)):
+        if k > 0:
+            found.append(apart(starts[k], values[start_block(shape, k)][:, 0], phase.start))
+        if phase.zeno is not None:
+            zeno = values[f"{label}Zeno state"][:, 0]
+            found.append(apart(float(values[f"{label}Zeno time"][0, 0]), zeno, phase.zeno))
+        times = starts[k] + np.cumsum(values[f"{label}flight times"][:, 0])
+        states = values[f"{label}impact states"].T
+        for impact, time, state in zip(phase.impacts, times, states, strict=False):
+            found.append(apart(float(time), state, impact))
+    return max(found)
 
 
 def _miss(objective: Objective | None, cycle: Cycle) -> float:

@@ -25,6 +25,7 @@ from zeno_orbits.plane import Plane
 from zeno_orbits.problem import Problem, Setting
 from zeno_orbits.return_maps import Margin
 from zeno_orbits.search import find_orbit
+from zeno_orbits.shape import ONE_ZENO
 from zeno_orbits.singular_points import Located
 from zeno_orbits.tracks import (
     ONE_RETURN,
@@ -207,13 +208,13 @@ def start_orbit(
         OrbitNotFoundError: If there is none.
     """
     try:
-        closing = close_orbit(problem, setting, on_progress=tell)
+        closing = close_orbit(problem, setting, on_progress=tell, shape=ONE_ZENO)
     except InputError:
         # A rough simulation may drift off a holonomic row; the search is no worse for it.
         closing = None
     if closing is not None and closing.orbit is not None:
         return closing.orbit
-    return find_orbit(problem, setting).unwrap()
+    return find_orbit(problem, setting, shape=ONE_ZENO).unwrap()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,6 +20,7 @@ from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.poincare import release_section, return_slope
 from zeno_orbits.problem import Problem, Setting
 from zeno_orbits.search import find_orbit
+from zeno_orbits.shape import ONE_ZENO
 from zeno_orbits.simulate import SimulationSettings
 
 QUASI_STATIC, CORRECTED = "quasi_static", "corrected"
@@ -97,7 +98,7 @@ def reduction_costs(
     """
     reduced = {word: problem.at_fidelity(word) for word in (QUASI_STATIC, CORRECTED)}
     quasi_static = reduced[QUASI_STATIC]
-    orbit = find_orbit(quasi_static, quasi_static.shared(setting)).unwrap()
+    orbit = find_orbit(quasi_static, quasi_static.shared(setting), shape=ONE_ZENO).unwrap()
     period = orbit.period
     release = np.array(quasi_static.state_vector(orbit.release_state))
     machine, full = _dynamics(quasi_static, setting), _dynamics(problem, setting)

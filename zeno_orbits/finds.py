@@ -14,6 +14,7 @@ from zeno_orbits.guess import SettlingSettings
 from zeno_orbits.nlp import IpoptSettings, Solution
 from zeno_orbits.orbit import ZenoOrbit
 from zeno_orbits.problem import Setting
+from zeno_orbits.shape import OrbitShape
 from zeno_orbits.stretches import TranscriptionSettings
 
 
@@ -21,7 +22,7 @@ class SearchStatus(Enum):
     """How a search ended. The value is the sentence shown to the user."""
 
     FOUND = "The search found an orbit."
-    NO_GUESS = "No simulation settled to a motion with one Zeno point a period."
+    NO_GUESS = "No simulation settled to a motion that an orbit could be sought near."
     NOT_SOLVED = "The conditions of the orbit could not be met."
     NOT_FOLLOWED = "A simulation does not follow the solution."
     NOT_ACCEPTED = "The orbits that were found were not accepted."
@@ -79,18 +80,32 @@ _MESH_FOR = 100.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Known:
+    """An orbit to start from.
+
+    Attributes:
+        setting: Its numbers.
+        start: Where its period starts, ``(n_x,)``.
+        shape: Its shape.
+    """
+
+    setting: Setting
+    start: Vector
+    shape: OrbitShape
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Start:
     """Where a search starts.
 
     Attributes:
         setting: The numbers.
-        known: An orbit's numbers and release state, ``(n_x,)``, at these numbers or near them; by
-            default the scene is simulated.
+        known: An orbit at these numbers or near them; by default the scene is simulated.
         easy: Settings from which to follow orbits to these numbers where a simulation finds none.
     """
 
     setting: Setting
-    known: tuple[Setting, Vector] | None = None
+    known: Known | None = None
     easy: tuple[Setting, ...] = ()
 
 

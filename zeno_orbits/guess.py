@@ -8,11 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from zeno_orbits.completion import ZenoExtrapolation
-from zeno_orbits.cycle import Cycle, cycles
+from zeno_orbits.cycle import Cycle, cycle_of, cycles
 from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
 from zeno_orbits.errors import RunawayError, SimulationError
 from zeno_orbits.execution import Execution, Mode
-from zeno_orbits.poincare import to_next_release
+from zeno_orbits.recurrence import Recurrence, Recurring
+from zeno_orbits.returns import placed, to_next_release
+from zeno_orbits.shape import OrbitShape
 from zeno_orbits.simulate import SimulationSettings, simulate
 
 RUNAWAY = 20 * np.pi
@@ -35,6 +37,7 @@ class SettlingSettings:
     Attributes:
         horizon: Longest simulated time from one start [s].
         chunk: Longest simulated time between two looks [s]; there is one at every release, too.
+            A motion that does not come back to its release so soon is waited for twice as long.
         settled: Change of the release state over a period that counts as repeating, relative.
         usable: Change up to which the last period still serves as a guess.
         simulation: Accuracy; looser than a verification.
@@ -70,6 +73,7 @@ def settle(
     dynamics: HybridDynamics,
     starts: Sequence[Vector | tuple[float, ...]],
     settings: SettlingSettings | None = None,
+    shape: OrbitShape | None = None,
 ) -> Settling:
     """Return the last period of the first start whose motion repeats.
 
@@ -77,56 +81,90 @@ def settle(
         dynamics: The system.
         starts: Initial states, tried in order.
         settings: How long to wait.
+        shape: The shape of the period; by default whatever the motion settles to. If it settles to
+            another one, the period of this shape on the way that came nearest to repeating.
     """
     settings = settings or SettlingSettings()
+    wanted = None if shape is None else shape.at_restitution(dynamics.restitution)
     reasons: list[str] = []
     for start in starts:
-        settling = _settle_from(dynamics, np.array(start, dtype=np.float64), settings)
+        settling = _settle_from(dynamics, np.array(start, dtype=np.float64), settings, wanted)
         if settling.cycle is not None:
             return settling
         reasons.append(settling.reason)
     return Settling(cycle=None, reason=" / ".join(dict.fromkeys(reasons)))
 
 
-def _settle_from(dynamics: HybridDynamics, state: Vector, settings: SettlingSettings) -> Settling:
-    elapsed, fastest, best, at_release = 0.0, 0.0, None, False
+def _settle_from(
+    dynamics: HybridDynamics, state: Vector, settings: SettlingSettings, wanted: OrbitShape | None
+) -> Settling:
+    elapsed, fastest, at_release, patience = 0.0, 0.0, False, settings.chunk
+    recurrence = Recurrence(dynamics=dynamics, settled=settings.settled, wanted=wanted)
     while elapsed < settings.horizon:
         try:
-            run = _to_next_look(dynamics, state, settings, at_release=at_release)
+            run = _to_next_look(dynamics, state, settings, patience, at_release=at_release)
         except RunawayError as error:
             return Settling(cycle=None, reason=error.reason)
         except SimulationError as error:
             clause = error.reason[0].lower() + error.reason[1:]
             return Settling(cycle=None, reason=f"the simulation stops: {clause}")
-        elapsed += run.end_time
         found = cycles(run, start=state if at_release else None)
-        if found:
-            best = found[-1]
-            if best.drift(best.scale_at_events()) < settings.settled:
-                return Settling(cycle=best)
-            speeds = [-cycle.impacts[0].approach_rate for cycle in found]
-            fastest = max(fastest, *speeds)
-            if speeds[-1] < _FADED * fastest:
-                return Settling(cycle=None, reason="the motion dies out")
+        recurrence.see(run, found, since=elapsed)
+        elapsed += run.end_time
+        if at_release and not run.releases:
+            # Whoever comes back later than this is waited for the next time.
+            patience *= 2
+        speeds = [-cycle.impacts[0].approach_rate for cycle in found]
+        fastest = max(fastest, *speeds, 0.0)
+        settled = recurrence.settled_to()
+        if settled is not None and wanted in (None, settled.shape):
+            return _period(dynamics, settled, settings)
+        if settled is not None:
+            break
+        if speeds and speeds[-1] < _FADED * fastest:
+            return Settling(cycle=None, reason="the motion dies out")
         if not run.events and _is_at_rest(dynamics, run.end_state):
             return Settling(cycle=None, reason="the motion dies out")
         at_release = run.releases[-1:] != () and run.releases[-1].time == run.end_time
         state = run.releases[-1].state if at_release else run.end_state
         state = _repaired(dynamics, state, locked=run.arcs[-1].mode is Mode.LOCKED)
-    if best is not None and best.drift(best.scale()) < settings.usable:
-        return Settling(cycle=best)
-    what = "its periods differ" if best is not None else "no release is followed by a Zeno point"
-    return Settling(cycle=None, reason=f"{what} after {settings.horizon:g} s")
+    nearest = recurrence.nearest(settings.usable)
+    if nearest is not None:
+        return _period(dynamics, nearest, settings)
+    return Settling(cycle=None, reason=recurrence.reason(settings.horizon))
+
+
+def _period(dynamics: HybridDynamics, found: Recurring, settings: SettlingSettings) -> Settling:
+    """Return the period itself: made anew, unless it was followed from its start to its end."""
+    if found.cycle is not None:
+        return Settling(cycle=found.cycle)
+    try:
+        return Settling(
+            cycle=cycle_of(
+                dynamics,
+                _repaired(dynamics, placed(dynamics, found.shape, found.start), locked=False),
+                found.shape,
+                horizon=2 * found.period,
+                settings=settings.simulation,
+            )
+        )
+    except SimulationError as error:
+        return Settling(cycle=None, reason=error.reason[0].lower() + error.reason[1:])
 
 
 def _to_next_look(
-    dynamics: HybridDynamics, state: Vector, settings: SettlingSettings, *, at_release: bool
+    dynamics: HybridDynamics,
+    state: Vector,
+    settings: SettlingSettings,
+    patience: float,
+    *,
+    at_release: bool,
 ) -> Execution:
     """Return the execution to the next release, or over a chunk without any."""
-    until, simulation = settings.chunk, settings.simulation
+    simulation = settings.simulation
     if at_release:
-        return to_next_release(dynamics, state, horizon=until, settings=simulation)
-    return simulate(dynamics, state, until=until, releases=1, settings=simulation)
+        return to_next_release(dynamics, state, horizon=patience, settings=simulation)
+    return simulate(dynamics, state, until=settings.chunk, releases=1, settings=simulation)
 
 
 def _repaired(dynamics: HybridDynamics, state: Vector, *, locked: bool) -> Vector:

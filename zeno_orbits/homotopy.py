@@ -14,6 +14,8 @@ from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.hunt import Hunt
 from zeno_orbits.problem import Setting
+from zeno_orbits.returns import placed
+from zeno_orbits.shape import OrbitShape
 from zeno_orbits.simulate import SimulationSettings
 
 _FIRST_STEP, _LAST_STEP = 0.25, 1e-4
@@ -54,12 +56,12 @@ class _Point:
     margins: Mapping[str, float]
 
     @property
-    def release(self) -> Vector:
-        """The release state, ``(n_x,)``."""
+    def start(self) -> Vector:
+        """Where the period starts, ``(n_x,)``."""
         return self.closed.cycle.start.state
 
 
-def follow(hunt: Hunt, easy: Setting, release: Vector, wanted: Setting) -> Path:
+def follow(hunt: Hunt, easy: Setting, start: Vector, wanted: Setting, shape: OrbitShape) -> Path:
     r"""Follow an orbit from one setting to another: :math:`p(s) = (1 - s)\,p_0 + s\,p_1`.
 
     The next release is predicted by the secant of the last two and closed by simulation.
@@ -67,22 +69,23 @@ def follow(hunt: Hunt, easy: Setting, release: Vector, wanted: Setting) -> Path:
     Args:
         hunt: The search.
         easy: Numbers of an orbit, exactly or nearly.
-        release: Its release state, ``(n_x,)``.
+        start: Where its period starts, ``(n_x,)``.
         wanted: Where to go.
+        shape: Its shape.
     """
     period = hunt.settings.settling.chunk
-    here = _closed(hunt, 0.0, easy, wanted, release, period)
+    here = _closed(hunt, 0.0, easy, wanted, start, period, shape)
     if here is None:
         return Path(cycle=None, setting=easy, arrived=False)
     before, first, step = here, here, 1.0 if easy == wanted else _FIRST_STEP
     while here.part < 1.0 and easy != wanted and step >= _LAST_STEP:
         part = min(1.0, here.part + step)
-        guess = here.release
+        guess = here.start
         if before.part < here.part:
             ratio = (part - here.part) / (here.part - before.part)
-            guess = guess + ratio * (here.release - before.release)
+            guess = guess + ratio * (here.start - before.start)
         hunt.tell(f"following orbits: {100 * part:.0f} % of the way")
-        there = _closed(hunt, part, easy, wanted, guess, here.closed.cycle.period)
+        there = _closed(hunt, part, easy, wanted, guess, here.closed.cycle.period, shape)
         if there is None:
             step /= 2
             continue
@@ -98,7 +101,13 @@ def follow(hunt: Hunt, easy: Setting, release: Vector, wanted: Setting) -> Path:
 
 
 def _closed(
-    hunt: Hunt, part: float, easy: Setting, wanted: Setting, guess: Vector, period: float
+    hunt: Hunt,
+    part: float,
+    easy: Setting,
+    wanted: Setting,
+    guess: Vector,
+    period: float,
+    shape: OrbitShape,
 ) -> _Point | None:
     """Return the orbit at a part of the way, if one closes near a guess."""
     names = (*easy.gains, *easy.parameters)
@@ -106,13 +115,14 @@ def _closed(
     setting = wanted if part == 1.0 else easy.replaced(numbers)
     try:
         dynamics = bind(hunt.compiled, setting.values())
-        start = dynamics.on_stop(guess)
+        start = placed(dynamics, shape, guess)
         closed = close_cycle(
             dynamics,
             start,
             scale=np.maximum(np.abs(start), 1.0),
             period=period,
             settings=SimulationSettings(),
+            shape=shape,
         )
     except (ZenoOrbitsError, ValueError):
         return None
@@ -121,11 +131,12 @@ def _closed(
 
 
 def _margins(dynamics: HybridDynamics, cycle: Cycle) -> dict[str, float]:
-    return {
-        "locked_time": cycle.end.time - cycle.zeno.time,
-        "gap_acceleration": -dynamics.gap_acceleration(cycle.zeno.state),
-        "first_impact_speed": -cycle.impacts[0].approach_rate,
-    }
+    held = [(phase.zeno, phase.end) for phase in cycle.phases if phase.zeno is not None]
+    margins = {"first_impact_speed": min(-p.impacts[0].approach_rate for p in cycle.phases)}
+    if held:
+        margins["locked_time"] = min(end.time - zeno.time for zeno, end in held)
+        margins["gap_acceleration"] = min(-dynamics.gap_acceleration(z.state) for z, _ in held)
+    return margins
 
 
 def _ending(first: _Point, last: _Point, easy: Setting, wanted: Setting) -> str:
@@ -133,6 +144,6 @@ def _ending(first: _Point, last: _Point, easy: Setting, wanted: Setting) -> str:
     names = [n for n in (*easy.gains, *easy.parameters) if easy.number(n) != wanted.number(n)]
     numbers = ", ".join(f"{name} = {last.setting.number(name):.5g}" for name in names)
     where = f"Orbits could be followed to {numbers}, not beyond"
-    shares = {name: last.margins[name] / first.margins[name] for name in _LOST}
+    shares = {name: last.margins[name] / first.margins[name] for name in last.margins}
     name = min(shares, key=lambda one: shares[one])
     return f"{where}: there {_LOST[name]}." if shares[name] < _GONE else f"{where}."

@@ -15,7 +15,7 @@ import numpy as np
 from zeno_orbits.bounds import Bound
 from zeno_orbits.compiled import CompiledSystem, bind
 from zeno_orbits.confirmation import Confirmation, tightened
-from zeno_orbits.cycle import Cycle, closure_of
+from zeno_orbits.cycle import Cycle, closures_of
 from zeno_orbits.dynamics import HybridDynamics
 from zeno_orbits.finds import Find, SearchSettings, SearchStatus
 from zeno_orbits.nlp import Hessian, IpoptSettings, Solution, SolveStatus, solve
@@ -23,6 +23,7 @@ from zeno_orbits.objectives import Objective
 from zeno_orbits.problem import Problem, Setting
 from zeno_orbits.restraints import keep
 from zeno_orbits.return_map import section_map
+from zeno_orbits.shape import OrbitShape
 from zeno_orbits.shooting import OrbitTerms, transcribe
 
 COARSE = 100.0
@@ -53,6 +54,7 @@ class Hunt:
         objective: What is asked.
         bounds: What the orbit must keep.
         settings: How hard to look.
+        shape: The shape of the orbits that are wanted; any by default.
         tell: Called with what is being done.
     """
 
@@ -63,6 +65,7 @@ class Hunt:
     objective: Objective
     bounds: tuple[Bound, ...]
     settings: SearchSettings
+    shape: OrbitShape | None
     tell: Callable[[str], None]
 
     def refine(
@@ -140,13 +143,13 @@ class Hunt:
         """Return the terms of a program around a cycle, and the error of its Zeno closure."""
         settings = self.settings.transcription
         dynamics = self.dynamics(setting)
-        closure = closure_of(cycle, dynamics, settings.closure_tolerance)
+        closures = closures_of(cycle, dynamics, settings.closure_tolerance)
         terms = transcribe(
             self.compiled,
             setting,
             dynamics=dynamics,
             cycle=cycle,
-            closure=closure,
+            closures=closures,
             free=self.free,
             first={name: origin.number(name) for name in self.free},
             settings=replace(settings, mesh_tolerance=coarseness * settings.mesh_tolerance),
@@ -156,7 +159,7 @@ class Hunt:
             objective.quantities if objective else ()
         ):
             terms = replace(terms, return_slope=section_map(terms))
-        return terms, closure.error
+        return terms, max(closure.error for closure in closures)
 
     def solved(
         self,
@@ -190,7 +193,7 @@ class Hunt:
             agreement=self.settings.agreement,
         )
         asked = objective if self.free else None
-        confirmed = confirmation.of(find, setting.replaced(found), asked)
+        confirmed = confirmation.of(find, setting.replaced(found), asked, terms.shape)
         if solved:
             return confirmed
         # An orbit it may be, but not the best one: good for a step on the way.

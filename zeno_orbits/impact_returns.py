@@ -10,13 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from zeno_orbits.differentials import GAP_RATE
 from zeno_orbits.dynamics import Vector
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.execution import Ending
 from zeno_orbits.extrema import least_inside
 from zeno_orbits.monodromy import differentials_of
-from zeno_orbits.perturbations import EventShift, Perturbations
+from zeno_orbits.perturbations import Perturbations
 from zeno_orbits.return_maps import Loss, Margin, Return, SectionReturns
 from zeno_orbits.sections import IMPACT_ROWS, projected
 from zeno_orbits.simulate import simulate
@@ -38,7 +37,7 @@ class ImpactReturns(SectionReturns):
         speed = dynamics.gap_rate(x)
         if not speed > self.settings.contact:
             raise SimulationError("The stop is not left", time=0.0, state=tuple(x.tolist()))
-        run = simulate(dynamics, x, until=horizon, releases=1, settings=self.settings)
+        run = simulate(dynamics, x, until=horizon, releases=1, impacts=1, settings=self.settings)
         if not run.impacts or run.arcs[0].ending is not Ending.IMPACT:
             raise SimulationError("There is no next impact", time=horizon, state=tuple(x.tolist()))
         arc, impact = run.arcs[0], run.impacts[0]
@@ -48,7 +47,7 @@ class ImpactReturns(SectionReturns):
             n_parameters=len(line.moving),
             tolerance=self.settings.tolerance,
         )
-        after = perturbations.struck(impact, perturbations.flown(arc, _launched(perturbations, x)))
+        after = perturbations.struck(impact, perturbations.flown(arc, perturbations.launched(x)))
         n_x = x.size
         end = projected(dynamics, IMPACT_ROWS, impact.state_plus, np.ones(n_x))
         margins = {Margin(loss=Loss.FIRST_IMPACT): -impact.approach_rate}
@@ -62,12 +61,3 @@ class ImpactReturns(SectionReturns):
             by_parameter=after.state[:, n_x:] @ line.slopes,
             margins=margins,
         )
-
-
-def _launched(perturbations: Perturbations, x: Vector) -> EventShift:
-    """Return how a start after an impact moves, its gap rate included."""
-    start = perturbations.at_start()
-    gradient = perturbations.differentials.contact(x)[GAP_RATE]
-    n_x = x.size
-    rate = gradient[:n_x] @ start.state + gradient[n_x:] @ perturbations.parameters
-    return EventShift(time=start.time, state=start.state, rate=rate)

@@ -12,13 +12,13 @@ from zeno_orbits.bounds import Extent
 from zeno_orbits.compiled import bind
 from zeno_orbits.dynamics import HybridDynamics
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.execution import Mode
 from zeno_orbits.models import compiled_model
 from zeno_orbits.observation import Claim, FirstCycle, claim_of, observe
 from zeno_orbits.orbit import ZenoOrbit
 from zeno_orbits.poincare import floquet_multipliers
 from zeno_orbits.problem import Problem
 from zeno_orbits.residuals import margins_of
+from zeno_orbits.returns import placed
 from zeno_orbits.signals import extent_of, signal, signal_names
 from zeno_orbits.simulate import SimulationSettings
 
@@ -74,7 +74,7 @@ def measure(
     dynamics = bind(compiled, setting.values())
     seen = observe(dynamics, claim, simulation, 1)
     if seen.cycle is None:
-        raise SimulationError(seen.trouble, time=0.0, state=tuple(claim.release.tolist()))
+        raise SimulationError(seen.trouble, time=0.0, state=tuple(claim.start.tolist()))
     found: dict[str, Extent] = {}
     for name in dict.fromkeys(names):
         if name in NUMBERS:
@@ -104,31 +104,34 @@ def _number(
     elif name == "spectral_radius":
         multipliers = floquet_multipliers(
             dynamics,
-            dynamics.on_stop(claim.release),
+            placed(dynamics, claim.shape, claim.start),
             scale=cycle.scale,
             period=cycle.end.time,
             settings=simulation,
+            shape=claim.shape,
         )
         value, error = multipliers.spectral_radius, multipliers.error
     else:
-        value = margins_of(dynamics, cycle)[name]
+        margins = margins_of(dynamics, cycle)
+        if name not in margins:
+            wanted = f"must name a quantity of the shape `{claim.shape.text}`"
+            raise InputError(f"Argument `names` {wanted}, but it names `{name}`.")
+        value = margins[name]
     return Extent(lowest=value, highest=value, error=error)
 
 
 def smallest_share(dynamics: HybridDynamics, cycle: FirstCycle) -> float:
-    r"""Return the smallest margin as a share of the most that it could be (theory (32)).
+    r"""Return the smallest margin of all phases as a share of the most it could be (theory (32)).
 
     The locked arc in periods; :math:`-\ddot h` at the Zeno point and the speed of the first impact,
     each over its largest value on the locked arc and in the first flight.
     """
-    locked = [
-        arc for arc in cycle.arcs if arc.mode is Mode.LOCKED and arc.end_time == cycle.end.time
-    ]
-    flight = next(arc for arc in cycle.arcs if arc.mode is Mode.FREE)
-    push = extent_of(dynamics.gap_acceleration, locked[-1:])
-    speed = extent_of(dynamics.gap_rate, [flight])
-    return min(
-        (cycle.end.time - cycle.zeno.time) / cycle.end.time,
-        -dynamics.gap_acceleration(cycle.zeno.state) / push.largest,
-        -cycle.impacts[0].approach_rate / speed.largest,
-    )
+    shares: list[float] = []
+    for phase in cycle.phases:
+        speed = extent_of(dynamics.gap_rate, [phase.flight])
+        shares.append(-phase.impacts[0].approach_rate / speed.largest)
+        if phase.zeno is not None and phase.locked is not None:
+            push = extent_of(dynamics.gap_acceleration, [phase.locked])
+            shares.append((phase.end.time - phase.zeno.time) / cycle.end.time)
+            shares.append(-dynamics.gap_acceleration(phase.zeno.state) / push.largest)
+    return min(shares)

@@ -14,9 +14,11 @@ from zeno_orbits.completion import ZenoExtrapolation, ZenoPassage
 from zeno_orbits.differentials import GAP, GAP_RATE, Differentials
 from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.execution import Ending, Execution, Impact, Mode, Release, ZenoPoint
+from zeno_orbits.execution import Arc, Execution, Impact, Mode
 from zeno_orbits.perturbations import Bounce, EventShift, Perturbations
-from zeno_orbits.returns import first_return, to_next_release
+from zeno_orbits.phases import Phase, phases_of
+from zeno_orbits.returns import first_return, placed, round_trip, to_next_release
+from zeno_orbits.shape import OrbitShape
 from zeno_orbits.simulate import SimulationSettings
 
 
@@ -70,6 +72,23 @@ class ReturnDerivative:
     execution: Execution
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PeriodDerivative:
+    """The end of a period of any shape, and its derivatives.
+
+    Attributes:
+        start: Where it starts, on its section, ``(n_x,)``.
+        end: Where it ends, ``(n_x,)``.
+        by_state: Derivative of the end by the start, ``(n_x, n_x)``.
+        period: Its length [s].
+    """
+
+    start: Vector
+    end: Vector
+    by_state: Vector
+    period: Sensitivity
+
+
 def return_derivative(
     dynamics: HybridDynamics,
     x: Vector,
@@ -93,21 +112,71 @@ def return_derivative(
         SimulationError: If there is no return within the horizon, or it is not differentiable.
     """
     chosen = tuple(parameters)
-    differentials = differentials_of(dynamics, chosen)
+    perturbations = _perturbations(dynamics, chosen, settings)
     closed = replace(settings, completion=extrapolated(settings))
     start = dynamics.on_stop(x)
     execution = to_next_release(dynamics, start, horizon=horizon, settings=closed)
     release = first_return(execution)
     if release is None:
         raise SimulationError("There is no next release", time=horizon, state=tuple(x.tolist()))
-    perturbations = Perturbations(
-        dynamics=dynamics,
-        differentials=differentials,
-        n_parameters=len(chosen),
-        tolerance=settings.tolerance,
+    phases = phases_of(execution, start)
+    if not phases or phases[0].flight is not _first_flight(execution):
+        raise SimulationError(
+            "The return has no derivative: the stop is touched without an impact, or more than one "
+            "Zeno point is passed",
+            time=release.time,
+            state=tuple(release.state.tolist()),
+        )
+    here = _begun(perturbations, execution, release.time)
+    passages = [passed(perturbations, phases[0], here)]
+    for phase in phases[1:]:
+        # Only a plastic impact that lets go is a phase before the one that holds.
+        passages.append(passed(perturbations, phase, passages[-1].end))
+    passage = replace(passages[-1], first=passages[0].first)
+    found = _derivative(perturbations, execution, start, phases[-1], passage, chosen)
+    rate = replace(found.first_rate, value=phases[0].impacts[0].approach_rate)
+    return replace(found, first_rate=rate)
+
+
+def period_derivative(
+    dynamics: HybridDynamics,
+    x: Vector,
+    shape: OrbitShape,
+    *,
+    horizon: float,
+    settings: SimulationSettings,
+) -> PeriodDerivative:
+    """Return where a period of a shape ends, and its derivatives (theory (45)).
+
+    Args:
+        dynamics: The system; it must have formulas.
+        x: Where it starts, on its section, ``(n_x,)``.
+        shape: Its shape.
+        horizon: Longest time to wait [s].
+        settings: Accuracy, as for `return_derivative`.
+
+    Raises:
+        InputError: If the system has no formulas.
+        SimulationError: If the motion has another shape, or its end no derivative.
+    """
+    perturbations = _perturbations(dynamics, (), settings)
+    closed = replace(settings, completion=extrapolated(settings))
+    start = placed(dynamics, shape, x)
+    trip = round_trip(dynamics, start, shape, horizon=horizon, settings=closed)
+    end = trip.phases[-1].end
+    if shape.starts_at_release:
+        here = _begun(perturbations, trip.execution, end.time)
+    else:
+        here = perturbations.launched(start)
+    for phase in trip.phases:
+        here = passed(perturbations, phase, here).end
+    _require_finite(here, end.time, end.state)
+    return PeriodDerivative(
+        start=start,
+        end=end.state,
+        by_state=here.state,
+        period=Sensitivity(value=end.time, by_state=here.time, by_parameters=np.zeros(0)),
     )
-    found = _derivative(perturbations, execution, start, release)
-    return replace(found, parameters=chosen)
 
 
 def monodromy_matrix(dynamics: HybridDynamics, derivative: ReturnDerivative) -> Vector:
@@ -195,57 +264,102 @@ def differentials_of(dynamics: HybridDynamics, chosen: tuple[int, ...]) -> Diffe
     return dynamics.differentiation.by(chosen)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Passage:
+    """How the events of a phase move.
+
+    Attributes:
+        first: The first impact, before its reset.
+        zeno: The Zeno point, if there is one.
+        end: The end.
+    """
+
+    first: EventShift
+    zeno: EventShift | None
+    end: EventShift
+
+
+def passed(perturbations: Perturbations, phase: Phase, here: EventShift) -> Passage:
+    """Return how the events of a phase move with its start."""
+    bounces: list[Bounce] = []
+    landings: list[EventShift] = []
+    for arc, impact in zip(phase.flights, phase.impacts, strict=True):
+        landings.append(perturbations.flown(arc, here))
+        here = perturbations.struck(impact, landings[-1])
+        if phase.zeno is not None:
+            bounces = perturbations.joined(bounces, impact, here)
+    if phase.zeno is None or phase.locked is None:
+        return Passage(first=landings[0], zeno=None, end=here)
+    zeno = perturbations.limit(bounces, phase.zeno.state)
+    end = perturbations.released(phase.locked, zeno)
+    return Passage(first=landings[0], zeno=zeno, end=end)
+
+
+def _perturbations(
+    dynamics: HybridDynamics, chosen: tuple[int, ...], settings: SimulationSettings
+) -> Perturbations:
+    return Perturbations(
+        dynamics=dynamics,
+        differentials=differentials_of(dynamics, chosen),
+        n_parameters=len(chosen),
+        tolerance=settings.tolerance,
+    )
+
+
+def _first_flight(execution: Execution) -> Arc | None:
+    return next((arc for arc in execution.arcs if arc.mode is Mode.FREE), None)
+
+
+def _begun(perturbations: Perturbations, execution: Execution, end: float) -> EventShift:
+    """Return how a start at a release moves: with the locked flow, if it is locked for long."""
+    here, first = perturbations.at_start(), execution.arcs[0]
+    if first.mode is Mode.LOCKED and first.end_time > _AT_ONCE * end:
+        return perturbations.released(first, here)
+    return here
+
+
 def _derivative(
-    perturbations: Perturbations, execution: Execution, start: Vector, release: Release
+    perturbations: Perturbations,
+    execution: Execution,
+    start: Vector,
+    phase: Phase,
+    passage: Passage,
+    chosen: tuple[int, ...],
 ) -> ReturnDerivative:
     """Return what an execution to the next release tells, with derivatives."""
-    arcs, events = list(execution.arcs), execution.events
-    here = perturbations.at_start()
-    if arcs[0].mode is Mode.LOCKED:
-        lock = arcs.pop(0)
-        if lock.end_time > _AT_ONCE * release.time:
-            here = perturbations.released(lock, here)
-    impacts = [event for event in events if isinstance(event, Impact)]
-    zenos = [event for event in events if isinstance(event, ZenoPoint)]
-    flights = [arc for arc in arcs if arc.ending is Ending.IMPACT]
-    if len(zenos) != 1 or len(flights) != len(impacts) or arcs[-1].ending is not Ending.RELEASE:
+    zeno, moved, end = phase.zeno, passage.zeno, passage.end
+    release = phase.end
+    if zeno is None or moved is None:
         raise SimulationError(
-            "The return has no derivative: the stop is touched without an impact, or more than one "
-            "Zeno point is passed",
+            "The return passes no Zeno point",
             time=release.time,
             state=tuple(release.state.tolist()),
         )
-    bounces: list[Bounce] = []
-    landings: list[EventShift] = []
-    for arc, impact in zip(flights, impacts, strict=True):
-        landings.append(perturbations.flown(arc, here))
-        here = perturbations.struck(impact, landings[-1])
-        bounces = perturbations.joined(bounces, impact, here)
-    zeno = perturbations.limit(bounces, zenos[0].state)
-    end = perturbations.released(arcs[-1], zeno)
-    bend = perturbations.of_gap_acceleration(zenos[0].state, zeno)
+    _require_finite(end, release.time, release.state)
+    bend = perturbations.of_gap_acceleration(zeno.state, moved)
     n_x = start.size
 
     def sensitivity(value: float, shift: Vector) -> Sensitivity:
         return Sensitivity(value=value, by_state=shift[:n_x], by_parameters=shift[n_x:])
 
-    if not np.all(np.isfinite(end.state)):
-        raise SimulationError(
-            "The return has no finite derivative",
-            time=release.time,
-            state=tuple(release.state.tolist()),
-        )
-    acceleration = perturbations.dynamics.gap_acceleration(zenos[0].state)
+    acceleration = perturbations.dynamics.gap_acceleration(zeno.state)
     return ReturnDerivative(
-        parameters=(),
+        parameters=chosen,
         start=start,
         end=release.state,
         by_state=end.state[:, :n_x],
         by_parameters=end.state[:, n_x:],
         period=sensitivity(release.time, end.time),
-        zeno_time=sensitivity(zenos[0].time, zeno.time),
-        locked_time=sensitivity(release.time - zenos[0].time, end.time - zeno.time),
+        zeno_time=sensitivity(zeno.time, moved.time),
+        locked_time=sensitivity(release.time - zeno.time, end.time - moved.time),
         gap_acceleration=sensitivity(acceleration, bend),
-        first_rate=sensitivity(impacts[0].approach_rate, landings[0].rate),
+        first_rate=sensitivity(phase.impacts[0].approach_rate, passage.first.rate),
         execution=execution,
     )
+
+
+def _require_finite(end: EventShift, time: float, state: Vector) -> None:
+    if not np.all(np.isfinite(end.state)):
+        raise SimulationError(
+            "The return has no finite derivative", time=time, state=tuple(state.tolist())
+        )

@@ -185,7 +185,7 @@ class WantedAmplitude(_Wanted):
     def measured(self, cycle: Cycle) -> float:
         """Return the amplitude of a simulated cycle."""
         index = cycle.state_names.index(self.state)
-        extent = extent_of(lambda x: float(x[index]), (cycle.flight, *cycle.hops, cycle.locked))
+        extent = extent_of(lambda x: float(x[index]), cycle.arcs)
         return (extent.highest - extent.lowest) / 2
 
 

@@ -98,6 +98,12 @@ class Perturbations:
         zero = np.zeros(state.shape[1])
         return EventShift(time=zero, state=state, rate=zero)
 
+    def launched(self, x: Vector) -> EventShift:
+        """Return a start just after an impact, its gap rate included."""
+        start = self.at_start()
+        rate = self._total(self.differentials.contact(x)[GAP_RATE], start.state)
+        return EventShift(time=start.time, state=start.state, rate=rate)
+
     def flown(self, arc: Arc, start: EventShift) -> EventShift:
         """Return how the impact moves that ends a flight, before its reset."""
         end = arc.flow_state_at(arc.duration)

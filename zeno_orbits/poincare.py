@@ -1,7 +1,8 @@
-r"""The return map of a completed system on its release section, and its multipliers.
+r"""The return map of a completed system on a section, and its multipliers.
 
 The section is the set of release states, :math:`h = \dot h = \lambda = 0`, of dimension
-:math:`n_x - 3` without holonomic constraints. Source: [OrAmes2009]_, theory (18).
+:math:`n_x - 3` without holonomic constraints, or of states just after an impact, where an orbit has
+no release. Source: [OrAmes2009]_, theory (18), (45).
 """
 
 from __future__ import annotations
@@ -18,24 +19,27 @@ from zeno_orbits.monodromy import (
     ReturnDerivative,
     Sensitivity,
     loosened,
-    return_derivative,
+    period_derivative,
 )
-from zeno_orbits.returns import first_return, to_next_release
-from zeno_orbits.sections import RELEASE_ROWS, conditions, conditions_gradient
+from zeno_orbits.returns import first_return, placed, round_trip, to_next_release
+from zeno_orbits.sections import RELEASE_ROWS, conditions, conditions_gradient, rows_of
+from zeno_orbits.shape import ONE_ZENO, OrbitShape
 from zeno_orbits.simulate import SimulationSettings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReleaseSection:
-    """A chart of the release section around one of its points.
+    """A chart of a section, mostly that of the releases, around one of its points.
 
     Attributes:
+        rows: Rows of the contact that vanish on it.
         centre: The point, ``(n_x,)``.
         scale: Size of each state, ``(n_x,)``.
         tangent: Orthonormal directions in the section, in scaled states, ``(n_x, n_section)``.
         normal: Pseudo-inverse of the scaled gradient of the conditions, ``(n_x, n_conditions)``.
     """
 
+    rows: tuple[int, ...]
     centre: Vector
     scale: Vector
     tangent: Vector
@@ -51,17 +55,17 @@ class ReleaseSection:
         return self.tangent.T @ ((x - self.centre) / self.scale)
 
     def state(self, dynamics: HybridDynamics, coordinates: Vector) -> Vector:
-        """Return the release state at section coordinates, ``(n_x,)``.
+        """Return the state at section coordinates, ``(n_x,)``.
 
         Raises:
             SimulationError: If there is none: so far from the centre the conditions have no root.
         """
         x = self.centre + self.scale * (self.tangent @ coordinates)
         for _ in range(_CORRECTIONS):
-            values = conditions(dynamics, RELEASE_ROWS, x)
+            values = conditions(dynamics, self.rows, x)
             if not np.all(np.abs(values) < _LOST):
                 state = tuple(self.centre.tolist())
-                raise SimulationError("The release section is lost", time=0.0, state=state)
+                raise SimulationError("The section is lost", time=0.0, state=state)
             correction = self.normal @ values
             x = x - self.scale * correction
             if np.max(np.abs(correction)) < _EXACT:
@@ -128,8 +132,23 @@ class SectionDerivative:
 
 def release_section(dynamics: HybridDynamics, centre: Vector, scale: Vector) -> ReleaseSection:
     """Return a chart of the release section around a release state."""
-    gradient = _conditions_gradient(dynamics, centre, scale)
+    return section_around(dynamics, RELEASE_ROWS, centre, scale)
+
+
+def section_around(
+    dynamics: HybridDynamics, rows: tuple[int, ...], centre: Vector, scale: Vector
+) -> ReleaseSection:
+    """Return a chart of a section around one of its states.
+
+    Args:
+        dynamics: The system.
+        rows: Rows of the contact that vanish on it.
+        centre: The state, ``(n_x,)``.
+        scale: Size of each state, ``(n_x,)``.
+    """
+    gradient = _conditions_gradient(dynamics, rows, centre, scale)
     return ReleaseSection(
+        rows=rows,
         centre=centre,
         scale=scale,
         tangent=null_space(gradient, rcond=1e-9),
@@ -196,6 +215,7 @@ def floquet_multipliers(
     period: float,
     settings: SimulationSettings,
     noise: float = 0.0,
+    shape: OrbitShape = ONE_ZENO,
 ) -> Multipliers:
     """Return the multipliers of an orbit.
 
@@ -204,28 +224,27 @@ def floquet_multipliers(
 
     Args:
         dynamics: The system.
-        x: Release state of the orbit, ``(n_x,)``.
+        x: Where the orbit's period starts, ``(n_x,)``.
         scale: Size of each state, ``(n_x,)``.
         period: Period of the orbit [s].
         settings: Accuracy.
         noise: Error of a returned state, relative to ``scale``, if it is known; it matters to
             differences.
+        shape: The orbit's shape.
 
     Raises:
         SimulationError: If the state, or one displaced by little, does not return.
     """
     if dynamics.differentiation is None:
-        near, far = _differences(dynamics, x, scale=scale, period=period, settings=settings)
+        near, far = _differences(dynamics, x, shape, scale=scale, period=period, settings=settings)
         return _multipliers((4 * near - far) / 3, near, noise / _DIFFERENCE)
-    jacobian = return_slope(dynamics, x, scale=scale, period=period, settings=settings)
+
+    def slope(accuracy: SimulationSettings) -> Vector:
+        return return_slope(dynamics, x, scale=scale, period=period, settings=accuracy, shape=shape)
+
+    jacobian = slope(settings)
     try:
-        rough = return_slope(
-            dynamics,
-            x,
-            scale=scale,
-            period=period,
-            settings=loosened(settings, _LOOSER, resolved=_FEWER),
-        )
+        rough = slope(loosened(settings, _LOOSER, resolved=_FEWER))
     except SimulationError:
         return _multipliers(jacobian, jacobian, math.inf)
     return _multipliers(jacobian, rough, _LEAST * settings.tolerance.relative)
@@ -238,24 +257,30 @@ def return_slope(
     scale: Vector,
     period: float,
     settings: SimulationSettings,
+    shape: OrbitShape = ONE_ZENO,
 ) -> Vector:
-    """Return the derivative of the return map in section coordinates around a state, ``(d, d)``.
+    r"""Return the derivative of the return map in section coordinates around a state, ``(d, d)``.
 
     Args:
         dynamics: The system; without formulas, differences are taken.
-        x: A release state, ``(n_x,)``.
+        x: A state of the section, ``(n_x,)``.
         scale: Size of each state, ``(n_x,)``.
         period: Time of the return, roughly [s].
         settings: Accuracy.
+        shape: What a return consists of.
 
     Raises:
         SimulationError: If the state, or one displaced by little, does not return.
     """
     if dynamics.differentiation is None:
-        near, far = _differences(dynamics, x, scale=scale, period=period, settings=settings)
+        near, far = _differences(dynamics, x, shape, scale=scale, period=period, settings=settings)
         return (4 * near - far) / 3
-    derivative = return_derivative(dynamics, x, horizon=2 * period, settings=settings)
-    return section_derivative(dynamics, derivative, scale).jacobian
+    derivative = period_derivative(dynamics, x, shape, horizon=2 * period, settings=settings)
+    section = section_around(
+        dynamics, rows_of(shape, dynamics.restitution), derivative.start, scale
+    )
+    moved = derivative.by_state @ (scale[:, None] * section.tangent)
+    return section.tangent.T @ (moved / scale[:, None])
 
 
 def _multipliers(jacobian: Vector, rough: Vector, noise: float) -> Multipliers:
@@ -278,6 +303,7 @@ _LEAST = 10.0
 def _differences(
     dynamics: HybridDynamics,
     x: Vector,
+    shape: OrbitShape,
     *,
     scale: Vector,
     period: float,
@@ -287,14 +313,14 @@ def _differences(
 
     Extrapolated, they are right to fourth order.
     """
-    section = release_section(dynamics, x, scale)
+    section = section_around(dynamics, rows_of(shape, dynamics.restitution), x, scale)
 
     def image(direction: int, distance: float) -> Vector:
         coordinates = np.zeros(section.dimension)
         coordinates[direction] = distance
-        start = section.state(dynamics, coordinates)
-        _, end = poincare_map(dynamics, start, horizon=2 * period, settings=settings)
-        return section.coordinates(end)
+        start = placed(dynamics, shape, section.state(dynamics, coordinates))
+        trip = round_trip(dynamics, start, shape, horizon=2 * period, settings=settings)
+        return section.coordinates(trip.phases[-1].end.state)
 
     def differences(distance: float) -> Vector:
         columns = [
@@ -306,16 +332,18 @@ def _differences(
     return differences(_DIFFERENCE), differences(2 * _DIFFERENCE)
 
 
-def _conditions_gradient(dynamics: HybridDynamics, x: Vector, scale: Vector) -> Vector:
-    """Return the derivative of the conditions of a release by scaled states, ``(n, n_x)``."""
+def _conditions_gradient(
+    dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector, scale: Vector
+) -> Vector:
+    """Return the derivative of the conditions of a section by scaled states, ``(n, n_x)``."""
     if dynamics.differentiation is not None:
-        return conditions_gradient(dynamics, (), RELEASE_ROWS, x) * scale
+        return conditions_gradient(dynamics, (), rows, x) * scale
     step = 1e-6
     columns: list[Vector] = []
     for k in range(len(x)):
         shift = np.zeros(len(x))
         shift[k] = step * scale[k]
-        ahead = conditions(dynamics, RELEASE_ROWS, x + shift)
-        rise = ahead - conditions(dynamics, RELEASE_ROWS, x - shift)
+        ahead = conditions(dynamics, rows, x + shift)
+        rise = ahead - conditions(dynamics, rows, x - shift)
         columns.append(rise / (2 * step))
     return np.stack(columns, axis=1)

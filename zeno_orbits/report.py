@@ -212,18 +212,29 @@ def print_orbit(
             value = orbit.parameters[quantity.name]
             table.add_row(quantity.name, f"{value:.12g}", quantity.unit)
     table.add_row("period", f"{orbit.period:.12g}", "s")
-    for name, unit in zip(problem.state_names, problem.state_units, strict=True):
-        table.add_row(f"{name} at release", f"{orbit.release_state[name]:.12g}", unit)
-    table.add_row("first impact", f"{orbit.impacts[0].time:.12g}", "s")
-    table.add_row("Zeno point", f"{orbit.zeno_time:.12g}", "s")
-    for name, unit in zip(problem.state_names, problem.state_units, strict=True):
-        table.add_row(f"{name} at Zeno point", f"{orbit.zeno_state[name]:.12g}", unit)
+    one = orbit.shape.n_phases == 1
+    if not orbit.shape.has_one_release:
+        table.add_row("shape", orbit.shape.text, "")
+    for k, phase in enumerate(orbit.phases):
+        if not one:
+            table.add_row(f"phase {k + 1} starts", f"{phase.start_time:.12g}", "s")
+        after = "release" if orbit.phases[k - 1].kind.holds else "start"
+        _add_state(table, problem, f"at {after}", phase.start_state)
+        table.add_row("first impact", f"{phase.impacts[0].time:.12g}", "s")
+        if phase.zeno_time is not None and phase.zeno_state is not None:
+            table.add_row("Zeno point", f"{phase.zeno_time:.12g}", "s")
+            _add_state(table, problem, "at Zeno point", phase.zeno_state)
     for k, multiplier in enumerate(certificate.multipliers):
         table.add_row(f"multiplier {k + 1}", _complex(multiplier), "1")
     work = certificate.energies.get("input_work")
     if work is not None:
         table.add_row("work put in a period", f"{work:.9g}", "J")
     _print(table)
+
+
+def _add_state(table: Table, problem: Problem, where: str, state: Mapping[str, float]) -> None:
+    for name, unit in zip(problem.state_names, problem.state_units, strict=True):
+        table.add_row(f"{name} {where}", f"{state[name]:.12g}", unit)
 
 
 def print_certificate(certificate: OrbitCertificate) -> None:

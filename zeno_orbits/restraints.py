@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.bounds import Bound
+from zeno_orbits.errors import InputError
 from zeno_orbits.program import Array
 from zeno_orbits.return_map import keep_radius_below
 from zeno_orbits.shooting import OrbitTerms
@@ -23,21 +24,38 @@ RADIUS_SLACK = 1e-7
 """By how much less a spectral radius is asked of the program: what its mesh may be wrong by."""
 
 
-def number(terms: OrbitTerms, name: str) -> ca.MX:
-    """Return a number of the whole orbit, by its name in `measures.NUMBERS`."""
+def numbers(terms: OrbitTerms, name: str) -> list[ca.MX]:
+    """Return a number of the whole orbit by its name in `measures.NUMBERS`: one a phase, if so.
+
+    What is measured of an orbit of several phases is the least of them.
+
+    Raises:
+        InputError: If orbits of this shape have no such number.
+    """
     if name == "period":
-        return terms.period
+        return [terms.period]
     if name == "energy":
-        return terms.electrical_work
-    if name == "locked_time":
-        return terms.stretches[-1].duration
+        return [terms.electrical_work]
+    if name == "margin":
+        return [smallest_share(terms)]
     if name == "first_impact_speed":
-        return -terms.approach_rate
-    if name == "gap_acceleration":
-        return -terms.compiled.contact(terms.zeno, terms.p)[2]
-    if name == "release_transversality":
-        return -terms.compiled.contact(terms.release, terms.p)[4]
-    return smallest_share(terms)
+        return [-phase.approach_rate for phase in terms.phases]
+    found: list[ca.MX] = []
+    for place, phase in enumerate(terms.phases):
+        if phase.locked is None or phase.zeno is None:
+            continue
+        if name == "locked_time":
+            found.append(phase.locked.duration)
+        elif name == "gap_acceleration":
+            found.append(-terms.compiled.contact(phase.zeno, terms.p)[2])
+        else:
+            # Where the next phase starts the stop lets go.
+            release = terms.phases[(place + 1) % len(terms.phases)].start
+            found.append(-terms.compiled.contact(release, terms.p)[4])
+    if not found:
+        wanted = f"must bound what an orbit of shape `{terms.shape.text}` has"
+        raise InputError(f"Argument `keep` {wanted}, but it names `{name}`.")
+    return found
 
 
 def smallest_share(terms: OrbitTerms) -> ca.MX:
@@ -45,16 +63,21 @@ def smallest_share(terms: OrbitTerms) -> ca.MX:
 
     :math:`t \le` each share; a largest value is an unknown that no stage exceeds (theory (32)).
     """
-    program, flight, locked = terms.program, terms.stretches[0], terms.stretches[-1]
+    program = terms.program
     share = program.variable("smallest margin", 0.1, lower=-1.0, upper=1.0)[0, 0]
-    for name, index, stretch, value in (
-        ("speed of the first impact", 1, flight, -terms.approach_rate),
-        ("d2h/dt2 at the Zeno point", 2, locked, -terms.compiled.contact(terms.zeno, terms.p)[2]),
-    ):
-        quantity = _contact(terms, name, index)
-        most = largest(terms, quantity, (stretch,), f"largest value beside the {name}")
-        program.at_least_zero(f"margin: {name}", value / most - share)
-    program.at_least_zero("margin: locked arc", locked.duration / terms.period - share)
+    for phase in terms.phases:
+        speed = (f"{phase.label}speed of the first impact", 1, phase.flights[0])
+        quantities: list[tuple[str, int, Stretch, ca.MX]] = [(*speed, -phase.approach_rate)]
+        if phase.locked is not None and phase.zeno is not None:
+            push = -terms.compiled.contact(phase.zeno, terms.p)[2]
+            quantities.append((f"{phase.label}d2h/dt2 at the Zeno point", 2, phase.locked, push))
+        for name, index, stretch, value in quantities:
+            quantity = _contact(terms, name, index)
+            most = largest(terms, quantity, (stretch,), f"largest value beside the {name}")
+            program.at_least_zero(f"margin: {name}", value / most - share)
+        if phase.locked is not None:
+            row = phase.locked.duration / terms.period - share
+            program.at_least_zero(f"margin: {phase.label}locked arc", row)
     return share
 
 
@@ -91,12 +114,16 @@ def keep(terms: OrbitTerms, bound: Bound, slack: ca.MX | float = 0.0) -> float:
                 offset = -sign * end + slack * size
                 _hold(terms, _label(bound, sign), quantity, columns, sign, offset, size)
         return size
-    value = number(terms, bound.name)
+    values = numbers(terms, bound.name)
+    if len(values) > 1 and math.isfinite(bound.upper):
+        wanted = f"must bound `{bound.name}` from below only for the shape `{terms.shape.text}`"
+        raise InputError(f"Argument `keep` {wanted}, but it has {bound.text}.")
     size = size_of(bound, 0.0)
-    for sign, end in ((1.0, bound.lower), (-1.0, bound.upper)):
-        if math.isfinite(end):
-            row = sign * (value - end) + slack * size
-            terms.program.at_least_zero(_label(bound, sign), row, scale=size)
+    for value in values:
+        for sign, end in ((1.0, bound.lower), (-1.0, bound.upper)):
+            if math.isfinite(end):
+                row = sign * (value - end) + slack * size
+                terms.program.at_least_zero(_label(bound, sign), row, scale=size)
     return size
 
 

@@ -42,20 +42,24 @@ def section_map(terms: OrbitTerms) -> ca.MX:
         wanted = f"must leave the contraction alone where the section has {d} coordinates"
         reason = f"one to {MOST_COORDINATES} can be asked for"
         raise InputError(f"Argument `objective` {wanted}, but {reason}.")
-    end = terms.stretches[-1].end
-    force = terms.compiled.contact(end, terms.p)[3]
-    chart = ca.mtimes(ca.DM(basis).T, terms.release / ca.DM(terms.scale))
-    extra = ca.vertcat(force / float(np.max(np.abs(slope))), chart)
-    targets = np.vstack([np.zeros((1, d)), np.eye(d)])
+    end, chart = terms.end, ca.mtimes(ca.DM(basis).T, terms.start / ca.DM(terms.scale))
+    # Where the stop lets go is told by the multiplier; an impact ends its flight by itself.
+    ends = ca.MX(0, 1)
+    if terms.shape.starts_at_release:
+        ends = terms.compiled.contact(end, terms.p)[3] / float(np.max(np.abs(slope)))
+    n_ends = ends.numel()
+    extra = ca.vertcat(ends, chart)
+    targets = np.vstack([np.zeros((n_ends, d)), np.eye(d)])
     firsts = first_directions(program, terms.motion, extra, targets)
     columns: list[ca.MX] = []
     for k, first in enumerate(firsts):
         label = f"neighbour {k + 1}"
         moved, direction = tangent(program, terms.motion, label=label, first=first)
         along = ca.jtimes(ca.vertcat(extra, end / ca.DM(terms.scale)), moved, direction)
-        program.equal(f"{label}: multiplier = 0 at its release", along[0])
-        program.equal(f"{label}: its start", along[1 : 1 + d] - ca.DM(targets[1:, k]))
-        columns.append(ca.mtimes(ca.DM(basis).T, along[1 + d :]))
+        program.equal(f"{label}: multiplier = 0 at its release", along[:n_ends])
+        place = along[n_ends : n_ends + d]
+        program.equal(f"{label}: its start", place - ca.DM(targets[n_ends:, k]))
+        columns.append(ca.mtimes(ca.DM(basis).T, along[n_ends + d :]))
     return ca.horzcat(*columns)
 
 
@@ -90,6 +94,8 @@ def radius_of(jacobian: Array) -> float:
 
 def _section_basis(terms: OrbitTerms, slope: Array) -> Array:
     """Return a basis of the section at the guess, in scaled states, ``(n_x, d)``."""
+    if not terms.shape.starts_at_release:
+        return terms.tangent
     return np.asarray(terms.tangent @ null_space(slope @ terms.tangent), dtype=np.float64)
 
 
@@ -98,4 +104,4 @@ def _multiplier_slope(terms: OrbitTerms) -> Array:
     x, p = ca.SX.sym("x", terms.compiled.n_x), ca.SX.sym("p", terms.p.numel())
     multiplier = terms.compiled.contact(x, p)[3]
     gradient = ca.Function("gradient", [x, p], [ca.jacobian(multiplier, x)])
-    return terms.guessed(gradient(terms.release, terms.p)) * terms.scale
+    return terms.guessed(gradient(terms.start, terms.p)) * terms.scale

@@ -16,6 +16,7 @@ from zeno_orbits.objectives import NearestGains, Objective, WantedAmplitude, Wan
 from zeno_orbits.orbit import ZenoOrbit
 from zeno_orbits.problem import Problem, Setting
 from zeno_orbits.questions import Question, clipped, require_sense
+from zeno_orbits.shape import OrbitShape
 from zeno_orbits.starts import Spread, numbered_start, trials_here, trials_spread
 from zeno_orbits.trials import Accept, Candidate, Judgement, Trial
 
@@ -109,7 +110,11 @@ class OrbitNotFoundError(ZenoOrbitsError):
 
 
 def find_orbit(
-    problem: Problem, setting: Setting, *, settings: SearchSettings | None = None
+    problem: Problem,
+    setting: Setting,
+    *,
+    settings: SearchSettings | None = None,
+    shape: OrbitShape | None = None,
 ) -> SearchResult:
     """Find the orbit at given gains: as many conditions as unknowns.
 
@@ -117,9 +122,10 @@ def find_orbit(
         problem: The scene.
         setting: Its numbers; there is one start.
         settings: How hard to look.
+        shape: The shape of the orbit; by default whatever a simulation settles to.
     """
     settings = replace(settings or SearchSettings(), n_starts=0)
-    return search_gains(problem, setting, free={}, settings=settings)
+    return search_gains(problem, setting, free={}, settings=settings, shape=shape)
 
 
 def search_gains(
@@ -134,6 +140,7 @@ def search_gains(
     accept: Accept | None = None,
     on_progress: Callable[[str], None] | None = None,
     spread: Spread | None = None,
+    shape: OrbitShape | None = None,
 ) -> SearchResult:
     """Find gains, parameters and initial states of an orbit, from one start after another.
 
@@ -152,6 +159,8 @@ def search_gains(
             process. The result is the same bit for bit for any number of workers, times apart:
             starts count in their order, whoever is first. With a checkpoint, ``accept`` must be
             a function of a module, or a frozen dataclass with ``__call__``.
+        shape: The shape of the orbits that are wanted; by default that of ``near``, or whatever a
+            simulation settles to.
 
     Returns:
         The accepted orbits, the best first, or why there is none.
@@ -163,6 +172,8 @@ def search_gains(
     """
     question = Question(free=free, objective=objective, bounds=tuple(bounds), near=near)
     require_sense(problem, question)
+    if near is not None:
+        shape = near.shape.agreed(shape)
     objective = objective or NearestGains(target={})
     if isinstance(objective, NearestGains):
         # What has no target stays near its start, so the start is where the target can be met.
@@ -178,6 +189,7 @@ def search_gains(
         objective=objective,
         bounds=tuple(bounds),
         settings=settings or SearchSettings(),
+        shape=shape,
         tell=on_progress or (lambda _: None),
     )
     if spread is None:
@@ -242,7 +254,8 @@ def _same(hunt: Hunt, one: Candidate, other: Candidate) -> bool:
     a, b = one.orbit.setting(hunt.problem), other.orbit.setting(hunt.problem)
     pairs = [(a.number(name), b.number(name)) for name in hunt.free]
     pairs.append((one.orbit.period, other.orbit.period))
-    return all(abs(p - q) <= _SAME * max(abs(p), abs(q)) for p, q in pairs)
+    alike = one.orbit.shape == other.orbit.shape
+    return alike and all(abs(p - q) <= _SAME * max(abs(p), abs(q)) for p, q in pairs)
 
 
 def _enough_failures(hunt: Hunt) -> int:

@@ -15,11 +15,14 @@ from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.linear_algebra import null_space
 from zeno_orbits.monodromy import differentials_of
+from zeno_orbits.shape import OrbitShape
 
 RELEASE_ROWS = (GAP, GAP_RATE, MULTIPLIER)
 """Conditions of a release, theory (12)."""
 IMPACT_ROWS = (GAP,)
 """Conditions of a state just after an impact."""
+REST_ROWS = (GAP, GAP_RATE)
+"""Conditions of a state just after a plastic impact."""
 
 _MOST_CORRECTIONS = 20
 _EXACT = 4e-16
@@ -70,6 +73,13 @@ class Frame:
     def coordinates(self, change: Vector) -> Vector:
         """Return section coordinates of a difference of states, ``(d,)`` or ``(d, m)``."""
         return self.tangent.T @ (change.T / self.scale).T
+
+
+def rows_of(shape: OrbitShape, restitution: float) -> tuple[int, ...]:
+    """Return the conditions of where a period of a shape starts (theory (44))."""
+    if shape.starts_at_release:
+        return RELEASE_ROWS
+    return REST_ROWS if restitution == 0.0 else IMPACT_ROWS
 
 
 def frame(

@@ -68,6 +68,7 @@ def simulate(
     *,
     until: float,
     releases: int | None = None,
+    impacts: int | None = None,
     settings: SimulationSettings | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> Execution:
@@ -78,6 +79,7 @@ def simulate(
         state: Initial state, ``(n_x,)``, at time 0.
         until: When to stop [s].
         releases: Stop earlier, at this many releases; never by default.
+        impacts: Stop earlier, just after this many impacts that end flights; likewise.
         settings: Accuracy; the defaults aim at 1e-11 a period.
         on_progress: Called with the time reached, after every arc.
 
@@ -89,7 +91,11 @@ def simulate(
         raise InputError(
             f"Argument `until` must be a positive number of seconds, but it is {until}."
         )
-    run = _Run(dynamics, settings or SimulationSettings(), until, releases, on_progress)
+    most = _Most(
+        releases=math.inf if releases is None else releases,
+        impacts=math.inf if impacts is None else impacts,
+    )
+    run = _Run(dynamics, settings or SimulationSettings(), until, most, on_progress)
     run.follow(run.admit(np.array(state, dtype=np.float64)))
     return Execution(
         state_names=dynamics.state_names, arcs=tuple(run.arcs), events=tuple(run.events)
@@ -113,6 +119,14 @@ class _Start:
     state: Vector
     speed: float | None = None
     impact: Impact | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Most:
+    """Events at which an execution ends."""
+
+    releases: float
+    impacts: float
 
 
 _FIRST_LOOK = 25_000
@@ -148,14 +162,14 @@ class _Run:
         dynamics: HybridDynamics,
         settings: SimulationSettings,
         until: float,
-        releases: int | None,
+        most: _Most,
         on_progress: Callable[[float], None] | None,
     ) -> None:
         self.dynamics = dynamics
         self.settings = settings
         self.engine = settings.engine
         self.until = until
-        self.most_releases = math.inf if releases is None else releases
+        self.most = most
         self.on_progress = on_progress
         self.arcs: list[Arc] = []
         self.events: list[Event] = []
@@ -164,9 +178,9 @@ class _Run:
         self.looks: list[_Look] = []
         self.n_releases = 0
 
-    def follow(self, start: _Start) -> None:
+    def follow(self, start: _Start | None) -> None:
         """Follow the execution from an admitted start to its end."""
-        here: _Start | None = start
+        here = start
         while here is not None:
             if here.mode is Mode.LOCKED:
                 here = self.carry(here)
@@ -177,7 +191,7 @@ class _Run:
             if self.on_progress is not None:
                 self.on_progress(self.arcs[-1].end_time)
 
-    def admit(self, x: Vector) -> _Start:
+    def admit(self, x: Vector) -> _Start | None:
         """Return the first start, or say why the state is not admissible."""
         dynamics, small = self.dynamics, self.settings.contact
         names = dynamics.state_names
@@ -232,7 +246,7 @@ class _Run:
         state = self.dynamics.on_stop(arc.end_state)
         self.events.append(Release(time=arc.end_time, state=state))
         self.n_releases += 1
-        if self.n_releases >= self.most_releases:
+        if self.n_releases >= self.most.releases:
             return None
         return _Start(mode=Mode.FREE, time=arc.end_time, state=state)
 
@@ -266,8 +280,8 @@ class _Run:
             here = self._hop(here, here.speed)
         return here
 
-    def hit(self, time: float, state_minus: Vector, approach_rate: float) -> _Start:
-        """Apply the reset map and return what follows it."""
+    def hit(self, time: float, state_minus: Vector, approach_rate: float) -> _Start | None:
+        """Apply the reset map and return what follows it, if anything is to."""
         dynamics = self.dynamics
         if not approach_rate < 0.0:
             raise SimulationError(
@@ -291,6 +305,8 @@ class _Run:
         )
         self.events.append(impact)
         self.n_impacts += 1
+        if self.arcs and self.n_impacts >= self.most.impacts:
+            return None
         if speed <= self.settings.contact:
             state = dynamics.on_stop(state_plus)
             after = self.rest(time, state)

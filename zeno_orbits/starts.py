@@ -12,7 +12,7 @@ import numpy as np
 from zeno_orbits.bounds import Bound
 from zeno_orbits.dynamics import Vector
 from zeno_orbits.errors import InputError
-from zeno_orbits.finds import SearchSettings, SearchStatus, Start
+from zeno_orbits.finds import Known, SearchSettings, SearchStatus, Start
 from zeno_orbits.hunt import Hunt
 from zeno_orbits.models import compiled_model
 from zeno_orbits.objectives import Objective
@@ -21,6 +21,7 @@ from zeno_orbits.plain import plain
 from zeno_orbits.problem import Problem, Setting
 from zeno_orbits.questions import clipped
 from zeno_orbits.scenes import SceneFile
+from zeno_orbits.shape import OrbitShape
 from zeno_orbits.trial_data import trial_from_json, trial_to_json
 from zeno_orbits.trials import Accept, Trial, tried
 from zeno_orbits.work import Lost, Plan, spread_in_order
@@ -59,8 +60,11 @@ def numbered_start(hunt: Hunt, near: ZenoOrbit | None, number: int) -> Start:
     first = clipped(hunt.setting, hunt.free)
     known = None
     if near is not None:
-        release = np.array(hunt.problem.state_vector(near.release_state))
-        known = (near.setting(hunt.problem), release)
+        known = Known(
+            setting=near.setting(hunt.problem),
+            start=np.array(hunt.problem.state_vector(near.start_state)),
+            shape=near.shape,
+        )
     return Start(setting=first, known=known, easy=_easy_settings(hunt.problem, first))
 
 
@@ -92,6 +96,7 @@ def trials_spread(
         objective=hunt.objective,
         bounds=hunt.bounds,
         settings=hunt.settings,
+        shape=hunt.shape,
         near=near,
         accept=accept,
     )
@@ -123,6 +128,7 @@ class _Task:
     objective: Objective
     bounds: tuple[Bound, ...]
     settings: SearchSettings
+    shape: OrbitShape | None
     near: ZenoOrbit | None
     accept: Accept | None
 
@@ -137,6 +143,7 @@ class _Task:
             objective=self.objective,
             bounds=self.bounds,
             settings=self.settings,
+            shape=self.shape,
             tell=_nobody,
         )
         return self.tried(hunt, numbers)
@@ -162,6 +169,7 @@ def _identity(
         "bounds": plain(hunt.bounds),
         "from": None if near is None else near.as_json(),
         "settings": plain(hunt.settings, "settings"),
+        "shape": None if hunt.shape is None else hunt.shape.text,
         "accept": plain(accept, "accept"),
         "versions": versions(),
     }

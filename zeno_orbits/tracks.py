@@ -96,6 +96,7 @@ def track_of(
     if orbit.problem != problem.name:
         message = f"must be of scene `{problem.name}`, but it is of `{orbit.problem}`"
         raise InputError(f"Argument `orbit` {message}.")
+    orbit.shape.require_one_release()
     setting = orbit.setting(problem)
     p = np.array(setting.values())
     line = line_in(problem, p, parameter)

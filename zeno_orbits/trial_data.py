@@ -73,6 +73,7 @@ def _certificate(data: Mapping[str, Any]) -> OrbitCertificate:
         n_periods=data["n_periods"],
         model=data["model"],
         trouble=data["trouble"],
+        shape=data["shape"],
         asked=tuple(data["asked"]),
     )
 

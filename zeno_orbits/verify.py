@@ -1,8 +1,8 @@
 """Check an orbit by forward integration from its numbers alone.
 
 Nothing here knows how the orbit was found: the scene is rebuilt from the orbit's parameters and
-gains, the completed system is simulated from the release over several periods, and what happens
-is held against what the orbit says. Residuals are relative (theory (19)).
+gains, the completed system is simulated from where the period starts over several periods, and what
+happens is held against what the orbit says. Residuals are relative (theory (19), (46)).
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from zeno_orbits.orbit import ZenoOrbit
 from zeno_orbits.poincare import Multipliers, floquet_multipliers
 from zeno_orbits.problem import Problem
 from zeno_orbits.residuals import margins_of, orbit_residuals
+from zeno_orbits.returns import placed
 from zeno_orbits.simulate import SimulationSettings
 
 
@@ -120,11 +121,12 @@ def verify(
         delta_sweep=sweep,
         delta_order=cut_order(sweep),
         integration_error=seen.integration_error,
-        zeno_error=math.inf if seen.cycle is None else seen.cycle.zeno.error,
+        zeno_error=math.inf if seen.cycle is None else seen.cycle.zeno_error,
         period=math.nan if seen.cycle is None else seen.cycle.end.time,
         n_periods=settings.n_periods,
         model="reference" if settings.use_reference else "derived",
         trouble=trouble,
+        shape=claim.shape.text,
     )
 
 
@@ -161,13 +163,14 @@ def _multipliers(
     try:
         return floquet_multipliers(
             dynamics,
-            dynamics.on_stop(claim.release),
+            placed(dynamics, claim.shape, claim.start),
             scale=cycle.scale,
             period=cycle.end.time,
             settings=replace(
                 settings.simulation, tolerance=_no_finer(settings.simulation.tolerance)
             ),
             noise=integration_error * _SHARE,
+            shape=claim.shape,
         )
     except ZenoOrbitsError:
         return None

@@ -57,10 +57,10 @@ def _run_plot(options: argparse.Namespace) -> int:
     dynamics = problem_dynamics(orbit, problem)
     if options.output.exists() and not options.output.is_dir():
         raise InputError(f"Argument `output` must be a folder, but `{options.output}` is a file.")
-    release = problem.state_vector(orbit.release_state)
+    start = problem.state_vector(orbit.start_state)
     # A little longer, so that rounding does not cut off the last release.
     horizon = options.periods * orbit.period * (1 + 1e-6)
-    execution = simulate(dynamics, release, until=horizon)
+    execution = simulate(dynamics, start, until=horizon)
     draw = {
         "portraits": lambda: plots.plot_portraits(problem, execution),
         "time": lambda: plots.plot_time_series(problem, execution),
@@ -75,12 +75,20 @@ def _run_plot(options: argparse.Namespace) -> int:
             f"Argument `output` must be a folder that can be made, but `{options.output}` is not"
         )
         raise InputError(f"{message} ({error.strerror}).") from error
-    has = {"outputs": bool(problem.outputs), "region": plots.has_zeno_region(dynamics)}
+    rests = orbit.shape.starts_at_release
+    has = {
+        "outputs": bool(problem.outputs),
+        "zeno": rests,
+        "region": rests and plots.has_zeno_region(dynamics),
+    }
     kinds = options.kind or [kind for kind in _PICTURES if has.get(kind, True)]
     if "outputs" in kinds and not problem.outputs:
         raise InputError(
             f"Argument `kind` must be one `{problem.name}` has, but it has no outputs."
         )
+    if not rests and {"zeno", "region"} & {*kinds}:
+        wanted = "must be a picture of an orbit without a Zeno point"
+        raise InputError(f"Argument `kind` {wanted}, but it is `zeno` or `region`.")
     paths = [options.output / f"{kind}.{options.format}" for kind in kinds]
     for path in paths:
         require_writable(path)

@@ -17,6 +17,7 @@ from zeno_orbits.arguments import (
     read_numbers,
     read_objective,
     read_seed,
+    read_shape,
 )
 from zeno_orbits.cli.shared import (
     NO,
@@ -52,7 +53,7 @@ def add_search(commands: Any) -> None:
         commands,
         "search",
         _run_search,
-        "find gains and initial states of a Zeno periodic orbit, and verify it",
+        "find gains and initial states of a periodic orbit, and verify it",
         [
             "zeno-orbits search motor_pendulum -o orbit.json",
             "zeno-orbits search motor_pendulum --fix Kp=4 --fix Kd=-1",
@@ -61,6 +62,7 @@ def add_search(commands: Any) -> None:
             "zeno-orbits search motor_pendulum --fix Kp=2.5 --fix Kd=-1 --free R=2:4 "
             "--objective peak=current",
             "zeno-orbits search motor_pendulum --from orbit.json --set restitution=0.3",
+            "zeno-orbits search motor_pendulum --fix Kp=4.3 --fix Kd=-1.53 --shape zeno*2",
             "zeno-orbits search motor_pendulum --objective margin --candidates 3 -o orbit.json",
             "zeno-orbits search motor_pendulum --objective energy --scheduler tcp://host:8786",
         ],
@@ -113,6 +115,13 @@ def add_search(commands: Any) -> None:
         type=Path,
         metavar="ORBIT.json",
         help="start from this orbit; its numbers are the scene's unless --set or --fix say else",
+    )
+    parser.add_argument(
+        "--shape",
+        metavar="SHAPE",
+        help="phases of a period: zeno (impacts accumulate, the stop holds, and lets go), impact "
+        "(one impact, off the stop again), plastic (the stop holds at once, e = 0); *N for N of "
+        "them, joined by commas (zeno*2, impact*3); by default what a simulation settles to",
     )
     parser.add_argument(
         "--candidates",
@@ -176,6 +185,9 @@ def _run_search(options: argparse.Namespace) -> int:
     setting, free = _numbers(options, problem, near)
     objective = read_objective(options.objective, problem, free)
     bounds = read_bounds(options.keep)
+    shape = read_shape(options.shape)
+    if near is not None:
+        near.shape.agreed(shape)
     if options.output is not None:
         require_writable(options.output)
     settings = SearchSettings(
@@ -205,6 +217,7 @@ def _run_search(options: argparse.Namespace) -> int:
                 accept=judge,
                 on_progress=progress.tell,
                 spread=Spread(scene=scene, plan=plan, tell=progress.tell),
+                shape=shape,
             )
     except KeyboardInterrupt:
         return interrupted(options, checkpoint)

@@ -28,6 +28,9 @@ from zeno_orbits.plots.style import (
 )
 from zeno_orbits.problem import Problem, Setting
 
+_EDGE = 0.01
+"""Part of a picture in which an impact would be hidden by its frame."""
+
 
 def plot_portraits(problem: Problem, execution: Execution, *, width: float = FULL_WIDTH) -> Figure:
     """Return the phase portraits of a scene: arcs by mode, resets, Zeno points, releases.
@@ -114,12 +117,19 @@ def _over_time(
         ax.vlines(impacts, 0.91, 1.0, color=INK, lw=0.8, transform=edge, gid="impact")
         if impacts:
             ax.plot([], [], color=INK, ls="", marker="|", ms=7, label="impact")
-        ax.set(ylabel=label, xlim=(execution.arcs[0].start_time, execution.end_time))
+        ax.set(ylabel=label, xlim=(execution.arcs[0].start_time, _end(execution)))
         ax.tick_params(labelbottom=ax is panels[-1])
     panels[-1].set_xlabel("time $t$ [s]")
     figure.align_ylabels(panels)
     add_legend(figure, width)
     return figure
+
+
+def _end(execution: Execution) -> float:
+    """Return where a picture ends: a little later, if an impact at the end would be on its edge."""
+    start, end = execution.arcs[0].start_time, execution.end_time
+    last = execution.impacts[-1].time if execution.impacts else start
+    return end + _EDGE * (end - start) if last > end - _EDGE * (end - start) else end
 
 
 def _phases(execution: Execution) -> list[tuple[Mode, float, float]]:

@@ -1,0 +1,145 @@
+"""The commands, given orbits of other shapes: they work, or say in one line what they need."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from zeno_orbits.cli import main
+
+STRUCK = ("search", "impact_oscillator", "--set", "omega=0.5", "--set", "stop=0.5")
+"""Three impacts a period."""
+
+
+@pytest.fixture(name="file", scope="module")
+def _file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("shapes") / "orbit.json"
+    assert main([*STRUCK, "-o", str(path)]) == 0
+    return path
+
+
+def _one_line(capsys: pytest.CaptureFixture[str], *words: str) -> None:
+    text = capsys.readouterr().err
+    assert text.startswith("zeno-orbits: ")
+    assert text.count("\n") == 1
+    for word in words:
+        assert word in text
+
+
+def test_the_orbit_is_shown_phase_by_phase(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*STRUCK]) == 0
+    text = capsys.readouterr().out
+    assert "impact*3" in text
+    assert "phase 3 starts" in text
+    assert "Verified: a stable periodic orbit without a Zeno point (shape impact*3)" in text
+
+
+def test_the_file_is_verified_and_its_certificate_says_the_shape(
+    file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["verify", str(file), "--json"]) == 0
+    seen = json.loads(capsys.readouterr().out)
+    assert seen["passed"]
+    assert seen["shape"] == "impact*3"
+    assert seen["floquet_multipliers"]
+
+
+def _phase_out(data: dict[str, Any]) -> None:
+    del data["phases"][1]
+    data["shape"] = "impact*2"
+
+
+def _impact_out(data: dict[str, Any]) -> None:
+    data["phases"][1]["impacts"] = []
+
+
+def _swapped(data: dict[str, Any]) -> None:
+    one, two = data["phases"][1:]
+    one["start_state"], two["start_state"] = two["start_state"], one["start_state"]
+
+
+def _twice(data: dict[str, Any]) -> None:
+    turn = data["period"]
+    later = json.loads(json.dumps(data["phases"]))
+    for phase in later:
+        phase["start_time"] += turn
+        phase["impacts"][0]["time"] += turn
+    data |= {"phases": data["phases"] + later, "period": 2 * turn, "shape": "impact*6"}
+
+
+def _count(data: dict[str, Any]) -> None:
+    data["shape"] = "impact*4"
+
+
+@pytest.mark.parametrize(
+    ("spoil", "code", "word"),
+    [
+        (_phase_out, 1, "Refused: "),
+        (_impact_out, 2, "must have an impact in phase 2"),
+        (_swapped, 1, "`phases` is "),
+        (_twice, 1, "the margin `phases_apart` is 0.00e+00, not positive"),
+        (_count, 2, "its `shape` is `impact*4`, but its phases are `impact*3`"),
+    ],
+)
+def test_a_file_that_was_tampered_with_is_refused(
+    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], spoil: Any, code: int, word: str
+) -> None:
+    data = json.loads(file.read_text(encoding="utf-8"))
+    spoil(data)
+    path = tmp_path / "false.json"
+    path.write_text(json.dumps(data), encoding="utf-8")
+    assert main(["verify", str(path)]) == code
+    answer = capsys.readouterr()
+    assert word in " ".join((answer.out + answer.err).split())
+
+
+def test_pictures_of_an_orbit_without_a_zeno_point_are_those_it_has(
+    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["plot", str(file), "-o", str(tmp_path)]) == 0
+    assert {path.stem for path in tmp_path.iterdir()} == {"portraits", "time"}
+    capsys.readouterr()
+    assert main(["plot", str(file), "--kind", "zeno", "-o", str(tmp_path)]) == 2
+    _one_line(capsys, "`kind`", "without a Zeno point")
+
+
+def test_a_family_of_another_shape_is_refused_in_one_line(
+    file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["continue", "impact_oscillator", "--in", "omega=0.4:0.6", "--from", str(file)]
+    assert main(words) == 2
+    _one_line(capsys, "one Zeno point and one release a period", "`impact*3`")
+
+
+@pytest.mark.parametrize("shape", ["bounce", "zeno,impact", "plastic,impact", "zeno*0"])
+def test_a_shape_that_is_none_is_refused_in_one_line(
+    shape: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*STRUCK, "--shape", shape]) == 2
+    _one_line(capsys, "`shape`", f"`{shape}`")
+
+
+def test_a_shape_that_is_not_there_is_a_no(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*STRUCK, "--shape", "impact", "--json"]) == 1
+    assert not json.loads(capsys.readouterr().out)["found"]
+
+
+def test_an_orbit_to_start_from_has_the_shape_that_is_asked_for(
+    file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["search", "impact_oscillator", "--from", str(file), "--shape", "zeno"]) == 2
+    _one_line(capsys, "must be the shape `impact*3` of the orbit to start from")
+    moved = ["search", "impact_oscillator", "--from", str(file), "--set", "omega=0.51", "--json"]
+    assert main(moved) == 0
+    assert json.loads(capsys.readouterr().out)["shape"] == "impact*3"
+
+
+def test_a_margin_that_a_shape_has_not_is_no_bound_for_it(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = ["search", "impact_oscillator", "--free", "A=0.5:2", "--objective", "energy"]
+    assert main([*words, "--keep", "locked_time=0.1:"]) == 2
+    _one_line(capsys, "`keep`", "`impact`", "`locked_time`")

@@ -1,0 +1,184 @@
+"""Whether a motion repeats, after how many returns or impacts, and so of which shape it is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from zeno_orbits.cycle import Cycle
+from zeno_orbits.dynamics import HybridDynamics, Vector
+from zeno_orbits.execution import Execution, Impact
+from zeno_orbits.shape import OrbitShape, PhaseKind
+
+MOST_RETURNS = 8
+"""Longest period that is looked for, in returns."""
+MOST_IMPACTS = 12
+"""The same of a motion without releases, in impacts."""
+
+_APART, _NOISE = 100.0, 1e-7
+"""Returns that differ by less than this, in units of what is still changing, may be the same.
+
+They may be if a motion throws over from one return to the next and settles, by a hundredth each.
+"""
+_ANY = 1.0
+"""Change of the start over a period up to which one of a shape that was asked for is a guess."""
+_KEPT = 4 * max(MOST_RETURNS, MOST_IMPACTS)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recurring:
+    """A period that repeats, or nearly.
+
+    Attributes:
+        shape: Its shape.
+        start: Where the next one starts, ``(n_x,)``.
+        period: [s].
+        change: Change of the start over it, relative.
+        cycle: The period itself, if it was followed in one piece.
+    """
+
+    shape: OrbitShape
+    start: Vector
+    period: float
+    change: float
+    cycle: Cycle | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Struck:
+    """An impact of a motion without releases, and when it was."""
+
+    time: float
+    impact: Impact
+
+
+@dataclass(slots=True, kw_only=True)
+class Recurrence:
+    """What has been seen of a motion, as far as it tells whether it repeats.
+
+    Attributes:
+        dynamics: The system.
+        settled: Change that counts as none, relative.
+        wanted: The shape that is looked for; any by default.
+    """
+
+    dynamics: HybridDynamics
+    settled: float
+    wanted: OrbitShape | None
+    _returns: list[Cycle] = field(default_factory=list[Cycle])
+    _struck: list[_Struck] = field(default_factory=list[_Struck])
+    _best: Recurring | None = None
+
+    def see(self, run: Execution, found: Sequence[Cycle], *, since: float) -> None:
+        """Take note of a piece of the motion.
+
+        Args:
+            run: The piece.
+            found: The returns in it.
+            since: When it starts [s].
+        """
+        if run.releases or run.zeno_points:
+            self._struck.clear()
+        else:
+            self._struck += [_Struck(time=since + one.time, impact=one) for one in run.impacts]
+        if run.releases and not found:
+            self._returns.clear()
+        self._returns += found
+        del self._returns[:-_KEPT], self._struck[:-_KEPT]
+        for one in self._candidates():
+            if self._best is None or one.change < self._best.change or self.wanted is None:
+                self._best = one
+
+    def settled_to(self) -> Recurring | None:
+        """Return the shortest period that repeats, if one does."""
+        for n in range(1, MOST_RETURNS + 1):
+            last, before = self._after_returns(n), self._after_returns(n, back=1)
+            if last is None or not last.change < self.settled:
+                continue
+            if n == 1 or (
+                before is not None
+                and before.change < self.settled
+                and self._apart(n) > _APART * max(last.change, before.change, _NOISE)
+            ):
+                return last
+        for n in range(1, MOST_IMPACTS + 1):
+            last = self._after_impacts(n)
+            if last is not None and last.change < self.settled:
+                return last
+        return None
+
+    def nearest(self, usable: float) -> Recurring | None:
+        """Return the last return, or the period of the wanted shape, that may do for a guess."""
+        best = self._best
+        if best is None:
+            return None
+        return best if best.change < (usable if self.wanted is None else _ANY) else None
+
+    def reason(self, horizon: float) -> str:
+        """Return why there is no guess, as a clause."""
+        settled = self.settled_to()
+        if settled is not None:
+            return f"the motion settles to an orbit of shape `{settled.shape.text}`"
+        if self.wanted is not None:
+            return f"no period of shape `{self.wanted.text}` comes near to repeating"
+        what = "no release is followed by a Zeno point"
+        if self._returns:
+            what = "its periods differ"
+        elif self._struck:
+            what = f"{what}, and its impacts do not repeat,"
+        return f"{what} after {horizon:g} s"
+
+    def _candidates(self) -> list[Recurring]:
+        """Return what the last event tells of the shape that is wanted, or of single returns."""
+        if self.wanted is None:
+            last = self._after_returns(1)
+            return [] if last is None else [last]
+        if self.wanted.starts_at_release:
+            numbers = range(1, MOST_RETURNS + 1)
+            found = [self._after_returns(n) for n in numbers]
+        else:
+            found = [self._after_impacts(self.wanted.n_phases)]
+        return [one for one in found if one is not None and one.shape == self.wanted]
+
+    def _after_returns(self, n: int, *, back: int = 0) -> Recurring | None:
+        """Return the last returns as one period, some returns back."""
+        end = len(self._returns) - back
+        if end < n:
+            return None
+        laps = self._returns[end - n : end]
+        scale = np.max([lap.scale_at_events() for lap in laps], axis=0)
+        first, last = laps[0].start.state, laps[-1].end.state
+        return Recurring(
+            shape=OrbitShape(phases=tuple(p.kind for lap in laps for p in lap.phases)),
+            start=last,
+            period=sum(lap.period for lap in laps),
+            change=float(np.max(np.abs(last - first) / scale)),
+            cycle=laps[0] if n == 1 else None,
+        )
+
+    def _apart(self, n: int) -> float:
+        """Return how far the last returns are from each other."""
+        laps = self._returns[-n:]
+        return min(lap.drift(lap.scale_at_events()) for lap in laps)
+
+    def _after_impacts(self, n: int) -> Recurring | None:
+        """Return the last impacts as one period; it has to have repeated as long once."""
+        if len(self._struck) < 2 * n:
+            return None
+        last, before = self._struck[-n:], self._struck[-2 * n : -n]
+        states = [x for one in last for x in (one.impact.state_minus, one.impact.state_plus)]
+        sizes = np.max(np.abs(states), axis=0)
+        scale = np.where(sizes > 1e-9 * np.max(sizes), sizes, max(float(np.max(sizes)), 1e-300))
+        change = 0.0
+        for one, other in zip(last, before, strict=True):
+            apart = np.abs(one.impact.state_plus - other.impact.state_plus) / scale
+            slower = abs(other.impact.approach_rate / one.impact.approach_rate - 1.0)
+            change = max(change, float(np.max(apart)), slower)
+        return Recurring(
+            shape=OrbitShape(phases=n * (PhaseKind.IMPACT,)),
+            start=last[-1].impact.state_plus,
+            period=last[-1].time - before[-1].time,
+            change=change,
+        )

@@ -1,0 +1,139 @@
+r"""The shape of a periodic orbit: which phases its period has, in which order (theory (44)).
+
+A phase is a flight and what ends it. With `e > 0` impacts either accumulate, and a locked arc and a
+release follow (``zeno``), or each sends the state off the stop again (``impact``) and the orbit
+never comes to rest there. A plastic stop, `e = 0`, may hold at once (``plastic``, the *simple*
+orbits of [OrAmes2009]_) or let go at once (``impact``), in any order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from itertools import groupby
+
+from zeno_orbits.errors import InputError
+
+
+class PhaseKind(Enum):
+    """What ends the flights of a phase. The value is the word of files and commands."""
+
+    ZENO = "zeno"
+    PLASTIC = "plastic"
+    IMPACT = "impact"
+
+    @property
+    def holds(self) -> bool:
+        """Whether a locked arc and a release follow."""
+        return self is not PhaseKind.IMPACT
+
+
+_MOST_PHASES = 1000
+"""Phases in a period beyond which a text is taken for a slip of the pen."""
+_WANTED = "must be zeno, plastic or impact, *N for N of them, joined by commas"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OrbitShape:
+    """The phases of a period, in order; the period starts at a release if it has one.
+
+    Attributes:
+        phases: Their kinds. After the last one the first follows again.
+    """
+
+    phases: tuple[PhaseKind, ...]
+
+    def __post_init__(self) -> None:
+        """Refuse a shape that no orbit has."""
+        kinds = set(self.phases)
+        if not kinds:
+            raise InputError("Argument `shape` must have a phase, but it has none.")
+        if PhaseKind.ZENO in kinds and len(kinds) > 1:
+            wanted = "must not mix zeno, whose impacts all belong to it, with other phases"
+            raise InputError(f"Argument `shape` {wanted}, but it is `{self.text}`.")
+        if PhaseKind.PLASTIC in kinds and self.phases[-1] is not PhaseKind.PLASTIC:
+            wanted = "must end with the plastic impact after whose release the period starts"
+            raise InputError(f"Argument `shape` {wanted}, but it is `{self.text}`.")
+
+    @classmethod
+    def parsed(cls, text: str) -> OrbitShape:
+        """Return the shape of a text such as ``zeno``, ``zeno*2`` or ``impact*3,plastic``.
+
+        Raises:
+            InputError: If it is none.
+        """
+        phases: list[PhaseKind] = []
+        for part in text.split(","):
+            word, star, count = part.strip().partition("*")
+            known = {kind.value: kind for kind in PhaseKind}
+            n = int(count) if count.isascii() and count.isdigit() and len(count) < 9 else 0
+            n = n if star else 1
+            if word not in known or n < 1 or len(phases) + n > _MOST_PHASES:
+                raise InputError(f"Argument `shape` {_WANTED}, but it is `{text}`.")
+            phases += n * [known[word]]
+        return cls(phases=tuple(phases))
+
+    @property
+    def text(self) -> str:
+        """The shape in words, as `parsed` reads them."""
+        runs = [(kind, len(list(run))) for kind, run in groupby(self.phases)]
+        return ",".join(kind.value if n == 1 else f"{kind.value}*{n}" for kind, n in runs)
+
+    @property
+    def n_phases(self) -> int:
+        """Number of phases."""
+        return len(self.phases)
+
+    @property
+    def n_releases(self) -> int:
+        """Number of releases."""
+        return sum(kind.holds for kind in self.phases)
+
+    @property
+    def starts_at_release(self) -> bool:
+        """Whether the period starts at a release, rather than just after an impact."""
+        return self.phases[-1].holds
+
+    @property
+    def has_one_release(self) -> bool:
+        """Whether one flight, its impacts and one locked arc are the whole period."""
+        return self.n_phases == 1 and self.starts_at_release
+
+    @property
+    def shorter(self) -> tuple[OrbitShape, ...]:
+        """The shapes that are this one if gone round several times."""
+        n = self.n_phases
+        parts = [self.phases[:k] for k in range(1, n) if n % k == 0]
+        return tuple(
+            OrbitShape(phases=part) for part in parts if part * (n // len(part)) == self.phases
+        )
+
+    def at_restitution(self, restitution: float) -> OrbitShape:
+        """Return the shape with accumulations made plastic impacts, or these accumulations."""
+        held = PhaseKind.PLASTIC if restitution == 0.0 else PhaseKind.ZENO
+        return OrbitShape(phases=tuple(held if kind.holds else kind for kind in self.phases))
+
+    def agreed(self, wanted: OrbitShape | None) -> OrbitShape:
+        """Return the shape itself, if it is the one that is wanted.
+
+        Raises:
+            InputError: If they differ in more than whether the stop is plastic.
+        """
+        if wanted is None or [k.holds for k in wanted.phases] == [k.holds for k in self.phases]:
+            return self
+        message = f"must be the shape `{self.text}` of the orbit to start from"
+        raise InputError(f"Argument `shape` {message}, but it is `{wanted.text}`.")
+
+    def require_one_release(self) -> None:
+        """Refuse a shape with several phases, or without a release.
+
+        Raises:
+            InputError: If it is one.
+        """
+        if not self.has_one_release:
+            wanted = "must have one Zeno point and one release a period"
+            raise InputError(f"Argument `orbit` {wanted}, but its shape is `{self.text}`.")
+
+
+ONE_ZENO = OrbitShape(phases=(PhaseKind.ZENO,))
+"""One flight, one accumulation of impacts, one locked arc."""
