@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from zeno_orbits.corrector import BranchPoint, Metric, correct
+from zeno_orbits.corrector import BranchPoint, Metric, correct, is_back
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.families import Kind
 from zeno_orbits.family_ends import Threat, locate_end, threats
@@ -69,8 +69,6 @@ _FAR = 4.0
 """How many steps ahead an end may be that is sought when a step has failed."""
 _SOON = 1.0
 """How many steps ahead an end is sought before a step fails."""
-_BACK = 3
-"""Points of a family before it can have come back to its start."""
 
 
 def follow(
@@ -147,7 +145,7 @@ class _Walk:
             self._accept(new, between)
             if at_bound:
                 return self._branch(Kind.BOUND)
-            if self._is_back():
+            if is_back(self.points, self.steps.stray, self.steps.turn):
                 return self._branch(Kind.CLOSED)
             if self._ease(step) < _EASY:
                 step = min(_GROWTH * step, self.steps.longest)
@@ -206,18 +204,6 @@ class _Walk:
             self.tell(f"{located.kind.value} at {located.z[-1] * self.metric.unit:.6g}", None)
             self.special.append((len(self.points) - 1, located))
         self.points.append(new)
-
-    def _is_back(self) -> bool:
-        """Tell whether the start lies between the last two points."""
-        if len(self.points) <= _BACK:
-            return False
-        start, before, last = self.points[0], *self.points[-2:]
-        step = last.z - before.z
-        length = float(np.linalg.norm(step))
-        along = float((start.z - before.z) @ step) / length
-        off = np.linalg.norm(start.z - before.z - along / length * step)
-        aligned = float(start.tangent @ last.tangent) > np.cos(2 * self.steps.turn)
-        return bool(0.0 < along <= length and off < self.steps.stray * length and aligned)
 
     def _end_within(self, distance: float) -> Branch | None:
         """Return the family with its end, if one is near and can be located."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from zeno_orbits.branches import jumped
-from zeno_orbits.corrector import Metric
+from zeno_orbits.corrector import Metric, is_back
 from zeno_orbits.critical_points import CriticalPoint, CriticalSystem
 from zeno_orbits.dynamics import Vector
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
@@ -23,8 +23,6 @@ CRITICAL = {Kind.FOLD: 1.0, Kind.FLIP: -1.0}
 """Kinds of points that are followed so, and the multiplier that they have."""
 
 _GROWTH, _EASY = 1.5, 0.4
-_BACK = 3
-"""Points of a curve before it can have come back to its start."""
 _FAR = 2.0
 """How many steps off a neighbour may be, on a bound for instance."""
 _FOUND = 1e-8
@@ -144,7 +142,7 @@ class _Walk:
             self._accept(new, cusp)
             if at_bound:
                 return self._curve(Kind.BOUND.value)
-            if self._is_back():
+            if is_back(self.points, self.steps.bend, self.steps.turn):
                 self.points[-1] = self.points[0]
                 return self._curve(Kind.CLOSED.value)
             if easy:
@@ -245,18 +243,6 @@ class _Walk:
     def _tell_of(self, word: str, point: CriticalPoint) -> None:
         values = point.at * self.system.plane.units
         self.tell(f"{word} at {values[0]:.6g}, {values[1]:.6g}", None)
-
-    def _is_back(self) -> bool:
-        """Tell whether the start lies between the last two points."""
-        if len(self.points) <= _BACK:
-            return False
-        start, before, last = self.points[0], *self.points[-2:]
-        step = last.z - before.z
-        length = float(np.linalg.norm(step))
-        along = float((start.z - before.z) @ step) / length
-        off = float(np.linalg.norm(start.z - before.z - along / length * step))
-        aligned = float(start.tangent @ last.tangent) > np.cos(2 * self.steps.turn)
-        return 0.0 < along <= length and off < self.steps.bend * length and aligned
 
     def _curve(self, end: str) -> CriticalCurve:
         return CriticalCurve(points=tuple(self.points), cusps=tuple(self.cusps), end=end)
