@@ -13,10 +13,8 @@ from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
 from zeno_orbits.errors import RunawayError, SimulationError
 from zeno_orbits.execution import Execution, Mode
 from zeno_orbits.poincare import to_next_release
+from zeno_orbits.quantities import RUNAWAY
 from zeno_orbits.simulate import SimulationSettings, simulate
-
-RUNAWAY = 20 * np.pi
-"""A coordinate beyond this many radians, or metres, will not come back."""
 
 _FADED = 1e-3
 """A motion whose first impacts have slowed down to this part of its fastest is dying out."""
