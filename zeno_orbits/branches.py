@@ -17,7 +17,7 @@ import numpy as np
 from zeno_orbits.corrector import BranchPoint, Metric, correct, is_back
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.families import Kind
-from zeno_orbits.family_ends import Threat, locate_end, threats
+from zeno_orbits.family_ends import Threat, locate_end, stages, threats
 from zeno_orbits.return_maps import Loss, Return, ReturnMap
 from zeno_orbits.singular_points import Located, crossings, locate_inside
 
@@ -232,7 +232,7 @@ class _Walk:
 
     def _threats(self) -> Sequence[Threat]:
         try:
-            return threats(self.points, self.restitution(self.points[-1].s))
+            return threats(stages(self.points), self.restitution(self.points[-1].s))
         except (ZeroDivisionError, ValueError):
             return []
 
@@ -275,6 +275,8 @@ class _Walk:
 
 def jumped(before: Return, after: Return) -> str:
     """Return what is not continuous between two neighbours: an impact more or less, or nothing."""
+    if not 1 / _SAME_PERIOD < after.time / before.time < _SAME_PERIOD:
+        return "the period is another one"
     for margin, value in after.margins.items():
         if margin.loss is not Loss.FIRST_IMPACT or margin not in before.margins:
             continue
@@ -283,6 +285,8 @@ def jumped(before: Return, after: Return) -> str:
     return ""
 
 
+_SAME_PERIOD = 1.3
+"""Factor by which the period may change in a step; a turn more changes it by half."""
 _LOWER = "the steps lead to an orbit of lower period"
 _REJOINS = 0.05
 """Distance of a multiplier from 1 at which a branch ends in the flip of half its period."""

@@ -127,7 +127,6 @@ def continue_orbit_in_two(
                         located,
                         value,
                         leading=leading,
-                        place=located.place,
                         steps=settings.curve,
                         tell=tell,
                     )
