@@ -221,6 +221,9 @@ class _Curve:
             except ZenoOrbitsError as error:
                 new, trouble = None, str(error)
             if new is not None and not self._fits(last, new, at, forward):
+                if float(np.linalg.norm(new.at - at)) < step:
+                    # A chord tells less of the direction at its end than what was just found.
+                    forward = (new.at - last.at) / np.linalg.norm(new.at - last.at)
                 new, trouble = None, "the curve bends too fast"
             if new is not None and not 1 / _LIKE < new.located.period / last.located.period < _LIKE:
                 new, trouble = None, "the period is another one"
