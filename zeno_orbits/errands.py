@@ -280,7 +280,7 @@ class Office:
         if self.crew.scene.load() is not self.problem:
             wanted = "must be what the `scene` of `crew` loads"
             raise InputError(f"Argument `problem` {wanted}, but it is another scene.")
-        identity = {"work": "continuation", "scene": self.crew.scene.digest, **own}
+        identity = {"work": "continuation", **own, "scene": self.crew.scene.digest}
         plan = replace(self.crew.plan, chunk=1, identity={**identity, **self.crew.plan.identity})
         claim(plan)
         return replace(self, crew=replace(self.crew, plan=plan))
