@@ -104,6 +104,7 @@ def crewed(place: Workers | Cluster | None, folder: Path | None = None) -> Any:
 
 
 @needs_two
+@pytest.mark.slow
 def test_one_worker_and_two_find_what_a_continuation_without_workers_finds() -> None:
     alone = crewed(None)
     # In closed form: the force just reaches the stop.
