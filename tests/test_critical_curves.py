@@ -18,7 +18,7 @@ from zeno_orbits.families import Boundary, Family, Kind
 from zeno_orbits.orbit import ZenoOrbit
 from zeno_orbits.plane import CurveSteps, Plane
 from zeno_orbits.problem import load_problem
-from zeno_orbits.return_maps import Return
+from zeno_orbits.return_maps import Loss, Margin, Return
 from zeno_orbits.sections import Frame, Line
 from zeno_orbits.singular_points import INSIDE, located_near
 from zeno_orbits.tracks import ContinuationSettings
@@ -31,6 +31,7 @@ class InTwo(Formula):
     along: Line
     loose: float = 0.0
     off: float = 0.0
+    watched: bool = False
 
     @property
     def line(self) -> Line:
@@ -42,12 +43,13 @@ class InTwo(Formula):
         if p[1] < self.least:
             raise SimulationError("Nothing returns", time=0.0, state=())
         end, by_state, by_p = (value.full() for value in self.function(x, p))
+        left = {Margin(loss=Loss.LATER_IMPACT): float(p[1] - self.least)}
         return Return(
             time=1.0,
             end=end.ravel(),
             by_state=by_state,
             by_parameter=by_p @ self.along.direction,
-            margins={},
+            margins=left if self.watched else {},
         )
 
     def moved_to(self, line: Line) -> InTwo:
@@ -175,6 +177,65 @@ def test_a_curve_that_is_cut_short_says_why() -> None:
     assert other.startswith("gave up: Nothing returns")
     # It is followed up to where its neighbours return no more.
     assert min(curve.y) == pytest.approx(0.5, abs=1e-3)
+
+
+def test_a_curve_that_ends_where_something_else_is_lost_says_what() -> None:
+    fold = 2 * (0.75 / 3) ** 1.5
+    lost = InTwo(function=CUSP, along=LINE, least=0.5, watched=True)
+    curve = curve_of(CUSP, Kind.FOLD, [-0.55], (fold - 0.01, 0.75), BOX, returns=lost)
+    (other,) = (end for end in curve.ends if end != Kind.BOUND.value)
+    assert other.startswith("meets: later impact grazes, within ")
+    distance = float(other.split()[-4])
+    # It is told how far the point is, in ranges, to some digits of one.
+    assert 0.3 * distance < (min(curve.y) - 0.5) / 2 < 3 * distance < 1e-4
+
+
+def test_two_folds_that_meet_in_a_hairpin_are_one_curve() -> None:
+    # With u = y / 0.01 the curve turns round within 2e-5 of the ranges.
+    sharp = in_two(lambda y, p: y + p[0] + p[1] * (100 * y) - (100 * y) ** 3, 1)
+    fold = 2 * (0.75 / 3) ** 1.5
+    curve = curve_of(sharp, Kind.FOLD, [-0.00508], (fold - 1e-4, 0.75), BOX)
+    x, y = np.array(curve.x), np.array(curve.y)
+    assert np.max(np.abs(4 * y**3 - 27 * x**2)) < 1e-10
+    assert curve.ends == (Kind.BOUND.value, Kind.BOUND.value)
+    (cusp,) = curve.cusps
+    assert (x[cusp], y[cusp]) == pytest.approx((0.0, 0.0), abs=1e-8)
+    blunt = CurveSteps(least_arc=1e-3)
+    short = curve_of(sharp, Kind.FOLD, [-0.00508], (fold - 1e-4, 0.75), BOX, blunt)
+    assert sum(end.startswith("gave up") for end in short.ends) == 1
+
+
+def test_a_curve_that_is_followed_by_secants_turns_round_a_sharp_tip() -> None:
+    # The multipliers are a pair with the product 1 + p1 - 100 p0^2; the tip's radius is 5e-3.
+    image = in_two(
+        lambda y, p: (
+            ca.sqrt(1 + p[1] - 100 * p[0] ** 2)
+            * ca.vertcat(0.6 * y[0] - 0.8 * y[1], 0.8 * y[0] + 0.6 * y[1])
+        ),
+        2,
+    )
+    box = ((-0.2, 0.2), (-0.5, 1.0))
+    curve = curve_of(image, Kind.TORUS, [0.0, 0.0], (0.0695, 0.5), box)
+    x, y = np.array(curve.x), np.array(curve.y)
+    assert y == pytest.approx(100 * x**2, abs=1e-9)
+    assert curve.ends == (Kind.BOUND.value, Kind.BOUND.value)
+    assert sorted((x[0], x[-1])) == pytest.approx([-0.1, 0.1], abs=1e-9)
+    assert min(y) < 0.02
+
+
+def test_curves_that_begin_in_any_direction_are_found_from_their_first_point() -> None:
+    for slope in (0.3, -0.9, 1.1, -8.0):
+        image = in_two(
+            lambda y, p, k=slope: (
+                ca.sqrt(1 + p[1] - k * p[0])
+                * ca.vertcat(0.6 * y[0] - 0.8 * y[1], 0.8 * y[0] + 0.6 * y[1])
+            ),
+            2,
+        )
+        curve = curve_of(image, Kind.TORUS, [0.0, 0.0], (0.05 / slope - 0.001, 0.05), BOX)
+        x, y = np.array(curve.x), np.array(curve.y)
+        assert y == pytest.approx(slope * x, abs=1e-9)
+        assert curve.ends == (Kind.BOUND.value, Kind.BOUND.value)
 
 
 def test_a_less_accurate_return_is_seen_in_the_error() -> None:

@@ -8,17 +8,22 @@ import pytest
 from tests.closed_forms import COCO, FORCED
 from tests.reference_orbit import PERIOD, PERIODS, RELEASE
 from tests.scenes import clocked_oscillator
-from zeno_orbits.attractors import Fate
+from zeno_orbits.attractors import Attractor, Fate
 from zeno_orbits.compiled import bind
 from zeno_orbits.errors import InputError, RunawayError
 from zeno_orbits.fates import RUNAWAY, attractors_at
+from zeno_orbits.impact_returns import ImpactReturns
+from zeno_orbits.lockstep.attempt import Lost
 from zeno_orbits.lockstep.events import Ended, Reason, Struck
 from zeno_orbits.lockstep.point import Point
 from zeno_orbits.lockstep.request import Accuracy
 from zeno_orbits.lockstep.returns import changes, growth_of, scale_of
+from zeno_orbits.lockstep.strikes import bundle_around
 from zeno_orbits.models import compiled_model
 from zeno_orbits.poincare import floquet_multipliers
 from zeno_orbits.problem import load_problem
+from zeno_orbits.return_maps import Composed
+from zeno_orbits.sections import Line
 from zeno_orbits.simulate import SimulationSettings, simulate
 
 PENDULUM = load_problem("motor_pendulum")
@@ -199,26 +204,100 @@ def test_oscillators_with_a_stop_have_their_orbits_in_closed_form():
     struck = clocked_oscillator(COCO, attracting=True)
     (found,) = attractors_at(struck, [struck.setting()], until=400.0)
     assert found.fate is Fate.NO_ZENO
+    # Its two multipliers as COCO prints them, and those of the clock: it forgets its amplitude.
+    published = -0.58429531434153 + 0.00560035149247j
+    assert sorted(abs(value - published) for value in found.multipliers)[0] < 1e-6
+    clock = math.exp(-2 * math.pi)
+    assert sorted(abs(value - clock) for value in found.multipliers)[0] < 1e-6
     # Just after its impact, by Recipes for Continuation, chapter 15.
     assert found.period == pytest.approx(2 * math.pi, abs=1e-7)
     assert found.state["dx"] == pytest.approx(-1.3565863500759056, abs=1e-6)
     assert found.state["dy"] == pytest.approx(-math.sin(0.07595216493831239), abs=1e-6)
 
 
+def test_orbits_without_a_zeno_point_have_the_multipliers_of_their_closed_form():
+    # The flow shrinks areas by exp(-c T), an impact by e squared; by COCO at A = 1.
+    oscillator = load_problem("forced_oscillator")
+    numbers = {"c": 0.1, "stop": 1.0, "restitution": 0.8}
+    settings = [oscillator.setting(parameters={**numbers, "A": a}) for a in (1.0, 0.5, 1.3)]
+    start = {"speed": 1.0, "cosine": 1.0}
+    found = attractors_at(oscillator, settings, start=start, until=400.0)
+    assert [one.fate for one in found] == 3 * [Fate.NO_ZENO]
+    for one in found:
+        assert one.period == pytest.approx(2 * math.pi, abs=1e-8)
+        product = np.prod(one.multipliers)
+        assert product == pytest.approx(0.64 * math.exp(-0.2 * math.pi), abs=1e-6)
+    published = -0.58429531434153 + 0.00560035149247j
+    assert found[0].multipliers[0] in (
+        pytest.approx(published, abs=1e-6),
+        pytest.approx(published.conjugate(), abs=1e-6),
+    )
+    assert found[0].state["speed"] == pytest.approx(1.3565863500759056, abs=1e-8)
+
+
+def test_the_multipliers_between_impacts_are_those_of_the_exact_derivative():
+    # Differences of shared steps here, the variational equation of a continuation there.
+    oscillator = load_problem("forced_oscillator")
+    setting = oscillator.setting(
+        parameters={"c": 0.1, "stop": 0.0, "restitution": 0.8, "omega": 2.6}
+    )
+    start = {"speed": 1.0, "cosine": 1.0}
+    (found,) = attractors_at(oscillator, [setting], start=start, until=600.0)
+    assert found.fate is Fate.NO_ZENO
+    p = np.array(setting.values())
+    returns = ImpactReturns(
+        compiled=compiled_model(oscillator),
+        line=Line(origin=p, direction=0 * p),
+        settings=SimulationSettings(),
+    )
+    x, scale = np.array(oscillator.state_vector(found.state)), np.ones(4)
+    n = round(found.period / (2 * math.pi / 2.6))
+    whole = Composed(maps=n * (returns,)) if n > 1 else returns
+    back = whole.follow(x, 0.0, horizon=20.0)
+    assert back.end == pytest.approx(x, abs=1e-7)
+    tangent = returns.frame(x, 0.0, scale).tangent
+    exact = sorted(np.linalg.eigvals(tangent.T @ back.by_state @ tangent), key=abs)
+    assert sorted(found.multipliers, key=abs) == pytest.approx(exact, abs=1e-5)
+
+
 def test_impacts_that_repeat_without_a_release_are_an_orbit_without_a_zeno_point():
     motion = point()
     motion.begin()
     answers = []
-    for k in range(24):
+    for k in range(48):
+        if answers and len(answers[-1].states) > 1:
+            # No neighbour comes back: there is no derivative, and the motion goes on.
+            over = Ended(lane=1, time=9.0, state=np.zeros(5), reason=Reason.HORIZON)
+            answers.append(motion.hear(1, over))
+            assert len(answers[-1].states) == 1
         # Two impacts a period of 1.5 s.
         state = np.array([0.3, 0.0, 1.0 + k % 2, 2.0, 0.1])
-        answers.append(
-            motion.hear(0, Struck(lane=0, time=0.75 * k, state=state, rate=-1.0 - k % 2))
-        )
-    _, found, *_ = [answer for answer in answers if answer is not None]
-    assert found.fate is Fate.NO_ZENO
-    assert found.period == pytest.approx(1.5)
-    assert found.margins == {"first_impact_speed": 1.0}
+        answer = motion.hear(0, Struck(lane=0, time=0.75 * k, state=state, rate=-1.0 - k % 2))
+        if isinstance(answer, Attractor):
+            break
+        if answer is not None:
+            answers.append(answer)
+    assert [len(asked.states) for asked in answers] == [5, 1, 1]
+    assert answer.fate is Fate.NO_ZENO
+    assert answer.margins == {"first_impact_speed": 1.0}
+    assert answer.multipliers == ()
+
+
+def test_an_orbit_that_repels_is_not_what_impacts_come_to():
+    # One impact a second; the neighbours come back twice as far off.
+    motion = dynamics_at(PENDULUM.setting())
+    x, scale = np.array([0.3, 0.0, 1.0, 2.0, 0.1]), np.ones(5)
+
+    def heard(factor):
+        bundle = bundle_around(motion, Accuracy(), x, scale, 1, 1.0)
+        for rank, state in enumerate(bundle.states):
+            away = bundle.states[0] + factor * (state - bundle.states[0])
+            answer = bundle.hear(rank, Struck(lane=rank, time=1.0, state=away, rate=-2.0))
+        return answer
+
+    assert heard(0.5).multipliers == pytest.approx(4 * [0.5], abs=1e-9)
+    assert heard(2.0) == Lost()
+    assert heard(np.nan) == Lost()
 
 
 def test_a_lane_that_fails_is_reported_with_its_reason():

@@ -16,10 +16,9 @@ from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.families import Continuation, Kind
 from zeno_orbits.impact_families import continue_impacts
 from zeno_orbits.impact_returns import ImpactReturns
-from zeno_orbits.models import compiled_model
 from zeno_orbits.problem import load_problem
 from zeno_orbits.simulate import SimulationSettings
-from zeno_orbits.tracks import ContinuationSettings, Track, line_in
+from zeno_orbits.tracks import ContinuationSettings, Course, Track
 
 OSCILLATOR = load_problem("forced_oscillator")
 COCO = {"c": 0.1, "stop": 1.0, "restitution": 0.8}
@@ -30,19 +29,15 @@ STATE = (0.0, -VELOCITY, math.cos(PHASE), math.sin(PHASE))
 
 def track_in(parameter: str, box: tuple[float, float], **numbers: float) -> Track:
     setting = OSCILLATOR.setting(parameters={**COCO, **numbers})
-    returns = ImpactReturns(
-        compiled=compiled_model(OSCILLATOR),
-        line=line_in(OSCILLATOR, np.array(setting.values()), parameter),
-        settings=SimulationSettings(),
-    )
-    return Track(
-        problem=OSCILLATOR,
+    course = Course(
         setting=setting,
         parameter=parameter,
         box=box,
-        returns=returns,
+        section=ImpactReturns,
         metric=Metric(scale=np.array([2.0, 1.4, 1.0, 1.0]), unit=box[1] - box[0], horizon=25.0),
+        simulation=SimulationSettings(),
     )
+    return Track(problem=OSCILLATOR, course=course)
 
 
 @cache

@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from zeno_orbits.corrector import BranchPoint, Metric, correct
-from zeno_orbits.critical_curves import CRITICAL, follow_critical
+from zeno_orbits.critical_curves import CRITICAL, half_critical
 from zeno_orbits.dynamics import Vector
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
-from zeno_orbits.families import Boundary, Kind
-from zeno_orbits.family_ends import ENDS, Threat, locate_end
+from zeno_orbits.families import Boundary, HalfCurve, Kind, whole_curve
+from zeno_orbits.family_ends import ENDS, Stage, Threat, locate_end, meeting
 from zeno_orbits.lock_ends import locate_cut_near
 from zeno_orbits.plane import CurveSteps, OnLine, Plane, Tell
 from zeno_orbits.return_maps import Margin, ReturnMap
@@ -32,12 +32,27 @@ class _Spot:
     Attributes:
         at: Its place in units of the ranges, ``(2,)``.
         located: The special point; its parameter counts along the line that it was found on.
-        before: States and places of family points that lead to an end, relative to it.
+        before: Points of the family that lead to an end.
     """
 
     at: Vector
     located: Located
-    before: tuple[tuple[Vector, Vector], ...]
+    before: tuple[_Before, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Before:
+    """A point of a family that leads to an end, relative to it.
+
+    Attributes:
+        state: In scaled terms, ``(n_x,)``.
+        away: In the plane, ``(2,)``.
+        left: What is left there of what vanishes at the end.
+    """
+
+    state: Vector
+    away: Vector
+    left: float
 
 
 def follow_boundary(
@@ -48,7 +63,6 @@ def follow_boundary(
     value: tuple[float, float],
     *,
     leading: tuple[BranchPoint, ...],
-    place: int = 0,
     steps: CurveSteps,
     tell: Tell,
 ) -> Boundary:
@@ -61,49 +75,85 @@ def follow_boundary(
         found: The special point.
         value: Both parameters there.
         leading: The last points of the family before an end.
-        place: The return at which the end is, counted from 0.
         steps: How to step.
         tell: Called with what happens.
+
+    Raises:
+        ZenoOrbitsError: If the point is none of the curve, or its neighbours do not return.
+    """
+
+    def half(*, upwards: bool) -> HalfCurve:
+        return half_boundary(
+            plane,
+            on_line,
+            metric,
+            found,
+            value,
+            leading=leading,
+            upwards=upwards,
+            steps=steps,
+            tell=tell,
+        )
+
+    first = half(upwards=True)
+    second = None if first.closes else half(upwards=False)
+    return whole_curve(found.kind, plane.names, first, second)
+
+
+def half_boundary(
+    plane: Plane,
+    on_line: OnLine,
+    metric: Metric,
+    found: Located,
+    value: tuple[float, float],
+    *,
+    leading: tuple[BranchPoint, ...],
+    upwards: bool,
+    steps: CurveSteps,
+    tell: Tell,
+) -> HalfCurve:
+    """Return the curve of a special point in one direction, whatever the other one is.
+
+    Args:
+        plane: As in `follow_boundary`.
+        on_line: As there.
+        metric: As there.
+        found: As there.
+        value: As there.
+        leading: As there.
+        upwards: Whether the second parameter rises at first, or falls.
+        steps: As there.
+        tell: As there.
+
+    Raises:
+        ZenoOrbitsError: If the point is none of the curve, or its neighbours do not return.
     """
     if found.kind in CRITICAL:
-        return follow_critical(plane, on_line, metric, found, value, steps=steps, tell=tell)
-    at = np.array(value) / plane.units
+        return half_critical(
+            plane, on_line, metric, found, value, upwards=upwards, steps=steps, tell=tell
+        )
     scale = plane.units[0] / metric.unit
 
-    def relative(point: BranchPoint) -> tuple[Vector, Vector]:
+    def relative(point: BranchPoint) -> _Before:
         state = (point.x - found.z[:-1] * metric.scale) / metric.scale
         away = (point.z[-1] - found.z[-1]) / scale
-        return state, np.array([away, 0.0])
+        left = _left(point, found.kind, found.place)
+        return _Before(state=state, away=np.array([away, 0.0]), left=left)
 
     first = _Spot(
-        at=at,
+        at=np.array(value) / plane.units,
         located=replace(found, z=np.append(found.z[:-1], 0.0), error=found.error / plane.units[0]),
         before=tuple(relative(point) for point in leading),
     )
-    curve = _Curve(plane, on_line, replace(metric, unit=1.0), found.kind, place, steps, tell)
-    upwards = np.array([0.0, 1.0])
-    above, above_end = curve.run(first, upwards)
-    below, below_end = curve.run(first, _away_from(first, above, -upwards))
-    if below and not above:
-        above, above_end = curve.run(first, _away_from(first, below, upwards))
-    spots = [*reversed(below), first, *above]
+    curve = _Curve(plane, on_line, replace(metric, unit=1.0), found.kind, found.place, steps, tell)
+    spots, end = curve.run(first, upwards=upwards)
     values = np.array([spot.at * plane.units for spot in spots])
-    return Boundary(
-        kind=found.kind,
-        names=plane.names,
+    return HalfCurve(
         x=tuple(values[:, 0].tolist()),
         y=tuple(values[:, 1].tolist()),
         errors=tuple(spot.located.error for spot in spots),
-        ends=(below_end, above_end),
+        end=end,
     )
-
-
-def _away_from(first: _Spot, side: list[_Spot], otherwise: Vector) -> Vector:
-    """Return the direction from a point that a curve took on the other side, turned round."""
-    if not side:
-        return otherwise
-    gone = first.at - side[0].at
-    return gone / np.linalg.norm(gone)
 
 
 class _Curve:
@@ -122,8 +172,40 @@ class _Curve:
         self.plane, self.on_line, self.metric, self.kind = plane, on_line, metric, kind
         self.steps, self.tell, self.place = steps, tell, place
 
-    def run(self, first: _Spot, forward: Vector) -> tuple[list[_Spot], str]:
+    def run(self, first: _Spot, *, upwards: bool) -> tuple[list[_Spot], str]:
         """Return the curve from a point in one direction, and why it ends."""
+        try:
+            heading = self._heading(first)
+        except ZenoOrbitsError as error:
+            return [first], f"{Kind.GAVE_UP.value}: {error}"
+        return self._run(first, heading if upwards else -heading)
+
+    def _heading(self, first: _Spot) -> Vector:
+        """Return the direction in which the curve leaves its first point, upwards if it may.
+
+        A line across a guess meets the curve elsewhere than guessed, and tells the direction.
+
+        Raises:
+            SimulationError: If no place beside the point leads to another.
+        """
+        step, trouble = self.steps.first, ""
+        while step >= self.steps.shortest:
+            for guess in _GUESSES:
+                at = first.at + step * guess
+                try:
+                    new = self._located(first, at, guess, [first])
+                except ZenoOrbitsError as error:
+                    trouble = str(error)
+                    continue
+                way = new.at - first.at
+                if float(np.linalg.norm(new.at - at)) <= step:
+                    way = way / np.linalg.norm(way)
+                    return way if way[1] >= 0.0 else -way
+                trouble = "the curve bends too fast"
+            step /= 8
+        raise SimulationError(trouble, time=0.0, state=())
+
+    def _run(self, first: _Spot, forward: Vector) -> tuple[list[_Spot], str]:
         spots = [first]
         step, trouble = self.steps.first, ""
         while len(spots) <= self.steps.most:
@@ -132,22 +214,26 @@ class _Curve:
             if not self.plane.holds(at):
                 reach = self._to_edge(last.at, forward)
                 if reach < self.steps.shortest or reach > step:
-                    return spots[1:], Kind.BOUND.value
+                    return spots, Kind.BOUND.value
                 at = last.at + reach * forward
             try:
                 new = self._located(last, at, forward, spots)
             except ZenoOrbitsError as error:
                 new, trouble = None, str(error)
             if new is not None and not self._fits(last, new, at, forward):
+                if float(np.linalg.norm(new.at - at)) < step:
+                    # A chord tells less of the direction at its end than what was just found.
+                    forward = (new.at - last.at) / np.linalg.norm(new.at - last.at)
                 new, trouble = None, "the curve bends too fast"
+            if new is not None and not 1 / _LIKE < new.located.period / last.located.period < _LIKE:
+                new, trouble = None, "the period is another one"
             if new is not None and not self.plane.holds(new.at):
                 # The curve leaves the plane beside the place that was predicted.
                 new, trouble = None, Kind.BOUND.value
             if new is None:
                 step /= 2
                 if step < self.steps.shortest:
-                    given_up = trouble != Kind.BOUND.value
-                    return spots[1:], f"{Kind.GAVE_UP.value}: {trouble}" if given_up else trouble
+                    return spots, self._ending(spots, trouble)
                 continue
             strayed = float(np.linalg.norm(new.at - at))
             forward = (new.at - last.at) / np.linalg.norm(new.at - last.at)
@@ -156,7 +242,15 @@ class _Curve:
             self.tell(f"{self.kind.value} at {values[0]:.6g}, {values[1]:.6g}", None)
             if strayed < self.steps.bend * step / 3:
                 step = min(1.5 * step, self.steps.longest)
-        return spots[1:], f"{self.steps.most} steps"
+        return spots, f"{self.steps.most} steps"
+
+    def _ending(self, spots: list[_Spot], trouble: str) -> str:
+        """Return why no point follows."""
+        if trouble == Kind.BOUND.value:
+            return trouble
+        way = [Stage(z=spot.at, margins=spot.located.margins) for spot in spots]
+        met = meeting(way, self.plane.restitution_at(spots[-1].at))
+        return met or f"{Kind.GAVE_UP.value}: {trouble}"
 
     def _to_edge(self, at: Vector, forward: Vector) -> float:
         """Return how far it is to the edge of the plane."""
@@ -171,7 +265,7 @@ class _Curve:
     def _fits(self, last: _Spot, new: _Spot, at: Vector, forward: Vector) -> bool:
         """Tell whether a point is a neighbour of the last one."""
         step = float(np.linalg.norm(at - last.at))
-        near = float(np.linalg.norm(new.at - at)) < max(self.steps.bend * step, 2e-3)
+        near = float(np.linalg.norm(new.at - at)) < self.steps.bend * step
         return near and float((new.at - last.at) @ forward) > 0.0
 
     def _located(self, last: _Spot, at: Vector, forward: Vector, spots: list[_Spot]) -> _Spot:
@@ -190,6 +284,8 @@ class _Curve:
             before = last.before
         else:
             located, before = self._end(returns, line, z, last, across)
+        if not located.error < _CERTAIN:
+            raise SimulationError("What ends there is not certain", time=0.0, state=())
         new_at = at + located.z[-1] * across
         return _Spot(at=new_at, located=located, before=before)
 
@@ -202,7 +298,7 @@ class _Curve:
 
     def _end(
         self, returns: ReturnMap, line: Line, z: Vector, last: _Spot, across: Vector
-    ) -> tuple[Located, tuple[tuple[Vector, Vector], ...]]:
+    ) -> tuple[Located, tuple[_Before, ...]]:
         """Return an end, approached as the last one was from points at the same distance."""
 
         def restitution(s: float) -> float:
@@ -214,23 +310,51 @@ class _Curve:
                 returns, self.metric, np.append(z, 0.0), along, self.place, restitution
             )
             return found, last.before
-        loss = next(loss for loss, kind in ENDS.items() if kind is self.kind)
-        points: list[BranchPoint] = []
-        for state, away in last.before:
-            place = float(away @ across)
-            if abs(place) < _SLANT * float(np.linalg.norm(away)):
-                raise SimulationError("The line does not cross the end", time=0.0, state=())
-            place *= float(away @ away) / place**2
-            target = np.append(z + state, place)
-            normal = np.append(-state, -place)
-            points.append(correct(returns, self.metric, target, normal / np.linalg.norm(normal)))
-        threat = Threat(margin=Margin(loss=loss, place=self.place), distance=np.inf, fall=1.0)
+        points = [self._ahead(returns, z, one, across) for one in last.before]
+        threat = Threat(margin=_margin(self.kind, self.place), distance=np.inf, fall=1.0)
         located = locate_end(returns, self.metric, points, threat, restitution)
         before = tuple(
-            (point.z[:-1] - located.z[:-1], (point.s - located.z[-1]) * across) for point in points
+            _Before(
+                state=point.z[:-1] - located.z[:-1],
+                away=(point.s - located.z[-1]) * across,
+                left=_left(point, self.kind, self.place),
+            )
+            for point in points
         )
         return located, before
 
+    def _ahead(self, returns: ReturnMap, z: Vector, before: _Before, across: Vector) -> BranchPoint:
+        """Return the point of the family ahead of an end that was ahead of the last one."""
+        place = float(before.away @ across)
+        if abs(place) < _SLANT * float(np.linalg.norm(before.away)):
+            raise SimulationError("The line does not cross the end", time=0.0, state=())
+        place *= float(before.away @ before.away) / place**2
+        target = np.append(z + before.state, place)
+        normal = np.append(-before.state, -place)
+        point = correct(returns, self.metric, target, normal / np.linalg.norm(normal))
+        left = _left(point, self.kind, self.place)
+        # Two families may come so close at an end that Newton's method hops over.
+        if not 1 / _LIKE < left / before.left < _LIKE:
+            raise SimulationError("The family ahead of the end is another", time=0.0, state=())
+        return point
 
+
+def _margin(kind: Kind, place: int) -> Margin:
+    """Return what vanishes at an end."""
+    return Margin(loss=next(loss for loss, end in ENDS.items() if end is kind), place=place)
+
+
+def _left(point: BranchPoint, kind: Kind, place: int) -> float:
+    """Return what a point of a family has left of what vanishes at an end."""
+    return point.found.margins.get(_margin(kind, place), np.nan)
+
+
+_LIKE = 1.4
+"""Factor by which periods, and what is left ahead of an end, may change along a curve in a step."""
+_UP, _ACROSS = np.array([0.0, 1.0]), np.array([1.0, 0.0])
+_GUESSES = (_UP, -_UP, _ACROSS, -_ACROSS)
+"""Directions in which a curve is looked for; within half a right angle of one of them it is."""
+_CERTAIN = 1e-6
+"""Estimated error of a point, as part of the range, above which it is none."""
 _SLANT = 0.2
 """Least sine of the angle at which a line crosses the family that leads to an end."""

@@ -14,10 +14,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from zeno_orbits.corrector import BranchPoint, Metric, correct
+from zeno_orbits.corrector import BranchPoint, Metric, correct, is_back
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.families import Kind
-from zeno_orbits.family_ends import Threat, locate_end, threats
+from zeno_orbits.family_ends import Threat, locate_end, stages, threats
 from zeno_orbits.return_maps import Loss, Return, ReturnMap
 from zeno_orbits.singular_points import Located, crossings, locate_inside
 
@@ -69,8 +69,6 @@ _FAR = 4.0
 """How many steps ahead an end may be that is sought when a step has failed."""
 _SOON = 1.0
 """How many steps ahead an end is sought before a step fails."""
-_BACK = 3
-"""Points of a family before it can have come back to its start."""
 
 
 def follow(
@@ -147,7 +145,7 @@ class _Walk:
             self._accept(new, between)
             if at_bound:
                 return self._branch(Kind.BOUND)
-            if self._is_back():
+            if is_back(self.points, self.steps.stray, self.steps.turn):
                 return self._branch(Kind.CLOSED)
             if self._ease(step) < _EASY:
                 step = min(_GROWTH * step, self.steps.longest)
@@ -207,18 +205,6 @@ class _Walk:
             self.special.append((len(self.points) - 1, located))
         self.points.append(new)
 
-    def _is_back(self) -> bool:
-        """Tell whether the start lies between the last two points."""
-        if len(self.points) <= _BACK:
-            return False
-        start, before, last = self.points[0], *self.points[-2:]
-        step = last.z - before.z
-        length = float(np.linalg.norm(step))
-        along = float((start.z - before.z) @ step) / length
-        off = np.linalg.norm(start.z - before.z - along / length * step)
-        aligned = float(start.tangent @ last.tangent) > np.cos(2 * self.steps.turn)
-        return bool(0.0 < along <= length and off < self.steps.stray * length and aligned)
-
     def _end_within(self, distance: float) -> Branch | None:
         """Return the family with its end, if one is near and can be located."""
         if len(self.points) < 2:
@@ -246,7 +232,7 @@ class _Walk:
 
     def _threats(self) -> Sequence[Threat]:
         try:
-            return threats(self.points, self.restitution(self.points[-1].s))
+            return threats(stages(self.points), self.restitution(self.points[-1].s))
         except (ZeroDivisionError, ValueError):
             return []
 
@@ -289,6 +275,8 @@ class _Walk:
 
 def jumped(before: Return, after: Return) -> str:
     """Return what is not continuous between two neighbours: an impact more or less, or nothing."""
+    if not 1 / _SAME_PERIOD < after.time / before.time < _SAME_PERIOD:
+        return "the period is another one"
     for margin, value in after.margins.items():
         if margin.loss is not Loss.FIRST_IMPACT or margin not in before.margins:
             continue
@@ -297,6 +285,8 @@ def jumped(before: Return, after: Return) -> str:
     return ""
 
 
+_SAME_PERIOD = 1.3
+"""Factor by which the period may change in a step; a turn more changes it by half."""
 _LOWER = "the steps lead to an orbit of lower period"
 _REJOINS = 0.05
 """Distance of a multiplier from 1 at which a branch ends in the flip of half its period."""

@@ -10,17 +10,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from zeno_orbits.boundaries import follow_boundary
-from zeno_orbits.branches import Branch, Tell, follow
+from zeno_orbits.branches import Branch, Tell
 from zeno_orbits.closing import close_orbit
-from zeno_orbits.corrector import BranchPoint, correct, first_point
+from zeno_orbits.corrector import BranchPoint, first_point
 from zeno_orbits.dynamics import Vector
-from zeno_orbits.errors import InputError, ZenoOrbitsError
-from zeno_orbits.families import Boundary, Continuation, Family, FamilyPoint, Kind, SpecialPoint
+from zeno_orbits.errands import Crew, Direction, Doubling, Half, Office
+from zeno_orbits.errors import InputError
+from zeno_orbits.families import (
+    Boundary,
+    Continuation,
+    Family,
+    FamilyPoint,
+    Kind,
+    SpecialPoint,
+    whole_curve,
+)
 from zeno_orbits.orbit import ZenoOrbit, versions
+from zeno_orbits.plain import plain
 from zeno_orbits.plane import Plane
 from zeno_orbits.problem import Problem, Setting
 from zeno_orbits.return_maps import Margin
@@ -50,6 +60,7 @@ def continue_orbit(
     *,
     settings: ContinuationSettings | None = None,
     tell: Tell = _silent,
+    crew: Crew | None = None,
 ) -> Continuation:
     """Return the family of an orbit in a gain or a parameter, and what branches off it.
 
@@ -60,16 +71,18 @@ def continue_orbit(
         box: Range in which to follow it, lower end first.
         settings: How.
         tell: Called with what happens.
+        crew: Workers; by default this process does it all.
 
     Raises:
         InputError: If a name or a range does not fit, or the orbit is of another scene.
         SimulationError: If the orbit does not close.
+        WorkError: If the work cannot be finished.
     """
     settings = settings or ContinuationSettings()
     track = track_of(problem, orbit, parameter, box, settings)
     x = np.array(problem.state_vector(orbit.release_state))
     s = float(numbers(problem, orbit)[problem.names.index(parameter)])
-    return continuation_on(track, x, s, settings=settings, tell=tell)
+    return continuation_on(track, x, s, settings=settings, tell=tell, crew=crew)
 
 
 def continue_orbit_in_two(
@@ -81,6 +94,7 @@ def continue_orbit_in_two(
     kinds: tuple[Kind, ...],
     settings: ContinuationSettings | None = None,
     tell: Tell = _silent,
+    crew: Crew | None = None,
 ) -> Continuation:
     """Return the family of an orbit in the first of two parameters, and its points in both.
 
@@ -92,10 +106,12 @@ def continue_orbit_in_two(
         kinds: Which kinds of special points to follow.
         settings: How.
         tell: Called with what happens.
+        crew: Workers; by default this process does it all.
 
     Raises:
         InputError: If a name or a range does not fit, or the orbit is of another scene.
         SimulationError: If the orbit does not close.
+        WorkError: If the work cannot be finished.
     """
     settings = settings or ContinuationSettings()
     if names[0] == names[1]:
@@ -107,7 +123,9 @@ def continue_orbit_in_two(
     track = track_of(problem, orbit, names[0], boxes[0], settings)
     x = np.array(problem.state_vector(orbit.release_state))
     first = problem.names.index(names[0])
-    grown = _grown_from(track, x, float(p[first]), settings, tell)
+    own = {"second": names[1], "box": list(boxes[1]), "kinds": [kind.name for kind in kinds]}
+    office = _office(track, x, float(p[first]), settings, tell, crew, own)
+    grown = _grown_from(track, x, float(p[first]), office)
     plane = Plane(
         names=names,
         places=(first, second),
@@ -115,29 +133,66 @@ def continue_orbit_in_two(
         p=p,
         restitution=problem.names.index("restitution"),
     )
-    boundaries: list[Boundary] = []
-    for one in grown:
-        for located, leading in (*((s, ()) for s in one.special), *one.ends):
-            value = (located.z[-1] * track.metric.unit, float(p[second]))
-            if located.kind in kinds and not _known(boundaries, plane, located.kind, value):
-                boundaries.append(
-                    follow_boundary(
-                        plane,
-                        one.track.on_line,
-                        track.metric,
-                        located,
-                        value,
-                        leading=leading,
-                        place=located.place,
-                        steps=settings.curve,
-                        tell=tell,
-                    )
-                )
+    found = [
+        _Candidate(grown=one, located=located, leading=leading)
+        for one in grown
+        for located, leading in (*((s, ()) for s in one.special), *one.ends)
+        if located.kind in kinds
+    ]
     return Continuation(
         families=tuple(one.family for one in grown),
-        boundaries=tuple(boundaries),
+        boundaries=tuple(_curves(office, plane, found)),
         versions=versions(),
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Candidate:
+    """A special point that may be on a curve of its own.
+
+    Attributes:
+        grown: Its family.
+        located: The point.
+        leading: The last points of the family before an end.
+    """
+
+    grown: _Grown
+    located: Located
+    leading: tuple[BranchPoint, ...]
+
+
+def _curves(office: Office, plane: Plane, found: Sequence[_Candidate]) -> list[Boundary]:
+    """Return the curves through special points, each once.
+
+    A curve may come back through another point of its kind. So points of a kind take turns, and
+    what is on a curve already is left out, whoever follows it.
+    """
+    curves: dict[int, Boundary] = {}
+    waiting, turn = dict(enumerate(found)), 0
+    while waiting:
+        turn += 1
+        chosen: dict[int, tuple[Half, Half]] = {}
+        for k, one in list(waiting.items()):
+            metric, kind = one.grown.track.metric, one.located.kind
+            value = (one.located.z[-1] * metric.unit, float(plane.p[plane.places[1]]))
+            if _known(tuple(curves.values()), plane, kind, value):
+                del waiting[k]
+            elif kind not in [found[other].located.kind for other in chosen]:
+                up = Half(
+                    course=one.grown.track.course,
+                    plane=plane,
+                    found=one.located,
+                    value=value,
+                    leading=one.leading,
+                    upwards=True,
+                )
+                chosen[k] = (up, replace(up, upwards=False))
+        results = office.done(f"curves-{turn}", "half curves", list(chosen.values()))
+        for k, halves in zip(chosen, results, strict=True):
+            second = halves[1] if len(halves) > 1 else None
+            curves[k] = whole_curve(found[k].located.kind, plane.names, halves[0], second)
+            del waiting[k]
+    return [curves[k] for k in sorted(curves)]
 
 
 _SAME = 1e-6
@@ -162,7 +217,13 @@ def _known(
 
 
 def continuation_on(
-    track: Track, x: Vector, s: float, *, settings: ContinuationSettings, tell: Tell = _silent
+    track: Track,
+    x: Vector,
+    s: float,
+    *,
+    settings: ContinuationSettings,
+    tell: Tell = _silent,
+    crew: Crew | None = None,
 ) -> Continuation:
     """Return the family through a state of a section, and what branches off it.
 
@@ -172,28 +233,62 @@ def continuation_on(
         s: The parameter there.
         settings: How.
         tell: Called with what happens.
+        crew: Workers; by default this process does it all.
 
     Raises:
+        InputError: If the crew has another scene, or its checkpoint is another's.
         SimulationError: If there is no fixed point near.
+        WorkError: If the work cannot be finished.
     """
-    grown = _grown_from(track, x, s, settings, tell)
+    grown = _grown_from(track, x, s, _office(track, x, s, settings, tell, crew, {}))
     return Continuation(families=tuple(one.family for one in grown), versions=versions())
 
 
-def _grown_from(
-    track: Track, x: Vector, s: float, settings: ContinuationSettings, tell: Tell
-) -> list[_Grown]:
+def _office(
+    track: Track,
+    x: Vector,
+    s: float,
+    settings: ContinuationSettings,
+    tell: Tell,
+    crew: Crew | None,
+    own: dict[str, Any],
+) -> Office:
+    """Return who follows a family, with all that its result depends on."""
+    identity = {
+        "problem": track.problem.name,
+        "gains": plain(track.course.setting.gains),
+        "parameters": plain(track.course.setting.parameters),
+        "in": track.course.parameter,
+        "range": list(track.course.box),
+        "section": plain(track.course.section),
+        "start": [*x.tolist(), s],
+        "settings": plain(settings, "settings"),
+        "versions": versions(),
+        **own,
+    }
+    office = Office(problem=track.problem, settings=settings, tell=tell, crew=crew)
+    return office.claimed(identity)
+
+
+def _grown_from(track: Track, x: Vector, s: float, office: Office) -> list[_Grown]:
     """Return the family through a state, and those that flips throw off."""
-    found = [_both_ways(track, x, s, settings, tell)]
+    found = [_both_ways(track, x, s, office)]
     latest = list(found)
-    for _ in range(settings.doublings):
-        later: list[_Grown] = []
-        for one in latest:
-            flips = [located for located in one.special if located.kind is Kind.FLIP]
-            thrown = [_thrown_off(one.track, flip, settings, tell) for flip in flips]
-            later += [grown for grown in thrown if grown is not None]
-        found += later
-        latest = later
+    for generation in range(office.settings.doublings):
+        thrown = [
+            (one.track.doubled(), Doubling(course=one.track.course, flip=located))
+            for one in latest
+            for located in one.special
+            if located.kind is Kind.FLIP
+        ]
+        stage = f"branches-{generation + 1}"
+        branches = office.done(stage, "branches", [(errand,) for _, errand in thrown])
+        latest = list[_Grown]()
+        for (doubled, errand), (branch,) in zip(thrown, branches, strict=True):
+            root = Branch(points=(), special=(), ending=Kind.FLIP, end=errand.flip)
+            if branch is not None:
+                latest.append(_grown(doubled, root, branch))
+        found += latest
     return found
 
 
@@ -234,78 +329,17 @@ class _Grown:
     ends: tuple[tuple[Located, tuple[BranchPoint, ...]], ...]
 
 
-def _both_ways(
-    track: Track, x: Vector, s: float, settings: ContinuationSettings, tell: Tell
-) -> _Grown:
-    up = first_point(track.returns, track.metric, x, s, rising=True)
-    down = first_point(track.returns, track.metric, x, s, rising=False)
-    forward = _followed(track, up, settings, tell)
-    if forward.ending is Kind.CLOSED:
-        return _grown(track, Branch(points=(), special=(), ending=Kind.CLOSED), forward)
-    return _grown(track, _followed(track, down, settings, tell), forward)
-
-
-def _followed(
-    track: Track,
-    start: BranchPoint,
-    settings: ContinuationSettings,
-    tell: Tell,
-    alien: Callable[[BranchPoint], bool] | None = None,
-) -> Branch:
-    return follow(
-        track.returns,
-        track.metric,
-        start,
-        track.box,
-        settings.steps,
-        restitution=track.restitution,
-        tell=tell,
-        alien=alien,
-    )
-
-
-_AWAY = (1e-3, 4e-3, 1.6e-2)
-"""Distances from a flip at which the branch of twice the period is looked for."""
-_APART = 0.2
-"""Part of that distance by which a point must differ from its own first return."""
-
-
-def _thrown_off(
-    track: Track, flip: Located, settings: ContinuationSettings, tell: Tell
-) -> _Grown | None:
-    r"""Return the family of twice the period that a flip throws off.
-
-    It leaves at right angles to the parameter, along the multiplier's own direction `v`:
-    :math:`z = z_* \pm \epsilon v + O(\epsilon^2)`. One sense is enough, as a return leads from
-    either half of the family to the other.
-    """
-    doubled, point = track.doubled(), flip.point
-    values, vectors = np.linalg.eig(point.jacobian)
-    v = np.real(vectors[:, int(np.argmin(np.abs(values + 1)))])
-    here = track.returns.frame(point.x, point.s, track.metric.scale)
-    direction = np.append(here.tangent @ v, 0.0)
-    direction /= np.linalg.norm(direction)
-
-    def alien(other: BranchPoint) -> bool:
-        """Tell an orbit that closes after half the returns."""
-        once = track.returns.follow(other.x, other.s, horizon=track.metric.horizon)
-        away = float(np.linalg.norm(other.z - point.z))
-        return float(np.max(np.abs(once.end - other.x) / track.metric.scale)) < min(
-            _APART * away, _APART * _AWAY[0]
+def _both_ways(track: Track, x: Vector, s: float, office: Office) -> _Grown:
+    ways = tuple(
+        Direction(
+            course=track.course,
+            start=first_point(track.returns, track.metric, x, s, rising=rising),
         )
-
-    for away in _AWAY:
-        z = point.z + away * direction
-        try:
-            start = correct(doubled.returns, doubled.metric, z, direction)
-        except ZenoOrbitsError:
-            continue
-        if not alien(start) and float(start.tangent @ direction) > 0.0:
-            tell(f"branch of {doubled.n_returns} returns at {start.s:.6g}", None)
-            branch = _followed(doubled, start, settings, tell, alien)
-            root = Branch(points=(), special=(), ending=Kind.FLIP, end=flip)
-            return _grown(doubled, root, branch)
-    return None
+        for rising in (True, False)
+    )
+    ((forward, *backward),) = office.done("directions", "directions", [ways])
+    closed = Branch(points=(), special=(), ending=Kind.CLOSED)
+    return _grown(track, backward[0] if backward else closed, forward)
 
 
 def _grown(track: Track, backward: Branch, forward: Branch) -> _Grown:
@@ -326,9 +360,9 @@ def _grown(track: Track, backward: Branch, forward: Branch) -> _Grown:
     return _Grown(
         family=Family(
             problem=track.problem.name,
-            parameter=track.parameter,
-            gains=track.setting.gains,
-            parameters=track.setting.parameters,
+            parameter=track.course.parameter,
+            gains=track.course.setting.gains,
+            parameters=track.course.setting.parameters,
             n_returns=track.n_returns,
             points=tuple(family_point(track, point) for point in points),
             special=tuple(special),

@@ -11,11 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from zeno_orbits.branches import jumped
-from zeno_orbits.corrector import Metric
+from zeno_orbits.corrector import Metric, is_back
 from zeno_orbits.critical_points import CriticalPoint, CriticalSystem
 from zeno_orbits.dynamics import Vector
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
-from zeno_orbits.families import Boundary, Kind
+from zeno_orbits.families import HalfCurve, Kind
+from zeno_orbits.family_ends import CLOSE, Stage, meeting
 from zeno_orbits.plane import CurveSteps, OnLine, Plane, Tell
 from zeno_orbits.singular_points import Located
 
@@ -23,10 +24,10 @@ CRITICAL = {Kind.FOLD: 1.0, Kind.FLIP: -1.0}
 """Kinds of points that are followed so, and the multiplier that they have."""
 
 _GROWTH, _EASY = 1.5, 0.4
-_BACK = 3
-"""Points of a curve before it can have come back to its start."""
 _FAR = 2.0
 """How many steps off a neighbour may be, on a bound for instance."""
+_REACHED = 1e-6
+"""A step that fails, and is this short, has reached what is ten times as near at most."""
 _FOUND = 1e-8
 """Part of a step to which a cusp is known: the parameters err by its square there."""
 
@@ -46,17 +47,18 @@ class CriticalCurve:
     end: str
 
 
-def follow_critical(
+def half_critical(
     plane: Plane,
     on_line: OnLine,
     metric: Metric,
     found: Located,
     value: tuple[float, float],
     *,
+    upwards: bool,
     steps: CurveSteps,
     tell: Tell,
-) -> Boundary:
-    """Return the curve of a fold or a flip.
+) -> HalfCurve:
+    """Return the curve of a fold or a flip in one direction.
 
     Args:
         plane: The two parameters.
@@ -64,6 +66,7 @@ def follow_critical(
         metric: Units of the family.
         found: The point.
         value: Both parameters there.
+        upwards: Whether the second parameter rises at first, or falls.
         steps: How to step.
         tell: Called with what happens.
 
@@ -76,27 +79,20 @@ def follow_critical(
         metric=replace(metric, unit=1.0),
         multiplier=CRITICAL[found.kind],
     )
-    upwards = np.zeros(found.z.size + 1)
-    upwards[-1] = 1.0
+    along = np.zeros(found.z.size + 1)
+    along[-1] = 1.0
     at = np.array(value) / plane.units
-    start = system.point_at(found.z[:-1] * metric.scale, at, upwards)
-    above = curve_from(system, start, found.kind, steps, tell)
-    below = CriticalCurve(points=(), cusps=(), end=Kind.CLOSED.value)
-    if above.end != Kind.CLOSED.value:
-        turned = replace(start, tangent=-start.tangent)
-        below = curve_from(system, turned, found.kind, steps, tell)
-    points = [*below.points[:0:-1], *above.points]
-    shift = max(len(below.points) - 1, 0)
-    cusps = [*(shift - k for k in below.cusps[::-1]), *(shift + k for k in above.cusps)]
-    values = np.array([point.at * plane.units for point in points])
-    return Boundary(
-        kind=found.kind,
-        names=plane.names,
+    start = system.point_at(found.z[:-1] * metric.scale, at, along)
+    if not upwards:
+        start = replace(start, tangent=-start.tangent)
+    curve = curve_from(system, start, found.kind, steps, tell)
+    values = np.array([point.at * plane.units for point in curve.points])
+    return HalfCurve(
         x=tuple(values[:, 0].tolist()),
         y=tuple(values[:, 1].tolist()),
-        errors=tuple(point.error for point in points),
-        ends=(below.end, above.end),
-        cusps=tuple(cusps),
+        errors=tuple(point.error for point in curve.points),
+        end=curve.end,
+        cusps=curve.cusps,
     )
 
 
@@ -137,14 +133,18 @@ class _Walk:
                 return self._curve(Kind.BOUND.value)
             if new is None or trouble:
                 step /= 2
+                if step < _REACHED:
+                    met = self._meeting(10 * _REACHED)
+                    if met:
+                        return self._curve(met)
                 if step < self.steps.least_arc:
-                    return self._curve(f"{Kind.GAVE_UP.value}: {trouble}")
+                    return self._curve(self._meeting() or f"{Kind.GAVE_UP.value}: {trouble}")
                 continue
             easy = self._ease(new) < _EASY
             self._accept(new, cusp)
             if at_bound:
                 return self._curve(Kind.BOUND.value)
-            if self._is_back():
+            if is_back(self.points, self.steps.bend, self.steps.turn):
                 self.points[-1] = self.points[0]
                 return self._curve(Kind.CLOSED.value)
             if easy:
@@ -246,17 +246,10 @@ class _Walk:
         values = point.at * self.system.plane.units
         self.tell(f"{word} at {values[0]:.6g}, {values[1]:.6g}", None)
 
-    def _is_back(self) -> bool:
-        """Tell whether the start lies between the last two points."""
-        if len(self.points) <= _BACK:
-            return False
-        start, before, last = self.points[0], *self.points[-2:]
-        step = last.z - before.z
-        length = float(np.linalg.norm(step))
-        along = float((start.z - before.z) @ step) / length
-        off = float(np.linalg.norm(start.z - before.z - along / length * step))
-        aligned = float(start.tangent @ last.tangent) > np.cos(2 * self.steps.turn)
-        return 0.0 < along <= length and off < self.steps.bend * length and aligned
+    def _meeting(self, within: float = CLOSE) -> str:
+        """Return what else is lost near the last point, if something is."""
+        way = [Stage(z=point.z, margins=point.found.margins) for point in self.points]
+        return meeting(way, self.system.plane.restitution_at(self.points[-1].at), within)
 
     def _curve(self, end: str) -> CriticalCurve:
         return CriticalCurve(points=tuple(self.points), cusps=tuple(self.cusps), end=end)

@@ -20,7 +20,7 @@ from zeno_orbits.return_maps import Return, ReturnMap
 from zeno_orbits.sections import Line
 
 _MOST_ITERATIONS = 10
-_WIDTH = 3e-5
+_WIDTH = 1e-6
 """Half the width of the differences that the gradient is made of, in scaled terms."""
 _SMALL = 1e-9
 """A correction after which, as they shrink faster than in proportion, rounding is left."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any
 
@@ -23,6 +23,7 @@ class Kind(Enum):
     THEOREM_LOST = "d2h/dt2 = 0, multiplier rising"
     GRAZING = "first impact grazes"
     EARLIER_GRAZING = "earlier contact grazes"
+    LATER_GRAZING = "later impact grazes"
     RELEASE_LOST = "release not transversal"
     EARLIER_RELEASE = "earlier release"
     AMPLITUDE_ZERO = "amplitude zero"
@@ -194,6 +195,55 @@ class Boundary:
             "ends": list(self.ends),
             "cusps": list(self.cusps),
         }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HalfCurve:
+    """A special point followed in two parameters, in one direction.
+
+    Attributes:
+        x: Values of the first parameter, in order, those of the point itself included.
+        y: Values of the second.
+        errors: Estimated error of each point, as part of the ranges.
+        end: Why it ends.
+        cusps: Which points are cusps of a fold.
+    """
+
+    x: tuple[float, ...]
+    y: tuple[float, ...]
+    errors: tuple[float, ...]
+    end: str
+    cusps: tuple[int, ...] = ()
+
+    @property
+    def closes(self) -> bool:
+        """Whether it comes back to its start, so that it is the whole curve."""
+        return self.end == Kind.CLOSED.value
+
+
+def whole_curve(
+    kind: Kind, names: tuple[str, str], first: HalfCurve, second: HalfCurve | None
+) -> Boundary:
+    """Return a curve from its halves.
+
+    Args:
+        kind: What it is.
+        names: The two parameters.
+        first: The half that the curve ends with.
+        second: The half that it begins with, backwards; none where the first closes.
+    """
+    if second is None:
+        second = replace(first, x=first.x[:1], y=first.y[:1], errors=first.errors[:1], cusps=())
+    shift = len(second.x) - 1
+    return Boundary(
+        kind=kind,
+        names=names,
+        x=(*second.x[:0:-1], *first.x),
+        y=(*second.y[:0:-1], *first.y),
+        errors=(*second.errors[:0:-1], *first.errors),
+        ends=(second.end, first.end),
+        cusps=(*(shift - k for k in second.cusps[::-1]), *(shift + k for k in first.cusps)),
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

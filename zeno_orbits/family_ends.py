@@ -6,7 +6,7 @@ up to the end, and the last stretch is extrapolated. Theory (39) and (40).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +26,7 @@ ENDS = {
     Loss.ACCELERATION: Kind.THEOREM_LOST,
     Loss.FIRST_IMPACT: Kind.GRAZING,
     Loss.NEAR_MISS: Kind.EARLIER_GRAZING,
+    Loss.LATER_IMPACT: Kind.LATER_GRAZING,
     Loss.RELEASE_RATE: Kind.RELEASE_LOST,
     Loss.ADHESION: Kind.EARLIER_RELEASE,
 }
@@ -63,21 +64,39 @@ class Threat:
     fall: float
 
 
-def threats(points: Sequence[BranchPoint], restitution: float) -> list[Threat]:
-    """Return the margins that run out beyond the last point, the nearest first.
+@dataclass(frozen=True, kw_only=True)
+class Stage:
+    """A place on the way to a loss.
+
+    Attributes:
+        z: Where, in any metric.
+        margins: What is left there.
+    """
+
+    z: Vector
+    margins: Mapping[Margin, float]
+
+
+def stages(points: Sequence[BranchPoint]) -> list[Stage]:
+    """Return points of a family as stages on the way to its end."""
+    return [Stage(z=point.z, margins=point.found.margins) for point in points]
+
+
+def threats(way: Sequence[Stage], restitution: float) -> list[Threat]:
+    """Return the margins that run out beyond the last stage, the nearest first.
 
     Args:
-        points: Points of a family in order, at least two.
+        way: Neighbours in order, at least two.
         restitution: At the last one.
     """
-    before, last = points[-2], points[-1]
+    before, last = way[-2], way[-1]
     step = float(np.linalg.norm(last.z - before.z))
     found: dict[Margin, Threat] = {}
-    for margin, value in last.found.margins.items():
-        earlier = before.found.margins.get(margin)
+    for margin, value in last.margins.items():
+        earlier = before.margins.get(margin)
         if earlier is None or step == 0.0 or margin.loss is Loss.CUT:
             continue
-        largest = max(p.found.margins.get(margin, 0.0) for p in points)
+        largest = max(stage.margins.get(margin, 0.0) for stage in way)
         if 0.0 < value < min(earlier, _NEARLY * largest):
             power = 1.0
             if margin.loss is Loss.LOCK and restitution > 0.0:
@@ -104,6 +123,34 @@ def _without_consequences(found: dict[Margin, Threat]) -> list[Threat]:
             if lesser is not None and threat.fall > _TOGETHER * lesser.fall / power:
                 del left[lesser.margin]
     return sorted(left.values(), key=lambda threat: threat.distance)
+
+
+CLOSE = 0.02
+"""Distance along a curve, in the ranges, at which what runs out is where it ends."""
+
+
+def meeting(way: Sequence[Stage], restitution: float, within: float = CLOSE) -> str:
+    """Return in words what else is lost where a curve of special points ends.
+
+    Two things happen there at once, a point of codimension two. Nothing is said if no margin runs
+    out near.
+
+    Args:
+        way: Points of the curve in order.
+        restitution: At the last one.
+        within: How far ahead a loss may be.
+    """
+    if len(way) < _FEWEST:
+        return ""
+    for threat in threats(way, restitution):
+        if threat.distance < within:
+            word = ENDS[threat.margin.loss].value
+            return f"meets: {word}, within {threat.distance:.0e} of the ranges"
+    return ""
+
+
+_FEWEST = 3
+"""Points that tell where a curve leads."""
 
 
 def locate_end(

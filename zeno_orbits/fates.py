@@ -19,9 +19,7 @@ from zeno_orbits.lockstep.point import Point
 from zeno_orbits.lockstep.request import Accuracy, Request
 from zeno_orbits.models import compiled_model
 from zeno_orbits.problem import Problem, Setting
-
-RUNAWAY = 20 * np.pi
-"""A coordinate beyond this many radians, or metres, will not come back."""
+from zeno_orbits.quantities import RUNAWAY
 
 _LANES = 2048
 """Lanes in a batch. More share the cost of a round better, until they leave the cache."""

@@ -12,13 +12,11 @@ from zeno_orbits.cycle import Cycle, cycle_of, cycles
 from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
 from zeno_orbits.errors import RunawayError, SimulationError
 from zeno_orbits.execution import Execution, Mode
+from zeno_orbits.quantities import RUNAWAY
 from zeno_orbits.recurrence import Recurrence, Recurring
 from zeno_orbits.returns import placed, to_next_release
 from zeno_orbits.shape import OrbitShape
 from zeno_orbits.simulate import SimulationSettings, simulate
-
-RUNAWAY = 20 * np.pi
-"""A coordinate beyond this many radians, or metres, will not come back."""
 
 _FADED = 1e-3
 """A motion whose first impacts have slowed down to this part of its fastest is dying out."""

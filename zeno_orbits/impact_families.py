@@ -8,13 +8,14 @@ from zeno_orbits.branches import Tell
 from zeno_orbits.continuation import continuation_on
 from zeno_orbits.corrector import Metric
 from zeno_orbits.dynamics import Vector
+from zeno_orbits.errands import Crew
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.families import Continuation
 from zeno_orbits.impact_returns import ImpactReturns
 from zeno_orbits.models import compiled_model
 from zeno_orbits.problem import Problem, Setting
 from zeno_orbits.simulate import simulate
-from zeno_orbits.tracks import ContinuationSettings, Track, check_box, line_in
+from zeno_orbits.tracks import ContinuationSettings, Course, Track, check_box, line_in
 
 _MOST_IMPACTS = 400
 _SETTLED = 1e-3
@@ -32,6 +33,7 @@ def continue_impacts(
     *,
     settings: ContinuationSettings,
     tell: Tell,
+    crew: Crew | None = None,
 ) -> Continuation:
     """Return the family of the orbit with one impact a turn that a motion settles to.
 
@@ -43,10 +45,12 @@ def continue_impacts(
         box: Range in which to follow it, lower end first.
         settings: How.
         tell: Called with what happens.
+        crew: Workers; by default this process does it all.
 
     Raises:
         InputError: If a name or a range does not fit.
         SimulationError: If the impacts do not settle.
+        WorkError: If the work cannot be finished.
     """
     p = np.array(setting.values())
     value = float(p[problem.names.index(parameter)]) if parameter in problem.names else 0.0
@@ -56,15 +60,16 @@ def continue_impacts(
         compiled=compiled_model(problem), line=line, settings=settings.simulation
     )
     x, flight, scale = _settled(returns, np.array(state), value)
-    track = Track(
-        problem=problem,
+    course = Course(
         setting=setting,
         parameter=parameter,
         box=box,
-        returns=returns,
+        section=ImpactReturns,
         metric=Metric(scale=scale, unit=box[1] - box[0], horizon=_LONGER * flight),
+        simulation=settings.simulation,
     )
-    return continuation_on(track, x, value, settings=settings, tell=tell)
+    track = Track(problem=problem, course=course)
+    return continuation_on(track, x, value, settings=settings, tell=tell, crew=crew)
 
 
 def _settled(returns: ImpactReturns, state: Vector, s: float) -> tuple[Vector, float, Vector]:

@@ -45,6 +45,10 @@ class Plane:
         along[list(self.places)] = direction * self.units
         return Line(origin=origin, direction=along)
 
+    def restitution_at(self, at: Vector) -> float:
+        """Return the restitution at a place, ``(2,)``."""
+        return float(self.line(at, np.zeros(2)).origin[self.restitution])
+
     def holds(self, at: Vector) -> bool:
         """Tell whether a place lies in the ranges."""
         low, high = self.box[:, 0] / self.units, self.box[:, 1] / self.units
@@ -71,9 +75,9 @@ class CurveSteps:
 
     first: float = 0.005
     longest: float = 0.05
-    shortest: float = 1e-3
+    shortest: float = 1e-5
     most: int = 80
     bend: float = 0.25
     turn: float = 0.3
-    least_arc: float = 1e-5
+    least_arc: float = 1e-8
     most_arcs: int = 300

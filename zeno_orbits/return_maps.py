@@ -13,13 +13,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
+from itertools import pairwise
 from typing import ClassVar, Protocol, Self
 
 import numpy as np
 
 from zeno_orbits.compiled import CompiledSystem, bind
 from zeno_orbits.dynamics import HybridDynamics, Vector
-from zeno_orbits.execution import Arc, Mode
+from zeno_orbits.execution import Arc, Execution, Mode
 from zeno_orbits.extrema import least_inside
 from zeno_orbits.monodromy import loosened, return_derivative
 from zeno_orbits.sections import RELEASE_ROWS, Frame, Line, frame, projected
@@ -34,6 +35,7 @@ class Loss(Enum):
     ACCELERATION = "acceleration onto the stop at the Zeno point"
     FIRST_IMPACT = "speed of the first impact"
     NEAR_MISS = "least gap before the first impact"
+    LATER_IMPACT = "speed of a later impact, as part of that of the flight before it"
     RELEASE_RATE = "rate of the multiplier at the release"
     ADHESION = "least multiplier on the locked arc"
     CUT = "distance from the separatrix of the impacts"
@@ -167,6 +169,9 @@ class ReleaseReturns(SectionReturns):
             Margin(loss=Loss.FIRST_IMPACT): -found.first_rate.value,
             Margin(loss=Loss.RELEASE_RATE): -dynamics.multiplier_rate(found.end),
         }
+        kept = _least_kept(dynamics, run)
+        if kept is not None:
+            margins[Margin(loss=Loss.LATER_IMPACT)] = kept
         least_gap = _least_gap(dynamics, flight)
         if least_gap is not None:
             margins[Margin(loss=Loss.NEAR_MISS)] = least_gap
@@ -197,6 +202,21 @@ _LOOSER = 30.0
 def _least_gap(dynamics: HybridDynamics, flight: Arc) -> float | None:
     """Return the least gap inside a flight, if it has a minimum there."""
     return least_inside(flight, dynamics.gap, dynamics.gap_rate)
+
+
+def _least_kept(dynamics: HybridDynamics, run: Execution) -> float | None:
+    """Return the least part of its speed at the start that a flight between impacts lands with.
+
+    It tends to one as impacts accumulate, so none of many of them is a loss but the one that
+    grazes. There is none where the first impact is the last one.
+    """
+    rates = [impact.approach_rate for impact in run.impacts]
+    kept = [
+        after / (dynamics.restitution * before)
+        for before, after in pairwise(rates)
+        if dynamics.restitution > 0.0
+    ]
+    return min(kept, default=None)
 
 
 @dataclass(frozen=True, kw_only=True)

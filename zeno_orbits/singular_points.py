@@ -101,19 +101,11 @@ def locate_inside(
         ZenoOrbitsError: If a point in between cannot be had.
     """
     root = root_between(returns, metric, a, b, INSIDE[kind])
-    point = root.point
-    pair = max((abs(m.imag) for m in point.multipliers), default=0.0)
+    pair = max((abs(m.imag) for m in root.point.multipliers), default=0.0)
     if kind is Kind.TORUS and pair < _REAL:
         # Two real multipliers with product one: nothing happens to the orbit.
         return None
-    return Located(
-        kind=kind,
-        point=point,
-        z=point.z,
-        period=point.found.time,
-        error=root.error * metric.unit,
-        margins=point.found.margins,
-    )
+    return _located(kind, root, metric)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,6 +119,18 @@ class Root:
 
     point: BranchPoint
     error: float
+
+
+def _located(kind: Kind, root: Root, metric: Metric) -> Located:
+    point = root.point
+    return Located(
+        kind=kind,
+        point=point,
+        z=point.z,
+        period=point.found.time,
+        error=root.error * metric.unit,
+        margins=point.found.margins,
+    )
 
 
 def root_between(
@@ -181,31 +185,15 @@ def located_near(
         distance = -value / slope if slope else np.inf
         if not abs(distance) < _NEAR:
             break
-        if abs(distance) < _ROOT:
-            error = _doubt(returns, metric, here, test, slope) * metric.unit
-            return Located(
-                kind=kind,
-                point=here,
-                z=here.z,
-                period=here.found.time,
-                error=error,
-                margins=here.found.margins,
-            )
-        there = correct(returns, metric, here.z + distance * here.tangent, here.tangent)
-        gone, value_there = float((there.z - here.z) @ here.tangent), test(there)
-        if gone != 0.0 and value_there != value and abs(distance) > _TINY:
-            slope = (value_there - value) / gone
-        here, value = there, value_there
+        if abs(distance) >= _ROOT:
+            there = correct(returns, metric, here.z + distance * here.tangent, here.tangent)
+            gone, value_there = float((there.z - here.z) @ here.tangent), test(there)
+            if gone != 0.0 and value_there != value and abs(distance) > _TINY:
+                slope = (value_there - value) / gone
+            here, value = there, value_there
         if abs(distance) < _TINY:
-            error = _doubt(returns, metric, here, test, slope) * metric.unit
-            return Located(
-                kind=kind,
-                point=here,
-                z=here.z,
-                period=here.found.time,
-                error=error,
-                margins=here.found.margins,
-            )
+            root = Root(point=here, error=_doubt(returns, metric, here, test, slope))
+            return _located(kind, root, metric)
     raise SimulationError(f"There is no {kind.value} near", time=0.0, state=())
 
 

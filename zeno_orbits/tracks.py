@@ -3,6 +3,7 @@ r"""What a family is followed on: a scene, the number that changes, a return map
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from zeno_orbits.branches import Steps
 from zeno_orbits.corrector import Metric
 from zeno_orbits.dynamics import Vector
 from zeno_orbits.errors import InputError
+from zeno_orbits.impact_returns import ImpactReturns
 from zeno_orbits.models import compiled_model
 from zeno_orbits.orbit import ZenoOrbit
 from zeno_orbits.plane import CurveSteps
@@ -41,26 +43,62 @@ class ContinuationSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Course:
+    """What a family is followed on, but for the scene: that holds functions and cannot travel.
+
+    Attributes:
+        setting: Its numbers at the start.
+        parameter: The number that changes.
+        box: Its range.
+        section: From which kind of states to which its returns lead.
+        metric: Units.
+        simulation: Accuracy of a return.
+        n_returns: Returns after which its orbits close.
+    """
+
+    setting: Setting
+    parameter: str
+    box: tuple[float, float]
+    section: type[ReleaseReturns] | type[ImpactReturns]
+    metric: Metric
+    simulation: SimulationSettings
+    n_returns: int = ONE_RETURN
+
+
+@dataclass(frozen=True, kw_only=True)
 class Track:
     """What a family is followed on: the map, the units, the box, and how to name things.
 
     Attributes:
         problem: The scene.
-        setting: Its numbers at the start.
-        parameter: The number that changes.
-        box: Its range.
-        returns: The return map.
-        metric: Units.
-        n_returns: Returns after which its orbits close.
+        course: All else.
     """
 
     problem: Problem
-    setting: Setting
-    parameter: str
-    box: tuple[float, float]
-    returns: ReturnMap
-    metric: Metric
-    n_returns: int = ONE_RETURN
+    course: Course
+
+    @cached_property
+    def returns(self) -> ReturnMap:
+        """The return map."""
+        course = self.course
+        once = course.section(
+            compiled=compiled_model(self.problem),
+            line=line_in(self.problem, np.array(course.setting.values()), course.parameter),
+            settings=course.simulation,
+        )
+        if course.n_returns == ONE_RETURN:
+            return once
+        return Composed(maps=course.n_returns * (once,))
+
+    @property
+    def metric(self) -> Metric:
+        """Units."""
+        return self.course.metric
+
+    @property
+    def n_returns(self) -> int:
+        """Returns after which its orbits close."""
+        return self.course.n_returns
 
     def restitution(self, s: float) -> float:
         """Return the restitution at a place on the line."""
@@ -72,8 +110,7 @@ class Track:
 
     def doubled(self) -> Track:
         """Return the same for orbits that close after twice as many returns."""
-        maps = self.returns.maps if isinstance(self.returns, Composed) else (self.returns,)
-        return replace(self, returns=Composed(maps=2 * maps), n_returns=2 * self.n_returns)
+        return replace(self, course=replace(self.course, n_returns=2 * self.n_returns))
 
 
 def numbers(problem: Problem, orbit: ZenoOrbit) -> Vector:
@@ -99,23 +136,20 @@ def track_of(
     orbit.shape.require_one_release()
     setting = orbit.setting(problem)
     p = np.array(setting.values())
-    line = line_in(problem, p, parameter)
+    line_in(problem, p, parameter)
     check_box(problem, parameter, box, float(p[problem.names.index(parameter)]))
-    returns = ReleaseReturns(
-        compiled=compiled_model(problem), line=line, settings=settings.simulation
+    metric = Metric(
+        scale=scale_of(problem, orbit), unit=box[1] - box[0], horizon=_PATIENCE * orbit.period
     )
-    return Track(
-        problem=problem,
+    course = Course(
         setting=setting,
         parameter=parameter,
         box=box,
-        returns=returns,
-        metric=Metric(
-            scale=scale_of(problem, orbit),
-            unit=box[1] - box[0],
-            horizon=_PATIENCE * orbit.period,
-        ),
+        section=ReleaseReturns,
+        metric=metric,
+        simulation=settings.simulation,
     )
+    return Track(problem=problem, course=course)
 
 
 def scale_of(problem: Problem, orbit: ZenoOrbit) -> Vector:

@@ -13,8 +13,12 @@ from zeno_orbits.cli.shared import (
     YES,
     add_command,
     add_gain_values,
+    add_place,
     add_scene,
+    checkpoint_of,
+    interrupted,
     json_text,
+    place_of,
     print_json,
     say_written,
     setting_of,
@@ -24,9 +28,11 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.files import require_picture, require_writable, write_whole
 
 if TYPE_CHECKING:
+    from zeno_orbits.errands import Crew
     from zeno_orbits.families import Continuation
     from zeno_orbits.orbit import ZenoOrbit
     from zeno_orbits.problem import Problem, Setting
+    from zeno_orbits.scenes import SceneFile
     from zeno_orbits.tracks import ContinuationSettings
 
 
@@ -89,33 +95,33 @@ def add_continue(commands: Any) -> None:
         metavar="KIND",
         help="with --second: only points of this kind, fold for instance; may be repeated",
     )
+    add_place(parser)
     parser.add_argument("-o", "--output", type=Path, help="write the families here, as JSON")
     parser.add_argument("--picture", type=Path, help="draw the families here")
 
 
 def _run_continue(options: argparse.Namespace) -> int:
-    from zeno_orbits.branches import Steps
     from zeno_orbits.families import Kind
-    from zeno_orbits.problem import load_problem
-    from zeno_orbits.tracks import ContinuationSettings
+    from zeno_orbits.scenes import scene_file
+    from zeno_orbits.work import remove_checkpoint
 
-    problem = load_problem(options.problem)
-    if options.output is not None:
-        require_writable(options.output)
-    if options.picture is not None:
-        require_picture(options.picture)
-        if options.picture == options.output:
-            both = f"but both are `{options.output}`"
-            raise InputError(f"Argument `picture` must be another file than `output`, {both}.")
-    settings = ContinuationSettings(steps=Steps(most=options.steps))
-    with report.Progress(options.interrupts.check) as progress:
-        found = _continued(options, problem, settings, progress)
+    scene = scene_file(options.problem)
+    problem = scene.load()
+    _require_outputs(options)
+    checkpoint = checkpoint_of(options)
+    try:
+        with report.Progress(options.interrupts.check) as progress:
+            found = _continued(options, scene, checkpoint, progress)
+    except KeyboardInterrupt:
+        return interrupted(options, checkpoint)
     if options.picture is not None:
         from zeno_orbits import plots
 
         plots.save_figure(plots.plot_families(found, problem), options.picture)
     if options.output is not None:
         write_whole(options.output, json_text(found.as_json()) + "\n")
+        if options.checkpoint is None and checkpoint is not None:
+            remove_checkpoint(checkpoint)
     if options.json:
         print_json(found.as_json())
     else:
@@ -125,21 +131,60 @@ def _run_continue(options: argparse.Namespace) -> int:
     return NO if any(end.kind is Kind.GAVE_UP for end in ends) else YES
 
 
+def _require_outputs(options: argparse.Namespace) -> None:
+    if options.output is not None:
+        require_writable(options.output)
+    if options.picture is not None:
+        require_picture(options.picture)
+        if options.picture == options.output:
+            both = f"but both are `{options.output}`"
+            raise InputError(f"Argument `picture` must be another file than `output`, {both}.")
+
+
 def _continued(
     options: argparse.Namespace,
-    problem: Problem,
-    settings: ContinuationSettings,
+    scene: SceneFile,
+    checkpoint: Path | None,
     progress: report.Progress,
 ) -> Continuation:
-    from zeno_orbits.continuation import continue_orbit, continue_orbit_in_two
-    from zeno_orbits.impact_families import continue_impacts
+    """Return what was asked for, by the workers that were asked for."""
+    from zeno_orbits.branches import Steps
+    from zeno_orbits.errands import Crew
+    from zeno_orbits.tracks import ContinuationSettings
+    from zeno_orbits.work import Plan, open_pool
 
+    settings = ContinuationSettings(steps=Steps(most=options.steps))
+    plan = Plan(place=place_of(options), checkpoint=checkpoint)
     name, box = read_range(options.range, "in")
     kinds = _kinds(options)
+    _require_section(options)
+    with open_pool(plan.place) as pool:
+        crew = Crew(scene=scene, plan=plan, pool=pool, tell=progress.tell)
+        return _asked(options, scene.load(), (name, box), kinds, settings, crew)
+
+
+def _require_section(options: argparse.Namespace) -> None:
     if options.section == "impact":
         if options.start_orbit is not None or options.second is not None or not options.start:
             message = "must come with --start, and without --from and --second"
             raise InputError(f"Argument `section` {message}, but it does not.")
+    elif options.start:
+        raise InputError("Argument `start` must come with --section impact, but it does not.")
+
+
+def _asked(
+    options: argparse.Namespace,
+    problem: Problem,
+    asked: tuple[str, tuple[float, float]],
+    kinds: tuple[Any, ...],
+    settings: ContinuationSettings,
+    crew: Crew,
+) -> Continuation:
+    from zeno_orbits.continuation import continue_orbit, continue_orbit_in_two
+    from zeno_orbits.impact_families import continue_impacts
+
+    (name, box), tell = asked, crew.tell
+    if options.section == "impact":
         return continue_impacts(
             problem,
             setting_of(problem, options),
@@ -147,14 +192,13 @@ def _continued(
             name,
             box,
             settings=settings,
-            tell=progress.tell,
+            tell=tell,
+            crew=crew,
         )
-    if options.start:
-        raise InputError("Argument `start` must come with --section impact, but it does not.")
     second = None if options.second is None else read_range(options.second, "second")
-    orbit = _orbit(options, problem, progress)
+    orbit = _orbit(options, problem, crew)
     if second is None:
-        return continue_orbit(problem, orbit, name, box, settings=settings, tell=progress.tell)
+        return continue_orbit(problem, orbit, name, box, settings=settings, tell=tell, crew=crew)
     return continue_orbit_in_two(
         problem,
         orbit,
@@ -162,7 +206,8 @@ def _continued(
         (box, second[1]),
         kinds=kinds,
         settings=settings,
-        tell=progress.tell,
+        tell=tell,
+        crew=crew,
     )
 
 
@@ -180,14 +225,14 @@ def _kinds(options: argparse.Namespace) -> tuple[Any, ...]:
     return tuple(words[word] for word in options.point) or tuple(words.values())
 
 
-def _orbit(options: argparse.Namespace, problem: Problem, progress: report.Progress) -> ZenoOrbit:
+def _orbit(options: argparse.Namespace, problem: Problem, crew: Crew) -> ZenoOrbit:
     """Return the orbit to start from."""
     from zeno_orbits.continuation import start_orbit
     from zeno_orbits.orbit import read_orbit
 
     if options.start_orbit is None:
         setting = _inside(problem, setting_of(problem, options), options)
-        return start_orbit(problem, setting, tell=progress.tell)
+        return start_orbit(problem, setting, tell=lambda stage: crew.tell(stage, None))
     if options.gain or options.set:
         message = "must come without --gain and --set, as the orbit has numbers"
         raise InputError(f"Argument `from` {message}, but it does not.")

@@ -11,11 +11,14 @@ from zeno_orbits.lockstep.events import Ended, Event, Reason, Struck
 from zeno_orbits.lockstep.newton import bundle_at
 from zeno_orbits.lockstep.request import AT_ONCE, Accuracy, Request
 from zeno_orbits.lockstep.returns import Growth, changes, growth_of, scale_of
+from zeno_orbits.lockstep.strikes import ImpactBundle, bundle_around
 
 _REMEMBERED = 40
 """Returns that are looked back on."""
 _RECENT = 8
 """Returns that tell the size of each state."""
+_CLOSE = 1e-4
+"""Change of an impact that is a period later below which Newton's method is tried."""
 _DISTINCT = 1e-3
 """States nearer than this are taken for one another, relative."""
 _MUCH_NEARER, _LATER = 0.3, 8
@@ -44,7 +47,8 @@ class Point:
         self._unit: Vector | None = None
         self._failures = 0
         self._tried: dict[int, tuple[float, int]] = {}
-        self._attempt: Attempt | None = None
+        self._looked: dict[int, float] = {}
+        self._attempt: Attempt | ImpactBundle | None = None
 
     def begin(self) -> Request:
         """Return the first lane to run."""
@@ -60,6 +64,8 @@ class Point:
         Returns:
             Other lanes to run in place of these, or the conclusion, or nothing to go on.
         """
+        if isinstance(self._attempt, ImpactBundle):
+            return self._between_impacts(self._attempt.hear(rank, event))
         if self._attempt is not None:
             answer = self._attempt.hear(rank, event)
             return self._give_up() if isinstance(answer, Lost) else answer
@@ -141,6 +147,10 @@ class Point:
         scale = scale_of(states[-_RECENT:], self._dynamics.n_q)
         for period, change in changes(states, scale).items():
             earlier = changes(states[:-period], scale).get(period, np.inf)
+            if change < _CLOSE and earlier < 10 * _CLOSE:
+                answer = self._look_around(period, change, scale)
+                if answer is not None:
+                    return answer
             repeats = self._accuracy.repeats
             if change < repeats and earlier < 10 * repeats:
                 return self._repeated(period)
@@ -157,6 +167,31 @@ class Point:
         self._tolerance, self._origin = self._accuracy.orbit, time
         self._strikes.clear()
         # The state is on the stop and leaves it, as after a release.
+        return Request(state[None, :], self._tolerance, True, self._until - time)
+
+    def _look_around(self, period: int, change: float, scale: Vector) -> Request | None:
+        """Begin Newton's method from impacts that nearly repeat, if it has not failed there."""
+        if not change < _MUCH_NEARER * self._looked.get(period, np.inf):
+            return None
+        self._looked[period] = change
+        time, state, _ = self._strikes[-1]
+        span = time - self._strikes[-1 - period][0]
+        bundle = bundle_around(self._dynamics, self._accuracy, state, scale, period, span)
+        self._attempt = bundle
+        return None if bundle is None else bundle.request()
+
+    def _between_impacts(
+        self, answer: ImpactBundle | Attractor | Lost | None
+    ) -> Request | Attractor | None:
+        """Go on from a step of Newton's method, or from the motion where that failed."""
+        if isinstance(answer, ImpactBundle):
+            self._attempt = answer
+            return answer.request()
+        if not isinstance(answer, Lost):
+            return answer
+        self._attempt = None
+        time, state, _ = self._strikes[-1]
+        self._origin = time
         return Request(state[None, :], self._tolerance, True, self._until - time)
 
     def _without_zeno(self, period: int) -> Attractor:

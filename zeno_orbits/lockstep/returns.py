@@ -16,6 +16,9 @@ PERIODS = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 16)
 _NEAR_ZERO = 1e-3
 """An entry smaller than this part of the largest of its kind is measured against that part."""
 
+_ROUNDING = 1e-9
+"""An entry smaller than this part of all others is zero but for rounding."""
+
 _FADED = 1e-3
 """A motion that has fallen to this part of its largest amplitude dies out."""
 
@@ -40,7 +43,9 @@ def scale_of(states: Sequence[Vector], n_q: int) -> Vector:
     for kind in (slice(0, n_q), slice(n_q, 2 * n_q), slice(2 * n_q, None)):
         of_kind = float(np.max(largest[kind], initial=0.0))
         largest[kind] = np.maximum(largest[kind], _NEAR_ZERO * of_kind)
-    return np.where(largest > 0.0, largest, 1.0)
+    # A coordinate that the stop holds at zero is rounding, if it is the only one of its kind.
+    overall = float(np.max(largest)) or 1.0
+    return np.where(largest > _ROUNDING * overall, largest, overall)
 
 
 def changes(states: Sequence[Vector], scale: Vector) -> dict[int, float]:

@@ -235,7 +235,7 @@ class Transitions:
         keeps = (1 + lanes.restitution[rows]) / 2
         first = speed >= keeps * self._tails.last_speed(rows)
         first |= self._tails.count[rows] == 0
-        for k in np.flatnonzero(first & (lanes.leader[rows] == rows)):
+        for k in np.flatnonzero(first[lead]):
             self.events.append(
                 Struck(
                     lane=int(rows[k]),

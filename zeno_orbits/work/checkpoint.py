@@ -104,6 +104,8 @@ def open_checkpoint(folder: Path, identity: Mapping[str, Any], sizes: Sequence[i
 
 def remove_checkpoint(folder: Path) -> None:
     """Delete a checkpoint whose work is done; what else is in the folder stays, and so it does."""
+    for stage in folder.glob(f"*/{_IDENTITY}"):
+        remove_checkpoint(stage.parent)
     kept = (*folder.glob("chunk-*.json"), *folder.glob(".*.json.*"), folder / _IDENTITY)
     for file in kept:
         file.unlink(missing_ok=True)
@@ -112,8 +114,8 @@ def remove_checkpoint(folder: Path) -> None:
 
 
 def keeps_nothing(folder: Path) -> bool:
-    """Tell whether no chunk of a checkpoint is finished."""
-    return not any(folder.glob("chunk-*.json"))
+    """Tell whether no chunk of a checkpoint is finished, in none of its stages."""
+    return not any(folder.rglob("chunk-*.json"))
 
 
 def _require_empty(folder: Path) -> None:

@@ -23,8 +23,23 @@ _TICK = 0.2
 """Longest time without a word to ``Tell``, which may look for an interrupt [s]."""
 
 
+def claim(plan: Plan) -> None:
+    """Open the checkpoint of work in several stages, each of which keeps a folder in it.
+
+    Raises:
+        CheckpointError: If the folder holds something else; it is left as it is.
+    """
+    if plan.checkpoint is not None:
+        open_checkpoint(plan.checkpoint, {**plan.identity, "code": code_digest()}, ())
+
+
 def spread(
-    task: Task, points: Sequence[Any], plan: Plan, *, tell: Tell | None = None
+    task: Task,
+    points: Sequence[Any],
+    plan: Plan,
+    *,
+    tell: Tell | None = None,
+    pool: Pool | None = None,
 ) -> tuple[Any, ...]:
     """Return the result of every point, in order, the same whoever computes them.
 
@@ -34,6 +49,7 @@ def spread(
         points: Plain data: numbers, texts, lists and mappings of them.
         plan: Where, in which chunks, and where finished ones are kept.
         tell: Told of progress; what it raises ends the work, and finished chunks stay kept.
+        pool: Workers of `open_pool` in place of the plan's own, for one stage after another.
 
     Returns:
         One result a point as it comes out of JSON, or ``Lost`` where the point kills its worker.
@@ -42,7 +58,7 @@ def spread(
         InputError: If the place cannot be had, or the checkpoint is another's.
         WorkError: If the task fails, or a cluster goes away.
     """
-    return tuple(spread_in_order(task, points, plan, tell=tell))
+    return tuple(spread_in_order(task, points, plan, tell=tell, pool=pool))
 
 
 def spread_in_order(
@@ -52,6 +68,7 @@ def spread_in_order(
     *,
     here: Task | None = None,
     tell: Tell | None = None,
+    pool: Pool | None = None,
 ) -> Generator[Any]:
     """Give the result of every point as soon as it and all before it are known.
 
@@ -66,6 +83,7 @@ def spread_in_order(
         here: The same task for this process, which does the first chunk before it asks for help;
             by default it does none.
         tell: As in ``spread``.
+        pool: As in ``spread``; it must be run to the end.
 
     Yields:
         As ``spread`` returns them.
@@ -85,8 +103,7 @@ def spread_in_order(
         found[chunk] = results
 
     with ExitStack() as stack:
-        pool = None
-        if plan.place != Workers() and len(found) < len(chunks):
+        if pool is None and plan.place != Workers() and len(found) < len(chunks):
             pool = stack.enter_context(open_pool(plan.place))
         if here is not None and chunks and 0 not in found:
             keep(0, json.loads(json.dumps(list(here(chunks[0])), allow_nan=False)))
