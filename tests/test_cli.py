@@ -1112,6 +1112,24 @@ def test_json_is_all_that_standard_output_holds_and_progress_goes_elsewhere(
         assert answer.err == ""
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("map", "motor_pendulum", "--x", "Kp=1:5", "--y", "Kd=-2:0"),
+        ("trade", "bouncing_ball"),
+    ],
+    ids=lambda arguments: arguments[0],
+)
+@pytest.mark.parametrize("picture", ["a.png", "./a.png"])
+def test_a_picture_may_not_be_written_over_the_output(
+    arguments: tuple[str, ...], picture: str, here: Path
+) -> None:
+    answer = ask(*arguments, "-o", "a.png", "--picture", picture)
+    assert answer.code == MISUSE
+    assert "`picture` must be another file than `output`" in answer.err
+    assert contents(here) == {}
+
+
 def test_work_that_is_done_at_once_shows_no_progress(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(report, "_PATIENCE", 1.0)
     assert ask("simulate", "bouncing_ball", "--until", "0.1").err == ""

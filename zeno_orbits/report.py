@@ -138,16 +138,6 @@ def print_costs(costs: Sequence[ReductionCost]) -> None:
     )
 
 
-def print_setting(problem: Problem, setting: Setting) -> None:
-    """Print the numbers of a scene."""
-    table = _table("parameter", "value", "unit", "meaning")
-    for quantity in (*problem.gains, *problem.parameters):
-        values = {**setting.gains, **setting.parameters}
-        number = f"{values[quantity.name]:.10g}"
-        table.add_row(quantity.name, number, quantity.unit, quantity.meaning)
-    _print(table)
-
-
 def print_execution(problem: Problem, execution: Execution, most: int = 40) -> None:
     """Print the events of an execution and where it ends."""
     from zeno_orbits.execution import Impact, ZenoPoint
