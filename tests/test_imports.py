@@ -23,6 +23,7 @@ WITHOUT_CASADI = (
     "zeno_orbits",
     "zeno_orbits.cli",
     "zeno_orbits.report",
+    "zeno_orbits.progress",
     "zeno_orbits.arguments",
 )
 
