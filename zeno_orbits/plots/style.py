@@ -11,12 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
-from zeno_orbits.dynamics import HybridDynamics, Vector
+from zeno_orbits.dynamics import Vector
 from zeno_orbits.execution import Ending, Execution, Mode
 from zeno_orbits.files import require_picture, write_whole
 from zeno_orbits.problem import Problem
@@ -152,16 +151,3 @@ def _symbol(names: Sequence[str], index: int) -> str:
         return f"rate of {stem}" if dotted else name
     letter = rf"\dot{{{letter}}}" if dotted else letter
     return f"${letter}_{{{number}}}$" if number else f"${letter}$"
-
-
-def gap_unit(problem: Problem, dynamics: HybridDynamics) -> str:
-    """Return the unit of the coordinates whose sum or difference the gap is, else only ``SI``."""
-    n_q, units = dynamics.n_q, set[str]()
-    for k in range(n_q):
-        velocity = np.zeros(len(dynamics.state_names))
-        velocity[n_q + k] = 1.0
-        shifted = velocity + 0.3 * (np.arange(len(velocity)) < n_q)
-        slopes = {abs(dynamics.gap_rate(x)) for x in (velocity, shifted)}
-        if slopes - {0.0}:
-            units.add(problem.state_units[k] if slopes == {1.0} else "SI")
-    return units.pop() if len(units) == 1 else "SI"
