@@ -104,7 +104,7 @@ def _over_time(
     impacts = [impact.time for impact in execution.impacts]
     paths = [(times, values(states), look) for times, states, look in paths_of(execution)]
     for column, (ax, label) in enumerate(zip(panels, labels, strict=True)):
-        for mode, start, end in _phases(execution):
+        for mode, start, end in phases_of(execution):
             ax.axvspan(start, end, color=TINTS[mode], lw=0, gid=mode.value)
         for times, drawn, look in paths:
             ax.plot(times, drawn[:, column], **look)
@@ -122,7 +122,7 @@ def _over_time(
     return figure
 
 
-def _phases(execution: Execution) -> list[tuple[Mode, float, float]]:
+def phases_of(execution: Execution) -> list[tuple[Mode, float, float]]:
     """Return mode, start and end of every phase; a Zeno tail belongs to the flights before it."""
     starts = [execution.arcs[0]]
     starts += [arc for last, arc in pairwise(execution.arcs) if arc.mode is not last.mode]

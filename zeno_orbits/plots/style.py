@@ -66,12 +66,21 @@ def save_figure(figure: Figure, path: Path) -> None:
         InputError: If the suffix is another one, or the file cannot be written.
     """
     require_picture(path)
-    suffix = path.suffix.lower()
-    dates: dict[str, dict[str, Any]] = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
+    write_whole(path, rendered(figure, path.suffix.lower()[1:]))
+
+
+def rendered(figure: Figure, kind: str) -> bytes:
+    """Return a picture as the bytes of a file, the same every time.
+
+    Args:
+        figure: The picture.
+        kind: ``png``, ``pdf`` or ``svg``.
+    """
+    dates: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
     picture = io.BytesIO()
     with mpl.rc_context({"pdf.fonttype": 42, "svg.hashsalt": "zeno_orbits"}):
-        figure.savefig(picture, format=suffix[1:], dpi=300, metadata=dates.get(suffix, {}))
-    write_whole(path, picture.getvalue())
+        figure.savefig(picture, format=kind, dpi=300, metadata=dates.get(kind, {}))
+    return picture.getvalue()
 
 
 def panels_of(
