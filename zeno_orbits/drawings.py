@@ -8,8 +8,8 @@ from typing import Any
 import casadi as ca
 
 Lines = Mapping[str, Sequence[tuple[Any, Any]]]
-"""Name of a line to its corners, across and upwards [m], its joint first; one alone is a point. The
-line named ``stop`` is drawn as the stop."""
+"""Name of a line to its corners, across and upwards [m]; one alone is a joint or a point mass.
+The line named ``stop`` is drawn as the stop."""
 
 Drawing = Callable[[Mapping[str, ca.SX], Mapping[str, ca.SX]], Lines]
 """From named states and named gains and parameters to the lines."""
@@ -44,10 +44,10 @@ def lines_of(
         if not corners or any(len(corner) != 2 for corner in corners):
             wanted = "must give every line corners across and upwards"
             raise ValueError(f"Argument `drawing` {wanted}, but `{name}` has others.")
-        found[name] = ca.vertcat(*(ca.horzcat(ca.SX(x), ca.SX(y)) for x, y in corners))
-        if found[name].shape != (len(corners), 2):
+        if not all(ca.SX(one).is_scalar() for corner in corners for one in corner):
             wanted = "must make every corner of two numbers"
             raise ValueError(f"Argument `drawing` {wanted}, but those of `{name}` are others.")
+        found[name] = ca.vertcat(*(ca.horzcat(ca.SX(x), ca.SX(y)) for x, y in corners))
         for symbol in ca.symvar(found[name]):
             if symbol.element_hash() not in known:
                 wanted = "must use states, gains and parameters only"

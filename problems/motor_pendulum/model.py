@@ -85,7 +85,7 @@ def tip_height(x: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> ca.SX:
 
 
 def drawing(x: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> Lines:
-    """Return both links, and the stop: a peg that link 1 carries below the knee [m]."""
+    """Return both links with their joints, and the stop that link 1 carries below the knee [m]."""
     knee = (p["L1"] * ca.sin(x["theta1"]), -p["L1"] * ca.cos(x["theta1"]))
     hand = x["theta1"] + x["theta2"]
     tip = (knee[0] + p["L2"] * ca.sin(hand), knee[1] - p["L2"] * ca.cos(hand))
@@ -95,7 +95,8 @@ def drawing(x: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> Lines:
         return knee[0] + along * turn - aside * lift, knee[1] - along * lift - aside * turn
 
     stop = [beside(0.1 * p["L2"], 0.08 * p["L2"]), beside(0.25 * p["L2"], 0.03 * p["L2"])]
-    return {"link 1": [(0, 0), knee], "link 2": [knee, tip], "stop": [knee, *stop]}
+    links = {"link 1": [(0, 0), knee], "link 2": [knee, tip], "stop": [knee, *stop]}
+    return links | {"shoulder": [(0, 0)], "knee": [knee]}
 
 
 def calibrate(values: Mapping[str, float]) -> dict[str, float]:

@@ -164,12 +164,13 @@ def _draw_machine(ax: Axes, lines: dict[str, Vector]) -> dict[str, Any]:
     ax.set_aspect("equal")
     ax.set(xlabel="across [m]", ylabel="upwards [m]")
     ax.grid(visible=True, lw=0.4, alpha=0.5)
-    # The first corner of a line is its joint.
-    look: dict[str, Any] = {"solid_capstyle": "round", "marker": "o", "ms": 5.5, "markevery": [0]}
-    return {
-        name: ax.plot([], [], mec=INK, mfc="white", lw=2.0 if name == STOP else 3.5, **look)[0]
-        for name in sorted(lines, key=lambda name: name != STOP)
-    }
+    looks: dict[str, dict[str, Any]] = {name: {"lw": 3.5} for name in lines}
+    looks |= {STOP: {"lw": 2.0}} if STOP in lines else {}
+    points = [name for name, corners in lines.items() if corners.shape[1] == 1]
+    looks |= {name: {"marker": "o", "ms": 6, "mec": INK, "mfc": "white"} for name in points}
+    # The stop behind everything, points before it.
+    order = sorted(lines, key=lambda name: (name in points, name != STOP))
+    return {name: ax.plot([], [], solid_capstyle="round", **looks[name])[0] for name in order}
 
 
 def _draw_portrait(

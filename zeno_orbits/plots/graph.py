@@ -62,7 +62,7 @@ def plot_graph(problem: Problem, setting: Setting, *, width: float = COLUMN_WIDT
     middle = (left + right) / 2
     _word(ax, middle, 0.74, "Zeno point\n$h = \\dot h = 0$")
     _word(ax, middle, 0.26, "release\n$\\lambda = 0$")
-    words = f"impact at $h = 0,\\ \\dot h < 0$:\n$\\dot h^+ = -e\\,\\dot h^-$,  $e$ = {e:g}"
+    words = f"impact at $h = 0,\\ \\dot h < 0$:\n$\\dot h_+ = -e\\,\\dot h_-$,  $e$ = {e:g}"
     _word(ax, _FREE[0] + 0.18, 1.0, words, "left")
     states = ", ".join(problem.state_names)
     _word(
