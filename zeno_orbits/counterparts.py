@@ -26,6 +26,8 @@ RIG = "virtual rig, simulated"
 
 _PHASES = 720
 """Phases that are tried to lay a recording over an orbit."""
+_BASE = 1.0 / 500.0
+"""Part of the period to either side over which missing velocities are differences."""
 _MOST = 20000
 """Rows of a recording that are looked at for its phase."""
 
@@ -46,7 +48,12 @@ class Counterpart:
 
 
 def counterpart_of(
-    label: str, problem: Problem, times: Vector, signals: Mapping[str, Vector]
+    label: str,
+    problem: Problem,
+    times: Vector,
+    signals: Mapping[str, Vector],
+    *,
+    base: float = 0.0,
 ) -> Counterpart:
     """Return a motion from its signals; velocities that are missing are differences.
 
@@ -55,6 +62,8 @@ def counterpart_of(
         problem: The scene.
         times: Increasing, ``(n,)`` [s].
         signals: State name to values, ``(n,)``; what is no state of the scene is left out.
+        base: How far to either side a difference reaches, a sample at least [s]. Over a single
+            step an encoder's own steps are all that is seen.
 
     Raises:
         InputError: If a coordinate is missing.
@@ -70,7 +79,7 @@ def counterpart_of(
         if name in signals:
             states[:, k] = signals[name]
         elif n_q <= k < 2 * n_q:
-            states[:, k] = np.gradient(states[:, k - n_q], times)
+            states[:, k] = _differences(times, states[:, k - n_q], base)
     return Counterpart(label=label, times=times, states=states)
 
 
@@ -119,9 +128,18 @@ def recording_counterpart(
     found: Any = recordings.read_recording(path, only=problem.state_names)
     label = "recording" if found.source is None else f"recording, {found.source.value}"
     signals = {signal.name: signal.values for signal in found.signals}
-    whole = counterpart_of(label, problem, found.time, signals)
+    base = period * _BASE
+    whole = counterpart_of(label, problem, found.time, signals, base=base)
     n_q = problem.model(problem.symbols()).n_q
     return in_phase(whole, n_q, execution, period, n_periods)
+
+
+def _differences(times: Vector, values: Vector, base: float) -> Vector:
+    """Return the slope from some samples before to as many after, fewer at the ends."""
+    reach = max(1, round(base / float(np.median(np.diff(times)))))
+    rows = np.arange(len(times))
+    before, after = np.maximum(rows - reach, 0), np.minimum(rows + reach, len(times) - 1)
+    return (values[after] - values[before]) / (times[after] - times[before])
 
 
 def _part(name: str) -> Any:

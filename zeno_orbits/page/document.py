@@ -11,6 +11,8 @@ from zeno_orbits.page import sections
 from zeno_orbits.page.bundle import Bundle
 from zeno_orbits.page.curves import curves_of
 from zeno_orbits.page.markup import Html, data_of, joined, tag
+from zeno_orbits.page.motion import motion
+from zeno_orbits.page.reproduction import reproduction
 from zeno_orbits.page.subject import Subject
 
 
@@ -58,13 +60,13 @@ def _main(subject: Subject, bundle: Bundle) -> Html:
             tag("p", note, id="note", class_="warning"),
             sections.happens(subject),
             sections.asked(subject),
-            sections.motion(subject),
+            motion(subject),
             sections.stability(subject),
             sections.checks(subject),
             sections.margins(subject),
             sections.trade(subject.trade),
             sections.parameters(subject),
-            sections.reproduction(subject, bundle),
+            reproduction(subject, bundle),
         ]
     )
 

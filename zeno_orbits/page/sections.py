@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import base64
 import math
-import shlex
 from collections.abc import Sequence
 from typing import Any, cast
 
 from zeno_orbits.certificate import RESIDUALS
 from zeno_orbits.closeup import gap_unit
-from zeno_orbits.orbit import versions
+from zeno_orbits.execution import Arc, Execution, Mode
 from zeno_orbits.page import words
-from zeno_orbits.page.bundle import Bundle
-from zeno_orbits.page.markup import Html, joined, table, tag
+from zeno_orbits.page.markup import Html, table, tag
+from zeno_orbits.page.places import plot_place, section
 from zeno_orbits.page.subject import Subject
 from zeno_orbits.trade import Trade
 
@@ -65,73 +63,37 @@ def asked(subject: Subject) -> Html:
         ]
         heads = ("to be kept", "from", "to", "reached from", "reached to")
         parts.append(table("Bounds the search was asked to keep", heads, rows, (1, 2, 3, 4)))
-    return _section("asked", "What was asked", *parts)
+    return section("asked", "What was asked", *parts)
 
 
 def happens(subject: Subject) -> Html:
     """Return one period in words and in its main numbers."""
     orbit, certificate = subject.orbit, subject.certificate
     radius = certificate.spectral_radius
+    execution = subject.execution
+    points = execution.zeno_points if execution else ()
+    resting = sum(arc.end_time - arc.start_time for arc in _locked_arcs(execution))
     tiles = [
         ("period", f"{orbit.period:.10g}", "s"),
         ("first hit after", f"{orbit.impacts[0].time:.10g}", "s"),
-        ("Zeno point after", f"{orbit.zeno_time:.10g}", "s"),
-        ("rests on the stop for", f"{orbit.period - orbit.zeno_time:.6g}", "s"),
+        *(("Zeno point after", f"{point.time:.10g}", "s") for point in points[:3]),
+        *([("rests on the stop for", f"{resting:.6g}", "s")] if points else []),
         ("of a push is left", "unknown" if math.isnan(radius) else f"{radius:.4g}", "a period"),
     ]
     shown = [
         tag("div", tag("dt", name), tag("dd", number, " ", tag("span", unit, class_="unit")))
         for name, number, unit in tiles
     ]
-    return _section(
+    return section(
         "happens",
         "What happens",
-        tag("p", words.story(orbit, certificate)),
+        tag("p", words.story(orbit, certificate, execution)),
         tag("dl", *shown, class_="tiles"),
     )
 
 
-def motion(subject: Subject) -> Html:
-    """Return the places of the phase portraits, the states over time and the zoom."""
-    if subject.execution is None:
-        sentence = f"The motion could not be followed, so there are no pictures: {subject.trouble}."
-        return _section("motion", "The motion", tag("p", sentence, class_="warning"))
-    portraits = [
-        _plot(f"portrait-{k}", f"Phase portrait, {y} over {x}, over one period.")
-        for k, (x, y) in enumerate(subject.problem.portraits)
-    ]
-    parts = [
-        tag(
-            "p",
-            "Blue: off the stop. Orange and thick: resting on it. Rings: before a hit, dots: "
-            "after it; a dashed line joins them. Star: the Zeno point. Square: the release.",
-        ),
-        tag("div", *portraits, class_="pair"),
-        _plot("series", "All states over one period; shaded while on the stop, hits as lines.", 5),
-    ]
-    if subject.execution.zeno_points:
-        parts += [
-            tag("h3", "Zoom into the Zeno point"),
-            tag(
-                "p",
-                "Each step is ten times closer. Where the hits pile up, the picture repeats itself "
-                "at every scale. Time is counted from the Zeno point. Dashed: flights too short to "
-                "be simulated one by one, by the law they tend to.",
-            ),
-            _plot("zeno", "Gap over time near the Zeno point.", 12),
-            tag(
-                "p",
-                "The same on logarithmic axes, on which equal distances are equal ratios: time "
-                "runs to the right and never arrives. Left the gap, right the speed of the hits.",
-            ),
-            tag(
-                "div",
-                _plot("gaps", "Gap over the time left to the Zeno point, logarithmic axes."),
-                _plot("speeds", "Speed of the hits over the time left, logarithmic axes."),
-                class_="pair",
-            ),
-        ]
-    return _section("motion", "The motion", *parts)
+def _locked_arcs(execution: Execution | None) -> list[Arc]:
+    return [arc for arc in execution.arcs if arc.mode is Mode.LOCKED] if execution else []
 
 
 def stability(subject: Subject) -> Html:
@@ -147,9 +109,11 @@ def stability(subject: Subject) -> Html:
         heads = ("multiplier", "real part [1]", "imaginary part [1]", "modulus [1]")
         parts += [
             table(caption, heads, rows, (1, 2, 3)),
-            _plot("stability", "Floquet multipliers in the complex plane, with the unit circle."),
+            plot_place(
+                "stability", "Floquet multipliers in the complex plane, with the unit circle."
+            ),
         ]
-    return _section("stability", "Stability", *parts)
+    return section("stability", "Stability", *parts)
 
 
 def checks(subject: Subject) -> Html:
@@ -179,7 +143,7 @@ def checks(subject: Subject) -> Html:
     if math.isfinite(certificate.orbit_error):
         error = f"The numbers of the orbit are right to about {certificate.orbit_error:.0e}"
         parts.append(tag("p", error, " (relative, estimated)."))
-    return _section("checks", "Can it be trusted?", *parts)
+    return section("checks", "Can it be trusted?", *parts)
 
 
 def margins(subject: Subject) -> Html:
@@ -201,7 +165,7 @@ def margins(subject: Subject) -> Html:
     if certificate.energies:
         known = [(words.ENERGIES.get(n, n), f"{v:.6g}") for n, v in certificate.energies.items()]
         parts.append(table("Energy over one period [J]", ("where", "energy [J]"), known, (1,)))
-    return _section("margins", "Margins", *parts)
+    return section("margins", "Margins", *parts)
 
 
 def trade(found: Trade | None) -> Html:
@@ -218,7 +182,7 @@ def trade(found: Trade | None) -> Html:
         how = f"{best.label}, {number}"
         rows.append((f"{accuracy:.0e}", how, f"{1e3 * best.seconds:.2f}", f"{best.error:.1e}"))
     heads = ("accuracy [1]", "cheapest setting", "time [ms]", "error [1]")
-    return _section(
+    return section(
         "trade",
         "What accuracy costs",
         tag(
@@ -226,7 +190,7 @@ def trade(found: Trade | None) -> Html:
             f"Work: {found.work}. Held against: {found.truth}, certain to {found.truth_error:.0e}. "
             "Processor times are of the machine that measured them.",
         ),
-        _plot("trade", "Time over error, a line a method, logarithmic axes."),
+        plot_place("trade", "Time over error, a line a method, logarithmic axes."),
         table("Cheapest setting that reaches an accuracy", heads, rows, (2, 3)),
     )
 
@@ -238,75 +202,7 @@ def parameters(subject: Subject) -> Html:
         for one in subject.problem.parameters
     ]
     heads = ("parameter", "value", "unit", "meaning")
-    return _section("parameters", "Parameters", table("Parameters", heads, rows, (1,)))
-
-
-def reproduction(subject: Subject, bundle: Bundle) -> Html:
-    """Return the commands, the orbit's file and the versions."""
-    shown = "\n".join(shlex.join(command) for command in commands(subject))
-    parts = [
-        tag(
-            "p",
-            "The first command seeks an orbit at these numbers; the second checks the file; the "
-            "third wrote this page.",
-        ),
-        tag("pre", tag("code", shown), tabindex="0"),
-    ]
-    if subject.content:
-        packed = base64.b64encode(subject.content.encode()).decode()
-        link = tag(
-            "a",
-            "Save the orbit's file",
-            href=f"data:application/json;base64,{packed}",
-            download=subject.file,
-        )
-        parts.append(tag("p", link, " (it is inside this page)."))
-    here = {**versions(), "plotly": bundle.version}
-    names = list(dict.fromkeys([*subject.orbit.versions, *here]))
-    rows = [(n, subject.orbit.versions.get(n, "-"), here.get(n, "-")) for n in names]
-    parts.append(table("Versions", ("of", "that found the orbit", "that wrote this page"), rows))
-    return _section("reproduce", "How to reproduce it", *parts)
-
-
-def commands(subject: Subject) -> tuple[tuple[str, ...], ...]:
-    """Return the words of the commands that find, check and report the orbit."""
-    orbit, problem = subject.orbit, subject.problem
-    scene = subject.scene_file or orbit.problem
-    given = {
-        quantity.name: orbit.parameters[quantity.name]
-        for quantity in problem.parameters
-        if quantity.default is not None and orbit.parameters[quantity.name] != quantity.default
-    }
-    # What the scene derives has to be said only where it is not what it would derive.
-    derived = problem.setting(parameters=given).parameters
-    given |= {name: value for name, value in orbit.parameters.items() if derived[name] != value}
-    search = ["zeno-orbits", "search", scene]
-    search += [word for name, v in orbit.gains.items() for word in ("--fix", f"{name}={v!r}")]
-    search += [word for name, v in given.items() for word in ("--set", f"{name}={v!r}")]
-    where = ("--problem", subject.scene_file) if subject.scene_file else ()
-    check = ("zeno-orbits", "verify", subject.file, *where)
-    tolerance = ("--tolerance", f"{subject.certificate.tolerance:g}")
-    return ((*search, "-o", subject.file), (*check, *tolerance), subject.command)
-
-
-def _section(name: str, title: str, *parts: Html) -> Html:
-    head = tag("h2", title, id=f"{name}-title")
-    return tag("section", head, joined(parts), id=name, aria_labelledby=f"{name}-title")
-
-
-def _plot(name: str, caption: str, decades: int = 0) -> Html:
-    """Return the place of a plot, with buttons to zoom into the Zeno point where that helps."""
-    parts = [tag("div", id=f"plot-{name}", class_="plot", role="img", aria_label=caption)]
-    if decades:
-        words_of = {"all": "Whole period", "out": "10 × out", "in": "10 × closer"}
-        buttons = [
-            tag("button", text, type="button", data_plot=name, data_zoom=step)
-            for step, text in words_of.items()
-        ]
-        window = tag("output", "", id=f"window-{name}", aria_live="polite")
-        parts.insert(0, tag("div", *buttons, window, class_="buttons"))
-    parts.append(tag("figcaption", caption))
-    return tag("figure", *parts)
+    return section("parameters", "Parameters", table("Parameters", heads, rows, (1,)))
 
 
 def _maybe(value: object) -> str:

@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from zeno_orbits.certificate import OrbitCertificate
+from zeno_orbits.execution import Execution
 from zeno_orbits.orbit import ZenoOrbit
 
 CHECKS: Mapping[str, str] = {
     "release": "The motion starts exactly where the stop lets go.",
+    "start": "The motion starts just after a hit.",
     "first_impact": "The first hit comes when and where the file says.",
     "impact_sequence": "So do the hits after it.",
     "restitution": "Every hit throws back the same part of its speed.",
     "impact_energy": "Every hit costs as much energy as it must.",
     "zeno_point": "The hits pile up when and where the file says.",
+    "phases": "Later flights start when and where the file says.",
     "delta_sweep": "Ending the hits early matters the less, the later it is done.",
     "penetration": "Nothing passes through the stop.",
     "adhesion": "The stop pushes and never pulls.",
@@ -41,6 +44,8 @@ MARGINS: Mapping[str, tuple[str, str]] = {
         "how fast the contact force falls as the stop lets go; at zero it would not let go cleanly",
         "force per s, SI",
     ),
+    "lets_go": ("how fast the part leaves a stop that does not hold it", "{gap}/s^2"),
+    "phases_apart": ("how much the flights of a period differ; at zero it is a shorter one", "1"),
     "locked_time": ("how long the part rests on its stop; at zero it would never rest", "s"),
 }
 """Name of a margin to its meaning and its unit, in which ``{gap}`` is that of the gap."""
@@ -66,14 +71,28 @@ def headline(certificate: OrbitCertificate) -> str:
     return "Verified; whether small pushes die out could not be told."
 
 
-def story(orbit: ZenoOrbit, certificate: OrbitCertificate) -> str:
-    """Return what happens in one period."""
-    e = orbit.parameters.get("restitution", 0.0)
-    first, zeno = orbit.impacts[0].time, orbit.zeno_time
-    flight = (
-        f"The same motion repeats every {orbit.period:.4g} s. The moving part leaves its stop, "
-        f"flies for {first:.4g} s and hits it."
+def story(orbit: ZenoOrbit, certificate: OrbitCertificate, execution: Execution | None) -> str:
+    """Return what happens in one period, in the words for one Zeno point or for another number."""
+    said = "" if certificate.passed else "So the file says; the check below does not confirm it. "
+    repeats = f"The same motion repeats every {orbit.period:.4g} s."
+    if execution is None:
+        return f"{said}{repeats}"
+    if len(execution.zeno_points) == 1:
+        return f"{said}{repeats} {_one_zeno_point(orbit, execution.zeno_points[0].time)}"
+    count, points = len(execution.impacts), len(execution.zeno_points)
+    if not points:
+        return (
+            f"{said}{repeats} The moving part hits its stop and flies on, {count} times a period."
+        )
+    return (
+        f"{said}{repeats} The moving part hits its stop {count} times that could be followed one "
+        f"by one; {points} times infinitely many hits pile up, and it comes to rest for a while."
     )
+
+
+def _one_zeno_point(orbit: ZenoOrbit, zeno: float) -> str:
+    e, first = orbit.parameters.get("restitution", 0.0), orbit.impacts[0].time
+    flight = f"The moving part leaves its stop, flies for {first:.4g} s and hits it."
     if len(orbit.impacts) > 1 and e > 0.0:
         hits = (
             f"It bounces and hits again and again, in the end each time {1 / e:.3g} times slower: "
@@ -86,8 +105,7 @@ def story(orbit: ZenoOrbit, certificate: OrbitCertificate) -> str:
         f"Then the part rests on the stop for {orbit.period - zeno:.4g} s and is carried along, "
         "until the stop lets go of it, and all begins anew."
     )
-    said = "" if certificate.passed else "So the file says; the check below does not confirm it. "
-    return f"{said}{flight} {hits} {rest}"
+    return f"{flight} {hits} {rest}"
 
 
 def stability(certificate: OrbitCertificate) -> str:
