@@ -17,7 +17,14 @@ def plot_place(name: str, caption: str, decades: int = 0) -> Html:
     if decades:
         words_of = {"all": "Whole period", "out": "10 × out", "in": "10 × closer"}
         buttons = [
-            tag("button", text, type="button", data_plot=name, data_zoom=step)
+            tag(
+                "button",
+                text,
+                type="button",
+                data_plot=name,
+                data_zoom=step,
+                aria_controls=f"plot-{name}",
+            )
             for step, text in words_of.items()
         ]
         window = tag("output", "", id=f"window-{name}", aria_live="polite")
