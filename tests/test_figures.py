@@ -475,6 +475,12 @@ def test_an_ffmpeg_that_fails_is_heard(
 # ---------------------------------------------------------------------------- the command
 
 
+def test_the_command_offers_every_kind_there_is() -> None:
+    from zeno_orbits.cli import figures
+
+    assert tuple(PAPER) == figures._KINDS
+
+
 def test_one_command_writes_all_figures(orbit_file: Path, parts: Any) -> None:
     assert parts
     code, out, err = ask("figures", orbit_file, "-o", "new/figures")

@@ -59,7 +59,8 @@ def plot_beside_over_time(
     figure, panels = panels_of(width, n_q, height=1.15, columns=1)
     for row, ax in enumerate(panels):
         for mode, start, end in phases_of(execution):
-            ax.axvspan(start, end, color=TINTS[mode], lw=0, gid=mode.value)
+            word = "locked phase" if mode is Mode.LOCKED else None
+            ax.axvspan(start, end, color=TINTS[mode], lw=0, gid=mode.value, label=word)
         for times, states, look in _paths(execution):
             ax.plot(times, states[:, row], **look)
         ax.plot(counterpart.times, counterpart.states[:, row], label=counterpart.label, **_OTHER)
