@@ -11,6 +11,7 @@ from collections.abc import Mapping
 
 import casadi as ca
 
+from zeno_orbits.drawings import Lines
 from zeno_orbits.drives import MotorBank, full_drive
 from zeno_orbits.forcing import Clock
 from zeno_orbits.hybrid import CompletedSystem, complete
@@ -49,6 +50,23 @@ def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
         voltage=p["Kp"] * (p["A"] * clock.sine - q[0]) - p["Kd"] * v[0],
     )
     return complete(cart, full_drive(cart, motor), p["restitution"])
+
+
+def drawing(x: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> Lines:
+    """Return the cart, the link on its hinge to twice its centre of mass, and the stop [m]."""
+    wide, lean = 0.4 * p["lc"], x["angle"] + p["tilt"]
+    tip = (x["x"] + 2 * p["lc"] * ca.sin(lean), -2 * p["lc"] * ca.cos(lean))
+    along, aside = (ca.sin(p["tilt"]), -ca.cos(p["tilt"])), 0.1 * p["lc"]
+    start, end = (
+        (x["x"] + part * along[0] + aside * along[1], part * along[1] - aside * along[0])
+        for part in (0.0, 0.8 * p["lc"])
+    )
+    return {
+        "cart": [(x["x"] - wide, 0), (x["x"] + wide, 0)],
+        "link": [(x["x"], 0), tip],
+        "stop": [start, end],
+        "hinge": [(x["x"], 0)],
+    }
 
 
 PROBLEM = Problem(
@@ -109,4 +127,5 @@ PROBLEM = Problem(
     starts=({"cosine": 1.0},),
     portraits=(("x", "dx"), ("angle", "dangle")),
     amplitude_of="x",
+    drawing=drawing,
 )

@@ -13,6 +13,7 @@ from collections.abc import Mapping
 
 import casadi as ca
 
+from zeno_orbits.drawings import Lines
 from zeno_orbits.drives import no_drive
 from zeno_orbits.forcing import Clock
 from zeno_orbits.hybrid import CompletedSystem, complete
@@ -34,6 +35,12 @@ def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
         clock=clock,
     )
     return complete(ball, no_drive(ball), p["restitution"])
+
+
+def drawing(x: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> Lines:
+    """Return the ball as a point, and the table [m]."""
+    table = p["A"] * x["sine"]
+    return {"ball": [(0, x["height"] + table)], "stop": [(-p["A"], table), (p["A"], table)]}
 
 
 PROBLEM = Problem(
@@ -58,4 +65,5 @@ PROBLEM = Problem(
         Output(name="table", unit="m", formula=lambda x, p: p["A"] * x["sine"]),
         Output(name="ball", unit="m", formula=lambda x, p: x["height"] + p["A"] * x["sine"]),
     ),
+    drawing=drawing,
 )

@@ -21,7 +21,7 @@ from typing import Any, NoReturn
 import pytest
 
 from tests.reference_orbit import ORBIT_KEYS, PERIOD, RELEASE
-from zeno_orbits import report, symbolic
+from zeno_orbits import progress, symbolic
 from zeno_orbits.certificate import OrbitCertificate
 from zeno_orbits.cli import main
 from zeno_orbits.errors import ZenoOrbitsError
@@ -95,7 +95,7 @@ def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture(name="silence", autouse=True)
 def _silence(monkeypatch: pytest.MonkeyPatch) -> None:
     """No progress in this process, however slow it is."""
-    monkeypatch.setattr(report, "_PATIENCE", math.inf)
+    monkeypatch.setattr(progress, "_PATIENCE", math.inf)
 
 
 @pytest.fixture(name="orbit")
@@ -1102,7 +1102,7 @@ def test_json_is_all_that_standard_output_holds_and_progress_goes_elsewhere(
     arguments: tuple[str, ...], orbit: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert orbit.exists()
-    monkeypatch.setattr(report, "_PATIENCE", 0.0)
+    monkeypatch.setattr(progress, "_PATIENCE", 0.0)
     answer = ask(*arguments, "--json")
     assert answer.code == YES
     assert answer.data
@@ -1112,8 +1112,26 @@ def test_json_is_all_that_standard_output_holds_and_progress_goes_elsewhere(
         assert answer.err == ""
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("map", "motor_pendulum", "--x", "Kp=1:5", "--y", "Kd=-2:0"),
+        ("trade", "bouncing_ball"),
+    ],
+    ids=lambda arguments: arguments[0],
+)
+@pytest.mark.parametrize("picture", ["a.png", "./a.png"])
+def test_a_picture_may_not_be_written_over_the_output(
+    arguments: tuple[str, ...], picture: str, here: Path
+) -> None:
+    answer = ask(*arguments, "-o", "a.png", "--picture", picture)
+    assert answer.code == MISUSE
+    assert "`picture` must be another file than `output`" in answer.err
+    assert contents(here) == {}
+
+
 def test_work_that_is_done_at_once_shows_no_progress(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(report, "_PATIENCE", 1.0)
+    monkeypatch.setattr(progress, "_PATIENCE", 1.0)
     assert ask("simulate", "bouncing_ball", "--until", "0.1").err == ""
 
 

@@ -9,20 +9,24 @@ from collections.abc import Sequence
 import pytest
 
 SCIPY = ("scipy.integrate", "scipy.linalg", "scipy.optimize", "scipy.special", "scipy.stats")
-RARE = ("dask", "distributed", "heyoka", "joblib", "matplotlib", "rich", "sympy", *SCIPY)
+RARE = (
+    *("dask", "distributed", "heyoka", "joblib", "matplotlib", "plotly", "rich", "sympy"),
+    *SCIPY,
+)
 """No search, verification or simulation needs these to compute."""
 
 EVERY_MODULE = (
     *("zeno_orbits", "zeno_orbits.problem", "zeno_orbits.compiled", "zeno_orbits.simulate"),
     *("zeno_orbits.verify", "zeno_orbits.search", "zeno_orbits.objectives", "zeno_orbits.cli"),
     *("zeno_orbits.orbit", "zeno_orbits.certificate", "zeno_orbits.report"),
-    *("zeno_orbits.maps", "zeno_orbits.map_file", "zeno_orbits.work"),
+    *("zeno_orbits.maps", "zeno_orbits.map_file", "zeno_orbits.work", "zeno_orbits.page"),
 )
 WITHOUT_CASADI = (
     "zeno_orbits.work",
     "zeno_orbits",
     "zeno_orbits.cli",
     "zeno_orbits.report",
+    "zeno_orbits.progress",
     "zeno_orbits.arguments",
 )
 

@@ -60,7 +60,7 @@ def pendulum(**changes: Any) -> Plane:
 
 @pytest.fixture(name="silence", autouse=True)
 def _silence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("zeno_orbits.report._PATIENCE", float("inf"))
+    monkeypatch.setattr("zeno_orbits.progress._PATIENCE", float("inf"))
 
 
 # ---------------------------------------------------------------------------- the grid

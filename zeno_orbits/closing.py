@@ -23,12 +23,13 @@ from zeno_orbits.cycle import Cycle, cycle_of, round_again
 from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
 from zeno_orbits.engines import Taylor
 from zeno_orbits.errors import InputError, SimulationError, ZenoOrbitsError
-from zeno_orbits.guess import RUNAWAY, SettlingSettings, settle
+from zeno_orbits.guess import SettlingSettings, settle
 from zeno_orbits.models import compiled_model
 from zeno_orbits.orbit import OrbitImpact, OrbitPhase, ZenoOrbit, versions
 from zeno_orbits.phases import Phase, follow_each_other, kinds_of, phases_of
 from zeno_orbits.poincare import ReleaseSection, return_slope, section_around
 from zeno_orbits.problem import Problem, Setting
+from zeno_orbits.quantities import RUNAWAY
 from zeno_orbits.returns import placed
 from zeno_orbits.sections import rows_of
 from zeno_orbits.shape import ONE_ZENO, OrbitShape

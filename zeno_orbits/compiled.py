@@ -174,6 +174,31 @@ def output_values(problem: Problem, setting: Setting, states: Vector) -> Vector:
     return np.array([outputs(x).copy() for x in states])
 
 
+def drawn_lines(problem: Problem, setting: Setting, states: Vector) -> dict[str, Vector]:
+    """Return the lines of a scene's drawing at states.
+
+    Args:
+        problem: The scene; it has a drawing.
+        setting: Its numbers.
+        states: ``(n, n_x)``.
+
+    Returns:
+        Name of a line to its corners, ``(n, n_corners, 2)`` [m].
+    """
+    symbols = problem.symbols()
+    system = problem.model(symbols)
+    lines = problem.lines(system, symbols)
+    flat = ca.vertcat(*(ca.vec(corners.T) for corners in lines.values()))
+    inputs = [system.state, ca.vertcat(*symbols.values())]
+    call = Call(
+        dense_function("lines", inputs, [flat]), np.asarray(setting.values(), dtype=np.float64)
+    )
+    values = np.array([call(x).copy() for x in states])
+    ends = np.cumsum([corners.numel() for corners in lines.values()])
+    parts = np.split(values, ends[:-1], axis=1)
+    return {name: part.reshape(len(states), -1, 2) for name, part in zip(lines, parts, strict=True)}
+
+
 def _reset(system: CompletedSystem, approach_rate: ca.SX) -> ca.SX:
     """Return the state after an impact: Newton's law along the impulse, theory (7).
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
 
@@ -49,9 +50,47 @@ def read_object(path: Path) -> dict[str, Any]:
         entries = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise ValueError(f"it is no complete JSON ({type(error).__name__})") from error
-    if not isinstance(entries, dict):
-        raise ValueError("it is no object with names")
-    return cast("dict[str, Any]", entries)
+    if isinstance(entries, dict):
+        return cast("dict[str, Any]", entries)
+    raise ValueError("it is no object with names")
+
+
+def require_folder(folder: Path) -> None:
+    """Refuse a path that cannot become a folder of files, before any work is done for it.
+
+    Raises:
+        InputError: If it is a file, or it or what is there of it is closed.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"Argument `output` must be a folder, but `{folder}` is a file.")
+    there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    if not there.is_dir() or not os.access(there, os.W_OK):
+        message = f"must be a folder that can be made, but `{folder}` is not"
+        raise InputError(f"Argument `output` {message}.")
+
+
+def write_all(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write files into a folder, all of them or none: they are put in place when all are written.
+
+    Args:
+        folder: Where; it is made if it is not there. Other files in it are left alone.
+        files: Name to content.
+
+    Raises:
+        InputError: If the folder cannot be made or written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".figures.") as name:
+            made = Path(name)
+            for file, content in files.items():
+                (made / file).write_bytes(content)
+                (made / file).chmod(0o644)
+            for file in files:
+                (made / file).replace(folder / file)
+    except OSError as error:
+        message = f"Argument `output` must be a folder that can be written, but `{folder}` is not"
+        raise InputError(f"{message} ({error.strerror}).") from error
 
 
 def write_whole(path: Path, content: str | bytes) -> None:

@@ -17,6 +17,7 @@ from types import ModuleType
 
 import casadi as ca
 
+from zeno_orbits.drawings import Drawing, lines_of
 from zeno_orbits.errors import InputError, ProblemFileError
 from zeno_orbits.hybrid import CompletedSystem
 from zeno_orbits.quantities import (
@@ -76,6 +77,7 @@ class Problem:
             a reduced model does not have has no influence there.
         escapes: Coordinates that may run away, by name. Others are followed as far as they go.
         outputs: What else is to be drawn over time.
+        drawing: How the machine looks, if that is to be seen: its links as lines.
     """
 
     name: str
@@ -94,6 +96,7 @@ class Problem:
     fidelities: Mapping[str, Problem] = field(default_factory=dict["str", "Problem"])
     escapes: Mapping[str, Escape] = field(default_factory=dict[str, Escape])
     outputs: tuple[Output, ...] = ()
+    drawing: Drawing | None = None
 
     def __post_init__(self) -> None:
         """Refuse names, units and ranges that cannot be; the model is looked at by `checked`."""
@@ -126,7 +129,8 @@ class Problem:
         require_states(system, self.state_names, self.state_units)
         require_known_symbols(system, symbols)
         setting = self.setting()
-        unused = unused_symbols(system, symbols, list(self.output_formulas(system, symbols)))
+        looks = [*self.output_formulas(system, symbols), *self.lines(system, symbols).values()]
+        unused = unused_symbols(system, symbols, looks)
         for name in unused:
             if not self._derives_from(name, setting):
                 kind = "gains" if name in setting.gains else "parameters"
@@ -144,6 +148,13 @@ class Problem:
         """Return the expressions of the outputs in the states of a system and named symbols."""
         states = {name: system.state[k] for k, name in enumerate(self.state_names)}
         return tuple(ca.SX(output.formula(states, symbols)) for output in self.outputs)
+
+    def lines(self, system: CompletedSystem, symbols: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
+        """Return the lines of the drawing, corners as rows ``(n, 2)`` [m]; none without one."""
+        if self.drawing is None:
+            return {}
+        states = {name: system.state[k] for k, name in enumerate(self.state_names)}
+        return lines_of(self.drawing, states, symbols)
 
     def _derives_from(self, name: str, setting: Setting) -> bool:
         """Tell whether derived parameters change with a parameter."""

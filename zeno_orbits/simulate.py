@@ -227,8 +227,8 @@ class _Run:
     def _slack(self, x: Vector) -> bool:
         """Tell whether the stop neither holds nor repels, to rounding.
 
-        With ``a = d2h/dt2 > 0`` that falls at the rate ``b`` the gap would open to ``2 a^3 / (3 b^2)``
-        and close again: no flight, where that is lost in the rounding of the gap.
+        With ``a = d2h/dt2 > 0`` that falls at the rate ``b`` the gap would open to
+        ``2 a^3 / (3 b^2)`` and close again: no flight, where that is lost in the gap's rounding.
         """
         lift = self.dynamics.gap_acceleration(x)
         if abs(lift) <= self.settings.contact:

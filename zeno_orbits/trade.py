@@ -28,6 +28,8 @@ from zeno_orbits.truth import Truth, is_too_stiff, true_landmarks
 
 Tell = Callable[[str, float], None]
 
+_CLOSURES = {"cut": "plastic below a speed", "impacts": "limit after n impacts"}
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trial:
@@ -50,6 +52,13 @@ class Trial:
     error: float
     n_impacts: int = 0
     trouble: str = ""
+
+    @property
+    def label(self) -> str:
+        """What a picture calls the line that the trial is on."""
+        if self.sweep == "engine":
+            return self.name
+        return _CLOSURES.get(self.sweep, f"model {self.name}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import casadi as ca
 
+from zeno_orbits.drawings import Lines
 from zeno_orbits.drives import MotorBank, corrected_drive, full_drive, quasi_static_drive
 from zeno_orbits.errors import InputError
 from zeno_orbits.hybrid import CompletedSystem, complete
@@ -81,6 +82,21 @@ def corrected(p: Mapping[str, ca.SX]) -> CompletedSystem:
 def tip_height(x: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> ca.SX:
     """Return how high the tip of link 2 is above the shoulder [m]."""
     return -p["L1"] * ca.cos(x["theta1"]) - p["L2"] * ca.cos(x["theta1"] + x["theta2"])
+
+
+def drawing(x: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> Lines:
+    """Return both links with their joints, and the stop that link 1 carries below the knee [m]."""
+    knee = (p["L1"] * ca.sin(x["theta1"]), -p["L1"] * ca.cos(x["theta1"]))
+    hand = x["theta1"] + x["theta2"]
+    tip = (knee[0] + p["L2"] * ca.sin(hand), knee[1] - p["L2"] * ca.cos(hand))
+
+    def beside(along: ca.SX, aside: ca.SX) -> tuple[ca.SX, ca.SX]:
+        turn, lift = ca.sin(x["theta1"]), ca.cos(x["theta1"])
+        return knee[0] + along * turn - aside * lift, knee[1] - along * lift - aside * turn
+
+    stop = [beside(0.1 * p["L2"], 0.08 * p["L2"]), beside(0.25 * p["L2"], 0.03 * p["L2"])]
+    links = {"link 1": [(0, 0), knee], "link 2": [knee, tip], "stop": [knee, *stop]}
+    return links | {"shoulder": [(0, 0)], "knee": [knee]}
 
 
 def calibrate(values: Mapping[str, float]) -> dict[str, float]:
@@ -202,6 +218,7 @@ FULL = Problem(
         "theta2": Escape(beyond=2 * math.pi, phrase="link 2 goes over the top"),
     },
     outputs=(Output(name="tip_height", unit="m", formula=tip_height),),
+    drawing=drawing,
     reference=Path(__file__).with_name("reference.py"),
 )
 

@@ -17,8 +17,10 @@ from zeno_orbits import report
 from zeno_orbits.cli.conditions import add_conditions
 from zeno_orbits.cli.continuation import add_continue
 from zeno_orbits.cli.fidelity import add_fidelity
+from zeno_orbits.cli.figures import add_figures
 from zeno_orbits.cli.map import add_map
 from zeno_orbits.cli.new import add_new
+from zeno_orbits.cli.page import add_report
 from zeno_orbits.cli.plot import add_plot
 from zeno_orbits.cli.problems import add_problems
 from zeno_orbits.cli.search import add_search
@@ -92,4 +94,6 @@ def _parser() -> argparse.ArgumentParser:
     add_continue(commands)
     add_trade(commands)
     add_plot(commands)
+    add_report(commands)
+    add_figures(commands)
     return parser

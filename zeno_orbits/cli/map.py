@@ -20,11 +20,11 @@ from zeno_orbits.cli.shared import (
     interrupted,
     place_of,
     print_json,
+    require_outputs,
     say_written,
     start_of,
 )
 from zeno_orbits.errors import InputError
-from zeno_orbits.files import require_picture, require_writable
 
 if TYPE_CHECKING:
     from zeno_orbits.maps import Axis, Boundary, ParameterMap, Plane
@@ -88,7 +88,7 @@ def _run_map(options: argparse.Namespace) -> int:
     from zeno_orbits.work import Plan, remove_checkpoint
 
     plane = require_plane(_plane(options))
-    _require_outputs(options)
+    require_outputs(options)
     boundaries: tuple[Boundary, ...] = ()
     if options.boundaries is not None:
         if options.picture is None:
@@ -145,13 +145,3 @@ def _axis(entries: list[str], count: int, side: str) -> Axis:
         raise InputError(f"Argument `{side}` must be given once, but it is {len(entries)} times.")
     ((name, (lower, upper)),) = read_boxes(entries, side).items()
     return Axis(name=name, lower=lower, upper=upper, count=count)
-
-
-def _require_outputs(options: argparse.Namespace) -> None:
-    if options.output is not None:
-        require_writable(options.output)
-    if options.picture is not None:
-        require_picture(options.picture)
-    if options.output is not None and options.output == options.picture:
-        both = f"but both are `{options.output}`"
-        raise InputError(f"Argument `picture` must be another file than `output`, {both}.")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from zeno_orbits import report
 from zeno_orbits.arguments import read_count, read_numbers
 from zeno_orbits.errors import InputError
+from zeno_orbits.files import require_picture, require_writable
 
 if TYPE_CHECKING:
     from zeno_orbits.dynamics import HybridDynamics
@@ -249,6 +250,23 @@ def orbit_and_problem(options: argparse.Namespace) -> tuple[ZenoOrbit, Problem]:
         message = f"Argument `problem` must name the file of scene `{scene}`, but it is missing."
         raise InputError(message)
     return orbit, load_problem(orbit.problem)
+
+
+def require_outputs(options: argparse.Namespace) -> None:
+    """Refuse an output and a picture that cannot both be written, before any work is done for them.
+
+    Raises:
+        InputError: If one cannot become a file, or they are the same file.
+    """
+    output, picture = options.output, options.picture
+    if output is not None:
+        require_writable(output)
+    if picture is None:
+        return
+    require_picture(picture)
+    if output is not None and output.resolve() == picture.resolve():
+        both = f"but both are `{output}`"
+        raise InputError(f"Argument `picture` must be another file than `output`, {both}.")
 
 
 def print_json(data: Any) -> None:

@@ -16,12 +16,12 @@ from zeno_orbits.cli.shared import (
     add_start,
     json_text,
     print_json,
+    require_outputs,
     say_written,
     setting_of,
     start_of,
 )
-from zeno_orbits.errors import InputError
-from zeno_orbits.files import require_picture, require_writable, write_whole
+from zeno_orbits.files import write_whole
 
 
 def add_trade(commands: Any) -> None:
@@ -53,13 +53,7 @@ def _run_trade(options: argparse.Namespace) -> int:
     problem = load_problem(options.problem)
     setting = setting_of(problem, options)
     state = start_of(problem, options)
-    if options.output is not None:
-        require_writable(options.output)
-    if options.picture is not None:
-        require_picture(options.picture)
-    if options.output is not None and options.output == options.picture:
-        both = f"but both are `{options.output}`"
-        raise InputError(f"Argument `picture` must be another file than `output`, {both}.")
+    require_outputs(options)
     settings = QUICK if options.quick else TradeSettings()
     if options.until is not None:
         settings = replace(settings, until=options.until)

@@ -5,20 +5,38 @@ takes a width in inches: ``COLUMN_WIDTH`` stacks the panels for one column of a 
 ``FULL_WIDTH`` sets them side by side.
 """
 
+from zeno_orbits.plots.animation import Film, film_of, gif_of, has_ffmpeg, mp4_of
+from zeno_orbits.plots.beside import (
+    plot_beside_impacts,
+    plot_beside_over_time,
+    plot_beside_portraits,
+    plot_beside_zeno_point,
+)
 from zeno_orbits.plots.family import plot_boundaries, plot_families
+from zeno_orbits.plots.graph import plot_graph
 from zeno_orbits.plots.map import plot_map
 from zeno_orbits.plots.orbit import plot_outputs, plot_portraits, plot_time_series
 from zeno_orbits.plots.region import has_zeno_region, plot_zeno_region
-from zeno_orbits.plots.style import COLUMN_WIDTH, FULL_WIDTH, save_figure
+from zeno_orbits.plots.style import COLUMN_WIDTH, FULL_WIDTH, rendered, save_figure
 from zeno_orbits.plots.trade import plot_trade
 from zeno_orbits.plots.zoom import plot_zeno_zoom
 
 __all__ = [
     "COLUMN_WIDTH",
     "FULL_WIDTH",
+    "Film",
+    "film_of",
+    "gif_of",
+    "has_ffmpeg",
     "has_zeno_region",
+    "mp4_of",
+    "plot_beside_impacts",
+    "plot_beside_over_time",
+    "plot_beside_portraits",
+    "plot_beside_zeno_point",
     "plot_boundaries",
     "plot_families",
+    "plot_graph",
     "plot_map",
     "plot_outputs",
     "plot_portraits",
@@ -26,5 +44,6 @@ __all__ = [
     "plot_trade",
     "plot_zeno_region",
     "plot_zeno_zoom",
+    "rendered",
     "save_figure",
 ]

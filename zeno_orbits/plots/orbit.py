@@ -107,7 +107,7 @@ def _over_time(
     impacts = [impact.time for impact in execution.impacts]
     paths = [(times, values(states), look) for times, states, look in paths_of(execution)]
     for column, (ax, label) in enumerate(zip(panels, labels, strict=True)):
-        for mode, start, end in _phases(execution):
+        for mode, start, end in phases_of(execution):
             ax.axvspan(start, end, color=TINTS[mode], lw=0, gid=mode.value)
         for times, drawn, look in paths:
             ax.plot(times, drawn[:, column], **look)
@@ -132,7 +132,7 @@ def _end(execution: Execution) -> float:
     return end + _EDGE * (end - start) if last > end - _EDGE * (end - start) else end
 
 
-def _phases(execution: Execution) -> list[tuple[Mode, float, float]]:
+def phases_of(execution: Execution) -> list[tuple[Mode, float, float]]:
     """Return mode, start and end of every phase; a Zeno tail belongs to the flights before it."""
     starts = [execution.arcs[0]]
     starts += [arc for last, arc in pairwise(execution.arcs) if arc.mode is not last.mode]

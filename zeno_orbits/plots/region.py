@@ -14,6 +14,7 @@ from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from zeno_orbits.closeup import gap_unit
 from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.execution import Execution, Mode
@@ -23,7 +24,6 @@ from zeno_orbits.plots.style import (
     FULL_WIDTH,
     ZENO,
     add_legend,
-    gap_unit,
     label_of,
     mark_completion,
     panels_of,

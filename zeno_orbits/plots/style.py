@@ -11,12 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
-from zeno_orbits.dynamics import HybridDynamics, Vector
+from zeno_orbits.dynamics import Vector
 from zeno_orbits.execution import Ending, Execution, Mode
 from zeno_orbits.files import require_picture, write_whole
 from zeno_orbits.problem import Problem
@@ -67,12 +66,21 @@ def save_figure(figure: Figure, path: Path) -> None:
         InputError: If the suffix is another one, or the file cannot be written.
     """
     require_picture(path)
-    suffix = path.suffix.lower()
-    dates: dict[str, dict[str, Any]] = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
+    write_whole(path, rendered(figure, path.suffix.lower()[1:]))
+
+
+def rendered(figure: Figure, kind: str) -> bytes:
+    """Return a picture as the bytes of a file, the same every time.
+
+    Args:
+        figure: The picture.
+        kind: ``png``, ``pdf`` or ``svg``.
+    """
+    dates: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
     picture = io.BytesIO()
     with mpl.rc_context({"pdf.fonttype": 42, "svg.hashsalt": "zeno_orbits"}):
-        figure.savefig(picture, format=suffix[1:], dpi=300, metadata=dates.get(suffix, {}))
-    write_whole(path, picture.getvalue())
+        figure.savefig(picture, format=kind, dpi=300, metadata=dates.get(kind, {}))
+    return picture.getvalue()
 
 
 def panels_of(
@@ -152,16 +160,3 @@ def _symbol(names: Sequence[str], index: int) -> str:
         return f"rate of {stem}" if dotted else name
     letter = rf"\dot{{{letter}}}" if dotted else letter
     return f"${letter}_{{{number}}}$" if number else f"${letter}$"
-
-
-def gap_unit(problem: Problem, dynamics: HybridDynamics) -> str:
-    """Return the unit of the coordinates whose sum or difference the gap is, else only ``SI``."""
-    n_q, units = dynamics.n_q, set[str]()
-    for k in range(n_q):
-        velocity = np.zeros(len(dynamics.state_names))
-        velocity[n_q + k] = 1.0
-        shifted = velocity + 0.3 * (np.arange(len(velocity)) < n_q)
-        slopes = {abs(dynamics.gap_rate(x)) for x in (velocity, shifted)}
-        if slopes - {0.0}:
-            units.add(problem.state_units[k] if slopes == {1.0} else "SI")
-    return units.pop() if len(units) == 1 else "SI"

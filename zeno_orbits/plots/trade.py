@@ -10,7 +10,7 @@ from itertools import groupby
 from matplotlib.figure import Figure
 
 from zeno_orbits.plots.style import FULL_WIDTH, INK, add_legend, panels_of
-from zeno_orbits.trade import SAME_WORK, Trade, Trial
+from zeno_orbits.trade import SAME_WORK, Trade
 
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F", "#000000")
 _FULL, _OPEN = "osD^vP*", "<>dph"
@@ -28,7 +28,7 @@ def plot_trade(trade: Trade, *, width: float = FULL_WIDTH) -> Figure:
     """
     figure, (ax,) = panels_of(width, 1, height=3.4)
     drawn = [t for t in trade.trials if t.sweep in SAME_WORK and math.isfinite(t.error)]
-    for k, (label, group) in enumerate(groupby(drawn, key=_label)):
+    for k, (label, group) in enumerate(groupby(drawn, key=lambda trial: trial.label)):
         trials = sorted(group, key=lambda trial: trial.value)
         engine = trials[0].sweep == "engine"
         markers = _FULL if engine else _OPEN
@@ -61,12 +61,3 @@ def plot_trade(trade: Trade, *, width: float = FULL_WIDTH) -> Figure:
     ax.grid(visible=True, which="major", lw=0.4, alpha=0.5)
     add_legend(figure, width)
     return figure
-
-
-_CLOSURES = {"cut": "plastic below a speed", "impacts": "limit after n impacts"}
-
-
-def _label(trial: Trial) -> str:
-    if trial.sweep == "engine":
-        return trial.name
-    return _CLOSURES.get(trial.sweep, f"model {trial.name}")

@@ -4,18 +4,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
-from zeno_orbits.dynamics import HybridDynamics, Vector
-from zeno_orbits.errors import InputError
-from zeno_orbits.execution import Arc, Ending, Execution, Impact, Mode, ZenoPoint
+from zeno_orbits.closeup import CloseUp, close_up, gap_unit
+from zeno_orbits.dynamics import HybridDynamics
+from zeno_orbits.execution import Execution, Mode
 from zeno_orbits.plots.style import (
     ARCS,
     BEFORE,
@@ -25,7 +23,6 @@ from zeno_orbits.plots.style import (
     TEXT,
     ZENO,
     add_legend,
-    gap_unit,
     panels_of,
 )
 from zeno_orbits.problem import Problem
@@ -52,63 +49,17 @@ def plot_zeno_zoom(
     Raises:
         InputError: If the execution reaches no Zeno point.
     """
-    zoom = _zoom(problem, execution, dynamics)
-    draws: list[Callable[[Axes, _Zoom], None]] = [_draw_gap]
+    zoom, unit = close_up(execution, dynamics), gap_unit(problem, dynamics)
+    draws: list[Callable[[Axes, CloseUp, str], None]] = [_draw_gap]
     draws += [_draw_flights, _draw_speeds] if zoom.flights else [_draw_closing]
     figure, panels = panels_of(width, len(draws), height=2.1)
     for ax, draw in zip(panels, draws, strict=True):
-        draw(ax, zoom)
+        draw(ax, zoom, unit)
     add_legend(figure, width)
     return figure
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Zoom:
-    """The last Zeno point, the impacts and flights that lead to it, all arcs but the tail."""
-
-    arcs: tuple[Arc, ...]
-    dynamics: HybridDynamics
-    zeno: ZenoPoint
-    impacts: tuple[Impact, ...]
-    flights: tuple[Arc, ...]
-    unit: str
-
-    def gaps(self, arc: Arc) -> tuple[Vector, Vector]:
-        """Return times and gaps along an arc, the latter without negative rounding."""
-        times, states = arc.sampled(160)
-        return times, np.array([max(self.dynamics.gap(state), 0.0) for state in states])
-
-    def tail(self) -> list[tuple[Vector, Vector]]:
-        """Return times and gaps of flights left out, by the first-order law: to 1/50 in speed."""
-        e, pull = self.dynamics.restitution, -self.dynamics.gap_acceleration(self.zeno.state)
-        n = math.ceil(math.log(0.02, e)) if self.zeno.tail > 0.0 else 0
-        fractions = np.linspace(0.0, 1.0, 161)
-        flights: list[tuple[Vector, Vector]] = []
-        for speed in self.zeno.last_speed * e ** np.arange(n):
-            times = self.zeno.time + (2 * speed / pull) * (fractions - 1 / (1 - e))
-            flights.append((times, 2 * speed**2 / pull * fractions * (1 - fractions)))
-        return flights
-
-
-def _zoom(problem: Problem, execution: Execution, dynamics: HybridDynamics) -> _Zoom:
-    if not execution.zeno_points:
-        raise InputError("Argument `execution` must reach a Zeno point, but it reaches none.")
-    zeno = execution.zeno_points[-1]
-    begin = max((r.time for r in execution.releases if r.time < zeno.time), default=0.0)
-    impacts = tuple(event for event in execution.impacts if begin <= event.time <= zeno.time)
-    resolved = [arc for arc in execution.arcs if arc.ending is not Ending.ZENO]
-    arcs = tuple(arc for arc in resolved if arc.start_time >= begin)
-    return _Zoom(
-        arcs=arcs,
-        dynamics=dynamics,
-        zeno=zeno,
-        impacts=impacts,
-        flights=tuple(arc for arc in arcs if impacts[0].time <= arc.start_time < zeno.time),
-        unit=gap_unit(problem, dynamics),
-    )
-
-
-def _draw_gap(ax: Axes, zoom: _Zoom) -> None:
+def _draw_gap(ax: Axes, zoom: CloseUp, unit: str) -> None:
     first, end = zoom.impacts[0].time, zoom.zeno.time
     length = end - first if zoom.flights else 0.3 * (end - zoom.arcs[0].start_time)
     start = first - (0.1 if zoom.flights else 1.0) * length
@@ -118,42 +69,44 @@ def _draw_gap(ax: Axes, zoom: _Zoom) -> None:
         ax.plot(times, gaps, **ARCS[arc.mode])
         shown = times >= (first if zoom.flights else start)
         highest = float(np.max(gaps[shown & (times <= end)], initial=highest))
-    for times, gaps in zoom.tail():
-        ax.plot(times, gaps, **LAW)
+    for offsets, gaps in zoom.tail():
+        ax.plot(end + offsets, gaps, **LAW)
     ax.plot(end, 0.0, label="Zeno point", **ZENO)
     ax.set(xlim=(start, min(end + 0.25 * length, zoom.arcs[-1].end_time + 0.05 * length)))
-    ax.set(xlabel="time $t$ [s]", ylabel=f"gap $h$ [{zoom.unit}]")
+    ax.set(xlabel="time $t$ [s]", ylabel=f"gap $h$ [{unit}]")
     ax.set_ylim(-0.05 * highest, 1.1 * highest)
 
 
-def _draw_flights(ax: Axes, zoom: _Zoom) -> None:
-    resolved, law = [zoom.gaps(arc) for arc in zoom.flights], zoom.tail()
+def _draw_flights(ax: Axes, zoom: CloseUp, unit: str) -> None:
+    end = zoom.zeno.time
+    resolved = [(times - end, gaps) for times, gaps in map(zoom.gaps, zoom.flights)]
+    law = zoom.tail()
     peaks = [float(max(gaps)) for _, gaps in (*resolved, *law)]
     lowest = 0.05 * min(peaks)
     for flights, look in ((resolved, ARCS[Mode.FREE]), (law, LAW)):
-        for times, gaps in flights:
+        for offsets, gaps in flights:
             gaps[[0, -1]] = 0.0
-            seen = times < zoom.zeno.time
-            ax.plot(zoom.zeno.time - times[seen], np.maximum(gaps[seen], 0.1 * lowest), **look)
+            seen = offsets < 0.0
+            ax.plot(-offsets[seen], np.maximum(gaps[seen], 0.1 * lowest), **look)
     _logarithmic(ax)
     ax.set_ylim(lowest, 4 * max(peaks))
-    ax.set(xlabel=_REMAINING, ylabel=f"gap $h$ [{zoom.unit}]")
+    ax.set(xlabel=_REMAINING, ylabel=f"gap $h$ [{unit}]")
 
 
-def _draw_speeds(ax: Axes, zoom: _Zoom) -> None:
-    e, pull = zoom.dynamics.restitution, -zoom.dynamics.gap_acceleration(zoom.zeno.state)
+def _draw_speeds(ax: Axes, zoom: CloseUp, unit: str) -> None:
+    e, pull = zoom.dynamics.restitution, zoom.pull
     seen = [impact for impact in zoom.impacts if impact.time < zoom.zeno.time]
     remaining = np.array([zoom.zeno.time - impact.time for impact in seen])
-    ends = [zoom.zeno.time - times[0] for times, _ in zoom.tail()]
+    ends = [-float(offsets[0]) for offsets, _ in zoom.tail()]
     reach = np.array([remaining[0], min(ends, default=remaining[-1])])
     ax.plot(reach, pull * (1 - e) / (2 * e) * reach, **LAW)
     ax.plot(remaining, [-impact.approach_rate for impact in seen], **BEFORE)
     ax.text(0.95, 0.92, f"$e$ = {e:g}", transform=ax.transAxes, ha="right", va="top", size=TEXT)
     _logarithmic(ax)
-    ax.set(xlabel=_REMAINING, ylabel=rf"impact speed $|\dot h|$ [{zoom.unit}/s]")
+    ax.set(xlabel=_REMAINING, ylabel=rf"impact speed $|\dot h|$ [{unit}/s]")
 
 
-def _draw_closing(ax: Axes, zoom: _Zoom) -> None:
+def _draw_closing(ax: Axes, zoom: CloseUp, unit: str) -> None:
     impact = zoom.impacts[-1]
     for arc in zoom.arcs:
         rates = [zoom.dynamics.gap_rate(state) for state in arc.sampled(160)[1]]
@@ -161,7 +114,7 @@ def _draw_closing(ax: Axes, zoom: _Zoom) -> None:
     ax.plot([0.0, 0.0], [impact.approach_rate, 0.0], **JUMP)
     ax.plot(0.0, impact.approach_rate, **BEFORE)
     ax.plot(0.0, 0.0, label="Zeno point", **ZENO)
-    ax.set(xlabel=f"gap $h$ [{zoom.unit}]", ylabel=rf"gap rate $\dot h$ [{zoom.unit}/s]")
+    ax.set(xlabel=f"gap $h$ [{unit}]", ylabel=rf"gap rate $\dot h$ [{unit}/s]")
 
 
 def _logarithmic(ax: Axes) -> None:

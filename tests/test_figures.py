@@ -1,0 +1,675 @@
+"""The figures of the paper: what they hold, that they are whole, and what is said where not."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import re
+import shlex
+from collections.abc import Callable, Iterator
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from matplotlib.contour import ContourSet
+from matplotlib.figure import Figure
+from PIL import Image
+
+from zeno_orbits import counterparts, plots
+from zeno_orbits.cli import main
+from zeno_orbits.compiled import drawn_lines
+from zeno_orbits.counterparts import RIG, Counterpart, counterpart_of, in_phase
+from zeno_orbits.dynamics import HybridDynamics, Vector
+from zeno_orbits.errors import InputError, SimulationError, ZenoOrbitsError
+from zeno_orbits.execution import Execution
+from zeno_orbits.files import write_all
+from zeno_orbits.orbit import ZenoOrbit, write_orbit
+from zeno_orbits.plots.paper import PAPER
+from zeno_orbits.plots.style import COLUMN_WIDTH, TEXT, label_of
+from zeno_orbits.problem import Problem, load_problem
+from zeno_orbits.simulate import simulate
+
+YES, NO, MISUSE = 0, 1, 2
+FIGURES = (
+    *("fig2_completed_system", "region", "fig4_portraits"),
+    *("fig5a_over_time", "fig5b_impacts", "fig5c_portraits", "fig5d_zeno_point"),
+)
+
+
+def ask(*arguments: str | Path) -> tuple[int, str, str]:
+    """Run a command and return its exit code, its output and its errors."""
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        try:
+            code = main([str(argument) for argument in arguments])
+        except SystemExit as ending:
+            code = int(ending.code or 0)
+    return code, out.getvalue(), err.getvalue()
+
+
+@pytest.fixture(scope="module")
+def one(orbit: ZenoOrbit, scene: Problem, machine: HybridDynamics) -> Execution:
+    """One period of the pendulum from its release on."""
+    release = scene.state_vector(orbit.release_state)
+    return simulate(machine, release, until=orbit.period * (1 + 1e-6))
+
+
+@pytest.fixture(scope="module")
+def several(orbit: ZenoOrbit, scene: Problem, machine: HybridDynamics) -> Execution:
+    """Three periods."""
+    release = scene.state_vector(orbit.release_state)
+    return simulate(machine, release, until=3 * orbit.period)
+
+
+def signals_of(execution: Execution, problem: Problem) -> tuple[Vector, dict[str, Vector]]:
+    """Return times and states of a motion, without repeated times."""
+    times, states = execution.sampled()
+    kept = np.concatenate([[True], np.diff(times) > 0.0])
+    return times[kept], {name: states[kept, k] for k, name in enumerate(problem.state_names)}
+
+
+@pytest.fixture(scope="module")
+def other(several: Execution, scene: Problem) -> Counterpart:
+    """A motion beside the model's: its own, every angle a hundredth smaller."""
+    times, signals = signals_of(several, scene)
+    smaller = {name: 0.99 * values for name, values in signals.items()}
+    return counterpart_of(RIG, scene, times, smaller)
+
+
+@pytest.fixture
+def parts(monkeypatch: pytest.MonkeyPatch, several: Execution, scene: Problem) -> Any:
+    """Stand-ins for the virtual rig and for the reader of recordings, with the model's motion."""
+    times, signals = signals_of(several, scene)
+    names = (*scene.state_names, "rotor")
+    run = SimpleNamespace(
+        times=times, state_names=names, of=lambda name: signals.get(name, 0.0 * times)
+    )
+
+    def rig_cycles(*_: Any, cycles: int, on_progress: Callable[[float], None]) -> Any:
+        on_progress(0.5)
+        assert cycles == 3
+        return SimpleNamespace(run=run)
+
+    def read_recording(path: Path, *, only: Any) -> Any:
+        if not path.exists():
+            raise InputError(f"Data file `{path}` must hold a recording, but it is missing.")
+        assert set(only) == set(scene.state_names)
+        seen = np.arange(0.0, times[-1], 1e-3)
+        taken = [
+            SimpleNamespace(name=name, values=np.interp(seen, times, signals[name]))
+            for name in ("theta1", "theta2")
+        ]
+        source = SimpleNamespace(value="measured")
+        return SimpleNamespace(time=seen + 11.3, signals=taken, source=source)
+
+    found = SimpleNamespace(rig_cycles=rig_cycles, read_recording=read_recording)
+    monkeypatch.setattr(counterparts, "_part", lambda _name: found)
+    return found
+
+
+@pytest.fixture
+def orbit_file(orbit: ZenoOrbit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An orbit file in the working folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("zeno_orbits.progress._PATIENCE", math.inf)
+    path = tmp_path / "orbit.json"
+    write_orbit(orbit, path)
+    return path
+
+
+@pytest.fixture(scope="module", name="figures")
+def _figures(
+    scene: Problem,
+    orbit: ZenoOrbit,
+    machine: HybridDynamics,
+    one: Execution,
+    several: Execution,
+    other: Counterpart,
+) -> dict[str, Figure]:
+    return {
+        "fig2_completed_system": plots.plot_graph(scene, orbit.setting(scene)),
+        "region": plots.plot_zeno_region(scene, machine, one, width=COLUMN_WIDTH),
+        "fig4_portraits": plots.plot_portraits(scene, one, width=COLUMN_WIDTH),
+        "fig5a_over_time": plots.plot_beside_over_time(scene, several, other),
+        "fig5b_impacts": plots.plot_beside_impacts(scene, machine, one, other),
+        "fig5c_portraits": plots.plot_beside_portraits(scene, one, other),
+        "fig5d_zeno_point": plots.plot_beside_zeno_point(scene, machine, one, other),
+    }
+
+
+# ---------------------------------------------------------------------------- what they hold
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_a_figure_fits_a_column_and_can_be_read_there(
+    figures: dict[str, Figure], name: str
+) -> None:
+    figure = figures[name]
+    assert figure.get_size_inches()[0] == COLUMN_WIDTH
+    plots.rendered(figure, "pdf")
+    sizes = [text.get_fontsize() for text in _texts(figure) if text.get_text().strip()]
+    # Labels in eight points, numbers at ticks one point smaller.
+    assert max(sizes) == pytest.approx(TEXT)
+    assert min(sizes) >= TEXT - 1
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_nothing_of_a_figure_is_cut_off(figures: dict[str, Figure], name: str) -> None:
+    figure = figures[name]
+    plots.rendered(figure, "pdf")
+    drawn, (wide, high) = figure.get_tightbbox(), figure.get_size_inches()
+    # Half a point of slack: the boxes of glyphs are a little larger than their ink.
+    assert min(drawn.x0, drawn.y0) >= -0.5 / 72
+    assert drawn.x1 <= wide + 0.5 / 72
+    assert drawn.y1 <= high + 0.5 / 72
+
+
+def _texts(figure: Figure) -> list[Any]:
+    from matplotlib.text import Text
+
+    return [one for one in figure.findobj(Text) if isinstance(one, Text)]
+
+
+@pytest.mark.parametrize("name", FIGURES[1:])
+def test_every_axis_has_its_unit(figures: dict[str, Figure], name: str) -> None:
+    axes = figures[name].axes
+    assert axes
+    for ax in axes:
+        labels = [ax.get_ylabel()]
+        # Panels over one time share the label of the lowest.
+        if ax.get_xlabel() or any(t.get_visible() for t in ax.get_xticklabels()):
+            labels += [ax.get_xlabel()] if ax.get_label() != "<colorbar>" else []
+        assert all(re.search(r"\[.+\]$", label) for label in labels), labels
+
+
+def test_the_region_ends_where_the_published_acceleration_is_zero(
+    figures: dict[str, Figure],
+) -> None:
+    ax = figures["region"].axes[0]
+    (boundary,) = [
+        one for one in ax.collections if isinstance(one, ContourSet) and list(one.levels) == [0.0]
+    ]
+    corners = np.concatenate([path.vertices for path in boundary.get_paths()])
+    assert len(corners) > 100
+    theta, current = np.asarray(corners, dtype=np.float64).T
+    # The paper's numbers. Between points of a grid of 2 pi / 100 the curve is drawn straight, and
+    # off by at most 27.5697 (2 pi / 100)^2 / 8 in the acceleration.
+    off = np.abs(-2.92437 * current - 27.5697 * np.sin(theta))
+    assert np.max(off) < 27.5697 * (2 * math.pi / 100) ** 2 / 8
+    assert np.ptp(theta) == pytest.approx(2 * math.pi, rel=1e-6)
+
+
+def test_the_graph_names_both_modes_and_every_edge(figures: dict[str, Figure]) -> None:
+    figure = figures["fig2_completed_system"]
+    words = " ".join(text.get_text() for text in _texts(figure))
+    for word in ("off the stop", "on the stop", "impact", "Zeno point", "release", "$e$ = 0.2"):
+        assert word in words
+    arrows = [patch for patch in figure.axes[0].patches if "Arrow" in type(patch).__name__]
+    assert len(arrows) == 3
+    assert all(name in words for name in ("theta1", "dtheta2", "current"))
+
+
+def test_the_rig_is_called_simulated_and_never_measured(figures: dict[str, Figure]) -> None:
+    for name in FIGURES[3:]:
+        words = " ".join(text.get_text() for text in _texts(figures[name]))
+        assert "simulated" in words, name
+        assert "measured" not in words, name
+
+
+def test_the_other_motion_lies_where_it_was(figures: dict[str, Figure], other: Counterpart) -> None:
+    (line,) = [
+        line
+        for line in figures["fig5a_over_time"].axes[1].get_lines()
+        if line.get_label() == other.label
+    ]
+    assert np.array_equal(line.get_xdata(), other.times)
+    assert np.array_equal(line.get_ydata(), other.states[:, 1])
+
+
+def test_the_zeno_point_is_the_origin_of_its_figure(
+    figures: dict[str, Figure], one: Execution
+) -> None:
+    ax = figures["fig5d_zeno_point"].axes[0]
+    (low, high), (slow, fast) = ax.get_xlim(), ax.get_ylim()
+    assert low < 0.0 < high
+    assert slow < 0.0 < fast
+    # All rebounds are inside: the first leaves the stop at e times the speed of the first impact.
+    assert fast > -0.2 * one.impacts[0].approach_rate
+    (star,) = [line for line in ax.get_lines() if line.get_label() == "Zeno point"]
+    assert [*star.get_xdata(), *star.get_ydata()] == [0.0, 0.0]
+
+
+def test_the_impacts_are_seen_from_the_first_to_beyond_the_release(
+    figures: dict[str, Figure], one: Execution, orbit: ZenoOrbit
+) -> None:
+    for ax in figures["fig5b_impacts"].axes:
+        start, end = ax.get_xlim()
+        assert start < one.impacts[0].time
+        assert end > orbit.period
+    wide, close = (np.ptp(ax.get_ylim()) for ax in figures["fig5b_impacts"].axes)
+    assert close < wide / 5
+
+
+def test_gaps_where_a_coordinate_is_missing_stay_gaps(
+    scene: Problem, machine: HybridDynamics, one: Execution, other: Counterpart
+) -> None:
+    holed = other.states.copy()
+    holed[100:200, 1] = math.nan
+    figure = plots.plot_beside_zeno_point(scene, machine, one, replace(other, states=holed))
+    (line,) = [x for x in figure.axes[0].get_lines() if x.get_label() == other.label]
+    assert np.isnan(line.get_xdata()).sum() == 100
+
+
+# ---------------------------------------------------------------------------- the other motion
+
+
+def test_a_recording_is_laid_over_the_orbit_by_its_phase(
+    scene: Problem, one: Execution, several: Execution, orbit: ZenoOrbit
+) -> None:
+    random = np.random.default_rng(7)
+    times = np.arange(0.0, 3 * orbit.period, 2e-3)
+    states = np.array([several.state_at(min(t, several.end_time)) for t in times])
+    noisy = states + random.normal(scale=1e-2, size=states.shape)
+    signals = {name: noisy[:, k] for k, name in enumerate(scene.state_names[:2])}
+    # The recording starts at a phase and at a time of its own.
+    whole = counterpart_of("recording", scene, times + 41.7, signals)
+    found = in_phase(whole, 2, one, orbit.period, 2)
+    # 41.7 s is where a release was: the new zero is a whole number of periods from it.
+    kept = np.searchsorted(times + 41.7, 41.7 + times[-1] - found.times[-1])
+    assert len(found.times) > 0.9 * 2 * orbit.period / 2e-3
+    there = np.array([one.state_at(min(float(t), one.end_time)) for t in found.times[:800]])
+    # Noise of 1e-2 and a phase to some 1e-3 of a period, at up to 17 rad/s.
+    miss = np.abs(found.states[:800, :2] - there[:, :2])
+    assert np.median(miss) < 2e-2
+    assert kept >= 0
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.3, 1.1, 1.8])
+def test_the_phase_that_is_found_is_the_true_one(
+    scene: Problem, one: Execution, several: Execution, orbit: ZenoOrbit, shift: float
+) -> None:
+    times = np.arange(0.0, 2.4 * orbit.period, 1e-3)
+    angles = np.array([several.state_at(float(t)) for t in times])[:, :2]
+    signals = {"theta1": angles[:, 0], "theta2": angles[:, 1]}
+    whole = counterpart_of("recording", scene, times + shift, signals)
+    found = in_phase(whole, 2, one, orbit.period, 1)
+    # At its zero the motion is at the release. 720 phases are tried, a parabola refines them.
+    first = np.array([found.states[0, 0], found.states[0, 1]])
+    release = np.array([orbit.release_state["theta1"], orbit.release_state["theta2"]])
+    speed = abs(orbit.release_state["dtheta1"])
+    assert np.max(np.abs(first - release)) < speed * (orbit.period / 720 + 1e-3)
+
+
+def test_missing_velocities_are_differences_and_missing_currents_stay_missing(
+    scene: Problem, several: Execution
+) -> None:
+    times = np.linspace(0.01, 0.9, 1000)
+    states = np.array([several.state_at(float(t)) for t in times])
+    signals = {"theta1": states[:, 0], "theta2": states[:, 1]}
+    found = counterpart_of("recording", scene, times, signals)
+    # Central differences: a step of 9e-4 squared over six, times a third derivative of some 1e4.
+    assert np.max(np.abs(found.states[1:-1, 2:4] - states[1:-1, 2:4])) < 5e-3
+    assert np.all(np.isnan(found.states[:, 4]))
+
+
+@pytest.mark.parametrize(
+    ("signals", "span", "said"),
+    [
+        (("theta1",), 6.0, "but `theta2` is missing"),
+        (("theta1", "theta2"), 3.0, "must last two periods, 3.627 s, at least"),
+    ],
+)
+def test_a_recording_that_cannot_be_laid_over_is_refused(
+    scene: Problem,
+    one: Execution,
+    orbit: ZenoOrbit,
+    signals: tuple[str, ...],
+    span: float,
+    said: str,
+) -> None:
+    times = np.linspace(0.0, span, 500)
+    with pytest.raises(InputError, match=re.escape(said)):
+        in_phase(
+            counterpart_of("recording", scene, times, dict.fromkeys(signals, np.sin(times))),
+            2,
+            one,
+            orbit.period,
+            2,
+        )
+
+
+def test_a_recording_of_holes_is_refused(scene: Problem, one: Execution, orbit: ZenoOrbit) -> None:
+    times = np.linspace(0.0, 9.0, 500)
+    holes = np.full(500, math.nan)
+    whole = counterpart_of("recording", scene, times, {"theta1": holes, "theta2": holes})
+    with pytest.raises(InputError, match="holes only"):
+        in_phase(whole, 2, one, orbit.period, 2)
+
+
+# ---------------------------------------------------------------------------- drawings
+
+
+def test_the_pendulum_is_drawn_as_it_hangs(scene: Problem, orbit: ZenoOrbit) -> None:
+    setting = orbit.setting(scene)
+    first, second = setting.parameters["L1"], setting.parameters["L2"]
+    states = np.array([[0.3, 0.5, 0.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0, 0.0]])
+    lines = drawn_lines(scene, setting, states)
+    for k, (theta1, theta2) in enumerate(states[:, :2]):
+        knee = first * np.array([math.sin(theta1), -math.cos(theta1)])
+        hand = theta1 + theta2
+        tip = knee + second * np.array([math.sin(hand), -math.cos(hand)])
+        assert lines["link 1"][k] == pytest.approx(np.array([[0.0, 0.0], knee]))
+        assert lines["link 2"][k] == pytest.approx(np.array([knee, tip]))
+        # On its stop link 2 goes on straight, and the stop is on the side that it cannot reach.
+        along = knee / first
+        for corner in lines["stop"][k][1:] - knee:
+            assert along[0] * corner[1] - along[1] * corner[0] < 0.0
+
+
+@pytest.mark.parametrize("name", ["motor_pendulum", "vibrating_table", "motor_cart"])
+def test_scenes_with_a_drawing_hold_together(name: str) -> None:
+    assert load_problem(name).checked().drawing is not None
+
+
+@pytest.mark.parametrize(
+    ("drawing", "said"),
+    [
+        (lambda _x, _p: {}, "must draw a line, but it draws none"),
+        (lambda x, _p: {"link": [(x["theta3"], 0)]}, "but it asks for `theta3`"),
+        (lambda _x, p: {"link": [(p["L9"], 0)]}, "but it asks for `L9`"),
+        (lambda x, _p: {"link": [(0, 0), (x["theta1"],)]}, "corners across and upwards"),
+        (lambda _x, _p: {"link": []}, "corners across and upwards"),
+        (lambda _x, _p: {"link": [(ca.SX.sym("z"), 0)]}, "another symbol, `z`"),
+        (lambda _x, _p: {"link": [(ca.SX(2, 1), 0)]}, "two numbers"),
+    ],
+)
+def test_a_drawing_that_cannot_be_is_refused_when_the_scene_is_checked(
+    scene: Problem, drawing: Any, said: str
+) -> None:
+    with pytest.raises(ValueError, match=said):
+        replace(scene, drawing=drawing).checked()
+
+
+def test_a_parameter_that_only_the_drawing_needs_is_used(scene: Problem) -> None:
+    # Link 2's length appears in an output and in the drawing: either is enough, none is not.
+    assert replace(scene, outputs=(), fidelities={}).checked()
+    with pytest.raises(ValueError, match="`L2` appears nowhere"):
+        replace(scene, outputs=(), drawing=None, fidelities={}).checked()
+
+
+# ---------------------------------------------------------------------------- the machine in motion
+
+
+@pytest.fixture(scope="module")
+def film(scene: Problem, orbit: ZenoOrbit, one: Execution) -> plots.Film:
+    return plots.film_of(scene, orbit.setting(scene), one, orbit.period)
+
+
+def test_the_film_lasts_a_period_and_moves(film: plots.Film, orbit: ZenoOrbit) -> None:
+    assert len(film.frames) / film.rate == pytest.approx(orbit.period, abs=0.5 / film.rate)
+    stills = {frame.tobytes() for frame in film.frames}
+    assert len(stills) == len(film.frames)
+    assert len({frame.size for frame in film.frames}) == 1
+
+
+def test_the_gif_runs_round_with_all_its_pictures(film: plots.Film) -> None:
+    data = plots.gif_of(film)
+    with Image.open(io.BytesIO(data)) as gif:
+        assert gif.n_frames == len(film.frames)
+        assert gif.info["loop"] == 0
+        assert gif.info["duration"] == 1000 // film.rate
+        gif.seek(len(film.frames) // 2)
+        seen = np.asarray(gif.convert("RGB"), dtype=float)
+    true = np.asarray(film.frames[len(film.frames) // 2], dtype=float)
+    # 64 colours for a picture that has few: hardly a point may be off by much.
+    assert np.mean(np.abs(seen - true)) < 3.0
+    assert len(data) < 1_000_000
+
+
+def test_the_colour_of_the_machine_tells_the_mode(film: plots.Film, orbit: ZenoOrbit) -> None:
+    blue, orange = (0, 114, 178), (213, 94, 0)
+
+    def count(frame: Image.Image, colour: tuple[int, int, int]) -> int:
+        # Inside the axes of the machine, below the legend.
+        left = np.asarray(frame)[50:, 60:300]
+        return int(np.sum(np.all(left == colour, axis=2)))
+
+    part = orbit.zeno_time / orbit.period
+    flying, locked = film.frames[5], film.frames[int((part + 1) / 2 * len(film.frames))]
+    assert count(flying, blue) > 100
+    assert count(flying, orange) < 10
+    assert count(locked, orange) > 100
+    assert count(locked, blue) < 10
+
+
+def test_a_scene_without_a_drawing_has_no_film(
+    scene: Problem, orbit: ZenoOrbit, one: Execution
+) -> None:
+    bare = replace(scene, drawing=None)
+    with pytest.raises(InputError, match="must have a drawing, but `motor_pendulum` has none"):
+        plots.film_of(bare, orbit.setting(scene), one, orbit.period)
+
+
+@pytest.mark.skipif(not plots.has_ffmpeg(), reason="ffmpeg is not installed")
+def test_an_mp4_is_made_where_ffmpeg_is(film: plots.Film) -> None:
+    assert plots.mp4_of(film)[4:8] == b"ftyp"
+
+
+def test_an_ffmpeg_that_fails_is_heard(
+    film: plots.Film, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake = tmp_path / "ffmpeg"
+    fake.write_text("#!/bin/sh\ncat > /dev/null\necho 'no such encoder' >&2\nexit 3\n")
+    fake.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
+    with pytest.raises(ZenoOrbitsError, match=r"ffmpeg made no film \(no such encoder\)"):
+        plots.mp4_of(film)
+
+
+# ---------------------------------------------------------------------------- the command
+
+
+def test_the_command_offers_every_kind_there_is() -> None:
+    from zeno_orbits.cli import figures
+
+    assert tuple(PAPER) == figures._KINDS
+
+
+def test_one_command_writes_all_figures(orbit_file: Path, parts: Any) -> None:
+    assert parts
+    code, out, err = ask("figures", orbit_file, "-o", "new/figures")
+    assert (code, err) == (YES, "")
+    made = {path.name for path in Path("new/figures").iterdir()}
+    wanted = {f"{name}.{kind}" for name in FIGURES for kind in ("pdf", "png")} | {"machine.gif"}
+    assert made - {"machine.mp4"} == wanted
+    assert all(f"new/figures/{name}" in out for name in made)
+    for path in Path("new/figures").iterdir():
+        data = path.read_bytes()
+        assert data[:4] in (b"%PDF", b"\x89PNG", b"GIF8") or data[4:8] == b"ftyp"
+    with Image.open("new/figures/region.png") as picture:
+        # 3.4 in at 300 dots an inch.
+        assert picture.size[0] == 1020
+
+
+def test_the_same_orbit_gives_the_same_bytes(orbit_file: Path, parts: Any) -> None:
+    assert parts
+    kinds = [word for kind in PAPER if kind != "animation" for word in ("--kind", kind)]
+    for folder in ("a", "b"):
+        assert ask("figures", orbit_file, "-o", folder, *kinds)[0] == YES
+    for path in Path("a").iterdir():
+        assert path.read_bytes() == (Path("b") / path.name).read_bytes()
+
+
+def test_a_recording_takes_the_place_of_the_rig(
+    orbit_file: Path, parts: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parts.rig_cycles = None
+    Path("run.csv").touch()
+    seen: list[Counterpart] = []
+    draw = plots.plot_beside_portraits
+
+    def look(problem: Problem, execution: Execution, counterpart: Counterpart) -> Figure:
+        seen.append(counterpart)
+        return draw(problem, execution, counterpart)
+
+    monkeypatch.setattr("zeno_orbits.plots.paper.plot_beside_portraits", look)
+    answer = ask("figures", orbit_file, "-o", "f", "--kind", "beside", "--data", "run.csv")
+    assert answer[0] == YES, answer
+    assert [one.label for one in seen] == ["recording, measured"]
+    assert len(list(Path("f").iterdir())) == 8
+
+
+def test_what_a_scene_does_not_have_is_said_and_left_out(
+    orbit_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def still(*_: Any, **__: Any) -> Any:
+        raise SimulationError("The rig does not move in cycles", time=1.0, state=(0.0,))
+
+    monkeypatch.setattr(counterparts, "_part", lambda _: SimpleNamespace(rig_cycles=still))
+    monkeypatch.setattr("zeno_orbits.plots.paper.has_ffmpeg", lambda: False)
+    code, out, _ = ask("figures", orbit_file, "-o", "f", "--json")
+    assert code == YES
+    left_out = json.loads(out)["left_out"]
+    assert left_out["beside"] == "The rig does not move in cycles (at t = 1 s)"
+    assert left_out["machine.mp4"] == "ffmpeg is not installed"
+    assert "fig4_portraits.pdf" in {path.name for path in Path("f").iterdir()}
+    # Asked for by name, it has to be there.
+    code, _, err = ask("figures", orbit_file, "-o", "g", "--kind", "beside")
+    assert code == NO
+    assert "does not move in cycles" in err
+    assert not Path("g").exists()
+
+
+def test_a_scene_is_searched_at_its_own_numbers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("zeno_orbits.progress._PATIENCE", math.inf)
+    code, out, _ = ask("figures", "forced_oscillator", "-o", "f", "--kind", "portraits")
+    assert code == YES
+    assert "fig4_portraits.png" in out
+    code, _, err = ask("figures", "bouncing_ball", "-o", "none")
+    assert code == NO
+    assert err.count("\n") == 1
+    assert not Path("none").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("orbit.json", "-o", "orbit.json"), "must be a folder, but `orbit.json` is a file"),
+        (("orbit.json", "-o", "orbit.json/a"), "must be a folder that can be made"),
+        (("none.json", "-o", "f"), "Orbit file `none.json` must hold a Zeno orbit"),
+        (("no_scene", "-o", "f"), "must be one of"),
+        (("motor_pendulum", "--problem", "a.py", "-o", "f"), "must come with an orbit file"),
+        (("orbit.json", "-o", "f", "--kind", "graph", "--data", "a.csv"), "the kind `beside`"),
+        (("orbit.json", "-o", "f", "--data", "a.csv"), "must hold a recording"),
+        (("orbit.json", "-o", "f", "--kind", "film"), "invalid choice: 'film'"),
+        (("orbit.json",), "required: -o/--output"),
+    ],
+)
+def test_bad_input_is_one_line_and_writes_nothing(
+    orbit_file: Path, parts: Any, arguments: tuple[str, ...], said: str
+) -> None:
+    assert parts
+    code, out, err = ask("figures", *arguments)
+    assert (code, out) == (MISUSE, "")
+    assert said in err
+    assert err.count("\n") == 1
+    assert [path.name for path in orbit_file.parent.iterdir()] == ["orbit.json"]
+
+
+def test_a_film_that_was_asked_for_needs_a_drawing(
+    orbit_file: Path, monkeypatch: pytest.MonkeyPatch, scene: Problem
+) -> None:
+    bare = replace(scene, drawing=None)
+    monkeypatch.setattr("zeno_orbits.problem.load_problem", lambda _: bare)
+    code, _, err = ask("figures", orbit_file, "-o", "f", "--kind", "animation")
+    assert code == MISUSE
+    assert "must have a drawing" in err
+    code, out, _ = ask("figures", orbit_file, "-o", "f", "--kind", "graph")
+    assert code == YES
+    assert "machine" not in out
+
+
+def test_an_orbit_without_a_zeno_point_is_refused(orbit_file: Path, orbit: ZenoOrbit) -> None:
+    write_orbit(replace(orbit, period=0.5 * orbit.zeno_time), orbit_file)
+    code, _, err = ask("figures", orbit_file, "-o", "f")
+    assert code == MISUSE
+    assert "must reach a Zeno point in its period" in err
+
+
+def test_the_examples_of_the_help_run(orbit_file: Path, parts: Any) -> None:
+    assert orbit_file.exists()
+    assert parts
+    Path("recording.csv").touch()
+    _, out, _ = ask("figures", "--help")
+    lines = [line for line in out.partition("examples:")[2].splitlines() if line.strip()]
+    assert len(lines) == 3
+    for line in lines:
+        words = shlex.split(line)
+        assert words[:2] == ["zeno-orbits", "figures"]
+        assert ask(*words[1:])[0] == YES
+
+
+def test_the_real_rig_lies_near_the_model(orbit: ZenoOrbit, scene: Problem) -> None:
+    pytest.importorskip("zeno_orbits.rig", reason="this version has no virtual rig")
+    found = counterparts.rig_counterpart(orbit, scene, 2)
+    assert found.label == "virtual rig, simulated"
+    assert found.times[0] == pytest.approx(0.0, abs=1e-3)
+    # Its period is within a per cent or so of the model's, and so two of them are.
+    assert found.times[-1] == pytest.approx(2 * orbit.period, rel=0.02)
+    assert np.all(np.diff(found.times) > 0.0)
+    assert np.all(np.isfinite(found.states))
+
+
+# ---------------------------------------------------------------------------- whole or not at all
+
+
+@pytest.fixture(name="broken")
+def _broken(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A disk that takes one file and no more."""
+    write, written = Path.write_bytes, []
+
+    def fail(path: Path, data: bytes) -> int:
+        if written:
+            raise OSError(28, "No space left on device")
+        written.append(path)
+        return write(path, data)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "write_bytes", fail)
+        yield
+
+
+@pytest.mark.usefixtures("broken")
+def test_a_disk_that_fills_up_leaves_the_old_figures(tmp_path: Path) -> None:
+    folder = tmp_path / "figures"
+    folder.mkdir()
+    with (folder / "a.png").open("wb") as file:
+        file.write(b"old")
+    with pytest.raises(InputError, match="No space left on device"):
+        write_all(folder, {"a.png": b"new", "b.png": b"new"})
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == {"a.png": b"old"}
+
+
+def test_files_are_written_all_and_others_left_alone(tmp_path: Path) -> None:
+    folder = tmp_path / "deep" / "figures"
+    write_all(folder, {"a": b"1", "b": b"2"})
+    write_all(folder, {"b": b"3"})
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == {"a": b"1", "b": b"3"}
+    assert (folder / "a").stat().st_mode & 0o777 == 0o644
+
+
+def test_the_labels_of_page_and_pictures_name_the_same_states(scene: Problem) -> None:
+    from zeno_orbits.page import curves
+
+    for k, unit in enumerate(scene.state_units):
+        assert label_of(scene, k).endswith(f"[{unit}]")
+        assert curves.label_of(scene.state_names, k, unit).endswith(f"[{unit}]")

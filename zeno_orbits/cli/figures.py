@@ -1,0 +1,153 @@
+"""The command `figures`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from zeno_orbits import report
+from zeno_orbits.arguments import read_count
+from zeno_orbits.cli.shared import YES, add_command, orbit_and_problem, print_json, say_written
+from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.files import require_folder, write_all
+
+if TYPE_CHECKING:
+    from zeno_orbits.counterparts import Counterpart
+    from zeno_orbits.orbit import ZenoOrbit
+    from zeno_orbits.plots.paper import Material
+    from zeno_orbits.problem import Problem
+
+_KINDS = ("graph", "region", "portraits", "beside", "animation")
+
+
+def add_figures(commands: Any) -> None:
+    """Add the command `figures`."""
+    parser = add_command(
+        commands,
+        "figures",
+        _run_figures,
+        "draw the figures of the paper for an orbit, at the width of a column, as PDF and PNG",
+        [
+            "zeno-orbits figures orbit.json -o figures",
+            "zeno-orbits figures motor_pendulum -o figures --kind graph --kind region",
+            "zeno-orbits figures orbit.json -o figures --kind beside --data recording.csv",
+        ],
+    )
+    parser.add_argument(
+        "orbit",
+        metavar="ORBIT.json|PROBLEM",
+        type=Path,
+        help="an orbit file, or a scene, whose orbit at its own numbers is sought first",
+    )
+    parser.add_argument(
+        "--problem", metavar="FILE.py", help="the orbit's scene, where it is not a bundled one"
+    )
+    parser.add_argument(
+        "--kind",
+        action="append",
+        choices=_KINDS,
+        help="which: the completed system as a graph, the region d2h/dt2 < 0, phase portraits, "
+        "four figures of the model beside the virtual rig, the machine in motion; may be repeated; "
+        "by default all that the scene has",
+    )
+    parser.add_argument(
+        "--data",
+        type=Path,
+        metavar="FILE.csv",
+        help="beside the model, show this recording instead of the virtual rig",
+    )
+    parser.add_argument(
+        "--periods",
+        type=read_count,
+        default=3,
+        metavar="N",
+        help="periods of the model beside another motion",
+    )
+    parser.add_argument("-o", "--output", type=Path, required=True, help="folder for the figures")
+
+
+def _run_figures(options: argparse.Namespace) -> int:
+    from zeno_orbits.plots.paper import PAPER
+
+    require_folder(options.output)
+    if options.data is not None and options.kind and "beside" not in options.kind:
+        raise InputError("Argument `data` must come with the kind `beside`, but it does not.")
+    asked: list[str] = options.kind or []
+    wanted = [*asked, "beside"] if options.data is not None else asked
+    files: dict[str, bytes] = {}
+    left_out: dict[str, str] = {}
+    with report.Progress(options.interrupts.check) as progress:
+        material = _material(options, progress)
+        for kind in dict.fromkeys(asked or _KINDS):
+            progress.tell(f"drawing: {kind}")
+            try:
+                files |= PAPER[kind](material)
+            except (InputError, SimulationError) as error:
+                # What was asked for by name has to be there.
+                if kind in wanted:
+                    raise
+                left_out[kind] = str(error).removesuffix(".")
+    if "machine.gif" in files and "machine.mp4" not in files:
+        left_out["machine.mp4"] = "ffmpeg is not installed"
+    write_all(options.output, files)
+    paths = [options.output / name for name in files]
+    if options.json:
+        print_json({"figures": [str(path) for path in paths], "left_out": left_out})
+    else:
+        report.print_lines(f"Left out, {kind}: {why}." for kind, why in left_out.items())
+    say_written(options, paths)
+    return YES
+
+
+def _material(options: argparse.Namespace, progress: report.Progress) -> Material:
+    from zeno_orbits.plots.paper import Material
+    from zeno_orbits.simulate import simulate
+    from zeno_orbits.verify import problem_dynamics
+
+    orbit, problem = _orbit_and_problem(options, progress)
+    dynamics = problem_dynamics(orbit, problem)
+    release = problem.state_vector(orbit.release_state)
+    # A little longer, so that rounding does not cut off the last release.
+    long = orbit.period * (1 + 1e-6)
+    one = simulate(dynamics, release, until=long)
+    if not one.zeno_points:
+        message = "must reach a Zeno point in its period, but it reaches none"
+        raise InputError(f"Argument `orbit` {message}; see `verify`.")
+
+    def other() -> Counterpart:
+        from zeno_orbits.counterparts import recording_counterpart, rig_counterpart
+
+        count = options.periods
+        if options.data is not None:
+            return recording_counterpart(options.data, problem, one, orbit.period, count)
+        return rig_counterpart(
+            orbit, problem, count, lambda part: progress.tell("running the rig", part)
+        )
+
+    return Material(
+        problem=problem,
+        setting=orbit.setting(problem),
+        dynamics=dynamics,
+        period=orbit.period,
+        one=one,
+        several=simulate(dynamics, release, until=options.periods * long),
+        other=other,
+    )
+
+
+def _orbit_and_problem(
+    options: argparse.Namespace, progress: report.Progress
+) -> tuple[ZenoOrbit, Problem]:
+    """Return the orbit of a file, or the one of a scene at its own numbers."""
+    if options.orbit.suffix == ".json":
+        return orbit_and_problem(options)
+    from zeno_orbits.problem import load_problem
+    from zeno_orbits.search import find_orbit
+
+    if options.problem is not None:
+        message = "must come with an orbit file, but a scene is named already"
+        raise InputError(f"Argument `problem` {message}.")
+    problem = load_problem(str(options.orbit))
+    progress.tell("seeking the orbit")
+    return find_orbit(problem, problem.setting()).unwrap(), problem

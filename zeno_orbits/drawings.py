@@ -1,0 +1,56 @@
+"""How a machine is drawn: a scene says it itself, as lines in the plane of the picture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import casadi as ca
+
+Lines = Mapping[str, Sequence[tuple[Any, Any]]]
+"""Name of a line to its corners, across and upwards [m]; one alone is a joint or a point mass.
+The line named ``stop`` is drawn as the stop."""
+
+Drawing = Callable[[Mapping[str, ca.SX], Mapping[str, ca.SX]], Lines]
+"""From named states and named gains and parameters to the lines."""
+
+
+def lines_of(
+    drawing: Drawing, states: Mapping[str, ca.SX], symbols: Mapping[str, ca.SX]
+) -> dict[str, ca.SX]:
+    """Return every line as a matrix of its corners, ``(n, 2)``.
+
+    Args:
+        drawing: Of the scene.
+        states: Its states by name.
+        symbols: Its gains and parameters by name.
+
+    Raises:
+        ValueError: If it draws nothing, or a corner is no pair of numbers in the states, gains and
+            parameters.
+    """
+    try:
+        lines = dict(drawing(states, symbols))
+    except KeyError as error:
+        asked = f"but it asks for `{error.args[0]}`"
+        raise ValueError(
+            f"Argument `drawing` must use states, gains and parameters, {asked}."
+        ) from error
+    if not lines:
+        raise ValueError("Argument `drawing` must draw a line, but it draws none.")
+    found: dict[str, ca.SX] = {}
+    known = {one.element_hash() for one in (*states.values(), *symbols.values())}
+    for name, corners in lines.items():
+        if not corners or any(len(corner) != 2 for corner in corners):
+            wanted = "must give every line corners across and upwards"
+            raise ValueError(f"Argument `drawing` {wanted}, but `{name}` has others.")
+        if not all(ca.SX(one).is_scalar() for corner in corners for one in corner):
+            wanted = "must make every corner of two numbers"
+            raise ValueError(f"Argument `drawing` {wanted}, but those of `{name}` are others.")
+        found[name] = ca.vertcat(*(ca.horzcat(ca.SX(x), ca.SX(y)) for x, y in corners))
+        for symbol in ca.symvar(found[name]):
+            if symbol.element_hash() not in known:
+                wanted = "must use states, gains and parameters only"
+                other = f"but `{name}` holds another symbol, `{symbol.name()}`"
+                raise ValueError(f"Argument `drawing` {wanted}, {other}.")
+    return found
