@@ -138,10 +138,10 @@ class OrbitCertificate:
 
     @property
     def orbit_error(self) -> float:
-        """Estimated relative error of the orbit: how far off the true one's numbers its own are.
+        r"""Estimated relative error of the orbit: how far off the true one's numbers its own are.
 
-        A return that misses by d comes from a fixed point d / |1 - mu| away, mu the multiplier;
-        infinite where the return or the multipliers could not be had.
+        A return that misses by `d` comes from a fixed point :math:`d / |1 - \mu|` away, with the
+        multiplier :math:`\mu`; infinite where the return or the multipliers could not be had.
         """
         misses = [self.residuals.get(name, math.inf) for name in _MISSES]
         if not all(map(math.isfinite, (*misses, self.integration_error, self.multiplier_error))):

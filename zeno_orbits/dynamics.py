@@ -33,7 +33,7 @@ class Tolerance:
     absolute: float = 1e-13
 
 
-class Continuation(NamedTuple):
+class StageGuess(NamedTuple):
     """Where the stages of a step may start from: the polynomial of another step, continued.
 
     Attributes:
@@ -80,7 +80,7 @@ class NewtonPieces(Protocol):
         ...
 
     def begin(
-        self, y: Vector, size: float, tolerance: Tolerance, guess: Continuation | None
+        self, y: Vector, size: float, tolerance: Tolerance, guess: StageGuess | None
     ) -> Corrected:
         """Factorize for a step and return what its first iterations give.
 
@@ -177,7 +177,7 @@ class PlainNewton:
         self.scheme = scheme
 
     def begin(
-        self, y: Vector, size: float, tolerance: Tolerance, guess: Continuation | None
+        self, y: Vector, size: float, tolerance: Tolerance, guess: StageGuess | None
     ) -> Corrected:
         """Factorize for a step and return what its first iterations give."""
         self._y, self._size, self._tolerance = y, size, tolerance
