@@ -10,7 +10,7 @@ from typing import Any
 RESIDUALS: Mapping[str, str] = {
     "release": "gap, gap rate and multiplier are zero at the release",
     "first_impact": "the first impact comes when and where the orbit says",
-    "impact_sequence": "so do the impacts after it",
+    "impact_sequence": "the impacts after it come when and where the orbit says",
     "restitution": "every impact turns the gap rate round by -e",
     "impact_energy": "every impact loses (1 - e^2)/2 m w^2",
     "zeno_point": "the impacts accumulate when and where the orbit says",
@@ -19,7 +19,7 @@ RESIDUALS: Mapping[str, str] = {
     "adhesion": "the multiplier is never negative on the stop",
     "closure": "the first return is the release",
     "period": "it comes after the period that the orbit says",
-    "drift": "so do the later returns",
+    "drift": "the later returns come when and where the first one does",
     "energy_balance": "work in = energy gained + copper, friction and impact losses",
     "holonomic": "the holonomic constraints hold",
     "second_model": "a second derivation of the model gives the same flows and resets",
