@@ -138,7 +138,7 @@ class OrbitCertificate:
 
     @property
     def orbit_error(self) -> float:
-        r"""Estimated relative error of the orbit: how far off the true one's numbers its own are.
+        r"""Estimated relative error of the orbit, of all its numbers against the true one's.
 
         A return that misses by `d` comes from a fixed point :math:`d / |1 - \mu|` away, with the
         multiplier :math:`\mu`; infinite where the return or the multipliers could not be had.

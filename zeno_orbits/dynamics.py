@@ -27,7 +27,12 @@ _BEYOND = ": the drive's correction is as large as what it corrects; take the fu
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tolerance:
-    """Local error allowed in one step: ``absolute + relative * |y|``, entry by entry."""
+    """Local error allowed in one step: ``absolute + relative * |y|``, entry by entry.
+
+    Attributes:
+        relative: Part of an entry.
+        absolute: In the entry's own unit.
+    """
 
     relative: float = 1e-12
     absolute: float = 1e-13
@@ -127,7 +132,12 @@ class GuardedFlow(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlainFlow:
-    """A guarded flow made of two plain functions."""
+    """A guarded flow made of two plain functions.
+
+    Attributes:
+        field: From a state ``y`` to ``dy/dt``.
+        guard_and_rate: From ``y`` to the guard and its time derivative along the flow.
+    """
 
     field: Callable[[Vector], Vector]
     guard_and_rate: Callable[[Vector], tuple[float, float]]

@@ -12,9 +12,9 @@ from zeno_orbits.calls import Call, StepCall, caller
 from zeno_orbits.collocation import Collocation
 from zeno_orbits.dynamics import (
     FIRST_ITERATIONS,
-    StageGuess,
     Corrected,
     NewtonPieces,
+    StageGuess,
     Tolerance,
     Vector,
 )

@@ -43,6 +43,7 @@ python_use_unqualified_type_names = True
 python_maximum_signature_line_length = 80
 default_role = "code"
 napoleon_numpy_docstring = False
-napoleon_use_ivar = True
+# The attributes of a frozen dataclass are the arguments that make one.
+napoleon_custom_sections = [("Attributes", "params_style")]
 napoleon_attr_annotations = False
 autodoc_type_aliases = {"Vector": "Vector"}

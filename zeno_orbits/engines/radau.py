@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 from zeno_orbits.collocation import Collocation, radau
 from zeno_orbits.dynamics import (
     FIRST_ITERATIONS,
-    StageGuess,
     Corrected,
     GuardedFlow,
     NewtonPieces,
+    StageGuess,
     Tolerance,
     Vector,
 )
