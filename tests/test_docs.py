@@ -72,7 +72,7 @@ def test_a_page_that_the_list_of_documents_lacks_comes_last(tmp_path: Path) -> N
     for name in ("here", "new"):
         (docs / f"{name}.md").write_text("# A page")
     (docs / "README.md").write_text("# Documents\n\n## How to\n\n- [Here](here.md): a page.\n")
-    assert navigation(tmp_path) == {"How to": ("docs/here.md",), "More": ("docs/new.md",)}
+    assert navigation(tmp_path) == {"How to": {"docs/here.md": "Here"}, "More": {"docs/new.md": ""}}
 
 
 def test_every_module_of_the_reference_exists_and_those_that_pages_import_are_in_it() -> None:

@@ -44,9 +44,9 @@ def _for_sphinx(text: str) -> str:
 
 def _toctrees() -> Iterator[str]:
     for caption, pages in navigation(ROOT).items():
-        shown = [page for page in pages if page != "README.md"]
-        if REFERENCE in shown:
-            shown.insert(shown.index(REFERENCE), COMMANDS)
+        shown = [f"{title} <{page}>" if title else page for page, title in pages.items()]
+        if REFERENCE in pages:
+            shown.insert(0, COMMANDS)
         yield from _toctree(shown, caption)
     yield from _toctree(["docs/README.md", *READ_BY_DEVELOPERS], "For developers")
 
