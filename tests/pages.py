@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import os
 import re
 import shlex
 import subprocess
@@ -133,9 +134,9 @@ def _run_shell(block: Block, where: str) -> str:
             said = out.getvalue()
         else:
             assert program == "python", f"{where}: {line}"
-            run = subprocess.run(
-                [sys.executable, str(ROOT / words[0]), *words[1:]], capture_output=True, text=True
-            )
+            script = [sys.executable, str(ROOT / words[0]), *words[1:]]
+            paths = {**os.environ, "PYTHONPATH": str(ROOT)}
+            run = subprocess.run(script, capture_output=True, text=True, env=paths)
             code, said = run.returncode, run.stdout + run.stderr
         assert code == (block.code if line == lines[-1] else 0), f"{where}: {line}\n{said}"
         printed += said
