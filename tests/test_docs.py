@@ -1,5 +1,6 @@
 """The documents say what is so: links lead somewhere, citations exist, the site has every page."""
 
+import json
 import re
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,6 +14,7 @@ from zeno_orbits.certificate import RESIDUALS
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 SOURCES = sorted([*(ROOT / "zeno_orbits").rglob("*.py"), *(ROOT / "problems").rglob("*.py")])
 
 
@@ -75,13 +77,25 @@ def test_a_page_that_the_list_of_documents_lacks_comes_last(tmp_path: Path) -> N
     assert navigation(tmp_path) == {"How to": {"docs/here.md": "Here"}, "More": {"docs/new.md": ""}}
 
 
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_begins_with_what_is_expected_and_ends_by_asserting_it(path: Path) -> None:
+    cells = json.loads(path.read_text())["cells"]
+    first = "".join(cells[0]["source"])
+    assert first.startswith("# ")
+    assert "| expected |" in first
+    last = cells[-1]
+    assert last["cell_type"] == "code"
+    assert "".join(last["source"]).splitlines()[-1].strip().startswith("assert ")
+    assert all(not cell.get("outputs") for cell in cells)
+
+
 def test_every_module_of_the_reference_exists_and_those_that_pages_import_are_in_it() -> None:
     listed = set(
         re.findall(r"`(zeno_orbits\.[\w.]+)` \|", (ROOT / "docs/reference.md").read_text())
     )
     assert all(find_spec(name) is not None for name in listed)
-    notebooks = sorted((ROOT / "notebooks").glob("*.ipynb"))[2:]
-    texts = [path.read_text() for path in [*DOCUMENTS, *notebooks]]
+    # The second notebook shows the inside of a search; the others call what is public.
+    texts = [path.read_text() for path in [*DOCUMENTS, *NOTEBOOKS[:1], *NOTEBOOKS[2:]]]
     imported = set(re.findall(r"from (zeno_orbits\.[\w.]+) import", "\n".join(texts)))
     assert imported <= listed
 
