@@ -10,7 +10,7 @@ import pytest
 
 from zeno_orbits.collocation import radau
 from zeno_orbits.compiled import bind, compile_problem
-from zeno_orbits.dynamics import Continuation, GuardedFlow, PlainFlow, Tolerance, Vector
+from zeno_orbits.dynamics import GuardedFlow, PlainFlow, StageGuess, Tolerance, Vector
 from zeno_orbits.engines import Automatic, Leg, Outcome, Passage, Radau, RungeKutta
 from zeno_orbits.engines.automatic import decay_rates
 from zeno_orbits.engines.radau import solved
@@ -90,7 +90,7 @@ def test_compiled_and_plain_iterations_are_the_same() -> None:
     # What a step hands on is what a step without symbols would: the polynomial and the guard.
     assert ours.coefficients == pytest.approx(scheme.coefficients(ours.stages), abs=1e-12)
     assert flow.guard(ours.after) == pytest.approx(flow.guard(ours.after.copy()), rel=1e-14)
-    onwards = Continuation(ours.coefficients, 1.0, 1.7)
+    onwards = StageGuess(ours.coefficients, 1.0, 1.7)
     ahead = flow.newton(scheme).begin(ours.after, 1.7 * size, TIGHT, onwards)
     by_plain = plain.newton(scheme).begin(ours.after, 1.7 * size, TIGHT, onwards)
     assert ahead.stages == pytest.approx(by_plain.stages, abs=1e-11)

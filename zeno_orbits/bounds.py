@@ -38,7 +38,7 @@ class Bound:
 
     @property
     def text(self) -> str:
-        """The bounds as they are typed, ``LOWER:UPPER``, an open end empty."""
+        """The bounds as they are typed, a colon between them, an open end empty."""
         ends = ("" if math.isinf(end) else f"{end:g}" for end in (self.lower, self.upper))
         return ":".join(ends)
 

@@ -13,7 +13,7 @@ RESIDUALS: Mapping[str, str] = {
     "release": "gap, gap rate and multiplier are zero at the release",
     "start": "the period starts just after an impact",
     "first_impact": "the first impact comes when and where the orbit says",
-    "impact_sequence": "so do the impacts after it",
+    "impact_sequence": "the impacts after it come when and where the orbit says",
     "restitution": "every impact turns the gap rate round by -e",
     "impact_energy": "every impact loses (1 - e^2)/2 m w^2",
     "zeno_point": "the impacts accumulate when and where the orbit says",
@@ -22,8 +22,8 @@ RESIDUALS: Mapping[str, str] = {
     "penetration": "the gap is never negative in flight",
     "adhesion": "the multiplier is never negative on the stop",
     "closure": "the period ends where it starts",
-    "period": "it ends after the time that the orbit says",
-    "drift": "the later periods end there, too",
+    "period": "the period is the one that the orbit says",
+    "drift": "the later periods end where the first one does",
     "energy_balance": "work in = energy gained + copper, friction and impact losses",
     "holonomic": "the holonomic constraints hold",
     "second_model": "a second derivation of the model gives the same flows and resets",
@@ -154,10 +154,10 @@ class OrbitCertificate:
 
     @property
     def orbit_error(self) -> float:
-        """Estimated relative error of the orbit: how far off the true one's numbers its own are.
+        r"""Estimated relative error of the orbit, of all its numbers against the true one's.
 
-        A return that misses by d comes from a fixed point d / |1 - mu| away, mu the multiplier;
-        infinite where the return or the multipliers could not be had.
+        A return that misses by `d` comes from a fixed point :math:`d / |1 - \mu|` away, with the
+        multiplier :math:`\mu`; infinite where the return or the multipliers could not be had.
         """
         misses = [self.residuals.get(name, math.inf) for name in _MISSES]
         known = [self.residuals[name] for name in _MISSES_IF_ANY if name in self.residuals]

@@ -303,6 +303,12 @@ def cycle_near(
         settings: Engine and accuracy.
         shape: The shape.
 
+    Args:
+        dynamics: The system.
+        x: The state, ``(n_x,)``.
+        period: Its period, roughly [s].
+        settings: How accurately to follow it.
+
     Raises:
         SimulationError: If there is none within two periods.
     """
@@ -393,7 +399,13 @@ def _settled(
 
 
 def orbit_of(cycle: Cycle, problem: Problem, setting: Setting) -> ZenoOrbit:
-    """Return a period that repeats as an orbit without a certificate."""
+    """Return a period that repeats as an orbit without a certificate.
+
+    Args:
+        cycle: The period.
+        problem: Its scene.
+        setting: The scene's numbers.
+    """
 
     def named(state: Vector) -> Mapping[str, float]:
         return dict(zip(problem.state_names, state.tolist(), strict=True))

@@ -1,4 +1,4 @@
-"""From expressions to numbers: here and in `flows` a model becomes ``ca.Function``s."""
+"""From expressions to numbers: here and in `flows` a model becomes CasADi functions."""
 
 from __future__ import annotations
 

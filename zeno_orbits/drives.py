@@ -95,6 +95,10 @@ def full_drive(lagrangian: HybridLagrangian, motors: MotorBank) -> Drive:
     r"""Return the drive with its current dynamics (paper eq. 4, theory (2)).
 
     .. math:: L\,\dot\imath = V(q, v) - R\,\imath - K_\omega S^\top v,\qquad F = S K_\varphi\,\imath
+
+    Args:
+        lagrangian: The mechanism.
+        motors: The motors on it.
     """
     current = ca.SX.sym("i", motors.voltage.numel())
     emf = ca.mtimes(motors.emf_constant, ca.mtimes(motors.selection.T, lagrangian.v))
@@ -107,6 +111,10 @@ def quasi_static_drive(lagrangian: HybridLagrangian, motors: MotorBank) -> Drive
     r"""Return the drive in the limit :math:`L \to 0`: no current state (theory (3)).
 
     .. math:: \imath = R^{-1}\,(V(q, v) - K_\omega S^\top v),\qquad F = S K_\varphi\,\imath
+
+    Args:
+        lagrangian: The mechanism.
+        motors: The motors on it.
     """
     current = _static_current(lagrangian, motors)
     none = ca.SX(0, 1)
@@ -125,6 +133,10 @@ def corrected_drive(lagrangian: HybridLagrangian, motors: MotorBank) -> Drive:
     It is wrong by :math:`O((L/R)^2)`, an impact's current layer included. The electrical powers
     are those of :math:`\bar\imath`, off by :math:`O(L/R)`; the energy balance is exact.
     Source: [KokotovicKhalilOReilly1999]_ for the slow manifold, theory (20).
+
+    Args:
+        lagrangian: The mechanism.
+        motors: The motors on it.
 
     Raises:
         ValueError: If the added inertia is not constant, or not symmetric: each motor must feed

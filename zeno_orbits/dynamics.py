@@ -27,13 +27,18 @@ _BEYOND = ": the drive's correction is as large as what it corrects; take the fu
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tolerance:
-    """Local error allowed in one step: ``absolute + relative * |y|``, entry by entry."""
+    """Local error allowed in one step: ``absolute + relative * |y|``, entry by entry.
+
+    Attributes:
+        relative: Part of an entry.
+        absolute: In the entry's own unit.
+    """
 
     relative: float = 1e-12
     absolute: float = 1e-13
 
 
-class Continuation(NamedTuple):
+class StageGuess(NamedTuple):
     """Where the stages of a step may start from: the polynomial of another step, continued.
 
     Attributes:
@@ -80,7 +85,7 @@ class NewtonPieces(Protocol):
         ...
 
     def begin(
-        self, y: Vector, size: float, tolerance: Tolerance, guess: Continuation | None
+        self, y: Vector, size: float, tolerance: Tolerance, guess: StageGuess | None
     ) -> Corrected:
         """Factorize for a step and return what its first iterations give.
 
@@ -127,7 +132,12 @@ class GuardedFlow(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlainFlow:
-    """A guarded flow made of two plain functions."""
+    """A guarded flow made of two plain functions.
+
+    Attributes:
+        field: From a state ``y`` to ``dy/dt``.
+        guard_and_rate: From ``y`` to the guard and its time derivative along the flow.
+    """
 
     field: Callable[[Vector], Vector]
     guard_and_rate: Callable[[Vector], tuple[float, float]]
@@ -177,7 +187,7 @@ class PlainNewton:
         self.scheme = scheme
 
     def begin(
-        self, y: Vector, size: float, tolerance: Tolerance, guess: Continuation | None
+        self, y: Vector, size: float, tolerance: Tolerance, guess: StageGuess | None
     ) -> Corrected:
         """Factorize for a step and return what its first iterations give."""
         self._y, self._size, self._tolerance = y, size, tolerance

@@ -12,9 +12,9 @@ from zeno_orbits.calls import Call, StepCall, caller
 from zeno_orbits.collocation import Collocation
 from zeno_orbits.dynamics import (
     FIRST_ITERATIONS,
-    Continuation,
     Corrected,
     NewtonPieces,
+    StageGuess,
     Tolerance,
     Vector,
 )
@@ -205,7 +205,7 @@ class CompiledNewton:
         self.scheme = scheme
 
     def begin(
-        self, y: Vector, size: float, tolerance: Tolerance, guess: Continuation | None
+        self, y: Vector, size: float, tolerance: Tolerance, guess: StageGuess | None
     ) -> Corrected:
         """Factorize for a step and return what its first iterations give."""
         calls = self._flow.calls().newton(self.scheme)
@@ -243,7 +243,7 @@ class NewtonCalls:
         self._estimate = caller(functions.error, iterate, (self._error,))
 
     def begin(
-        self, y: Vector, size: float, tolerance: Tolerance, guess: Continuation | None
+        self, y: Vector, size: float, tolerance: Tolerance, guess: StageGuess | None
     ) -> tuple[Corrected, tuple[float, float]]:
         """Factorize and return what the first iterations give, and the guard at the end."""
         start, ratio = (0.0, 0.0) if guess is None else (guess.start, guess.ratio)

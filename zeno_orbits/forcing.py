@@ -29,7 +29,11 @@ class Clock:
 
     @classmethod
     def at(cls, frequency: ca.SX) -> Clock:
-        r"""Return a clock that turns at a frequency :math:`\omega` [rad/s]."""
+        r"""Return a clock that turns at a constant rate, its states new symbols.
+
+        Args:
+            frequency: :math:`\omega` [rad/s], a parameter of the scene.
+        """
         return cls(cosine=ca.SX.sym("cosine"), sine=ca.SX.sym("sine"), frequency=ca.SX(frequency))
 
     @property

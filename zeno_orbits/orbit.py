@@ -229,6 +229,10 @@ def _versions() -> tuple[tuple[str, str], ...]:
 def write_orbit(orbit: ZenoOrbit, path: Path) -> None:
     """Write an orbit file, whole or not at all.
 
+    Args:
+        orbit: The orbit.
+        path: Where; a file that is there is replaced.
+
     Raises:
         InputError: If the folder cannot be written.
     """
@@ -236,7 +240,10 @@ def write_orbit(orbit: ZenoOrbit, path: Path) -> None:
 
 
 def read_orbit(path: Path) -> ZenoOrbit:
-    """Read an orbit file.
+    """Read an orbit file, every number to the last bit.
+
+    Args:
+        path: The file.
 
     Raises:
         OrbitFileError: If it is missing, cut short, of a wrong type or of a newer format, or if

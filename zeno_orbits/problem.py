@@ -195,7 +195,7 @@ class Problem:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of gains, then parameters: the order of the parameter vector."""
+        """Names of gains, then of parameters, in the order of the parameter vector."""
         return tuple(quantity.name for quantity in (*self.gains, *self.parameters))
 
     def setting(
@@ -230,7 +230,10 @@ class Problem:
         return {name: ca.SX.sym(name) for name in self.names}
 
     def state_vector(self, named: Mapping[str, float]) -> tuple[float, ...]:
-        """Return the state with the named entries, the others zero.
+        """Return the state with the named entries, the others zero, ``(n_x,)``.
+
+        Args:
+            named: State name to value, as in ``starts`` or an orbit's ``release_state``.
 
         Raises:
             InputError: If a name is not a state of the scene or a value is not finite.
@@ -260,6 +263,9 @@ def load_problem(name_or_path: str | Path) -> Problem:
     Either may end in ``@fidelity``, for a reduced model that the scene declares.
 
     A file's model is checked; those of the bundled scenes the tests have checked.
+
+    Args:
+        name_or_path: A bundled scene's name, or the path of a file or folder.
 
     Raises:
         InputError: If there is no such scene or fidelity.

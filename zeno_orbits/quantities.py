@@ -79,7 +79,15 @@ class Quantity:
 def positive(
     name: str, default: float | None, unit: str, meaning: str, *, instead: str = ""
 ) -> Quantity:
-    """Return a quantity that must be greater than zero."""
+    """Return a quantity that must be greater than zero.
+
+    Args:
+        name: How it is called in files and on the command line.
+        default: Its value; ``None`` if the scene derives it.
+        unit: SI unit.
+        meaning: What it is.
+        instead: What to do instead of zero, as a sentence; it ends the refusal.
+    """
     return Quantity(
         name=name,
         unit=unit,

@@ -102,7 +102,12 @@ def equilibrium_acceleration(problem: Problem) -> Any:
 
 
 def with_numbers(formula: Any, setting: Setting) -> Any:
-    """Return a formula with the numbers of a setting in it, expanded."""
+    """Return a formula with the numbers of a setting in it, expanded.
+
+    Args:
+        formula: In SymPy, of named symbols.
+        setting: Numbers for gains and parameters; what it does not name stays a symbol.
+    """
     values = {**setting.gains, **setting.parameters}
     numbers = {s: values[s.name] for s in formula.free_symbols if s.name in values}
     expanded = sympy.expand(sympy.expand_trig(formula.subs(numbers)))

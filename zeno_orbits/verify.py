@@ -144,6 +144,11 @@ def problem_dynamics(
 ) -> HybridDynamics:
     """Return the system of an orbit, derived from energies or written by hand.
 
+    Args:
+        orbit: The orbit; its gains and parameters are the system's.
+        problem: Its scene.
+        use_reference: Take the scene's hand-written model.
+
     Raises:
         InputError: If the orbit's numbers do not fit the scene, or it has no hand-written model.
     """

@@ -31,12 +31,12 @@ from zeno_orbits.cli.verify import add_verify
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.interrupts import Interrupts
 
-__all__ = ["main"]
+__all__ = ["build_parser", "main"]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
-    options = _parser().parse_args(arguments)
+    options = build_parser().parse_args(arguments)
     try:
         with Interrupts() as interrupts:
             options.interrupts = interrupts
@@ -68,7 +68,8 @@ def _end(error: Exception, code: int, options: argparse.Namespace) -> int:
     return code
 
 
-def _parser() -> argparse.ArgumentParser:
+def build_parser() -> argparse.ArgumentParser:
+    """Return the parser of the whole command line."""
     parser = Parser(
         prog="zeno-orbits",
         description="Find, verify and follow Zeno periodic orbits.",

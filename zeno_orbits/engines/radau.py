@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 from zeno_orbits.collocation import Collocation, radau
 from zeno_orbits.dynamics import (
     FIRST_ITERATIONS,
-    Continuation,
     Corrected,
     GuardedFlow,
     NewtonPieces,
+    StageGuess,
     Tolerance,
     Vector,
 )
@@ -88,7 +88,7 @@ class Radau:
         last: RadauStep | None = None
         refused = False
         while True:
-            guess = None if last is None else Continuation(last.coefficients, 1.0, size / last.size)
+            guess = None if last is None else StageGuess(last.coefficients, 1.0, size / last.size)
             found = solved(pieces, y, size, tolerance, guess)
             error = math.inf if found is None else found.error
             factor = _SAFETY * max(error, 1e-300) ** exponent if error < math.inf else _UNSOLVED
@@ -120,7 +120,7 @@ class Radau:
 
 
 def solved(
-    pieces: NewtonPieces, y: Vector, size: float, tolerance: Tolerance, guess: Continuation | None
+    pieces: NewtonPieces, y: Vector, size: float, tolerance: Tolerance, guess: StageGuess | None
 ) -> Corrected | None:
     """Return a step with its stages solved for, or nothing if Newton's method fails.
 
@@ -178,7 +178,7 @@ class RadauStep:
             return self.after
         if offset <= 0.0:
             return self.before
-        guess = Continuation(self.coefficients, 0.0, offset / self.size)
+        guess = StageGuess(self.coefficients, 0.0, offset / self.size)
         pieces = self.flow.newton(self.scheme)
         found = solved(pieces, self.before, offset, self.tolerance, guess)
         return self.state_at(offset) if found is None else found.after

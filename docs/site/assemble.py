@@ -1,0 +1,79 @@
+"""Lay out the pages for Sphinx: those that GitHub shows, and those that code writes.
+
+`python docs/site/assemble.py FOLDER` fills the folder. Links stay as they are, since the pages keep
+their places; the front page is the README of the repository.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from commands import command_page
+from navigation import navigation
+
+ROOT = Path(__file__).parents[2]
+ELSEWHERE = ("CONTRIBUTING.md", "CHANGELOG.md", "LICENSE", "CITATION.cff")
+READ_BY_DEVELOPERS = ("tests/README.md", "benchmarks/README.md")
+REFERENCE, COMMANDS = "docs/reference.md", "docs/commands.md"
+
+
+def assemble(folder: Path) -> None:
+    """Write everything that the site is made of into an empty folder."""
+    for name in ("docs/pictures", "notebooks"):
+        shutil.copytree(ROOT / name, folder / name)
+    pages = [*ELSEWHERE, *READ_BY_DEVELOPERS]
+    pages += [f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md")]
+    for name in pages:
+        _write(folder / name, _for_sphinx((ROOT / name).read_text()))
+    _write(folder / COMMANDS, command_page())
+    _write_reference(folder)
+    front = _for_sphinx((ROOT / "README.md").read_text())
+    _write(folder / "index.md", "\n".join([front, *_toctrees()]))
+
+
+def _for_sphinx(text: str) -> str:
+    """Return a page whose anchors are targets, and whose links to the README lead to the front."""
+    text = re.sub(r'^<a id="([^"]+)"></a>\n', r"(\1)=\n", text, flags=re.MULTILINE)
+    text = re.sub(r'^- <a id="([^"]+)"></a>', r"- (\1)=\n  ", text, flags=re.MULTILINE)
+    return text.replace("](../README.md", "](../index.md")
+
+
+def _toctrees() -> Iterator[str]:
+    for caption, pages in navigation(ROOT).items():
+        shown = [f"{title} <{page}>" if title else page for page, title in pages.items()]
+        if REFERENCE in pages:
+            shown.insert(0, COMMANDS)
+        yield from _toctree(shown, caption)
+    yield from _toctree(["docs/README.md", *READ_BY_DEVELOPERS], "For developers")
+
+
+def _toctree(pages: list[str], caption: str = "") -> Iterator[str]:
+    heading = [f":caption: {caption}"] if caption else []
+    yield from ("", "```{toctree}", ":hidden:", *heading, "", *pages, "```")
+
+
+def _write_reference(folder: Path) -> None:
+    """Write a page a public module, and link the page that lists them to these."""
+    page = (folder / REFERENCE).read_text()
+    listed = re.findall(r"^\| `(zeno_orbits\.[\w.]+)` \|", page, re.MULTILINE)
+    page = re.sub(
+        r"^\| `(zeno_orbits\.[\w.]+)` \|", r"| [`\1`](api/\1.md) |", page, flags=re.MULTILINE
+    )
+    modules = [f"api/{name}.md" for name in listed]
+    _write(folder / REFERENCE, "\n".join([page, *_toctree(modules)]))
+    for name in listed:
+        directive = ("```{eval-rst}", f".. automodule:: {name}", "   :members:", "```")
+        _write(folder / "docs" / "api" / f"{name}.md", "\n".join([f"# `{name}`", "", *directive]))
+
+
+def _write(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+
+
+if __name__ == "__main__":
+    assemble(Path(sys.argv[1]))

@@ -1,0 +1,49 @@
+"""Sphinx's settings for the site; `scripts/site` calls it."""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+project = "zeno_orbits"
+html_title = "zeno_orbits"
+html_theme = "furo"
+html_copy_source = False
+html_show_copyright = False
+html_show_sphinx = False
+root_doc = "index"
+
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.mathjax",
+    "sphinx.ext.napoleon",
+    "sphinx-mathjax-offline",
+    "docstrings",
+]
+
+# Markdown as GitHub reads it.
+myst_enable_extensions = ["dollarmath"]
+myst_fence_as_directive = ["math"]
+myst_heading_anchors = 3
+myst_update_mathjax = False
+mathjax_path = "mathjax/tex-chtml.js"  # the extension's own copy: no page asks the network
+
+# Notebooks are executed for the site, so that it shows what the code of this commit does.
+nb_execution_mode = "force"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 600
+nb_output_stderr = "remove"
+
+# A docstring names its arguments; the annotations stand in the signature already.
+autodoc_member_order = "bysource"
+autodoc_class_signature = "mixed"
+autodoc_typehints = "signature"
+python_use_unqualified_type_names = True
+python_maximum_signature_line_length = 80
+default_role = "code"
+napoleon_numpy_docstring = False
+# The attributes of a frozen dataclass are the arguments that make one.
+napoleon_custom_sections = [("Attributes", "params_style")]
+napoleon_attr_annotations = False
+autodoc_type_aliases = {"Vector": "Vector"}
