@@ -19,6 +19,7 @@ import casadi as ca
 
 from zeno_orbits.errors import InputError, ProblemFileError
 from zeno_orbits.hybrid import CompletedSystem
+from zeno_orbits.imperfections import Rig
 from zeno_orbits.quantities import (
     Escape,
     Output,
@@ -76,6 +77,7 @@ class Problem:
             a reduced model does not have has no influence there.
         escapes: Coordinates that may run away, by name. Others are followed as far as they go.
         outputs: What else is to be drawn over time.
+        rig: The parts of a plausible machine, for the virtual rig; ``None`` for a stop alone.
     """
 
     name: str
@@ -94,6 +96,7 @@ class Problem:
     fidelities: Mapping[str, Problem] = field(default_factory=dict["str", "Problem"])
     escapes: Mapping[str, Escape] = field(default_factory=dict[str, Escape])
     outputs: tuple[Output, ...] = ()
+    rig: Rig | None = None
 
     def __post_init__(self) -> None:
         """Refuse names, units and ranges that cannot be; the model is looked at by `checked`."""
