@@ -6,10 +6,10 @@ parts of its own machine (``Problem.rig``); what they do is in the package ``rig
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from zeno_orbits.errors import InputError
 from zeno_orbits.quantities import Quantity, positive
@@ -239,3 +239,81 @@ class Rig:
         """Hash by value, so that what is built for a rig can be found again."""
         parts = (self.contact, self.bridge, self.controller, self.sensors)
         return hash((*parts, *self.friction.items(), *self.gears.items()))
+
+
+PART_NAMES = ("friction", "gears", "bridge", "controller", "sensors")
+"""What a rig may have beside its contact."""
+_ONE = {"contact": Contact, "bridge": Bridge, "controller": Controller, "sensors": Sensors}
+_MANY = {"friction": Friction, "gears": Gear}
+
+
+def without_parts(rig: Rig, names: Sequence[str]) -> Rig:
+    """Return a rig without some of its parts, and without sensors that nothing would read.
+
+    Args:
+        rig: The rig.
+        names: Of ``PART_NAMES``.
+    """
+    gone = {*names, *(["sensors"] if "controller" in names else [])}
+    changes: dict[str, Any] = {name: {} if name in _MANY else None for name in gone}
+    return replace(rig, **changes)
+
+
+def with_numbers(rig: Rig, numbers: Mapping[str, float]) -> Rig:
+    """Return a rig with other numbers; a part that is not there yet is added.
+
+    Args:
+        rig: The rig.
+        numbers: By names like ``contact.stiffness``, ``friction.COORDINATE.coulomb`` and
+            ``gears.MOTOR.play``.
+
+    Raises:
+        InputError: If there is no such number, or it is out of its range, or a part that is added
+            needs another one.
+    """
+    given: dict[tuple[str, str], dict[str, float]] = {}
+    for name, value in numbers.items():
+        part, _, rest = name.partition(".")
+        owner, dot, field_name = rest.rpartition(".")
+        kind = _ONE.get(part) or _MANY.get(part)
+        known = [quantity.name for quantity in kind.QUANTITIES] if kind is not None else []
+        if kind is None or field_name not in known or bool(dot) is not (part in _MANY):
+            raise InputError(_unknown_number(name, part, known))
+        given.setdefault((part, owner), {})[field_name] = value
+    for (part, owner), changes in given.items():
+        rig = _with_part(rig, part, owner, changes)
+    return rig
+
+
+def _with_part(rig: Rig, part: str, owner: str, changes: Mapping[str, float]) -> Rig:
+    values: dict[str, Any] = dict(changes)
+    held: Any = getattr(rig, part)
+    if part in _ONE:
+        made = replace(held, **values) if held is not None else _made(_ONE[part], part, values)
+        return replace(rig, **{part: made})
+    if part == "gears" and not owner.isdigit():
+        wanted = "must be a number in `gears.MOTOR.NAME`"
+        raise InputError(f"Argument `motor` {wanted}, but it is `{owner}`.")
+    key: Any = int(owner) if part == "gears" else owner
+    one = held.get(key)
+    made = replace(one, **values) if one is not None else _made(_MANY[part], part, values)
+    return replace(rig, **{part: {**held, key: made}})
+
+
+def _made(kind: Any, part: str, values: dict[str, Any]) -> Any:
+    """Return a new part, its defaults filled in."""
+    full = {q.name: q.default for q in kind.QUANTITIES if q.default is not None} | values
+    for quantity in kind.QUANTITIES:
+        if quantity.name not in full:
+            wanted = f"must be given for a part that is added: `{part}` has none yet"
+            raise InputError(f"Argument `{quantity.name}` {wanted}.")
+    return kind(**full)
+
+
+def _unknown_number(name: str, part: str, known: Sequence[str]) -> str:
+    if not known:
+        parts = ", ".join((*_ONE, *_MANY))
+        return f"Argument `part` must begin with one of {parts}, but it is `{name}`."
+    owner = {"friction": "COORDINATE.", "gears": "MOTOR."}.get(part, "")
+    forms = ", ".join(f"{part}.{owner}{field_name}" for field_name in known)
+    return f"Argument `part` must be one of {forms}, but it is `{name}`."

@@ -30,6 +30,8 @@ from zeno_orbits.rig.pilot import Pilot
 
 _MOST_AT_ONCE = 1000
 """Contacts that may begin and end without time going on."""
+_IN_CONTACT = 65
+"""Records of a contact at least, where nothing else divides it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -324,8 +326,12 @@ class _Follower:
             times.append(self._row * settings.spacing)
             self._row += 1
         if self._touching and end >= settings.keep_from:
-            own = (start + passage.trajectory.times).tolist()
-            times = sorted({*times, *(time for time in own if time >= settings.keep_from)})
+            own = start + passage.trajectory.times
+            if self._pilot is None:
+                # A curve through an impact wants more points than its smooth flow has steps.
+                own = np.concatenate([own, np.linspace(start, end, _IN_CONTACT)])
+            kept = own[own >= settings.keep_from]
+            times = sorted({*times, *kept.tolist()})
         for time in times:
             if start <= time < end:
                 state = passage.trajectory.state_at(time - start)

@@ -51,7 +51,8 @@ class Reader:
         if sensors.noise > 0.0:
             q = q + self._random.normal(0.0, sensors.noise, n_q)
         if sensors.resolution > 0.0:
-            q = sensors.resolution * np.round(q / sensors.resolution)
+            # Adding zero turns -0.0 into 0.0.
+            q = sensors.resolution * np.round(q / sensors.resolution) + 0.0
         if self._last is None:
             # The first reading has no difference yet; a machine would have run before.
             self._rates = x[n_q : 2 * n_q].copy()
