@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zeno_orbits.compiled import bind
 from zeno_orbits.dynamics import Vector
@@ -21,8 +22,10 @@ from zeno_orbits.simulate import simulate
 
 _SAMPLES = 1500
 """Points on every arc of the orbit; the chords between them miss it by some 1e-6 of its size."""
-_BLOCK = 256
-"""Points whose distances are taken at once."""
+_SIDE = 3e-4
+"""Length of a side of that line, in states over their ranges, where it is sampled so finely."""
+_POSTS = 8
+"""Places on the line whose sides are tried for a point."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,23 +72,27 @@ class OrbitCurve:
         Args:
             states: The points, ``(m, n_x)``.
         """
+        # SciPy's trees take longer to import than most of the package, and few ask for a distance.
+        from scipy.spatial import cKDTree
+
         line, points = self.states / self.ranges, states / self.ranges
         sides = np.diff(line, axis=0)
-        squared = np.maximum(np.sum(sides**2, axis=1), 1e-300)
-        found: list[Vector] = []
-        for at in range(0, len(points), _BLOCK):
-            away = points[at : at + _BLOCK, None, :] - line[None, :-1, :]
-            along = np.clip(np.sum(away * sides, axis=2) / squared, 0.0, 1.0)
-            rest = away - along[:, :, None] * sides
-            found.append(np.sqrt(np.min(np.sum(rest**2, axis=2), axis=1)))
-        return np.concatenate(found)
-
-    def state_at(self, time: float) -> Vector:
-        """Return the state at a time since release, ``(n_x,)``."""
-        at = np.empty(self.states.shape[1])
-        for k in range(at.size):
-            at[k] = np.interp(time, self.times, self.states[:, k])
-        return at
+        # Posts stand as closely on long sides, the resets, as on short ones, so that the nearest
+        # posts stand on the nearest side, up to a part of the square of their spacing.
+        counts = np.ceil(np.sqrt(np.sum(sides**2, axis=1)) / _SIDE).astype(np.intp).clip(1)
+        owner = np.repeat(np.arange(len(sides)), counts)
+        step = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
+        posts = line[owner] + sides[owner] * ((step + 0.5) / counts[owner])[:, None]
+        _, nearest = cKDTree(posts).query(points, k=min(_POSTS, len(posts)))
+        every = owner[nearest].reshape(len(points), -1)
+        squared = np.full(len(points), np.inf)
+        for column in every.T:
+            start, side = line[column], sides[column]
+            length = np.maximum(np.sum(side**2, axis=1), 1e-300)
+            part = np.clip(np.sum((points - start) * side, axis=1) / length, 0.0, 1.0)
+            rest = points - start - part[:, None] * side
+            squared = np.minimum(squared, np.sum(rest**2, axis=1))
+        return np.sqrt(squared)
 
 
 def orbit_curve(orbit: ZenoOrbit, problem: Problem, *, n_per_arc: int = _SAMPLES) -> OrbitCurve:
@@ -100,7 +107,18 @@ def orbit_curve(orbit: ZenoOrbit, problem: Problem, *, n_per_arc: int = _SAMPLES
     start = problem.state_vector(orbit.release_state)
     times, states = simulate(dynamics, start, until=orbit.period).sampled(n_per_arc)
     spans = np.ptp(states, axis=0)
-    return OrbitCurve(times=times, states=states, ranges=np.where(spans > 0.0, spans, 1.0))
+    ranges = np.where(spans > 0.0, spans, 1.0)
+    kept = _thinned(states / ranges)
+    return OrbitCurve(times=times[kept], states=states[kept], ranges=ranges)
+
+
+def _thinned(line: Vector) -> NDArray[np.intp]:
+    """Return which corners of a line to keep: ends of long sides, and others at even lengths."""
+    sides = np.sqrt(np.sum(np.diff(line, axis=0) ** 2, axis=1))
+    lengths = np.concatenate([[0.0], np.cumsum(sides)])
+    _, even = np.unique(np.floor(lengths / _SIDE), return_index=True)
+    long = np.flatnonzero(sides > _SIDE)
+    return np.unique(np.concatenate([even, long, long + 1, [len(line) - 1]]))
 
 
 def orbit_distance(

@@ -36,6 +36,7 @@ class Machine:
         motors: ``(y, P) -> (currents, terminal voltages)``, each ``(n_motors,)``.
         command: ``(x measured, p) -> voltages`` that the feedback asks for.
         rest: ``(x, p) -> y`` with every rotor in the middle of its play, turning with its joint.
+        inertia: ``(x, p) -> M`` without what is on the motors' side of gears, ``(n_q, n_q)``.
     """
 
     state_names: tuple[str, ...]
@@ -49,6 +50,7 @@ class Machine:
     motors: ca.Function
     command: ca.Function
     rest: ca.Function
+    inertia: ca.Function
 
 
 def machine(problem: Problem, rig: Rig) -> Machine:
@@ -88,6 +90,7 @@ def machine(problem: Problem, rig: Rig) -> Machine:
         motors=function("motors", parts.current, parts.terminal),
         command=dense_function("command", [system.state, p], [system.motor_voltage]),
         rest=dense_function("rest", [system.state, p], [parts.rest]),
+        inertia=dense_function("inertia", [system.state, p], [parts.inertia]),
     )
 
 
@@ -135,6 +138,7 @@ class _Parts:
         self.rotor_names = [f"{d}rotor{motor}" for motor in self._rotors for d in ("", "d")]
         self.state = ca.vertcat(system.state, *self._rotors.values())
         self.rest = ca.vertcat(system.state, *(self._joint(motor) for motor in self._rotors))
+        self.inertia = self._inertia()
         self._driven = self._voltage()
         self.current = self._current()
         drop = 0.0 if rig.bridge is None else rig.bridge.resistance
@@ -144,18 +148,24 @@ class _Parts:
         """Return the time derivative of the state under a force of the stop."""
         mechanism, motors = self._mechanism, self._motors
         forces = ca.jacobian(mechanism.gap, mechanism.q).T * force + self._friction()
-        mass, rotor_rates = mechanism.mass_matrix, list[ca.SX]()
+        rotor_rates: list[ca.SX] = []
         if motors is None:
             forces += self._system.drive.force
         else:
             torque, rotor_rates = self._torques(motors)
             forces += ca.mtimes(motors.selection, torque)
-            for motor, gear in self._rig.gears.items():
-                axis = motors.selection[:, motor - 1]
-                mass -= gear.rotor_inertia * ca.mtimes(axis, axis.T)
-        _, acceleration = accelerate(replace(mechanism, mass_matrix=mass), forces)
+        _, acceleration = accelerate(replace(mechanism, mass_matrix=self.inertia), forces)
         clock = ca.SX(0, 1) if mechanism.clock is None else mechanism.clock.rate
         return ca.vertcat(mechanism.v, acceleration, self._current_rate(), clock, *rotor_rates)
+
+    def _inertia(self) -> ca.SX:
+        mass = self._mechanism.mass_matrix
+        if self._motors is None:
+            return mass
+        for motor, gear in self._rig.gears.items():
+            axis = self._motors.selection[:, motor - 1]
+            mass -= gear.rotor_inertia * ca.mtimes(axis, axis.T)
+        return mass
 
     def _voltage(self) -> ca.SX:
         """Return the voltage that the bridges make, before the drop over their transistors."""

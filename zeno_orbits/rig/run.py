@@ -240,11 +240,19 @@ class _Follower:
         if x.shape != (self._machine.n_x,):
             wanted = f"must be of shape ({self._machine.n_x},)"
             raise InputError(f"Argument `start` {wanted}, but it is {x.shape}.")
+        self._require_inertia(x)
         self._y = Call(self._machine.rest, self._p)(x).copy()
         gap, rate = self._gap()
         self._touching = gap < 0.0 or (gap == 0.0 and rate < 0.0)
         if self._touching:
             self._enter(rate)
+
+    def _require_inertia(self, x: Vector) -> None:
+        n_q = self._machine.n_q
+        mass = Call(self._machine.inertia, self._p)(x).reshape(n_q, n_q)
+        if self._rig.gears and float(np.min(np.linalg.eigvalsh(mass))) <= 0.0:
+            wanted = "must leave the joints some of the scene's inertia"
+            raise InputError(f"Argument `rotor_inertia` {wanted}, but it is more than all of it.")
 
     def follow(self, until: float, tell: Callable[[float], None]) -> None:
         """Carry the machine forward to a time, from edge to edge."""
@@ -353,7 +361,8 @@ class _Follower:
             times=np.array(times),
             states=y,
             in_contact=in_contact,
-            contact_force=np.where(in_contact, seen[:, 0], 0.0),
+            # A root of the gap is rounded to either side; the force of the outside is none.
+            contact_force=np.where(in_contact, np.maximum(seen[:, 0], 0.0), 0.0),
             gap=seen[:, 1],
             gap_rate=seen[:, 2],
             current=current,
