@@ -48,6 +48,7 @@ from zeno_orbits.rig.convergence import (
     orbit_curve,
     orbit_distance,
 )
+from zeno_orbits.rig.cycles import settling_cycles
 from zeno_orbits.rig.recorded import recording_of
 
 FINE = RigSettings(tolerance=Tolerance(relative=1e-12, absolute=1e-14))
@@ -519,7 +520,7 @@ def test_settled_cycles_begin_and_end_at_releases_and_repeat(
     assert settled.run.times[-1] <= second.end
     assert np.all(np.diff(settled.run.times) >= 0.0)
     assert first.impacts == second.impacts >= 3
-    # Eight cycles at a multiplier of 0.02 leave nothing but the integration.
+    # What is left falls to 1e-8 of the distance from the orbit at the start, itself some 1e-4.
     assert first.period == pytest.approx(second.period, abs=1e-9)
     assert first.impact.approach_rate < -10.0
     locked = (settled.run.times > first.lock + 0.01) & (settled.run.times < first.end - 0.01)
@@ -532,6 +533,15 @@ def test_a_machine_that_does_not_lock_is_told_so(scene: Problem, orbit: ZenoOrbi
     stuck = Rig(friction={"theta1": Friction(coulomb=0.5)})
     with pytest.raises(SimulationError, match=r"made \d cycles with a lock where 3 were expected"):
         rig_cycles(orbit, scene, stuck, cycles=1, settle=2)
+
+
+def test_a_machine_gets_the_cycles_to_settle_that_the_multipliers_of_its_orbit_ask_for(
+    orbit: ZenoOrbit,
+) -> None:
+    counts = {(): 8, (0.15,): 10, (0.5, -0.1): 27, (1e-5,): 4, (0.0,): 4, (0.999,): 60, (1.2,): 60}
+    for multipliers, count in counts.items():
+        known = replace(orbit, floquet_multipliers=tuple(map(complex, multipliers)))
+        assert settling_cycles(known) == count
 
 
 def test_touches_without_a_long_one_hold_no_cycle(orbit: ZenoOrbit, scene: Problem) -> None:

@@ -35,7 +35,7 @@ class Contact:
 
     Attributes:
         stiffness: :math:`k`, force over penetration to the `n`.
-        exponent: :math:`n`; 1 for a spring, 1.5 for two spheres [Hertz1881].
+        exponent: :math:`n`; 1 for a spring, 1.5 for two spheres [Hertz1882]_.
         slowest: Speed below which a contact is damped as if it had begun at that speed.
     """
 

@@ -23,7 +23,11 @@ _CLOSE = 0.02
 _LONG = 0.1
 """Part of the orbit's locked time from which on contacts, or one alone, are a lock."""
 _SETTLE = 8
-"""Cycles that a machine gets to settle."""
+"""Cycles that a machine gets to settle if its orbit does not tell its multipliers."""
+_FEWEST, _MOST = 4, 60
+"""Cycles that it gets at least, and at most."""
+_LEFT = 1e-8
+"""Part of a deviation that may be left then, if it falls as on the orbit."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,7 +79,7 @@ def rig_cycles(
     rig: Rig | None = None,
     *,
     cycles: int = 3,
-    settle: int = _SETTLE,
+    settle: int | None = None,
     seed: int = 0,
     settings: RigSettings | None = None,
     on_progress: Callable[[float], None] | None = None,
@@ -87,7 +91,7 @@ def rig_cycles(
         problem: Its scene.
         rig: The parts of the machine; by default those that the scene declares.
         cycles: How many to return.
-        settle: How many to let pass first.
+        settle: How many to let pass first; by default as many as the orbit's multipliers ask for.
         seed: Of the noise.
         settings: How accurately to follow it, and what to keep.
         on_progress: Told of the part that is done, now and then.
@@ -97,11 +101,12 @@ def rig_cycles(
         SimulationError: If the machine does not move in such cycles.
     """
     parts = rig or default_rig(problem)
-    wanted = settle + cycles
+    passed = settling_cycles(orbit) if settle is None else settle
+    wanted = passed + cycles
     # A cycle may be a little longer than the orbit's; a run that was too short is made again.
     for slack in (1.1, 2.0):
         until = orbit.period * (wanted + 1) * slack
-        keep_from = 0.8 * settle * orbit.period if slack == 1.1 else 0.0
+        keep_from = 0.8 * passed * orbit.period if slack == 1.1 else 0.0
         run = simulate_rig(
             problem,
             orbit.setting(problem),
@@ -113,13 +118,24 @@ def rig_cycles(
             on_progress=_part(until, on_progress),
         )
         found = cut_cycles(run.touches, orbit)
-        if len(found) >= wanted and found[settle].release >= keep_from:
-            return settled(run, found[settle:wanted])
+        if len(found) >= wanted and found[passed].release >= keep_from:
+            return settled(run, found[passed:wanted])
     raise SimulationError(
         f"The machine made {len(found)} cycles with a lock where {wanted} were expected",
         time=until,
         state=tuple(run.states[-1].tolist()),
     )
+
+
+def settling_cycles(orbit: ZenoOrbit) -> int:
+    """Return after how many cycles a machine near a stable orbit has settled."""
+    radius = max((abs(mu) for mu in orbit.floquet_multipliers), default=math.nan)
+    if math.isnan(radius):
+        return _SETTLE
+    if radius >= 1.0:
+        return _MOST
+    wanted = math.log(_LEFT) / math.log(radius) if radius > 0.0 else 0.0
+    return min(max(math.ceil(wanted), _FEWEST), _MOST)
 
 
 def default_rig(problem: Problem) -> Rig:

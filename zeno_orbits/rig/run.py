@@ -30,7 +30,7 @@ from zeno_orbits.rig.pilot import Pilot
 
 _MOST_AT_ONCE = 1000
 """Contacts that may begin and end without time going on."""
-_IN_CONTACT = 65
+_IN_CONTACT = 257
 """Records of a contact at least, where nothing else divides it."""
 
 
