@@ -40,6 +40,8 @@ LOOSE = RigSettings(tolerance=Tolerance(relative=1e-10, absolute=1e-12))
 COARSE = RigSettings(tolerance=Tolerance(relative=1e-8, absolute=1e-10))
 PHASES = 4
 """Stiffnesses for every factor 1/e^2, over which the end of the chatter repeats itself."""
+QUIET = 0.05
+"""After the start of a lock, and before its end, what it began with does not count [s]."""
 MISS, CLEAR = 0.02, 1e-3
 """An order may miss theory by this much, and numerical error be this part of a distance."""
 TAIL = 3.0
@@ -215,6 +217,7 @@ def alone(problem: Problem) -> dict[str, Rig]:
         "noise": replace(
             stiff, controller=sampled, sensors=replace(sensors, resolution=0.0, filter_time=0.0)
         ),
+        "soft ball, gear": Rig(contact=full.contact, gears=full.gears),
         "all": full,
     }
 
@@ -223,7 +226,8 @@ def show_alone(orbit: ZenoOrbit, problem: Problem, curve: OrbitCurve) -> None:
     """Print what each part does by itself, and where in the cycle the machine is farthest."""
     print(
         f"\n{'part':>18}  {'period':>9}  {'impact':>9}  {'rate':>7}  {'lock':>9}  {'angle':>8}"
-        f"   {'apex':>9}  portrait of link 1: flight, chatter, lock [%]  farthest   CPU/cycle"
+        f"   {'apex':>9}  portrait of link 1: flight, chatter, lock [%]  ripple [%]   "
+        "CPU/cycle  farthest"
     )
     for name, rig in alone(problem).items():
         begun = time.process_time()
@@ -242,10 +246,19 @@ def show_alone(orbit: ZenoOrbit, problem: Problem, curve: OrbitCurve) -> None:
             f"{name:>18}  {1e3 * mean['period']:+9.3f}  {1e3 * mean['impact_time']:+9.3f}  "
             f"{mean['impact_rate']:+7.3f}  {1e3 * mean['lock_time']:+9.3f}  "
             f"{1e3 * mean['lock_angle']:+8.2f}   {turn[0]:+9.3f}  {parts}"
-            f"              {turn[1]}   {spent:6.2f} s",
+            f"   {100 * ripple(settled):22.2f}   {spent:6.2f} s   {turn[1]}",
             flush=True,
         )
     print("times in ms, gap rates in rad/s, angles in mrad; differences from the orbit")
+    print(f"ripple: of the contact force from {1e3 * QUIET:.0f} ms into the lock on, over its mean")
+
+
+def ripple(settled: SettledRig) -> float:
+    """Return how much the contact force of a lock vibrates, less a smooth curve through it."""
+    cycle = settled.cycles[-1]
+    run = settled.run.between(cycle.lock + QUIET, cycle.end - QUIET)
+    smooth = np.polynomial.Polynomial.fit(run.times, run.contact_force, 6)
+    return float(np.std(run.contact_force - smooth(run.times)) / np.mean(run.contact_force))
 
 
 def profile(

@@ -544,6 +544,12 @@ def test_a_machine_gets_the_cycles_to_settle_that_the_multipliers_of_its_orbit_a
         assert settling_cycles(known) == count
 
 
+def test_no_cycle_at_all_is_refused(scene: Problem, orbit: ZenoOrbit) -> None:
+    for cycles, settle in ((0, 1), (1, -1)):
+        with pytest.raises(InputError, match="`cycles` must be at least 1, and `settle`"):
+            rig_cycles(orbit, scene, Rig(), cycles=cycles, settle=settle)
+
+
 def test_touches_without_a_long_one_hold_no_cycle(orbit: ZenoOrbit, scene: Problem) -> None:
     settled = rig_cycles(orbit, scene, Rig(contact=STIFF), cycles=2, settle=2)
     touches = settled.run.touches
@@ -678,6 +684,8 @@ def test_a_run_is_recorded_with_names_and_units_as_simulated(scene: Problem) -> 
     assert steps == pytest.approx(np.round(steps), abs=1e-9)
     ideal = simulate_rig(scene, scene.setting(), Rig(), start, 0.1)
     exact = recording_of(ideal, scene)
+    assert exact.time == pytest.approx(np.arange(len(exact.time)) * 1e-3, abs=1e-12)
+    assert len(exact.time) >= 100
     assert exact.signal("theta1").values == pytest.approx(
         np.interp(exact.time, ideal.times, ideal.of("theta1"))
     )

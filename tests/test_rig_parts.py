@@ -288,6 +288,10 @@ def test_numbers_of_a_rig_are_changed_by_name_and_parts_are_added() -> None:
     assert hash(changed) != hash(rig)
     assert hash(with_numbers(rig, {})) == hash(rig)
     assert rig.contact == Contact()
+    two = {"a": Friction(coulomb=1.0), "b": Friction()}
+    turned = {name: two[name] for name in ("b", "a")}
+    assert Rig(friction=two) == Rig(friction=turned)
+    assert hash(Rig(friction=two)) == hash(Rig(friction=turned))
 
 
 @pytest.mark.parametrize(

@@ -238,7 +238,8 @@ class Rig:
     def __hash__(self) -> int:
         """Hash by value, so that what is built for a rig can be found again."""
         parts = (self.contact, self.bridge, self.controller, self.sensors)
-        return hash((*parts, *self.friction.items(), *self.gears.items()))
+        named = frozenset((*self.friction.items(), *self.gears.items()))
+        return hash((*parts, named))
 
 
 PART_NAMES = ("friction", "gears", "bridge", "controller", "sensors")

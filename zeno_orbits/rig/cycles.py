@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from zeno_orbits.dynamics import Vector
-from zeno_orbits.errors import SimulationError
+from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.imperfections import Rig
 from zeno_orbits.orbit import ZenoOrbit
 from zeno_orbits.problem import Problem
@@ -97,9 +97,12 @@ def rig_cycles(
         on_progress: Told of the part that is done, now and then.
 
     Raises:
-        InputError: If the rig does not fit the scene.
+        InputError: If the rig does not fit the scene, or there is no cycle to return.
         SimulationError: If the machine does not move in such cycles.
     """
+    if cycles < 1 or (settle is not None and settle < 0):
+        least = "must be at least 1, and `settle` at least 0"
+        raise InputError(f"Argument `cycles` {least}, but they are {cycles} and {settle}.")
     parts = rig or default_rig(problem)
     passed = settling_cycles(orbit) if settle is None else settle
     wanted = passed + cycles
@@ -120,6 +123,9 @@ def rig_cycles(
         found = cut_cycles(run.touches, orbit)
         if len(found) >= wanted and found[passed].release >= keep_from:
             return settled(run, found[passed:wanted])
+        if 2 * len(found) < wanted:
+            # More time will not make them: the machine moves otherwise.
+            break
     raise SimulationError(
         f"The machine made {len(found)} cycles with a lock where {wanted} were expected",
         time=until,

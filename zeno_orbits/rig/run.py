@@ -375,7 +375,8 @@ class _Follower:
         """Return what the computer wrote down; without one, the states at even times."""
         n_q = self._machine.n_q
         if self._pilot is None:
-            even = np.isclose(times % self._settings.spacing, 0.0)
+            spacing = self._settings.spacing
+            even = times == np.round(times / spacing) * spacing
             return Record(times=times[even], coordinates=states[even, :n_q], currents=current[even])
         read = [entry for entry in self._pilot.log if entry[0] >= self._settings.keep_from]
         width = (len(read), -1)
