@@ -226,8 +226,8 @@ def show_alone(orbit: ZenoOrbit, problem: Problem, curve: OrbitCurve) -> None:
     """Print what each part does by itself, and where in the cycle the machine is farthest."""
     print(
         f"\n{'part':>18}  {'period':>9}  {'impact':>9}  {'rate':>7}  {'lock':>9}  {'angle':>8}"
-        f"   {'apex':>9}  portrait of link 1: flight, chatter, lock [%]  ripple [%]   "
-        "CPU/cycle  farthest"
+        f"   {'apex':>9}  portrait of link 1: flight, chatter, lock [%]  ripple [%]  "
+        "breaks   CPU/cycle  farthest"
     )
     for name, rig in alone(problem).items():
         begun = time.process_time()
@@ -246,11 +246,17 @@ def show_alone(orbit: ZenoOrbit, problem: Problem, curve: OrbitCurve) -> None:
             f"{name:>18}  {1e3 * mean['period']:+9.3f}  {1e3 * mean['impact_time']:+9.3f}  "
             f"{mean['impact_rate']:+7.3f}  {1e3 * mean['lock_time']:+9.3f}  "
             f"{1e3 * mean['lock_angle']:+8.2f}   {turn[0]:+9.3f}  {parts}"
-            f"   {100 * ripple(settled):22.2f}   {spent:6.2f} s   {turn[1]}",
+            f"   {100 * ripple(settled):22.2f}  {breaks(settled):6d}   {spent:6.2f} s   {turn[1]}",
             flush=True,
         )
     print("times in ms, gap rates in rad/s, angles in mrad; differences from the orbit")
     print(f"ripple: of the contact force from {1e3 * QUIET:.0f} ms into the lock on, over its mean")
+
+
+def breaks(settled: SettledRig) -> int:
+    """Return how often the contact of a lock is lost and found again, over all cycles."""
+    starts = [touch.start for touch in settled.run.touches]
+    return sum(cycle.lock < at < cycle.end for cycle in settled.cycles for at in starts)
 
 
 def ripple(settled: SettledRig) -> float:

@@ -316,7 +316,7 @@ def test_teeth_give_back_what_their_loss_leaves() -> None:
     setting = DISC.setting(parameters={"K": 1e-12})
     # Dry friction holds nothing here: the joint is stopped by hand, by starting it at rest and the
     # rotor through a current that has gone before it touches.
-    from zeno_orbits.rig.run import machine_of
+    from zeno_orbits.rig.simulate import machine_of
 
     built = machine_of(DISC, Rig(gears={1: gear}))
     p = np.array(setting.values())

@@ -5,7 +5,8 @@
 
 from zeno_orbits.rig.cycles import RigCycle, SettledRig, cut_cycles, default_rig, rig_cycles
 from zeno_orbits.rig.law import damping_number, effective_restitution
-from zeno_orbits.rig.run import Record, RigRun, RigSettings, Touch, simulate_rig
+from zeno_orbits.rig.run import Record, RigRun, RigSettings, Touch
+from zeno_orbits.rig.simulate import simulate_rig
 
 __all__ = [
     "Record",

@@ -16,7 +16,8 @@ from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.imperfections import Rig
 from zeno_orbits.orbit import ZenoOrbit
 from zeno_orbits.problem import Problem
-from zeno_orbits.rig.run import Record, RigRun, RigSettings, Touch, simulate_rig
+from zeno_orbits.rig.run import Record, RigRun, RigSettings, Touch
+from zeno_orbits.rig.simulate import simulate_rig
 
 _CLOSE = 0.02
 """Part of the orbit's locked time below which a flight does not end a lock."""
