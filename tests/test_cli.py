@@ -32,7 +32,7 @@ from zeno_orbits.search import SearchSettings
 YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
 COMMANDS = (
     *("problems", "conditions", "simulate", "fidelity", "search", "verify", "trade", "plot"),
-    "map",
+    *("map", "rig"),
 )
 PUBLISHED_GAINS = ("--fix", "Kp=2.5", "--fix", "Kd=-1")
 

@@ -11,6 +11,7 @@ from zeno_orbits.errors import InputError
 
 if TYPE_CHECKING:
     from zeno_orbits.bounds import Bound
+    from zeno_orbits.imperfections import Rig
     from zeno_orbits.objectives import Objective
     from zeno_orbits.problem import Problem
     from zeno_orbits.shape import OrbitShape
@@ -27,6 +28,22 @@ def read_numbers(entries: Sequence[str], option: str) -> dict[str, float]:
             raise InputError(f"Argument `{option}` must name `{name}` once, but it does so twice.")
         numbers[name] = read_number(value, name)
     return numbers
+
+
+def read_rig(rig: Rig, entries: Sequence[str], only: Sequence[str] | None) -> Rig:
+    """Return a rig with other parts and other numbers.
+
+    Args:
+        rig: What is changed.
+        entries: ``contact.stiffness=1e5``, ``friction.COORDINATE.coulomb=0.01``,
+            ``gears.MOTOR.play=0.01``; a part that is not there yet is added.
+        only: Names of the parts to keep beside the contact; all of them if ``None``.
+    """
+    from zeno_orbits.imperfections import PART_NAMES, with_numbers, without_parts
+
+    if only is not None:
+        rig = without_parts(rig, [name for name in PART_NAMES if name not in only])
+    return with_numbers(rig, read_numbers(entries, "part"))
 
 
 def read_boxes(entries: Sequence[str], option: str = "gain") -> dict[str, tuple[float, float]]:

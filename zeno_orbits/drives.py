@@ -77,6 +77,7 @@ class Drive:
         added_inertia: What the drive adds to the mass matrix, constant and symmetric,
             ``(n_q, n_q)``; empty but for a corrected drive. The mechanism then strikes its stop
             with that inertia too, and `complete` corrects the restitution for it.
+        motors: What the drive is made of; ``None`` for an ideal torque.
     """
 
     current: ca.SX
@@ -89,6 +90,7 @@ class Drive:
     motor_current: ca.SX
     motor_voltage: ca.SX
     added_inertia: ca.SX
+    motors: MotorBank | None = None
 
 
 def full_drive(lagrangian: HybridLagrangian, motors: MotorBank) -> Drive:
@@ -224,6 +226,7 @@ def _drive(
         motor_current=current,
         motor_voltage=motors.voltage,
         added_inertia=ca.SX(lagrangian.q.numel(), lagrangian.q.numel()),
+        motors=motors,
     )
 
 

@@ -40,6 +40,8 @@ class CompletedSystem:
             circle; zero on admissible states.
         motor_current: Current of every motor, a state or not, ``(n_M,)`` [A].
         motor_voltage: Voltage of every motor, ``(n_M,)`` [V].
+        mechanism: What was completed, the inertia that a corrected drive adds included.
+        drive: Its drive.
     """
 
     n_q: int
@@ -61,6 +63,8 @@ class CompletedSystem:
     holonomic: ca.SX
     motor_current: ca.SX
     motor_voltage: ca.SX
+    mechanism: HybridLagrangian
+    drive: Drive
 
 
 def complete(lagrangian: HybridLagrangian, drive: Drive, restitution: ca.SX) -> CompletedSystem:
@@ -90,7 +94,7 @@ def complete(lagrangian: HybridLagrangian, drive: Drive, restitution: ca.SX) -> 
         restitution = _corrected_restitution(lagrangian, weighted, ca.SX(restitution))
         lagrangian = weighted
     q, v = lagrangian.q, lagrangian.v
-    inverse_mass, free_acceleration = _accelerate(lagrangian, drive.force)
+    inverse_mass, free_acceleration = accelerate(lagrangian, drive.force)
     normal = ca.jacobian(lagrangian.gap, q).T
     response = ca.mtimes(inverse_mass, normal)
     normal_inertia = 1 / ca.dot(normal, response)
@@ -126,6 +130,8 @@ def complete(lagrangian: HybridLagrangian, drive: Drive, restitution: ca.SX) -> 
         holonomic=ca.vertcat(lagrangian.holonomic, eta_rate, off_circle),
         motor_current=drive.motor_current,
         motor_voltage=drive.motor_voltage,
+        mechanism=lagrangian,
+        drive=drive,
     )
 
 
@@ -154,7 +160,7 @@ def audited(system: CompletedSystem) -> CompletedSystem:
     )
 
 
-def _accelerate(lagrangian: HybridLagrangian, force: ca.SX) -> tuple[ca.SX, ca.SX]:
+def accelerate(lagrangian: HybridLagrangian, force: ca.SX) -> tuple[ca.SX, ca.SX]:
     r"""Return the inverse mass on the holonomic constraints and the free acceleration.
 
     .. math:: W = M^{-1} - M^{-1} H^\top (H M^{-1} H^\top)^{-1} H M^{-1},\qquad
@@ -202,7 +208,7 @@ def _corrected_restitution(
 
 def _normal_response(lagrangian: HybridLagrangian) -> ca.SX:
     """Return the change of the gap rate for a unit impulse of the stop."""
-    inverse_mass, _ = _accelerate(lagrangian, ca.SX.zeros(lagrangian.q.numel()))
+    inverse_mass, _ = accelerate(lagrangian, ca.SX.zeros(lagrangian.q.numel()))
     normal = ca.jacobian(lagrangian.gap, lagrangian.q).T
     return ca.dot(normal, ca.mtimes(inverse_mass, normal))
 

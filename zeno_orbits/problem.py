@@ -20,6 +20,7 @@ import casadi as ca
 from zeno_orbits.drawings import Drawing, lines_of
 from zeno_orbits.errors import InputError, ProblemFileError
 from zeno_orbits.hybrid import CompletedSystem
+from zeno_orbits.imperfections import Rig
 from zeno_orbits.quantities import (
     Escape,
     Output,
@@ -78,6 +79,7 @@ class Problem:
         escapes: Coordinates that may run away, by name. Others are followed as far as they go.
         outputs: What else is to be drawn over time.
         drawing: How the machine looks, if that is to be seen: its links as lines.
+        rig: The parts of a plausible machine, for the virtual rig; ``None`` for a stop alone.
     """
 
     name: str
@@ -97,6 +99,7 @@ class Problem:
     escapes: Mapping[str, Escape] = field(default_factory=dict[str, Escape])
     outputs: tuple[Output, ...] = ()
     drawing: Drawing | None = None
+    rig: Rig | None = None
 
     def __post_init__(self) -> None:
         """Refuse names, units and ranges that cannot be; the model is looked at by `checked`."""

@@ -18,6 +18,7 @@ from zeno_orbits.drawings import Lines
 from zeno_orbits.drives import MotorBank, corrected_drive, full_drive, quasi_static_drive
 from zeno_orbits.errors import InputError
 from zeno_orbits.hybrid import CompletedSystem, complete
+from zeno_orbits.imperfections import Bridge, Contact, Controller, Friction, Gear, Rig, Sensors
 from zeno_orbits.mechanics import HybridLagrangian
 from zeno_orbits.problem import Escape, Output, Problem, Quantity, positive, restitution
 
@@ -159,6 +160,22 @@ def _gain(
     )
 
 
+MACHINE = Rig(
+    # A rubber ball as stop: it gives way by one or two degrees, for five milliseconds.
+    contact=Contact(stiffness=1.5e4, exponent=1.5, slowest=1e-3),
+    friction={
+        "theta1": Friction(coulomb=5e-4, viscous=5e-5),
+        "theta2": Friction(coulomb=1e-4, viscous=1e-5),
+    },
+    gears={1: Gear(rotor_inertia=0.0175, play=math.radians(0.2), stiffness=3000.0, loss=5.0)},
+    bridge=Bridge(supply=12.0, resistance=0.05, frequency=20e3, dead_time=5e-7, diode_drop=0.7),
+    controller=Controller(period=1e-3, delay=1e-3),
+    sensors=Sensors(
+        resolution=2 * math.pi / 8192, noise=1e-4, filter_time=2e-3, current_noise=0.01
+    ),
+)
+"""What a small machine of this kind may have. Declared here as the masses are, not measured."""
+
 FULL = Problem(
     name="motor_pendulum",
     title="double pendulum with a stop, DC motor at the shoulder, PD control",
@@ -220,12 +237,14 @@ FULL = Problem(
     outputs=(Output(name="tip_height", unit="m", formula=tip_height),),
     drawing=drawing,
     reference=Path(__file__).with_name("reference.py"),
+    rig=MACHINE,
 )
 
 WITHOUT_CURRENT = replace(
     FULL,
     state_names=FULL.state_names[:4],
     state_units=FULL.state_units[:4],
+    rig=None,
     reference=Path(__file__).with_name("reduced_reference.py"),
 )
 

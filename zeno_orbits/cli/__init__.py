@@ -23,6 +23,7 @@ from zeno_orbits.cli.new import add_new
 from zeno_orbits.cli.page import add_report
 from zeno_orbits.cli.plot import add_plot
 from zeno_orbits.cli.problems import add_problems
+from zeno_orbits.cli.rig import add_rig
 from zeno_orbits.cli.search import add_search
 from zeno_orbits.cli.shared import INTERRUPTED, MISUSE, NO, YES, Parser
 from zeno_orbits.cli.simulate import add_simulate
@@ -94,6 +95,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_map(commands)
     add_continue(commands)
     add_trade(commands)
+    add_rig(commands)
     add_plot(commands)
     add_report(commands)
     add_figures(commands)

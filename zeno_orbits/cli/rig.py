@@ -1,0 +1,192 @@
+"""The command `rig`."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from zeno_orbits import report
+from zeno_orbits.arguments import read_count, read_rig
+from zeno_orbits.cli.shared import (
+    YES,
+    add_command,
+    add_gain_values,
+    add_start,
+    orbit_and_problem,
+    print_json,
+    say_written,
+    setting_of,
+    start_of,
+)
+from zeno_orbits.errors import InputError
+from zeno_orbits.files import require_writable
+
+if TYPE_CHECKING:
+    from zeno_orbits.imperfections import Rig
+    from zeno_orbits.problem import Problem
+    from zeno_orbits.rig import RigRun, RigSettings
+
+_PARTS = ("friction", "gears", "bridge", "controller", "sensors")
+
+
+def add_rig(commands: Any) -> None:
+    """Add the command `rig`."""
+    parser = add_command(
+        commands,
+        "rig",
+        _run_rig,
+        "simulate a scene as a machine, without a Zeno point, and compare it with an orbit",
+        [
+            "zeno-orbits rig orbit.json -o run.csv",
+            "zeno-orbits rig orbit.json --only friction --part contact.stiffness=1e5 --cycles 3",
+            "zeno-orbits rig orbit.json --without gears --part controller.delay=0.003 --seed 1",
+            "zeno-orbits rig motor_pendulum --until 5 -o run.csv",
+        ],
+    )
+    parser.add_argument(
+        "target",
+        metavar="ORBIT.json|PROBLEM",
+        help="an orbit file, at whose numbers the machine settles; or a scene, from a start",
+    )
+    parser.add_argument(
+        "--problem", metavar="FILE.py", help="the scene of an orbit, if not bundled"
+    )
+    add_gain_values(parser)
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="change a parameter of the scene; may be repeated",
+    )
+    add_start(parser)
+    parser.add_argument(
+        "--part",
+        action="append",
+        default=[],
+        metavar="PART.NAME=VALUE",
+        help="change a number of the machine, contact.stiffness=1e5, friction.COORDINATE.coulomb="
+        "0.01 or gears.MOTOR.play=0.01 for instance; may be repeated; docs/rig.md lists them",
+    )
+    parser.add_argument(
+        "--only",
+        action="append",
+        choices=(*_PARTS, "contact"),
+        help="the only part beside the contact; may be repeated; by default all that the scene has",
+    )
+    parser.add_argument(
+        "--without", action="append", default=[], choices=_PARTS, help="leave out a part"
+    )
+    parser.add_argument(
+        "--exact", action="store_true", help="follow the bridge's pulses edge by edge"
+    )
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the noise")
+    parser.add_argument(
+        "--cycles", type=read_count, default=10, metavar="N", help="cycles near an orbit"
+    )
+    parser.add_argument("--until", type=float, default=10.0, metavar="T", help="of a scene [s]")
+    parser.add_argument(
+        "-o", "--output", type=Path, help="write what the machine's computer reads here, as data"
+    )
+
+
+def _run_rig(options: argparse.Namespace) -> int:
+    if options.output is not None:
+        require_writable(options.output)
+    if options.seed < 0:
+        raise InputError(f"Argument `seed` must be at least 0, but it is {options.seed}.")
+    return _near_orbit(options) if options.target.endswith(".json") else _from_start(options)
+
+
+def _near_orbit(options: argparse.Namespace) -> int:
+    from zeno_orbits.rig import rig_cycles
+    from zeno_orbits.rig.comparison import compare_cycles
+
+    for name in ("gain", "set", "start"):
+        if getattr(options, name):
+            wanted = "must not be given with an orbit, which has its own"
+            raise InputError(f"Argument `{name}` {wanted}.")
+    options.orbit = Path(options.target)
+    orbit, problem = orbit_and_problem(options)
+    rig = _rig_of(options, problem)
+    with report.Progress(options.interrupts.check) as progress:
+        settled = rig_cycles(
+            orbit,
+            problem,
+            rig,
+            cycles=options.cycles,
+            seed=options.seed,
+            settings=_settings(rig),
+            on_progress=lambda part: progress.tell("simulating the machine", part),
+        )
+    comparison = compare_cycles(orbit, problem, settled)
+    if options.json:
+        print_json(comparison.as_json())
+    else:
+        report.print_rig(comparison)
+    return _write(options, settled.run, problem)
+
+
+def _from_start(options: argparse.Namespace) -> int:
+    from zeno_orbits.problem import load_problem
+    from zeno_orbits.rig import simulate_rig
+
+    problem = load_problem(options.target)
+    rig = _rig_of(options, problem)
+    with report.Progress(options.interrupts.check) as progress:
+        run = simulate_rig(
+            problem,
+            setting_of(problem, options),
+            rig,
+            start_of(problem, options),
+            options.until,
+            seed=options.seed,
+            settings=_settings(rig),
+            on_progress=lambda time: progress.tell("simulating the machine", time / options.until),
+        )
+    touches = [
+        {"start": t.start, "end": min(t.end, options.until), "approach_rate": t.approach_rate}
+        for t in run.touches
+    ]
+    if options.json:
+        print_json({"problem": problem.name, "source": "simulated", "contacts": touches})
+    else:
+        report.print_contacts(problem.name, touches)
+    return _write(options, run, problem)
+
+
+def _rig_of(options: argparse.Namespace, problem: Problem) -> Rig:
+    from dataclasses import replace
+
+    from zeno_orbits.imperfections import Switching, without_parts
+    from zeno_orbits.rig import default_rig
+
+    rig = read_rig(without_parts(default_rig(problem), options.without), options.part, options.only)
+    if not options.exact:
+        return rig
+    if rig.bridge is None:
+        raise InputError("Argument `exact` must come with a bridge, but the machine has none.")
+    return replace(rig, bridge=replace(rig.bridge, switching=Switching.EXACT))
+
+
+def _settings(rig: Rig) -> RigSettings:
+    """Return an accuracy that noise and rounding by sensors leave worth having."""
+    from zeno_orbits.dynamics import Tolerance
+    from zeno_orbits.rig import RigSettings
+
+    if rig.controller is None:
+        return RigSettings()
+    return RigSettings(tolerance=Tolerance(relative=1e-8, absolute=1e-10))
+
+
+def _write(options: argparse.Namespace, run: RigRun, problem: Problem) -> int:
+    if options.output is not None:
+        from zeno_orbits.recordings import write_recording
+        from zeno_orbits.rig.recorded import recording_of
+
+        notes: Mapping[str, str] = {"seed": str(options.seed)}
+        write_recording(recording_of(run, problem, notes), options.output)
+        say_written(options, [options.output])
+    return YES

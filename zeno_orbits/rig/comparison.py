@@ -1,0 +1,84 @@
+"""Cycles of a machine beside the orbit of its model, number by number."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from zeno_orbits.orbit import ZenoOrbit
+from zeno_orbits.problem import Problem
+from zeno_orbits.rig.convergence import (
+    CycleNumbers,
+    numbers_of_cycle,
+    numbers_of_orbit,
+    orbit_curve,
+)
+from zeno_orbits.rig.cycles import SettledRig
+
+_POINTS = 400
+"""Points on every arc of the orbit; the chords between them miss it by 1e-5 of its size."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RigComparison:
+    """A machine's cycles against an orbit.
+
+    Attributes:
+        problem: Name of the scene.
+        cycles: How many.
+        orbit: Numbers of the orbit.
+        mean: The same of the machine, over its cycles.
+        spread: Their standard deviation; 0 for one cycle.
+        portrait: Largest distance of the machine from the curve of the orbit, in states over their
+            ranges.
+        portrait_at: When, as a part of the cycle from release on.
+        units: Unit of every number.
+    """
+
+    problem: str
+    cycles: int
+    orbit: CycleNumbers
+    mean: CycleNumbers
+    spread: CycleNumbers
+    portrait: float
+    portrait_at: float
+    units: Mapping[str, str]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it as plain data, labelled as simulated."""
+        return {"source": "simulated", **asdict(self)}
+
+
+def compare_cycles(orbit: ZenoOrbit, problem: Problem, settled: SettledRig) -> RigComparison:
+    """Compare the cycles of a settled machine with an orbit.
+
+    Args:
+        orbit: The orbit.
+        problem: Its scene.
+        settled: The machine.
+    """
+    rows = [asdict(numbers_of_cycle(cycle, problem)) for cycle in settled.cycles]
+    table = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    curve = orbit_curve(orbit, problem, n_per_arc=_POINTS)
+    last = settled.cycles[-1]
+    part = settled.run.between(last.release, last.end)
+    away = curve.distances(part.states[:, : len(problem.state_names)])
+    farthest = int(np.argmax(away))
+    angle = problem.state_units[problem.state_names.index(problem.amplitude_of)]
+    return RigComparison(
+        problem=problem.name,
+        cycles=len(rows),
+        orbit=numbers_of_orbit(orbit, problem),
+        mean=CycleNumbers(**{name: float(np.mean(column)) for name, column in table.items()}),
+        spread=CycleNumbers(**{name: float(np.std(column)) for name, column in table.items()}),
+        portrait=float(away[farthest]),
+        portrait_at=float((part.times[farthest] - last.release) / last.period),
+        units={
+            **dict.fromkeys(("impact_time", "lock_time", "period"), "s"),
+            "impact_rate": "SI",
+            "lock_angle": angle,
+        },
+    )
