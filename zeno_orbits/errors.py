@@ -115,3 +115,15 @@ class WorkError(ZenoOrbitsError):
     def __init__(self, reason: str, *, trace: str = "") -> None:
         super().__init__(reason)
         self.trace = trace
+
+
+class DataFileError(InputError):
+    """A file of time series could not be read.
+
+    Attributes:
+        path: The file.
+    """
+
+    def __init__(self, path: Path, reason: str) -> None:
+        super().__init__(f"Data file `{path}` must hold a recording, but {reason}.")
+        self.path = path

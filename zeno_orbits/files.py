@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 
 from zeno_orbits.errors import InputError
@@ -47,7 +48,19 @@ def write_whole(path: Path, content: str | bytes) -> None:
     Raises:
         InputError: If the folder does not exist or cannot be written.
     """
-    data = content.encode() if isinstance(content, str) else content
+    write_pieces(path, (content.encode() if isinstance(content, str) else content,))
+
+
+def write_pieces(path: Path, pieces: Iterable[bytes]) -> None:
+    """Write a file piece by piece, as `write_whole` does: for what is too long to hold twice.
+
+    Args:
+        path: Where; an existing file is replaced.
+        pieces: What it holds, in order.
+
+    Raises:
+        InputError: If the folder does not exist or cannot be written.
+    """
     try:
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     except OSError as error:
@@ -56,7 +69,8 @@ def write_whole(path: Path, content: str | bytes) -> None:
     temporary = Path(name)
     try:
         with os.fdopen(handle, "wb") as file:
-            file.write(data)
+            for piece in pieces:
+                file.write(piece)
         temporary.chmod(0o644)
         temporary.replace(path)
     except OSError as error:

@@ -6,6 +6,7 @@ A unit is a product of SI symbols with whole powers and at most one slash: ``kg 
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 
@@ -27,6 +28,7 @@ _DERIVED: Mapping[str, Powers] = {
     "Wb": {"kg": 1, "m": 2, "s": -2, "A": -1},
     "T": {"kg": 1, "s": -2, "A": -1},
 }
+_POWER = re.compile(r"([^\^]+?)(?:\^(-?\d+))?")
 _FACTOR = re.compile(r"([A-Za-z]+)(?:\^(-?\d+))?")
 
 
@@ -64,3 +66,90 @@ def _factor(factor: str, text: str) -> Powers:
         raise ValueError(f"`{factor}` in `{text}` is no unit; known are {known}")
     power = int(found[2] or 1)
     return {base: n * power for base, n in _DERIVED.get(symbol, {symbol: 1}).items()}
+
+
+_SCALED: Mapping[str, tuple[str, float]] = {
+    "ms": ("s", 1e-3),
+    "us": ("s", 1e-6),
+    "µs": ("s", 1e-6),
+    "ns": ("s", 1e-9),
+    "min": ("s", 60.0),
+    "h": ("s", 3600.0),
+    "deg": ("rad", math.pi / 180.0),
+    "°": ("rad", math.pi / 180.0),
+    "mrad": ("rad", 1e-3),
+    "rev": ("rad", 2.0 * math.pi),
+    "rpm": ("rad/s", math.pi / 30.0),
+    "mm": ("m", 1e-3),
+    "cm": ("m", 1e-2),
+    "km": ("m", 1e3),
+    "um": ("m", 1e-6),
+    "mA": ("A", 1e-3),
+    "mV": ("V", 1e-3),
+    "kV": ("V", 1e3),
+    "mW": ("W", 1e-3),
+    "kHz": ("Hz", 1e3),
+    "mN": ("N", 1e-3),
+    "kN": ("N", 1e3),
+    "g": ("kg", 1e-3),
+}
+"""What instruments write, as so many of a unit that this toolkit computes in."""
+
+_SPELLED: Mapping[str, str] = {
+    "sec": "s",
+    "seconds": "s",
+    "second": "s",
+    "radians": "rad",
+    "degrees": "deg",
+    "degree": "deg",
+    "amp": "A",
+    "amps": "A",
+    "volt": "V",
+    "volts": "V",
+    "Ohm": "ohm",
+    "Ω": "ohm",
+    "μs": "us",
+    "RPM": "rpm",
+}
+
+_NO_SCALE: Mapping[str, str] = {
+    "count": "its scale depends on the encoder; write angle = counts * 360 / counts per turn [deg]",
+    "tick": "its scale depends on the encoder; write angle = ticks * 360 / ticks per turn [deg]",
+    "step": "its scale depends on the machine; write a length or an angle",
+    "lsb": "its scale depends on the converter; write the quantity that it stands for",
+    "bit": "its scale depends on the converter; write the quantity that it stands for",
+    "raw": "its scale is known to the instrument alone; write the quantity that it stands for",
+}
+
+
+def in_si(text: str) -> tuple[str, float]:
+    """Return the SI unit of a measured quantity, and how many of it one of the given unit is.
+
+    A degree counts as so many radians, and a revolution too.
+
+    Raises:
+        ValueError: If it is no unit, or one without a scale of its own; the text says which.
+    """
+    spelled = _SPELLED.get(text.strip(), text.strip())
+    for word, hint in _NO_SCALE.items():
+        if spelled.lower().removesuffix("s") == word:
+            raise ValueError(f"`{text}` is no unit: {hint}")
+    above, slash, below = spelled.partition("/")
+    parts = [above.split(), below.split()]
+    factor = 1.0
+    for part, sign in zip(parts, (1, -1), strict=True):
+        for k, symbol in enumerate(part):
+            found = _POWER.fullmatch(symbol)
+            name, power = (found[1], int(found[2] or 1)) if found else (symbol, 1)
+            name = _SPELLED.get(name, name)
+            unit, scale = _SCALED.get(name, (name, 1.0))
+            if unit == name and name not in ("1", *_BASE, *_DERIVED):
+                known = ", ".join((*_BASE, *_DERIVED, *_SCALED))
+                raise ValueError(f"`{name}` is no unit; known are {known}")
+            factor *= scale ** (sign * power)
+            if "/" in unit and (power != 1 or sign != 1 or slash):
+                raise ValueError(f"`{text}` is no unit that is known; `{name}` must stand alone")
+            part[k] = unit if power == 1 else f"{unit}^{power}"
+    whole = " ".join(parts[0]) + ("/" + " ".join(parts[1]) if slash else "")
+    powers_of(whole)
+    return whole, factor
