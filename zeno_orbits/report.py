@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from zeno_orbits.attractors import Attractor
     from zeno_orbits.bounds import Extent
     from zeno_orbits.certificate import OrbitCertificate
+    from zeno_orbits.comparison import Comparison
     from zeno_orbits.execution import Execution
     from zeno_orbits.families import Boundary, Continuation
     from zeno_orbits.fidelity import ReductionCost
@@ -96,6 +97,28 @@ def print_problems(problems: Sequence[Problem]) -> None:
         gains = ", ".join(gain.name for gain in problem.gains) or "-"
         table.add_row(problem.name, str(len(problem.state_names)), gains, problem.title)
     _print(table)
+
+
+def print_comparison(found: Comparison) -> None:
+    """Print a recording beside an orbit."""
+    table = _table("", "orbit", "recording", "difference", "standard error", "unit")
+    for metric in found.metrics:
+        known = math.isfinite(metric.data)
+        difference = f"{metric.data - metric.orbit:+.3g}" if known else "-"
+        error = f"{metric.error:.2g}" if math.isfinite(metric.error) else "-"
+        data = f"{metric.data:.7g}" if known else "not seen"
+        table.add_row(metric.name, f"{metric.orbit:.7g}", data, difference, error, metric.unit)
+    if found.metrics:
+        _print(table)
+    console = _console()
+    for remark in (*found.recording.remarks, *found.remarks):
+        console.print(f"Note: {remark}.", soft_wrap=True, markup=False, highlight=False)
+    if found.agrees:
+        console.print("The recording shows such an orbit.")
+        return
+    console.print("The recording shows no such orbit:")
+    for reason in found.reasons:
+        console.print(f"  {reason}.", soft_wrap=True, markup=False, highlight=False)
 
 
 def print_conditions(

@@ -14,6 +14,7 @@ import sys
 from collections.abc import Sequence
 
 from zeno_orbits import report
+from zeno_orbits.cli.compare import add_compare
 from zeno_orbits.cli.conditions import add_conditions
 from zeno_orbits.cli.continuation import add_continue
 from zeno_orbits.cli.fidelity import add_fidelity
@@ -92,4 +93,5 @@ def _parser() -> argparse.ArgumentParser:
     add_continue(commands)
     add_trade(commands)
     add_plot(commands)
+    add_compare(commands)
     return parser

@@ -5,6 +5,7 @@ takes a width in inches: ``COLUMN_WIDTH`` stacks the panels for one column of a 
 ``FULL_WIDTH`` sets them side by side.
 """
 
+from zeno_orbits.plots.comparison import plot_comparison
 from zeno_orbits.plots.family import plot_boundaries, plot_families
 from zeno_orbits.plots.map import plot_map
 from zeno_orbits.plots.orbit import plot_outputs, plot_portraits, plot_time_series
@@ -18,6 +19,7 @@ __all__ = [
     "FULL_WIDTH",
     "has_zeno_region",
     "plot_boundaries",
+    "plot_comparison",
     "plot_families",
     "plot_map",
     "plot_outputs",
