@@ -23,9 +23,11 @@ if TYPE_CHECKING:
     from zeno_orbits.execution import Execution
     from zeno_orbits.families import Boundary, Continuation
     from zeno_orbits.fidelity import ReductionCost
+    from zeno_orbits.identification import Identification
     from zeno_orbits.maps import ParameterMap
     from zeno_orbits.orbit import ZenoOrbit
     from zeno_orbits.problem import Problem, Setting
+    from zeno_orbits.recordings import Recording
     from zeno_orbits.search import SearchResult
     from zeno_orbits.trade import Trade, Trial
 
@@ -119,6 +121,28 @@ def print_comparison(found: Comparison) -> None:
     console.print("The recording shows no such orbit:")
     for reason in found.reasons:
         console.print(f"  {reason}.", soft_wrap=True, markup=False, highlight=False)
+
+
+def print_identification(recording: Recording, found: Identification) -> None:
+    """Print parameters that were found from a recording."""
+    table = _table("", "start", "fitted", "standard error", "95 % interval")
+    for one in found.fitted:
+        known = math.isfinite(one.error)
+        error = f"{one.error:.2g}" if known else "not told"
+        interval = f"{one.low:.6g} to {one.high:.6g}" if known else "-"
+        label = one.sought.label
+        table.add_row(label, f"{one.start:.6g}", f"{one.value:.7g}", error, interval)
+    _print(table)
+    console = _console()
+    console.print(
+        f"Deviation of all signals, in parts of their ranges: {found.before:.2g} before, "
+        f"{found.after:.2g} after the fit. Period {found.orbit.period:.7g} s.",
+        soft_wrap=True,
+    )
+    for remark in (*recording.remarks, *found.remarks):
+        console.print(f"Note: {remark}.", soft_wrap=True, markup=False, highlight=False)
+    for one in found.unseen:
+        console.print(f"Warning: {one.text}.", soft_wrap=True, markup=False, highlight=False)
 
 
 def print_conditions(

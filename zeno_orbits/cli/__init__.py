@@ -18,6 +18,7 @@ from zeno_orbits.cli.compare import add_compare
 from zeno_orbits.cli.conditions import add_conditions
 from zeno_orbits.cli.continuation import add_continue
 from zeno_orbits.cli.fidelity import add_fidelity
+from zeno_orbits.cli.identify import add_identify
 from zeno_orbits.cli.map import add_map
 from zeno_orbits.cli.new import add_new
 from zeno_orbits.cli.plot import add_plot
@@ -94,4 +95,5 @@ def _parser() -> argparse.ArgumentParser:
     add_trade(commands)
     add_plot(commands)
     add_compare(commands)
+    add_identify(commands)
     return parser

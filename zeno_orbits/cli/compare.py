@@ -12,6 +12,7 @@ from zeno_orbits.cli.shared import (
     YES,
     add_command,
     add_orbit,
+    add_recording,
     orbit_and_problem,
     print_json,
     say_written,
@@ -37,20 +38,6 @@ def add_compare(commands: Any) -> None:
     parser.add_argument("--picture", type=Path, help="draw the recording over the orbit here")
 
 
-def add_recording(parser: argparse.ArgumentParser) -> None:
-    """Add the file of a recording, and which part of it counts."""
-    parser.add_argument(
-        "data",
-        metavar="DATA.csv",
-        type=Path,
-        help="a table of signals over time; its titles are `name [unit]`, one of them `time`",
-    )
-    parser.add_argument(
-        "--from", dest="since", type=float, metavar="T", help="leave out what is earlier [s]"
-    )
-    parser.add_argument("--to", type=float, metavar="T", help="leave out what is later [s]")
-
-
 def _run_compare(options: argparse.Namespace) -> int:
     from zeno_orbits.comparison import compare
     from zeno_orbits.cycle_tables import measurable
@@ -65,17 +52,17 @@ def _run_compare(options: argparse.Namespace) -> int:
         recording = cut(recording, options.since, options.to)
         progress.tell("comparing")
         found = compare(orbit, problem, recording)
-    drawn = options.picture is not None and found.deviations is not None
-    if drawn:
+    picture: Path | None = options.picture
+    drawn = [] if picture is None or found.deviations is None else [picture]
+    for path in drawn:
         from zeno_orbits import plots
 
-        plots.save_figure(plots.plot_comparison(problem, found), options.picture)
+        plots.save_figure(plots.plot_comparison(problem, found), path)
     if options.json:
         print_json(found.as_json())
     else:
         report.print_comparison(found)
-        if drawn:
-            say_written(options, [options.picture])
-        elif options.picture is not None:
+        say_written(options, drawn)
+        if picture is not None and not drawn:
             report.print_lines(["Nothing was drawn: the recording cannot be laid over the orbit."])
     return YES if found.agrees else NO
