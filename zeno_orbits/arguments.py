@@ -64,6 +64,21 @@ def read_shape(text: str | None) -> OrbitShape | None:
     return None if text is None else OrbitShape.parsed(text)
 
 
+def read_fit(
+    text: str,
+) -> tuple[tuple[tuple[str, ...], tuple[float, float] | None], ...]:
+    """Return names, those tied by ``+`` together, and bounds from ``NAME[=LOW:HIGH],...``."""
+    found: list[tuple[tuple[str, ...], tuple[float, float] | None]] = []
+    for entry in text.split(","):
+        name, sign, _ = entry.strip().partition("=")
+        names = tuple(part.strip() for part in name.split("+"))
+        if not all(names):
+            wanted = "must be NAME or NAME=LOW:HIGH, or several of them with commas between"
+            raise InputError(f"Argument `fit` {wanted}, but it is `{text}`.")
+        found.append((names, read_range(entry.strip(), "fit")[1] if sign else None))
+    return tuple(found)
+
+
 def read_bounds(entries: Sequence[str]) -> tuple[Bound, ...]:
     """Return bounds from ``NAME=LOWER:UPPER`` entries, an open end left empty."""
     from zeno_orbits.bounds import Bound

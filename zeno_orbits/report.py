@@ -11,6 +11,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from zeno_orbits.console import plain_console, print_error, print_lines, print_table, table_of
+from zeno_orbits.machine_tables import (
+    print_comparison,
+    print_contacts,
+    print_identification,
+    print_rig,
+)
 from zeno_orbits.progress import Progress
 from zeno_orbits.surveys import print_families, print_map, print_trade
 
@@ -23,7 +29,6 @@ if TYPE_CHECKING:
     from zeno_orbits.fidelity import ReductionCost
     from zeno_orbits.orbit import ZenoOrbit
     from zeno_orbits.problem import Problem, Setting
-    from zeno_orbits.rig.comparison import RigComparison
     from zeno_orbits.search import SearchResult
 
 __all__ = [
@@ -31,7 +36,9 @@ __all__ = [
     "print_asked",
     "print_candidates",
     "print_certificate",
+    "print_comparison",
     "print_conditions",
+    "print_contacts",
     "print_costs",
     "print_engine",
     "print_error",
@@ -39,10 +46,12 @@ __all__ = [
     "print_execution",
     "print_families",
     "print_goal",
+    "print_identification",
     "print_lines",
     "print_map",
     "print_orbit",
     "print_problems",
+    "print_rig",
     "print_search",
     "print_trade",
     "print_verdict",
@@ -75,44 +84,6 @@ def print_conditions(
             if always
             else "It is nowhere negative: there is no Zeno point."
         )
-
-
-_RIG_ROWS = {
-    "impact_time": "first impact",
-    "impact_rate": "gap rate there",
-    "lock_time": "Zeno time; end of chatter",
-    "lock_angle": "amplitude's coordinate there",
-    "period": "period",
-}
-
-
-def print_rig(comparison: RigComparison) -> None:
-    """Print the cycles of a simulated machine beside an orbit."""
-    table = table_of("", "unit", "orbit", "machine, simulated", "spread", "difference")
-    for name, label in _RIG_ROWS.items():
-        orbit = getattr(comparison.orbit, name)
-        mean, spread = getattr(comparison.mean, name), getattr(comparison.spread, name)
-        table.add_row(
-            *(label, comparison.units[name], f"{orbit:.6f}", f"{mean:.6f}"),
-            *(f"{spread:.1e}", f"{mean - orbit:+.1e}"),
-        )
-    print_table(table)
-    plain_console().print(
-        f"Simulated, not measured: {comparison.cycles} settled cycles. In the space of states the "
-        f"machine is farthest from the orbit, {100 * comparison.portrait:.2g} % of its size, at "
-        f"{100 * comparison.portrait_at:.0f} % of the cycle.",
-        soft_wrap=True,
-    )
-
-
-def print_contacts(name: str, contacts: Sequence[Mapping[str, float]]) -> None:
-    """Print the contacts of a simulated machine."""
-    table = table_of("contact from [s]", "to [s]", "gap rate before")
-    for contact in contacts:
-        numbers = (contact["start"], contact["end"], contact["approach_rate"])
-        table.add_row(*(f"{number:.6f}" for number in numbers))
-    print_table(table)
-    plain_console().print(f"Simulated, not measured: {len(contacts)} contacts of {name}.")
 
 
 def print_costs(costs: Sequence[ReductionCost]) -> None:

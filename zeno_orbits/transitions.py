@@ -45,17 +45,45 @@ def carried(
         v: Perturbations at its start, ``(n_y, m)``.
         q: Perturbations of the flow's parameters, ``(n_q, m)``.
     """
-    for step in _steps(flow, arc, tolerance):
-        size = min(step.size, arc.duration - step.start)
-        if isinstance(step, RadauStep):
-            v = _implicit(differential, step, radau(N_STAGES), size, v, q)
-            continue
-        after, error = differential.step(step.before, size, v, q)
-        if not error <= max(_GROWS, _SHARE * tolerance.relative):
-            # The state, on its slow manifold, does not feel that a fast perturbation grows.
-            after = _implicit(differential, step, radau(N_STAGES), size, v, q)
+    for _, after in courses(flow, differential, arc, tolerance, v, q):
         v = after
     return v
+
+
+def courses(
+    flow: GuardedFlow,
+    differential: FlowDifferential,
+    arc: Arc,
+    tolerance: Tolerance,
+    v: Vector,
+    q: Vector,
+    *,
+    parts: int = 1,
+) -> Iterator[tuple[float, Vector]]:
+    """Yield the flow's own time and the perturbations after every step of an arc.
+
+    Args:
+        flow: The flow that was followed.
+        differential: Its variational equation.
+        arc: The arc.
+        tolerance: Local error of steps that are taken anew.
+        v: Perturbations at its start, ``(n_y, m)``.
+        q: Perturbations of the flow's parameters, ``(n_q, m)``.
+        parts: How often in every step, evenly; each time from the beginning of the step.
+    """
+    for step in _steps(flow, arc, tolerance):
+        whole = min(step.size, arc.duration - step.start)
+        before = v
+        for part in range(1, parts + 1):
+            size = whole * part / parts
+            if isinstance(step, RadauStep):
+                v = _implicit(differential, step, radau(N_STAGES), size, before, q)
+            else:
+                v, error = differential.step(step.before, size, before, q)
+                if not error <= max(_GROWS, _SHARE * tolerance.relative):
+                    # The state, on its slow manifold, does not feel a fast perturbation grow.
+                    v = _implicit(differential, step, radau(N_STAGES), size, before, q)
+            yield step.start + size, v
 
 
 _GROWS = 1e-8

@@ -14,10 +14,12 @@ import sys
 from collections.abc import Sequence
 
 from zeno_orbits import report
+from zeno_orbits.cli.compare import add_compare
 from zeno_orbits.cli.conditions import add_conditions
 from zeno_orbits.cli.continuation import add_continue
 from zeno_orbits.cli.fidelity import add_fidelity
 from zeno_orbits.cli.figures import add_figures
+from zeno_orbits.cli.identify import add_identify
 from zeno_orbits.cli.map import add_map
 from zeno_orbits.cli.new import add_new
 from zeno_orbits.cli.page import add_report
@@ -99,4 +101,6 @@ def build_parser() -> argparse.ArgumentParser:
     add_plot(commands)
     add_report(commands)
     add_figures(commands)
+    add_compare(commands)
+    add_identify(commands)
     return parser

@@ -168,6 +168,20 @@ def add_orbit(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_recording(parser: argparse.ArgumentParser) -> None:
+    """Add the file of a recording, and which part of it counts."""
+    parser.add_argument(
+        "data",
+        metavar="DATA.csv",
+        type=Path,
+        help="a table of signals over time; its titles are `name [unit]`, one of them `time`",
+    )
+    parser.add_argument(
+        "--from", dest="since", type=float, metavar="T", help="leave out what is earlier [s]"
+    )
+    parser.add_argument("--to", type=float, metavar="T", help="leave out what is later [s]")
+
+
 def setting_of(problem: Problem, options: argparse.Namespace) -> Setting:
     """Return the numbers that were asked for."""
     return problem.setting(

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zeno_orbits import report
+from zeno_orbits.arguments import read_seed
 from zeno_orbits.cli.shared import (
     YES,
     add_accuracy,
@@ -21,7 +22,7 @@ from zeno_orbits.cli.shared import (
     simulation_of,
     start_of,
 )
-from zeno_orbits.files import require_picture
+from zeno_orbits.files import require_picture, require_writable
 
 if TYPE_CHECKING:
     from zeno_orbits.dynamics import HybridDynamics
@@ -41,6 +42,7 @@ def add_simulate(commands: Any) -> None:
             "zeno-orbits simulate motor_pendulum --start theta1=1.2 --start dtheta2=0.5",
             "zeno-orbits simulate motor_pendulum --set L=1e-6 --accuracy 1e-6",
             "zeno-orbits simulate bouncing_ball --set restitution=0.8 --until 5 --json",
+            "zeno-orbits simulate motor_pendulum --until 40 --data data.csv --noise 1e-3",
         ],
     )
     add_scene(parser)
@@ -49,6 +51,22 @@ def add_simulate(commands: Any) -> None:
     parser.add_argument("--until", type=float, default=10.0, metavar="T", help="how long [s]")
     add_start(parser)
     parser.add_argument("-o", "--output", type=Path, help="draw the states over time here")
+    parser.add_argument(
+        "--data", type=Path, metavar="DATA.csv", help="write samples of the states here"
+    )
+    parser.add_argument(
+        "--rate", type=float, default=500.0, metavar="HZ", help="samples a second; 500 by default"
+    )
+    parser.add_argument(
+        "--noise",
+        type=float,
+        default=0.0,
+        metavar="SHARE",
+        help="noise on the samples, in parts of the range of each state; none by default",
+    )
+    parser.add_argument(
+        "--seed", type=read_seed, default=0, metavar="N", help="of the noise; 0 by default"
+    )
 
 
 def _run_simulate(options: argparse.Namespace) -> int:
@@ -62,6 +80,8 @@ def _run_simulate(options: argparse.Namespace) -> int:
     state = start_of(problem, options)
     if options.output is not None:
         require_picture(options.output)
+    if options.data is not None:
+        require_writable(options.data)
     dynamics = bind(compiled_model(problem), setting.values())
     execution, error = _simulated(options, dynamics, state)
     if options.json:
@@ -75,6 +95,20 @@ def _run_simulate(options: argparse.Namespace) -> int:
 
         plots.save_figure(plots.plot_time_series(problem, execution), options.output)
         say_written(options, [options.output])
+    if options.data is not None:
+        from zeno_orbits.recordings import write_recording
+        from zeno_orbits.sampling import sampled
+
+        recording = sampled(
+            problem,
+            dynamics,
+            execution,
+            rate=options.rate,
+            noise=options.noise,
+            seed=options.seed,
+        )
+        write_recording(recording, options.data)
+        say_written(options, [options.data])
     return YES
 
 

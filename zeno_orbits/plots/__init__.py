@@ -12,6 +12,7 @@ from zeno_orbits.plots.beside import (
     plot_beside_portraits,
     plot_beside_zeno_point,
 )
+from zeno_orbits.plots.comparison import plot_comparison
 from zeno_orbits.plots.family import plot_boundaries, plot_families
 from zeno_orbits.plots.graph import plot_graph
 from zeno_orbits.plots.map import plot_map
@@ -35,6 +36,7 @@ __all__ = [
     "plot_beside_portraits",
     "plot_beside_zeno_point",
     "plot_boundaries",
+    "plot_comparison",
     "plot_families",
     "plot_graph",
     "plot_map",

@@ -1,0 +1,108 @@
+"""The command `identify`."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from zeno_orbits import report
+from zeno_orbits.arguments import read_fit
+from zeno_orbits.cli.shared import (
+    YES,
+    add_command,
+    add_gain_values,
+    add_recording,
+    add_scene,
+    json_text,
+    print_json,
+    say_written,
+    setting_of,
+)
+from zeno_orbits.files import require_writable, write_whole
+
+if TYPE_CHECKING:
+    from zeno_orbits.identification import Sought
+    from zeno_orbits.problem import Problem, Setting
+
+
+def add_identify(commands: Any) -> None:
+    """Add the command `identify`."""
+    parser = add_command(
+        commands,
+        "identify",
+        _run_identify,
+        "find parameters of a machine from a recording of it; the answer is no if the recording "
+        "shows no orbit like the scene's",
+        [
+            "zeno-orbits identify motor_pendulum data.csv --from 12 --fit R,restitution",
+            "zeno-orbits identify motor_pendulum data.csv --from 12 --set R=3.2 --fit R=2:4 "
+            "-o fitted.json --orbit fitted_orbit.json",
+            "zeno-orbits identify motor_pendulum data.csv --from 12 "
+            "--fit K_torque+K_emf=0.02:0.05 --json",
+        ],
+    )
+    add_scene(parser)
+    add_recording(parser)
+    add_gain_values(parser)
+    parser.add_argument(
+        "--fit",
+        required=True,
+        metavar="NAME[=LOW:HIGH],...",
+        help="parameters to find, between these ends; A+B has one value for both; "
+        "by default from a tenth to ten times the value",
+    )
+    parser.add_argument("-o", "--output", type=Path, help="write the numbers here, as JSON")
+    parser.add_argument("--orbit", type=Path, help="write the orbit at the fitted numbers here")
+
+
+def _run_identify(options: argparse.Namespace) -> int:
+    from zeno_orbits.cycle_tables import measurable
+    from zeno_orbits.identification import identify
+    from zeno_orbits.orbit import write_orbit
+    from zeno_orbits.problem import load_problem
+    from zeno_orbits.recordings import cut, read_recording
+
+    problem = load_problem(options.problem)
+    setting = setting_of(problem, options)
+    sought = _sought(problem, setting, options.fit)
+    written = [path for path in (options.output, options.orbit) if path is not None]
+    for path in written:
+        require_writable(path)
+    with report.Progress(options.interrupts.check) as progress:
+        progress.tell("reading the recording")
+        recording = read_recording(options.data, only=tuple(measurable(problem)))
+        recording = cut(recording, options.since, options.to)
+        found = identify(problem, setting, recording, sought, on_progress=progress.tell)
+    if options.output is not None:
+        write_whole(options.output, json_text(found.as_json()) + "\n")
+    if options.orbit is not None:
+        write_orbit(found.orbit, options.orbit)
+    if options.json:
+        print_json(found.as_json())
+    else:
+        report.print_identification(recording, found)
+        say_written(options, written)
+    return YES
+
+
+_DECADE = 10.0
+
+
+def _sought(problem: Problem, setting: Setting, text: str) -> tuple[Sought, ...]:
+    """Return what is to be found, in ranges that the scene allows."""
+    from zeno_orbits.identification import Sought
+
+    known = {quantity.name: quantity for quantity in problem.parameters}
+    found: list[Sought] = []
+    for names, box in read_fit(text):
+        lower, upper = -math.inf, math.inf
+        for name in names:
+            if name in known:
+                lower, upper = max(lower, known[name].lower), min(upper, known[name].upper)
+        value = setting.parameters.get(names[0], 0.0)
+        around = sorted((value / _DECADE, value * _DECADE)) if value else (-1.0, 1.0)
+        low, high = box if box is not None else (max(lower, around[0]), min(upper, around[1]))
+        found.append(Sought(names=names, lower=max(low, lower), upper=min(high, upper)))
+    return tuple(found)

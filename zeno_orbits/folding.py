@@ -1,0 +1,118 @@
+"""A recording folded into one period: samples by phase, or few means of very many of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zeno_orbits.alignment import Alignment
+from zeno_orbits.cycle_tables import OrbitTable
+
+Vector = NDArray[np.float64]
+
+MOST = 40_000
+"""Samples that are kept as they are; more are gathered."""
+_GATHERED = 400
+"""Bins of the phase that more samples are gathered in, for each group of cycles."""
+_GROUPS = 60
+_NEAR = 0.012
+"""Part of a period on either side of an impact where a signal that jumps tells little."""
+_JUMP = 0.02
+"""Part of its range by which a signal jumps that counts as jumping."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Fold:
+    """An orbit at the phases of samples.
+
+    Attributes:
+        times: Since its release, ``(n,)`` [s].
+        values: Its signals, ``(n, n_s)``.
+        slopes: Their time derivatives, ``(n, n_s)``.
+    """
+
+    times: Vector
+    values: Vector
+    slopes: Vector
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Folded:
+    """Samples by phase.
+
+    Attributes:
+        phases: In periods from the release, in [0, 1), ``(n,)``.
+        values: ``(n, n_s)``.
+        counts: How many samples each value is the mean of, ``(n, n_s)``.
+        seen: Where there are any that count, ``(n, n_s)``.
+        groups: Number of the cycle, or of the group of cycles, of each row, ``(n,)``.
+    """
+
+    phases: Vector
+    values: Vector
+    counts: Vector
+    seen: NDArray[np.bool_]
+    groups: NDArray[np.int64]
+
+    def without_jumps(self, table: OrbitTable) -> Folded:
+        """Return it without samples of signals that jump, near the impacts that make them jump."""
+        seen = self.seen.copy()
+        extent = np.ptp(table.nodes.values, axis=0)
+        start, period = table.cycle.start.time, table.period
+        again = np.flatnonzero(np.diff(table.nodes.times) <= 0.0)
+        jumps = np.abs(table.nodes.values[again + 1] - table.nodes.values[again])
+        for impact in table.cycle.impacts:
+            at = (impact.time - start) / period
+            here = np.abs(table.nodes.times[again] - (impact.time - start)) < 1e-9 * period
+            size = jumps[here].max(axis=0, initial=0.0)
+            near = np.abs(self.phases - at) < _NEAR
+            for k in np.flatnonzero(size > _JUMP * extent):
+                seen[near, k] = False
+        return replace(self, seen=seen)
+
+
+def folded(time: Vector, values: Vector, where: Alignment) -> Folded:
+    """Return a recording folded by its own period.
+
+    Args:
+        time: Increasing, ``(n_t,)`` [s].
+        values: One row a signal, ``(n_s, n_t)``, NaN where one was not taken.
+        where: Its alignment.
+    """
+    whole = where.phases(time)
+    cycles = np.floor(whole).astype(np.int64)
+    first = int(cycles[0])
+    if len(time) <= MOST:
+        seen = np.isfinite(values.T)
+        return Folded(
+            phases=whole - cycles,
+            values=np.where(seen, values.T, 0.0),
+            counts=seen.astype(np.float64),
+            seen=seen,
+            groups=cycles - first,
+        )
+    n_cycles = int(cycles[-1]) - first + 1
+    n_groups = min(n_cycles, _GROUPS)
+    groups = (cycles - first) * n_groups // n_cycles
+    n_bins = max(_GATHERED, math.ceil(MOST / n_groups / 2))
+    places = groups * n_bins + np.minimum(((whole - cycles) * n_bins).astype(np.int64), n_bins - 1)
+    n = n_groups * n_bins
+    count = np.bincount(places, minlength=n)
+    phases = np.bincount(places, weights=whole - cycles, minlength=n) / np.maximum(count, 1)
+    means, counts = [np.zeros((n, len(values))) for _ in range(2)]
+    for k, row in enumerate(values):
+        known = np.isfinite(row)
+        counts[:, k] = np.bincount(places[known], minlength=n)
+        sums = np.bincount(places[known], weights=row[known], minlength=n)
+        means[:, k] = sums / np.maximum(counts[:, k], 1.0)
+    kept = count > 0
+    return Folded(
+        phases=phases[kept],
+        values=means[kept],
+        counts=counts[kept],
+        seen=counts[kept] > 0.5,
+        groups=np.arange(n)[kept] // n_bins,
+    )
