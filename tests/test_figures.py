@@ -499,7 +499,7 @@ def test_one_command_writes_all_figures(orbit_file: Path, parts: Any) -> None:
 
 def test_the_same_orbit_gives_the_same_bytes(orbit_file: Path, parts: Any) -> None:
     assert parts
-    kinds = [word for kind in PAPER if kind != "animation" for word in ("--kind", kind)]
+    kinds = [word for kind in ("graph", "region", "portraits") for word in ("--kind", kind)]
     for folder in ("a", "b"):
         assert ask("figures", orbit_file, "-o", folder, *kinds)[0] == YES
     for path in Path("a").iterdir():
@@ -532,7 +532,9 @@ def test_what_a_scene_does_not_have_is_said_and_left_out(
         raise SimulationError("The rig does not move in cycles", time=1.0, state=(0.0,))
 
     monkeypatch.setattr(counterparts, "_part", lambda _: SimpleNamespace(rig_cycles=still))
-    monkeypatch.setattr("zeno_orbits.plots.paper.has_ffmpeg", lambda: False)
+    # A film without ffmpeg, and nothing that takes long.
+    monkeypatch.setitem(PAPER, "animation", lambda _: {"machine.gif": b"GIF8"})
+    monkeypatch.setitem(PAPER, "region", lambda _: {})
     code, out, _ = ask("figures", orbit_file, "-o", "f", "--json")
     assert code == YES
     left_out = json.loads(out)["left_out"]
@@ -605,9 +607,16 @@ def test_an_orbit_without_a_zeno_point_is_refused(orbit_file: Path, orbit: ZenoO
     assert "must reach a Zeno point in its period" in err
 
 
-def test_the_examples_of_the_help_run(orbit_file: Path, parts: Any) -> None:
+def test_the_examples_of_the_help_run(
+    orbit_file: Path, parts: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert orbit_file.exists()
     assert parts
+    # The first example is run in full by `test_one_command_writes_all_figures`.
+    for kind in ("animation", "beside"):
+        monkeypatch.setitem(
+            PAPER, kind, lambda material: {"a.png": material.other().label.encode()}
+        )
     Path("recording.csv").touch()
     _, out, _ = ask("figures", "--help")
     lines = [line for line in out.partition("examples:")[2].splitlines() if line.strip()]

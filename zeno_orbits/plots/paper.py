@@ -89,7 +89,7 @@ def animation_files(material: Material) -> dict[str, bytes]:
     return files | ({"machine.mp4": mp4_of(film)} if has_ffmpeg() else {})
 
 
-PAPER: Mapping[str, Callable[[Material], dict[str, bytes]]] = {
+PAPER: dict[str, Callable[[Material], dict[str, bytes]]] = {
     "graph": graph_files,
     "region": region_files,
     "portraits": portrait_files,
