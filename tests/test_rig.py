@@ -248,7 +248,43 @@ def test_energy_that_a_contact_takes_is_that_of_newtons_law() -> None:
     assert lost == pytest.approx(expected, rel=1e-4)
 
 
+def test_a_curved_stop_gives_back_the_restitution_in_its_own_metric() -> None:
+    """The gap is no coordinate and its gradient turns: the force acts along it, all the same."""
+    bowl = load_problem("curved_surface")
+    e = bowl.setting().number("restitution")
+    start = bowl.state_vector({"x": 0.05, "y": 0.1, "dx": 0.5, "cosine": 1.0})
+    ratios: list[float] = []
+    for stiffness in (1e6, 1e8):
+        rig = Rig(contact=Contact(stiffness=stiffness))
+        touch = simulate_rig(bowl, bowl.setting(), rig, start, 0.2, settings=FINE).touches[0]
+        ratios.append(-touch.depart_rate / touch.approach_rate - e)
+    # What acts beside the contact does so for its length, which falls with the square root.
+    assert abs(ratios[0]) < 1e-2
+    assert ratios[0] / ratios[1] == pytest.approx(10.0, rel=0.05)
+
+
 # -------------------------------------------------------------------- friction, gears, bridges
+
+
+def test_a_gear_of_very_stiff_teeth_is_none(scene: Problem) -> None:
+    """Taken out of the mass matrix and put back behind teeth, the rotor moves as it did."""
+    start = scene.state_vector({"theta1": 0.6, "theta2": 1.5})
+
+    def final(gears: Mapping[int, Gear]) -> Vector:
+        rig = Rig(gears=dict(gears))
+        run = simulate_rig(scene, scene.setting(), rig, start, 0.2, settings=FINE)
+        assert not run.touches
+        return run.states[-1, :5]
+
+    rigid = final({})
+    away = [
+        float(np.max(np.abs(final({1: Gear(rotor_inertia=0.0175, stiffness=k)}) - rigid)))
+        for k in (1e5, 1e6)
+    ]
+    # Angles twist by torque over stiffness; the vibration of the teeth that begins with it is as
+    # fast as the root of it, so rates differ by its root.
+    assert away[1] < away[0] < 0.02
+    assert away[0] / away[1] == pytest.approx(math.sqrt(10), rel=0.5)
 
 
 def test_dry_and_viscous_friction_let_a_disc_run_down_as_their_closed_forms_say() -> None:
