@@ -285,3 +285,48 @@ def test_the_folds_and_flips_of_the_pendulum_pass_their_cusp_and_end_where_a_fam
             ]
             values = [one.at.value for one in special if one.kind is kind]
             assert sorted(ends) == pytest.approx(sorted(values), abs=1e-8)
+
+
+@pytest.mark.slow
+def test_the_second_cusp_of_the_pendulum_is_where_two_folds_of_its_families_merge() -> None:
+    # Its place is that of the curve; the families know of one parameter alone.
+    problem, cusp = load_problem("motor_pendulum"), 10.966659556
+
+    def folds(kp: float) -> list[float]:
+        orbit = start_orbit(problem, problem.setting(gains={"Kp": kp, "Kd": -1.12}))
+        settings = ContinuationSettings(doublings=0)
+        found = continue_orbit(problem, orbit, "Kd", (-1.15, -1.11), settings=settings)
+        special = found.families[0].special
+        return [one.at.value for one in special if one.kind is Kind.FOLD]
+
+    far, near = folds(cusp - 0.02), folds(cusp - 0.002)
+    assert (len(far), len(near), len(folds(cusp + 0.002))) == (2, 2, 0)
+    # Two folds part with the power 3/2 of the distance from their cusp.
+    assert abs(far[0] - far[1]) / abs(near[0] - near[1]) == pytest.approx(10**1.5, rel=0.1)
+
+
+@pytest.mark.slow
+def test_the_grazing_of_the_pendulum_keeps_to_its_family_and_meets_an_earlier_release() -> None:
+    # Below Kp = 2.45 another family runs into an end beside this one, 1e-4 off in Kd.
+    problem = load_problem("motor_pendulum")
+    settings = ContinuationSettings(doublings=0)
+
+    def orbit(kp: float) -> ZenoOrbit:
+        return start_orbit(problem, problem.setting(gains={"Kp": kp, "Kd": -1.0}))
+
+    found = continue_orbit_in_two(
+        problem,
+        orbit(2.5),
+        ("Kd", "Kp"),
+        ((-2.5, 0.0), (2.3, 4.5)),
+        kinds=(Kind.GRAZING,),
+        settings=settings,
+    )
+    (curve,) = found.boundaries
+    low, high = np.argmin(curve.y), np.argmax(curve.y)
+    family = continue_orbit(problem, orbit(2.3), "Kd", (-2.5, 0.0), settings=settings).families[0]
+    ends = [end.at.value for end in (family.first, family.last) if end.kind is Kind.GRAZING]
+    assert curve.y[low] == pytest.approx(2.3, abs=1e-6)
+    assert ends == pytest.approx([curve.x[low]], abs=1e-8)
+    assert "meets: earlier release" in str(curve.ends)
+    assert curve.y[high] == pytest.approx(4.172, abs=1e-3)

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from tests.test_cli import ask
-from zeno_orbits import errands, report, work
+from zeno_orbits import office, report, work
 from zeno_orbits.branch_data import (
     branch_from_json,
     branch_to_json,
@@ -29,9 +29,10 @@ from zeno_orbits.branch_data import (
 from zeno_orbits.branches import Steps
 from zeno_orbits.continuation import continue_orbit, continue_orbit_in_two, start_orbit
 from zeno_orbits.corrector import first_point
-from zeno_orbits.errands import Crew, Direction, Half
+from zeno_orbits.errands import Direction, Half
 from zeno_orbits.errors import CheckpointError, InputError, SimulationError, WorkError
 from zeno_orbits.families import HalfCurve, Kind
+from zeno_orbits.office import Crew, Office
 from zeno_orbits.orbit import ZenoOrbit
 from zeno_orbits.plain import plain
 from zeno_orbits.plane import CurveSteps
@@ -145,7 +146,7 @@ def test_a_family_and_half_a_curve_pass_through_json_with_every_bit() -> None:
 
 
 def test_a_curve_that_closes_has_no_second_half() -> None:
-    office = errands.Office(
+    here = Office(
         problem=load_problem(SCENE), settings=ContinuationSettings(), tell=lambda *_: None
     )
 
@@ -153,7 +154,7 @@ def test_a_curve_that_closes_has_no_second_half() -> None:
         def done(self, *_: Any) -> HalfCurve:
             return HalfCurve(x=(0.0,), y=(0.0,), errors=(0.0,), end=Kind.CLOSED.value)
 
-    assert [len(group) for group in office.done("stage", "halves", [(Loop(), Loop())])] == [1]
+    assert [len(group) for group in here.done("stage", "halves", [(Loop(), Loop())])] == [1]
 
 
 # ---------------------------------------------------------------------------- what is lost
@@ -162,7 +163,7 @@ def test_a_curve_that_closes_has_no_second_half() -> None:
 def test_an_errand_that_fails_or_kills_every_worker_leaves_the_others_alone(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    spread, done = errands.spread, Half.done
+    spread, done = office.spread, Half.done
 
     def fail(half: Half, *arguments: Any) -> HalfCurve:
         if half.upwards:
@@ -178,7 +179,7 @@ def test_an_errand_that_fails_or_kills_every_worker_leaves_the_others_alone(
         results = spread(task, *arguments, **named)
         return (Lost(), *results[1:]) if isinstance(task.errands[0], Half) else results
 
-    monkeypatch.setattr(errands, "spread", lose_a_half)
+    monkeypatch.setattr(office, "spread", lose_a_half)
     (curve,) = crewed(Workers(count=1)).boundaries
     assert curve.ends == ("2 steps", f"gave up: {Lost().reason}")
 
@@ -186,12 +187,12 @@ def test_an_errand_that_fails_or_kills_every_worker_leaves_the_others_alone(
 def test_a_direction_that_kills_every_worker_is_an_end_that_was_given_up(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    spread = errands.spread
+    spread = office.spread
 
     def lose_the_second(*arguments: Any, **named: Any) -> Any:
         return (*spread(*arguments, **named)[:1], Lost())
 
-    monkeypatch.setattr(errands, "spread", lose_the_second)
+    monkeypatch.setattr(office, "spread", lose_the_second)
     answer = ask(*NEAR, "--workers", "1", "--json")
     assert answer.code == 1
     first, last = answer.data["families"][0]["ends"]

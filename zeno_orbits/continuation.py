@@ -8,7 +8,7 @@ machine of which one number changes. Source: [Keller1977]_, theory (37) to (40).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,27 +18,24 @@ from zeno_orbits.branches import Branch, Tell
 from zeno_orbits.closing import close_orbit
 from zeno_orbits.corrector import BranchPoint, first_point
 from zeno_orbits.dynamics import Vector
-from zeno_orbits.errands import Crew, Direction, Doubling, Half, Office
+from zeno_orbits.errands import Direction, Doubling, Half
 from zeno_orbits.errors import InputError
 from zeno_orbits.families import (
     Boundary,
     Continuation,
-    Family,
-    FamilyPoint,
     Kind,
-    SpecialPoint,
     whole_curve,
 )
+from zeno_orbits.growth import Grown, as_family
+from zeno_orbits.office import Crew, Office
 from zeno_orbits.orbit import ZenoOrbit, versions
 from zeno_orbits.plain import plain
 from zeno_orbits.plane import Plane
 from zeno_orbits.problem import Problem, Setting
-from zeno_orbits.return_maps import Margin
 from zeno_orbits.search import find_orbit
 from zeno_orbits.shape import ONE_ZENO
 from zeno_orbits.singular_points import Located
 from zeno_orbits.tracks import (
-    ONE_RETURN,
     ContinuationSettings,
     Track,
     check_box,
@@ -156,7 +153,7 @@ class _Candidate:
         leading: The last points of the family before an end.
     """
 
-    grown: _Grown
+    grown: Grown
     located: Located
     leading: tuple[BranchPoint, ...]
 
@@ -270,7 +267,7 @@ def _office(
     return office.claimed(identity)
 
 
-def _grown_from(track: Track, x: Vector, s: float, office: Office) -> list[_Grown]:
+def _grown_from(track: Track, x: Vector, s: float, office: Office) -> list[Grown]:
     """Return the family through a state, and those that flips throw off."""
     found = [_both_ways(track, x, s, office)]
     latest = list(found)
@@ -283,11 +280,11 @@ def _grown_from(track: Track, x: Vector, s: float, office: Office) -> list[_Grow
         ]
         stage = f"branches-{generation + 1}"
         branches = office.done(stage, "branches", [(errand,) for _, errand in thrown])
-        latest = list[_Grown]()
+        latest = list[Grown]()
         for (doubled, errand), (branch,) in zip(thrown, branches, strict=True):
             root = Branch(points=(), special=(), ending=Kind.FLIP, end=errand.flip)
             if branch is not None:
-                latest.append(_grown(doubled, root, branch))
+                latest.append(as_family(doubled, root, branch))
         found += latest
     return found
 
@@ -312,24 +309,7 @@ def start_orbit(
     return find_orbit(problem, setting, shape=ONE_ZENO).unwrap()
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Grown:
-    """A family with what is needed to go on from it.
-
-    Attributes:
-        family: The family.
-        track: What it was followed on.
-        special: Its special points.
-        ends: Its located ends, each with the last points before it.
-    """
-
-    family: Family
-    track: Track
-    special: tuple[Located, ...]
-    ends: tuple[tuple[Located, tuple[BranchPoint, ...]], ...]
-
-
-def _both_ways(track: Track, x: Vector, s: float, office: Office) -> _Grown:
+def _both_ways(track: Track, x: Vector, s: float, office: Office) -> Grown:
     ways = tuple(
         Direction(
             course=track.course,
@@ -339,99 +319,4 @@ def _both_ways(track: Track, x: Vector, s: float, office: Office) -> _Grown:
     )
     ((forward, *backward),) = office.done("directions", "directions", [ways])
     closed = Branch(points=(), special=(), ending=Kind.CLOSED)
-    return _grown(track, backward[0] if backward else closed, forward)
-
-
-def _grown(track: Track, backward: Branch, forward: Branch) -> _Grown:
-    """Return both directions as one family."""
-    before = len(backward.points)
-    # The start is the first point of both, but a family may grow in one direction only.
-    shared = 1 if before else 0
-    points = (*backward.points[::-1], *forward.points[shared:])
-    special = [
-        _special(track, located, max(before - 2 - index, 0))
-        for index, located in reversed(backward.special)
-    ]
-    special += [
-        _special(track, located, max(before - shared, 0) + index)
-        for index, located in forward.special
-    ]
-    located = [one for _, one in (*backward.special, *forward.special)]
-    return _Grown(
-        family=Family(
-            problem=track.problem.name,
-            parameter=track.course.parameter,
-            gains=track.course.setting.gains,
-            parameters=track.course.setting.parameters,
-            n_returns=track.n_returns,
-            points=tuple(family_point(track, point) for point in points),
-            special=tuple(special),
-            first=_end(track, backward, points[0], 0),
-            last=_end(track, forward, points[-1], len(points) - 1),
-        ),
-        track=track,
-        special=tuple(located),
-        ends=tuple(
-            (branch.end, _leading(branch.points, branch.end))
-            for branch in (backward, forward)
-            if branch.end is not None and len(branch.points) > 1
-        ),
-    )
-
-
-_AHEAD, _AWAY_FROM_END = 0.005, 0.2
-"""Distance from an end, in the parameter's range or else in all, from which its curve is found."""
-
-
-def _leading(points: tuple[BranchPoint, ...], end: Located) -> tuple[BranchPoint, ...]:
-    """Return two neighbours before an end, as near to it as a step of its curve may stray."""
-    far = [
-        k
-        for k, point in enumerate(points)
-        if abs(point.z[-1] - end.z[-1]) > _AHEAD
-        or float(np.linalg.norm(point.z - end.z)) > _AWAY_FROM_END
-    ]
-    last = max(far[-1] if far else 1, 1)
-    return points[last - 1 : last + 1]
-
-
-def family_point(track: Track, point: BranchPoint) -> FamilyPoint:
-    """Return a point of a branch in names."""
-    return FamilyPoint(
-        value=point.s,
-        state=dict(zip(track.problem.state_names, point.x.tolist(), strict=True)),
-        period=point.found.time,
-        multipliers=point.multipliers,
-        margins=_named(point.found.margins, track.n_returns),
-        miss=point.miss,
-    )
-
-
-def _named(margins: Mapping[Margin, float], n_returns: int) -> dict[str, float]:
-    """Return margins by their words, with the return's number where there are several."""
-    return {
-        margin.loss.value
-        if n_returns == ONE_RETURN
-        else f"{margin.loss.value}, return {margin.place + 1}": value
-        for margin, value in margins.items()
-    }
-
-
-def _special(track: Track, located: Located, index: int) -> SpecialPoint:
-    point = family_point(track, located.point)
-    x, s = track.metric.of_place(located.z)
-    at = replace(
-        point,
-        value=s,
-        state=dict(zip(track.problem.state_names, x.tolist(), strict=True)),
-        period=located.period,
-        margins=_named(located.margins, track.n_returns),
-    )
-    return SpecialPoint(kind=located.kind, at=at, error=located.error, index=index)
-
-
-def _end(track: Track, branch: Branch, last: BranchPoint, index: int) -> SpecialPoint:
-    if branch.end is not None:
-        return _special(track, branch.end, index)
-    at = family_point(track, last)
-    return SpecialPoint(kind=branch.ending, at=at, error=0.0, index=index, detail=branch.detail)
+    return as_family(track, backward[0] if backward else closed, forward)

@@ -26,6 +26,8 @@ CRITICAL = {Kind.FOLD: 1.0, Kind.FLIP: -1.0}
 _GROWTH, _EASY = 1.5, 0.4
 _FAR = 2.0
 """How many steps off a neighbour may be, on a bound for instance."""
+_SMOOTH = 5.0
+"""Factor by which the gradient of the test function may change in a step."""
 _REACHED = 1e-6
 """A step that fails, and is this short, has reached what is ten times as near at most."""
 _FOUND = 1e-8
@@ -192,6 +194,9 @@ class _Walk:
             return "the curve turns too fast in the plane"
         if self._stray(new) > steps.bend:
             return "the curve bends too fast"
+        growth = float(np.linalg.norm(new.gradient) / np.linalg.norm(last.gradient))
+        if not 1 / _SMOOTH < growth < _SMOOTH:
+            return "the test function is not smooth"
         return jumped(last.found, new.found)
 
     def _stray(self, new: CriticalPoint) -> float:

@@ -140,17 +140,22 @@ def meeting(way: Sequence[Stage], restitution: float, within: float = CLOSE) -> 
         restitution: At the last one.
         within: How far ahead a loss may be.
     """
-    if len(way) < _FEWEST:
-        return ""
-    for threat in threats(way, restitution):
+    found: list[Threat] = []
+    for margin, value in way[-1].margins.items():
+        # A margin may waver on its last steps: what counts is whence it fell to what is left.
+        whence = [k for k, stage in enumerate(way) if stage.margins.get(margin, 0.0) > _FALL * value]
+        if whence and value > 0.0:
+            fallen = threats((*way[: whence[-1] + 1], way[-1]), restitution)
+            found += [threat for threat in fallen if threat.margin == margin]
+    for threat in sorted(found, key=lambda threat: threat.distance):
         if threat.distance < within:
             word = ENDS[threat.margin.loss].value
             return f"meets: {word}, within {threat.distance:.0e} of the ranges"
     return ""
 
 
-_FEWEST = 3
-"""Points that tell where a curve leads."""
+_FALL = 1.5
+"""Fall of a margin that tells how far its end is."""
 
 
 def locate_end(
