@@ -6,12 +6,10 @@ gave is always called simulated.
 
 from __future__ import annotations
 
-import importlib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -20,6 +18,8 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.execution import Execution
 from zeno_orbits.orbit import ZenoOrbit
 from zeno_orbits.problem import Problem
+from zeno_orbits.recordings import read_recording
+from zeno_orbits.rig import rig_cycles
 
 RIG = "virtual rig, simulated"
 """What a rig's motion is called, wherever it is shown."""
@@ -100,8 +100,7 @@ def rig_counterpart(
     Raises:
         SimulationError: If the rig does not move in such cycles.
     """
-    rig = _part("zeno_orbits.rig")
-    run: Any = rig.rig_cycles(orbit, problem, cycles=n_periods, on_progress=on_progress).run
+    run = rig_cycles(orbit, problem, cycles=n_periods, on_progress=on_progress).run
     signals = {name: run.of(name) for name in problem.state_names if name in run.state_names}
     # A contact is recorded at its first and last instant twice: once from either side.
     kept = np.concatenate([[True], np.diff(run.times) > 0.0])
@@ -124,8 +123,7 @@ def recording_counterpart(
     Raises:
         InputError: If it cannot be read, lacks a coordinate or is too short.
     """
-    recordings = _part("zeno_orbits.recordings")
-    found: Any = recordings.read_recording(path, only=problem.state_names)
+    found = read_recording(path, only=problem.state_names)
     label = "recording" if found.source is None else f"recording, {found.source.value}"
     signals = {signal.name: signal.values for signal in found.signals}
     base = period * _BASE
@@ -140,14 +138,6 @@ def _differences(times: Vector, values: Vector, base: float) -> Vector:
     rows = np.arange(len(times))
     before, after = np.maximum(rows - reach, 0), np.minimum(rows + reach, len(times) - 1)
     return (values[after] - values[before]) / (times[after] - times[before])
-
-
-def _part(name: str) -> Any:
-    """Return a part of the package that an installation may lack."""
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        raise InputError(f"This needs `{name}`, which is not there ({error}).") from error
 
 
 def in_phase(

@@ -143,7 +143,9 @@ def meeting(way: Sequence[Stage], restitution: float, within: float = CLOSE) -> 
     found: list[Threat] = []
     for margin, value in way[-1].margins.items():
         # A margin may waver on its last steps: what counts is whence it fell to what is left.
-        whence = [k for k, stage in enumerate(way) if stage.margins.get(margin, 0.0) > _FALL * value]
+        whence = [
+            k for k, stage in enumerate(way) if stage.margins.get(margin, 0.0) > _FALL * value
+        ]
         if whence and value > 0.0:
             fallen = threats((*way[: whence[-1] + 1], way[-1]), restitution)
             found += [threat for threat in fallen if threat.margin == margin]

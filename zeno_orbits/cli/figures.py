@@ -107,10 +107,10 @@ def _material(options: argparse.Namespace, progress: report.Progress) -> Materia
 
     orbit, problem = _orbit_and_problem(options, progress)
     dynamics = problem_dynamics(orbit, problem)
-    release = problem.state_vector(orbit.release_state)
+    start = problem.state_vector(orbit.start_state)
     # A little longer, so that rounding does not cut off the last release.
     long = orbit.period * (1 + 1e-6)
-    one = simulate(dynamics, release, until=long)
+    one = simulate(dynamics, start, until=long)
     if not one.zeno_points:
         message = "must reach a Zeno point in its period, but it reaches none"
         raise InputError(f"Argument `orbit` {message}; see `verify`.")
@@ -131,7 +131,7 @@ def _material(options: argparse.Namespace, progress: report.Progress) -> Materia
         dynamics=dynamics,
         period=orbit.period,
         one=one,
-        several=simulate(dynamics, release, until=options.periods * long),
+        several=simulate(dynamics, start, until=options.periods * long),
         other=other,
     )
 

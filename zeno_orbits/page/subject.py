@@ -63,8 +63,8 @@ def subject_of(
     """Return what a report is about, one period simulated; see `Subject` for the arguments."""
     execution, trouble = None, ""
     try:
-        release = problem.state_vector(orbit.release_state)
-        execution = simulate(dynamics, release, until=orbit.period * (1 + _LONGER))
+        start = problem.state_vector(orbit.start_state)
+        execution = simulate(dynamics, start, until=orbit.period * (1 + _LONGER))
     except SimulationError as error:
         # A false orbit may run anywhere; the page says so and does without its pictures.
         trouble = str(error)
