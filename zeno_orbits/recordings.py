@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
 
@@ -111,6 +111,32 @@ class Recording:
                 return signal
         known = ", ".join(self.names)
         raise InputError(f"Argument `signal` must be one of {known}, but it is `{name}`.")
+
+
+def cut(recording: Recording, since: float | None, until: float | None) -> Recording:
+    """Return the part of a recording between two times.
+
+    Args:
+        recording: The whole.
+        since: Its first time at least; the beginning without it [s].
+        until: Its last time at most; the end without it [s].
+
+    Raises:
+        InputError: If fewer than two rows are left.
+    """
+    if since is None and until is None:
+        return recording
+    low = -np.inf if since is None else since
+    high = np.inf if until is None else until
+    first = int(np.searchsorted(recording.time, low, side="left"))
+    last = int(np.searchsorted(recording.time, high, side="right"))
+    if last - first < 2:
+        whole = f"[{recording.time[0]:.6g}, {recording.time[-1]:.6g}] s"
+        wanted = f"must leave two rows of the recording, which covers {whole}"
+        raise InputError(f"Argument `from` {wanted}, but [{low:g}, {high:g}] s leaves fewer.")
+    part = slice(first, last)
+    signals = tuple(replace(one, values=one.values[part]) for one in recording.signals)
+    return replace(recording, time=recording.time[part], signals=signals)
 
 
 def write_recording(recording: Recording, path: Path) -> None:
