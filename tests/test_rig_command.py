@@ -122,7 +122,10 @@ def test_exact_pulses_tell_nearly_what_their_mean_tells() -> None:
         (("--part", "contact.stiffness"), "`part` must be NAME=VALUE"),
         (("--part", "friction.knee.coulomb=1"), "`friction` must name one of theta1, theta2"),
         (("--gain", "Kp=2"), "`gain` must not be given with an orbit, which has its own."),
+        (("--until", "3"), "`until` must not be given with an orbit, which has a period"),
         (("--start", "theta1=2"), "`start` must not be given with an orbit"),
+        (("--until", "0"), "`until` must not be given with an orbit"),
+        (("--only", "sensors"), "`only` must name the controller with the sensors"),
         (("--seed", "-1"), "`seed` must be at least 0, but it is -1."),
         (("--only", "motor"), "invalid choice"),
         (("-o", "no/such/folder/run.csv"), "`output` must be in a writable folder"),
@@ -135,6 +138,9 @@ def test_misuse_is_one_line(file: Path, arguments: tuple[str, ...], message: str
 def test_files_that_are_no_orbits_and_scenes_that_are_none_are_refused(tmp_path: Path) -> None:
     assert refused(ask("rig", tmp_path / "no.json"), "must hold a Zeno orbit")
     assert refused(ask("rig", "no_scene"), "`problem` must be one of")
+    ball = ("rig", "bouncing_ball")
+    assert refused(ask(*ball, "--cycles", "2"), "`cycles` must come with an orbit")
+    assert refused(ask(*ball, "--until", "0"), "`until` must be a positive number, but it is 0.")
     plastic = ask("rig", "motor_pendulum", "--set", "restitution=0", "--only", "contact")
     assert refused(plastic, "`restitution` must be greater than 0 for a contact")
 

@@ -42,6 +42,9 @@ def read_rig(rig: Rig, entries: Sequence[str], only: Sequence[str] | None) -> Ri
     from zeno_orbits.imperfections import PART_NAMES, with_numbers, without_parts
 
     if only is not None:
+        if "sensors" in only and "controller" not in only:
+            wanted = "must name the controller with the sensors, which it reads"
+            raise InputError(f"Argument `only` {wanted}, but it does not.")
         rig = without_parts(rig, [name for name in PART_NAMES if name not in only])
     return with_numbers(rig, read_numbers(entries, "part"))
 

@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 
 _PARTS = ("friction", "gears", "bridge", "controller", "sensors")
 
+_CYCLES = 10
+_UNTIL = 10.0
+
 
 def add_rig(commands: Any) -> None:
     """Add the command `rig`."""
@@ -84,9 +87,17 @@ def add_rig(commands: Any) -> None:
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the noise")
     parser.add_argument(
-        "--cycles", type=read_count, default=10, metavar="N", help="cycles near an orbit"
+        "--cycles",
+        type=read_count,
+        metavar="N",
+        help=f"settled cycles near an orbit; {_CYCLES} by default",
     )
-    parser.add_argument("--until", type=float, default=10.0, metavar="T", help="of a scene [s]")
+    parser.add_argument(
+        "--until",
+        type=float,
+        metavar="T",
+        help=f"how long, from a start [s]; {_UNTIL:g} by default",
+    )
     parser.add_argument(
         "-o", "--output", type=Path, help="write what the machine's computer reads here, as data"
     )
@@ -104,10 +115,10 @@ def _near_orbit(options: argparse.Namespace) -> int:
     from zeno_orbits.rig import rig_cycles
     from zeno_orbits.rig.comparison import compare_cycles
 
-    for name in ("gain", "set", "start"):
-        if getattr(options, name):
-            wanted = "must not be given with an orbit, which has its own"
-            raise InputError(f"Argument `{name}` {wanted}.")
+    for name in ("gain", "set", "start", "until"):
+        if getattr(options, name) not in (None, []):
+            has = "which has a period to count in" if name == "until" else "which has its own"
+            raise InputError(f"Argument `{name}` must not be given with an orbit, {has}.")
     options.orbit = Path(options.target)
     orbit, problem = orbit_and_problem(options)
     rig = _rig_of(options, problem)
@@ -116,7 +127,7 @@ def _near_orbit(options: argparse.Namespace) -> int:
             orbit,
             problem,
             rig,
-            cycles=options.cycles,
+            cycles=options.cycles or _CYCLES,
             seed=options.seed,
             settings=_settings(rig),
             on_progress=lambda part: progress.tell("simulating the machine", part),
@@ -133,7 +144,11 @@ def _from_start(options: argparse.Namespace) -> int:
     from zeno_orbits.problem import load_problem
     from zeno_orbits.rig import simulate_rig
 
+    for name in ("cycles", "problem"):
+        if getattr(options, name) is not None:
+            raise InputError(f"Argument `{name}` must come with an orbit, but there is none.")
     problem = load_problem(options.target)
+    until = _UNTIL if options.until is None else options.until
     rig = _rig_of(options, problem)
     with report.Progress(options.interrupts.check) as progress:
         run = simulate_rig(
@@ -141,13 +156,13 @@ def _from_start(options: argparse.Namespace) -> int:
             setting_of(problem, options),
             rig,
             start_of(problem, options),
-            options.until,
+            until,
             seed=options.seed,
             settings=_settings(rig),
-            on_progress=lambda time: progress.tell("simulating the machine", time / options.until),
+            on_progress=lambda time: progress.tell("simulating the machine", time / until),
         )
     touches = [
-        {"start": t.start, "end": min(t.end, options.until), "approach_rate": t.approach_rate}
+        {"start": t.start, "end": min(t.end, until), "approach_rate": t.approach_rate}
         for t in run.touches
     ]
     if options.json:
