@@ -149,6 +149,21 @@ def test_the_orbit_in_between_is_still_there_and_repels() -> None:
     assert abs(2 * once.period - doubled().period) > 0.1
 
 
+@pytest.mark.slow
+def test_either_side_of_a_flip_a_slow_motion_is_told_from_a_doubled_one() -> None:
+    # The flip is at -1.58974595435 (docs/families.md). On the one side motions throw over for
+    # thousands of periods before they settle; on the other the two returns differ by 1e-3.
+    before = found("motor_pendulum", (("Kp", 4.3), ("Kd", -1.58976)))
+    after = found("motor_pendulum", (("Kp", 4.3), ("Kd", -1.58973)))
+    assert before.shape.text == "zeno"
+    assert after.shape.text == "zeno*2"
+    assert -1.0 < checked(before).multipliers[0].real < -0.999
+    once = found("motor_pendulum", (("Kp", 4.3), ("Kd", -1.58973)), "zeno")
+    mu, mu_twice = checked(once).multipliers[0].real, checked(after).multipliers[0].real
+    # At a flip mu = -1 - s the doubled branch begins with 1 - 4 s.
+    assert mu_twice == pytest.approx(1 - 4 * (-mu - 1), abs=1e-5)
+
+
 def test_the_doubled_orbit_is_checked_by_the_model_written_by_hand() -> None:
     # The multipliers are differences of the two returns there.
     by_hand = checked(doubled(), replace(QUICK, use_reference=True))

@@ -24,6 +24,8 @@ They may be if a motion throws over from one return to the next and settles, by 
 """
 _ANY = 1.0
 """Change of the start over a period up to which one of a shape that was asked for is a guess."""
+_BETTER = 0.1
+"""Part of the change over a period that a longer one must have to be the better guess."""
 _KEPT = 4 * max(MOST_RETURNS, MOST_IMPACTS)
 
 
@@ -87,8 +89,8 @@ class Recurrence:
             self._returns.clear()
         self._returns += found
         del self._returns[:-_KEPT], self._struck[:-_KEPT]
-        for one in self._candidates():
-            if self._best is None or one.change < self._best.change or self.wanted is None:
+        for one in self._of_wanted_shape():
+            if self._best is None or one.change < self._best.change:
                 self._best = one
 
     def settled_to(self) -> Recurring | None:
@@ -110,11 +112,22 @@ class Recurrence:
         return None
 
     def nearest(self, usable: float) -> Recurring | None:
-        """Return the last return, or the period of the wanted shape, that may do for a guess."""
-        best = self._best
-        if best is None:
+        """Return the period that may do for a guess, if one does.
+
+        Args:
+            usable: Largest change of the start over it, if no shape is wanted.
+        """
+        if self.wanted is not None:
+            best = self._best
+            return best if best is not None and best.change < _ANY else None
+        found = [self._after_returns(n) for n in range(1, MOST_RETURNS + 1)]
+        if not self._returns:
+            found = [self._after_impacts(n) for n in range(1, MOST_IMPACTS + 1)]
+        usual = [one for one in found if one is not None and one.change < usable]
+        if not usual:
             return None
-        return best if best.change < (usable if self.wanted is None else _ANY) else None
+        # One that throws over, settling slowly, is told apart once it is closed.
+        return next((one for one in usual if one.change < _BETTER * usual[0].change), usual[0])
 
     def reason(self, horizon: float) -> str:
         """Return why there is no guess, as a clause."""
@@ -130,11 +143,10 @@ class Recurrence:
             what = f"{what}, and its impacts do not repeat,"
         return f"{what} after {horizon:g} s"
 
-    def _candidates(self) -> list[Recurring]:
-        """Return what the last event tells of the shape that is wanted, or of single returns."""
+    def _of_wanted_shape(self) -> list[Recurring]:
+        """Return what the last event tells of the shape that is wanted."""
         if self.wanted is None:
-            last = self._after_returns(1)
-            return [] if last is None else [last]
+            return []
         if self.wanted.starts_at_release:
             numbers = range(1, MOST_RETURNS + 1)
             found = [self._after_returns(n) for n in numbers]
