@@ -1,4 +1,4 @@
-"""Executions cut into phases: accumulations, plastic impacts that hold or let go, single impacts."""
+"""Executions cut into phases: accumulations, plastic impacts, single impacts."""
 
 from __future__ import annotations
 
