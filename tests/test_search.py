@@ -35,6 +35,7 @@ from zeno_orbits.search import (
     find_orbit,
     search_gains,
 )
+from zeno_orbits.shape import ONE_ZENO
 from zeno_orbits.simulate import simulate
 from zeno_orbits.verify import VerificationSettings, verify
 
@@ -201,14 +202,15 @@ def test_a_target_outside_the_box_is_met_at_its_edge(scene: Problem) -> None:
 # No orbit.
 
 
-def test_a_restitution_beyond_the_family_leaves_no_guess(scene: Problem) -> None:
+def test_a_restitution_beyond_the_family_leaves_no_zeno_orbit(scene: Problem) -> None:
     setting = scene.setting(parameters={"restitution": 0.5})
-    result = find_orbit(scene, setting, settings=IMPATIENT)
-    assert result.status is SearchStatus.NO_GUESS
+    result = find_orbit(scene, setting, settings=IMPATIENT, shape=ONE_ZENO)
+    # A period on the way to its orbit without a Zeno point may pass for a guess.
+    assert result.status in (SearchStatus.NO_GUESS, SearchStatus.NOT_SOLVED)
     assert result.orbit is None
-    assert result.detail.startswith("At Kp = 2.5, Kd = -1, ")
-    assert "after 40 s" in result.detail
-    assert result.residuals == {}
+    # The family ends near 0.417.
+    assert "Orbits could be followed to restitution = 0.416" in result.detail
+    assert "there the locked arc shrinks to nothing" in result.detail
 
 
 def test_motion_that_grows_or_dies_out_slowly_is_no_orbit(scene: Problem) -> None:

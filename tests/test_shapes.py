@@ -140,6 +140,29 @@ def test_beyond_a_flip_the_pendulum_comes_back_to_what_a_long_simulation_ends_on
     assert certificate.stable
 
 
+def test_beyond_the_end_of_its_zeno_orbits_the_pendulum_strikes_three_times_a_period() -> None:
+    # The locked arc vanishes at e = 0.417; beyond, the stop lets go before the impacts die out.
+    problem, orbit = (
+        load_problem("motor_pendulum"),
+        found("motor_pendulum", (("restitution", 0.5),)),
+    )
+    assert orbit.shape.text == "impact*3"
+    certificate = checked(orbit, VerificationSettings())
+    assert certificate.passed, certificate.verdict()
+    assert certificate.stable
+    # Another engine, from the scene's own start: what is left of it shrinks by 0.7 a period.
+    dynamics = bind(compiled_model(problem), orbit.setting(problem).values())
+    settings = SimulationSettings(engine=Radau())
+    start = problem.state_vector(problem.starts[0])
+    run = simulate(dynamics, start, until=150.0, settings=settings)
+    last = run.impacts[-4:]
+    assert run.zeno_points == () or run.zeno_points[-1].time < 60.0
+    assert last[-1].time - last[0].time == pytest.approx(orbit.period, rel=AGREES)
+    speeds = sorted(-impact.approach_rate for impact in last[1:])
+    said = sorted(-phase.impacts[0].state_minus["dtheta2"] for phase in orbit.phases)
+    assert said == pytest.approx(speeds, rel=1e-8)
+
+
 def test_the_orbit_in_between_is_still_there_and_repels() -> None:
     once = found("motor_pendulum", tuple(DOUBLED.items()), "zeno")
     certificate = checked(once)
@@ -147,6 +170,21 @@ def test_the_orbit_in_between_is_still_there_and_repels() -> None:
     assert certificate.unstable
     # It is not what the motion settles to.
     assert abs(2 * once.period - doubled().period) > 0.1
+
+
+@pytest.mark.slow
+def test_either_side_of_a_flip_a_slow_motion_is_told_from_a_doubled_one() -> None:
+    # The flip is at -1.58974595435 (docs/families.md). On the one side motions throw over for
+    # thousands of periods before they settle; on the other the two returns differ by 1e-3.
+    before = found("motor_pendulum", (("Kp", 4.3), ("Kd", -1.58976)))
+    after = found("motor_pendulum", (("Kp", 4.3), ("Kd", -1.58973)))
+    assert before.shape.text == "zeno"
+    assert after.shape.text == "zeno*2"
+    assert -1.0 < checked(before).multipliers[0].real < -0.999
+    once = found("motor_pendulum", (("Kp", 4.3), ("Kd", -1.58973)), "zeno")
+    mu, mu_twice = checked(once).multipliers[0].real, checked(after).multipliers[0].real
+    # At a flip mu = -1 - s the doubled branch begins with 1 - 4 s.
+    assert mu_twice == pytest.approx(1 - 4 * (-mu - 1), abs=1e-5)
 
 
 def test_the_doubled_orbit_is_checked_by_the_model_written_by_hand() -> None:

@@ -97,7 +97,7 @@ def _settle_from(
     dynamics: HybridDynamics, state: Vector, settings: SettlingSettings, wanted: OrbitShape | None
 ) -> Settling:
     elapsed, fastest, at_release, patience = 0.0, 0.0, False, settings.chunk
-    recurrence = Recurrence(dynamics=dynamics, settled=settings.settled, wanted=wanted)
+    recurrence = Recurrence(settled=settings.settled, wanted=wanted)
     while elapsed < settings.horizon:
         try:
             run = _to_next_look(dynamics, state, settings, patience, at_release=at_release)
@@ -107,7 +107,7 @@ def _settle_from(
             clause = error.reason[0].lower() + error.reason[1:]
             return Settling(cycle=None, reason=f"the simulation stops: {clause}")
         found = cycles(run, start=state if at_release else None)
-        recurrence.see(run, found, since=elapsed)
+        recurrence = recurrence.after(run, found, since=elapsed)
         elapsed += run.end_time
         if at_release and not run.releases:
             # Whoever comes back later than this is waited for the next time.

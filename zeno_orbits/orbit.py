@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
+from zeno_orbits.entries import Entries
 from zeno_orbits.errors import InputError, OrbitFileError
 from zeno_orbits.files import write_whole
 from zeno_orbits.problem import Problem, Setting
@@ -273,11 +273,12 @@ def orbit_from_json(data: object, path: Path) -> ZenoOrbit:
     return _Reader(path).orbit(data)
 
 
-class _Reader:
+class _Reader(Entries):
     """Turns plain data into an orbit and names the entry that does not fit."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def refuse(self, reason: str) -> OrbitFileError:
+        """Return what is raised of a file."""
+        return OrbitFileError(self.path, reason)
 
     def orbit(self, data: object) -> ZenoOrbit:
         entries = self.mapping(data, "the file")
@@ -371,51 +372,6 @@ class _Reader:
             raise self.refuse(f"its `shape` is `{said}`, but its phases are `{shape.text}`")
         if shape.has_one_release and number != ONE_RELEASE:
             raise self.refuse(f"a shape `{said}` has format {ONE_RELEASE}, but it has {number}")
-
-    def refuse(self, reason: str) -> OrbitFileError:
-        return OrbitFileError(self.path, reason)
-
-    def get(self, entries: Mapping[str, Any], name: str) -> Any:
-        if name not in entries:
-            raise self.refuse(f"it has no `{name}`")
-        return entries[name]
-
-    def mapping(self, value: object, name: str) -> Mapping[str, Any]:
-        if not isinstance(value, dict):
-            raise self.refuse(f"`{name}` is not an object with names")
-        return cast("dict[str, Any]", value)
-
-    def sequence(self, entries: Mapping[str, Any], name: str) -> Sequence[Any]:
-        value = self.get(entries, name)
-        if not isinstance(value, list):
-            raise self.refuse(f"`{name}` is not a list")
-        return cast("list[Any]", value)
-
-    def text(self, value: object, name: str) -> str:
-        if not isinstance(value, str):
-            raise self.refuse(f"`{name}` is not a text")
-        return value
-
-    def number(self, value: object, name: str) -> float:
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self.refuse(f"`{name}` is not a number")
-        try:
-            number = float(value)
-        except OverflowError:
-            number = math.inf
-        if not math.isfinite(number):
-            raise self.refuse(f"`{name}` is not finite")
-        return number
-
-    def positive(self, value: object, name: str) -> float:
-        number = self.number(value, name)
-        if number <= 0.0:
-            raise self.refuse(f"`{name}` is not positive")
-        return number
-
-    def numbers(self, value: object, name: str) -> dict[str, float]:
-        entries = self.mapping(value, name)
-        return {key: self.number(entry, f"{name}.{key}") for key, entry in entries.items()}
 
     def _complex(self, pair: object) -> complex:
         if not isinstance(pair, list) or len(cast("list[Any]", pair)) != 2:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from zeno_orbits.cycle import Cycle
-from zeno_orbits.dynamics import HybridDynamics, Vector
+from zeno_orbits.dynamics import Vector
 from zeno_orbits.execution import Execution, Impact
 from zeno_orbits.shape import OrbitShape, PhaseKind
 
@@ -24,6 +24,8 @@ They may be if a motion throws over from one return to the next and settles, by 
 """
 _ANY = 1.0
 """Change of the start over a period up to which one of a shape that was asked for is a guess."""
+_BETTER = 0.1
+"""Part of the change over a period that a longer one must have to be the better guess."""
 _KEPT = 4 * max(MOST_RETURNS, MOST_IMPACTS)
 
 
@@ -47,49 +49,46 @@ class Recurring:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Struck:
+class Struck:
     """An impact of a motion without releases, and when it was."""
 
     time: float
     impact: Impact
 
 
-@dataclass(slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Recurrence:
     """What has been seen of a motion, as far as it tells whether it repeats.
 
     Attributes:
-        dynamics: The system.
         settled: Change that counts as none, relative.
         wanted: The shape that is looked for; any by default.
+        returns: Its last returns, each from a release to the next, without a break.
+        struck: Its last impacts since the stop held.
+        best: The period of the wanted shape that came nearest to repeating.
     """
 
-    dynamics: HybridDynamics
     settled: float
     wanted: OrbitShape | None
-    _returns: list[Cycle] = field(default_factory=list[Cycle])
-    _struck: list[_Struck] = field(default_factory=list[_Struck])
-    _best: Recurring | None = None
+    returns: tuple[Cycle, ...] = ()
+    struck: tuple[Struck, ...] = ()
+    best: Recurring | None = None
 
-    def see(self, run: Execution, found: Sequence[Cycle], *, since: float) -> None:
-        """Take note of a piece of the motion.
+    def after(self, run: Execution, found: Sequence[Cycle], *, since: float) -> Recurrence:
+        """Return what has been seen after another piece of the motion.
 
         Args:
             run: The piece.
             found: The returns in it.
             since: When it starts [s].
         """
+        struck = [*self.struck, *(Struck(time=since + i.time, impact=i) for i in run.impacts)]
         if run.releases or run.zeno_points:
-            self._struck.clear()
-        else:
-            self._struck += [_Struck(time=since + one.time, impact=one) for one in run.impacts]
-        if run.releases and not found:
-            self._returns.clear()
-        self._returns += found
-        del self._returns[:-_KEPT], self._struck[:-_KEPT]
-        for one in self._candidates():
-            if self._best is None or one.change < self._best.change or self.wanted is None:
-                self._best = one
+            struck = []
+        returns = [*(() if run.releases and not found else self.returns), *found]
+        seen = replace(self, returns=tuple(returns[-_KEPT:]), struck=tuple(struck[-_KEPT:]))
+        nearest = [*seen.of_wanted_shape(), *(() if self.best is None else (self.best,))]
+        return replace(seen, best=min(nearest, key=lambda one: one.change, default=None))
 
     def settled_to(self) -> Recurring | None:
         """Return the shortest period that repeats, if one does."""
@@ -110,11 +109,22 @@ class Recurrence:
         return None
 
     def nearest(self, usable: float) -> Recurring | None:
-        """Return the last return, or the period of the wanted shape, that may do for a guess."""
-        best = self._best
-        if best is None:
+        """Return the period that may do for a guess, if one does.
+
+        Args:
+            usable: Largest change of the start over it, if no shape is wanted.
+        """
+        if self.wanted is not None:
+            best = self.best
+            return best if best is not None and best.change < _ANY else None
+        found = [self._after_returns(n) for n in range(1, MOST_RETURNS + 1)]
+        if not self.returns:
+            found = [self._after_impacts(n) for n in range(1, MOST_IMPACTS + 1)]
+        usual = [one for one in found if one is not None and one.change < usable]
+        if not usual:
             return None
-        return best if best.change < (usable if self.wanted is None else _ANY) else None
+        # One that throws over, settling slowly, is told apart once it is closed.
+        return next((one for one in usual if one.change < _BETTER * usual[0].change), usual[0])
 
     def reason(self, horizon: float) -> str:
         """Return why there is no guess, as a clause."""
@@ -124,17 +134,16 @@ class Recurrence:
         if self.wanted is not None:
             return f"no period of shape `{self.wanted.text}` comes near to repeating"
         what = "no release is followed by a Zeno point"
-        if self._returns:
+        if self.returns:
             what = "its periods differ"
-        elif self._struck:
+        elif self.struck:
             what = f"{what}, and its impacts do not repeat,"
         return f"{what} after {horizon:g} s"
 
-    def _candidates(self) -> list[Recurring]:
-        """Return what the last event tells of the shape that is wanted, or of single returns."""
+    def of_wanted_shape(self) -> list[Recurring]:
+        """Return what the last event tells of the shape that is wanted."""
         if self.wanted is None:
-            last = self._after_returns(1)
-            return [] if last is None else [last]
+            return []
         if self.wanted.starts_at_release:
             numbers = range(1, MOST_RETURNS + 1)
             found = [self._after_returns(n) for n in numbers]
@@ -144,10 +153,10 @@ class Recurrence:
 
     def _after_returns(self, n: int, *, back: int = 0) -> Recurring | None:
         """Return the last returns as one period, some returns back."""
-        end = len(self._returns) - back
+        end = len(self.returns) - back
         if end < n:
             return None
-        laps = self._returns[end - n : end]
+        laps = self.returns[end - n : end]
         scale = np.max([lap.scale_at_events() for lap in laps], axis=0)
         first, last = laps[0].start.state, laps[-1].end.state
         return Recurring(
@@ -160,14 +169,14 @@ class Recurrence:
 
     def _apart(self, n: int) -> float:
         """Return how far the last returns are from each other."""
-        laps = self._returns[-n:]
+        laps = self.returns[-n:]
         return min(lap.drift(lap.scale_at_events()) for lap in laps)
 
     def _after_impacts(self, n: int) -> Recurring | None:
         """Return the last impacts as one period; it has to have repeated as long once."""
-        if len(self._struck) < 2 * n:
+        if len(self.struck) < 2 * n:
             return None
-        last, before = self._struck[-n:], self._struck[-2 * n : -n]
+        last, before = self.struck[-n:], self.struck[-2 * n : -n]
         states = [x for one in last for x in (one.impact.state_minus, one.impact.state_plus)]
         sizes = np.max(np.abs(states), axis=0)
         scale = np.where(sizes > 1e-9 * np.max(sizes), sizes, max(float(np.max(sizes)), 1e-300))

@@ -62,7 +62,7 @@ def add_search(commands: Any) -> None:
             "zeno-orbits search motor_pendulum --fix Kp=2.5 --fix Kd=-1 --free R=2:4 "
             "--objective peak=current",
             "zeno-orbits search motor_pendulum --from orbit.json --set restitution=0.3",
-            "zeno-orbits search motor_pendulum --fix Kp=4.3 --fix Kd=-1.53 --shape zeno*2",
+            "zeno-orbits search motor_pendulum --fix Kp=4.3 --fix Kd=-1.53 --shape 'zeno*2'",
             "zeno-orbits search motor_pendulum --objective margin --candidates 3 -o orbit.json",
             "zeno-orbits search motor_pendulum --objective energy --scheduler tcp://host:8786",
         ],
