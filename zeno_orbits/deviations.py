@@ -30,6 +30,8 @@ _MOST_GROUPS = 40
 _FEW_CYCLES = 4
 _PIECE = 1 << 20
 """Samples that are folded at a time."""
+_JUMP = 0.02
+"""A step of this part of a signal's range between neighbouring points is a jump."""
 _SLOPE = 2
 """Bins on either side that tell the slope of a deviation."""
 _LEVER = math.sqrt(sum(2.0 * k * k for k in range(1, _SLOPE + 1)))
@@ -211,9 +213,11 @@ def root_mean_square(found: Deviations, signal: int, chosen: Vector) -> Estimate
         signal: Its number.
         chosen: Which bins count, ``(N_BINS,)``.
     """
-    counts = found.counts.sum(axis=0)[:, signal]
+    counts: Vector = found.counts.sum(axis=0)[:, signal]
     noise = found.spread[:, signal] ** 2 / np.maximum(counts - 1.0, 1.0)
-    white = float(np.nanmean(noise[chosen > 0])) if np.any(counts[chosen > 0] > 1) else 0.0
+    white = 0.0
+    if float(np.max(counts[chosen > 0])) > 1.0:
+        white = float(np.nanmean(noise[chosen > 0]))
 
     def size(average: Vector) -> float:
         square = float(np.nanmean(average[chosen > 0, signal] ** 2))
@@ -238,16 +242,26 @@ def greatest(found: Deviations, signal: int) -> tuple[Estimate, float]:
 
 def apex(found: Deviations, signal: int, sign: float) -> Estimate:
     """Return the highest (sign 1) or lowest (sign -1) value of a signal over the cycle."""
-    # The orbit's own extreme in each bin, for it may lie between the middles.
-    own = sign * np.max(sign * found.fine[:, :, signal], axis=1)
+    values = sign * found.fine[:, :, signal]
+    steps = np.abs(np.diff(values, axis=1))
+    jump = np.argmax(steps, axis=1)[:, None] + 1
+    place = np.arange(values.shape[1])
+    # The orbit's own extreme in each bin, for it may lie between the middles; in a bin with a jump
+    # one on either side, which deviate as the bins on that side do.
+    before = np.max(np.where(place < jump, values, -np.inf), axis=1)
+    after = np.max(np.where(place >= jump, values, -np.inf), axis=1)
+    own = np.maximum(before, after)
+    jumps = steps.max(axis=1) > _JUMP * float(np.ptp(values))
 
     def extreme(average: Vector) -> float:
-        return float(sign * np.nanmax(sign * (own + average[:, signal])))
+        row = sign * average[:, signal]
+        left, right = before + np.roll(row, 1), after + np.roll(row, -1)
+        return float(sign * np.nanmax(np.where(jumps, np.fmax(left, right), own + row)))
 
     one = found.estimate(extreme)
     noise = float(found.noise[signal])
     # Of many bins that are as high as each other, noise lifts the highest.
-    rivals = int(np.sum(sign * own > np.max(sign * own) - 3 * noise))
+    rivals = int(np.sum(own > np.max(own) - 3 * noise))
     return Estimate(value=one.value, error=max(one.error, _of_many(noise, rivals)))
 
 
