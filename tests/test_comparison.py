@@ -103,35 +103,38 @@ def test_the_numbers_of_a_copy_without_noise_are_near_the_orbits_own(
             assert abs(metric.data) < 1e-2, metric
 
 
-def test_a_known_deviation_is_measured(
-    orbit: ZenoOrbit, scene: Problem, table: OrbitTable
-) -> None:
-    copy = recorded(table, scene, noise=1e-3)
+def test_a_known_deviation_is_measured(orbit: ZenoOrbit, scene: Problem, table: OrbitTable) -> None:
+    def cut_off(time: np.ndarray, values: np.ndarray) -> Any:
+        # Above 2.1 A the current is cut off; link 1 is off by 0.05 rad.
+        return time, np.stack([values[0] + 0.05, values[1], np.minimum(values[2], 2.1)])
 
-    def late(time: np.ndarray, values: np.ndarray) -> Any:
-        # The current comes 20 ms late, above 2.1 A it is cut off; link 1 is off by 0.05 rad.
-        values = values.copy()
-        values[2] = table.at((time - 0.020) / table.period + 0.3)[:, 2]
-        values[2] = np.minimum(values[2], 2.1)
-        values[0] += 0.05
-        return time, values
-
-    found = compare(orbit, scene, changed(copy, late))
+    found = compare(orbit, scene, changed(recorded(table, scene, noise=1e-3), cut_off))
     assert found.agrees
-    # Cut off, the current's shape is no longer the orbit's: its delay is known to some ms only.
-    assert found.metric("delay of current").data == pytest.approx(0.020, abs=0.008)
     # Within a bin of 1/240 of a period the current changes by less than 0.03 A near its top.
     assert found.metric("highest of current").data == pytest.approx(2.1, abs=0.03)
-    # The same offset everywhere: its root mean square and its greatest value are the offset.
+    assert any("`current` looks cut off" in remark for remark in found.remarks)
+    # The same offset everywhere: its root mean square is the offset. What is cut off moves the
+    # alignment by less than 0.5 ms, and link 1 by 8 rad/s times that.
     for part in ("in flight", "in chatter", "locked"):
         rms = found.metric(f"rms deviation {part} of theta1")
-        assert rms.data == pytest.approx(0.05, abs=5e-3)
-    assert any("`current` looks cut off" in remark for remark in found.remarks)
+        assert rms.data == pytest.approx(0.05, abs=4e-3)
 
 
-def test_gaps_and_holes_are_lived_with(
+def test_a_signal_that_comes_late_is_told_by_how_much(
     orbit: ZenoOrbit, scene: Problem, table: OrbitTable
 ) -> None:
+    def late(time: np.ndarray, values: np.ndarray) -> Any:
+        values = values.copy()
+        values[2] = table.at((time - 0.020) / table.period + 0.3)[:, 2]
+        return time, values
+
+    found = compare(orbit, scene, changed(recorded(table, scene, noise=1e-3), late))
+    behind = found.metric("delay of current").data - found.metric("delay of theta1").data
+    # Means over bins of 7.6 ms of a signal with a jump: a twentieth of a bin.
+    assert behind == pytest.approx(0.020, abs=4e-4)
+
+
+def test_gaps_and_holes_are_lived_with(orbit: ZenoOrbit, scene: Problem, table: OrbitTable) -> None:
     copy = recorded(table, scene, noise=2e-3)
     rng = np.random.default_rng(1)
 
@@ -147,9 +150,7 @@ def test_gaps_and_holes_are_lived_with(
         assert abs(metric.data - true) < SURE * metric.error, (what, metric)
 
 
-def test_angles_alone_give_portraits(
-    orbit: ZenoOrbit, scene: Problem, table: OrbitTable
-) -> None:
+def test_angles_alone_give_portraits(orbit: ZenoOrbit, scene: Problem, table: OrbitTable) -> None:
     whole = recorded(table, scene, noise=1e-3)
     angles = replace(whole, signals=whole.signals[:2])
     found = compare(orbit, scene, angles)
@@ -191,7 +192,7 @@ FALSE: dict[str, tuple[Change, str]] = {
         "variance repeat",
     ),
     "another motion": (
-        lambda t, y: (t, np.sin(np.outer([3.0, 6.0, 9.0], t))),
+        lambda t, y: (t, 0 * y + np.sin(np.outer([3.0, 6.0, 9.0], t))),
         "moves otherwise|looks like",
     ),
     "less than a period": (
@@ -199,7 +200,10 @@ FALSE: dict[str, tuple[Change, str]] = {
         "no period is seen",
     ),
     "never at rest": (
-        lambda t, y: (t, y + [[0.0], [0.35], [0.0]] * np.sin(2 * math.pi * t / 1.81371293903 - 2.0)),
+        lambda t, y: (
+            t,
+            y + [[0.0], [0.35], [0.0]] * np.sin(2 * math.pi * t / 1.81371293903 - 2.0),
+        ),
         "no locked phase is seen",
     ),
 }
@@ -241,9 +245,7 @@ def test_signals_of_another_kind_are_refused(orbit: ZenoOrbit, scene: Problem) -
             compare(orbit, scene, recording)
 
 
-def test_the_data_are_plain_and_finite(
-    orbit: ZenoOrbit, scene: Problem, table: OrbitTable
-) -> None:
+def test_the_data_are_plain_and_finite(orbit: ZenoOrbit, scene: Problem, table: OrbitTable) -> None:
     import json
 
     found: Comparison = compare(orbit, scene, recorded(table, scene, noise=1e-3))

@@ -143,9 +143,12 @@ def _coarse(model: Vector, data: Vector) -> tuple[int, Vector]:
     plain, turned = together.sum(axis=1), np.abs(together).sum(axis=1)
     best, other = int(np.argmax(plain)), int(np.argmax(turned))
     if plain[best] >= _TURNED * turned[other]:
-        return best, np.ones(model.shape[1])
-    signs = [-1.0 if one < _OPPOSED else 1.0 for one in together[other].tolist()]
-    return other, np.array(signs, dtype=np.float64)
+        return best, np.ones(len(model[0]))
+    signs: Vector = np.ones(len(model[0]))
+    for k in range(len(signs)):
+        if float(together[other, k]) < _OPPOSED:
+            signs[k] = -1.0
+    return other, signs
 
 
 def _likeness(name: str, model: Vector, data: Vector, opposed: bool) -> Likeness:

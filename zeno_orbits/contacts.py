@@ -214,9 +214,10 @@ def cycle_events(
     period = model.period
     first = math.ceil((t[0] - release) / period - 0.02)
     last = math.floor((t[-1] - release) / period - 1.15)
-    numbers = range(first, last + 1)
+    numbers = list(range(first, last + 1))
     if len(numbers) > _MOST_CYCLES:
-        numbers = np.unique(np.linspace(first, last, _MOST_CYCLES).astype(np.int64)).tolist()
+        step = (last - first) / (_MOST_CYCLES - 1)
+        numbers = [first + round(k * step) for k in range(_MOST_CYCLES)]
     found: list[CycleEvents] = []
     for number in numbers:
         start = release + number * period

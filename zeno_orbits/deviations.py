@@ -30,8 +30,6 @@ _MOST_GROUPS = 40
 _FEW_CYCLES = 4
 _PIECE = 1 << 20
 """Samples that are folded at a time."""
-_JUMP = 0.02
-"""A step of this part of a signal's range between neighbouring points is a jump."""
 _SLOPE = 2
 """Bins on either side that tell the slope of a deviation."""
 _LEVER = math.sqrt(sum(2.0 * k * k for k in range(1, _SLOPE + 1)))
@@ -242,21 +240,15 @@ def greatest(found: Deviations, signal: int) -> tuple[Estimate, float]:
 
 def apex(found: Deviations, signal: int, sign: float) -> Estimate:
     """Return the highest (sign 1) or lowest (sign -1) value of a signal over the cycle."""
-    values = sign * found.fine[:, :, signal]
-    steps = np.abs(np.diff(values, axis=1))
-    jump = np.argmax(steps, axis=1)[:, None] + 1
-    place = np.arange(values.shape[1])
-    # The orbit's own extreme in each bin, for it may lie between the middles; in a bin with a jump
-    # one on either side, which deviate as the bins on that side do.
-    before = np.max(np.where(place < jump, values, -np.inf), axis=1)
-    after = np.max(np.where(place >= jump, values, -np.inf), axis=1)
-    own = np.maximum(before, after)
-    jumps = steps.max(axis=1) > _JUMP * float(np.ptp(values))
+    values: Vector = sign * found.fine[:, :, signal]
+    mean: Vector = values.mean(axis=1)
+    own: Vector = values.max(axis=1)
 
     def extreme(average: Vector) -> float:
         row = sign * average[:, signal]
-        left, right = before + np.roll(row, 1), after + np.roll(row, -1)
-        return float(sign * np.nanmax(np.where(jumps, np.fmax(left, right), own + row)))
+        # How the orbit rises within a bin tells of the recording only while both are alike there.
+        within = np.where(own - mean > np.abs(row), own, mean)
+        return float(sign * np.nanmax(within + row))
 
     one = found.estimate(extreme)
     noise = float(found.noise[signal])
