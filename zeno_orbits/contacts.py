@@ -452,7 +452,7 @@ class _Seen:
         """Return where the gap begins to open, and the error of that."""
         t, h = self.t - self.period, self.h
         top = 0.08 * float(np.max(self.h))
-        begin = int(np.searchsorted(self.t, self.t[after] - 0.05 * self.period))
+        begin = int(np.searchsorted(self.t, float(self.t[after]) - 0.05 * self.period))
         opened = np.flatnonzero(h[after:] > top)
         stop = after + int(opened[0]) if len(opened) else len(t)
         if stop - after < 3 or stop - begin < 2 * _LEAST or not len(opened):
