@@ -138,12 +138,17 @@ def _coarse(model: Vector, data: Vector) -> tuple[int, Vector]:
     b = data - data.mean(axis=0)
     size = np.linalg.norm(a, axis=0) * np.linalg.norm(b, axis=0)
     spectra = np.fft.rfft(a, axis=0) * np.conj(np.fft.rfft(b, axis=0))
-    together = np.fft.irfft(spectra, _PHASES, axis=0) / np.where(size > 0.0, size, 1.0)
+    products = np.asarray(np.fft.irfft(spectra, _PHASES, axis=0), dtype=np.float64)
+    together: Vector = products / np.where(size > 0.0, size, 1.0)
     plain, turned = together.sum(axis=1), np.abs(together).sum(axis=1)
     best, other = int(np.argmax(plain)), int(np.argmax(turned))
     if plain[best] >= _TURNED * turned[other]:
-        return best, np.ones(model.shape[1])
-    return other, np.where(together[other] < _OPPOSED, -1.0, 1.0)
+        return best, np.ones(len(model[0]))
+    signs: Vector = np.ones(len(model[0]))
+    for k in range(len(signs)):
+        if float(together[other, k]) < _OPPOSED:
+            signs[k] = -1.0
+    return other, signs
 
 
 def _likeness(name: str, model: Vector, data: Vector, opposed: bool) -> Likeness:

@@ -286,7 +286,7 @@ def gap_model(orbit: ZenoOrbit, problem: Problem, period: float) -> GapModel:
         SimulationError: If the orbit does not return.
     """
     table = table_of(orbit, problem, (GAP,))
-    dynamics = bind(compiled_model(problem), table.p)
+    dynamics = bind(compiled_model(problem), tuple(table.p.tolist()))
     cycle, stretch = table.cycle, period / table.period
     starts = [cycle.start.time, *(impact.time for impact in cycle.impacts)]
     flights = tuple(

@@ -35,6 +35,7 @@ _LEAST = 6
 """Samples that a fit needs."""
 _MOST_CYCLES = 200
 _MOST_HOPS = 6
+_UNKNOWN = (math.nan, math.nan, math.nan, math.nan, math.nan)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,7 +80,7 @@ class CycleEvents:
     rest_start: float = math.nan
     release: float = math.nan
     rest_end: float = math.nan
-    errors: tuple[float, float, float, float, float] = (math.nan,) * 5
+    errors: tuple[float, float, float, float, float] = _UNKNOWN
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -213,9 +214,10 @@ def cycle_events(
     period = model.period
     first = math.ceil((t[0] - release) / period - 0.02)
     last = math.floor((t[-1] - release) / period - 1.15)
-    numbers = range(first, last + 1)
+    numbers = list(range(first, last + 1))
     if len(numbers) > _MOST_CYCLES:
-        numbers = np.unique(np.linspace(first, last, _MOST_CYCLES).astype(np.int64)).tolist()
+        step = (last - first) / (_MOST_CYCLES - 1)
+        numbers = [first + round(k * step) for k in range(_MOST_CYCLES)]
     found: list[CycleEvents] = []
     for number in numbers:
         start = release + number * period
@@ -308,15 +310,18 @@ class _Seen:
         inside[1:-1] |= inside[:-2] & inside[2:]
         late = self.t > 0.1 * self.period
         whole = inside & late
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], whole, [False]]).astype(np.int8)))
+        padded = np.zeros(len(whole) + 2)
+        padded[1:-1] = whole
+        edges = [int(k) for k in np.flatnonzero(np.diff(padded))]
         best: tuple[int, int] | None = None
         longest = _LOCKED * self.period
-        for a, b in zip(edges[::2], edges[1::2] - 1, strict=True):
+        for a, after in zip(edges[::2], edges[1::2], strict=True):
+            b = after - 1
             # Where nothing was recorded nobody knows whether it rested.
             if b - a + 1 >= _LEAST and self.t[b] - self.t[a] > longest:
                 if float(np.max(np.diff(self.t[a : b + 1]))) > 0.25 * (self.t[b] - self.t[a]):
                     continue
-                best, longest = (int(a), int(b)), self.t[b] - self.t[a]
+                best, longest = (a, b), float(self.t[b] - self.t[a])
         return best
 
     def fall(self, apex: int, until: float) -> int | None:
@@ -391,7 +396,7 @@ class _Seen:
             chosen = (self.t > start) & (np.arange(len(self.t)) < at)
             t, h = self.t[chosen] - start, self.h[chosen]
             length = float(self.t[at]) - start
-            if len(t) < _LEAST or np.max(np.diff(t), initial=t[0]) > 0.3 * length:
+            if len(t) < _LEAST or max(float(t[0]), float(np.max(np.diff(t)))) > 0.3 * length:
                 break
             hop = self.hop(number, t, h, length)
             if hop is None:
@@ -447,10 +452,10 @@ class _Seen:
         """Return where the gap begins to open, and the error of that."""
         t, h = self.t - self.period, self.h
         top = 0.08 * float(np.max(self.h))
-        begin = int(np.searchsorted(self.t, self.t[after] - 0.05 * self.period))
-        open_ = np.flatnonzero(h[after:] > top)
-        stop = after + int(open_[0]) if len(open_) else len(t)
-        if stop - after < 3 or stop - begin < 2 * _LEAST or not len(open_):
+        begin = int(np.searchsorted(self.t, float(self.t[after]) - 0.05 * self.period))
+        opened = np.flatnonzero(h[after:] > top)
+        stop = after + int(opened[0]) if len(opened) else len(t)
+        if stop - after < 3 or stop - begin < 2 * _LEAST or not len(opened):
             return math.nan, math.nan
         t, h = t[begin:stop], h[begin:stop]
         if float(np.max(np.diff(t[-(stop - after) :]))) > 0.02 * self.period:
@@ -499,8 +504,9 @@ def _square_slope(t: float, origin: float, unit: float) -> Vector:
 
 def _fitted(columns: Vector, values: Vector, noise: float) -> tuple[Vector, Vector]:
     """Return the least-squares fit and its covariance, with the scatter that is seen."""
-    fit, _, _, _ = np.linalg.lstsq(columns, values, rcond=1e-12)
+    fit: Vector = np.asarray(np.linalg.lstsq(columns, values, rcond=1e-12)[0], dtype=np.float64)
     rest = values - columns @ fit
     spare = max(len(values) - columns.shape[1], 1)
     variance = max(float(rest @ rest) / spare, noise**2)
-    return fit, variance * np.linalg.pinv(columns.T @ columns)
+    normal = np.asarray(np.linalg.pinv(columns.T @ columns), dtype=np.float64)
+    return fit, variance * normal

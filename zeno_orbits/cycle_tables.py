@@ -239,7 +239,7 @@ def table_of(orbit: ZenoOrbit, problem: Problem, names: Sequence[str]) -> OrbitT
         SimulationError: If its release does not return.
     """
     p = np.asarray(orbit.setting(problem).values(), dtype=np.float64)
-    dynamics = bind(compiled_model(problem), p)
+    dynamics = bind(compiled_model(problem), tuple(p.tolist()))
     release = dynamics.on_stop(np.array(problem.state_vector(orbit.release_state)))
     settings = SimulationSettings()
     cycle = cycle_near(dynamics, release, period=orbit.period, settings=settings)

@@ -211,9 +211,11 @@ def root_mean_square(found: Deviations, signal: int, chosen: Vector) -> Estimate
         signal: Its number.
         chosen: Which bins count, ``(N_BINS,)``.
     """
-    counts = found.counts.sum(axis=0)[:, signal]
+    counts: Vector = found.counts.sum(axis=0)[:, signal]
     noise = found.spread[:, signal] ** 2 / np.maximum(counts - 1.0, 1.0)
-    white = float(np.nanmean(noise[chosen > 0])) if np.any(counts[chosen > 0] > 1) else 0.0
+    white = 0.0
+    if float(np.max(counts[chosen > 0])) > 1.0:
+        white = float(np.nanmean(noise[chosen > 0]))
 
     def size(average: Vector) -> float:
         square = float(np.nanmean(average[chosen > 0, signal] ** 2))
@@ -238,16 +240,20 @@ def greatest(found: Deviations, signal: int) -> tuple[Estimate, float]:
 
 def apex(found: Deviations, signal: int, sign: float) -> Estimate:
     """Return the highest (sign 1) or lowest (sign -1) value of a signal over the cycle."""
-    # The orbit's own extreme in each bin, for it may lie between the middles.
-    own = sign * np.max(sign * found.fine[:, :, signal], axis=1)
+    values: Vector = sign * found.fine[:, :, signal]
+    mean: Vector = values.mean(axis=1)
+    own: Vector = values.max(axis=1)
 
     def extreme(average: Vector) -> float:
-        return float(sign * np.nanmax(sign * (own + average[:, signal])))
+        row = sign * average[:, signal]
+        # How the orbit rises within a bin tells of the recording only while both are alike there.
+        within = np.where(own - mean > np.abs(row), own, mean)
+        return float(sign * np.nanmax(within + row))
 
     one = found.estimate(extreme)
     noise = float(found.noise[signal])
     # Of many bins that are as high as each other, noise lifts the highest.
-    rivals = int(np.sum(sign * own > np.max(sign * own) - 3 * noise))
+    rivals = int(np.sum(own > np.max(own) - 3 * noise))
     return Estimate(value=one.value, error=max(one.error, _of_many(noise, rivals)))
 
 

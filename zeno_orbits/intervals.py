@@ -6,7 +6,8 @@ With residuals `r`, their derivative `J` and :math:`H = J^\top J` the numbers er
 
 The covariance is seen twice: as the scatter of whole cycles, which need not be alike inside, and
 as the autocorrelation along the phase of what all cycles have in common, which a model that is
-wrong leaves behind. The larger error of the two counts (theory (59)).
+wrong leaves behind. The largest error counts: of these
+two, and of independent noise (theory (59)).
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ _BINS = 240
 _REACH = 30
 """Bins over which residuals may be correlated."""
 _LEAST_GROUPS = 6
+_FREEDOM = 60
+"""Degrees of freedom of an estimate from all samples together."""
 _LEVEL = 0.95
 _TOLD = 0.5
 """A combination whose 95 % interval is wider than this, relative, is not told."""
@@ -84,7 +87,11 @@ def spread_of(jacobian: Vector, residuals: Vector, data: Folded) -> Spread:
     own = np.outer(jacobian[-1], jacobian[-1])
     together, misfit = _along_phase(samples, rest, data)
     n_groups = int(data.groups.max()) + 1
-    options = [(inverse @ (together + own) @ inverse, float(student.ppf(_TAIL, 60)))]
+    # Both that follow are estimates, and may come out too small; independent noise is the least.
+    options = [
+        (inverse @ (together + own) @ inverse, float(student.ppf(_TAIL, _FREEDOM))),
+        (inverse, float(student.ppf(_TAIL, _FREEDOM))),
+    ]
     if n_groups >= _LEAST_GROUPS:
         apart = _by_groups(samples, rest, data, n_groups)
         factor = float(student.ppf(_TAIL, n_groups - 1))

@@ -62,7 +62,7 @@ class Periodicity:
         Args:
             phases: In periods from the first time of the record, ``(n,)``.
         """
-        order = np.arange(self.template.shape[1])
+        order = np.arange(self.template.shape[1], dtype=np.float64)
         waves = np.exp(2j * np.pi * np.outer(phases, order))
         return np.real(waves @ self.template.T)
 
@@ -123,7 +123,8 @@ def _gathered(time: Vector, values: Vector) -> _Grid:
         np.bincount(places, weights=since, minlength=n) / np.maximum(counts, 1),
         step * np.arange(n),
     )
-    means, masks, centres, scales = [], [], [], []
+    means, masks = list[Vector](), list[NDArray[np.bool_]]()
+    centres, scales = list[float](), list[float]()
     for row in values:
         seen = np.isfinite(row)
         here = places[seen]
@@ -196,14 +197,15 @@ def _waves(phases: Vector, n_harmonics: int) -> Vector:
 def _wave_slopes(waves: Vector, found: Vector) -> Vector:
     """Return the derivative by the phase of what is made of waves, ``(n,)``."""
     n_harmonics = waves.shape[1] // 2
-    order = 2 * np.pi * np.arange(1, n_harmonics + 1)
+    order = 2 * np.pi * np.arange(1, n_harmonics + 1, dtype=np.float64)
     cosines, sines = found[1 : n_harmonics + 1], found[n_harmonics + 1 :]
     return waves[:, 1:] @ np.concatenate([order * sines, -order * cosines])
 
 
 def _projected(waves: Vector, row: Vector) -> Vector:
     """Return the least-squares amplitudes of waves; the normal equations are well conditioned."""
-    return np.linalg.lstsq(waves.T @ waves, waves.T @ row, rcond=1e-9)[0]
+    found = np.linalg.lstsq(waves.T @ waves, waves.T @ row, rcond=1e-9)[0]
+    return np.asarray(found, dtype=np.float64)
 
 
 def _harmonics(grid: _Grid, period: float) -> int:

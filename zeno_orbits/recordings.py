@@ -5,8 +5,8 @@ they are known, lines ``# key: value`` (docs/measured_data.md)::
 
     # zeno-orbits data 1
     # source: measured
-    # scene: motor_valve
-    time [ms],theta1 [deg],current [mA]
+    # scene: some_scene
+    time [ms],angle [deg],current [mA]
     0.0,12.5,-310
 """
 
