@@ -146,7 +146,10 @@ def meeting(way: Sequence[Stage], restitution: float, within: float = CLOSE) -> 
         whence = [
             k for k, stage in enumerate(way) if stage.margins.get(margin, 0.0) > _FALL * value
         ]
-        if whence and value > 0.0:
+        if whence and value == 0.0:
+            last = float(np.linalg.norm(way[-1].z - way[whence[-1]].z))
+            found.append(Threat(margin=margin, distance=last, fall=np.inf))
+        elif whence:
             fallen = threats((*way[: whence[-1] + 1], way[-1]), restitution)
             found += [threat for threat in fallen if threat.margin == margin]
     for threat in sorted(found, key=lambda threat: threat.distance):

@@ -76,7 +76,7 @@ class CurveSteps:
     first: float = 0.005
     longest: float = 0.05
     shortest: float = 1e-5
-    most: int = 80
+    most: int = 200
     bend: float = 0.25
     turn: float = 0.3
     least_arc: float = 1e-8

@@ -144,9 +144,14 @@ class SecantCurve:
         """Return why no point follows."""
         if trouble == Kind.BOUND.value:
             return trouble
-        way = [Stage(z=spot.at, margins=spot.located.margins) for spot in spots]
+        way = [Stage(z=spot.at, margins=self._others(spot)) for spot in spots]
         met = meeting(way, self.plane.restitution_at(spots[-1].at))
         return met or f"{Kind.GAVE_UP.value}: {trouble}"
+
+    def _others(self, spot: Spot) -> dict[Margin, float]:
+        """Return what is left at a point beside what vanishes on the curve."""
+        margins = spot.located.margins.items()
+        return {margin: value for margin, value in margins if ENDS.get(margin.loss) != self.kind}
 
     def _to_edge(self, at: Vector, forward: Vector) -> float:
         """Return how far it is to the edge of the plane."""
