@@ -15,13 +15,14 @@ import numpy as np
 import pytest
 
 from tests.recordings_of import recorded, recording_of
+from zeno_orbits.closing import close_orbit
 from zeno_orbits.comparison import Comparison, compare
 from zeno_orbits.cycle_tables import OrbitTable, gap_coordinates, gap_unit, table_of
 from zeno_orbits.dynamics import HybridDynamics
 from zeno_orbits.errors import InputError
 from zeno_orbits.orbit import ZenoOrbit
 from zeno_orbits.periodicity import periodicity
-from zeno_orbits.problem import Problem
+from zeno_orbits.problem import Problem, load_problem
 from zeno_orbits.recordings import Recording, Signal
 from zeno_orbits.simulate import simulate
 
@@ -202,7 +203,7 @@ FALSE: dict[str, tuple[Change, str]] = {
     "never at rest": (
         lambda t, y: (
             t,
-            y + [[0.0], [0.35], [0.0]] * np.sin(2 * math.pi * t / 1.81371293903 - 2.0),
+            y + [[0.0], [0.15], [0.0]] * (1 + np.sin(6 * math.pi * t / 1.81371293903)),
         ),
         "no locked phase is seen",
     ),
@@ -217,6 +218,18 @@ def test_what_shows_no_such_orbit_is_told_with_the_reason(
     found = compare(orbit, scene, changed(recorded(table, scene, noise=1e-3), change))
     assert not found.agrees
     assert any(part in one for one in found.reasons for part in reason.split("|")), found.reasons
+
+
+def test_signals_that_jump_are_aligned_as_well() -> None:
+    # The speed of this scene jumps by two thirds of its range; its slope knows nothing of that.
+    problem = load_problem("forced_oscillator")
+    orbit = close_orbit(problem, problem.setting()).unwrap()
+    table = table_of(orbit, problem, ("distance", "speed"))
+    found = compare(orbit, problem, recorded(table, problem, noise=1e-3, rate=60.0))
+    assert found.agrees, found.reasons
+    for what in ("first impact time", "end of chatter", "release time", "locked duration"):
+        metric = found.metric(what)
+        assert abs(metric.data - metric.orbit) < SURE * metric.error < 0.05, metric
 
 
 def test_a_start_that_still_settles_is_named(

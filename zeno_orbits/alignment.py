@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from zeno_orbits.cycle_tables import OrbitTable
+from zeno_orbits.cycle_tables import OrbitTable, near_jumps
 from zeno_orbits.periodicity import Periodicity
 
 Vector = NDArray[np.float64]
@@ -23,6 +23,8 @@ Vector = NDArray[np.float64]
 _PHASES = 720
 _MOST_ROWS = 60_000
 _STEPS = 6
+_NEAR = 0.01
+"""Part of a period beside a jump that does not count; the first shift is good to a tenth of it."""
 _TURNED = 0.95
 """All signs as they are count as best from this part of the best with signs turned on."""
 _OPPOSED = -0.4
@@ -192,7 +194,7 @@ def _fine(
     t, y = time[rows], values[:, rows].T
     scale = np.std(data, axis=0)
     scale = np.where((scale > 0.0) & weight, scale, np.inf)
-    seen = np.isfinite(y)
+    known = seen = np.isfinite(y)
     period, stretch = found.period, table.period / found.period
     above, below = np.zeros(len(t)), np.zeros(len(t))
     white = 0.0
@@ -201,6 +203,9 @@ def _fine(
             columns[:, : len(values)]
             for columns in table.nodes.with_slopes(np.mod((t - release) * stretch, table.period))
         )
+        # A slope does not know of a jump: samples beside one would push the wrong way.
+        phases = np.mod((t - release) / period, 1.0)
+        seen = known & ~near_jumps(table, phases, _NEAR)[:, : len(values)]
         rest = np.where(seen, y - model, 0.0)
         count = np.maximum(seen.sum(axis=0), 1)
         # An offset of an encoder is no shift in time.

@@ -67,6 +67,8 @@ _SEEN = 0.5
 _OUTLIER = 6.0
 _AT_ONCE = 1 << 18
 _FEWEST_CYCLES = 6
+_STRAY = 0.1
+"""Part of the variance that does not repeat and is not said: harmonics leave some of jumps."""
 _SETTLING = 3.0
 """Cycles whose deviation is larger by this factor than that of later ones have not settled."""
 _CLIPPED = 0.01
@@ -204,7 +206,7 @@ def compare(orbit: ZenoOrbit, problem: Problem, recording: Recording) -> Compari
         remarks.append(f"impacts, locked phase and release are not told: {missing}")
     else:
         reasons += _contact_reasons(stop, events)
-    if found.repeats < 1.0 - _ALTERNATES:
+    if found.repeats < 1.0 - _STRAY:
         remarks.append(f"{100 * (1 - found.repeats):.2g} % of the signals' variance do not repeat")
     deviation = deviations(table, time, values, where)
     remarks += _settling(deviation, time, where)

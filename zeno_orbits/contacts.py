@@ -29,6 +29,8 @@ _RESTING = 0.05
 """Part of the samples that rest at the stop at least, for a level to be seen."""
 _LOCKED = 0.02
 """A rest is a locked phase from this part of a period on."""
+_SHARE = 0.25
+"""And from this part of the orbit's own: a gap that only turns lingers, too."""
 _WINDOW = 0.08
 """Part of a period before an impact whose samples tell of it."""
 _LEAST = 6
@@ -314,7 +316,8 @@ class _Seen:
         padded[1:-1] = whole
         edges = [int(k) for k in np.flatnonzero(np.diff(padded))]
         best: tuple[int, int] | None = None
-        longest = _LOCKED * self.period
+        own = self.period - self.model.zeno_time
+        longest = max(_LOCKED * self.period, _SHARE * own)
         for a, after in zip(edges[::2], edges[1::2], strict=True):
             b = after - 1
             # Where nothing was recorded nobody knows whether it rested.

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from zeno_orbits.closing import cycle_near
 from zeno_orbits.compiled import CompiledSystem, bind
@@ -32,6 +33,8 @@ _BETWEEN = 6
 """Nodes between two steps of the integrator."""
 _AT_ONCE = 1 << 16
 """States that are evaluated at a time: the interpreter of formulas copies them several times."""
+_JUMP = 0.02
+"""A step of this part of a signal's range is a jump."""
 _LEAST = 24
 """Intervals of an arc at least."""
 
@@ -225,6 +228,25 @@ class OrbitTable:
             phases: In periods from the release, any number of them, ``(n,)``.
         """
         return self.nodes.at(np.mod(phases, 1.0) * self.period)
+
+
+def near_jumps(table: OrbitTable, phases: Vector, width: float) -> NDArray[np.bool_]:
+    """Return which signals jump near which phases, ``(n, n_s)``.
+
+    Args:
+        table: The orbit.
+        phases: In [0, 1), ``(n,)``.
+        width: How near, in periods.
+    """
+    nodes = table.nodes
+    near = np.zeros((len(phases), nodes.values.shape[1]), dtype=np.bool_)
+    extent = np.ptp(nodes.values, axis=0)
+    for k in np.flatnonzero(np.diff(nodes.times) <= 0.0):
+        jumping = np.abs(nodes.values[k + 1] - nodes.values[k]) > _JUMP * extent
+        if jumping.any():
+            here = np.abs(phases - nodes.times[k] / table.period) < width
+            near[here] |= jumping
+    return near
 
 
 def table_of(orbit: ZenoOrbit, problem: Problem, names: Sequence[str]) -> OrbitTable:

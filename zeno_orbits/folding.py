@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.alignment import Alignment
-from zeno_orbits.cycle_tables import OrbitTable
+from zeno_orbits.cycle_tables import OrbitTable, near_jumps
 
 Vector = NDArray[np.float64]
 
@@ -20,8 +20,6 @@ _GATHERED = 400
 _GROUPS = 60
 _NEAR = 0.012
 """Part of a period on either side of an impact where a signal that jumps tells little."""
-_JUMP = 0.02
-"""Part of its range by which a signal jumps that counts as jumping."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -59,19 +57,7 @@ class Folded:
 
     def without_jumps(self, table: OrbitTable) -> Folded:
         """Return it without samples of signals that jump, near the impacts that make them jump."""
-        seen = self.seen.copy()
-        extent = np.ptp(table.nodes.values, axis=0)
-        start, period = table.cycle.start.time, table.period
-        again = np.flatnonzero(np.diff(table.nodes.times) <= 0.0)
-        jumps = np.abs(table.nodes.values[again + 1] - table.nodes.values[again])
-        for impact in table.cycle.impacts:
-            at = (impact.time - start) / period
-            here = np.abs(table.nodes.times[again] - (impact.time - start)) < 1e-9 * period
-            size = jumps[here].max(axis=0, initial=0.0)
-            near = np.abs(self.phases - at) < _NEAR
-            for k in np.flatnonzero(size > _JUMP * extent):
-                seen[near, k] = False
-        return replace(self, seen=seen)
+        return replace(self, seen=self.seen & ~near_jumps(table, self.phases, _NEAR))
 
 
 def folded(time: Vector, values: Vector, where: Alignment) -> Folded:
