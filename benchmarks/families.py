@@ -4,8 +4,8 @@
 
 The family in the restitution from 0 to its end; the families in both gains, that in Kd at two
 values of Kp; their special points followed in both, as polylines ``{"name": "fold",
-"x": [Kp ...], "y": [Kd ...]}``. Some ten minutes on two cores; without the curves (``--quick``) one
-minute.
+"x": [Kp ...], "y": [Kd ...]}``. Some twenty minutes of processor time over all workers; without the
+curves (``--quick``) one minute.
 """
 
 from __future__ import annotations
