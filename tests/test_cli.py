@@ -23,7 +23,7 @@ import pytest
 from tests.reference_orbit import ORBIT_KEYS, PERIOD, RELEASE
 from zeno_orbits import progress, symbolic
 from zeno_orbits.certificate import OrbitCertificate
-from zeno_orbits.cli import main
+from zeno_orbits.cli import build_parser, main
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.extended_orbit import ExtendedOrbit, extended_orbit
 from zeno_orbits.problem import Problem, bundled_problems, load_problem
@@ -1026,7 +1026,15 @@ def examples(command: str) -> list[list[str]]:
     return [shlex.split(line) for line in lines]
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+EVERY = tuple(re.findall(r"^    ([a-z]+)(?: |$)", build_parser().format_help(), flags=re.MULTILINE))
+
+
+def test_every_command_is_known_to_the_tests_of_its_examples() -> None:
+    elsewhere = {"new", "continue", "compare", "identify", "report", "figures"}
+    assert set(EVERY) == {*COMMANDS, *elsewhere}
+
+
+@pytest.mark.parametrize("command", EVERY)
 def test_the_help_of_a_command_shows_examples_of_it(command: str) -> None:
     shown = examples(command)
     assert shown
@@ -1038,7 +1046,7 @@ def test_the_help_of_the_program_names_every_command_and_the_exit_codes() -> Non
     assert answer.code == YES
     assert "exit codes: 0 yes; 1" in answer.out
     assert "example" in answer.out
-    for command in COMMANDS:
+    for command in EVERY:
         assert command in answer.out
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.reference_orbit import RELEASE
+from tests.test_cli import YES, ask, examples
 from zeno_orbits import plots, report
 from zeno_orbits.cli import main
 from zeno_orbits.closing import close_orbit
@@ -181,3 +182,16 @@ def test_giving_up_is_an_answer_of_no(
     assert main(["continue", *IMPACTS, "--in", "A=0.5:1.1"]) == 1
     told = capsys.readouterr().out
     assert "gave up: the tangent turns too fast" in told
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", range(4))
+def test_an_example_of_the_help_runs(
+    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_orbit(close_orbit(PENDULUM, PENDULUM.setting()).unwrap(), tmp_path / "orbit.json")
+    shown = examples("continue")
+    assert len(shown) == 4
+    answer = ask(*shown[number])
+    assert answer.code == YES, answer.err
