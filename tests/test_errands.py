@@ -57,7 +57,7 @@ needs_two = pytest.mark.skipif(CORES < 2, reason="needs two cores")
 
 @pytest.fixture(autouse=True)
 def _silence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("zeno_orbits.report._PATIENCE", float("inf"))
+    monkeypatch.setattr("zeno_orbits.progress._PATIENCE", float("inf"))
 
 
 def contents(folder: Path) -> dict[str, bytes]:

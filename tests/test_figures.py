@@ -83,7 +83,7 @@ def other(several: Execution, scene: Problem) -> Counterpart:
 
 
 @pytest.fixture
-def parts(monkeypatch: pytest.MonkeyPatch, several: Execution, scene: Problem) -> Any:
+def parts(monkeypatch: pytest.MonkeyPatch, several: Execution, scene: Problem) -> None:
     """Stand-ins for the virtual rig and for the reader of recordings, with the model's motion."""
     times, signals = signals_of(several, scene)
     names = (*scene.state_names, "rotor")
@@ -108,9 +108,8 @@ def parts(monkeypatch: pytest.MonkeyPatch, several: Execution, scene: Problem) -
         source = SimpleNamespace(value="measured")
         return SimpleNamespace(time=seen + 11.3, signals=taken, source=source)
 
-    found = SimpleNamespace(rig_cycles=rig_cycles, read_recording=read_recording)
-    monkeypatch.setattr(counterparts, "_part", lambda _name: found)
-    return found
+    monkeypatch.setattr(counterparts, "rig_cycles", rig_cycles)
+    monkeypatch.setattr(counterparts, "read_recording", read_recording)
 
 
 @pytest.fixture
@@ -531,7 +530,7 @@ def test_what_a_scene_does_not_have_is_said_and_left_out(
     def still(*_: Any, **__: Any) -> Any:
         raise SimulationError("The rig does not move in cycles", time=1.0, state=(0.0,))
 
-    monkeypatch.setattr(counterparts, "_part", lambda _: SimpleNamespace(rig_cycles=still))
+    monkeypatch.setattr(counterparts, "rig_cycles", still)
     # A film without ffmpeg, and nothing that takes long.
     monkeypatch.setitem(PAPER, "animation", lambda _: {"machine.gif": b"GIF8"})
     monkeypatch.setitem(PAPER, "region", lambda _: {})
@@ -628,7 +627,6 @@ def test_the_examples_of_the_help_run(
 
 
 def test_the_real_rig_lies_near_the_model(orbit: ZenoOrbit, scene: Problem) -> None:
-    pytest.importorskip("zeno_orbits.rig", reason="this version has no virtual rig")
     found = counterparts.rig_counterpart(orbit, scene, 2)
     assert found.label == "virtual rig, simulated"
     assert found.times[0] == pytest.approx(0.0, abs=1e-3)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.pages import ROOT, SHOWN, blocks, commands, run_page
-from zeno_orbits import report
+from zeno_orbits import progress
 from zeno_orbits.cli import build_parser
 
 PAGES = sorted(
@@ -31,6 +31,7 @@ LEFT_OUT = {
     ("benchmarks/README.md", "not run: takes a quiet machine"): 1,
     ("docs/extended.md", "not run: installs"): 1,
     ("docs/performance.md", "not run: takes a quiet machine"): 3,
+    ("docs/performance.md", "not run: a quarter of an hour"): 1,
     ("docs/performance.md", "not run: takes other people's simulators and a quiet machine"): 1,
     ("docs/scale.md", "not run: needs a cluster"): 2,
     ("docs/tutorial.md", "not run: installs, as `.ci/run` does"): 1,
@@ -51,7 +52,7 @@ LEFT_BEHIND = {
 def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty working folder, and no progress however slow the commands are."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(report, "_PATIENCE", math.inf)
+    monkeypatch.setattr(progress, "_PATIENCE", math.inf)
     return tmp_path
 
 

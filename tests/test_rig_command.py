@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.test_cli import Answer, ask
-from zeno_orbits import report
+from zeno_orbits import progress
 from zeno_orbits.cli import MISUSE, NO, YES
 from zeno_orbits.orbit import ZenoOrbit, write_orbit
 from zeno_orbits.recordings import Source, read_recording
@@ -41,7 +41,7 @@ def test_a_machine_is_printed_beside_the_orbit_as_simulated(file: Path) -> None:
 def test_json_holds_the_numbers_of_orbit_and_machine_and_says_simulated(
     file: Path, orbit: ZenoOrbit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(report, "_PATIENCE", 0.0)
+    monkeypatch.setattr(progress, "_PATIENCE", 0.0)
     answer = ask("rig", file, *QUICK, "--cycles", "2", "--json")
     assert answer.code == YES
     assert answer.data["source"] == "simulated"

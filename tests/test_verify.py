@@ -13,6 +13,7 @@ from tests.orbits import changed
 from tests.reference_orbit import MULTIPLIER, PERIOD
 from tests.scenes import clocked_oscillator
 from zeno_orbits.certificate import RESIDUALS, OrbitCertificate
+from zeno_orbits.closing import close_orbit
 from zeno_orbits.completion import ZenoExtrapolation
 from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.errors import InputError
@@ -385,6 +386,17 @@ def test_a_wrong_zeno_limit_is_not_what_the_cuts_tend_to(orbit: ZenoOrbit, scene
     late = SimulationSettings(completion=_Late(delay=1e-6))
     seen = verify(orbit, scene, settings=replace(QUICK, simulation=late))
     assert {"zeno_point", "delta_sweep", "period"} <= set(seen.failed)
+
+
+def test_the_cuts_go_on_where_the_locked_arc_is_about_to_vanish(scene: Problem) -> None:
+    # The family in e ends at 0.41679; its cubic error there is seen at four cuts still.
+    near = close_orbit(scene, scene.setting(parameters={"restitution": 0.4167})).unwrap()
+    seen = verify(near, scene)
+    assert seen.passed
+    assert len(seen.delta_sweep) > len(VerificationSettings().cuts)
+    assert seen.delta_sweep[-1].error < seen.tolerance / 10
+    late = SimulationSettings(completion=_Late(delay=1e-6))
+    assert "delta_sweep" in verify(near, scene, settings=replace(QUICK, simulation=late)).failed
 
 
 # Orbits that do not fit.

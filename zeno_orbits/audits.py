@@ -24,6 +24,12 @@ from zeno_orbits.returns import placed
 from zeno_orbits.shape import PhaseKind
 from zeno_orbits.simulate import SimulationSettings, simulate
 
+_FINEST_CUT = 1e-9
+"""Of the first impact speed: the slowest impact that a sweep cuts at."""
+
+_FALL = 2.0
+"""Fall of a cut's error, at least, for which a finer one is worth while; theory says 1000."""
+
 _LATER = 1.001
 """Part of a period that an integration may take longer, by its error."""
 
@@ -33,6 +39,7 @@ def delta_sweep(
     cycle: FirstCycle,
     cuts: Sequence[float],
     simulation: SimulationSettings,
+    enough: float,
 ) -> tuple[DeltaCut, ...]:
     """Cut the sequence by the paper's rule at falling thresholds, and compare on the locked arc.
 
@@ -43,13 +50,15 @@ def delta_sweep(
         cycle: The first period, completed by the extrapolated limit.
         cuts: Thresholds in units of the first impact speed, falling.
         simulation: Accuracy.
+        enough: Cuts go on, a tenth as fast each, while the last one is farther off than this and
+            nearer than the one before: where the locked arc is short, the cubic error is large.
 
     Returns:
         One entry a threshold, of the accumulation that its last cut tells worst; none where impacts
         do not accumulate.
     """
     sweeps = [
-        _sweep_of(dynamics, cycle, phase, cuts, simulation)
+        _sweep_of(dynamics, cycle, phase, cuts, simulation, enough)
         for phase in cycle.phases
         if phase.kind is PhaseKind.ZENO
     ]
@@ -62,26 +71,40 @@ def _sweep_of(
     phase: Phase,
     cuts: Sequence[float],
     simulation: SimulationSettings,
+    enough: float,
 ) -> tuple[DeltaCut, ...]:
+    fastest = abs(phase.impacts[0].approach_rate)
+    found = [_cut(dynamics, cycle, phase, share * fastest, simulation) for share in cuts]
+    while (
+        len(found) > 1
+        and enough < found[-1].error < found[-2].error / _FALL
+        and found[-1].delta > 10.0 * _FINEST_CUT * fastest
+    ):
+        found.append(_cut(dynamics, cycle, phase, found[-1].delta / 10.0, simulation))
+    return tuple(found)
+
+
+def _cut(
+    dynamics: HybridDynamics,
+    cycle: FirstCycle,
+    phase: Phase,
+    delta: float,
+    simulation: SimulationSettings,
+) -> DeltaCut:
+    """Return how far a motion is off in the middle of the locked arc that is cut below a speed."""
     zeno = phase.end.time if phase.zeno is None else phase.zeno.time
     when = (zeno + phase.end.time) / 2
-    truth = cycle.execution.state_at(when)
-    fastest = abs(phase.impacts[0].approach_rate)
-    found: list[DeltaCut] = []
-    for share in cuts:
-        delta = share * fastest
-        rule = replace(simulation, completion=Truncation(delta=delta))
-        before = _last_common_impact(phase, delta)
-        start = dynamics.on_stop(before.state_minus)
-        start = start + before.approach_rate * dynamics.impulse_direction(start)
-        try:
-            run = simulate(dynamics, start, until=when - before.time, settings=rule)
-        except ZenoOrbitsError:
-            return (*found, DeltaCut(delta=delta, speed=math.nan, error=math.inf))
-        last = run.impacts[-1] if run.impacts else before
-        error = distance(run.end_state, truth, cycle.scale)
-        found.append(DeltaCut(delta=delta, speed=abs(last.approach_rate), error=error))
-    return tuple(found)
+    before = _last_common_impact(phase, delta)
+    start = dynamics.on_stop(before.state_minus)
+    start = start + before.approach_rate * dynamics.impulse_direction(start)
+    rule = replace(simulation, completion=Truncation(delta=delta))
+    try:
+        run = simulate(dynamics, start, until=when - before.time, settings=rule)
+    except ZenoOrbitsError:
+        return DeltaCut(delta=delta, speed=math.nan, error=math.inf)
+    last = run.impacts[-1] if run.impacts else before
+    error = distance(run.end_state, cycle.execution.state_at(when), cycle.scale)
+    return DeltaCut(delta=delta, speed=abs(last.approach_rate), error=error)
 
 
 def _last_common_impact(phase: Phase, delta: float) -> Impact:

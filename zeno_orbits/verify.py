@@ -90,7 +90,8 @@ def verify(
     sweep: tuple[DeltaCut, ...] = ()
     if seen.cycle is not None:
         tell("cutting the impact sequence")
-        sweep = delta_sweep(dynamics, seen.cycle, settings.cuts, settings.simulation)
+        enough = settings.tolerance / 10.0
+        sweep = delta_sweep(dynamics, seen.cycle, settings.cuts, settings.simulation, enough)
         if sweep:
             residuals["delta_sweep"] = sweep[-1].error
         tell("balancing the energy")
