@@ -480,8 +480,8 @@ def test_the_command_offers_every_kind_there_is() -> None:
     assert tuple(PAPER) == figures._KINDS
 
 
-def test_one_command_writes_all_figures(orbit_file: Path, parts: Any) -> None:
-    assert parts
+@pytest.mark.usefixtures("parts")
+def test_one_command_writes_all_figures(orbit_file: Path) -> None:
     code, out, err = ask("figures", orbit_file, "-o", "new/figures")
     assert (code, err) == (YES, "")
     made = {path.name for path in Path("new/figures").iterdir()}
@@ -496,8 +496,8 @@ def test_one_command_writes_all_figures(orbit_file: Path, parts: Any) -> None:
         assert picture.size[0] == 1020
 
 
-def test_the_same_orbit_gives_the_same_bytes(orbit_file: Path, parts: Any) -> None:
-    assert parts
+@pytest.mark.usefixtures("parts")
+def test_the_same_orbit_gives_the_same_bytes(orbit_file: Path) -> None:
     kinds = [word for kind in ("graph", "region", "portraits") for word in ("--kind", kind)]
     for folder in ("a", "b"):
         assert ask("figures", orbit_file, "-o", folder, *kinds)[0] == YES
@@ -505,10 +505,11 @@ def test_the_same_orbit_gives_the_same_bytes(orbit_file: Path, parts: Any) -> No
         assert path.read_bytes() == (Path("b") / path.name).read_bytes()
 
 
+@pytest.mark.usefixtures("parts")
 def test_a_recording_takes_the_place_of_the_rig(
-    orbit_file: Path, parts: Any, monkeypatch: pytest.MonkeyPatch
+    orbit_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    parts.rig_cycles = None
+    monkeypatch.setattr(counterparts, "rig_cycles", None)
     Path("run.csv").touch()
     seen: list[Counterpart] = []
     draw = plots.plot_beside_portraits
@@ -561,6 +562,7 @@ def test_a_scene_is_searched_at_its_own_numbers(
     assert not Path("none").exists()
 
 
+@pytest.mark.usefixtures("parts")
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -576,9 +578,8 @@ def test_a_scene_is_searched_at_its_own_numbers(
     ],
 )
 def test_bad_input_is_one_line_and_writes_nothing(
-    orbit_file: Path, parts: Any, arguments: tuple[str, ...], said: str
+    orbit_file: Path, arguments: tuple[str, ...], said: str
 ) -> None:
-    assert parts
     code, out, err = ask("figures", *arguments)
     assert (code, out) == (MISUSE, "")
     assert said in err
@@ -606,11 +607,9 @@ def test_an_orbit_without_a_zeno_point_is_refused(orbit_file: Path, orbit: ZenoO
     assert "must reach a Zeno point in its period" in err
 
 
-def test_the_examples_of_the_help_run(
-    orbit_file: Path, parts: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.usefixtures("parts")
+def test_the_examples_of_the_help_run(orbit_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert orbit_file.exists()
-    assert parts
     # The first example is run in full by `test_one_command_writes_all_figures`.
     for kind in ("animation", "beside"):
         monkeypatch.setitem(
