@@ -25,9 +25,9 @@ from zeno_orbits.continuation import (
     continue_orbit_in_two,
     start_orbit,
 )
+from zeno_orbits.dispatch import Crew
 from zeno_orbits.families import Boundary, Continuation, Kind
 from zeno_orbits.files import write_whole
-from zeno_orbits.office import Crew
 from zeno_orbits.problem import Problem
 from zeno_orbits.scenes import scene_file
 from zeno_orbits.tracks import ContinuationSettings

@@ -17,8 +17,8 @@ import numpy as np
 from zeno_orbits.branches import Branch, Tell
 from zeno_orbits.closing import close_orbit
 from zeno_orbits.corrector import BranchPoint, first_point
+from zeno_orbits.dispatch import Crew, Dispatch
 from zeno_orbits.dynamics import Vector
-from zeno_orbits.errands import Direction, Doubling, Half
 from zeno_orbits.errors import InputError
 from zeno_orbits.families import (
     Boundary,
@@ -27,8 +27,8 @@ from zeno_orbits.families import (
     whole_curve,
 )
 from zeno_orbits.growth import Grown, as_family
-from zeno_orbits.office import Crew, Office
 from zeno_orbits.orbit import ZenoOrbit, versions
+from zeno_orbits.pieces import Direction, Doubling, Half
 from zeno_orbits.plain import plain
 from zeno_orbits.plane import Plane
 from zeno_orbits.problem import Problem, Setting
@@ -121,8 +121,8 @@ def continue_orbit_in_two(
     x = np.array(problem.state_vector(orbit.release_state))
     first = problem.names.index(names[0])
     own = {"second": names[1], "box": list(boxes[1]), "kinds": [kind.name for kind in kinds]}
-    office = _office(track, x, float(p[first]), settings, tell, crew, own)
-    grown = _grown_from(track, x, float(p[first]), office)
+    dispatch = _dispatch(track, x, float(p[first]), settings, tell, crew, own)
+    grown = _grown_from(track, x, float(p[first]), dispatch)
     plane = Plane(
         names=names,
         places=(first, second),
@@ -138,7 +138,7 @@ def continue_orbit_in_two(
     ]
     return Continuation(
         families=tuple(one.family for one in grown),
-        boundaries=tuple(_curves(office, plane, found)),
+        boundaries=tuple(_curves(dispatch, plane, found)),
         versions=versions(),
     )
 
@@ -158,7 +158,7 @@ class _Candidate:
     leading: tuple[BranchPoint, ...]
 
 
-def _curves(office: Office, plane: Plane, found: Sequence[_Candidate]) -> list[Boundary]:
+def _curves(dispatch: Dispatch, plane: Plane, found: Sequence[_Candidate]) -> list[Boundary]:
     """Return the curves through special points, each once.
 
     A curve may come back through another point of its kind. So points of a kind take turns, and
@@ -184,7 +184,7 @@ def _curves(office: Office, plane: Plane, found: Sequence[_Candidate]) -> list[B
                     upwards=True,
                 )
                 chosen[k] = (up, replace(up, upwards=False))
-        results = office.done(f"curves-{turn}", "half curves", list(chosen.values()))
+        results = dispatch.done(f"curves-{turn}", "half curves", list(chosen.values()))
         for k, halves in zip(chosen, results, strict=True):
             second = halves[1] if len(halves) > 1 else None
             curves[k] = whole_curve(found[k].located.kind, plane.names, halves[0], second)
@@ -237,11 +237,11 @@ def continuation_on(
         SimulationError: If there is no fixed point near.
         WorkError: If the work cannot be finished.
     """
-    grown = _grown_from(track, x, s, _office(track, x, s, settings, tell, crew, {}))
+    grown = _grown_from(track, x, s, _dispatch(track, x, s, settings, tell, crew, {}))
     return Continuation(families=tuple(one.family for one in grown), versions=versions())
 
 
-def _office(
+def _dispatch(
     track: Track,
     x: Vector,
     s: float,
@@ -249,7 +249,7 @@ def _office(
     tell: Tell,
     crew: Crew | None,
     own: dict[str, Any],
-) -> Office:
+) -> Dispatch:
     """Return who follows a family, with all that its result depends on."""
     identity = {
         "problem": track.problem.name,
@@ -263,15 +263,15 @@ def _office(
         "versions": versions(),
         **own,
     }
-    office = Office(problem=track.problem, settings=settings, tell=tell, crew=crew)
-    return office.claimed(identity)
+    dispatch = Dispatch(problem=track.problem, settings=settings, tell=tell, crew=crew)
+    return dispatch.claimed(identity)
 
 
-def _grown_from(track: Track, x: Vector, s: float, office: Office) -> list[Grown]:
+def _grown_from(track: Track, x: Vector, s: float, dispatch: Dispatch) -> list[Grown]:
     """Return the family through a state, and those that flips throw off."""
-    found = [_both_ways(track, x, s, office)]
+    found = [_both_ways(track, x, s, dispatch)]
     latest = list(found)
-    for generation in range(office.settings.doublings):
+    for generation in range(dispatch.settings.doublings):
         thrown = [
             (one.track.doubled(), Doubling(course=one.track.course, flip=located))
             for one in latest
@@ -279,10 +279,10 @@ def _grown_from(track: Track, x: Vector, s: float, office: Office) -> list[Grown
             if located.kind is Kind.FLIP
         ]
         stage = f"branches-{generation + 1}"
-        branches = office.done(stage, "branches", [(errand,) for _, errand in thrown])
+        branches = dispatch.done(stage, "branches", [(piece,) for _, piece in thrown])
         latest = list[Grown]()
-        for (doubled, errand), (branch,) in zip(thrown, branches, strict=True):
-            root = Branch(points=(), special=(), ending=Kind.FLIP, end=errand.flip)
+        for (doubled, piece), (branch,) in zip(thrown, branches, strict=True):
+            root = Branch(points=(), special=(), ending=Kind.FLIP, end=piece.flip)
             if branch is not None:
                 latest.append(as_family(doubled, root, branch))
         found += latest
@@ -309,7 +309,7 @@ def start_orbit(
     return find_orbit(problem, setting, shape=ONE_ZENO).unwrap()
 
 
-def _both_ways(track: Track, x: Vector, s: float, office: Office) -> Grown:
+def _both_ways(track: Track, x: Vector, s: float, dispatch: Dispatch) -> Grown:
     ways = tuple(
         Direction(
             course=track.course,
@@ -317,6 +317,6 @@ def _both_ways(track: Track, x: Vector, s: float, office: Office) -> Grown:
         )
         for rising in (True, False)
     )
-    ((forward, *backward),) = office.done("directions", "directions", [ways])
+    ((forward, *backward),) = dispatch.done("directions", "directions", [ways])
     closed = Branch(points=(), special=(), ending=Kind.CLOSED)
     return as_family(track, backward[0] if backward else closed, forward)

@@ -7,12 +7,12 @@ import numpy as np
 from zeno_orbits.branches import Tell
 from zeno_orbits.continuation import continuation_on
 from zeno_orbits.corrector import Metric
+from zeno_orbits.dispatch import Crew
 from zeno_orbits.dynamics import Vector
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.families import Continuation
 from zeno_orbits.impact_returns import ImpactReturns
 from zeno_orbits.models import compiled_model
-from zeno_orbits.office import Crew
 from zeno_orbits.problem import Problem, Setting
 from zeno_orbits.simulate import simulate
 from zeno_orbits.tracks import ContinuationSettings, Course, Track, check_box, line_in

@@ -28,8 +28,8 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.files import require_picture, require_writable, write_whole
 
 if TYPE_CHECKING:
+    from zeno_orbits.dispatch import Crew
     from zeno_orbits.families import Continuation
-    from zeno_orbits.office import Crew
     from zeno_orbits.orbit import ZenoOrbit
     from zeno_orbits.problem import Problem, Setting
     from zeno_orbits.scenes import SceneFile
@@ -149,7 +149,7 @@ def _continued(
 ) -> Continuation:
     """Return what was asked for, by the workers that were asked for."""
     from zeno_orbits.branches import Steps
-    from zeno_orbits.office import Crew
+    from zeno_orbits.dispatch import Crew
     from zeno_orbits.tracks import ContinuationSettings
     from zeno_orbits.work import Plan, open_pool
 

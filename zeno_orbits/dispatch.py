@@ -1,4 +1,4 @@
-"""Who has the errands of a continuation done: this process, or a crew of workers."""
+"""Who has the pieces of a continuation done: this process, or a crew of workers."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
 from zeno_orbits.branches import Branch, Tell
-from zeno_orbits.errands import Errand
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.families import HalfCurve, Kind
+from zeno_orbits.pieces import Piece
 from zeno_orbits.plain import plain
 from zeno_orbits.problem import Problem
 from zeno_orbits.scenes import SceneFile
@@ -22,25 +22,23 @@ from zeno_orbits.work import Lost, Plan, Pool, claim, spread
 R = TypeVar("R")
 
 
-def _attempted(
-    errand: Errand[R], problem: Problem, settings: ContinuationSettings, tell: Tell
-) -> R:
-    """Return what comes of an errand; if nothing does, the others go on."""
+def _attempted(piece: Piece[R], problem: Problem, settings: ContinuationSettings, tell: Tell) -> R:
+    """Return what comes of a piece; if nothing does, the others go on."""
     try:
-        return errand.done(problem, settings, tell)
+        return piece.done(problem, settings, tell)
     except ZenoOrbitsError as error:
-        return errand.lost(str(error))
+        return piece.lost(str(error))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Crew:
-    """Workers that do errands.
+    """Workers that follow pieces.
 
     Attributes:
         scene: Where they find the scene; a continuation is told ``scene.load()``.
-        plan: Where finished errands are kept. Its identity is filled in.
+        plan: Where finished pieces are kept. Its identity is filled in.
         pool: The workers, of `open_pool`.
-        tell: Told how many errands of a stage are done, and which part of the time it takes.
+        tell: Told how many pieces of a stage are done, and which part of the time it takes.
     """
 
     scene: SceneFile
@@ -50,8 +48,8 @@ class Crew:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Office:
-    """Has errands done: by this process, or by a crew.
+class Dispatch:
+    """Has pieces done: by this process, or by a crew.
 
     Attributes:
         problem: The scene.
@@ -65,7 +63,7 @@ class Office:
     tell: Tell
     crew: Crew | None = None
 
-    def claimed(self, own: dict[str, Any]) -> Office:
+    def claimed(self, own: dict[str, Any]) -> Dispatch:
         """Return the same for one work, whose checkpoint it is.
 
         Args:
@@ -84,8 +82,8 @@ class Office:
         claim(plan)
         return replace(self, crew=replace(self.crew, plan=plan))
 
-    def done(self, stage: str, noun: str, groups: Sequence[Sequence[Errand[R]]]) -> list[list[R]]:
-        """Return what comes of errands, in their groups.
+    def done(self, stage: str, noun: str, groups: Sequence[Sequence[Piece[R]]]) -> list[list[R]]:
+        """Return what comes of pieces, in their groups.
 
         In a group each follows what the one before left over: after a family or a curve that
         closes there is nothing.
@@ -93,17 +91,17 @@ class Office:
         Args:
             stage: A name for all of them, by which finished ones are kept.
             noun: What they are called in words of progress.
-            groups: The errands.
+            groups: The pieces.
         """
         if self.crew is not None:
-            flat = [errand for group in groups for errand in group]
+            flat = [piece for group in groups for piece in group]
             results = iter(_sent(self.crew, stage, noun, self.settings, flat))
             return [_until_closed([next(results) for _ in group]) for group in groups]
         found: list[list[R]] = []
         for group in groups:
             found.append([])
-            for errand in group:
-                found[-1].append(_attempted(errand, self.problem, self.settings, self.tell))
+            for piece in group:
+                found[-1].append(_attempted(piece, self.problem, self.settings, self.tell))
                 if _closes(found[-1][-1]):
                     break
         return found
@@ -122,18 +120,18 @@ def _until_closed(results: list[R]) -> list[R]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Task(Generic[R]):
-    """Does errands by their numbers; it holds all that a worker has to know."""
+    """Does pieces by their numbers; it holds all that a worker has to know."""
 
     scene: SceneFile
     settings: ContinuationSettings
-    errands: tuple[Errand[R], ...]
+    pieces: tuple[Piece[R], ...]
 
     def __call__(self, numbers: Sequence[int]) -> list[Any]:
-        """Return what comes of errands, as plain data."""
+        """Return what comes of pieces, as plain data."""
         problem = self.scene.load()
-        chosen = [self.errands[number] for number in numbers]
-        results = [_attempted(errand, problem, self.settings, _nobody) for errand in chosen]
-        return [errand.to_json(result) for errand, result in zip(chosen, results, strict=True)]
+        chosen = [self.pieces[number] for number in numbers]
+        results = [_attempted(piece, problem, self.settings, _nobody) for piece in chosen]
+        return [piece.to_json(result) for piece, result in zip(chosen, results, strict=True)]
 
 
 def _sent(
@@ -141,26 +139,26 @@ def _sent(
     stage: str,
     noun: str,
     settings: ContinuationSettings,
-    errands: Sequence[Errand[R]],
+    pieces: Sequence[Piece[R]],
 ) -> list[R]:
-    """Return what comes of errands that a crew does."""
-    if not errands:
+    """Return what comes of pieces that a crew does."""
+    if not pieces:
         return []
-    task = _Task(scene=crew.scene, settings=settings, errands=tuple(errands))
+    task = _Task(scene=crew.scene, settings=settings, pieces=tuple(pieces))
     plan = replace(crew.plan, noun=noun)
     if plan.checkpoint is not None:
-        words = json.dumps([plain(errand) for errand in errands])
+        words = json.dumps([plain(piece) for piece in pieces])
         digest = hashlib.sha256(words.encode()).hexdigest()
         plan = replace(
             plan,
             checkpoint=plan.checkpoint / stage,
-            identity={**plan.identity, "stage": stage, "errands": digest},
+            identity={**plan.identity, "stage": stage, "pieces": digest},
         )
-    results = spread(task, range(len(errands)), plan, tell=_Clock(crew.tell), pool=crew.pool)
-    pairs = zip(errands, results, strict=True)
+    results = spread(task, range(len(pieces)), plan, tell=_Clock(crew.tell), pool=crew.pool)
+    pairs = zip(pieces, results, strict=True)
     return [
-        errand.lost(result.reason) if isinstance(result, Lost) else errand.from_json(result)
-        for errand, result in pairs
+        piece.lost(result.reason) if isinstance(result, Lost) else piece.from_json(result)
+        for piece, result in pairs
     ]
 
 
@@ -175,7 +173,7 @@ class _Clock:
         """Tell how much is done."""
         now = time.monotonic()
         if part > self._part:
-            # Errands are few and not alike: what is done tells the others' time but roughly.
+            # Pieces are few and not alike: what is done tells the others' time but roughly.
             self._part, self._ready = part, now + (now - self._started) * (1 - part) / part
         left = self._ready - now
         self._tell(f"{what}, about {left:.0f} s left of these" if left > 1.0 else what, None)

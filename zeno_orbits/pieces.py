@@ -26,7 +26,7 @@ from zeno_orbits.tracks import ContinuationSettings, Course, Track
 R = TypeVar("R")
 
 
-class Errand(Protocol[R]):
+class Piece(Protocol[R]):
     """A piece of a continuation; it can be sent, and so can its result."""
 
     def done(self, problem: Problem, settings: ContinuationSettings, tell: Tell) -> R:

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from tests.test_cli import ask
-from zeno_orbits import office, report, work
+from zeno_orbits import dispatch, report, work
 from zeno_orbits.branch_data import (
     branch_from_json,
     branch_to_json,
@@ -29,11 +29,11 @@ from zeno_orbits.branch_data import (
 from zeno_orbits.branches import Steps
 from zeno_orbits.continuation import continue_orbit, continue_orbit_in_two, start_orbit
 from zeno_orbits.corrector import first_point
-from zeno_orbits.errands import Direction, Half
+from zeno_orbits.dispatch import Crew, Dispatch
 from zeno_orbits.errors import CheckpointError, InputError, SimulationError, WorkError
 from zeno_orbits.families import HalfCurve, Kind
-from zeno_orbits.office import Crew, Office
 from zeno_orbits.orbit import ZenoOrbit
+from zeno_orbits.pieces import Direction, Half
 from zeno_orbits.plain import plain
 from zeno_orbits.plane import CurveSteps
 from zeno_orbits.problem import load_problem
@@ -132,8 +132,8 @@ def test_a_family_and_half_a_curve_pass_through_json_with_every_bit() -> None:
     track = track_of(problem, orbit, "A", (0.79, 1.2), settings)
     x = np.array(problem.state_vector(orbit.release_state))
     start = first_point(track.returns, track.metric, x, 1.0, rising=False)
-    errand = Direction(course=track.course, start=start)
-    branch = replace(errand.done(problem, settings, lambda *_: None), ending=Kind.FOLD)
+    piece = Direction(course=track.course, start=start)
+    branch = replace(piece.done(problem, settings, lambda *_: None), ending=Kind.FOLD)
     again = branch_from_json(json.loads(json.dumps(branch_to_json(branch), allow_nan=False)))
     assert plain(again) == plain(branch)
     assert again.points[0].multipliers == branch.points[0].multipliers
@@ -146,7 +146,7 @@ def test_a_family_and_half_a_curve_pass_through_json_with_every_bit() -> None:
 
 
 def test_a_curve_that_closes_has_no_second_half() -> None:
-    here = Office(
+    here = Dispatch(
         problem=load_problem(SCENE), settings=ContinuationSettings(), tell=lambda *_: None
     )
 
@@ -160,10 +160,10 @@ def test_a_curve_that_closes_has_no_second_half() -> None:
 # ---------------------------------------------------------------------------- what is lost
 
 
-def test_an_errand_that_fails_or_kills_every_worker_leaves_the_others_alone(
+def test_a_piece_that_fails_or_kills_every_worker_leaves_the_others_alone(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    spread, done = office.spread, Half.done
+    spread, done = dispatch.spread, Half.done
 
     def fail(half: Half, *arguments: Any) -> HalfCurve:
         if half.upwards:
@@ -177,9 +177,9 @@ def test_an_errand_that_fails_or_kills_every_worker_leaves_the_others_alone(
 
     def lose_a_half(task: Any, *arguments: Any, **named: Any) -> Any:
         results = spread(task, *arguments, **named)
-        return (Lost(), *results[1:]) if isinstance(task.errands[0], Half) else results
+        return (Lost(), *results[1:]) if isinstance(task.pieces[0], Half) else results
 
-    monkeypatch.setattr(office, "spread", lose_a_half)
+    monkeypatch.setattr(dispatch, "spread", lose_a_half)
     (curve,) = crewed(Workers(count=1)).boundaries
     assert curve.ends == ("2 steps", f"gave up: {Lost().reason}")
 
@@ -187,12 +187,12 @@ def test_an_errand_that_fails_or_kills_every_worker_leaves_the_others_alone(
 def test_a_direction_that_kills_every_worker_is_an_end_that_was_given_up(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    spread = office.spread
+    spread = dispatch.spread
 
     def lose_the_second(*arguments: Any, **named: Any) -> Any:
         return (*spread(*arguments, **named)[:1], Lost())
 
-    monkeypatch.setattr(office, "spread", lose_the_second)
+    monkeypatch.setattr(dispatch, "spread", lose_the_second)
     answer = ask(*NEAR, "--workers", "1", "--json")
     assert answer.code == 1
     first, last = answer.data["families"][0]["ends"]
@@ -223,7 +223,7 @@ def test_what_is_finished_is_not_done_again(
     assert contents(folder) == before
 
 
-def test_an_errand_that_was_lost_is_done_again_and_gives_the_same(
+def test_a_piece_that_was_lost_is_done_again_and_gives_the_same(
     kept: tuple[Path, dict[str, Any]],
 ) -> None:
     folder, told = kept
@@ -275,7 +275,7 @@ def test_the_checkpoint_of_another_version_and_a_broken_one_are_refused(
     chunk.write_bytes(whole)
 
 
-def test_an_interrupt_keeps_the_errands_that_are_finished(
+def test_an_interrupt_keeps_the_pieces_that_are_finished(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept: tuple[Path, dict[str, Any]]
 ) -> None:
     words = (*NEAR, "--workers", "1", "-o", tmp_path / "family.json", "--json")
@@ -351,10 +351,10 @@ def test_a_scene_that_workers_would_not_see_is_refused(tmp_path: Path) -> None:
 def test_a_stage_of_another_work_in_the_folder_is_refused(tmp_path: Path) -> None:
     crewed(Workers(count=1), tmp_path / "kept")
     stage = tmp_path / "kept" / "curves-1" / "identity.json"
-    entries = json.loads(stage.read_text()) | {"errands": "others"}
+    entries = json.loads(stage.read_text()) | {"pieces": "others"}
     stage.write_text(json.dumps(entries))
     before = contents(tmp_path / "kept")
-    with pytest.raises(CheckpointError, match='`errands` is "others"'):
+    with pytest.raises(CheckpointError, match='`pieces` is "others"'):
         crewed(Workers(count=1), tmp_path / "kept")
     assert contents(tmp_path / "kept") == before
 
