@@ -105,8 +105,7 @@ def parts(monkeypatch: pytest.MonkeyPatch, several: Execution, scene: Problem) -
             SimpleNamespace(name=name, values=np.interp(seen, times, signals[name]))
             for name in ("theta1", "theta2")
         ]
-        source = SimpleNamespace(value="measured")
-        return SimpleNamespace(time=seen + 11.3, signals=taken, source=source)
+        return SimpleNamespace(time=seen + 11.3, signals=taken, label="recording, measured")
 
     monkeypatch.setattr(counterparts, "rig_cycles", rig_cycles)
     monkeypatch.setattr(counterparts, "read_recording", read_recording)

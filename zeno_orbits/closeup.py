@@ -10,7 +10,6 @@ import numpy as np
 from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.execution import Arc, Ending, Execution, Impact, ZenoPoint
-from zeno_orbits.problem import Problem
 
 SAMPLES = 160
 """Points on a flight, at least."""
@@ -87,16 +86,3 @@ def close_up(execution: Execution, dynamics: HybridDynamics) -> CloseUp:
         impacts=impacts,
         flights=tuple(arc for arc in arcs if impacts[0].time <= arc.start_time < zeno.time),
     )
-
-
-def gap_unit(problem: Problem, dynamics: HybridDynamics) -> str:
-    """Return the unit of the coordinates whose sum or difference the gap is, else only ``SI``."""
-    n_q, units = dynamics.n_q, set[str]()
-    for k in range(n_q):
-        velocity = np.zeros(len(dynamics.state_names))
-        velocity[n_q + k] = 1.0
-        shifted = velocity + 0.3 * (np.arange(len(velocity)) < n_q)
-        slopes = {abs(dynamics.gap_rate(x)) for x in (velocity, shifted)}
-        if slopes - {0.0}:
-            units.add(problem.state_units[k] if slopes == {1.0} else "SI")
-    return units.pop() if len(units) == 1 else "SI"

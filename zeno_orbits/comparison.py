@@ -29,7 +29,6 @@ from zeno_orbits.cycle_tables import (
     Nodes,
     OrbitTable,
     gap_coordinates,
-    gap_unit,
     measurable,
     measurement,
     table_of,
@@ -212,7 +211,7 @@ def compare(orbit: ZenoOrbit, problem: Problem, recording: Recording) -> Compari
     remarks += _settling(deviation, time, where)
     metrics = (
         period,
-        *_event_metrics(table, events, where, stop, gap_unit(problem)),
+        *_event_metrics(table, events, where, stop, problem.gap_unit),
         *_signal_metrics(problem, table, deviation, names),
         *_portrait_metrics(deviation, table, _portraits(problem, names)),
     )
@@ -376,7 +375,7 @@ def _event_metrics(
         ),
         (
             "first impact speed",
-            "1/s" if unit == "1" else f"{unit}/s",
+            f"{unit}/s",
             first.approach_rate,
             over(lambda one: (one.speed, one.errors[1])),
             False,

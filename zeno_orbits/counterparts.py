@@ -124,10 +124,9 @@ def recording_counterpart(
         InputError: If it cannot be read, lacks a coordinate or is too short.
     """
     found = read_recording(path, only=problem.state_names)
-    label = "recording" if found.source is None else f"recording, {found.source.value}"
     signals = {signal.name: signal.values for signal in found.signals}
     base = period * _BASE
-    whole = counterpart_of(label, problem, found.time, signals, base=base)
+    whole = counterpart_of(found.label, problem, found.time, signals, base=base)
     n_q = problem.model(problem.symbols()).n_q
     return in_phase(whole, n_q, execution, period, n_periods)
 

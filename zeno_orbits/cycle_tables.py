@@ -114,20 +114,6 @@ def gap_coordinates(problem: Problem) -> tuple[str, ...]:
     )
 
 
-def gap_unit(problem: Problem) -> str:
-    """Return the unit of the gap, where it is a sum or a difference of coordinates; else 1."""
-    system = problem.model(problem.symbols())
-    slopes = ca.jacobian(system.gap, system.state)
-    units = set[str]()
-    for k, name in enumerate(problem.state_names):
-        if name not in gap_coordinates(problem):
-            continue
-        if not slopes[k].is_constant() or abs(float(ca.DM(slopes[k]))) != 1.0:
-            return "1"
-        units.add(problem.state_units[k])
-    return units.pop() if len(units) == 1 else "1"
-
-
 def _formula(problem: Problem, compiled: CompiledSystem, name: str, x: ca.SX, p: ca.SX) -> ca.SX:
     if name in problem.state_names:
         return x[problem.state_names.index(name)]

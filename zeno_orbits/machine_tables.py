@@ -54,7 +54,7 @@ def print_contacts(name: str, contacts: Sequence[Mapping[str, float]]) -> None:
 
 def print_comparison(found: Comparison) -> None:
     """Print a recording beside an orbit."""
-    table = table_of("", "orbit", "recording", "difference", "standard error", "unit")
+    table = table_of("", "orbit", found.recording.label, "difference", "standard error", "unit")
     for metric in found.metrics:
         known = math.isfinite(metric.data)
         difference = f"{metric.data - metric.orbit:+.3g}" if known else "-"

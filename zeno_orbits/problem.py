@@ -232,6 +232,18 @@ class Problem:
         """Return one symbol for every gain and parameter, in order."""
         return {name: ca.SX.sym(name) for name in self.names}
 
+    @property
+    def gap_unit(self) -> str:
+        """Unit of the gap: of the coordinates whose sum or difference it is, else only ``SI``."""
+        system = self.model(self.symbols())
+        slopes = ca.jacobian(system.gap, system.state)
+        units = set[str]()
+        for k, unit in enumerate(self.state_units):
+            if not slopes[k].is_zero():
+                plain = slopes[k].is_constant() and abs(float(ca.DM(slopes[k]))) == 1.0
+                units.add(unit if plain else "SI")
+        return units.pop() if len(units) == 1 else "SI"
+
     def state_vector(self, named: Mapping[str, float]) -> tuple[float, ...]:
         """Return the state with the named entries, the others zero, ``(n_x,)``.
 

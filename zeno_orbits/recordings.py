@@ -96,6 +96,11 @@ class Recording:
                 raise ValueError(f"Argument `signals` {wanted}, but {has}.")
 
     @property
+    def label(self) -> str:
+        """What it is called beside an orbit: what was simulated says so."""
+        return "recording" if self.source is None else f"recording, {self.source.value}"
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the signals."""
         return tuple(signal.name for signal in self.signals)

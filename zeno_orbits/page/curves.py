@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from zeno_orbits.closeup import CloseUp, close_up, gap_unit
+from zeno_orbits.closeup import CloseUp, close_up
 from zeno_orbits.compiled import output_values
 from zeno_orbits.dynamics import Vector
 from zeno_orbits.execution import Ending, Execution, Mode
@@ -65,7 +65,7 @@ def curves_of(subject: Subject) -> dict[str, Any]:
     curves["series"] = _series(subject, execution)
     if execution.zeno_points:
         zoom = close_up(execution, subject.dynamics)
-        curves["zeno"] = _zeno(zoom, gap_unit(subject.problem, subject.dynamics))
+        curves["zeno"] = _zeno(zoom, subject.problem.gap_unit)
     return curves
 
 

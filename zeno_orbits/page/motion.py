@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from zeno_orbits.closeup import close_up, gap_unit
+from zeno_orbits.closeup import close_up
 from zeno_orbits.execution import Execution, Impact, ZenoPoint
 from zeno_orbits.page.markup import Html, table, tag
 from zeno_orbits.page.places import plot_place, section
@@ -28,7 +28,7 @@ def _events(subject: Subject, execution: Execution) -> Html:
         half = _MOST_EVENTS // 2
         between = ("...", f"and {len(rows) - 2 * half} more", "")
         rows = [*rows[:half], between, *rows[-half:]]
-    unit = gap_unit(subject.problem, subject.dynamics)
+    unit = subject.problem.gap_unit
     heads = ("time [s]", "event", f"speed of the hit [{unit}/s]")
     inside = table("Events of one period, times since its start", heads, rows, (0, 2))
     return tag("details", tag("summary", "All events as numbers"), inside)

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import Any, cast
 
 from zeno_orbits.certificate import RESIDUALS
-from zeno_orbits.closeup import gap_unit
 from zeno_orbits.execution import Arc, Execution, Mode
 from zeno_orbits.page import words
 from zeno_orbits.page.markup import Html, table, tag
@@ -151,7 +150,7 @@ def margins(subject: Subject) -> Html:
     certificate, problem = subject.certificate, subject.problem
     if not certificate.margins:
         return Html("")
-    unit = gap_unit(problem, subject.dynamics)
+    unit = problem.gap_unit
     rows = [
         (name, f"{value:.6g}", words.MARGINS[name][1].format(gap=unit), words.MARGINS[name][0])
         for name, value in certificate.margins.items()

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from zeno_orbits.closeup import close_up, gap_unit
+from zeno_orbits.closeup import close_up
 from zeno_orbits.counterparts import Counterpart
 from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.execution import Execution, Mode
@@ -95,7 +95,7 @@ def plot_beside_impacts(
     figure, panels = panels_of(width, 2, height=1.4, columns=1)
     first, release = execution.impacts[0].time, _first_release(execution)
     window = (first - 0.12 * (release - first), release + 0.12 * (release - first))
-    zeno, label = execution.zeno_points[0], f"gap $h$ [{gap_unit(problem, dynamics)}]"
+    zeno, label = execution.zeno_points[0], f"gap $h$ [{problem.gap_unit}]"
     for ax, closer in zip(panels, (1.0, _CLOSER), strict=True):
         highest = _draw_gaps(ax, dynamics, execution, counterpart, first, window) / closer
         ax.plot(zeno.time, 0.0, label="Zeno point", **ZENO)
@@ -156,7 +156,7 @@ def plot_beside_zeno_point(
         width: Width of the picture [in].
     """
     figure, (ax,) = panels_of(width, 1, height=2.2)
-    unit, zoom = gap_unit(problem, dynamics), close_up(execution, dynamics)
+    unit, zoom = problem.gap_unit, close_up(execution, dynamics)
     for _, states, look in _paths(execution):
         gaps, rates = _gap_and_rate(dynamics, states)
         ax.plot(gaps, rates, **look)

@@ -20,7 +20,7 @@ from zeno_orbits.plots.style import FULL_WIDTH, INK, TINTS, add_legend, label_of
 from zeno_orbits.problem import Problem
 
 _ORBIT: dict[str, Any] = {"color": "#0072B2", "lw": 1.3, "label": "orbit", "zorder": 3}
-_DATA: dict[str, Any] = {"color": "#D55E00", "lw": 1.1, "label": "recording, mean of cycles"}
+_DATA: dict[str, Any] = {"color": "#D55E00", "lw": 1.1, "label": "mean over cycles"}
 _DOTS: dict[str, Any] = {"color": "#999999", "ls": "", "marker": ".", "ms": 1.2, "zorder": 1}
 _SPREAD: dict[str, Any] = {"color": "#D55E00", "alpha": 0.25, "lw": 0, "label": "spread"}
 _MOST_DOTS = 4000
@@ -54,7 +54,7 @@ def plot_comparison(problem: Problem, found: Comparison, *, width: float = FULL_
         left, right = figure.add_subplot(grid[k, 0]), figure.add_subplot(grid[k, 1])
         last = k == len(found.signals) - 1
         samples = found.recording.signal(name).values[chosen]
-        left.plot(phases, samples, label="recording", **_DOTS)
+        left.plot(phases, samples, label=found.recording.label, **_DOTS)
         left.plot(table.nodes.times / table.period, table.nodes.values[:, k], **_ORBIT)
         mean = deviations.orbit[:, k] + deviations.average[:, k]
         left.plot(deviations.phases, mean, **_DATA)

@@ -14,7 +14,6 @@ from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from zeno_orbits.closeup import gap_unit
 from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.execution import Execution, Mode
@@ -63,7 +62,7 @@ def plot_zeno_region(
     across = _free_coordinate(dynamics, base)
     up = 2 * n_q if len(problem.state_names) > 2 * n_q else n_q + (across or 0)
     figure, (ax,) = panels_of(width, 1, height=0.6 * width)
-    acceleration = rf"$\ddot h$ [{gap_unit(problem, dynamics)}/s$^2$]"
+    acceleration = rf"$\ddot h$ [{problem.gap_unit}/s$^2$]"
     reach = _reach(problem, execution, up)
     if across is None:
         _draw_curve(ax, dynamics, base, up, reach)

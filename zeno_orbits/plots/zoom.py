@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
-from zeno_orbits.closeup import CloseUp, close_up, gap_unit
+from zeno_orbits.closeup import CloseUp, close_up
 from zeno_orbits.dynamics import HybridDynamics
 from zeno_orbits.execution import Execution, Mode
 from zeno_orbits.plots.style import (
@@ -49,7 +49,7 @@ def plot_zeno_zoom(
     Raises:
         InputError: If the execution reaches no Zeno point.
     """
-    zoom, unit = close_up(execution, dynamics), gap_unit(problem, dynamics)
+    zoom, unit = close_up(execution, dynamics), problem.gap_unit
     draws: list[Callable[[Axes, CloseUp, str], None]] = [_draw_gap]
     draws += [_draw_flights, _draw_speeds] if zoom.flights else [_draw_closing]
     figure, panels = panels_of(width, len(draws), height=2.1)

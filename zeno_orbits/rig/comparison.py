@@ -78,7 +78,7 @@ def compare_cycles(orbit: ZenoOrbit, problem: Problem, settled: SettledRig) -> R
         portrait_at=float((part.times[farthest] - last.release) / last.period),
         units={
             **dict.fromkeys(("impact_time", "lock_time", "period"), "s"),
-            "impact_rate": "SI",
+            "impact_rate": f"{problem.gap_unit}/s",
             "lock_angle": angle,
         },
     )
