@@ -91,6 +91,8 @@ def test_a_found_orbit_comes_back_bit_for_bit(
     whole = certified(orbit, certificate)
     again = _round_trip(whole, tmp_path)
     assert again == whole
+    write_orbit(whole, str(tmp_path / "by_name.json"))
+    assert read_orbit(str(tmp_path / "by_name.json")) == whole
     for name, value in whole.release_state.items():
         assert _bits(again.release_state[name]) == _bits(value)
     for mu, same in zip(whole.floquet_multipliers, again.floquet_multipliers, strict=True):

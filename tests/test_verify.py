@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,6 +13,7 @@ from tests.closed_forms import FORCED
 from tests.orbits import changed
 from tests.reference_orbit import MULTIPLIER, PERIOD
 from tests.scenes import clocked_oscillator
+from zeno_orbits.audits import cut_order
 from zeno_orbits.certificate import RESIDUALS, OrbitCertificate
 from zeno_orbits.closing import close_orbit
 from zeno_orbits.completion import ZenoExtrapolation
@@ -56,6 +58,14 @@ def test_the_paper_rule_is_of_third_order(certificate: OrbitCertificate) -> None
     speeds = [cut.speed for cut in certificate.delta_sweep]
     assert speeds == sorted(speeds, reverse=True)
     assert all(cut.speed < cut.delta for cut in certificate.delta_sweep)
+
+
+def test_cuts_that_err_less_than_the_integration_have_no_order(
+    certificate: OrbitCertificate,
+) -> None:
+    sweep = certificate.delta_sweep
+    assert math.isfinite(cut_order(sweep, certificate.integration_error))
+    assert math.isnan(cut_order(sweep, max(cut.error for cut in sweep)))
 
 
 def test_the_declared_orbit_is_stable_with_the_declared_multipliers(

@@ -113,9 +113,15 @@ def _last_common_impact(phase: Phase, delta: float) -> Impact:
     return next(slow, phase.impacts[-1])
 
 
-def cut_order(sweep: tuple[DeltaCut, ...]) -> float:
-    """Return the slope of error against speed, over the cuts that are above rounding."""
-    usable = [cut for cut in sweep if 1e-12 < cut.error < math.inf]
+def cut_order(sweep: tuple[DeltaCut, ...], noise: float) -> float:
+    """Return the slope of error against speed, over the cuts that are above rounding and noise.
+
+    Args:
+        sweep: The cuts.
+        noise: Error of the integration.
+    """
+    floor = max(1e-12, noise)
+    usable = [cut for cut in sweep if floor < cut.error < math.inf]
     if len({cut.speed for cut in usable}) < 2:
         return math.nan
     speeds = np.log([cut.speed for cut in usable])

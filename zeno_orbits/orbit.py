@@ -226,7 +226,7 @@ def _versions() -> tuple[tuple[str, str], ...]:
     return tuple(found.items())
 
 
-def write_orbit(orbit: ZenoOrbit, path: Path) -> None:
+def write_orbit(orbit: ZenoOrbit, path: Path | str) -> None:
     """Write an orbit file, whole or not at all.
 
     Args:
@@ -236,10 +236,10 @@ def write_orbit(orbit: ZenoOrbit, path: Path) -> None:
     Raises:
         InputError: If the folder cannot be written.
     """
-    write_whole(path, json.dumps(orbit.as_json(), indent=2, allow_nan=False) + "\n")
+    write_whole(Path(path), json.dumps(orbit.as_json(), indent=2, allow_nan=False) + "\n")
 
 
-def read_orbit(path: Path) -> ZenoOrbit:
+def read_orbit(path: Path | str) -> ZenoOrbit:
     """Read an orbit file, every number to the last bit.
 
     Args:
@@ -249,6 +249,7 @@ def read_orbit(path: Path) -> ZenoOrbit:
         OrbitFileError: If it is missing, cut short, of a wrong type or of a newer format, or if
             its parts contradict each other.
     """
+    path = Path(path)
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:

@@ -220,7 +220,8 @@ def print_certificate(certificate: OrbitCertificate) -> None:
             sweep.add_row(f"{cut.delta:.3g}", f"{cut.speed:.3g}", f"{cut.error:.1e}")
         print_table(sweep)
         order = certificate.delta_order
-        seen = f"{order:.2f}" if math.isfinite(order) else "none, all cuts are at rounding"
+        none = "none, no cut errs more than the integration"
+        seen = f"{order:.2f}" if math.isfinite(order) else none
         plain_console().print(f"Observed order of the cut: {seen} (theory: 3)")
     console = plain_console()
     none = "none, the section is a point" if certificate.stable else "unknown"

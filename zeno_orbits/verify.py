@@ -120,7 +120,7 @@ def verify(
         multipliers=() if multipliers is None else multipliers.values,
         multiplier_error=math.inf if multipliers is None else multipliers.error,
         delta_sweep=sweep,
-        delta_order=cut_order(sweep),
+        delta_order=cut_order(sweep, seen.integration_error),
         integration_error=seen.integration_error,
         zeno_error=math.inf if seen.cycle is None else seen.cycle.zeno_error,
         period=math.nan if seen.cycle is None else seen.cycle.end.time,
