@@ -53,7 +53,7 @@ def _parameters(name: str, **changes: float) -> Mapping[str, float]:
 
 
 def _marked(name: str) -> Any:
-    slow = name.startswith(("motor_pendulum", "two_motors"))
+    slow = name.startswith(("motor_pendulum", "motor_cart", "two_motors"))
     return pytest.param(name, marks=[pytest.mark.slow] if slow else [])
 
 

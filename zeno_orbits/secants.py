@@ -17,7 +17,7 @@ from zeno_orbits.families import Kind
 from zeno_orbits.family_ends import ENDS, Stage, Threat, locate_end, meeting
 from zeno_orbits.lock_ends import locate_cut_near
 from zeno_orbits.plane import CurveSteps, OnLine, Plane, Tell
-from zeno_orbits.return_maps import Margin, ReturnMap
+from zeno_orbits.return_maps import Loss, Margin, ReturnMap
 from zeno_orbits.sections import Line
 from zeno_orbits.singular_points import INSIDE, Located, TestFunction, located_near
 
@@ -35,6 +35,12 @@ class Spot:
     at: Vector
     located: Located
     before: tuple[Before, ...]
+
+    @property
+    def amplitude(self) -> float:
+        """How far the orbit moves; NaN where that is not known, which is no less than anything."""
+        margins = self.located.margins.items()
+        return next((value for margin, value in margins if margin.loss is Loss.AMPLITUDE), np.nan)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,6 +129,8 @@ class SecantCurve:
                 new, trouble = None, "the curve bends too fast"
             if new is not None and not 1 / _LIKE < new.located.period / last.located.period < _LIKE:
                 new, trouble = None, "the period is another one"
+            if new is not None and new.amplitude < last.amplitude / _LIKE:
+                new, trouble = None, "the orbit collapses"
             if new is not None and not self.plane.holds(new.at):
                 # The curve leaves the plane beside the place that was predicted.
                 new, trouble = None, Kind.BOUND.value
