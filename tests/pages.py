@@ -32,7 +32,7 @@ from markdown_it import MarkdownIt
 from zeno_orbits.cli import main
 
 ROOT = Path(__file__).parents[1]
-SHOWN = ("text", "math", "json", "csv")
+SHOWN = ("text", "math", "json", "none")
 """Languages of blocks that are read, not run."""
 
 
