@@ -19,6 +19,7 @@ import joblib
 import numpy as np
 import pytest
 
+from tests.processes import workers_of
 from tests.test_cli import ask
 from zeno_orbits import report, work
 from zeno_orbits.attractors import Attractor, Fate
@@ -349,17 +350,6 @@ def _start(out: Path, workers: int) -> subprocess.Popen[bytes]:
     return subprocess.Popen(command, stdout=silent, stderr=silent, start_new_session=True)
 
 
-def _children(process: int) -> list[int]:
-    listed = subprocess.run(
-        ["ps", "-o", "pid=,args=", "--ppid", str(process)],
-        check=False,
-        capture_output=True,
-        text=True,
-    )
-    lines = [line.split(maxsplit=1) for line in listed.stdout.splitlines()]
-    return [int(pid) for pid, words in lines if "popen_loky" in words]
-
-
 @needs_two
 @pytest.mark.slow
 def test_a_map_by_two_workers_one_killed_and_then_all_is_that_of_one_worker(
@@ -380,7 +370,7 @@ def test_a_map_by_two_workers_one_killed_and_then_all_is_that_of_one_worker(
 
     program = _start(killed, 2)
     wait_for(1)
-    os.kill(_children(program.pid)[0], signal.SIGKILL)
+    os.kill(workers_of(program.pid)[0], signal.SIGKILL)
     wait_for(2)
     program.kill()
     program.wait()

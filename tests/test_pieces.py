@@ -18,6 +18,7 @@ import joblib
 import numpy as np
 import pytest
 
+from tests.processes import workers_of
 from tests.test_cli import ask
 from zeno_orbits import dispatch, report, work
 from zeno_orbits.branch_data import (
@@ -374,17 +375,6 @@ def _programs() -> Iterator[list[subprocess.Popen[bytes]]]:
             program.kill()
 
 
-def children(process: int) -> list[int]:
-    listed = subprocess.run(
-        ["ps", "-o", "pid=,args=", "--ppid", str(process)],
-        check=False,
-        capture_output=True,
-        text=True,
-    )
-    lines = [line.split(maxsplit=1) for line in listed.stdout.splitlines()]
-    return [int(pid) for pid, words in lines if "popen_loky" in words]
-
-
 @needs_two
 @pytest.mark.slow
 def test_a_continuation_by_two_workers_one_killed_and_then_all_is_that_of_one_worker(
@@ -413,7 +403,7 @@ def test_a_continuation_by_two_workers_one_killed_and_then_all_is_that_of_one_wo
     assert start(quiet, 1).wait(400) == YES
     program = start(killed, 2)
     wait_for(1)
-    os.kill(children(program.pid)[0], signal.SIGKILL)
+    os.kill(workers_of(program.pid)[0], signal.SIGKILL)
     wait_for(2)
     program.kill()
     program.wait()
