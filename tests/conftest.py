@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 
 import pytest
 from hypothesis import settings
 
+from tests.processes import Commands
 from zeno_orbits.certificate import OrbitCertificate
 from zeno_orbits.dynamics import HybridDynamics
 from zeno_orbits.orbit import ZenoOrbit
@@ -48,3 +50,11 @@ def machine(orbit: ZenoOrbit, scene: Problem) -> HybridDynamics:
 def certificate(orbit: ZenoOrbit, scene: Problem) -> OrbitCertificate:
     """The certificate of the orbit at the published gains."""
     return verify(orbit, scene)
+
+
+@pytest.fixture
+def commands() -> Iterator[Commands]:
+    """Processes that end with their test."""
+    commands = Commands()
+    yield commands
+    commands.end()

@@ -6,8 +6,6 @@ import json
 import os
 import shutil
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Mapping
 from dataclasses import replace
@@ -19,7 +17,7 @@ import joblib
 import numpy as np
 import pytest
 
-from tests.processes import workers_of
+from tests.processes import Commands, workers_of
 from tests.test_cli import ask
 from zeno_orbits import report, work
 from zeno_orbits.attractors import Attractor, Fate
@@ -343,20 +341,16 @@ def test_an_interrupt_with_nothing_finished_leaves_no_checkpoint_behind(
     assert [path.name for path in tmp_path.iterdir()] == ["named"]
 
 
-def _start(out: Path, workers: int) -> subprocess.Popen[bytes]:
-    words = f"--x Kp=2:3 --y Kd=-3:-2 --points 8x8 --workers {workers} -o {out}"
-    command = [sys.executable, "-m", "zeno_orbits", "map", "motor_pendulum", *words.split()]
-    silent = subprocess.DEVNULL
-    return subprocess.Popen(command, stdout=silent, stderr=silent, start_new_session=True)
+LONG = ("map", "motor_pendulum", "--x", "Kp=2:3", "--y", "Kd=-3:-2", "--points", "8x8")
 
 
 @needs_two
 @pytest.mark.slow
 def test_a_map_by_two_workers_one_killed_and_then_all_is_that_of_one_worker(
-    tmp_path: Path,
+    tmp_path: Path, commands: Commands
 ) -> None:
     quiet, killed = tmp_path / "quiet.json", tmp_path / "killed.json"
-    assert _start(quiet, 1).wait(300) == NO
+    assert commands.start(*LONG, "--workers", "1", "-o", quiet).wait(300) == NO
     kept = tmp_path / "killed.json.checkpoint"
 
     def chunks() -> int:
@@ -368,7 +362,7 @@ def test_a_map_by_two_workers_one_killed_and_then_all_is_that_of_one_worker(
             assert time.monotonic() < end
             time.sleep(0.01)
 
-    program = _start(killed, 2)
+    program = commands.start(*LONG, "--workers", "2", "-o", killed)
     wait_for(1)
     os.kill(workers_of(program.pid)[0], signal.SIGKILL)
     wait_for(2)
@@ -376,7 +370,7 @@ def test_a_map_by_two_workers_one_killed_and_then_all_is_that_of_one_worker(
     program.wait()
     assert not killed.exists()
     assert chunks() < 4
-    assert _start(killed, 2).wait(300) == NO
+    assert commands.start(*LONG, "--workers", "2", "-o", killed).wait(300) == NO
     assert killed.read_bytes() == quiet.read_bytes()
     assert not kept.exists()
 

@@ -5,10 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
-import sys
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -18,7 +15,7 @@ import joblib
 import numpy as np
 import pytest
 
-from tests.processes import workers_of
+from tests.processes import Commands, workers_of
 from tests.test_cli import ask
 from zeno_orbits import dispatch, report, work
 from zeno_orbits.branch_data import (
@@ -366,32 +363,12 @@ def test_a_stage_of_another_work_in_the_folder_is_refused(tmp_path: Path) -> Non
 LONG = ("continue", SCENE, "--in", "A=0.5:1.2", "--second", "stop=-0.9:-0.7")
 
 
-@pytest.fixture(name="programs")
-def _programs() -> Iterator[list[subprocess.Popen[bytes]]]:
-    started: list[subprocess.Popen[bytes]] = []
-    yield started
-    for program in started:
-        if program.poll() is None:
-            program.kill()
-
-
 @needs_two
 @pytest.mark.slow
 def test_a_continuation_by_two_workers_one_killed_and_then_all_is_that_of_one_worker(
-    tmp_path: Path, programs: list[subprocess.Popen[bytes]]
+    tmp_path: Path, commands: Commands
 ) -> None:
     quiet, killed = tmp_path / "quiet.json", tmp_path / "killed.json"
-
-    def start(out: Path, workers: int) -> subprocess.Popen[bytes]:
-        words = [*LONG, "--workers", str(workers), "-o", str(out)]
-        program = subprocess.Popen(
-            [sys.executable, "-m", "zeno_orbits", *words],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
-        programs.append(program)
-        return program
 
     def wait_for(count: int) -> None:
         end = time.monotonic() + 240
@@ -400,8 +377,8 @@ def test_a_continuation_by_two_workers_one_killed_and_then_all_is_that_of_one_wo
             time.sleep(0.01)
 
     kept = tmp_path / "killed.json.checkpoint"
-    assert start(quiet, 1).wait(400) == YES
-    program = start(killed, 2)
+    assert commands.start(*LONG, "--workers", "1", "-o", quiet).wait(400) == YES
+    program = commands.start(*LONG, "--workers", "2", "-o", killed)
     wait_for(1)
     os.kill(workers_of(program.pid)[0], signal.SIGKILL)
     wait_for(2)
@@ -409,6 +386,6 @@ def test_a_continuation_by_two_workers_one_killed_and_then_all_is_that_of_one_wo
     program.wait()
     assert not killed.exists()
     assert len(list(kept.rglob("chunk-*.json"))) < 4
-    assert start(killed, 2).wait(400) == YES
+    assert commands.start(*LONG, "--workers", "2", "-o", killed).wait(400) == YES
     assert killed.read_bytes() == quiet.read_bytes()
     assert not kept.exists()

@@ -6,7 +6,6 @@ import json
 import math
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -17,6 +16,7 @@ from typing import Any
 import joblib
 import pytest
 
+from tests.processes import Commands
 from tests.test_cli import ask
 from zeno_orbits import report, starts, work
 from zeno_orbits.bounds import Extent
@@ -355,26 +355,21 @@ LONG = (
 )
 
 
-def _started(folder: Path, workers: int, out: Path) -> subprocess.Popen[bytes]:
-    place = ("--workers", str(workers), "--checkpoint", str(folder))
-    with out.open("wb") as stream:
-        return subprocess.Popen(
-            [sys.executable, "-m", "zeno_orbits", *LONG, *place],
-            stdout=stream,
-            stderr=subprocess.DEVNULL,
-        )
-
-
 @needs_two
 @pytest.mark.slow
 @pytest.mark.parametrize("signal_", [signal.SIGKILL, signal.SIGINT])
 def test_a_search_that_is_killed_in_the_middle_ends_at_the_same_bytes(
-    signal_: signal.Signals, tmp_path: Path
+    signal_: signal.Signals, tmp_path: Path, commands: Commands
 ) -> None:
+    def start(folder: Path, workers: int, out: Path) -> subprocess.Popen[bytes]:
+        with out.open("wb") as stream:
+            place = ("--workers", str(workers), "--checkpoint", folder)
+            return commands.start(*LONG, *place, stdout=stream)
+
     quiet, out = tmp_path / "quiet.json", tmp_path / "out.json"
-    assert _started(tmp_path / "quiet", 1, quiet).wait(300) == YES
+    assert start(tmp_path / "quiet", 1, quiet).wait(300) == YES
     kept = tmp_path / "kept"
-    program = _started(kept, 2, out)
+    program = start(kept, 2, out)
     end = time.monotonic() + 120
     while len(list(kept.glob("chunk-*.json"))) < 2:
         assert time.monotonic() < end
@@ -383,6 +378,6 @@ def test_a_search_that_is_killed_in_the_middle_ends_at_the_same_bytes(
     assert program.wait(60) in (-signal.SIGKILL, INTERRUPTED)
     assert out.read_bytes() == b""
     assert len(list(kept.glob("chunk-*.json"))) < 5
-    assert _started(kept, 2, out).wait(300) == YES
+    assert start(kept, 2, out).wait(300) == YES
     assert out.read_bytes() == quiet.read_bytes()
     assert json.loads(out.read_text())["candidates"]
