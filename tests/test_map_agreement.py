@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
@@ -75,3 +76,32 @@ def test_a_cell_beside_another_fate_is_near_a_boundary() -> None:
     task = map_agreement.LongRuns(plane=plane, run=LongRun(until=120.0))
     fates = [one["fate"] for one in task(plane.points()[:2])]
     assert fates == ["rest", "rest"]
+
+
+@pytest.mark.parametrize(("fates", "near"), [("12", True), ("11", False), ("13", False)])
+def test_a_closer_look_excuses_only_a_fate_that_it_has_seen(fates: str, near: bool) -> None:
+    kinds = {name: Attractor(fate=Fate.ESCAPE, escaped=f"theta{name}") for name in "123"}
+    plane = Plane(
+        scene=scene_file("bouncing_ball"),
+        x=Axis(name="m", lower=1.0, upper=2.0, count=5),
+        y=Axis(name="g", lower=9.0, upper=10.0, count=3),
+        start=(1.0, 0.0),
+        until=60.0,
+    )
+    looked: list[Plane] = []
+
+    def fast(cells: Plane, _plan: Plan) -> SimpleNamespace:
+        looked.append(cells)
+        seen = [kinds[fates[k % 2]] for k in range(len(cells.points()))]
+        return SimpleNamespace(attractors=seen)
+
+    one = map_agreement.Comparison(
+        point=(1.5, 9.5), fast=kinds["1"], slow=kinds["2"], near_boundary=False
+    )
+    assert map_agreement.looked_at_closer(one, plane, fast).near_boundary is near
+    (cells,) = looked
+    assert (cells.x.lower, cells.x.upper) == (1.25, 1.75)
+    assert (cells.y.lower, cells.y.upper) == (9.0, 10.0)
+    settled = replace(one, slow=kinds["1"])
+    assert map_agreement.looked_at_closer(settled, plane, fast) is settled
+    assert len(looked) == 1
