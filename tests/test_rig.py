@@ -40,7 +40,7 @@ from zeno_orbits.rig import (
     rig_cycles,
     simulate_rig,
 )
-from zeno_orbits.rig.comparison import compare_cycles
+from zeno_orbits.rig.comparison import compare_cycles, drift
 from zeno_orbits.rig.convergence import (
     OrbitCurve,
     fit_order,
@@ -602,9 +602,24 @@ def test_the_comparison_tells_means_spreads_and_where_the_machine_is_farthest(
     assert comparison.orbit.period == orbit.period
     assert comparison.mean.period == pytest.approx(orbit.period, abs=1e-4)
     assert comparison.spread.period < 1e-9
+    assert comparison.drifting is None
     # Farthest while the contact takes the place of the reset: at the first impact.
     assert comparison.portrait_at == pytest.approx(orbit.impacts[0].time / orbit.period, abs=0.01)
     assert comparison.as_json()["source"] == "simulated"
+
+
+def test_a_drift_is_the_change_along_the_line_and_noise_makes_none() -> None:
+    line = 3.0 + 0.5 * np.arange(5.0)
+    assert drift(line) == pytest.approx((2.0, 0.0), abs=1e-13)
+    noise = np.random.default_rng(0).normal(size=(2000, 6))
+    taken_for_drift = sum(abs(change) > chance for change, chance in map(drift, noise))
+    # Expected are 0.2 of 2000; four or more have a probability of 1e-4.
+    assert taken_for_drift < 4
+    drifts = noise + 30.0 * np.linspace(0.0, 1.0, 6)
+    assert sum(abs(change) > chance for change, chance in map(drift, drifts)) > 1500
+    # Numbers that go to and fro have no trend, however far they go.
+    change, chance = drift(np.array([1.0, -1.0, 1.0, -1.0, 1.0]))
+    assert abs(change) < chance
 
 
 def test_distances_from_a_line_are_those_of_its_sides() -> None:

@@ -33,7 +33,8 @@ def refused(answer: Answer, message: str) -> bool:
 def test_a_machine_is_printed_beside_the_orbit_as_simulated(file: Path) -> None:
     answer = ask("rig", file, *QUICK, "--cycles", "2")
     assert answer.code == YES
-    assert "Simulated, not measured: 2 settled cycles." in answer.out
+    too_few = "2 cycles, too few to tell whether it has settled."
+    assert f"Simulated, not measured: {too_few}" in answer.out
     for row in ("first impact", "Zeno time; end of chatter", "period", "1.813713"):
         assert row in answer.out
 
@@ -50,6 +51,17 @@ def test_json_holds_the_numbers_of_orbit_and_machine_and_says_simulated(
     assert answer.data["mean"]["period"] == pytest.approx(orbit.period, abs=0.02)
     assert answer.data["mean"]["period"] != orbit.period
     assert "simulating the machine" in answer.err
+
+
+def test_a_machine_that_dies_away_is_not_called_settled(file: Path) -> None:
+    # With readings that never arrive it swings without a voltage.
+    clocked = ("rig", file, "--only", "controller", "--cycles", "8")
+    unfed = ask(*clocked, "--part", "controller.delay=100")
+    assert unfed.code == NO
+    assert "8 cycles, and the machine has not settled: " in unfed.out
+    fed = ask(*clocked)
+    assert fed.code == YES
+    assert "8 settled cycles." in fed.out
 
 
 def test_what_the_computer_reads_is_written_as_a_recording(file: Path, tmp_path: Path) -> None:

@@ -35,11 +35,21 @@ def print_rig(comparison: RigComparison) -> None:
         )
     print_table(table)
     plain_console().print(
-        f"Simulated, not measured: {comparison.cycles} settled cycles. In the space of states the "
+        f"Simulated, not measured: {_settled(comparison)}. In the space of states the "
         f"machine is farthest from the orbit, {100 * comparison.portrait:.2g} % of its size, at "
         f"{100 * comparison.portrait_at:.0f} % of the cycle.",
         soft_wrap=True,
     )
+
+
+def _settled(comparison: RigComparison) -> str:
+    cycles = f"{comparison.cycles} cycle{'s' if comparison.cycles != 1 else ''}"
+    if comparison.drifting is None:
+        return f"{cycles}, too few to tell whether it has settled"
+    if comparison.drifting:
+        moving = ", ".join(_RIG_ROWS[name] for name in comparison.drifting)
+        return f"{cycles}, and the machine has not settled: {moving} still move one way"
+    return f"{comparison.cycles} settled cycles"
 
 
 def print_contacts(name: str, contacts: Sequence[Mapping[str, float]]) -> None:

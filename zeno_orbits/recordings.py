@@ -259,7 +259,9 @@ def _time_column(path: Path, names: list[str]) -> int:
 
 def _unit(path: Path, name: str, unit: str | None) -> tuple[str, float]:
     if unit is None:
-        raise DataFileError(path, f"column `{name}` has no unit; write for instance `{name} [rad]`")
+        likely = "s" if name.lower() in _TIME else "rad"
+        reason = f"column `{name}` has no unit; write for instance `{name} [{likely}]`"
+        raise DataFileError(path, reason)
     try:
         return in_si(unit)
     except ValueError as error:

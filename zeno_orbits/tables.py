@@ -214,7 +214,8 @@ class _Reader:
 
     def miscounted(self, line: int, found: int) -> str:
         n_columns = len(self.head.columns)
-        message = f"line {line} has {found} columns where line {self.head.line} names {n_columns}"
+        columns = f"{found} column{'s' if found != 1 else ''}"
+        message = f"line {line} has {columns} where line {self.head.line} names {n_columns}"
         if self.head.separator == "," and found == 2 * n_columns:
             message += "; with decimal commas, separate the columns by semicolons or tabs"
         return message

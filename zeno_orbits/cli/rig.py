@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from zeno_orbits import report
 from zeno_orbits.arguments import read_count, read_rig
 from zeno_orbits.cli.shared import (
+    NO,
     YES,
     add_command,
     add_gain_values,
@@ -137,7 +138,8 @@ def _near_orbit(options: argparse.Namespace) -> int:
         print_json(comparison.as_json())
     else:
         report.print_rig(comparison)
-    return _write(options, settled.run, problem)
+    _write(options, settled.run, problem)
+    return NO if comparison.drifting else YES
 
 
 def _from_start(options: argparse.Namespace) -> int:
@@ -169,7 +171,8 @@ def _from_start(options: argparse.Namespace) -> int:
         print_json({"problem": problem.name, "source": "simulated", "contacts": touches})
     else:
         report.print_contacts(problem.name, touches)
-    return _write(options, run, problem)
+    _write(options, run, problem)
+    return YES
 
 
 def _rig_of(options: argparse.Namespace, problem: Problem) -> Rig:
@@ -196,7 +199,7 @@ def _settings(rig: Rig) -> RigSettings:
     return RigSettings(tolerance=Tolerance(relative=1e-8, absolute=1e-10))
 
 
-def _write(options: argparse.Namespace, run: RigRun, problem: Problem) -> int:
+def _write(options: argparse.Namespace, run: RigRun, problem: Problem) -> None:
     if options.output is not None:
         from zeno_orbits.recordings import write_recording
         from zeno_orbits.rig.recorded import recording_of
@@ -204,4 +207,3 @@ def _write(options: argparse.Namespace, run: RigRun, problem: Problem) -> int:
         notes: Mapping[str, str] = {"seed": str(options.seed)}
         write_recording(recording_of(run, problem, notes), options.output)
         say_written(options, [options.output])
-    return YES
