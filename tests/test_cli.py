@@ -768,7 +768,7 @@ BAD_ARGUMENTS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     ),
     "trade drawn into a missing folder": (
         ("trade", "bouncing_ball", "--picture", "none/t.png"),
-        ("`output`", "none/t.png"),
+        ("`picture`", "none/t.png"),
     ),
     "trade drawn in an unknown format": (
         ("trade", "bouncing_ball", "--picture", "t.gif"),
@@ -1126,6 +1126,7 @@ def test_json_is_all_that_standard_output_holds_and_progress_goes_elsewhere(
     [
         ("map", "motor_pendulum", "--x", "Kp=1:5", "--y", "Kd=-2:0"),
         ("trade", "bouncing_ball"),
+        ("continue", "motor_pendulum", "--in", "Kp=2:3"),
     ],
     ids=lambda arguments: arguments[0],
 )

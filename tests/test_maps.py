@@ -113,6 +113,10 @@ def test_a_point_whose_derived_numbers_do_not_exist_fails_by_itself() -> None:
         ({"y": Axis(name="restitution", lower=0.0, upper=1.0, count=3)}, r"lie in \[0, 1\)"),
         ({"x": Axis(name="m", lower=1.0, upper=float("nan"), count=3)}, "`x` must go from"),
         ({"x": Axis(name="m", lower=1.0, upper=2.0, count=1)}, "`points` must be at least 2x2"),
+        (
+            {"x": Axis(name="m", lower=1.0, upper=2.0, count=10_000_000)},
+            "`points` must ask for at most 10000000 points",
+        ),
         ({"parameters": {"m": 1.0}}, "`x` must name what is not fixed, but `m` is"),
         ({"parameters": {"mass": 1.0}}, "`parameter` must be one of"),
     ],

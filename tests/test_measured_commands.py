@@ -78,7 +78,17 @@ def test_a_false_recording_is_a_no_with_the_reason(folder: Path) -> None:
             ("identify", "motor_pendulum", "data.csv", "--fit", "R", "-o", "no/f.json"),
             "must be in a writable folder",
         ),
+        (
+            ("identify", "motor_pendulum", "data.csv", "--fit", "R", "-o", "./data.csv"),
+            "`output` must be another file than what is read",
+        ),
+        (
+            ("identify", "motor_pendulum", "data.csv", "--fit", "R", "-o", "f", "--orbit", "f"),
+            "`orbit` must be another file than `output`",
+        ),
         (("simulate", "motor_pendulum", "--data", "d.csv", "--rate", "0"), "`rate` must be"),
+        (("simulate", "motor_pendulum", "--data", "d.csv", "--rate", "1e12"), "two to 100000000"),
+        (("simulate", "motor_pendulum", "--data", "d.csv", "--rate", "1e-3"), "two to 100000000"),
         (("simulate", "motor_pendulum", "--data", "d.csv", "--noise", "-1"), "`noise` must be"),
         (("simulate", "motor_pendulum", "--data", "no/d.csv"), "must be in a writable folder"),
     ],

@@ -15,29 +15,38 @@ PICTURES = (".png", ".pdf", ".svg")
 """Suffixes of the pictures that can be written."""
 
 
-def require_picture(path: Path) -> None:
+def require_picture(path: Path, argument: str = "output") -> None:
     """Refuse a path that cannot become a picture, before any work is done for it.
+
+    Args:
+        path: The path.
+        argument: What asked for it.
 
     Raises:
         InputError: If its suffix is none of ``PICTURES``, or it cannot become a file.
     """
-    require_writable(path)
+    require_writable(path, argument)
     if path.suffix.lower() not in PICTURES:
-        message = f"Argument `output` must end in .png, .pdf or .svg, but it is `{path.name}`."
+        message = f"Argument `{argument}` must end in .png, .pdf or .svg, but it is `{path.name}`."
         raise InputError(message)
 
 
-def require_writable(path: Path) -> None:
+def require_writable(path: Path, argument: str = "output") -> None:
     """Refuse a path that cannot become a file, before any work is done for it.
+
+    Args:
+        path: The path.
+        argument: What asked for it.
 
     Raises:
         InputError: If its folder is missing or closed, or the path is a folder.
     """
     folder = path.parent
     if path.is_dir():
-        raise InputError(f"Argument `output` must be a file, but `{path}` is a folder.")
+        raise InputError(f"Argument `{argument}` must be a file, but `{path}` is a folder.")
     if not folder.is_dir() or not os.access(folder, os.W_OK):
-        raise InputError(f"Argument `output` must be in a writable folder, but `{path}` is not.")
+        message = f"must be in a writable folder, but `{path}` is not"
+        raise InputError(f"Argument `{argument}` {message}.")
 
 
 def read_object(path: Path) -> dict[str, Any]:

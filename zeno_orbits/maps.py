@@ -25,6 +25,8 @@ _SMALLEST, _LARGEST = 16, 1250
 """Points that advance together: many, so that the last few motions to settle cost little."""
 _LEAST = 2
 """Points along an axis."""
+_MOST = 10_000_000
+"""Points of a plane: a day of work for a hundred cores, and gigabytes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,7 +120,7 @@ def require_plane(plane: Plane) -> Plane:
 
     Raises:
         InputError: If a name is unknown or given twice, bounds are the wrong way round or out of
-            the parameter's range, there are too few points, or no time.
+            the parameter's range, there are too few points or too many, or no time.
     """
     problem = plane.scene.load()
     if not (math.isfinite(plane.until) and plane.until > 0.0):
@@ -127,6 +129,9 @@ def require_plane(plane: Plane) -> Plane:
     if plane.x.name == plane.y.name:
         message = f"must be another gain or parameter than `x`, but both are `{plane.x.name}`"
         raise InputError(f"Argument `y` {message}.")
+    count = plane.x.count * plane.y.count
+    if count > _MOST:
+        raise InputError(f"Argument `points` must ask for at most {_MOST} points, not {count}.")
     axes = {name: _checked(problem, plane, name) for name in ("x", "y")}
     problem.setting(gains=plane.gains, parameters=plane.parameters)
     return replace(plane, x=axes["x"], y=axes["y"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,15 +14,53 @@ from zeno_orbits.execution import Execution
 from zeno_orbits.problem import Problem
 from zeno_orbits.recordings import Recording, Signal, Source
 
+_MOST = 100_000_000
+"""Samples: hours of work, and a file of gigabytes."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sampling:
+    """How a motion is recorded.
+
+    Attributes:
+        rate: Samples a second [Hz].
+        noise: Standard deviation of the noise on each state, in parts of the range of that.
+        seed: Of the noise.
+    """
+
+    rate: float
+    noise: float = 0.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Refuse rates, noise and seeds that mean nothing."""
+        if not (math.isfinite(self.rate) and self.rate > 0.0):
+            wanted = "must be a positive number of Hz"
+            raise InputError(f"Argument `rate` {wanted}, but it is {self.rate:g}.")
+        if not (math.isfinite(self.noise) and self.noise >= 0.0):
+            wanted = "must be a number from 0 on"
+            raise InputError(f"Argument `noise` {wanted}, but it is {self.noise:g}.")
+        if self.seed < 0:
+            raise InputError(f"Argument `seed` must be at least 0, but it is {self.seed}.")
+
+    def count(self, time: float) -> int:
+        """Return how many samples there are in a time.
+
+        Args:
+            time: How long [s].
+
+        Raises:
+            InputError: If there are fewer than two, or too many to write.
+        """
+        samples = self.rate * time * (1 + 1e-12)
+        if not 1.0 <= samples <= _MOST:
+            wanted = f"must give two to {_MOST} samples in {time:g} s"
+            raise InputError(f"Argument `rate` {wanted}, but it is {self.rate:g} Hz.")
+        return math.floor(samples) + 1
+
 
 def sampled(
-    problem: Problem,
-    dynamics: HybridDynamics,
-    execution: Execution,
-    *,
-    rate: float,
-    noise: float = 0.0,
-    seed: int = 0,
+    problem: Problem, dynamics: HybridDynamics, execution: Execution, sampling: Sampling
 ) -> Recording:
     """Return the states of an execution at even times.
 
@@ -29,33 +68,26 @@ def sampled(
         problem: The scene.
         dynamics: The system that was simulated.
         execution: What to record.
-        rate: Samples a second [Hz].
-        noise: Standard deviation of the noise on each state, in parts of the range of that.
-        seed: Of the noise.
+        sampling: How.
 
     Raises:
-        InputError: If the rate or the noise is not positive, or there are fewer than two samples.
+        InputError: If there are fewer than two samples, or too many.
     """
-    if not (math.isfinite(rate) and rate > 0.0):
-        raise InputError(f"Argument `rate` must be a positive number of Hz, but it is {rate:g}.")
-    if not (math.isfinite(noise) and noise >= 0.0):
-        raise InputError(f"Argument `noise` must be a number from 0 on, but it is {noise:g}.")
-    if not rate * execution.end_time >= 1.0:
-        wanted = f"must give two samples or more in {execution.end_time:g} s"
-        raise InputError(f"Argument `rate` {wanted}, but it is {rate:g} Hz.")
-    time = np.arange(math.floor(rate * execution.end_time * (1 + 1e-12)) + 1) / rate
+    time = np.arange(sampling.count(execution.end_time)) / sampling.rate
     values = state_nodes(dynamics, execution.arcs).at(np.minimum(time, execution.end_time))
     values = values[:, : len(problem.state_names)]
     extent = np.ptp(values, axis=0)
-    values = values + noise * extent * np.random.default_rng(seed).normal(size=values.shape)
+    random = np.random.default_rng(sampling.seed)
+    values = values + sampling.noise * extent * random.normal(size=values.shape)
     signals = tuple(
         Signal(name=name, unit=unit, values=values[:, k].copy())
         for k, (name, unit) in enumerate(zip(problem.state_names, problem.state_units, strict=True))
     )
+    noisy = {"noise": f"{sampling.noise:g}", "seed": str(sampling.seed)}
     return Recording(
         source=Source.SIMULATED,
         scene=problem.name,
         time=time,
         signals=signals,
-        notes={"noise": f"{noise:g}", "seed": str(seed)} if noise else {},
+        notes=noisy if sampling.noise else {},
     )

@@ -15,9 +15,9 @@ from zeno_orbits.cli.shared import (
     add_recording,
     orbit_and_problem,
     print_json,
+    require_outputs,
     say_written,
 )
-from zeno_orbits.files import require_picture
 
 
 def add_compare(commands: Any) -> None:
@@ -43,8 +43,7 @@ def _run_compare(options: argparse.Namespace) -> int:
     from zeno_orbits.cycle_tables import measurable
     from zeno_orbits.recordings import cut, read_recording
 
-    if options.picture is not None:
-        require_picture(options.picture)
+    require_outputs(options, files=(), reads=[options.orbit, options.data])
     orbit, problem = orbit_and_problem(options)
     with report.Progress(options.interrupts.check) as progress:
         progress.tell("reading the recording")

@@ -20,12 +20,13 @@ from zeno_orbits.cli.shared import (
     json_text,
     place_of,
     print_json,
+    require_outputs,
     say_written,
     setting_of,
     start_of,
 )
 from zeno_orbits.errors import InputError
-from zeno_orbits.files import require_picture, require_writable, write_whole
+from zeno_orbits.files import write_whole
 
 if TYPE_CHECKING:
     from zeno_orbits.dispatch import Crew
@@ -107,7 +108,7 @@ def _run_continue(options: argparse.Namespace) -> int:
 
     scene = scene_file(options.problem)
     problem = scene.load()
-    _require_outputs(options)
+    require_outputs(options)
     checkpoint = checkpoint_of(options)
     try:
         with report.Progress(options.interrupts.check) as progress:
@@ -129,16 +130,6 @@ def _run_continue(options: argparse.Namespace) -> int:
     say_written(options, [path for path in (options.output, options.picture) if path is not None])
     ends = [end for family in found.families for end in (family.first, family.last)]
     return NO if any(end.kind is Kind.GAVE_UP for end in ends) else YES
-
-
-def _require_outputs(options: argparse.Namespace) -> None:
-    if options.output is not None:
-        require_writable(options.output)
-    if options.picture is not None:
-        require_picture(options.picture)
-        if options.picture == options.output:
-            both = f"but both are `{options.output}`"
-            raise InputError(f"Argument `picture` must be another file than `output`, {both}.")
 
 
 def _continued(

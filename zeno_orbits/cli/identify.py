@@ -17,10 +17,11 @@ from zeno_orbits.cli.shared import (
     add_scene,
     json_text,
     print_json,
+    require_outputs,
     say_written,
     setting_of,
 )
-from zeno_orbits.files import require_writable, write_whole
+from zeno_orbits.files import write_whole
 
 if TYPE_CHECKING:
     from zeno_orbits.identification import Sought
@@ -67,9 +68,7 @@ def _run_identify(options: argparse.Namespace) -> int:
     problem = load_problem(options.problem)
     setting = setting_of(problem, options)
     sought = _sought(problem, setting, options.fit)
-    written = [path for path in (options.output, options.orbit) if path is not None]
-    for path in written:
-        require_writable(path)
+    require_outputs(options, files=("output", "orbit"), pictures=(), reads=[options.data])
     with report.Progress(options.interrupts.check) as progress:
         progress.tell("reading the recording")
         recording = read_recording(options.data, only=tuple(measurable(problem)))
@@ -83,6 +82,7 @@ def _run_identify(options: argparse.Namespace) -> int:
         print_json(found.as_json())
     else:
         report.print_identification(recording, found)
+        written = [path for path in (options.output, options.orbit) if path is not None]
         say_written(options, written)
     return YES
 

@@ -16,14 +16,17 @@ from zeno_orbits.cli.shared import (
     add_orbit,
     orbit_and_problem,
     print_json,
+    require_outputs,
     say_written,
 )
 from zeno_orbits.errors import InputError
-from zeno_orbits.files import require_writable, write_whole
+from zeno_orbits.files import write_whole
 
 if TYPE_CHECKING:
     from zeno_orbits.orbit import ZenoOrbit
     from zeno_orbits.trade import Trade
+
+_PAGES = (".html", ".htm")
 
 
 def add_report(commands: Any) -> None:
@@ -65,10 +68,11 @@ def _run_report(options: argparse.Namespace) -> int:
     if not 0.0 < options.tolerance < 1.0:
         message = f"must lie in (0, 1), but it is {options.tolerance:g}"
         raise InputError(f"Argument `tolerance` {message}.")
-    require_writable(options.output)
-    if options.output.resolve() == options.orbit.resolve():
-        both = f"but both are `{options.output}`"
-        raise InputError(f"Argument `output` must be another file than the orbit, {both}.")
+    reads = [path for path in (options.orbit, options.trade) if path is not None]
+    require_outputs(options, pictures=(), reads=reads)
+    if options.output.suffix.lower() not in _PAGES:
+        ends = f"must end in .html or .htm, but it is `{options.output.name}`"
+        raise InputError(f"Argument `output` {ends}.")
     bundle = load_bundle()
     orbit, problem = orbit_and_problem(options)
     trade = _trade(options, orbit)

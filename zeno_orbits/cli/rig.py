@@ -17,12 +17,12 @@ from zeno_orbits.cli.shared import (
     add_start,
     orbit_and_problem,
     print_json,
+    require_outputs,
     say_written,
     setting_of,
     start_of,
 )
 from zeno_orbits.errors import InputError
-from zeno_orbits.files import require_writable
 
 if TYPE_CHECKING:
     from zeno_orbits.imperfections import Rig
@@ -105,11 +105,12 @@ def add_rig(commands: Any) -> None:
 
 
 def _run_rig(options: argparse.Namespace) -> int:
-    if options.output is not None:
-        require_writable(options.output)
+    near_orbit = options.target.endswith(".json")
+    reads = [Path(options.target)] if near_orbit else []
+    require_outputs(options, pictures=(), reads=reads)
     if options.seed < 0:
         raise InputError(f"Argument `seed` must be at least 0, but it is {options.seed}.")
-    return _near_orbit(options) if options.target.endswith(".json") else _from_start(options)
+    return _near_orbit(options) if near_orbit else _from_start(options)
 
 
 def _near_orbit(options: argparse.Namespace) -> int:

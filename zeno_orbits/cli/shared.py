@@ -266,21 +266,34 @@ def orbit_and_problem(options: argparse.Namespace) -> tuple[ZenoOrbit, Problem]:
     return orbit, load_problem(orbit.problem)
 
 
-def require_outputs(options: argparse.Namespace) -> None:
-    """Refuse an output and a picture that cannot both be written, before any work is done for them.
+def require_outputs(
+    options: argparse.Namespace,
+    files: Sequence[str] = ("output",),
+    pictures: Sequence[str] = ("picture",),
+    reads: Sequence[Path] = (),
+) -> None:
+    """Refuse outputs that cannot all be written, before any work is done for them.
+
+    Args:
+        options: What was asked for.
+        files: Options that name files to write.
+        pictures: Options that name pictures to draw.
+        reads: Files that are read, and must stay.
 
     Raises:
-        InputError: If one cannot become a file, or they are the same file.
+        InputError: If one cannot become a file, or would lie on another or on what is read.
     """
-    output, picture = options.output, options.picture
-    if output is not None:
-        require_writable(output)
-    if picture is None:
-        return
-    require_picture(picture)
-    if output is not None and output.resolve() == picture.resolve():
-        both = f"but both are `{output}`"
-        raise InputError(f"Argument `picture` must be another file than `output`, {both}.")
+    taken = {path.resolve(): "what is read" for path in reads}
+    for name in (*files, *pictures):
+        path = getattr(options, name)
+        if path is None:
+            continue
+        require = require_writable if name in files else require_picture
+        require(path, name)
+        other = taken.setdefault(path.resolve(), f"`{name}`")
+        if other != f"`{name}`":
+            wanted = f"must be another file than {other}, but both are `{path}`"
+            raise InputError(f"Argument `{name}` {wanted}.")
 
 
 def print_json(data: Any) -> None:

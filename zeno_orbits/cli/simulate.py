@@ -17,17 +17,18 @@ from zeno_orbits.cli.shared import (
     add_scene,
     add_start,
     print_json,
+    require_outputs,
     say_written,
     setting_of,
     simulation_of,
     start_of,
 )
-from zeno_orbits.files import require_picture, require_writable
 
 if TYPE_CHECKING:
     from zeno_orbits.dynamics import HybridDynamics
     from zeno_orbits.execution import Execution
     from zeno_orbits.problem import Problem
+    from zeno_orbits.sampling import Sampling
 
 
 def add_simulate(commands: Any) -> None:
@@ -78,10 +79,8 @@ def _run_simulate(options: argparse.Namespace) -> int:
     problem = load_problem(options.problem)
     setting = setting_of(problem, options)
     state = start_of(problem, options)
-    if options.output is not None:
-        require_picture(options.output)
-    if options.data is not None:
-        require_writable(options.data)
+    require_outputs(options, files=("data",), pictures=("output",))
+    sampling = None if options.data is None else _sampling_of(options)
     dynamics = bind(compiled_model(problem), setting.values())
     execution, error = _simulated(options, dynamics, state)
     if options.json:
@@ -95,21 +94,22 @@ def _run_simulate(options: argparse.Namespace) -> int:
 
         plots.save_figure(plots.plot_time_series(problem, execution), options.output)
         say_written(options, [options.output])
-    if options.data is not None:
+    if sampling is not None and options.data is not None:
         from zeno_orbits.recordings import write_recording
         from zeno_orbits.sampling import sampled
 
-        recording = sampled(
-            problem,
-            dynamics,
-            execution,
-            rate=options.rate,
-            noise=options.noise,
-            seed=options.seed,
-        )
-        write_recording(recording, options.data)
+        write_recording(sampled(problem, dynamics, execution, sampling), options.data)
         say_written(options, [options.data])
     return YES
+
+
+def _sampling_of(options: argparse.Namespace) -> Sampling:
+    from zeno_orbits.sampling import Sampling
+
+    sampling = Sampling(rate=options.rate, noise=options.noise, seed=options.seed)
+    if options.until > 0.0:
+        sampling.count(options.until)
+    return sampling
 
 
 def _simulated(
