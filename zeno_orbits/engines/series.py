@@ -98,15 +98,14 @@ class Carrier:
         self.time_limit, self.step_limit = int(limits.time_limit), int(limits.step_limit)
         self.known = frozenset({self.root, self.time_limit, self.step_limit})
 
-    def begin(self, y: Vector, p: Vector) -> tuple[float, float]:
-        """Put the state at time zero and return guard and rate there."""
+    def begin(self, y: Vector, p: Vector) -> None:
+        """Put the state at time zero."""
         taylor = self._taylor
         taylor.time = 0.0
         taylor.reset_cooldowns()
         self._p[:] = p
         self._fold()
         self._moved[:] = y if self._full is self._moved else y[self._moving]
-        return self.guard()
 
     @property
     def state(self) -> Vector:

@@ -110,8 +110,9 @@ class TaylorStep:
 
 def _carried(leg: Leg, p: Vector, kept: Carrier) -> Passage | None:
     """Return what came of a leg followed in compiled code, or nothing where that is in doubt."""
-    before = kept.begin(leg.y, p)
-    if not (leg.on_guard or before[0] > 0.0):
+    kept.begin(leg.y, p)
+    start = 0.0 if leg.on_guard else kept.guard()[0]
+    if not (leg.on_guard or start > 0.0):
         return None
     bound, batch, last, false_roots = _FIRST_BOUND, _FEWEST, 0.0, 0
     while True:
@@ -124,7 +125,7 @@ def _carried(leg: Leg, p: Vector, kept: Carrier) -> Passage | None:
         if outcome == kept.root:
             height = -rate * time
             if not leg.on_guard or abs(height) > max(leg.contact, _SHALLOW):
-                sound = rate < 0.0 and abs(value) <= _ON_ROOT * max(before[0], height)
+                sound = rate < 0.0 and abs(value) <= _ON_ROOT * max(start, height)
                 return _passage(leg, Outcome.FALL, time, end) if sound else None
             # The start is a root to rounding only, and the guard rose no higher since.
             false_roots += 1
