@@ -66,6 +66,19 @@ def _no_nudge(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     series._carrier.cache_clear()
 
 
+@pytest.fixture(name="deaf")
+def _deaf(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let every fall pass without a word."""
+    advance = series.Carrier.advance
+
+    def past_falls(kept: series.Carrier, *way: Any) -> tuple[int, int, float]:
+        outcome = advance(kept, *way)
+        fell = outcome[0] == kept.root and kept.guard()[1] < 0.0
+        return advance(kept, *way) if fell else outcome
+
+    monkeypatch.setattr(series.Carrier, "advance", past_falls)
+
+
 def _clock(guard: Callable[[Any], Any]) -> GuardedFlow:
     """Return a clock ``y' = 1`` with a guard that is a function of its time."""
     y, p = ca.SX.sym("y"), ca.SX(0, 1)
@@ -140,8 +153,18 @@ def test_heyoka_alone_misses_the_fall_after_a_start_of_exactly_zero(ball: Hybrid
 
 
 @pytest.mark.usefixtures("no_nudge")
+def test_looking_for_rises_too_heyoka_finds_the_fall_after_a_start_of_exactly_zero(
+    ball: HybridDynamics, walked: list[Leg]
+) -> None:
+    passage = _follow(ball.flight(1.0), (0, 1, 0, 1), on_guard=True)
+    assert passage.outcome is Outcome.FALL
+    assert passage.duration == pytest.approx(2 / GRAVITY, rel=1e-14)
+    assert not walked
+
+
+@pytest.mark.usefixtures("deaf")
 @pytest.mark.parametrize("speed", [1.0, 1e-6])
-def test_the_net_catches_a_fall_that_heyoka_missed(
+def test_the_guard_below_zero_betrays_a_missed_fall(
     ball: HybridDynamics, speed: float, walked: list[Leg]
 ) -> None:
     passage = _follow(ball.flight(speed), (0.0, speed, 0.0, 1.0), on_guard=True)
@@ -150,19 +173,19 @@ def test_the_net_catches_a_fall_that_heyoka_missed(
     assert passage.duration == pytest.approx(2 / GRAVITY, rel=1e-14)
 
 
-@pytest.mark.usefixtures("no_nudge")
-def test_without_the_net_the_end_of_the_leg_betrays_the_missed_fall(
-    ball: HybridDynamics, walked: list[Leg], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    set_net = series.Carrier.set_net
-    monkeypatch.setattr(series.Carrier, "set_net", lambda kept, _: set_net(kept, 1e6))
-    passage = _follow(ball.flight(1.0), (0, 1, 0, 1), on_guard=True)
+@pytest.mark.usefixtures("deaf")
+@pytest.mark.parametrize("horizon", [1.2, 10.0])
+def test_the_rise_that_follows_betrays_a_missed_fall(horizon: float, walked: list[Leg]) -> None:
+    # Above zero at the start, below it from 1/3 to 2/3, and above it again at the horizon.
+    wave = _clock(lambda t: ca.cos(2 * math.pi * t) + 0.5)
+    passage = _follow(wave, [0.0], horizon=horizon)
     assert len(walked) == 1
-    assert passage.duration == pytest.approx(2 / GRAVITY, rel=1e-14)
+    assert passage.outcome is Outcome.FALL
+    assert passage.duration == pytest.approx(1 / 3, abs=LOCATED)
 
 
-@pytest.mark.usefixtures("no_nudge")
-def test_an_execution_in_which_heyoka_misses_every_impact_is_the_same(
+@pytest.mark.usefixtures("deaf")
+def test_an_execution_in_which_every_fall_is_missed_is_the_same(
     pendulum: HybridDynamics, walked: list[Leg]
 ) -> None:
     execution = simulate(pendulum, RELEASE, until=5.0, releases=1, settings=SETTINGS)
@@ -426,3 +449,10 @@ def test_a_gap_that_is_not_quite_zero_stays_in_the_series_of_a_locked_arc() -> N
     assert ends[1].state == pytest.approx(ends[0].state, abs=1e-11)
     # Dense output is of all states.
     assert ends[0].trajectory.state_at(0.1).shape == (5,)
+
+
+def test_numbers_that_no_series_needs_are_handed_over_too() -> None:
+    y, p = ca.SX.sym("y"), ca.SX.sym("p", 2)
+    guard = ca.vertcat(1 - y, -1)
+    flow = CompiledFlow(mode_functions("idle", y, p, ca.SX(1), guard), np.array([3.0, 5.0]))
+    assert _follow(flow, [0.0]).duration == pytest.approx(1.0, abs=LOCATED)

@@ -233,9 +233,11 @@ class _Run:
         lift = self.dynamics.gap_acceleration(x)
         if abs(lift) <= self.settings.contact:
             return True
+        if not lift > 0.0:
+            return False
         fall = self.dynamics.multiplier_rate(x) / self.dynamics.normal_inertia(x)
         lost = _ROUNDING * float(np.max(np.abs(x[: self.dynamics.n_q])))
-        return lift > 0.0 and fall > 0.0 and 2.0 * lift**3 <= 3.0 * lost * fall**2
+        return fall > 0.0 and 2.0 * lift**3 <= 3.0 * lost * fall**2
 
     def carry(self, start: _Start) -> _Start | None:
         """Follow the locked flow to the release."""

@@ -15,6 +15,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -106,9 +107,9 @@ def spread_nodes(speeds: Sequence[float]) -> list[int]:
     return nodes[::-1]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TailEstimate:
-    """First-order guess of the Zeno point from one impact.
+    """First-order guess of the Zeno point from one impact; no two are the same.
 
     Attributes:
         impact_time: When the impact was [s].
@@ -196,19 +197,25 @@ def combine(estimates: Sequence[TailEstimate]) -> ZenoLimit:
     """
     speeds = [estimate.speed for estimate in estimates]
     chosen = spread_nodes(speeds)
-    time, state = _limit([estimates[k] for k in chosen])
+    time, state = _limit(tuple([estimates[k] for k in chosen]))
     if len(chosen) == 1:
         error = 0.0 if speeds[-1] == 0.0 else math.inf
     else:
         earlier = spread_nodes(speeds[: chosen[-2] + 1])
-        time_before, state_before = _limit([estimates[k] for k in earlier])
+        time_before, state_before = _limit(tuple([estimates[k] for k in earlier]))
         change = np.abs(state - state_before) / (1 + np.abs(state))
         error = max(abs(time - time_before) / (1 + abs(time)), float(change.max()))
     return ZenoLimit(time=time, state=state, error=error)
 
 
-def _limit(nodes: Sequence[TailEstimate]) -> tuple[float, Vector]:
-    """Return time and state of the limit that a polynomial through these nodes has."""
+@lru_cache(maxsize=8)
+def _limit(nodes: tuple[TailEstimate, ...]) -> tuple[float, Vector]:
+    """Return time and state of the limit that a polynomial through these nodes has.
+
+    It is kept: what one impact gives is what the next one's limit is held against.
+    """
     weights = limit_weights([node.speed for node in nodes])
     time = sum(weight * node.time for weight, node in zip(weights, nodes, strict=True))
-    return time, np.array(weights) @ np.array([node.state for node in nodes])
+    state = np.array(weights) @ np.array([node.state for node in nodes])
+    state.flags.writeable = False
+    return time, state
