@@ -168,9 +168,9 @@ def _grown_from(root: Root, dispatch: Dispatch) -> list[Grown]:
         branches = dispatch.done(stage, "branches", [(piece,) for _, piece in thrown])
         latest = list[Grown]()
         for (doubled, piece), (branch,) in zip(thrown, branches, strict=True):
-            root = Branch(points=(), special=(), ending=Kind.FLIP, end=piece.flip)
+            flip = Branch(points=(), special=(), ending=Kind.FLIP, end=piece.flip)
             if branch is not None:
-                latest.append(as_family(doubled, root, branch))
+                latest.append(as_family(doubled, flip, branch))
         found += latest
     return found
 
