@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
@@ -23,7 +23,9 @@ class Formula:
     """A return map ``P(y, s)`` on the whole space of ``y``."""
 
     function: ca.Function
-    margin: Callable[[Vector, float], float] | None = None
+    margins: Mapping[Margin, Callable[[Vector, float], float]] = field(
+        default_factory=dict[Margin, Callable[[Vector, float], float]]
+    )
     least: float = -np.inf
 
     @property
@@ -35,13 +37,12 @@ class Formula:
         if s < self.least:
             raise SimulationError("Nothing returns", time=0.0, state=())
         end, by_state, by_parameter = (value.full() for value in self.function(x, s))
-        kept = {} if self.margin is None else {Margin(loss=Loss.FIRST_IMPACT): self.margin(x, s)}
         return Return(
             time=1.0,
             end=end.ravel(),
             by_state=by_state,
             by_parameter=by_parameter.ravel(),
-            margins=kept,
+            margins={one: value(x, s) for one, value in self.margins.items()},
         )
 
     def frame(self, x: Vector, s: float, scale: Vector) -> Frame:
@@ -135,7 +136,9 @@ def test_an_end_is_extrapolated_in_what_vanishes_there() -> None:
     def image(y: ca.SX, s: ca.SX) -> ca.SX:
         return y + (ca.sqrt(s - 0.25) + s - 0.25 - y) / 2
 
-    grazing = Formula(function=formula(image, 1), margin=margin, least=0.25)
+    grazing = Formula(
+        function=formula(image, 1), margins={Margin(loss=Loss.FIRST_IMPACT): margin}, least=0.25
+    )
     metric = Metric(scale=np.ones(1), unit=1.0, horizon=1.0)
     start = first_point(grazing, metric, np.array([0.75]), 0.5, rising=False)
     branch = follow(

@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import contextlib
-import json
-import os
 import shutil
 import signal
 import socket
-import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
 
 from tests import chores
 from tests.chores import Deadly, Diary
+from tests.clusters import DaskCluster, dask_cluster, noted_scene, wait_until
 from tests.test_cli import ask
 from zeno_orbits.errors import InputError, WorkError
 from zeno_orbits.map_file import write_map
@@ -31,74 +27,22 @@ from zeno_orbits.work import Cluster, Lost, Plan, Workers, spread
 pytest.importorskip("distributed", reason="needs the extra `cluster`")
 
 POINTS = [0.1 * k for k in range(24)]
-ROOT = Path(__file__).parents[1]
-
-
-@dataclass
-class DaskCluster:
-    """A scheduler and its workers, as processes."""
-
-    folder: Path
-    processes: list[subprocess.Popen[bytes]] = field(default_factory=list)
-
-    @property
-    def file(self) -> Path:
-        return self.folder / "scheduler.json"
-
-    @property
-    def address(self) -> str:
-        return str(json.loads(self.file.read_text())["address"])
-
-    def start(self, part: str, *arguments: str) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", f"distributed.cli.dask_{part}", "--no-dashboard"]
-        process = subprocess.Popen(
-            [*command, "--scheduler-file", str(self.file), *arguments],
-            cwd=self.folder,
-            env=os.environ
-            | {
-                "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
-                # A killer is called one after its second victim.
-                "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1",
-            },
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-        self.processes.append(process)
-        return process
-
-    def start_scheduler(self) -> subprocess.Popen[bytes]:
-        process = self.start("scheduler", "--host", "127.0.0.1", "--port", "0")
-        wait_until(lambda: self.file.exists() and self.file.stat().st_size > 0)
-        return process
-
-    def start_worker(self, *arguments: str) -> subprocess.Popen[bytes]:
-        return self.start("worker", "--nthreads", "1", *arguments)
-
-    def place(self, patience: float = 20.0) -> Cluster:
-        return Cluster(address=self.address, patience=patience)
-
-
-def wait_until(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + 60.0
-    while not condition():
-        assert time.monotonic() < end, "nothing happens"
-        time.sleep(0.02)
+IMPACTS = (
+    *("--section", "impact", "--set", "c=0.1", "--set", "stop=1", "--set", "restitution=0.8"),
+    *("--start", "speed=1", "--start", "cosine=1", "--in", "A=0.8:1.1", "--steps", "12"),
+)
+"""A family in two directions."""
+RELEASES = (
+    *("--set", "restitution=0", "--in", "A=0.7:1.1", "--second", "stop=-0.81:-0.79"),
+    *("--point", "release-lost"),
+)
+"""A family in two directions, and a curve in two."""
 
 
 @pytest.fixture(name="cluster")
 def _cluster(tmp_path: Path) -> Iterator[DaskCluster]:
-    cluster = DaskCluster(tmp_path)
-    cluster.start_scheduler()
-    try:
+    with dask_cluster(tmp_path) as cluster:
         yield cluster
-    finally:
-        for process in reversed(cluster.processes):
-            process.terminate()
-        for process in cluster.processes:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(2)
-            process.kill()
-            process.wait()
 
 
 def plan(place: Workers | Cluster, checkpoint: Path | None = None) -> Plan:
@@ -128,6 +72,45 @@ def test_two_workers_of_a_cluster_one_killed_leave_the_checkpoint_of_a_single_pr
     here = spread(slow, POINTS, plan(Workers(count=1), tmp_path / "here"))
     assert there == here
     assert contents(tmp_path / "there") == contents(tmp_path / "here")
+
+
+@pytest.mark.parametrize(
+    ("words", "n_finished"),
+    [
+        pytest.param(IMPACTS, 0, id="family"),
+        pytest.param(RELEASES, 2, id="curve", marks=pytest.mark.slow),
+    ],
+)
+def test_a_family_on_a_cluster_with_a_worker_killed_is_the_file_made_here(
+    cluster: DaskCluster, tmp_path: Path, words: tuple[str, ...], n_finished: int
+) -> None:
+    scene, diary = noted_scene("forced_oscillator", tmp_path)
+    workers = [cluster.start_worker("--no-nanny") for _ in range(2)]
+    kept, there, here = (tmp_path / name for name in ("kept", "there.json", "here.json"))
+
+    def kill_a_busy_one() -> int:
+        """Kill who has the scene, and so a piece in hand, when some others are finished."""
+
+        def busy() -> list[int]:
+            known = {int(path.name) for path in diary.iterdir()}
+            done = len(list(kept.rglob("chunk-*.json")))
+            return [k for k, one in enumerate(workers) if one.pid in known and done >= n_finished]
+
+        wait_until(lambda: bool(busy()), 300.0)
+        workers[busy()[0]].send_signal(signal.SIGKILL)
+        return len(list(kept.rglob("chunk-*.json")))
+
+    with ThreadPoolExecutor(1) as thread:
+        killing = thread.submit(kill_a_busy_one)
+        place = ("--scheduler", cluster.address, "--checkpoint", kept)
+        answer = ask("continue", scene, *words, *place, "-o", there)
+        finished = killing.result()
+    assert answer.code == 0
+    n_pieces = len(list(kept.rglob("chunk-*.json")))
+    assert n_finished <= finished < n_pieces
+    assert sum(one.poll() is None for one in workers) == 1
+    assert ask("continue", scene, *words, "--workers", "1", "-o", here).code == 0
+    assert there.read_bytes() == here.read_bytes()
 
 
 def test_a_point_that_kills_every_worker_of_a_cluster_is_named(cluster: DaskCluster) -> None:

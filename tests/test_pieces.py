@@ -7,7 +7,6 @@ import os
 import signal
 import time
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +14,10 @@ import joblib
 import numpy as np
 import pytest
 
+from tests.places import places_that_cannot_be_had, refuses
 from tests.processes import Commands, workers_of
 from tests.test_cli import ask
-from zeno_orbits import dispatch, report, work
+from zeno_orbits import dispatch, report
 from zeno_orbits.branch_data import (
     branch_from_json,
     branch_to_json,
@@ -307,28 +307,17 @@ def test_an_interrupt_with_nothing_finished_leaves_no_checkpoint_behind(
 # ---------------------------------------------------------------------------- misuse
 
 
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        (("--workers", str(CORES + 1)), "`workers` must be at most"),
-        (("--scheduler", "tcp://127.0.0.1:1"), "`scheduler`"),
-        (("--scheduler", "tcp://127.0.0.1:1", "--workers", "1"), "`workers` must not be given"),
-    ],
-)
-def test_a_place_that_cannot_be_had_is_refused_in_one_line_before_any_work(
-    words: tuple[str, ...],
+@places_that_cannot_be_had
+def test_a_place_that_cannot_be_had_is_refused_and_the_checkpoint_left_untouched(
+    place: tuple[str, ...],
     told: str,
     kept: tuple[Path, dict[str, Any]],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     folder, _ = kept
     before = contents(folder)
-    monkeypatch.setattr("zeno_orbits.impact_families.continue_impacts", None)
-    monkeypatch.setattr(work, "Cluster", partial(Cluster, patience=0.5))
-    answer = ask(*NEAR, "--checkpoint", folder, *words)
-    assert answer.code == MISUSE
-    assert told in answer.err
-    assert len(answer.err.splitlines()) == 1
+    begins = "zeno_orbits.impact_families.continue_impacts"
+    refuses(monkeypatch, (*NEAR, "--checkpoint", folder, *place), told, work_of=begins)
     assert contents(folder) == before
 
 

@@ -9,16 +9,16 @@ import subprocess
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import joblib
 import pytest
 
+from tests.places import places_that_cannot_be_had, refuses
 from tests.processes import Commands
 from tests.test_cli import ask
-from zeno_orbits import report, starts, work
+from zeno_orbits import report, starts
 from zeno_orbits.bounds import Extent
 from zeno_orbits.certificate import DeltaCut, OrbitCertificate
 from zeno_orbits.errors import CheckpointError, InputError
@@ -31,7 +31,7 @@ from zeno_orbits.search import Judgement, SearchResult, Spread, find_orbit, sear
 from zeno_orbits.trial_data import trial_from_json, trial_to_json
 from zeno_orbits.trials import Candidate, Trial
 from zeno_orbits.verify import verify
-from zeno_orbits.work import Cluster, Lost, Plan, Workers
+from zeno_orbits.work import Lost, Plan, Workers
 from zeno_orbits.work import spreading as spreading_module
 
 YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
@@ -315,22 +315,11 @@ def test_an_interrupt_keeps_the_starts_that_are_finished(
 # ---------------------------------------------------------------------------- misuse
 
 
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        (("--workers", str(CORES + 1)), "`workers` must be at most"),
-        (("--scheduler", "tcp://127.0.0.1:1"), "`scheduler`"),
-        (("--scheduler", "tcp://127.0.0.1:1", "--workers", "1"), "`workers` must not be given"),
-    ],
-)
+@places_that_cannot_be_had
 def test_a_place_that_cannot_be_had_is_refused_even_if_one_start_would_do(
-    words: tuple[str, ...], told: str, monkeypatch: pytest.MonkeyPatch
+    place: tuple[str, ...], told: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(starts, "tried", None)
-    monkeypatch.setattr(work, "Cluster", partial(Cluster, patience=0.5))
-    answer = ask(*TABLE, *words)
-    assert answer.code == MISUSE
-    assert told in answer.err
+    refuses(monkeypatch, (*TABLE, *place), told, work_of="zeno_orbits.starts.tried")
 
 
 def test_a_scene_that_workers_would_not_see_is_refused() -> None:

@@ -108,6 +108,7 @@ def _located_to_json(located: Located) -> dict[str, Any]:
         "margins": _margins_to_json(located.margins),
         "place": located.place,
         "path": [_point_to_json(point) for point in located.path],
+        "also": [kind.name for kind in located.also],
     }
 
 
@@ -121,6 +122,7 @@ def _located(data: Mapping[str, Any]) -> Located:
         margins=_margins(data["margins"]),
         place=data["place"],
         path=tuple(_point(point) for point in data["path"]),
+        also=tuple(Kind[name] for name in data["also"]),
     )
 
 

@@ -17,7 +17,8 @@ import numpy as np
 from zeno_orbits.corrector import BranchPoint, Metric, correct, is_back
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.families import Kind
-from zeno_orbits.family_ends import Threat, locate_end, stages, threats
+from zeno_orbits.family_ends import locate_end
+from zeno_orbits.losses import Threat, stages, threats
 from zeno_orbits.return_maps import Loss, Return, ReturnMap
 from zeno_orbits.singular_points import Located, crossings, locate_inside
 

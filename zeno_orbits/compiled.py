@@ -31,6 +31,7 @@ class CompiledSystem:
     Attributes:
         state_names: Name of each state.
         n_q: Number of coordinates.
+        clock: Places of the clock in the state.
         free: The mode off the stop, in ``(x, p)``.
         locked: The mode on the stop, in ``(x, p)``.
         flight: The rescaled flight, in ``((x, h / w^2, (dh/dt) / w), (p, w))`` (theory (14)).
@@ -46,6 +47,7 @@ class CompiledSystem:
 
     state_names: tuple[str, ...]
     n_q: int
+    clock: tuple[int, ...]
     free: ModeFunctions
     locked: ModeFunctions
     flight: ModeFunctions
@@ -132,6 +134,7 @@ def compile_system(
     return CompiledSystem(
         state_names=tuple(state_names),
         n_q=system.n_q,
+        clock=system.clock,
         free=mode_functions("free", system.state, parameters, system.free_flow, contact[0:2]),
         locked=mode_functions("locked", system.state, parameters, system.locked_flow, contact[3:5]),
         flight=mode_functions(

@@ -8,41 +8,24 @@ machine of which one number changes. Source: [Keller1977]_, theory (37) to (40).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
 from typing import Any
-
-import numpy as np
 
 from zeno_orbits.branches import Branch, Tell
 from zeno_orbits.closing import close_orbit
-from zeno_orbits.corrector import BranchPoint, first_point
+from zeno_orbits.corrector import first_point
+from zeno_orbits.curves import curves_through
 from zeno_orbits.dispatch import Crew, Dispatch
-from zeno_orbits.dynamics import Vector
 from zeno_orbits.errors import InputError
-from zeno_orbits.families import (
-    Boundary,
-    Continuation,
-    Kind,
-    whole_curve,
-)
+from zeno_orbits.families import Continuation, Kind
 from zeno_orbits.growth import Grown, as_family
 from zeno_orbits.orbit import ZenoOrbit, versions
-from zeno_orbits.pieces import Direction, Doubling, Half
+from zeno_orbits.pieces import Direction, Doubling
 from zeno_orbits.plain import plain
-from zeno_orbits.plane import Plane
 from zeno_orbits.problem import Problem, Setting
 from zeno_orbits.search import find_orbit
 from zeno_orbits.shape import ONE_ZENO
-from zeno_orbits.singular_points import Located
-from zeno_orbits.tracks import (
-    ContinuationSettings,
-    Track,
-    check_box,
-    line_in,
-    numbers,
-    track_of,
-)
+from zeno_orbits.tracks import ContinuationSettings, Root, plane_of, root_of
 
 
 def _silent(stage: str, part: float | None) -> None:
@@ -76,10 +59,8 @@ def continue_orbit(
         WorkError: If the work cannot be finished.
     """
     settings = settings or ContinuationSettings()
-    track = track_of(problem, orbit, parameter, box, settings)
-    x = np.array(problem.state_vector(orbit.release_state))
-    s = float(numbers(problem, orbit)[problem.names.index(parameter)])
-    return continuation_on(track, x, s, settings=settings, tell=tell, crew=crew)
+    root = root_of(problem, orbit, parameter, box, settings)
+    return continuation_on(root, settings=settings, tell=tell, crew=crew)
 
 
 def continue_orbit_in_two(
@@ -111,112 +92,20 @@ def continue_orbit_in_two(
         WorkError: If the work cannot be finished.
     """
     settings = settings or ContinuationSettings()
-    if names[0] == names[1]:
-        raise InputError(f"Argument `second` must differ from `in`, but both are `{names[0]}`.")
-    p = numbers(problem, orbit)
-    line_in(problem, p, names[1])
-    second = problem.names.index(names[1])
-    check_box(problem, names[1], boxes[1], float(p[second]))
-    track = track_of(problem, orbit, names[0], boxes[0], settings)
-    x = np.array(problem.state_vector(orbit.release_state))
-    first = problem.names.index(names[0])
+    plane = plane_of(problem, orbit, names, boxes)
+    root = root_of(problem, orbit, names[0], boxes[0], settings)
     own = {"second": names[1], "box": list(boxes[1]), "kinds": [kind.name for kind in kinds]}
-    dispatch = _dispatch(track, x, float(p[first]), settings, tell, crew, own)
-    grown = _grown_from(track, x, float(p[first]), dispatch)
-    plane = Plane(
-        names=names,
-        places=(first, second),
-        box=np.array(boxes),
-        p=p,
-        restitution=problem.names.index("restitution"),
-    )
-    found = [
-        _Candidate(grown=one, located=located, leading=leading)
-        for one in grown
-        for located, leading in (*((s, ()) for s in one.special), *one.ends)
-        if located.kind in kinds
-    ]
+    dispatch = _dispatch(root, settings, tell, crew, own)
+    grown = _grown_from(root, dispatch)
     return Continuation(
         families=tuple(one.family for one in grown),
-        boundaries=tuple(_curves(dispatch, plane, found)),
+        boundaries=curves_through(dispatch, plane, grown, kinds),
         versions=versions(),
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Candidate:
-    """A special point that may be on a curve of its own.
-
-    Attributes:
-        grown: Its family.
-        located: The point.
-        leading: The last points of the family before an end.
-    """
-
-    grown: Grown
-    located: Located
-    leading: tuple[BranchPoint, ...]
-
-
-def _curves(dispatch: Dispatch, plane: Plane, found: Sequence[_Candidate]) -> list[Boundary]:
-    """Return the curves through special points, each once.
-
-    A curve may come back through another point of its kind. So points of a kind take turns, and
-    what is on a curve already is left out, whoever follows it.
-    """
-    curves: dict[int, Boundary] = {}
-    waiting, turn = dict(enumerate(found)), 0
-    while waiting:
-        turn += 1
-        chosen: dict[int, tuple[Half, Half]] = {}
-        for k, one in list(waiting.items()):
-            metric, kind = one.grown.track.metric, one.located.kind
-            value = (one.located.z[-1] * metric.unit, float(plane.p[plane.places[1]]))
-            if _known(tuple(curves.values()), plane, kind, value):
-                del waiting[k]
-            elif kind not in [found[other].located.kind for other in chosen]:
-                up = Half(
-                    course=one.grown.track.course,
-                    plane=plane,
-                    found=one.located,
-                    value=value,
-                    leading=one.leading,
-                    upwards=True,
-                )
-                chosen[k] = (up, replace(up, upwards=False))
-        results = dispatch.done(f"curves-{turn}", "half curves", list(chosen.values()))
-        for k, halves in zip(chosen, results, strict=True):
-            second = halves[1] if len(halves) > 1 else None
-            curves[k] = whole_curve(found[k].located.kind, plane.names, halves[0], second)
-            del waiting[k]
-    return [curves[k] for k in sorted(curves)]
-
-
-_SAME = 1e-6
-"""Part of a range by which two points on one boundary may differ."""
-
-
-def _known(
-    boundaries: Sequence[Boundary], plane: Plane, kind: Kind, value: tuple[float, float]
-) -> bool:
-    """Tell whether a boundary runs through a point already: a curve may come back to its line."""
-    for boundary in boundaries:
-        if boundary.kind is not kind:
-            continue
-        x, y = np.array(boundary.x), np.array(boundary.y)
-        for k in np.flatnonzero((y[:-1] - value[1]) * (y[1:] - value[1]) <= 0.0):
-            part = (value[1] - y[k]) / (y[k + 1] - y[k]) if y[k + 1] != y[k] else 0.0
-            near = abs(x[k] + part * (x[k + 1] - x[k]) - value[0])
-            bend = 0.1 * abs(x[k + 1] - x[k]) + _SAME * plane.units[0]
-            if near <= bend:
-                return True
-    return False
-
-
 def continuation_on(
-    track: Track,
-    x: Vector,
-    s: float,
+    root: Root,
     *,
     settings: ContinuationSettings,
     tell: Tell = _silent,
@@ -225,9 +114,7 @@ def continuation_on(
     """Return the family through a state of a section, and what branches off it.
 
     Args:
-        track: What it is followed on.
-        x: A state near a fixed point of the return map, ``(n_x,)``.
-        s: The parameter there.
+        root: Where it begins.
         settings: How.
         tell: Called with what happens.
         crew: Workers; by default this process does it all.
@@ -237,39 +124,38 @@ def continuation_on(
         SimulationError: If there is no fixed point near.
         WorkError: If the work cannot be finished.
     """
-    grown = _grown_from(track, x, s, _dispatch(track, x, s, settings, tell, crew, {}))
+    grown = _grown_from(root, _dispatch(root, settings, tell, crew, {}))
     return Continuation(families=tuple(one.family for one in grown), versions=versions())
 
 
 def _dispatch(
-    track: Track,
-    x: Vector,
-    s: float,
+    root: Root,
     settings: ContinuationSettings,
     tell: Tell,
     crew: Crew | None,
     own: dict[str, Any],
 ) -> Dispatch:
     """Return who follows a family, with all that its result depends on."""
+    course, problem = root.track.course, root.track.problem
     identity = {
-        "problem": track.problem.name,
-        "gains": plain(track.course.setting.gains),
-        "parameters": plain(track.course.setting.parameters),
-        "in": track.course.parameter,
-        "range": list(track.course.box),
-        "section": plain(track.course.section),
-        "start": [*x.tolist(), s],
+        "problem": problem.name,
+        "gains": plain(course.setting.gains),
+        "parameters": plain(course.setting.parameters),
+        "in": course.parameter,
+        "range": list(course.box),
+        "section": plain(course.section),
+        "start": [*root.x.tolist(), root.s],
         "settings": plain(settings, "settings"),
         "versions": versions(),
         **own,
     }
-    dispatch = Dispatch(problem=track.problem, settings=settings, tell=tell, crew=crew)
+    dispatch = Dispatch(problem=problem, settings=settings, tell=tell, crew=crew)
     return dispatch.claimed(identity)
 
 
-def _grown_from(track: Track, x: Vector, s: float, dispatch: Dispatch) -> list[Grown]:
+def _grown_from(root: Root, dispatch: Dispatch) -> list[Grown]:
     """Return the family through a state, and those that flips throw off."""
-    found = [_both_ways(track, x, s, dispatch)]
+    found = [_both_ways(root, dispatch)]
     latest = list(found)
     for generation in range(dispatch.settings.doublings):
         thrown = [
@@ -282,9 +168,9 @@ def _grown_from(track: Track, x: Vector, s: float, dispatch: Dispatch) -> list[G
         branches = dispatch.done(stage, "branches", [(piece,) for _, piece in thrown])
         latest = list[Grown]()
         for (doubled, piece), (branch,) in zip(thrown, branches, strict=True):
-            root = Branch(points=(), special=(), ending=Kind.FLIP, end=piece.flip)
+            flip = Branch(points=(), special=(), ending=Kind.FLIP, end=piece.flip)
             if branch is not None:
-                latest.append(as_family(doubled, root, branch))
+                latest.append(as_family(doubled, flip, branch))
         found += latest
     return found
 
@@ -309,11 +195,12 @@ def start_orbit(
     return find_orbit(problem, setting, shape=ONE_ZENO).unwrap()
 
 
-def _both_ways(track: Track, x: Vector, s: float, dispatch: Dispatch) -> Grown:
+def _both_ways(root: Root, dispatch: Dispatch) -> Grown:
+    track = root.track
     ways = tuple(
         Direction(
             course=track.course,
-            start=first_point(track.returns, track.metric, x, s, rising=rising),
+            start=first_point(track.returns, track.metric, root.x, root.s, rising=rising),
         )
         for rising in (True, False)
     )

@@ -16,7 +16,7 @@ from zeno_orbits.critical_points import CriticalPoint, CriticalSystem
 from zeno_orbits.dynamics import Vector
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
 from zeno_orbits.families import HalfCurve, Kind
-from zeno_orbits.family_ends import CLOSE, Stage, meeting
+from zeno_orbits.losses import CLOSE, Stage, meeting
 from zeno_orbits.plane import CurveSteps, OnLine, Plane, Tell
 from zeno_orbits.singular_points import Located
 

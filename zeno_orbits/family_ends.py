@@ -6,161 +6,18 @@ up to the end, and the last stretch is extrapolated. Theory (39) and (40).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from zeno_orbits.corrector import BranchPoint, Metric, correct, corrected_again
 from zeno_orbits.dynamics import Vector
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
-from zeno_orbits.families import Kind
 from zeno_orbits.lock_ends import locate_cut
+from zeno_orbits.losses import ENDS, Threat, causes, stages
 from zeno_orbits.return_maps import Loss, Margin, ReturnMap
-from zeno_orbits.separatrix import separatrix
 from zeno_orbits.singular_points import Located
-
-ENDS = {
-    Loss.AMPLITUDE: Kind.AMPLITUDE_ZERO,
-    Loss.LOCK: Kind.LOCK_VANISHES,
-    Loss.ACCELERATION: Kind.THEOREM_LOST,
-    Loss.FIRST_IMPACT: Kind.GRAZING,
-    Loss.NEAR_MISS: Kind.EARLIER_GRAZING,
-    Loss.LATER_IMPACT: Kind.LATER_GRAZING,
-    Loss.RELEASE_RATE: Kind.RELEASE_LOST,
-    Loss.ADHESION: Kind.EARLIER_RELEASE,
-}
-"""What a loss is called when it happens."""
-
-_NEARLY = 0.4
-"""Part of a margin's largest value below which its end may be near."""
-_TOGETHER = 0.6
-"""Fall of a margin, as a part of what another's entails, at which both vanish at one point."""
-_ENTAILED: dict[Loss, dict[Loss, float]] = {
-    Loss.AMPLITUDE: {
-        Loss.FIRST_IMPACT: 1.0,
-        Loss.ACCELERATION: 1.0,
-        Loss.RELEASE_RATE: 1.0,
-        Loss.NEAR_MISS: 1.0,
-    },
-    Loss.RELEASE_RATE: {Loss.FIRST_IMPACT: 3.0},
-    Loss.LOCK: {Loss.ACCELERATION: 1.0, Loss.ADHESION: 2.0},
-}
-"""What else vanishes with a margin, and with which power of it."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Threat:
-    """A margin that runs out.
-
-    Attributes:
-        margin: Which.
-        distance: Predicted distance along the family.
-        fall: Logarithm of its last fall.
-    """
-
-    margin: Margin
-    distance: float
-    fall: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class Stage:
-    """A place on the way to a loss.
-
-    Attributes:
-        z: Where, in any metric.
-        margins: What is left there.
-    """
-
-    z: Vector
-    margins: Mapping[Margin, float]
-
-
-def stages(points: Sequence[BranchPoint]) -> list[Stage]:
-    """Return points of a family as stages on the way to its end."""
-    return [Stage(z=point.z, margins=point.found.margins) for point in points]
-
-
-def threats(way: Sequence[Stage], restitution: float) -> list[Threat]:
-    """Return the margins that run out beyond the last stage, the nearest first.
-
-    Args:
-        way: Neighbours in order, at least two.
-        restitution: At the last one.
-    """
-    before, last = way[-2], way[-1]
-    step = float(np.linalg.norm(last.z - before.z))
-    found: dict[Margin, Threat] = {}
-    for margin, value in last.margins.items():
-        earlier = before.margins.get(margin)
-        if earlier is None or step == 0.0 or margin.loss is Loss.CUT:
-            continue
-        largest = max(stage.margins.get(margin, 0.0) for stage in way)
-        if 0.0 < value < min(earlier, _NEARLY * largest):
-            power = 1.0
-            if margin.loss is Loss.LOCK and restitution > 0.0:
-                power = 1 / separatrix(restitution).exponent
-            found[margin] = Threat(
-                margin=margin,
-                distance=step / ((earlier / value) ** power - 1),
-                fall=float(np.log(earlier / value)),
-            )
-    return _without_consequences(found)
-
-
-def _without_consequences(found: dict[Margin, Threat]) -> list[Threat]:
-    """Return threats without those that a greater one entails, by how fast they fall together.
-
-    Where the amplitude vanishes everything does that is no time, in proportion. Where the release
-    is not transversal the flight after it vanishes, and lands with the cube of the release's rate.
-    Where the locked arc vanishes, so does the acceleration at its start.
-    """
-    left = dict(found)
-    for margin, threat in found.items():
-        for loss, power in _ENTAILED.get(margin.loss, {}).items():
-            lesser = left.get(Margin(loss=loss, place=margin.place))
-            if lesser is not None and threat.fall > _TOGETHER * lesser.fall / power:
-                del left[lesser.margin]
-    return sorted(left.values(), key=lambda threat: threat.distance)
-
-
-CLOSE = 0.02
-"""Distance along a curve, in the ranges, at which what runs out is where it ends."""
-
-
-def meeting(way: Sequence[Stage], restitution: float, within: float = CLOSE) -> str:
-    """Return in words what else is lost where a curve of special points ends.
-
-    Two things happen there at once, a point of codimension two. Nothing is said if no margin runs
-    out near.
-
-    Args:
-        way: Points of the curve in order.
-        restitution: At the last one.
-        within: How far ahead a loss may be.
-    """
-    found: list[Threat] = []
-    for margin, value in way[-1].margins.items():
-        # A margin may waver on its last steps: what counts is whence it fell to what is left.
-        whence = [
-            k for k, stage in enumerate(way) if stage.margins.get(margin, 0.0) > _FALL * value
-        ]
-        if whence and value == 0.0:
-            last = float(np.linalg.norm(way[-1].z - way[whence[-1]].z))
-            found.append(Threat(margin=margin, distance=last, fall=np.inf))
-        elif whence:
-            fallen = threats((*way[: whence[-1] + 1], way[-1]), restitution)
-            found += [threat for threat in fallen if threat.margin == margin]
-    for threat in sorted(found, key=lambda threat: threat.distance):
-        if threat.distance < within:
-            word = ENDS[threat.margin.loss].value
-            return f"meets: {word}, within {threat.distance:.0e} of the ranges"
-    return ""
-
-
-_FALL = 1.5
-"""Fall of a margin that tells how far its end is."""
 
 
 def locate_end(
@@ -170,7 +27,7 @@ def locate_end(
     threat: Threat,
     restitution: Callable[[float], float],
 ) -> Located:
-    """Return the end of a family at which a margin is zero.
+    """Return the end of a family at which a margin is zero, by the name of what causes it.
 
     Args:
         returns: The return map.
@@ -182,10 +39,46 @@ def locate_end(
     Raises:
         ZenoOrbitsError: If it cannot be closed in on.
     """
+    found = _located(returns, metric, points, threat, restitution)
+    if not found.path:
+        return found
+    cause, *others = causes(stages([*points[-2:], *found.path]), threat.margin)
+    if cause.loss is Loss.ACCELERATION and restitution(float(found.point.s)) > 0.0:
+        raise SimulationError("The acceleration vanishes for no reason", time=0.0, state=())
+    if cause != threat.margin:
+        found = _better(found, returns, metric, points, replace(threat, margin=cause), restitution)
+    kinds = {ENDS[margin.loss]: None for margin in (cause, *others)}
+    name, *also = kinds
+    return replace(found, kind=name, place=cause.place, also=tuple(also))
+
+
+def _located(
+    returns: ReturnMap,
+    metric: Metric,
+    points: Sequence[BranchPoint],
+    threat: Threat,
+    restitution: Callable[[float], float],
+) -> Located:
     if threat.margin.loss is Loss.LOCK and restitution(points[-1].s) > 0.0:
         last, margin = points[-1], threat.margin
         return locate_cut(returns, metric, last, margin, threat.distance, restitution)
     return _approach(returns, metric, points[-2], points[-1], threat.margin)
+
+
+def _better(
+    found: Located,
+    returns: ReturnMap,
+    metric: Metric,
+    points: Sequence[BranchPoint],
+    cause: Threat,
+    restitution: Callable[[float], float],
+) -> Located:
+    """Return an end as its cause leads to it, if that tells better where it is."""
+    try:
+        other = _located(returns, metric, points, cause, restitution)
+    except ZenoOrbitsError:
+        return found
+    return other if other.error < found.error else found
 
 
 def _limits(before: BranchPoint, last: BranchPoint, gone: Margin) -> dict[Margin, float]:

@@ -117,7 +117,14 @@ def _special(track: Track, located: Located, index: int) -> SpecialPoint:
         period=located.period,
         margins=_named(located.margins, track.n_returns),
     )
-    return SpecialPoint(kind=located.kind, at=at, error=located.error, index=index)
+    also = ", ".join(kind.value for kind in located.also)
+    return SpecialPoint(
+        kind=located.kind,
+        at=at,
+        error=located.error,
+        index=index,
+        detail=f"together with: {also}" if also else "",
+    )
 
 
 def _end(track: Track, branch: Branch, last: BranchPoint, index: int) -> SpecialPoint:

@@ -69,6 +69,14 @@ class CompletedSystem:
     mechanism: HybridLagrangian
     drive: Drive
 
+    @property
+    def clock(self) -> tuple[int, ...]:
+        """Places of the clock in the state; none where nothing is forced."""
+        if self.mechanism.clock is None:
+            return ()
+        first = 2 * self.n_q + self.drive.current.numel()
+        return tuple(range(first, first + self.mechanism.clock.state.numel()))
+
 
 def complete(lagrangian: HybridLagrangian, drive: Drive, restitution: ca.SX) -> CompletedSystem:
     r"""Build the completed hybrid system of a mechanism, its drive and its stop.

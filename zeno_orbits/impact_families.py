@@ -15,7 +15,7 @@ from zeno_orbits.impact_returns import ImpactReturns
 from zeno_orbits.models import compiled_model
 from zeno_orbits.problem import Problem, Setting
 from zeno_orbits.simulate import simulate
-from zeno_orbits.tracks import ContinuationSettings, Course, Track, check_box, line_in
+from zeno_orbits.tracks import ContinuationSettings, Course, Root, Track, check_box, line_in
 
 _MOST_IMPACTS = 400
 _SETTLED = 1e-3
@@ -68,8 +68,8 @@ def continue_impacts(
         metric=Metric(scale=scale, unit=box[1] - box[0], horizon=_LONGER * flight),
         simulation=settings.simulation,
     )
-    track = Track(problem=problem, course=course)
-    return continuation_on(track, x, value, settings=settings, tell=tell, crew=crew)
+    root = Root(track=Track(problem=problem, course=course), x=x, s=value)
+    return continuation_on(root, settings=settings, tell=tell, crew=crew)
 
 
 def _settled(returns: ImpactReturns, state: Vector, s: float) -> tuple[Vector, float, Vector]:

@@ -162,8 +162,9 @@ class ReleaseReturns(SectionReturns):
         locked = next(arc for arc in reversed(arcs) if arc.mode is Mode.LOCKED)
         states = [found.start, zeno.state, run.impacts[0].state_plus]
         states += [_inside(arc, part) for arc in (flight, locked) for part in _PARTS]
+        ranges = np.delete(np.ptp(np.array(states), axis=0), self.compiled.clock)
         margins = {
-            Margin(loss=Loss.AMPLITUDE): float(np.max(np.ptp(np.array(states), axis=0))),
+            Margin(loss=Loss.AMPLITUDE): float(np.max(ranges)),
             Margin(loss=Loss.LOCK): found.locked_time.value,
             Margin(loss=Loss.ACCELERATION): -found.gap_acceleration.value,
             Margin(loss=Loss.FIRST_IMPACT): -found.first_rate.value,

@@ -14,8 +14,9 @@ from zeno_orbits.corrector import BranchPoint, Metric, correct
 from zeno_orbits.dynamics import Vector
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
 from zeno_orbits.families import Kind
-from zeno_orbits.family_ends import ENDS, Stage, Threat, locate_end, meeting
+from zeno_orbits.family_ends import locate_end
 from zeno_orbits.lock_ends import locate_cut_near
+from zeno_orbits.losses import ENDS, Stage, Threat, meeting
 from zeno_orbits.plane import CurveSteps, OnLine, Plane, Tell
 from zeno_orbits.return_maps import Loss, Margin, ReturnMap
 from zeno_orbits.sections import Line
@@ -193,6 +194,8 @@ class SecantCurve:
             before = last.before
         else:
             located, before = self._end(returns, line, z, last, across)
+        if located.kind is not self.kind:
+            raise SimulationError("What ends there is another end", time=0.0, state=())
         if not located.error < _CERTAIN:
             raise SimulationError("What ends there is not certain", time=0.0, state=())
         new_at = at + located.z[-1] * across

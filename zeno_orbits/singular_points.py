@@ -34,6 +34,7 @@ class Located:
         margins: How far the orbit is from each loss; at an end, the limits.
         place: At an end, the return in which it is, counted from 0.
         path: Points of the family on the way to an end, in order.
+        also: At an end of codimension two, what else happens there.
     """
 
     kind: Kind
@@ -44,6 +45,7 @@ class Located:
     margins: Mapping[Margin, float]
     place: int = 0
     path: tuple[BranchPoint, ...] = ()
+    also: tuple[Kind, ...] = ()
 
 
 def fold_test(point: BranchPoint) -> float:

@@ -14,7 +14,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.impact_returns import ImpactReturns
 from zeno_orbits.models import compiled_model
 from zeno_orbits.orbit import ZenoOrbit
-from zeno_orbits.plane import CurveSteps
+from zeno_orbits.plane import CurveSteps, Plane
 from zeno_orbits.problem import Problem, Setting
 from zeno_orbits.return_maps import Composed, ReleaseReturns, ReturnMap
 from zeno_orbits.sections import Line
@@ -113,6 +113,21 @@ class Track:
         return replace(self, course=replace(self.course, n_returns=2 * self.n_returns))
 
 
+@dataclass(frozen=True, kw_only=True)
+class Root:
+    """Where a family begins.
+
+    Attributes:
+        track: What it is followed on.
+        x: A state near a fixed point of the return map, ``(n_x,)``.
+        s: The parameter there.
+    """
+
+    track: Track
+    x: Vector
+    s: float
+
+
 def numbers(problem: Problem, orbit: ZenoOrbit) -> Vector:
     """Return the parameter vector of an orbit, ``(n_p,)``."""
     return np.array(orbit.setting(problem).values())
@@ -150,6 +165,52 @@ def track_of(
         simulation=settings.simulation,
     )
     return Track(problem=problem, course=course)
+
+
+def root_of(
+    problem: Problem,
+    orbit: ZenoOrbit,
+    parameter: str,
+    box: tuple[float, float],
+    settings: ContinuationSettings,
+) -> Root:
+    """Return an orbit's release as where its family begins.
+
+    Raises:
+        InputError: If a name or a range does not fit, or the orbit is of another scene.
+    """
+    return Root(
+        track=track_of(problem, orbit, parameter, box, settings),
+        x=np.array(problem.state_vector(orbit.release_state)),
+        s=float(numbers(problem, orbit)[problem.names.index(parameter)]),
+    )
+
+
+def plane_of(
+    problem: Problem,
+    orbit: ZenoOrbit,
+    names: tuple[str, str],
+    boxes: tuple[tuple[float, float], tuple[float, float]],
+) -> Plane:
+    """Return the plane of two parameters around an orbit's numbers.
+
+    Raises:
+        InputError: If a name or the second range does not fit.
+    """
+    if names[0] == names[1]:
+        raise InputError(f"Argument `second` must differ from `in`, but both are `{names[0]}`.")
+    p = numbers(problem, orbit)
+    for name in names:
+        line_in(problem, p, name)
+    first, second = (problem.names.index(name) for name in names)
+    check_box(problem, names[1], boxes[1], float(p[second]))
+    return Plane(
+        names=names,
+        places=(first, second),
+        box=np.array(boxes),
+        p=p,
+        restitution=problem.names.index("restitution"),
+    )
 
 
 def scale_of(problem: Problem, orbit: ZenoOrbit) -> Vector:
