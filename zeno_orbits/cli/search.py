@@ -19,7 +19,7 @@ from zeno_orbits.arguments import (
     read_seed,
     read_shape,
 )
-from zeno_orbits.cli.search_answer import answer, kept_as_derived
+from zeno_orbits.cli.search_answer import answer, far_from_own, kept_as_derived
 from zeno_orbits.cli.shared import (
     add_accuracy,
     add_command,
@@ -218,7 +218,8 @@ def _run_search(options: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         return interrupted(options, checkpoint)
     held = kept_as_derived(problem, setting, free)
-    code = answer(options, problem, result, objective if free else None, bounds, held)
+    far = far_from_own(problem, setting)
+    code = answer(options, problem, result, objective if free else None, bounds, held, far)
     if options.checkpoint is None and checkpoint is not None:
         remove_checkpoint(checkpoint)
     return code

@@ -25,6 +25,7 @@ def answer(
     objective: Objective | None,
     bounds: Sequence[Bound],
     held: Sequence[str],
+    far: Sequence[str] = (),
 ) -> int:
     """Print what a search found, write its orbit, and return the exit code.
 
@@ -35,6 +36,7 @@ def answer(
         objective: What was asked, if anything was free.
         bounds: What had to be kept.
         held: What does not follow the free parameters that it is derived from.
+        far: Sentences that may explain a failure, one for each number far from the scene's own.
     """
     from zeno_orbits.bounds import asked_and_reached
     from zeno_orbits.orbit import write_orbit
@@ -48,10 +50,12 @@ def answer(
                     "status": result.status.value,
                     "detail": result.detail,
                     "attempts": _attempts(result),
+                    "far": list(far),
                 }
             )
         else:
             report.print_search(result)
+            report.print_lines(far)
         return NO
     options.interrupts.check()
     best = result.candidates[0]
@@ -132,3 +136,20 @@ def kept_as_derived(
     except InputError:
         return [n.name for n in problem.parameters if n.default is None and n.name not in free]
     return [name for name in before if before[name] != after[name] and name not in free]
+
+
+_FAR = 100.0
+"""Factor by which a number differs from the scene's own when its unit may be mistaken."""
+
+
+def far_from_own(problem: Problem, setting: Setting) -> list[str]:
+    """Return the numbers that are far from the scene's own, each as a sentence."""
+    found: list[str] = []
+    for quantity in (*problem.gains, *problem.parameters):
+        own, given = quantity.default, setting.number(quantity.name)
+        if not own or not given or 1 / _FAR < abs(given / own) < _FAR:
+            continue
+        unit = "" if quantity.unit == "1" else f" {quantity.unit}"
+        times = f"{abs(given / own):.4g} times the scene's own {own:g}{unit}"
+        found.append(f"`{quantity.name}` is {given:g}{unit}, {times}: is that its unit?")
+    return found
