@@ -255,11 +255,13 @@ class ProgramBuilder:
         bounds = np.array([np.concatenate(side) for side in zip(*self._bounds, strict=True)])
         rows = np.array(self._row_bounds)
         unknowns = ca.vertcat(*(block.symbol for block in self._blocks))
-        plain, jacobian = self._resolved([ca.vertcat(*self._rows), self._jacobian(unknowns)])
+        cost = ca.MX(0) if objective is None else objective
+        asked = [ca.vertcat(*self._rows), self._jacobian(unknowns), cost]
+        plain, jacobian, cost, *reports = self._resolved([*asked, *self._reports.values()])
         return Program(
-            reports=dict(self._reports),
+            reports=dict(zip(self._reports, reports, strict=True)),
             unknowns=unknowns,
-            objective=ca.MX(0) if objective is None else objective,
+            objective=cost,
             rows=plain,
             jacobian=jacobian,
             names=dict(self._names),
