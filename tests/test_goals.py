@@ -330,6 +330,8 @@ def test_candidates_are_ranked_and_the_best_is_the_orbit(scene: Problem) -> None
         ({}, [Bound(name="spectral_radius", lower=0.1)], None, "from above only"),
         ({}, [Bound(name="spectral_radius", upper=0.0)], None, "by 0.0001 or more"),
         ({}, [Bound(name="spectral_radius", upper=9e-5)], None, "by 0.0001 or more"),
+        ({}, [Bound(name="margin", lower=1.0)], None, "a `margin` below 1"),
+        ({}, [Bound(name="period", upper=0.0)], None, "a positive `period`"),
         ({}, [Bound(name="period", upper=2.0)] * 2, None, "must bound `period` once"),
         ({"Kp": (1.0, 2.0)}, [], LeastPeak(signal="torque"), "`objective` must name .*`torque`"),
         ({"Kp": (1.0, 2.0)}, [], NearestGains(target={"R": 2.0}), "names `R`"),

@@ -116,3 +116,9 @@ def _check_bounds(problem: Problem, bounds: tuple[Bound, ...]) -> None:
         if bound.name == "spectral_radius" and bound.upper < LEAST_RADIUS:
             message = f"must bound `spectral_radius` by {LEAST_RADIUS:g} or more, as good as zero"
             raise InputError(f"Argument `keep` {message}, but it has {bound.text}.")
+        if bound.name == "margin" and bound.lower >= 1.0:
+            message = "must ask for a `margin` below 1, the share that is left"
+            raise InputError(f"Argument `keep` {message}, but it has {bound.text}.")
+        if bound.name == "period" and bound.upper <= 0.0:
+            message = "must leave a positive `period`"
+            raise InputError(f"Argument `keep` {message}, but it has {bound.text}.")
