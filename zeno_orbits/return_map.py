@@ -39,7 +39,7 @@ def section_map(terms: OrbitTerms) -> ca.MX:
     basis = _section_basis(terms, slope)
     d = basis.shape[1]
     if not 1 <= d <= MOST_COORDINATES:
-        wanted = f"must leave the contraction alone where the section has {d} coordinates"
+        wanted = f"or `keep` must leave multipliers alone where the section has {d} coordinates"
         reason = f"one to {MOST_COORDINATES} can be asked for"
         raise InputError(f"Argument `objective` {wanted}, but {reason}.")
     end, chart = terms.end, ca.mtimes(ca.DM(basis).T, terms.start / ca.DM(terms.scale))
