@@ -722,6 +722,16 @@ BAD_ARGUMENTS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "start inside the stop": (simulating("--start", "theta2=-0.1"), ("gap >= 0", "-0.1")),
     "objective unknown": (searching("--objective", "speed"), ("`objective`", "`speed`", "energy")),
     "objective empty": (searching("--objective", ""), ("`objective`", "energy")),
+    "objective twice": (
+        searching("--objective", "energy", "--objective", "margin"),
+        ("`objective`", "once", "energy, margin"),
+    ),
+    "number with an underscore": (searching("--fix", "Kp=2_5"), ("`Kp`", "`2_5`")),
+    "bounds with an underscore": (searching("--gain", "Kp=1_0:20"), ("`Kp`", "`1_0`")),
+    "radius too small": (
+        searching("--keep", "spectral_radius=:1e-5"),
+        ("`spectral_radius`", "0.0001", ":1e-05"),
+    ),
     "period without target": (searching("--objective", "period"), ("period", "number")),
     "period negative": (searching("--objective", "period=-1"), ("`objective`", "-1")),
     "period zero": (searching("--objective", "period=0"), ("`objective`", "positive")),

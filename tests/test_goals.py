@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from zeno_orbits.bounds import Bound
 from zeno_orbits.closing import close_orbit
 from zeno_orbits.errors import InputError
+from zeno_orbits.finds import Start
 from zeno_orbits.guess import SettlingSettings
+from zeno_orbits.hunt import Hunt
 from zeno_orbits.measures import measure
 from zeno_orbits.objectives import (
     FastestContraction,
@@ -24,9 +27,10 @@ from zeno_orbits.objectives import (
 )
 from zeno_orbits.orbit import ZenoOrbit
 from zeno_orbits.poincare import floquet_multipliers
-from zeno_orbits.problem import Problem
+from zeno_orbits.problem import Problem, load_problem
 from zeno_orbits.search import SearchSettings, SearchStatus, find_orbit, search_gains
 from zeno_orbits.simulate import SimulationSettings, simulate
+from zeno_orbits.trials import Trial, tried
 from zeno_orbits.verify import problem_dynamics
 
 ONCE = SearchSettings(n_starts=0)
@@ -138,21 +142,91 @@ def test_a_spectral_radius_is_kept(scene: Problem) -> None:
     assert 0.09 < extent.highest <= 0.1
 
 
-def test_bounds_that_contradict_each_other_are_named_with_what_they_lack(scene: Problem) -> None:
+def test_bounds_that_contradict_each_other_are_named_with_what_they_lack(
+    scene: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[Trial] = []
+
+    def and_one_that_is_worse(hunt: Hunt, *_: object) -> Generator[Trial]:
+        trial = tried(hunt, Start(setting=hunt.setting), None, 1)
+        told.append(trial)
+        yield replace(trial, detail="Twice as far.", shortfall=2 * trial.shortfall)
+        yield trial
+
+    monkeypatch.setattr("zeno_orbits.search.trials_here", and_one_that_is_worse)
     result = search_gains(
         scene,
         scene.setting(),
         free={"Kd": (-1.05, -0.95)},
         bounds=[Bound(name="theta2", upper=1.5), Bound(name="period", lower=1.7)],
-        settings=ONCE,
     )
     assert result.status is SearchStatus.NOT_SOLVED
-    assert "The bounds cannot all be kept" in result.detail
+    # Of two starts that fail the one is told that comes nearest.
+    assert result.detail == told[0].detail
+    assert "No orbit was found that keeps all bounds" in result.detail
     assert "`theta2` leaves :1.5 by 0." in result.detail
     assert "`period`" not in result.detail
     lacking = float(result.detail.split("`theta2` leaves :1.5 by ")[1].rstrip("."))
     least = _scan(scene, "Kd", [-1.05, -0.95], "theta2")
     assert lacking == pytest.approx(min(least) - 1.5, rel=1e-2)
+    # In units of the largest value in the guess, which is one of an orbit in the box.
+    assert lacking / (max(least) + 0.01) < told[0].shortfall < lacking / (min(least) - 0.01)
+
+
+@pytest.mark.slow
+def test_the_nearest_orbit_to_bounds_that_no_gains_keep_is_that_of_a_scan(scene: Problem) -> None:
+    radius, current = 0.2, 2.0
+    box = {gain.name: (gain.lower, gain.upper) for gain in scene.gains}
+    result = search_gains(
+        scene,
+        scene.setting(),
+        free=box,
+        objective=LeastEnergy(),
+        bounds=[
+            Bound(name="spectral_radius", upper=radius),
+            Bound(name="current", lower=-current, upper=current),
+        ],
+        settings=ONCE,
+    )
+    assert result.status is SearchStatus.NOT_SOLVED
+    assert result.detail.startswith("No orbit was found that keeps all bounds; nearest to it, at")
+    assert "(Kp at its bound 1)" in result.detail
+    # Simulation alone: on no line of fixed Kp do the two intervals of Kd meet, least so at Kp = 1.
+    lacks: list[float] = []
+    for proportional in (1.0, 1.2, 2.0, 3.0):
+
+        def peak(derivative: float, Kp: float = proportional) -> float:
+            return _scan(scene, "Kd", [derivative], "current", Kp=Kp)[0] - current
+
+        there = float(brentq(peak, -1.0, -0.5, xtol=1e-6))
+        lacks += _scan(scene, "Kd", [there], "spectral_radius", Kp=proportional)
+        # Less Kd against gravity, more current; more Kd, slower contraction.
+        assert peak(there - 0.05) > 0.0
+        assert _scan(scene, "Kd", [there + 0.05], "spectral_radius", Kp=proportional) > lacks[-1:]
+    assert lacks == sorted(lacks)
+    lacking = float(result.detail.split("leaves :0.2 by ")[1].rstrip("."))
+    assert lacking == pytest.approx(lacks[0] - radius, rel=1e-2)
+
+
+@pytest.mark.slow
+def test_a_spectral_radius_is_kept_where_the_section_has_three_coordinates() -> None:
+    scene = load_problem("two_motors")
+    here, asked = scene.setting().number("Kd"), 0.1
+    result = search_gains(
+        scene,
+        scene.setting(),
+        free={"Kd": (-1.2, -0.8)},
+        bounds=[Bound(name="spectral_radius", upper=asked)],
+        settings=ONCE,
+    )
+    assert result.candidates[0].extents["spectral_radius"].highest <= asked
+
+    def radius(value: float) -> float:
+        return _scan(scene, "Kd", [value], "spectral_radius")[0] - asked
+
+    assert radius(here) > 0.0
+    nearest = float(brentq(radius, here, here + 0.1, xtol=1e-9))
+    assert result.unwrap().gains["Kd"] == pytest.approx(nearest, abs=1e-6)
 
 
 def test_an_orbit_at_fixed_numbers_that_passes_a_bound_is_refused(scene: Problem) -> None:
@@ -254,7 +328,10 @@ def test_candidates_are_ranked_and_the_best_is_the_orbit(scene: Problem) -> None
         ({"Q": (1.0, 2.0)}, [], None, "`free` must be one of Kp, .*R.*, but it is `Q`"),
         ({}, [Bound(name="angle", upper=1.0)], None, "`keep` must name a quantity .*`angle`"),
         ({}, [Bound(name="spectral_radius", lower=0.1)], None, "from above only"),
-        ({}, [Bound(name="spectral_radius", upper=0.0)], None, "by a positive number"),
+        ({}, [Bound(name="spectral_radius", upper=0.0)], None, "by 0.0001 or more"),
+        ({}, [Bound(name="spectral_radius", upper=9e-5)], None, "by 0.0001 or more"),
+        ({}, [Bound(name="margin", lower=1.0)], None, "a `margin` below 1"),
+        ({}, [Bound(name="period", upper=0.0)], None, "a positive `period`"),
         ({}, [Bound(name="period", upper=2.0)] * 2, None, "must bound `period` once"),
         ({"Kp": (1.0, 2.0)}, [], LeastPeak(signal="torque"), "`objective` must name .*`torque`"),
         ({"Kp": (1.0, 2.0)}, [], NearestGains(target={"R": 2.0}), "names `R`"),

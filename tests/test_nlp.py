@@ -16,7 +16,7 @@ from zeno_orbits.nlp import (
     row_rounding,
     solve,
 )
-from zeno_orbits.program import Program, ProgramBuilder
+from zeno_orbits.program import Derived, Program, ProgramBuilder
 
 G = 9.81
 TIGHT = 1e-9
@@ -235,3 +235,39 @@ def test_a_steep_row_that_cannot_be_met_is_still_missed() -> None:
     solution = solve(builder.build())
     assert solution.status not in (SolveStatus.SOLVED, SolveStatus.ACCEPTABLE)
     assert solution.worst(1)[0][1] > 0.1
+
+
+def _inverse_of_a_sum(slope_factor: float) -> tuple[ProgramBuilder, ca.MX]:
+    """Return a program of two numbers, and the inverse of their sum by a linear equation."""
+    builder = ProgramBuilder()
+    first, second = (builder.variable(name, 1.0, scale=2.0)[0, 0] for name in ("a", "b"))
+    inverse = ca.solve(first + second, ca.MX(1), "qr")
+    # The unknowns are scaled: a change of one of them by 1 changes its number by 2.
+    slope = -slope_factor * 2.0 * inverse**2 * ca.MX.ones(1, 2)
+    return builder, builder.derived("inverse", Derived(value=inverse, slope=slope))
+
+
+def test_a_quantity_that_linear_equations_give_is_one_of_rows_cost_and_reports() -> None:
+    builder, inverse = _inverse_of_a_sum(1.0)
+    third = builder.variable("c", 3.0)[0, 0]
+    builder.equal("c is the inverse", third - inverse)
+    builder.at_least_zero("a", builder.at_guess(inverse) - inverse)
+    builder.report("twice", 2 * inverse)
+    program = builder.build((inverse - 0.25) ** 2)
+    at = ca.Function("at", [program.unknowns], [program.rows, program.jacobian])
+    rows, jacobian = at([1.0, 1.5, 0.5])
+    assert rows.full().ravel() == pytest.approx([0.5 - 1 / 5, 0.5 - 1 / 5])
+    expected = [[2 / 25, 2 / 25, 1.0], [2 / 25, 2 / 25, 0.0]]
+    assert jacobian.full() == pytest.approx(np.array(expected))
+    solution = solve(program, IpoptSettings(hessian=Hessian.LIMITED_MEMORY))
+    assert solution.status is SolveStatus.SOLVED
+    assert solution.values["a"][0, 0] + solution.values["b"][0, 0] == pytest.approx(4.0, rel=1e-4)
+    assert solution.values["twice"][0, 0] == pytest.approx(2 * solution.values["c"][0, 0])
+
+
+def test_a_wrong_derivative_of_such_a_quantity_is_seen_in_the_rows() -> None:
+    builder, inverse = _inverse_of_a_sum(1.1)
+    builder.equal("inverse", inverse)
+    program = builder.build()
+    slope = ca.Function("slope", [program.unknowns], [program.jacobian])([1.0, 1.5])
+    assert slope.full() == pytest.approx(np.full((1, 2), -1.1 * 2 / 25))

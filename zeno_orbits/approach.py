@@ -154,9 +154,15 @@ def from_cycle(hunt: Hunt, setting: Setting, cycle: Cycle) -> Find:
     if find.status is SearchStatus.FOUND or not hunt.free:
         return find
     if hunt.bounds:
-        setting, cycle, complaint = where_bounds_are_kept(hunt, setting, cycle)
-        if complaint:
-            return replace(find, status=SearchStatus.NOT_SOLVED, detail=complaint)
+        setting, cycle, lacking = where_bounds_are_kept(hunt, setting, cycle)
+        if lacking is not None:
+            return replace(
+                find,
+                status=lacking.status,
+                detail=lacking.detail,
+                orbit=None,
+                shortfall=lacking.shortfall,
+            )
     hunt.tell(f"walking toward {objective.wish}")
     walked = in_small_steps(hunt, setting, cycle, objective)
     if walked.status is SearchStatus.FOUND:
@@ -180,8 +186,13 @@ def in_small_steps(hunt: Hunt, setting: Setting, cycle: Cycle, objective: Object
     return hunt.refine(stop.setting, stop.cycle, objective, origin)
 
 
-def where_bounds_are_kept(hunt: Hunt, setting: Setting, cycle: Cycle) -> tuple[Setting, Cycle, str]:
-    """Walk to where the bounds are passed least; say which cannot be kept, if any."""
+def where_bounds_are_kept(
+    hunt: Hunt, setting: Setting, cycle: Cycle
+) -> tuple[Setting, Cycle, Find | None]:
+    """Walk to where the bounds are passed least; say by how much, if any is passed there.
+
+    It is the least near where the walk began: another start may come nearer.
+    """
     hunt.tell("looking for where the bounds are kept")
     origin = setting
 
@@ -190,18 +201,24 @@ def where_bounds_are_kept(hunt: Hunt, setting: Setting, cycle: Cycle) -> tuple[S
 
     stop = walk(hunt, setting, cycle, solve)
     if stop.find is None or stop.find.solution is None:
-        return setting, cycle, ""
-    solution = stop.find.solution
+        return setting, cycle, None
+    values = stop.find.solution.values
+    slacks = [float(values[f"slack {k}"][0, 0]) for k in range(len(hunt.bounds))]
     broken = [
-        f"`{bound.name}` leaves {bound.text} by {float(solution.values[f'excess {k}'][0, 0]):.3g}"
+        f"`{bound.name}` leaves {bound.text} by {float(values[f'excess {k}'][0, 0]):.3g}"
         for k, bound in enumerate(hunt.bounds)
-        if float(solution.values[f"slack {k}"][0, 0]) > _VIOLATED
+        if slacks[k] > _VIOLATED
     ]
     if not broken or not stop.arrived:
-        return stop.setting, stop.cycle, ""
+        return stop.setting, stop.cycle, None
     where = listed({name: stop.setting.number(name) for name in hunt.free})
-    complaint = f"The bounds cannot all be kept; nearest to it, at {where}, {', '.join(broken)}."
-    return stop.setting, stop.cycle, complaint
+    detail = f"No orbit was found that keeps all bounds; nearest to it, at {where}"
+    lacking = Find(
+        status=SearchStatus.NOT_SOLVED,
+        detail=f"{detail}{_held(hunt, stop.setting)}, {', '.join(broken)}.",
+        shortfall=sum(slacks),
+    )
+    return stop.setting, stop.cycle, lacking
 
 
 def toward(
@@ -246,15 +263,9 @@ def _short_of(
     last: Find | None,
 ) -> Find:
     """Return a failure that says how near a wanted value came, and what held it."""
-    held = [
-        f"{name} at its bound {bound:g}"
-        for name, bounds in hunt.free.items()
-        for bound in bounds
-        if abs(setting.number(name) - bound) <= _AT_BOUND * (bounds[1] - bounds[0])
-    ]
     at = listed(hunt.numbers(setting))
     reached = f"The nearest that was reached is {replace(wanted, target=here).wish}, at {at}"
-    detail = f"{reached} ({', '.join(held)})" if held else reached
+    detail = f"{reached}{_held(hunt, setting)}"
     miss = abs(wanted.target - here)
     return replace(
         last or Find(status=SearchStatus.NOT_SOLVED),
@@ -263,6 +274,17 @@ def _short_of(
         orbit=None,
         shortfall=miss,
     )
+
+
+def _held(hunt: Hunt, setting: Setting) -> str:
+    """Return which free numbers are at a bound of their box, in brackets."""
+    held = [
+        f"{name} at its bound {bound:g}"
+        for name, bounds in hunt.free.items()
+        for bound in bounds
+        if abs(setting.number(name) - bound) <= _AT_BOUND * (bounds[1] - bounds[0])
+    ]
+    return f" ({', '.join(held)})" if held else ""
 
 
 def _why(last: Find | None) -> str:

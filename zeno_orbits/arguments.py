@@ -113,7 +113,8 @@ def read_range(entry: str, option: str) -> tuple[str, tuple[float, float]]:
 def read_number(text: str, name: str) -> float:
     """Return a number, or say which name has none."""
     try:
-        return float(text)
+        # Python reads 1_5 as 15; whoever types it means 1.5 or a range.
+        return float("" if "_" in text else text)
     except ValueError:
         raise InputError(f"Argument `{name}` must be a number, but it is `{text}`.") from None
 
@@ -131,6 +132,13 @@ def read_grid(text: str) -> tuple[int, int]:
     if not sign:
         raise argparse.ArgumentTypeError(f"must be NxM, 50x50 for instance, but it is `{text}`")
     return read_count(first), read_count(second)
+
+
+def read_once(texts: Sequence[str], option: str, otherwise: str) -> str:
+    """Return what an option says that may be given once only, where the last would win silently."""
+    if len(texts) > 1:
+        raise InputError(f"Argument `{option}` must be given once, but it is {', '.join(texts)}.")
+    return texts[0] if texts else otherwise
 
 
 def read_seed(text: str) -> int:

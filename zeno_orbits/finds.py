@@ -123,7 +123,8 @@ class Find:
         agreement: Relative difference of solution and simulation.
         closure_error: Estimated error of the Zeno closure, relative.
         n_unknowns: Unknowns of the program.
-        shortfall: How far from a wanted value the start ended.
+        shortfall: How far from a wanted value the start ended, or by how much it passes its bounds,
+            in units of their sizes.
         excesses: Name of each bound to what a simulation of the solution passes it by.
     """
 

@@ -100,6 +100,20 @@ class Block:
     guess: Array
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Derived:
+    """A quantity that the unknowns determine by way of linear equations, and its own derivative.
+
+    Attributes:
+        value: The quantity, ``(n, m)``.
+        slope: Derivative of its columns, one below the other, by the unknowns that were declared
+            when it was made, ``(n m, k)``.
+    """
+
+    value: ca.MX
+    slope: ca.MX
+
+
 class ProgramBuilder:
     """Collects unknowns and rows; the only thing here that accumulates."""
 
@@ -115,6 +129,7 @@ class ProgramBuilder:
         self._row_bounds: list[tuple[float, float]] = []
         self._equations: list[Equation] = []
         self._reports: dict[str, ca.MX] = {}
+        self._derived: list[tuple[ca.MX, Derived]] = []
         self._size = 0
 
     def variable(
@@ -218,11 +233,18 @@ class ProgramBuilder:
         """The rows that have been required to vanish."""
         return tuple(self._equations)
 
+    def derived(self, name: str, quantity: Derived) -> ca.MX:
+        """Name a derived quantity and return it, to be used in rows."""
+        symbol = ca.MX.sym(name, *quantity.value.shape)
+        self._derived.append((symbol, quantity))
+        return symbol
+
     def at_guess(self, expression: ca.MX) -> ca.DM:
         """Return the value of an expression at the first values of the unknowns."""
         unknowns = ca.vertcat(*(block.symbol for block in self._blocks))
         guess = np.concatenate(self._guess)
-        return ca.DM(ca.Function("at_guess", [unknowns], [expression])(guess))
+        (plain,) = self._resolved([expression])
+        return ca.DM(ca.Function("at_guess", [unknowns], [plain])(guess))
 
     def report(self, name: str, expression: ca.MX) -> None:
         """Ask for the value of an expression at the solution."""
@@ -233,12 +255,15 @@ class ProgramBuilder:
         bounds = np.array([np.concatenate(side) for side in zip(*self._bounds, strict=True)])
         rows = np.array(self._row_bounds)
         unknowns = ca.vertcat(*(block.symbol for block in self._blocks))
+        cost = ca.MX(0) if objective is None else objective
+        asked = [ca.vertcat(*self._rows), self._jacobian(unknowns), cost]
+        plain, jacobian, cost, *reports = self._resolved([*asked, *self._reports.values()])
         return Program(
-            reports=dict(self._reports),
+            reports=dict(zip(self._reports, reports, strict=True)),
             unknowns=unknowns,
-            objective=ca.MX(0) if objective is None else objective,
-            rows=ca.vertcat(*self._rows),
-            jacobian=rows_jacobian(self._origins, unknowns),
+            objective=cost,
+            rows=plain,
+            jacobian=jacobian,
             names=dict(self._names),
             row_names=tuple(self._row_names),
             scales=np.concatenate(self._scales),
@@ -248,6 +273,25 @@ class ProgramBuilder:
             row_lower=rows[:, 0],
             row_upper=rows[:, 1],
         )
+
+    def _jacobian(self, unknowns: ca.MX) -> ca.MX:
+        """Return the derivative of the rows by the unknowns, by way of what is derived, too."""
+        symbols = [ca.vec(symbol) for symbol, _ in self._derived]
+        whole = rows_jacobian(self._origins, ca.vertcat(unknowns, *symbols))
+        n = unknowns.numel()
+        slopes = [
+            ca.horzcat(one.slope, ca.MX(one.slope.shape[0], n - one.slope.shape[1]))
+            for _, one in self._derived
+        ]
+        return whole[:, :n] + ca.mtimes(whole[:, n:], ca.vertcat(ca.MX(0, n), *slopes))
+
+    def _resolved(self, expressions: Sequence[ca.MX]) -> list[ca.MX]:
+        """Return expressions with derived quantities in the unknowns."""
+        if not self._derived:
+            return list(expressions)
+        symbols = [symbol for symbol, _ in self._derived]
+        values = [one.value for _, one in self._derived]
+        return ca.graph_substitute(list(expressions), symbols, values)
 
     def _constrain_along(
         self,

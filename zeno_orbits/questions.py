@@ -18,6 +18,7 @@ from zeno_orbits.objectives import (
 )
 from zeno_orbits.orbit import ZenoOrbit
 from zeno_orbits.problem import Problem, Quantity, Setting
+from zeno_orbits.return_map import LEAST_RADIUS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,6 +113,12 @@ def _check_bounds(problem: Problem, bounds: tuple[Bound, ...]) -> None:
         if bound.name == "spectral_radius" and not math.isinf(bound.lower):
             message = "must bound `spectral_radius` from above only"
             raise InputError(f"Argument `keep` {message}, but it has {bound.text}.")
-        if bound.name == "spectral_radius" and bound.upper <= 0.0:
-            message = "must bound `spectral_radius` by a positive number"
+        if bound.name == "spectral_radius" and bound.upper < LEAST_RADIUS:
+            message = f"must bound `spectral_radius` by {LEAST_RADIUS:g} or more, as good as zero"
+            raise InputError(f"Argument `keep` {message}, but it has {bound.text}.")
+        if bound.name == "margin" and bound.lower >= 1.0:
+            message = "must ask for a `margin` below 1, the share that is left"
+            raise InputError(f"Argument `keep` {message}, but it has {bound.text}.")
+        if bound.name == "period" and bound.upper <= 0.0:
+            message = "must leave a positive `period`"
             raise InputError(f"Argument `keep` {message}, but it has {bound.text}.")

@@ -13,9 +13,9 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.linear_algebra import null_space
 from zeno_orbits.program import Array, ProgramBuilder
 from zeno_orbits.shooting import OrbitTerms
-from zeno_orbits.tangents import first_directions, tangent
+from zeno_orbits.tangents import carried
 
-MOST_COORDINATES = 2
+MOST_COORDINATES = 6
 """Dimension of the release section up to which trace and determinant tell the spectral radius."""
 
 LEAST_RADIUS = 1e-4
@@ -39,7 +39,7 @@ def section_map(terms: OrbitTerms) -> ca.MX:
     basis = _section_basis(terms, slope)
     d = basis.shape[1]
     if not 1 <= d <= MOST_COORDINATES:
-        wanted = f"must leave the contraction alone where the section has {d} coordinates"
+        wanted = f"or `keep` must leave multipliers alone where the section has {d} coordinates"
         reason = f"one to {MOST_COORDINATES} can be asked for"
         raise InputError(f"Argument `objective` {wanted}, but {reason}.")
     end, chart = terms.end, ca.mtimes(ca.DM(basis).T, terms.start / ca.DM(terms.scale))
@@ -48,43 +48,73 @@ def section_map(terms: OrbitTerms) -> ca.MX:
     if terms.shape.starts_at_release:
         ends = terms.compiled.contact(end, terms.p)[3] / float(np.max(np.abs(slope)))
     n_ends = ends.numel()
-    extra = ca.vertcat(ends, chart)
     targets = np.vstack([np.zeros((n_ends, d)), np.eye(d)])
-    firsts = first_directions(program, terms.motion, extra, targets)
-    columns: list[ca.MX] = []
-    for k, first in enumerate(firsts):
-        label = f"neighbour {k + 1}"
-        moved, direction = tangent(program, terms.motion, label=label, first=first)
-        along = ca.jtimes(ca.vertcat(extra, end / ca.DM(terms.scale)), moved, direction)
-        program.equal(f"{label}: multiplier = 0 at its release", along[:n_ends])
-        place = along[n_ends : n_ends + d]
-        program.equal(f"{label}: its start", place - ca.DM(targets[n_ends:, k]))
-        columns.append(ca.mtimes(ca.DM(basis).T, along[n_ends + d :]))
-    return ca.horzcat(*columns)
+    arrival = ca.mtimes(ca.DM(basis).T, end / ca.DM(terms.scale))
+    slope_of_map = carried(program, terms.motion, ca.vertcat(ends, chart), targets, arrival)
+    return program.derived("slope of the return map", slope_of_map)
 
 
 def keep_radius_below(program: ProgramBuilder, jacobian: ca.MX, radius: ca.MX | float) -> None:
     r"""Require all multipliers to be at most a radius in size.
 
-    .. math:: 1 \pm \frac{\operatorname{tr} A}{\rho} + \frac{\det A}{\rho^2} \ge 0, \qquad
-        \frac{\det A}{\rho^2} \le 1
-
-    Jury's conditions on :math:`A / \rho` (theory (31)); one coordinate needs the first two alone.
+    Jury's conditions on the characteristic polynomial of :math:`A / \rho` (theory (31)), which two
+    or more multipliers meet exactly if all of them lie in the unit disc.
     """
-    one = jacobian.shape[0] == 1
-    trace = ca.trace(jacobian) / radius
-    # CasADi differentiates its own determinant by the inverse, and one multiplier is often zero.
-    determinant = ca.MX(0) if one else _determinant(jacobian) / radius**2
-    for sign, word in ((1, "not below -"), (-1, "not above ")):
-        name = f"multipliers: real ones {word}the spectral radius"
-        program.at_least_zero(name, 1 + sign * trace + determinant)
-    if not one:
-        name = "multipliers: complex ones not above the spectral radius"
-        program.at_least_zero(name, 1 - determinant)
+    d = jacobian.shape[0]
+    entries, size = ca.SX.sym("A", d, d), ca.SX.sym("radius")
+    coefficients = _characteristic(entries)
+    scaled = [one / size ** (d - k) for k, one in enumerate(coefficients)]
+    rows = ca.Function("jury", [entries, size], [ca.vertcat(*_jury(scaled))])(jacobian, radius)
+    names = [f"multipliers: real ones not {word} the spectral radius" for word in _REAL]
+    names += [_COMPLEX] * (rows.numel() - 2)
+    for k, name in enumerate(names):
+        program.at_least_zero(name, rows[k])
 
 
-def _determinant(matrix: ca.MX) -> ca.MX:
-    return matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0]
+_REAL = ("above", "below -")
+_COMPLEX = "multipliers: complex ones not above the spectral radius"
+
+
+def _characteristic(matrix: ca.SX) -> list[ca.SX]:
+    r"""Return the coefficients of :math:`\det(z - A)` from :math:`z^0` on; the last one is 1.
+
+    Faddeev and LeVerrier's recurrence: no division, as a multiplier is often zero.
+    """
+    d = matrix.shape[0]
+    found = [ca.SX(1)]
+    power = ca.SX.eye(d)
+    for k in range(1, d + 1):
+        moved = ca.mtimes(matrix, power)
+        found.insert(0, -ca.trace(moved) / k)
+        power = moved + found[0] * ca.SX.eye(d)
+    return found
+
+
+def _jury(a: list[ca.SX]) -> list[ca.SX]:
+    r"""Return what is positive exactly if all roots of a polynomial lie inside the unit circle.
+
+    .. math:: p(1), \quad (-1)^d p(-1), \quad \text{and the inners of}\quad
+        X \pm Y, \quad X_{ij} = a_{d-j+i}, \quad Y_{ij} = a_{i+j-d+2}
+
+    with :math:`i, j` from 0 to :math:`d - 2`, and zero where :math:`a` has no such place. Inners
+    are what is left when the first and last rows and columns are taken away, again and again.
+    """
+    d = len(a) - 1
+    rows = [sum(a, ca.SX(0)), sum(((-1) ** (d - k) * one for k, one in enumerate(a)), ca.SX(0))]
+    for sign in (-1, 1):
+        whole = ca.SX(d - 1, d - 1)
+        for i in range(d - 1):
+            for j in range(d - 1):
+                whole[i, j] = (a[d - j + i] if j >= i else 0) + (
+                    sign * a[i + j - d + 2] if i + j >= d - 2 else 0
+                )
+        # For two multipliers the other sign is the sum of both first rows.
+        if d == 2 and sign > 0:
+            continue
+        for cut in range(d // 2):
+            inner = whole[cut : d - 1 - cut, cut : d - 1 - cut]
+            rows.append(ca.det(inner))
+    return rows
 
 
 def radius_of(jacobian: Array) -> float:

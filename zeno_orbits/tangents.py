@@ -7,14 +7,13 @@ equation of the discretised motion, impacts and Zeno limit included (theory (30)
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from zeno_orbits.program import Along, Array, Block, Equation, ProgramBuilder
+from zeno_orbits.program import Along, Array, Block, Derived, Equation, ProgramBuilder
 from zeno_orbits.sensitivity import MappedRows, rows_jacobian
 
 
@@ -31,86 +30,82 @@ class Motion:
     equations: tuple[Equation, ...]
 
 
-def tangent(
-    program: ProgramBuilder,
-    motion: Motion,
-    *,
-    label: str,
-    first: Mapping[str, Array],
-) -> tuple[ca.MX, ca.MX]:
-    """Declare a direction in which a motion may move, and its equations.
+def carried(
+    program: ProgramBuilder, motion: Motion, start: ca.MX, targets: Array, end: ca.MX
+) -> Derived:
+    r"""Return how the end of a motion moves with its start, and how that changes.
+
+    .. math:: A = C\,\delta z, \quad \begin{pmatrix} G' \\ s' \end{pmatrix} \delta z
+        = \begin{pmatrix} 0 \\ E \end{pmatrix}, \qquad
+        \frac{dA_{jk}}{du} = \frac{\partial}{\partial u} \Bigl( c_j\,\delta z_k
+        - w_j^\top \begin{pmatrix} G' \\ s' \end{pmatrix} \delta z_k \Bigr), \quad
+        w_j^\top \begin{pmatrix} G' \\ s' \end{pmatrix} = c_j
 
     Args:
         program: The program of the motion.
         motion: The motion.
-        label: How the direction is called; it goes before the names of blocks and rows.
-        first: Name of each block to first values of its part of the direction.
+        start: Expressions :math:`s` whose derivatives along a direction are prescribed, ``(m,)``.
+        targets: These derivatives :math:`E`, ``(m, n_directions)``.
+        end: Expressions whose derivatives :math:`C` are wanted, ``(n_end,)``.
 
     Returns:
-        All unknowns of the motion, scaled, and the direction, scaled alike, each ``(n,)``.
+        :math:`A`, ``(n_end, n_directions)``, and its derivative by all unknowns declared so far.
     """
-    unknowns = ca.vertcat(*(block.symbol for block in motion.blocks))
-    parts: list[ca.MX] = []
-    for block in motion.blocks:
-        name = f"{label}: {block.name}"
-        part = program.variable(name, first[block.name], scale=block.scale)
-        parts.append(ca.vec(part / ca.DM(np.repeat(block.scale[:, None], part.shape[1], axis=1))))
-    direction = ca.vertcat(*parts)
+    moving = ca.vertcat(*(block.symbol for block in motion.blocks))
+    unknowns = ca.vertcat(*(block.symbol for block in program.blocks))
+    matrix = _jacobian(motion, start, moving)
+    by_end = ca.jacobian(end, moving)
+    right = ca.DM(matrix.shape[0], targets.shape[1])
+    right[-targets.shape[0] :, :] = targets
+    directions = ca.solve(matrix, ca.MX(right), _LINEAR)
+    weights = ca.solve(matrix.T, ca.densify(by_end.T), _LINEAR)
+    bend = _bend(motion, start, end, moving, unknowns)
+    rows = [
+        bend(unknowns, directions[:, k], weights[:, j], ca.DM.eye(end.numel())[:, j]).T
+        for k in range(targets.shape[1])
+        for j in range(end.numel())
+    ]
+    return Derived(value=ca.mtimes(by_end, directions), slope=ca.vertcat(*rows))
+
+
+_LINEAR = "qr"
+"""CasADi's sparse QR; its sparse LU, unpivoted, missed such equations by 1e-7 and more."""
+
+
+def _bend(motion: Motion, start: ca.MX, end: ca.MX, moving: ca.MX, unknowns: ca.MX) -> ca.Function:
+    """Return the gradient by the unknowns of ``c end' v - w (G', start') v``, of u, v, w and c."""
+    along = ca.MX.sym("v", moving.numel())
+    weights = ca.MX.sym("w", moving.numel())
+    chosen = ca.MX.sym("c", end.numel())
+    total = ca.dot(chosen, ca.jtimes(end, moving, along))
     derivatives: dict[int, ca.Function] = {}
+    place = 0
     for equation in motion.equations:
-        origin = equation.origin
-        if not isinstance(origin, Along):
-            row = ca.jtimes(origin, unknowns, direction)
-            program.equal(_named(label, equation.names), row, scale=equation.scale)
-            continue
-        key = hash(origin.function)
-        if key not in derivatives:
-            derivatives[key] = _directional(origin.function)
-        moves = [ca.jtimes(part, unknowns, direction) for part in origin.parts]
-        shaped = [
-            ca.densify(ca.reshape(move, *part.shape))
-            for move, part in zip(moves, origin.parts, strict=True)
-        ]
-        program.equal_along(
-            _named(label, equation.names),
-            derivatives[key],
-            (*origin.parts, *shaped),
-            scale=equation.scale,
-        )
-    return unknowns, direction
+        rows = _moved(equation, moving, along, derivatives)
+        total -= ca.dot(weights[place : place + rows.numel()], rows)
+        place += rows.numel()
+    total -= ca.dot(weights[place:], ca.jtimes(start, moving, along))
+    inputs = [unknowns, along, weights, chosen]
+    return ca.Function("bend", inputs, [ca.densify(ca.gradient(total, unknowns))])
 
 
-def first_directions(
-    program: ProgramBuilder, motion: Motion, extra: ca.MX, targets: Array
-) -> list[Mapping[str, Array]]:
-    """Return the directions at the guess, one for every column of targets.
-
-    Args:
-        program: The program of the motion.
-        motion: The motion.
-        extra: Expressions whose derivatives along a direction are prescribed, ``(m,)``.
-        targets: These derivatives, ``(m, n_directions)``.
-    """
-    from scipy.sparse.linalg import splu
-
-    unknowns = ca.vertcat(*(block.symbol for block in motion.blocks))
-    jacobian = _jacobian(motion, extra, unknowns)
-    matrix = program.at_guess(jacobian).sparse().tocsc()
-    right = np.zeros((matrix.shape[0], targets.shape[1]))
-    right[-targets.shape[0] :] = targets
-    found = np.asarray(cast("Any", splu(matrix)).solve(right), dtype=np.float64)
-    return [_in_blocks(motion, found[:, k]) for k in range(targets.shape[1])]
-
-
-def _in_blocks(motion: Motion, column: Array) -> dict[str, Array]:
-    """Return the parts of a scaled direction, in the units and shapes of its blocks."""
-    parts: dict[str, Array] = {}
-    start = 0
-    for block in motion.blocks:
-        piece = column[start : start + block.guess.size]
-        parts[block.name] = piece.reshape(block.guess.shape, order="F") * block.scale[:, None]
-        start += block.guess.size
-    return parts
+def _moved(
+    equation: Equation, moving: ca.MX, along: ca.MX, derivatives: dict[int, ca.Function]
+) -> ca.MX:
+    """Return the derivative of scaled rows along a direction, ``(n,)``."""
+    origin = equation.origin
+    if not isinstance(origin, Along):
+        scaled: ca.MX = origin / equation.scale
+        return ca.vec(ca.jtimes(ca.vec(scaled), moving, along))
+    key = hash(origin.function)
+    if key not in derivatives:
+        derivatives[key] = _directional(origin.function)
+    n = origin.parts[0].numel() // origin.function.numel_in(0)
+    moves = [
+        ca.densify(ca.reshape(ca.jtimes(part, moving, along), *part.shape)) for part in origin.parts
+    ]
+    rows = derivatives[key].map(n)(*origin.parts, *moves)
+    return ca.vec(rows) / _scales(origin, equation.scale, n)
 
 
 def _jacobian(motion: Motion, extra: ca.MX, unknowns: ca.MX) -> ca.MX:
@@ -119,9 +114,7 @@ def _jacobian(motion: Motion, extra: ca.MX, unknowns: ca.MX) -> ca.MX:
         origin = equation.origin
         if isinstance(origin, Along):
             n = origin.parts[0].numel() // origin.function.numel_in(0)
-            shape = origin.function.size_out(0)
-            column = np.broadcast_to(np.asarray(equation.scale, dtype=np.float64), shape)
-            scales = ca.DM(np.tile(column.flatten(order="F"), n))
+            scales = _scales(origin, equation.scale, n)
             rows.append(
                 MappedRows(function=origin.function, parts=origin.parts, n_columns=n, scale=scales)
             )
@@ -131,10 +124,9 @@ def _jacobian(motion: Motion, extra: ca.MX, unknowns: ca.MX) -> ca.MX:
     return rows_jacobian([*rows, extra], unknowns)
 
 
-def _named(label: str, names: str | Sequence[str]) -> str | list[str]:
-    if isinstance(names, str):
-        return f"{label}: {names}"
-    return [f"{label}: {name}" for name in names]
+def _scales(origin: Along, scale: Any, n: int) -> ca.DM:
+    column = np.broadcast_to(np.asarray(scale, dtype=np.float64), origin.function.size_out(0))
+    return ca.DM(np.tile(column.flatten(order="F"), n))
 
 
 def _directional(function: ca.Function) -> ca.Function:

@@ -64,7 +64,7 @@ class Trial:
         n_unknowns: Unknowns of the program.
         iterations: Ipopt's iterations in it.
         solve_time: Wall time in Ipopt in it [s].
-        shortfall: How far from a wanted value it ended.
+        shortfall: How far from a wanted value it ended, or by how much it passes its bounds.
         candidate: The orbit with what was measured of it, if it was accepted.
     """
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,12 +15,12 @@ from zeno_orbits.arguments import (
     read_count,
     read_numbers,
     read_objective,
+    read_once,
     read_seed,
     read_shape,
 )
+from zeno_orbits.cli.search_answer import answer, far_from_own, kept_as_derived
 from zeno_orbits.cli.shared import (
-    NO,
-    YES,
     add_accuracy,
     add_command,
     add_place,
@@ -29,21 +28,17 @@ from zeno_orbits.cli.shared import (
     checkpoint_of,
     interrupted,
     place_of,
-    print_json,
     require_engine,
-    say_written,
     verification_of,
 )
 from zeno_orbits.errors import InputError
 from zeno_orbits.files import require_writable
 
 if TYPE_CHECKING:
-    from zeno_orbits.bounds import Bound
-    from zeno_orbits.objectives import Objective
     from zeno_orbits.orbit import ZenoOrbit
     from zeno_orbits.problem import Problem, Setting
     from zeno_orbits.scenes import SceneFile
-    from zeno_orbits.search import Judgement, SearchResult
+    from zeno_orbits.search import Judgement
     from zeno_orbits.verify import VerificationSettings
 
 
@@ -92,7 +87,8 @@ def add_search(commands: Any) -> None:
     )
     parser.add_argument(
         "--objective",
-        default="nearest",
+        action="append",
+        default=[],
         metavar="WISH",
         help=(
             "nearest (to the scene's gains), nearest:NAME=VALUE,..., period=SECONDS, "
@@ -183,7 +179,7 @@ def _run_search(options: argparse.Namespace) -> int:
     problem = scene.load()
     near = _known_orbit(options, problem)
     setting, free = _numbers(options, problem, near)
-    objective = read_objective(options.objective, problem, free)
+    objective = read_objective(read_once(options.objective, "objective", "nearest"), problem, free)
     bounds = read_bounds(options.keep)
     shape = read_shape(options.shape)
     if near is not None:
@@ -221,8 +217,9 @@ def _run_search(options: argparse.Namespace) -> int:
             )
     except KeyboardInterrupt:
         return interrupted(options, checkpoint)
-    held = _held(problem, setting, free)
-    code = _finish_search(options, problem, result, objective if free else None, bounds, held)
+    held = kept_as_derived(problem, setting, free)
+    far = far_from_own(problem, setting)
+    code = answer(options, problem, result, objective if free else None, bounds, held, far)
     if options.checkpoint is None and checkpoint is not None:
         remove_checkpoint(checkpoint)
     return code
@@ -283,107 +280,3 @@ def _numbers(
             message = f"must start in its box [{low:g}, {high:g}], but it is set to {given[name]:g}"
             raise InputError(f"Argument `{name}` {message}.")
     return setting, free
-
-
-def _held(problem: Problem, setting: Setting, free: Mapping[str, tuple[float, float]]) -> list[str]:
-    """Return the parameters that the scene derives from free ones, which stay as they are."""
-    if problem.derive is None:
-        return []
-    known = {
-        n.name: setting.parameters[n.name] for n in problem.parameters if n.default is not None
-    }
-    moved = dict(known)
-    for name, box in free.items():
-        if name in moved:
-            moved[name] = sum(box) / 2 if moved[name] == box[0] else box[0]
-    try:
-        before, after = problem.derive(known), problem.derive(moved)
-    except InputError:
-        return [n.name for n in problem.parameters if n.default is None and n.name not in free]
-    return [name for name in before if before[name] != after[name] and name not in free]
-
-
-def _finish_search(
-    options: argparse.Namespace,
-    problem: Problem,
-    result: SearchResult,
-    objective: Objective | None,
-    bounds: Sequence[Bound],
-    held: Sequence[str],
-) -> int:
-    from zeno_orbits.bounds import asked_and_reached
-    from zeno_orbits.orbit import write_orbit
-    from zeno_orbits.verify import certified
-
-    if result.orbit is None:
-        if options.json:
-            print_json(
-                {
-                    "found": False,
-                    "status": result.status.value,
-                    "detail": result.detail,
-                    "attempts": _attempts(result),
-                }
-            )
-        else:
-            report.print_search(result)
-        return NO
-    options.interrupts.check()
-    best = result.candidates[0]
-    certificate = best.certificate
-    if certificate is None:
-        raise InputError("Argument `accept` must give a certificate, but it gave none.")
-    certificate = replace(certificate, asked=tuple(asked_and_reached(bounds, best.extents)))
-    orbit = certified(result.orbit, certificate)
-    if options.output is not None:
-        write_orbit(orbit, options.output)
-    if options.json:
-        print_json(orbit.as_json() | _ranking(options, result))
-    else:
-        report.print_search(result)
-        if options.candidates > 1:
-            report.print_candidates(result)
-        report.print_orbit(problem, orbit, certificate, result.attempts[0].parameters)
-        if objective is not None:
-            report.print_goal(objective.wish, best.extents, objective.quantities)
-        report.print_asked(certificate.asked)
-        if held:
-            report.print_lines([f"Not free, and kept as at the start: {', '.join(held)}."])
-        if options.accuracy is not None:
-            report.print_error_made(certificate.orbit_error)
-        report.print_verdict(certificate)
-        say_written(options, [] if options.output is None else [options.output])
-    return YES
-
-
-def _attempts(result: SearchResult) -> list[dict[str, Any]]:
-    return [
-        {
-            "gains": dict(a.gains),
-            "parameters": dict(a.parameters),
-            "status": a.status.value,
-            "detail": a.detail,
-        }
-        for a in result.attempts
-    ]
-
-
-def _ranking(options: argparse.Namespace, result: SearchResult) -> dict[str, Any]:
-    """Return the ranked orbits and the failures, if more than one was asked for."""
-    if options.candidates == 1:
-        return {}
-    from zeno_orbits.search import SearchStatus
-    from zeno_orbits.verify import certified
-
-    ranked = [
-        {
-            "score": one.score,
-            "orbit": (
-                one.orbit if one.certificate is None else certified(one.orbit, one.certificate)
-            ).as_json(),
-        }
-        for one in result.candidates
-    ]
-    pairs = zip(result.attempts, _attempts(result), strict=True)
-    failures = [data for attempt, data in pairs if attempt.status is not SearchStatus.FOUND]
-    return {"candidates": ranked, "failures": failures}
