@@ -21,10 +21,12 @@ from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 from PIL import Image
 
+from tests.recordings_of import recorded
 from zeno_orbits import counterparts, plots
 from zeno_orbits.cli import main
 from zeno_orbits.compiled import drawn_lines
-from zeno_orbits.counterparts import RIG, Counterpart, counterpart_of, in_phase
+from zeno_orbits.counterparts import RIG, Counterpart, counterpart_of, recording_counterpart
+from zeno_orbits.cycle_tables import OrbitTable, table_of
 from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.errors import InputError, SimulationError, ZenoOrbitsError
 from zeno_orbits.execution import Execution
@@ -33,12 +35,13 @@ from zeno_orbits.orbit import ZenoOrbit, write_orbit
 from zeno_orbits.plots.paper import PAPER
 from zeno_orbits.plots.style import COLUMN_WIDTH, TEXT, label_of
 from zeno_orbits.problem import Problem, load_problem
+from zeno_orbits.recordings import Recording, Source, cut
 from zeno_orbits.simulate import simulate
 
 YES, NO, MISUSE = 0, 1, 2
 FIGURES = (
     *("fig2_completed_system", "region", "fig4_portraits"),
-    *("fig5a_over_time", "fig5b_impacts", "fig5c_portraits", "fig5d_zeno_point"),
+    *("fig5a_over_time", "fig5a_by_phase", "fig5b_impacts", "fig5c_portraits", "fig5d_zeno_point"),
 )
 
 
@@ -79,36 +82,35 @@ def other(several: Execution, scene: Problem) -> Counterpart:
     """A motion beside the model's: its own, every angle a hundredth smaller."""
     times, signals = signals_of(several, scene)
     smaller = {name: 0.99 * values for name, values in signals.items()}
-    return counterpart_of(RIG, scene, times, smaller)
+    return counterpart_of(RIG, scene, times, smaller, times[-1] / 3)
 
 
 @pytest.fixture
-def parts(monkeypatch: pytest.MonkeyPatch, several: Execution, scene: Problem) -> None:
+def parts(
+    monkeypatch: pytest.MonkeyPatch, several: Execution, scene: Problem, orbit: ZenoOrbit
+) -> None:
     """Stand-ins for the virtual rig and for the reader of recordings, with the model's motion."""
     times, signals = signals_of(several, scene)
     names = (*scene.state_names, "rotor")
     run = SimpleNamespace(
         times=times, state_names=names, of=lambda name: signals.get(name, 0.0 * times)
     )
+    cycle = SimpleNamespace(period=times[-1] / 3)
 
     def rig_cycles(*_: Any, cycles: int, on_progress: Callable[[float], None]) -> Any:
         on_progress(0.5)
         assert cycles == 3
-        return SimpleNamespace(run=run)
+        return SimpleNamespace(run=run, cycles=(cycle, cycle, cycle))
 
     def read_recording(path: Path, *, only: Any) -> Any:
         if not path.exists():
             raise InputError(f"Data file `{path}` must hold a recording, but it is missing.")
-        assert set(only) == set(scene.state_names)
-        seen = np.arange(0.0, times[-1], 1e-3)
-        taken = [
-            SimpleNamespace(name=name, values=np.interp(seen, times, signals[name]))
-            for name in ("theta1", "theta2")
-        ]
-        return SimpleNamespace(time=seen + 11.3, signals=taken, label="recording, measured")
+        assert set(only) > set(scene.state_names)
+        table = table_of(orbit, scene, ("theta1", "theta2"))
+        return replace(recorded(table, scene, n_cycles=8.0), source=Source.MEASURED)
 
     monkeypatch.setattr(counterparts, "rig_cycles", rig_cycles)
-    monkeypatch.setattr(counterparts, "read_recording", read_recording)
+    monkeypatch.setattr("zeno_orbits.recordings.read_recording", read_recording)
 
 
 @pytest.fixture
@@ -135,6 +137,7 @@ def _figures(
         "region": plots.plot_zeno_region(scene, machine, one, width=COLUMN_WIDTH),
         "fig4_portraits": plots.plot_portraits(scene, one, width=COLUMN_WIDTH),
         "fig5a_over_time": plots.plot_beside_over_time(scene, several, other),
+        "fig5a_by_phase": plots.plot_beside_by_phase(scene, one, other),
         "fig5b_impacts": plots.plot_beside_impacts(scene, machine, one, other),
         "fig5c_portraits": plots.plot_beside_portraits(scene, one, other),
         "fig5d_zeno_point": plots.plot_beside_zeno_point(scene, machine, one, other),
@@ -267,41 +270,82 @@ def test_gaps_where_a_coordinate_is_missing_stay_gaps(
 # ---------------------------------------------------------------------------- the other motion
 
 
-def test_a_recording_is_laid_over_the_orbit_by_its_phase(
-    scene: Problem, one: Execution, several: Execution, orbit: ZenoOrbit
-) -> None:
-    random = np.random.default_rng(7)
-    times = np.arange(0.0, 3 * orbit.period, 2e-3)
-    states = np.array([several.state_at(min(t, several.end_time)) for t in times])
-    noisy = states + random.normal(scale=1e-2, size=states.shape)
-    signals = {name: noisy[:, k] for k, name in enumerate(scene.state_names[:2])}
-    # The recording starts at a phase and at a time of its own.
-    whole = counterpart_of("recording", scene, times + 41.7, signals)
-    found = in_phase(whole, 2, one, orbit.period, 2)
-    # 41.7 s is where a release was: the new zero is a whole number of periods from it.
-    kept = np.searchsorted(times + 41.7, 41.7 + times[-1] - found.times[-1])
-    assert len(found.times) > 0.9 * 2 * orbit.period / 2e-3
-    there = np.array([one.state_at(min(float(t), one.end_time)) for t in found.times[:800]])
-    # Noise of 1e-2 and a phase to some 1e-3 of a period, at up to 17 rad/s.
-    miss = np.abs(found.states[:800, :2] - there[:, :2])
-    assert np.median(miss) < 2e-2
-    assert kept >= 0
+@pytest.fixture(scope="module")
+def table(orbit: ZenoOrbit, scene: Problem) -> OrbitTable:
+    return table_of(orbit, scene, ("theta1", "theta2"))
 
 
-@pytest.mark.parametrize("shift", [0.0, 0.3, 1.1, 1.8])
-def test_the_phase_that_is_found_is_the_true_one(
-    scene: Problem, one: Execution, several: Execution, orbit: ZenoOrbit, shift: float
+@pytest.mark.parametrize("stretch", [1.0, 1.1, 0.93])
+@pytest.mark.parametrize("start", [0.0, 0.3, 0.9])
+def test_a_recording_is_laid_over_the_orbit_by_its_phase_in_its_own_time(
+    scene: Problem, orbit: ZenoOrbit, table: OrbitTable, stretch: float, start: float
 ) -> None:
-    times = np.arange(0.0, 2.4 * orbit.period, 1e-3)
-    angles = np.array([several.state_at(float(t)) for t in times])[:, :2]
-    signals = {"theta1": angles[:, 0], "theta2": angles[:, 1]}
-    whole = counterpart_of("recording", scene, times + shift, signals)
-    found = in_phase(whole, 2, one, orbit.period, 1)
-    # At its zero the motion is at the release. 720 phases are tried, a parabola refines them.
-    first = np.array([found.states[0, 0], found.states[0, 1]])
-    release = np.array([orbit.release_state["theta1"], orbit.release_state["theta2"]])
-    speed = abs(orbit.release_state["dtheta1"])
-    assert np.max(np.abs(first - release)) < speed * (orbit.period / 720 + 1e-3)
+    # What a search over the orbit's own period alone cannot do: the recording's is another.
+    noise = {"noise": 2e-3, "seed": 7}
+    whole = recorded(table, scene, n_cycles=7.5, start=start, stretch=stretch, **noise)
+    found = recording_counterpart(whole, orbit, scene, 3)
+    assert found.label == "recording, simulated"
+    # Some six cycles of 700 samples, two signals: 1e-4 s with noise of 2e-3, five times over.
+    assert found.period == pytest.approx(stretch * orbit.period, abs=5e-4)
+    # Times are those of the recording, three whole cycles of it, a sample more or less.
+    length = 3 * stretch * orbit.period
+    assert 0.0 <= found.times[0] < 3e-3
+    assert found.times[-1] == pytest.approx(length, abs=6e-3)
+    assert np.diff(found.times) == pytest.approx(1 / 400.0)
+    there = table.at(found.times / (stretch * orbit.period))
+    # Noise is 2e-3 of the range; a shift of 5e-4 s at up to 17 rad/s is 9e-3.
+    miss = np.abs(found.states[:, :2] - there) / np.ptp(table.nodes.values, axis=0)
+    assert np.median(miss) < 4e-3
+
+
+def test_the_figures_and_the_comparison_lay_a_recording_over_the_orbit_alike(
+    scene: Problem, orbit: ZenoOrbit, table: OrbitTable
+) -> None:
+    from zeno_orbits.comparison import compare
+
+    # No longer than what the figures look at.
+    whole = recorded(table, scene, n_cycles=7.5, stretch=1.02, noise=2e-3, seed=5)
+    where = compare(orbit, scene, whole).where
+    assert where is not None
+    found = recording_counterpart(whole, orbit, scene, 3)
+    assert found.period == where.period
+    # The first kept sample is the first one after a release.
+    assert np.min(np.abs(np.mod(whole.time - where.release, where.period) - found.times[0])) < 1e-9
+
+
+def test_a_start_that_still_settles_does_not_move_the_overlay(
+    scene: Problem, orbit: ZenoOrbit, table: OrbitTable
+) -> None:
+    whole = recorded(table, scene, n_cycles=30.0)
+    early = whole.time < whole.time[-1] / 2
+    strange = tuple(
+        replace(one, values=np.where(early, np.sin(3.0 * whole.time), one.values))
+        for one in whole.signals
+    )
+    found = recording_counterpart(replace(whole, signals=strange), orbit, scene, 3)
+    assert found.period == pytest.approx(orbit.period, abs=1e-4)
+    there = table.at(found.times / found.period)
+    assert np.median(np.abs(found.states[:, :2] - there)) < 2e-3
+
+
+def test_over_the_phase_each_motion_has_its_own_period(
+    scene: Problem, orbit: ZenoOrbit, one: Execution, table: OrbitTable
+) -> None:
+    whole = recorded(table, scene, n_cycles=7.5, stretch=1.1)
+    found = recording_counterpart(whole, orbit, scene, 3)
+    figure = plots.plot_beside_by_phase(scene, one, found)
+    assert figure.axes[-1].get_xlabel() == "phase from release [own periods]"
+    title = figure.axes[0].get_title()
+    assert f"model {orbit.period:.5g} s" in title
+    assert f"other {1.1 * orbit.period:.4g}" in title
+    (line,) = [x for x in figure.axes[1].get_lines() if x.get_label() == found.label]
+    x, y = np.asarray(line.get_xdata()), np.asarray(line.get_ydata())
+    # Two pauses between three cycles, and no line from the right edge to the left.
+    assert int(np.isnan(x).sum()) == 2
+    seen = np.isfinite(x)
+    assert np.all(np.diff(x)[seen[1:] & seen[:-1]] > 0.0)
+    # In phase it is the model; in time it would be late by a tenth of a period.
+    assert np.median(np.abs(y[seen] - table.at(x[seen])[:, 1])) < 2e-3
 
 
 def test_missing_velocities_are_differences_and_missing_currents_stay_missing(
@@ -310,44 +354,49 @@ def test_missing_velocities_are_differences_and_missing_currents_stay_missing(
     times = np.linspace(0.01, 0.9, 1000)
     states = np.array([several.state_at(float(t)) for t in times])
     signals = {"theta1": states[:, 0], "theta2": states[:, 1]}
-    found = counterpart_of("recording", scene, times, signals)
+    found = counterpart_of("recording", scene, times, signals, 1.0)
     # Central differences: a step of 9e-4 squared over six, times a third derivative of some 1e4.
     assert np.max(np.abs(found.states[1:-1, 2:4] - states[1:-1, 2:4])) < 5e-3
     assert np.all(np.isnan(found.states[:, 4]))
 
 
+def _turned(recording: Recording) -> Recording:
+    signals = tuple(replace(one, values=-one.values) for one in recording.signals[:1])
+    return replace(recording, signals=(*signals, *recording.signals[1:]))
+
+
+def _noisy(recording: Recording) -> Recording:
+    random = np.random.default_rng(3)
+    signals = tuple(
+        replace(one, values=random.normal(size=len(one.values))) for one in recording.signals
+    )
+    return replace(recording, signals=signals)
+
+
+def _holed(recording: Recording) -> Recording:
+    holes = np.full(len(recording.time), math.nan)
+    return replace(
+        recording, signals=tuple(replace(one, values=holes) for one in recording.signals)
+    )
+
+
 @pytest.mark.parametrize(
-    ("signals", "span", "said"),
+    ("spoil", "said"),
     [
-        (("theta1",), 6.0, "but `theta2` is missing"),
-        (("theta1", "theta2"), 3.0, "must last two periods, 3.627 s, at least"),
+        (lambda x: replace(x, signals=x.signals[:1]), "but `theta2` is missing"),
+        (lambda x: cut(x, None, 3.0), "must last two periods, 3.627 s, at least"),
+        (_holed, "must have values of `theta1`, but it has none"),
+        (_noisy, "Argument `data` must show such an orbit, but"),
+        (_turned, "but `theta1` looks like its sign turned"),
+        (lambda x: replace(x, time=1e3 * x.time), "seconds?; see `compare`"),
     ],
 )
 def test_a_recording_that_cannot_be_laid_over_is_refused(
-    scene: Problem,
-    one: Execution,
-    orbit: ZenoOrbit,
-    signals: tuple[str, ...],
-    span: float,
-    said: str,
+    scene: Problem, orbit: ZenoOrbit, table: OrbitTable, spoil: Any, said: str
 ) -> None:
-    times = np.linspace(0.0, span, 500)
+    whole = recorded(table, scene, n_cycles=8.0)
     with pytest.raises(InputError, match=re.escape(said)):
-        in_phase(
-            counterpart_of("recording", scene, times, dict.fromkeys(signals, np.sin(times))),
-            2,
-            one,
-            orbit.period,
-            2,
-        )
-
-
-def test_a_recording_of_holes_is_refused(scene: Problem, one: Execution, orbit: ZenoOrbit) -> None:
-    times = np.linspace(0.0, 9.0, 500)
-    holes = np.full(500, math.nan)
-    whole = counterpart_of("recording", scene, times, {"theta1": holes, "theta2": holes})
-    with pytest.raises(InputError, match="holes only"):
-        in_phase(whole, 2, one, orbit.period, 2)
+        recording_counterpart(spoil(whole), orbit, scene, 2)
 
 
 # ---------------------------------------------------------------------------- drawings
@@ -521,7 +570,7 @@ def test_a_recording_takes_the_place_of_the_rig(
     answer = ask("figures", orbit_file, "-o", "f", "--kind", "beside", "--data", "run.csv")
     assert answer[0] == YES, answer
     assert [one.label for one in seen] == ["recording, measured"]
-    assert len(list(Path("f").iterdir())) == 8
+    assert len(list(Path("f").iterdir())) == 10
 
 
 def test_what_a_scene_does_not_have_is_said_and_left_out(

@@ -117,10 +117,13 @@ def _material(options: argparse.Namespace, progress: report.Progress) -> Materia
 
     def other() -> Counterpart:
         from zeno_orbits.counterparts import recording_counterpart, rig_counterpart
+        from zeno_orbits.cycle_tables import measurable
+        from zeno_orbits.recordings import read_recording
 
         count = options.periods
         if options.data is not None:
-            return recording_counterpart(options.data, problem, one, orbit.period, count)
+            recording = read_recording(options.data, only=tuple(measurable(problem)))
+            return recording_counterpart(recording, orbit, problem, count)
         return rig_counterpart(
             orbit, problem, count, lambda part: progress.tell("running the rig", part)
         )

@@ -27,11 +27,11 @@ FULL_WIDTH = 7.0
 
 TEXT = 8.0
 INK = "#333333"
-TINTS = {Mode.FREE: "#E3F0F8", Mode.LOCKED: "#FBE0CE"}
+TINTS = {Mode.FREE: "#E3F0F8", Mode.LOCKED: "#F8D3BA"}
 BLUES = LinearSegmentedColormap.from_list("depth", ["#3C8DC0", "#E6F2F9"])
 ARCS: dict[Mode, dict[str, Any]] = {
     Mode.FREE: {"color": "#0072B2", "lw": 1.2, "label": "free arc"},
-    Mode.LOCKED: {"color": "#D55E00", "lw": 1.8, "label": "locked arc", "zorder": 2.5},
+    Mode.LOCKED: {"color": "#D55E00", "lw": 2.4, "label": "locked arc", "zorder": 2.5},
 }
 TAIL: dict[str, Any] = ARCS[Mode.FREE] | {"ls": ":", "label": "Zeno tail, summed"}
 LAW: dict[str, Any] = {"color": "#E69F00", "lw": 1.4, "label": "first-order law"}
