@@ -713,6 +713,62 @@ def test_a_disk_that_fills_up_leaves_the_old_figures(tmp_path: Path) -> None:
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == {"a.png": b"old"}
 
 
+def test_a_file_that_cannot_be_put_in_place_takes_the_others_back(tmp_path: Path) -> None:
+    folder = tmp_path / "figures"
+    folder.mkdir()
+    (folder / "a.png").write_bytes(b"old")
+    real, moved = Path.replace, []
+
+    def fail(path: Path, target: Path) -> Path:
+        if path.parent.name == "new":
+            moved.append(path.name)
+            if len(moved) == 3:
+                raise OSError(28, "No space left on device")
+        return real(path, target)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Path, "replace", fail)
+        with pytest.raises(InputError, match="No space left on device"):
+            write_all(folder, {"a.png": b"new", "b.png": b"new", "c.png": b"new"})
+    # Two of three were in place already.
+    assert moved == ["a.png", "b.png", "c.png"]
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == {"a.png": b"old"}
+
+
+def test_a_folder_in_the_place_of_a_file_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "b.png").mkdir()
+    (tmp_path / "b.png" / "mine").write_bytes(b"mine")
+    (tmp_path / "c.png").write_bytes(b"old")
+    write_all(tmp_path, {"c.png": b"new"})
+    with pytest.raises(InputError, match=r"must be a file, but `.*b\.png` is a folder"):
+        write_all(tmp_path, {"a.png": b"new", "b.png": b"new", "c.png": b"newer"})
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["b.png", "c.png"]
+    assert (tmp_path / "b.png" / "mine").read_bytes() == b"mine"
+    assert (tmp_path / "c.png").read_bytes() == b"new"
+
+
+@pytest.mark.usefixtures("parts")
+@pytest.mark.parametrize(
+    ("command", "drawn"),
+    [("plot", "plot_zeno_zoom"), ("figures", "paper.plot_beside_portraits")],
+)
+def test_a_picture_that_fails_in_the_middle_leaves_none(
+    orbit_file: Path, monkeypatch: pytest.MonkeyPatch, command: str, drawn: str
+) -> None:
+    calls: list[str] = []
+
+    def fail(*_: Any, **__: Any) -> Figure:
+        calls.append(drawn)
+        raise InputError("Argument `width` must be drawn, but it is not.")
+
+    monkeypatch.setattr(f"zeno_orbits.plots.{drawn}", fail)
+    kinds = ("--kind", "portraits", "--kind", "zeno" if command == "plot" else "beside")
+    code, _, err = ask(command, orbit_file, *kinds, "-o", "f")
+    assert (code, calls) == (MISUSE, [drawn])
+    assert "must be drawn" in err
+    assert not Path("f").exists()
+
+
 def test_files_are_written_all_and_others_left_alone(tmp_path: Path) -> None:
     folder = tmp_path / "deep" / "figures"
     write_all(folder, {"a": b"1", "b": b"2"})
