@@ -17,6 +17,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 from PIL import Image
@@ -40,7 +41,7 @@ from zeno_orbits.simulate import simulate
 
 YES, NO, MISUSE = 0, 1, 2
 FIGURES = (
-    *("fig2_completed_system", "region", "fig4_portraits"),
+    *("fig2_systems", "region", "fig4_portraits"),
     *("fig5a_over_time", "fig5a_by_phase", "fig5b_impacts", "fig5c_portraits", "fig5d_zeno_point"),
 )
 
@@ -133,7 +134,7 @@ def _figures(
     other: Counterpart,
 ) -> dict[str, Figure]:
     return {
-        "fig2_completed_system": plots.plot_graph(scene, orbit.setting(scene)),
+        "fig2_systems": plots.plot_graph(scene, orbit.setting(scene)),
         "region": plots.plot_zeno_region(scene, machine, one, width=COLUMN_WIDTH),
         "fig4_portraits": plots.plot_portraits(scene, one, width=COLUMN_WIDTH),
         "fig5a_over_time": plots.plot_beside_over_time(scene, several, other),
@@ -206,14 +207,43 @@ def test_the_region_ends_where_the_published_acceleration_is_zero(
     assert np.ptp(theta) == pytest.approx(2 * math.pi, rel=1e-6)
 
 
-def test_the_graph_names_both_modes_and_every_edge(figures: dict[str, Figure]) -> None:
-    figure = figures["fig2_completed_system"]
-    words = " ".join(text.get_text() for text in _texts(figure))
-    for word in ("off the stop", "on the stop", "impact", "Zeno point", "release", "$e$ = 0.2"):
-        assert word in words
-    arrows = [patch for patch in figure.axes[0].patches if "Arrow" in type(patch).__name__]
-    assert len(arrows) == 3
-    assert all(name in words for name in ("theta1", "dtheta2", "current"))
+def test_the_graphs_name_domain_guard_reset_and_every_edge(figures: dict[str, Figure]) -> None:
+    system, completion = figures["fig2_systems"].axes
+    words = [" ".join(text.get_text() for text in ax.texts) for ax in (system, completion)]
+    for word in ("electromechanical", "off the stop", "$D_h$", "$G_h$", "$R_h$", "$e$ = 0.2"):
+        assert word in words[0]
+    assert "on the stop" not in words[0]
+    for word in ("off the stop", "on the stop", "impact", "Zeno point", "release", r"\lambda > 0"):
+        assert word in words[1]
+    assert r"\dot{\theta}_{2}" in words[1]
+    # Without a completion there is one domain with one edge; it adds a domain and two edges.
+    for ax, domains, edges in ((system, 1, 1), (completion, 2, 3)):
+        arrows = [patch for patch in ax.patches if "Arrow" in type(patch).__name__]
+        assert (len(ax.patches) - len(arrows), len(arrows)) == (domains, edges)
+
+
+@pytest.mark.parametrize("name", ["fig2_systems"])
+def test_no_words_of_the_graphs_lie_on_each_other_or_on_an_arrow(
+    figures: dict[str, Figure], name: str
+) -> None:
+    figure = figures[name]
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    for ax in figure.axes:
+        # A box of text has its line spacing around the ink: three points of it are no overlap.
+        boxes = [text.get_window_extent(renderer).padded(-3 * figure.dpi / 72) for text in ax.texts]
+        for k, box in enumerate(boxes):
+            assert not any(box.overlaps(other) for other in boxes[k + 1 :]), ax.texts[k]
+            for patch in ax.patches:
+                path = patch.get_transform().transform_path(patch.get_path())
+                if "Arrow" in type(patch).__name__:
+                    ink = np.concatenate(path.to_polygons(closed_only=False))
+                    assert box.count_contains(ink) == 0, ax.texts[k]
+
+
+def test_a_scene_without_a_motor_is_no_electromechanical_one() -> None:
+    ball = load_problem("forced_oscillator")
+    words = [text.get_text() for text in plots.plot_graph(ball, ball.setting()).axes[0].texts]
+    assert "(a) simple hybrid system" in words
 
 
 def test_the_rig_is_called_simulated_and_never_measured(figures: dict[str, Figure]) -> None:

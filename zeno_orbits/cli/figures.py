@@ -47,9 +47,9 @@ def add_figures(commands: Any) -> None:
         "--kind",
         action="append",
         choices=_KINDS,
-        help="which: the completed system as a graph, the region d2h/dt2 < 0, phase portraits, "
-        "four figures of the model beside the virtual rig, the machine in motion; may be repeated; "
-        "by default all that the scene has",
+        help="which: the system and its completion as graphs, the region d2h/dt2 < 0, phase "
+        "portraits, five figures of the model beside the virtual rig, the machine in motion; may "
+        "be repeated; by default all that the scene has",
     )
     parser.add_argument(
         "--data",

@@ -49,8 +49,8 @@ class Material:
 
 
 def graph_files(material: Material) -> dict[str, bytes]:
-    """Return the completed system as a graph."""
-    return _files({"fig2_completed_system": plot_graph(material.problem, material.setting)})
+    """Return the hybrid system and its completion as graphs."""
+    return _files({"fig2_systems": plot_graph(material.problem, material.setting)})
 
 
 def region_files(material: Material) -> dict[str, bytes]:

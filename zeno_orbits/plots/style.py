@@ -145,10 +145,10 @@ def mark_completion(ax: Axes, execution: Execution, pair: Sequence[int]) -> None
 
 def label_of(problem: Problem, index: int) -> str:
     """Return the label of an axis that shows a state, with its unit."""
-    return f"{_symbol(problem.state_names, index)} [{problem.state_units[index]}]"
+    return f"{symbol_of(problem.state_names, index)} [{problem.state_units[index]}]"
 
 
-def _symbol(names: Sequence[str], index: int) -> str:
+def symbol_of(names: Sequence[str], index: int) -> str:
     """Return a state's name as it is written in a formula; a word stays a word."""
     name = names[index]
     dotted = name[0] == "d" and name[1:] in names
