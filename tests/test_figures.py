@@ -495,6 +495,43 @@ def test_the_film_lasts_a_period_and_moves(film: plots.Film, orbit: ZenoOrbit) -
     assert len({frame.size for frame in film.frames}) == 1
 
 
+def test_nothing_but_the_machine_and_its_points_moves(film: plots.Film) -> None:
+    # Labels and numbers of the axes, below them and on the left.
+    first = np.asarray(film.frames[0])
+    for frame in film.frames[1:]:
+        here = np.asarray(frame)
+        assert np.array_equal(here[-40:], first[-40:])
+        assert np.array_equal(here[:, :40], first[:, :40])
+
+
+def test_both_portraits_have_a_moving_point(film: plots.Film) -> None:
+    first, later = (np.asarray(film.frames[k]).astype(int) for k in (2, 18))
+    changed = np.any(first != later, axis=2)
+    # The right half, above and below its middle.
+    right = changed[30:, changed.shape[1] * 6 // 10 :]
+    half = len(right) // 2
+    assert np.sum(right[:half]) > 50
+    assert np.sum(right[half:]) > 50
+
+
+def test_a_scene_with_one_portrait_has_a_film_with_one(
+    scene: Problem, orbit: ZenoOrbit, one: Execution
+) -> None:
+    single = replace(scene, portraits=scene.portraits[:1])
+    film = plots.film_of(single, orbit.setting(scene), one, orbit.period)
+    assert film.frames[0].size == (700, 380)
+
+
+def test_every_picture_of_the_gif_is_that_of_the_film(film: plots.Film) -> None:
+    # Points that have not moved are not repeated: what is left must not stay behind.
+    with Image.open(io.BytesIO(plots.gif_of(film))) as gif:
+        for k, frame in enumerate(film.frames):
+            gif.seek(k)
+            seen = np.asarray(gif.convert("RGB"), dtype=float)
+            off = np.max(np.abs(seen - np.asarray(frame, dtype=float)), axis=2)
+            assert np.mean(off > 60) < 2e-3, k
+
+
 def test_the_gif_runs_round_with_all_its_pictures(film: plots.Film) -> None:
     data = plots.gif_of(film)
     with Image.open(io.BytesIO(data)) as gif:
@@ -504,7 +541,7 @@ def test_the_gif_runs_round_with_all_its_pictures(film: plots.Film) -> None:
         gif.seek(len(film.frames) // 2)
         seen = np.asarray(gif.convert("RGB"), dtype=float)
     true = np.asarray(film.frames[len(film.frames) // 2], dtype=float)
-    # 64 colours for a picture that has few: hardly a point may be off by much.
+    # 63 colours for a picture that has few: hardly a point may be off by much.
     assert np.mean(np.abs(seen - true)) < 3.0
     assert len(data) < 1_000_000
 
