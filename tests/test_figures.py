@@ -10,6 +10,7 @@ import shlex
 from collections.abc import Callable, Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,6 +19,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
 from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 from PIL import Image
@@ -170,6 +172,43 @@ def test_nothing_of_a_figure_is_cut_off(figures: dict[str, Figure], name: str) -
     assert min(drawn.x0, drawn.y0) >= -0.5 / 72
     assert drawn.x1 <= wide + 0.5 / 72
     assert drawn.y1 <= high + 0.5 / 72
+
+
+@pytest.mark.parametrize("name", FIGURES[1:])
+def test_lines_can_be_told_apart_in_grey(figures: dict[str, Figure], name: str) -> None:
+    assert _alike(figures[name]) == []
+
+
+def test_lines_of_one_width_and_shade_are_not_told_apart_in_grey() -> None:
+    figure = Figure()
+    ax = figure.add_subplot()
+    # Of Okabe and Ito's colours two that differ in hue alone.
+    ax.plot([0, 1], [0, 1], color="#56B4E9", label="free")
+    ax.plot([0, 1], [1, 0], color="#E69F00", label="locked")
+    assert _alike(figure) == [("free", "locked")]
+
+
+def _alike(figure: Figure) -> list[tuple[str, str]]:
+    """Return labels of lines that have the same dashes, and hardly another width or shade."""
+    lines = {
+        str(line.get_label()): line
+        for ax in figure.axes
+        for line in ax.get_lines()
+        if line.get_linestyle() != "None" and not str(line.get_label()).startswith("_")
+    }
+
+    def shade(line: Any) -> float:
+        # How bright a colour is (Rec. 709), and so how grey it prints.
+        return float(np.dot(to_rgb(line.get_color()), (0.2126, 0.7152, 0.0722)))
+
+    found: list[tuple[str, str]] = []
+    for first, second in combinations(lines, 2):
+        a, b = lines[first], lines[second]
+        thin, thick = sorted((a.get_linewidth(), b.get_linewidth()))
+        same = a.get_linestyle() == b.get_linestyle() and thick < 1.5 * thin
+        if same and abs(shade(a) - shade(b)) < 0.15:
+            found.append((first, second))
+    return found
 
 
 def _texts(figure: Figure) -> list[Any]:
@@ -376,6 +415,21 @@ def test_over_the_phase_each_motion_has_its_own_period(
     assert np.all(np.diff(x)[seen[1:] & seen[:-1]] > 0.0)
     # In phase it is the model; in time it would be late by a tenth of a period.
     assert np.median(np.abs(y[seen] - table.at(x[seen])[:, 1])) < 2e-3
+
+
+def test_the_picture_of_a_comparison_is_by_phase_and_names_both_periods(
+    scene: Problem, orbit: ZenoOrbit, table: OrbitTable
+) -> None:
+    from zeno_orbits.comparison import compare
+
+    found = compare(orbit, scene, recorded(table, scene, n_cycles=6.0, stretch=1.1, noise=1e-3))
+    figure = plots.plot_comparison(scene, found)
+    labels = [ax.get_xlabel() for ax in figure.axes]
+    assert labels.count("phase from release [own periods]") == 2
+    title = figure.axes[0].get_title()
+    assert f"orbit {orbit.period:.6g} s" in title
+    assert f"recording {1.1 * orbit.period:.4g}" in title
+    assert _alike(figure) == []
 
 
 def test_missing_velocities_are_differences_and_missing_currents_stay_missing(

@@ -27,7 +27,7 @@ FULL_WIDTH = 7.0
 
 TEXT = 8.0
 INK = "#333333"
-TINTS = {Mode.FREE: "#E3F0F8", Mode.LOCKED: "#F8D3BA"}
+TINTS = {Mode.FREE: "#E3F0F8", Mode.LOCKED: "#F9DBC6"}
 BLUES = LinearSegmentedColormap.from_list("depth", ["#3C8DC0", "#E6F2F9"])
 ARCS: dict[Mode, dict[str, Any]] = {
     Mode.FREE: {"color": "#0072B2", "lw": 1.2, "label": "free arc"},
