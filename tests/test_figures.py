@@ -10,6 +10,7 @@ import shlex
 from collections.abc import Callable, Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,14 +18,18 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
 from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 from PIL import Image
 
+from tests.recordings_of import recorded
 from zeno_orbits import counterparts, plots
 from zeno_orbits.cli import main
 from zeno_orbits.compiled import drawn_lines
-from zeno_orbits.counterparts import RIG, Counterpart, counterpart_of, in_phase
+from zeno_orbits.counterparts import RIG, Counterpart, counterpart_of, recording_counterpart
+from zeno_orbits.cycle_tables import OrbitTable, table_of
 from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.errors import InputError, SimulationError, ZenoOrbitsError
 from zeno_orbits.execution import Execution
@@ -33,12 +38,13 @@ from zeno_orbits.orbit import ZenoOrbit, write_orbit
 from zeno_orbits.plots.paper import PAPER
 from zeno_orbits.plots.style import COLUMN_WIDTH, TEXT, label_of
 from zeno_orbits.problem import Problem, load_problem
+from zeno_orbits.recordings import Recording, Source, cut
 from zeno_orbits.simulate import simulate
 
 YES, NO, MISUSE = 0, 1, 2
 FIGURES = (
-    *("fig2_completed_system", "region", "fig4_portraits"),
-    *("fig5a_over_time", "fig5b_impacts", "fig5c_portraits", "fig5d_zeno_point"),
+    *("fig2_systems", "region", "fig4_portraits"),
+    *("fig5a_over_time", "fig5a_by_phase", "fig5b_impacts", "fig5c_portraits", "fig5d_zeno_point"),
 )
 
 
@@ -79,36 +85,35 @@ def other(several: Execution, scene: Problem) -> Counterpart:
     """A motion beside the model's: its own, every angle a hundredth smaller."""
     times, signals = signals_of(several, scene)
     smaller = {name: 0.99 * values for name, values in signals.items()}
-    return counterpart_of(RIG, scene, times, smaller)
+    return counterpart_of(RIG, scene, times, smaller, times[-1] / 3)
 
 
 @pytest.fixture
-def parts(monkeypatch: pytest.MonkeyPatch, several: Execution, scene: Problem) -> None:
+def parts(
+    monkeypatch: pytest.MonkeyPatch, several: Execution, scene: Problem, orbit: ZenoOrbit
+) -> None:
     """Stand-ins for the virtual rig and for the reader of recordings, with the model's motion."""
     times, signals = signals_of(several, scene)
     names = (*scene.state_names, "rotor")
     run = SimpleNamespace(
         times=times, state_names=names, of=lambda name: signals.get(name, 0.0 * times)
     )
+    cycle = SimpleNamespace(period=times[-1] / 3)
 
     def rig_cycles(*_: Any, cycles: int, on_progress: Callable[[float], None]) -> Any:
         on_progress(0.5)
         assert cycles == 3
-        return SimpleNamespace(run=run)
+        return SimpleNamespace(run=run, cycles=(cycle, cycle, cycle))
 
     def read_recording(path: Path, *, only: Any) -> Any:
         if not path.exists():
             raise InputError(f"Data file `{path}` must hold a recording, but it is missing.")
-        assert set(only) == set(scene.state_names)
-        seen = np.arange(0.0, times[-1], 1e-3)
-        taken = [
-            SimpleNamespace(name=name, values=np.interp(seen, times, signals[name]))
-            for name in ("theta1", "theta2")
-        ]
-        return SimpleNamespace(time=seen + 11.3, signals=taken, label="recording, measured")
+        assert set(only) > set(scene.state_names)
+        table = table_of(orbit, scene, ("theta1", "theta2"))
+        return replace(recorded(table, scene, n_cycles=8.0), source=Source.MEASURED)
 
     monkeypatch.setattr(counterparts, "rig_cycles", rig_cycles)
-    monkeypatch.setattr(counterparts, "read_recording", read_recording)
+    monkeypatch.setattr("zeno_orbits.recordings.read_recording", read_recording)
 
 
 @pytest.fixture
@@ -131,10 +136,11 @@ def _figures(
     other: Counterpart,
 ) -> dict[str, Figure]:
     return {
-        "fig2_completed_system": plots.plot_graph(scene, orbit.setting(scene)),
+        "fig2_systems": plots.plot_graph(scene, orbit.setting(scene)),
         "region": plots.plot_zeno_region(scene, machine, one, width=COLUMN_WIDTH),
         "fig4_portraits": plots.plot_portraits(scene, one, width=COLUMN_WIDTH),
         "fig5a_over_time": plots.plot_beside_over_time(scene, several, other),
+        "fig5a_by_phase": plots.plot_beside_by_phase(scene, one, other),
         "fig5b_impacts": plots.plot_beside_impacts(scene, machine, one, other),
         "fig5c_portraits": plots.plot_beside_portraits(scene, one, other),
         "fig5d_zeno_point": plots.plot_beside_zeno_point(scene, machine, one, other),
@@ -166,6 +172,43 @@ def test_nothing_of_a_figure_is_cut_off(figures: dict[str, Figure], name: str) -
     assert min(drawn.x0, drawn.y0) >= -0.5 / 72
     assert drawn.x1 <= wide + 0.5 / 72
     assert drawn.y1 <= high + 0.5 / 72
+
+
+@pytest.mark.parametrize("name", FIGURES[1:])
+def test_lines_can_be_told_apart_in_grey(figures: dict[str, Figure], name: str) -> None:
+    assert _alike(figures[name]) == []
+
+
+def test_lines_of_one_width_and_shade_are_not_told_apart_in_grey() -> None:
+    figure = Figure()
+    ax = figure.add_subplot()
+    # Of Okabe and Ito's colours two that differ in hue alone.
+    ax.plot([0, 1], [0, 1], color="#56B4E9", label="free")
+    ax.plot([0, 1], [1, 0], color="#E69F00", label="locked")
+    assert _alike(figure) == [("free", "locked")]
+
+
+def _alike(figure: Figure) -> list[tuple[str, str]]:
+    """Return labels of lines that have the same dashes, and hardly another width or shade."""
+    lines = {
+        str(line.get_label()): line
+        for ax in figure.axes
+        for line in ax.get_lines()
+        if line.get_linestyle() != "None" and not str(line.get_label()).startswith("_")
+    }
+
+    def shade(line: Any) -> float:
+        # How bright a colour is (Rec. 709), and so how grey it prints.
+        return float(np.dot(to_rgb(line.get_color()), (0.2126, 0.7152, 0.0722)))
+
+    found: list[tuple[str, str]] = []
+    for first, second in combinations(lines, 2):
+        a, b = lines[first], lines[second]
+        thin, thick = sorted((a.get_linewidth(), b.get_linewidth()))
+        same = a.get_linestyle() == b.get_linestyle() and thick < 1.5 * thin
+        if same and abs(shade(a) - shade(b)) < 0.15:
+            found.append((first, second))
+    return found
 
 
 def _texts(figure: Figure) -> list[Any]:
@@ -203,14 +246,43 @@ def test_the_region_ends_where_the_published_acceleration_is_zero(
     assert np.ptp(theta) == pytest.approx(2 * math.pi, rel=1e-6)
 
 
-def test_the_graph_names_both_modes_and_every_edge(figures: dict[str, Figure]) -> None:
-    figure = figures["fig2_completed_system"]
-    words = " ".join(text.get_text() for text in _texts(figure))
-    for word in ("off the stop", "on the stop", "impact", "Zeno point", "release", "$e$ = 0.2"):
-        assert word in words
-    arrows = [patch for patch in figure.axes[0].patches if "Arrow" in type(patch).__name__]
-    assert len(arrows) == 3
-    assert all(name in words for name in ("theta1", "dtheta2", "current"))
+def test_the_graphs_name_domain_guard_reset_and_every_edge(figures: dict[str, Figure]) -> None:
+    system, completion = figures["fig2_systems"].axes
+    words = [" ".join(text.get_text() for text in ax.texts) for ax in (system, completion)]
+    for word in ("electromechanical", "off the stop", "$D_h$", "$G_h$", "$R_h$", "$e$ = 0.2"):
+        assert word in words[0]
+    assert "on the stop" not in words[0]
+    for word in ("off the stop", "on the stop", "impact", "Zeno point", "release", r"\lambda > 0"):
+        assert word in words[1]
+    assert r"\dot{\theta}_{2}" in words[1]
+    # Without a completion there is one domain with one edge; it adds a domain and two edges.
+    for ax, domains, edges in ((system, 1, 1), (completion, 2, 3)):
+        arrows = [patch for patch in ax.patches if "Arrow" in type(patch).__name__]
+        assert (len(ax.patches) - len(arrows), len(arrows)) == (domains, edges)
+
+
+@pytest.mark.parametrize("name", ["fig2_systems"])
+def test_no_words_of_the_graphs_lie_on_each_other_or_on_an_arrow(
+    figures: dict[str, Figure], name: str
+) -> None:
+    figure = figures[name]
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    for ax in figure.axes:
+        # A box of text has its line spacing around the ink: three points of it are no overlap.
+        boxes = [text.get_window_extent(renderer).padded(-3 * figure.dpi / 72) for text in ax.texts]
+        for k, box in enumerate(boxes):
+            assert not any(box.overlaps(other) for other in boxes[k + 1 :]), ax.texts[k]
+            for patch in ax.patches:
+                path = patch.get_transform().transform_path(patch.get_path())
+                if "Arrow" in type(patch).__name__:
+                    ink = np.concatenate(path.to_polygons(closed_only=False))
+                    assert box.count_contains(ink) == 0, ax.texts[k]
+
+
+def test_a_scene_without_a_motor_is_no_electromechanical_one() -> None:
+    ball = load_problem("forced_oscillator")
+    words = [text.get_text() for text in plots.plot_graph(ball, ball.setting()).axes[0].texts]
+    assert "(a) simple hybrid system" in words
 
 
 def test_the_rig_is_called_simulated_and_never_measured(figures: dict[str, Figure]) -> None:
@@ -267,41 +339,97 @@ def test_gaps_where_a_coordinate_is_missing_stay_gaps(
 # ---------------------------------------------------------------------------- the other motion
 
 
-def test_a_recording_is_laid_over_the_orbit_by_its_phase(
-    scene: Problem, one: Execution, several: Execution, orbit: ZenoOrbit
-) -> None:
-    random = np.random.default_rng(7)
-    times = np.arange(0.0, 3 * orbit.period, 2e-3)
-    states = np.array([several.state_at(min(t, several.end_time)) for t in times])
-    noisy = states + random.normal(scale=1e-2, size=states.shape)
-    signals = {name: noisy[:, k] for k, name in enumerate(scene.state_names[:2])}
-    # The recording starts at a phase and at a time of its own.
-    whole = counterpart_of("recording", scene, times + 41.7, signals)
-    found = in_phase(whole, 2, one, orbit.period, 2)
-    # 41.7 s is where a release was: the new zero is a whole number of periods from it.
-    kept = np.searchsorted(times + 41.7, 41.7 + times[-1] - found.times[-1])
-    assert len(found.times) > 0.9 * 2 * orbit.period / 2e-3
-    there = np.array([one.state_at(min(float(t), one.end_time)) for t in found.times[:800]])
-    # Noise of 1e-2 and a phase to some 1e-3 of a period, at up to 17 rad/s.
-    miss = np.abs(found.states[:800, :2] - there[:, :2])
-    assert np.median(miss) < 2e-2
-    assert kept >= 0
+@pytest.fixture(scope="module")
+def table(orbit: ZenoOrbit, scene: Problem) -> OrbitTable:
+    return table_of(orbit, scene, ("theta1", "theta2"))
 
 
-@pytest.mark.parametrize("shift", [0.0, 0.3, 1.1, 1.8])
-def test_the_phase_that_is_found_is_the_true_one(
-    scene: Problem, one: Execution, several: Execution, orbit: ZenoOrbit, shift: float
+@pytest.mark.parametrize("stretch", [1.0, 1.1, 0.93])
+@pytest.mark.parametrize("start", [0.0, 0.3, 0.9])
+def test_a_recording_is_laid_over_the_orbit_by_its_phase_in_its_own_time(
+    scene: Problem, orbit: ZenoOrbit, table: OrbitTable, stretch: float, start: float
 ) -> None:
-    times = np.arange(0.0, 2.4 * orbit.period, 1e-3)
-    angles = np.array([several.state_at(float(t)) for t in times])[:, :2]
-    signals = {"theta1": angles[:, 0], "theta2": angles[:, 1]}
-    whole = counterpart_of("recording", scene, times + shift, signals)
-    found = in_phase(whole, 2, one, orbit.period, 1)
-    # At its zero the motion is at the release. 720 phases are tried, a parabola refines them.
-    first = np.array([found.states[0, 0], found.states[0, 1]])
-    release = np.array([orbit.release_state["theta1"], orbit.release_state["theta2"]])
-    speed = abs(orbit.release_state["dtheta1"])
-    assert np.max(np.abs(first - release)) < speed * (orbit.period / 720 + 1e-3)
+    # What a search over the orbit's own period alone cannot do: the recording's is another.
+    noise = {"noise": 2e-3, "seed": 7}
+    whole = recorded(table, scene, n_cycles=7.5, start=start, stretch=stretch, **noise)
+    found = recording_counterpart(whole, orbit, scene, 3)
+    assert found.label == "recording, simulated"
+    # Some six cycles of 700 samples, two signals: 1e-4 s with noise of 2e-3, five times over.
+    assert found.period == pytest.approx(stretch * orbit.period, abs=5e-4)
+    # Times are those of the recording, three whole cycles of it, a sample more or less.
+    length = 3 * stretch * orbit.period
+    assert 0.0 <= found.times[0] < 3e-3
+    assert found.times[-1] == pytest.approx(length, abs=6e-3)
+    assert np.diff(found.times) == pytest.approx(1 / 400.0)
+    there = table.at(found.times / (stretch * orbit.period))
+    # Noise is 2e-3 of the range; a shift of 5e-4 s at up to 17 rad/s is 9e-3.
+    miss = np.abs(found.states[:, :2] - there) / np.ptp(table.nodes.values, axis=0)
+    assert np.median(miss) < 4e-3
+
+
+def test_the_figures_and_the_comparison_lay_a_recording_over_the_orbit_alike(
+    scene: Problem, orbit: ZenoOrbit, table: OrbitTable
+) -> None:
+    from zeno_orbits.comparison import compare
+
+    # No longer than what the figures look at.
+    whole = recorded(table, scene, n_cycles=7.5, stretch=1.02, noise=2e-3, seed=5)
+    where = compare(orbit, scene, whole).where
+    assert where is not None
+    found = recording_counterpart(whole, orbit, scene, 3)
+    assert found.period == where.period
+    # The first kept sample is the first one after a release.
+    assert np.min(np.abs(np.mod(whole.time - where.release, where.period) - found.times[0])) < 1e-9
+
+
+def test_a_start_that_still_settles_does_not_move_the_overlay(
+    scene: Problem, orbit: ZenoOrbit, table: OrbitTable
+) -> None:
+    whole = recorded(table, scene, n_cycles=30.0)
+    early = whole.time < whole.time[-1] / 2
+    strange = tuple(
+        replace(one, values=np.where(early, np.sin(3.0 * whole.time), one.values))
+        for one in whole.signals
+    )
+    found = recording_counterpart(replace(whole, signals=strange), orbit, scene, 3)
+    assert found.period == pytest.approx(orbit.period, abs=1e-4)
+    there = table.at(found.times / found.period)
+    assert np.median(np.abs(found.states[:, :2] - there)) < 2e-3
+
+
+def test_over_the_phase_each_motion_has_its_own_period(
+    scene: Problem, orbit: ZenoOrbit, one: Execution, table: OrbitTable
+) -> None:
+    whole = recorded(table, scene, n_cycles=7.5, stretch=1.1)
+    found = recording_counterpart(whole, orbit, scene, 3)
+    figure = plots.plot_beside_by_phase(scene, one, found)
+    assert figure.axes[-1].get_xlabel() == "phase from release [own periods]"
+    title = figure.axes[0].get_title()
+    assert f"model {orbit.period:.5g} s" in title
+    assert f"other {1.1 * orbit.period:.4g}" in title
+    (line,) = [x for x in figure.axes[1].get_lines() if x.get_label() == found.label]
+    x, y = np.asarray(line.get_xdata()), np.asarray(line.get_ydata())
+    # Two pauses between three cycles, and no line from the right edge to the left.
+    assert int(np.isnan(x).sum()) == 2
+    seen = np.isfinite(x)
+    assert np.all(np.diff(x)[seen[1:] & seen[:-1]] > 0.0)
+    # In phase it is the model; in time it would be late by a tenth of a period.
+    assert np.median(np.abs(y[seen] - table.at(x[seen])[:, 1])) < 2e-3
+
+
+def test_the_picture_of_a_comparison_is_by_phase_and_names_both_periods(
+    scene: Problem, orbit: ZenoOrbit, table: OrbitTable
+) -> None:
+    from zeno_orbits.comparison import compare
+
+    found = compare(orbit, scene, recorded(table, scene, n_cycles=6.0, stretch=1.1, noise=1e-3))
+    figure = plots.plot_comparison(scene, found)
+    labels = [ax.get_xlabel() for ax in figure.axes]
+    assert labels.count("phase from release [own periods]") == 2
+    title = figure.axes[0].get_title()
+    assert f"orbit {orbit.period:.6g} s" in title
+    assert f"recording {1.1 * orbit.period:.4g}" in title
+    assert _alike(figure) == []
 
 
 def test_missing_velocities_are_differences_and_missing_currents_stay_missing(
@@ -310,44 +438,49 @@ def test_missing_velocities_are_differences_and_missing_currents_stay_missing(
     times = np.linspace(0.01, 0.9, 1000)
     states = np.array([several.state_at(float(t)) for t in times])
     signals = {"theta1": states[:, 0], "theta2": states[:, 1]}
-    found = counterpart_of("recording", scene, times, signals)
+    found = counterpart_of("recording", scene, times, signals, 1.0)
     # Central differences: a step of 9e-4 squared over six, times a third derivative of some 1e4.
     assert np.max(np.abs(found.states[1:-1, 2:4] - states[1:-1, 2:4])) < 5e-3
     assert np.all(np.isnan(found.states[:, 4]))
 
 
+def _turned(recording: Recording) -> Recording:
+    signals = tuple(replace(one, values=-one.values) for one in recording.signals[:1])
+    return replace(recording, signals=(*signals, *recording.signals[1:]))
+
+
+def _noisy(recording: Recording) -> Recording:
+    random = np.random.default_rng(3)
+    signals = tuple(
+        replace(one, values=random.normal(size=len(one.values))) for one in recording.signals
+    )
+    return replace(recording, signals=signals)
+
+
+def _holed(recording: Recording) -> Recording:
+    holes = np.full(len(recording.time), math.nan)
+    return replace(
+        recording, signals=tuple(replace(one, values=holes) for one in recording.signals)
+    )
+
+
 @pytest.mark.parametrize(
-    ("signals", "span", "said"),
+    ("spoil", "said"),
     [
-        (("theta1",), 6.0, "but `theta2` is missing"),
-        (("theta1", "theta2"), 3.0, "must last two periods, 3.627 s, at least"),
+        (lambda x: replace(x, signals=x.signals[:1]), "but `theta2` is missing"),
+        (lambda x: cut(x, None, 3.0), "must last two periods, 3.627 s, at least"),
+        (_holed, "must have values of `theta1`, but it has none"),
+        (_noisy, "Argument `data` must show such an orbit, but"),
+        (_turned, "but `theta1` looks like its sign turned"),
+        (lambda x: replace(x, time=1e3 * x.time), "seconds?; see `compare`"),
     ],
 )
 def test_a_recording_that_cannot_be_laid_over_is_refused(
-    scene: Problem,
-    one: Execution,
-    orbit: ZenoOrbit,
-    signals: tuple[str, ...],
-    span: float,
-    said: str,
+    scene: Problem, orbit: ZenoOrbit, table: OrbitTable, spoil: Any, said: str
 ) -> None:
-    times = np.linspace(0.0, span, 500)
+    whole = recorded(table, scene, n_cycles=8.0)
     with pytest.raises(InputError, match=re.escape(said)):
-        in_phase(
-            counterpart_of("recording", scene, times, dict.fromkeys(signals, np.sin(times))),
-            2,
-            one,
-            orbit.period,
-            2,
-        )
-
-
-def test_a_recording_of_holes_is_refused(scene: Problem, one: Execution, orbit: ZenoOrbit) -> None:
-    times = np.linspace(0.0, 9.0, 500)
-    holes = np.full(500, math.nan)
-    whole = counterpart_of("recording", scene, times, {"theta1": holes, "theta2": holes})
-    with pytest.raises(InputError, match="holes only"):
-        in_phase(whole, 2, one, orbit.period, 2)
+        recording_counterpart(spoil(whole), orbit, scene, 2)
 
 
 # ---------------------------------------------------------------------------- drawings
@@ -416,6 +549,43 @@ def test_the_film_lasts_a_period_and_moves(film: plots.Film, orbit: ZenoOrbit) -
     assert len({frame.size for frame in film.frames}) == 1
 
 
+def test_nothing_but_the_machine_and_its_points_moves(film: plots.Film) -> None:
+    # Labels and numbers of the axes, below them and on the left.
+    first = np.asarray(film.frames[0])
+    for frame in film.frames[1:]:
+        here = np.asarray(frame)
+        assert np.array_equal(here[-40:], first[-40:])
+        assert np.array_equal(here[:, :40], first[:, :40])
+
+
+def test_both_portraits_have_a_moving_point(film: plots.Film) -> None:
+    first, later = (np.asarray(film.frames[k]).astype(int) for k in (2, 18))
+    changed = np.any(first != later, axis=2)
+    # The right half, above and below its middle.
+    right = changed[30:, changed.shape[1] * 6 // 10 :]
+    half = len(right) // 2
+    assert np.sum(right[:half]) > 50
+    assert np.sum(right[half:]) > 50
+
+
+def test_a_scene_with_one_portrait_has_a_film_with_one(
+    scene: Problem, orbit: ZenoOrbit, one: Execution
+) -> None:
+    single = replace(scene, portraits=scene.portraits[:1])
+    film = plots.film_of(single, orbit.setting(scene), one, orbit.period)
+    assert film.frames[0].size == (700, 380)
+
+
+def test_every_picture_of_the_gif_is_that_of_the_film(film: plots.Film) -> None:
+    # Points that have not moved are not repeated: what is left must not stay behind.
+    with Image.open(io.BytesIO(plots.gif_of(film))) as gif:
+        for k, frame in enumerate(film.frames):
+            gif.seek(k)
+            seen = np.asarray(gif.convert("RGB"), dtype=float)
+            off = np.max(np.abs(seen - np.asarray(frame, dtype=float)), axis=2)
+            assert np.mean(off > 60) < 2e-3, k
+
+
 def test_the_gif_runs_round_with_all_its_pictures(film: plots.Film) -> None:
     data = plots.gif_of(film)
     with Image.open(io.BytesIO(data)) as gif:
@@ -425,7 +595,7 @@ def test_the_gif_runs_round_with_all_its_pictures(film: plots.Film) -> None:
         gif.seek(len(film.frames) // 2)
         seen = np.asarray(gif.convert("RGB"), dtype=float)
     true = np.asarray(film.frames[len(film.frames) // 2], dtype=float)
-    # 64 colours for a picture that has few: hardly a point may be off by much.
+    # 63 colours for a picture that has few: hardly a point may be off by much.
     assert np.mean(np.abs(seen - true)) < 3.0
     assert len(data) < 1_000_000
 
@@ -521,7 +691,7 @@ def test_a_recording_takes_the_place_of_the_rig(
     answer = ask("figures", orbit_file, "-o", "f", "--kind", "beside", "--data", "run.csv")
     assert answer[0] == YES, answer
     assert [one.label for one in seen] == ["recording, measured"]
-    assert len(list(Path("f").iterdir())) == 8
+    assert len(list(Path("f").iterdir())) == 10
 
 
 def test_what_a_scene_does_not_have_is_said_and_left_out(
@@ -662,6 +832,62 @@ def test_a_disk_that_fills_up_leaves_the_old_figures(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="No space left on device"):
         write_all(folder, {"a.png": b"new", "b.png": b"new"})
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == {"a.png": b"old"}
+
+
+def test_a_file_that_cannot_be_put_in_place_takes_the_others_back(tmp_path: Path) -> None:
+    folder = tmp_path / "figures"
+    folder.mkdir()
+    (folder / "a.png").write_bytes(b"old")
+    real, moved = Path.replace, []
+
+    def fail(path: Path, target: Path) -> Path:
+        if path.parent.name == "new":
+            moved.append(path.name)
+            if len(moved) == 3:
+                raise OSError(28, "No space left on device")
+        return real(path, target)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Path, "replace", fail)
+        with pytest.raises(InputError, match="No space left on device"):
+            write_all(folder, {"a.png": b"new", "b.png": b"new", "c.png": b"new"})
+    # Two of three were in place already.
+    assert moved == ["a.png", "b.png", "c.png"]
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == {"a.png": b"old"}
+
+
+def test_a_folder_in_the_place_of_a_file_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "b.png").mkdir()
+    (tmp_path / "b.png" / "mine").write_bytes(b"mine")
+    (tmp_path / "c.png").write_bytes(b"old")
+    write_all(tmp_path, {"c.png": b"new"})
+    with pytest.raises(InputError, match=r"must be a file, but `.*b\.png` is a folder"):
+        write_all(tmp_path, {"a.png": b"new", "b.png": b"new", "c.png": b"newer"})
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["b.png", "c.png"]
+    assert (tmp_path / "b.png" / "mine").read_bytes() == b"mine"
+    assert (tmp_path / "c.png").read_bytes() == b"new"
+
+
+@pytest.mark.usefixtures("parts")
+@pytest.mark.parametrize(
+    ("command", "drawn"),
+    [("plot", "plot_zeno_zoom"), ("figures", "paper.plot_beside_portraits")],
+)
+def test_a_picture_that_fails_in_the_middle_leaves_none(
+    orbit_file: Path, monkeypatch: pytest.MonkeyPatch, command: str, drawn: str
+) -> None:
+    calls: list[str] = []
+
+    def fail(*_: Any, **__: Any) -> Figure:
+        calls.append(drawn)
+        raise InputError("Argument `width` must be drawn, but it is not.")
+
+    monkeypatch.setattr(f"zeno_orbits.plots.{drawn}", fail)
+    kinds = ("--kind", "portraits", "--kind", "zeno" if command == "plot" else "beside")
+    code, _, err = ask(command, orbit_file, *kinds, "-o", "f")
+    assert (code, calls) == (MISUSE, [drawn])
+    assert "must be drawn" in err
+    assert not Path("f").exists()
 
 
 def test_files_are_written_all_and_others_left_alone(tmp_path: Path) -> None:

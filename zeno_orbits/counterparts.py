@@ -8,28 +8,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from zeno_orbits.alignment import Alignment
 from zeno_orbits.dynamics import Vector
 from zeno_orbits.errors import InputError
-from zeno_orbits.execution import Execution
 from zeno_orbits.orbit import ZenoOrbit
+from zeno_orbits.overlays import laid_over
 from zeno_orbits.problem import Problem
-from zeno_orbits.recordings import read_recording
+from zeno_orbits.recordings import Recording, cut
 from zeno_orbits.rig import rig_cycles
 
 RIG = "virtual rig, simulated"
 """What a rig's motion is called, wherever it is shown."""
 
-_PHASES = 720
-"""Phases that are tried to lay a recording over an orbit."""
 _BASE = 1.0 / 500.0
 """Part of the period to either side over which missing velocities are differences."""
-_MOST = 20000
-"""Rows of a recording that are looked at for its phase."""
+_LATE = 2
+"""Times the cycles that are asked for, and one: so much of a recording's end tells its phase."""
+_SLACK = 0.01
+"""Part of a period that a recording may begin after a release, or end before one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,11 +40,13 @@ class Counterpart:
         label: What it is, for a legend.
         times: Since a release, increasing, ``(n,)`` [s].
         states: States of the scene, ``(n, n_x)``; NaN where they are not known.
+        period: Its own [s].
     """
 
     label: str
     times: Vector
     states: Vector
+    period: float
 
 
 def counterpart_of(
@@ -52,6 +54,7 @@ def counterpart_of(
     problem: Problem,
     times: Vector,
     signals: Mapping[str, Vector],
+    period: float,
     *,
     base: float = 0.0,
 ) -> Counterpart:
@@ -62,6 +65,7 @@ def counterpart_of(
         problem: The scene.
         times: Increasing, ``(n,)`` [s].
         signals: State name to values, ``(n,)``; what is no state of the scene is left out.
+        period: Its own [s].
         base: How far to either side a difference reaches, a sample at least [s]. Over a single
             step an encoder's own steps are all that is seen.
 
@@ -80,7 +84,7 @@ def counterpart_of(
             states[:, k] = signals[name]
         elif n_q <= k < 2 * n_q:
             states[:, k] = _differences(times, states[:, k - n_q], base)
-    return Counterpart(label=label, times=times, states=states)
+    return Counterpart(label=label, times=times, states=states, period=period)
 
 
 def rig_counterpart(
@@ -100,35 +104,65 @@ def rig_counterpart(
     Raises:
         SimulationError: If the rig does not move in such cycles.
     """
-    run = rig_cycles(orbit, problem, cycles=n_periods, on_progress=on_progress).run
+    settled = rig_cycles(orbit, problem, cycles=n_periods, on_progress=on_progress)
+    run = settled.run
     signals = {name: run.of(name) for name in problem.state_names if name in run.state_names}
     # A contact is recorded at its first and last instant twice: once from either side.
     kept = np.concatenate([[True], np.diff(run.times) > 0.0])
     held = {name: values[kept] for name, values in signals.items()}
-    return counterpart_of(RIG, problem, run.times[kept], held)
+    period = float(np.mean([cycle.period for cycle in settled.cycles]))
+    return counterpart_of(RIG, problem, run.times[kept], held, period)
 
 
 def recording_counterpart(
-    path: Path, problem: Problem, execution: Execution, period: float, n_periods: int
+    recording: Recording, orbit: ZenoOrbit, problem: Problem, n_periods: int
 ) -> Counterpart:
-    """Return the last periods of a recording, in phase with the model.
+    """Return the last whole cycles of a recording, from the release that its alignment tells.
+
+    Its time is moved and not stretched. Only its end is looked at, for it may settle before.
 
     Args:
-        path: Of the recording's file.
-        problem: The scene.
-        execution: The model's motion from its release on, a period at least.
-        period: Of the model [s].
-        n_periods: How many to keep at most.
+        recording: The recording.
+        orbit: The orbit that it is laid over.
+        problem: Its scene.
+        n_periods: How many cycles to keep at most.
 
     Raises:
-        InputError: If it cannot be read, lacks a coordinate or is too short.
+        InputError: If it lacks a coordinate, is too short, or cannot be laid over the orbit.
+        SimulationError: If the orbit does not return.
     """
-    found = read_recording(path, only=problem.state_names)
-    signals = {signal.name: signal.values for signal in found.signals}
-    base = period * _BASE
-    whole = counterpart_of(found.label, problem, found.time, signals, base=base)
-    n_q = problem.model(problem.symbols()).n_q
-    return in_phase(whole, n_q, execution, period, n_periods)
+    whole = float(recording.time[-1] - recording.time[0])
+    if whole < 2 * orbit.period:
+        wanted = f"must last two periods, {2 * orbit.period:.4g} s, at least"
+        raise InputError(f"Argument `data` {wanted}, but it lasts {whole:.4g} s.")
+    late = recording.time[-1] - _LATE * (n_periods + 1) * orbit.period
+    end = cut(recording, late, None)
+    overlay = laid_over(orbit, problem, end)
+    if overlay is None:
+        # Time in another unit makes the end too short, and the whole tells so.
+        end, overlay = recording, laid_over(orbit, problem, recording)
+    if overlay is None or not overlay.holds:
+        why = overlay.reasons()[0] if overlay else "no period is seen in it"
+        raise InputError(f"Argument `data` must show such an orbit, but {why}; see `compare`.")
+    where = overlay.where
+    kept, start = _last_cycles(end.time, where, n_periods)
+    signals = {signal.name: signal.values for signal in end.signals}
+    base = where.period * _BASE
+    found = counterpart_of(end.label, problem, end.time, signals, where.period, base=base)
+    return replace(found, times=found.times[kept] - start, states=found.states[kept])
+
+
+def _last_cycles(time: Vector, where: Alignment, n_periods: int) -> tuple[slice, float]:
+    """Return the samples of the last whole cycles at most so many, and when the first begins."""
+    phases = where.phases(time)
+    first, last = math.ceil(phases[0] - _SLACK), math.floor(phases[-1] + _SLACK)
+    first = max(first, last - n_periods)
+    if first >= last:
+        raise InputError(
+            "Argument `data` must hold a cycle from release to release, but it does not."
+        )
+    begin, after = np.searchsorted(phases, [first, last])
+    return slice(int(begin), int(after)), where.release + first * where.period
 
 
 def _differences(times: Vector, values: Vector, base: float) -> Vector:
@@ -137,60 +171,3 @@ def _differences(times: Vector, values: Vector, base: float) -> Vector:
     rows = np.arange(len(times))
     before, after = np.maximum(rows - reach, 0), np.minimum(rows + reach, len(times) - 1)
     return (values[after] - values[before]) / (times[after] - times[before])
-
-
-def in_phase(
-    counterpart: Counterpart, n_q: int, execution: Execution, period: float, n_periods: int
-) -> Counterpart:
-    """Return the last periods of a motion, counted from where its phase fits the model's best.
-
-    The phase is that at which the coordinates, each over its own spread, are nearest in the mean
-    square. Time is moved and not stretched.
-
-    Args:
-        counterpart: The motion.
-        n_q: Number of coordinates.
-        execution: The model's motion from its release on, a period at least.
-        period: Of the model [s].
-        n_periods: How many to keep at most.
-
-    Raises:
-        InputError: If the motion is shorter than two periods.
-    """
-    times = counterpart.times
-    if times[-1] - times[0] < 2 * period:
-        message = f"must last two periods, {2 * period:.4g} s, at least"
-        raise InputError(f"Argument `data` {message}, but it lasts {times[-1] - times[0]:.4g} s.")
-    late = times >= times[-1] - (n_periods + 1) * period
-    known = late & np.all(np.isfinite(counterpart.states[:, :n_q]), axis=1)
-    rows = np.flatnonzero(known)
-    if len(rows) < 2:
-        raise InputError("Argument `data` must have numbers at its end, but it has holes only.")
-    rows = rows[:: max(1, len(rows) // _MOST)]
-    model_times, model_states = execution.sampled()
-    shifts = np.linspace(0.0, period, _PHASES, endpoint=False)
-    miss = np.zeros(len(shifts))
-    for k in range(n_q):
-        seen = counterpart.states[rows, k]
-        spread = float(np.ptp(model_states[:, k])) or 1.0
-        for at, shift in enumerate(shifts):
-            phases: Vector = np.mod(times[rows] + shift, period)
-            there = np.interp(phases, model_times, model_states[:, k])
-            miss[at] += float(np.sum(((seen - there) / spread) ** 2))
-    shift = _lowest(shifts, miss, period)
-    begin = times[-1] - (n_periods + 1) * period
-    first = max(begin, times[0])
-    zero = (math.ceil((first + shift) / period)) * period - shift
-    kept = (times >= zero) & (times <= zero + n_periods * period)
-    return Counterpart(
-        label=counterpart.label, times=times[kept] - zero, states=counterpart.states[kept]
-    )
-
-
-def _lowest(shifts: Vector, miss: Vector, period: float) -> float:
-    """Return where a periodic curve is lowest, by a parabola through its lowest three points."""
-    k = int(np.argmin(miss))
-    before, here, after = miss[k - 1], miss[k], miss[(k + 1) % len(miss)]
-    bend = before - 2 * here + after
-    part = 0.0 if bend <= 0.0 else 0.5 * (before - after) / bend
-    return float(np.mod(shifts[k] + part * period / len(shifts), period))

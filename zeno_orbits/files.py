@@ -81,6 +81,9 @@ def require_folder(folder: Path) -> None:
 def write_all(folder: Path, files: Mapping[str, bytes]) -> None:
     """Write files into a folder, all of them or none: they are put in place when all are written.
 
+    If one of them cannot be put in place, those that were are taken back, and what stood there
+    before is as it was.
+
     Args:
         folder: Where; it is made if it is not there. Other files in it are left alone.
         files: Name to content.
@@ -88,18 +91,39 @@ def write_all(folder: Path, files: Mapping[str, bytes]) -> None:
     Raises:
         InputError: If the folder cannot be made or written.
     """
+    for name in files:
+        if (folder / name).is_dir():
+            message = f"must be a file, but `{folder / name}` is a folder"
+            raise InputError(f"Argument `output` {message}.")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=folder, prefix=".figures.") as name:
-            made = Path(name)
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".unfinished.") as name:
+            new, old = Path(name) / "new", Path(name) / "old"
+            new.mkdir()
+            old.mkdir()
             for file, content in files.items():
-                (made / file).write_bytes(content)
-                (made / file).chmod(0o644)
-            for file in files:
-                (made / file).replace(folder / file)
+                (new / file).write_bytes(content)
+                (new / file).chmod(0o644)
+            _exchange(folder, new, old, files)
     except OSError as error:
         message = f"Argument `output` must be a folder that can be written, but `{folder}` is not"
         raise InputError(f"{message} ({error.strerror}).") from error
+
+
+def _exchange(folder: Path, new: Path, old: Path, names: Iterable[str]) -> None:
+    """Move files from one folder into another, and those of their names there into a third one."""
+    try:
+        for name in names:
+            if (folder / name).exists():
+                (folder / name).replace(old / name)
+            (new / name).replace(folder / name)
+    except BaseException:
+        for name in names:
+            if not (new / name).exists():
+                (folder / name).unlink(missing_ok=True)
+            if (old / name).exists():
+                (old / name).replace(folder / name)
+        raise
 
 
 def write_whole(path: Path, content: str | bytes) -> None:

@@ -150,18 +150,33 @@ def _gathered(time: Vector, values: Vector) -> _Grid:
     )
 
 
-def _first_period(grid: _Grid) -> float | None:
-    """Return the first great peak of the autocorrelation, or nothing if it has none."""
+def _autocorrelation(grid: _Grid) -> tuple[Vector, NDArray[np.bool_]]:
+    """Return the correlation of a record with itself, shifted by bins, and where it is known.
+
+    The sum over what overlaps, over the geometric mean of the two energies there: at most one, and
+    one for a whole number of periods however little overlaps.
+    """
     n = grid.values.shape[1]
     size = 2 * n
-    power = np.zeros(size // 2 + 1)
-    seen = np.zeros(size // 2 + 1)
+    products, before, after, seen = (np.zeros(n + 1, dtype=np.complex128) for _ in range(4))
     for row, mask in zip(grid.values, grid.mask, strict=True):
-        power += np.abs(np.fft.rfft(row, size)) ** 2
-        seen += np.abs(np.fft.rfft(mask.astype(np.float64), size)) ** 2
-    overlap = np.fft.irfft(seen, size)[:n]
-    known = overlap > _OVERLAP * overlap[0]
-    correlation = np.where(known, np.fft.irfft(power, size)[:n] / np.maximum(overlap, 1.0), -1.0)
+        wave, there = np.fft.rfft(row, size), np.fft.rfft(mask.astype(np.float64), size)
+        energy = np.fft.rfft(row**2, size)
+        products += np.abs(wave) ** 2
+        seen += np.abs(there) ** 2
+        before += np.conj(energy) * there
+        after += np.conj(there) * energy
+    overlap, energies = np.fft.irfft(seen, size)[:n], np.ones(n)
+    for one in (before, after):
+        energies *= np.maximum(np.fft.irfft(one, size)[:n], 0.0)
+    known = (overlap > _OVERLAP * overlap[0]) & (energies > 1e-18 * energies[0])
+    size_of = np.sqrt(np.where(known, energies, 1.0))
+    return np.where(known, np.fft.irfft(products, size)[:n] / size_of, -1.0), known
+
+
+def _first_period(grid: _Grid) -> float | None:
+    """Return the first great peak of the autocorrelation, or nothing if it has none."""
+    correlation, known = _autocorrelation(grid)
     below = np.flatnonzero(known & (correlation < 0.0))
     if not len(below) or not known[below[0] + 1 :].any():
         return None

@@ -47,9 +47,9 @@ def add_figures(commands: Any) -> None:
         "--kind",
         action="append",
         choices=_KINDS,
-        help="which: the completed system as a graph, the region d2h/dt2 < 0, phase portraits, "
-        "four figures of the model beside the virtual rig, the machine in motion; may be repeated; "
-        "by default all that the scene has",
+        help="which: the system and its completion as graphs, the region d2h/dt2 < 0, phase "
+        "portraits, five figures of the model beside the virtual rig, the machine in motion; may "
+        "be repeated; by default all that the scene has",
     )
     parser.add_argument(
         "--data",
@@ -117,10 +117,13 @@ def _material(options: argparse.Namespace, progress: report.Progress) -> Materia
 
     def other() -> Counterpart:
         from zeno_orbits.counterparts import recording_counterpart, rig_counterpart
+        from zeno_orbits.cycle_tables import measurable
+        from zeno_orbits.recordings import read_recording
 
         count = options.periods
         if options.data is not None:
-            return recording_counterpart(options.data, problem, one, orbit.period, count)
+            recording = read_recording(options.data, only=tuple(measurable(problem)))
+            return recording_counterpart(recording, orbit, problem, count)
         return rig_counterpart(
             orbit, problem, count, lambda part: progress.tell("running the rig", part)
         )

@@ -7,6 +7,7 @@ takes a width in inches: ``COLUMN_WIDTH`` stacks the panels for one column of a 
 
 from zeno_orbits.plots.animation import Film, film_of, gif_of, has_ffmpeg, mp4_of
 from zeno_orbits.plots.beside import (
+    plot_beside_by_phase,
     plot_beside_impacts,
     plot_beside_over_time,
     plot_beside_portraits,
@@ -31,6 +32,7 @@ __all__ = [
     "has_ffmpeg",
     "has_zeno_region",
     "mp4_of",
+    "plot_beside_by_phase",
     "plot_beside_impacts",
     "plot_beside_over_time",
     "plot_beside_portraits",

@@ -1,6 +1,6 @@
 # pyright: reportUnknownMemberType=false
 # The stubs of matplotlib leave most keyword arguments untyped.
-"""A machine in motion, its phase portrait running beside it: GIF, and MP4 where ffmpeg is found."""
+"""A machine in motion, phase portraits running beside it: GIF, and MP4 where ffmpeg is found."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import subprocess
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,17 @@ from zeno_orbits.compiled import drawn_lines
 from zeno_orbits.dynamics import Vector
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.execution import Execution, Mode
-from zeno_orbits.plots.style import ARCS, FULL_WIDTH, INK, TEXT, add_legend, label_of, paths_of
+from zeno_orbits.plots.style import (
+    ARCS,
+    FULL_WIDTH,
+    INK,
+    JUMP,
+    TEXT,
+    add_legend,
+    label_of,
+    mark_completion,
+    paths_of,
+)
 from zeno_orbits.problem import Problem, Setting
 
 _RATE = 25
@@ -33,11 +44,17 @@ _FEWEST, _MOST = 40, 250
 """Pictures of one animation: two to ten seconds, whatever the period is."""
 _DOTS = 100
 """Of the animation, an inch."""
-_COLOURS = 64
+_COLOURS = 63
+_KEPT = 63
+"""In the place of a colour: what the picture before shows there."""
 STOP = "stop"
 """The line of a drawing that is the stop itself, and is drawn as such."""
 _TRAIL = 0.12
-"""Part of the period that the moving point drags behind it."""
+"""Part of the period that the moving points drag behind them."""
+_PORTRAITS = 2
+"""So many portraits are legible beside a machine."""
+_TALL = 3.8
+"""Height of the picture [in]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,7 +71,7 @@ class Film:
 
 
 def film_of(problem: Problem, setting: Setting, execution: Execution, period: float) -> Film:
-    """Return one period of a machine in motion with its first phase portrait beside it.
+    """Return one period of a machine in motion with its first two phase portraits beside it.
 
     Args:
         problem: The scene; it has a drawing.
@@ -71,17 +88,31 @@ def film_of(problem: Problem, setting: Setting, execution: Execution, period: fl
     times = np.linspace(0.0, period, count, endpoint=False)
     states = np.array([execution.state_at(time) for time in times])
     lines = drawn_lines(problem, setting, states[:, : len(problem.state_names)])
-    figure = Figure(figsize=(FULL_WIDTH, 3.4), layout="constrained", dpi=_DOTS)
+    figure = Figure(figsize=(FULL_WIDTH, _TALL), layout="constrained", dpi=_DOTS)
     canvas = FigureCanvasAgg(figure)
-    machine, portrait = figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2)
+    pairs = [
+        [problem.state_names.index(name) for name in pair]
+        for pair in problem.portraits[:_PORTRAITS]
+    ]
+    grid = figure.add_gridspec(len(pairs), 2)
+    machine = figure.add_subplot(grid[:, 0])
+    portraits = [figure.add_subplot(grid[k, 1]) for k in range(len(pairs))]
     parts = _draw_machine(machine, lines)
-    pair = [problem.state_names.index(name) for name in problem.portraits[0]]
-    dot, trail = _draw_portrait(portrait, problem, execution, pair)
-    add_legend(figure, FULL_WIDTH)
+    points = [
+        _draw_portrait(ax, problem, execution, pair)
+        for ax, pair in zip(portraits, pairs, strict=True)
+    ]
     slower = count / _RATE / period
     if abs(slower - 1.0) > 0.1:
         words = "slower" if slower > 1.0 else "faster"
-        portrait.set_title(f"shown {max(slower, 1 / slower):.2g} times {words}", size=TEXT)
+        portraits[0].set_title(f"shown {max(slower, 1 / slower):.2g} times {words}", size=TEXT)
+    add_legend(figure, FULL_WIDTH)
+    figure.align_ylabels(portraits)
+    machine.set_title("Zeno model", size=TEXT)
+    # Laid out once, twice for what depends on the first: nothing but the machine is to move.
+    canvas.draw()
+    canvas.draw()
+    figure.set_layout_engine("none")
     digits = max(0, 2 - math.floor(math.log10(period)))
     frames: list[Image.Image] = []
     for k, time in enumerate(times.tolist()):
@@ -89,9 +120,11 @@ def film_of(problem: Problem, setting: Setting, execution: Execution, period: fl
         for name, part in parts.items():
             part.set_data(*lines[name][k].T)
             part.set_color(INK if name == STOP else ARCS[mode]["color"])
-        dot.set_data(*states[[k]][:, pair].T)
-        dot.set_markerfacecolor(ARCS[mode]["color"])
-        trail.set_data(*states[_trail_start(execution, times, k) : k + 1, pair].T)
+        start = _trail_start(execution, times, k)
+        for (dot, trail), pair in zip(points, pairs, strict=True):
+            dot.set_data(*states[[k]][:, pair].T)
+            dot.set_markerfacecolor(ARCS[mode]["color"])
+            trail.set_data(*states[start : k + 1, pair].T)
         word = "off the stop" if mode is Mode.FREE else "on the stop"
         machine.set_title(f"Zeno model at {time:.{digits}f} s: {word}", size=TEXT)
         canvas.draw()
@@ -106,8 +139,18 @@ def gif_of(film: Film) -> bytes:
     sheet = Image.new("RGB", (wide, 4 * high))
     for k in range(4):
         sheet.paste(film.frames[k * len(film.frames) // 4], (0, k * high))
-    palette = sheet.quantize(_COLOURS)
-    frames = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in film.frames]
+    # By coverage: a small mark keeps its colour beside large areas, and white stays white.
+    palette = sheet.quantize(_COLOURS, method=Image.Quantize.MAXCOVERAGE)
+    shown = [
+        np.asarray(frame.quantize(palette=palette, dither=Image.Dither.NONE))
+        for frame in film.frames
+    ]
+    frames = [Image.fromarray(shown[0], mode="P")]
+    # What has not moved is left as it is, which packs well.
+    for before, after in pairwise(shown):
+        frames.append(Image.fromarray(np.where(after == before, _KEPT, after).astype(np.uint8)))
+    for frame in frames:
+        frame.putpalette(palette.getpalette() or [])
     found = io.BytesIO()
     frames[0].save(
         found,
@@ -117,6 +160,8 @@ def gif_of(film: Film) -> bytes:
         duration=1000 // film.rate,
         loop=0,
         optimize=False,
+        transparency=_KEPT,
+        disposal=1,
     )
     return found.getvalue()
 
@@ -180,9 +225,13 @@ def _draw_portrait(
     for _, states, look in paths_of(execution):
         thin: dict[str, Any] = look | {"lw": 1.0}
         ax.plot(*states[:, list(pair)].T, **thin)
+    for impact in execution.impacts:
+        ends = np.array([impact.state_minus, impact.state_plus])[:, list(pair)]
+        ax.plot(*ends.T, **JUMP)
+    mark_completion(ax, execution, pair)
     ax.set(xlabel=label_of(problem, pair[0]), ylabel=label_of(problem, pair[1]))
     trail = ax.plot([], [], color=INK, lw=2.2, alpha=0.45)[0]
-    dot = ax.plot([], [], ls="", marker="o", ms=7, mec=INK, mew=1.0)[0]
+    dot = ax.plot([], [], ls="", marker="o", ms=7, mec=INK, mew=1.0, zorder=6)[0]
     return dot, trail
 
 

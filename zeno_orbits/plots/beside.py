@@ -21,6 +21,7 @@ from zeno_orbits.plots.style import (
     ARCS,
     COLUMN_WIDTH,
     JUMP,
+    TEXT,
     TINTS,
     ZENO,
     add_legend,
@@ -33,9 +34,9 @@ from zeno_orbits.problem import Problem
 _OTHER: dict[str, Any] = {"color": "black", "lw": 0.7, "zorder": 3.5}
 _MODEL: dict[Mode, dict[str, Any]] = {
     Mode.FREE: ARCS[Mode.FREE] | {"lw": 2.0, "color": "#56B4E9", "label": "Zeno model, free"},
-    Mode.LOCKED: ARCS[Mode.LOCKED] | {"lw": 2.6, "color": "#E69F00", "label": "Zeno model, locked"},
+    Mode.LOCKED: ARCS[Mode.LOCKED] | {"lw": 3.2, "label": "Zeno model, locked"},
 }
-"""Wide and light, so that the other motion is seen where it lies on top."""
+"""Wide, so that the other motion is seen on top; told apart by shade and width in grey, too."""
 _CLOSER = 15.0
 """How much the gap is enlarged to show what happens on the stop."""
 
@@ -55,19 +56,49 @@ def plot_beside_over_time(
         counterpart: The other motion, from a release on.
         width: Width of the picture [in].
     """
-    n_q = problem.model(problem.symbols()).n_q
-    figure, panels = panels_of(width, n_q, height=1.15, columns=1)
+    figure, panels = _coordinates(problem, execution, width)
     for row, ax in enumerate(panels):
-        for mode, start, end in phases_of(execution):
-            word = "locked phase" if mode is Mode.LOCKED else None
-            ax.axvspan(start, end, color=TINTS[mode], lw=0, gid=mode.value, label=word)
         for times, states, look in _paths(execution):
             ax.plot(times, states[:, row], **look)
         ax.plot(counterpart.times, counterpart.states[:, row], label=counterpart.label, **_OTHER)
-        ax.set(ylabel=label_of(problem, row), xlim=(0.0, execution.end_time))
-        ax.tick_params(labelbottom=ax is panels[-1])
+        ax.set(xlim=(0.0, execution.end_time))
     panels[-1].set_xlabel("time since a release [s]")
-    figure.align_ylabels(panels)
+    add_legend(figure, width)
+    return figure
+
+
+def plot_beside_by_phase(
+    problem: Problem,
+    execution: Execution,
+    counterpart: Counterpart,
+    *,
+    width: float = COLUMN_WIDTH,
+) -> Figure:
+    """Return the coordinates of both motions over the phase, each in periods of its own.
+
+    What is left of a difference is one of shape; that of the periods stands above, in numbers. All
+    cycles of the other motion are drawn on top of each other.
+
+    Args:
+        problem: The scene.
+        execution: The model's motion over one period from its release on.
+        counterpart: The other motion, from a release on.
+        width: Width of the picture [in].
+    """
+    own = execution.end_time
+    figure, panels = _coordinates(problem, execution, width, unit=own)
+    phases, numbers = np.modf(counterpart.times / counterpart.period)
+    ends = [*np.flatnonzero(np.diff(numbers) > 0.0) + 1]
+    for row, ax in enumerate(panels):
+        for times, states, look in _paths(execution):
+            ax.plot(times / own, states[:, row], **look)
+        # A cycle's last sample and the next one's first are no line across the picture.
+        x, y = (np.insert(one, ends, math.nan) for one in (phases, counterpart.states[:, row]))
+        ax.plot(x, y, label=counterpart.label, **_OTHER)
+        ax.set(xlim=(0.0, 1.0))
+    periods = f"own periods: model {own:.5g} s, other {counterpart.period:.5g} s"
+    panels[0].set_title(periods, size=TEXT)
+    panels[-1].set_xlabel("phase from release [own periods]")
     add_legend(figure, width)
     return figure
 
@@ -176,6 +207,24 @@ def plot_beside_zeno_point(
     ax.set(xlabel=f"gap $h$ [{unit}]", ylabel=rf"gap rate $\dot h$ [{unit}/s]")
     add_legend(figure, width)
     return figure
+
+
+def _coordinates(
+    problem: Problem, execution: Execution, width: float, unit: float = 1.0
+) -> tuple[Figure, list[Axes]]:
+    """Return a panel a coordinate over time in some unit, the model's locked phases shaded."""
+    n_q = problem.model(problem.symbols()).n_q
+    figure, panels = panels_of(width, n_q, height=1.15, columns=1)
+    for row, ax in enumerate(panels):
+        for mode, start, end in phases_of(execution):
+            word = "locked phase" if mode is Mode.LOCKED else None
+            ax.axvspan(
+                start / unit, end / unit, color=TINTS[mode], lw=0, gid=mode.value, label=word
+            )
+        ax.set(ylabel=label_of(problem, row))
+        ax.tick_params(labelbottom=ax is panels[-1])
+    figure.align_ylabels(panels)
+    return figure, panels
 
 
 def _paths(execution: Execution) -> list[tuple[Vector, Vector, dict[str, Any]]]:

@@ -16,13 +16,14 @@ from zeno_orbits.cycle_tables import OrbitTable, measurable
 from zeno_orbits.deviations import Deviations
 from zeno_orbits.dynamics import Vector
 from zeno_orbits.execution import Mode
-from zeno_orbits.plots.style import FULL_WIDTH, INK, TINTS, add_legend, label_of
+from zeno_orbits.plots.style import FULL_WIDTH, INK, TEXT, TINTS, add_legend, label_of
 from zeno_orbits.problem import Problem
 
-_ORBIT: dict[str, Any] = {"color": "#0072B2", "lw": 1.3, "label": "orbit", "zorder": 3}
-_DATA: dict[str, Any] = {"color": "#D55E00", "lw": 1.1, "label": "mean over cycles"}
-_DOTS: dict[str, Any] = {"color": "#999999", "ls": "", "marker": ".", "ms": 1.2, "zorder": 1}
-_SPREAD: dict[str, Any] = {"color": "#D55E00", "alpha": 0.25, "lw": 0, "label": "spread"}
+_ORBIT: dict[str, Any] = {"color": "#56B4E9", "lw": 2.4, "label": "orbit", "zorder": 2}
+_DATA: dict[str, Any] = {"color": "black", "lw": 0.8, "label": "mean over cycles", "zorder": 3}
+"""The orbit wide and light, so that the recording is seen on top of it."""
+_DOTS: dict[str, Any] = {"color": "#777777", "ls": "", "marker": "."}
+_SPREAD: dict[str, Any] = {"color": "#777777", "alpha": 0.4, "lw": 0, "label": "spread"}
 _MOST_DOTS = 4000
 
 
@@ -30,7 +31,8 @@ def plot_comparison(problem: Problem, found: Comparison, *, width: float = FULL_
     """Return a recording over an orbit, signal by signal, and its portraits.
 
     Left: the samples folded into one period, their mean and the orbit. Right: the mean deviation
-    and the standard deviation of the samples around it. Phases are shaded, impacts dashed.
+    and the standard deviation of the samples around it. Phases are shaded, impacts dashed. Both run
+    in periods of their own, which stand above in numbers.
 
     Args:
         problem: The scene.
@@ -54,7 +56,8 @@ def plot_comparison(problem: Problem, found: Comparison, *, width: float = FULL_
         left, right = figure.add_subplot(grid[k, 0]), figure.add_subplot(grid[k, 1])
         last = k == len(found.signals) - 1
         samples = found.recording.signal(name).values[chosen]
-        left.plot(phases, samples, label=found.recording.label, **_DOTS)
+        left.plot(phases, samples, ms=1.2, zorder=1, **_DOTS)
+        left.plot([], [], ms=5.0, label=found.recording.label, **_DOTS)
         left.plot(table.nodes.times / table.period, table.nodes.values[:, k], **_ORBIT)
         mean = deviations.orbit[:, k] + deviations.average[:, k]
         left.plot(deviations.phases, mean, **_DATA)
@@ -65,7 +68,10 @@ def plot_comparison(problem: Problem, found: Comparison, *, width: float = FULL_
             _shade(ax, table)
             ax.tick_params(labelbottom=last)
             if last:
-                ax.set_xlabel("phase from release [periods]")
+                ax.set_xlabel("phase from release [own periods]")
+    periods = f"period: orbit {table.period:.6g} s, recording {where.period:.6g} s"
+    figure.axes[0].set_title(periods, size=TEXT)
+    figure.axes[1].set_title("recording less orbit", size=TEXT)
     for k, pair in enumerate(pairs):
         ax = figure.add_subplot(grid[len(found.signals) + k // 2, k % 2])
         _draw_portrait(ax, problem, found, deviations, pair)
@@ -77,7 +83,7 @@ def _draw_deviation(ax: Axes, found: Deviations, k: int) -> None:
     mean, spread = found.average[:, k], found.spread[:, k]
     ax.fill_between(found.phases, mean - spread, mean + spread, **_SPREAD)
     ax.plot(found.phases, mean, **_DATA)
-    ax.axhline(0.0, color=_ORBIT["color"], lw=1.0, zorder=1)
+    ax.axhline(0.0, color=_ORBIT["color"], lw=_ORBIT["lw"], zorder=1)
 
 
 def _shade(ax: Axes, table: OrbitTable) -> None:

@@ -12,6 +12,7 @@ from zeno_orbits.dynamics import HybridDynamics
 from zeno_orbits.execution import Execution
 from zeno_orbits.plots.animation import film_of, gif_of, has_ffmpeg, mp4_of
 from zeno_orbits.plots.beside import (
+    plot_beside_by_phase,
     plot_beside_impacts,
     plot_beside_over_time,
     plot_beside_portraits,
@@ -48,8 +49,8 @@ class Material:
 
 
 def graph_files(material: Material) -> dict[str, bytes]:
-    """Return the completed system as a graph."""
-    return _files({"fig2_completed_system": plot_graph(material.problem, material.setting)})
+    """Return the hybrid system and its completion as graphs."""
+    return _files({"fig2_systems": plot_graph(material.problem, material.setting)})
 
 
 def region_files(material: Material) -> dict[str, bytes]:
@@ -65,7 +66,7 @@ def portrait_files(material: Material) -> dict[str, bytes]:
 
 
 def beside_files(material: Material) -> dict[str, bytes]:
-    """Return the model beside another motion: over time, impacts, portraits, the Zeno point."""
+    """Return the model beside another motion: over time, by phase, impacts, portraits, zoom."""
     problem, dynamics, one, other = (
         material.problem,
         material.dynamics,
@@ -75,6 +76,7 @@ def beside_files(material: Material) -> dict[str, bytes]:
     return _files(
         {
             "fig5a_over_time": plot_beside_over_time(problem, material.several, other),
+            "fig5a_by_phase": plot_beside_by_phase(problem, one, other),
             "fig5b_impacts": plot_beside_impacts(problem, dynamics, one, other),
             "fig5c_portraits": plot_beside_portraits(problem, one, other),
             "fig5d_zeno_point": plot_beside_zeno_point(problem, dynamics, one, other),

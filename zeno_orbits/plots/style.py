@@ -27,11 +27,11 @@ FULL_WIDTH = 7.0
 
 TEXT = 8.0
 INK = "#333333"
-TINTS = {Mode.FREE: "#E3F0F8", Mode.LOCKED: "#FBE0CE"}
+TINTS = {Mode.FREE: "#E3F0F8", Mode.LOCKED: "#F9DBC6"}
 BLUES = LinearSegmentedColormap.from_list("depth", ["#3C8DC0", "#E6F2F9"])
 ARCS: dict[Mode, dict[str, Any]] = {
     Mode.FREE: {"color": "#0072B2", "lw": 1.2, "label": "free arc"},
-    Mode.LOCKED: {"color": "#D55E00", "lw": 1.8, "label": "locked arc", "zorder": 2.5},
+    Mode.LOCKED: {"color": "#D55E00", "lw": 2.4, "label": "locked arc", "zorder": 2.5},
 }
 TAIL: dict[str, Any] = ARCS[Mode.FREE] | {"ls": ":", "label": "Zeno tail, summed"}
 LAW: dict[str, Any] = {"color": "#E69F00", "lw": 1.4, "label": "first-order law"}
@@ -145,10 +145,10 @@ def mark_completion(ax: Axes, execution: Execution, pair: Sequence[int]) -> None
 
 def label_of(problem: Problem, index: int) -> str:
     """Return the label of an axis that shows a state, with its unit."""
-    return f"{_symbol(problem.state_names, index)} [{problem.state_units[index]}]"
+    return f"{symbol_of(problem.state_names, index)} [{problem.state_units[index]}]"
 
 
-def _symbol(names: Sequence[str], index: int) -> str:
+def symbol_of(names: Sequence[str], index: int) -> str:
     """Return a state's name as it is written in a formula; a word stays a word."""
     name = names[index]
     dotted = name[0] == "d" and name[1:] in names
