@@ -24,10 +24,13 @@ from tests.reference_orbit import ORBIT_KEYS, PERIOD, RELEASE
 from zeno_orbits import progress, symbolic
 from zeno_orbits.certificate import OrbitCertificate
 from zeno_orbits.cli import build_parser, main
-from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.dynamics import Tolerance
+from zeno_orbits.errors import PenetrationError, ZenoOrbitsError
+from zeno_orbits.execution import Execution
 from zeno_orbits.extended_orbit import ExtendedOrbit, extended_orbit
 from zeno_orbits.problem import Problem, bundled_problems, load_problem
 from zeno_orbits.search import SearchSettings
+from zeno_orbits.simulate import SimulationSettings, simulate
 
 YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
 COMMANDS = (
@@ -486,7 +489,36 @@ def test_simulate_at_an_accuracy_reports_the_error_as_text_and_json() -> None:
     ball = ("simulate", "bouncing_ball", "--until", "5", "--accuracy", "1e-6")
     assert 0.0 < error_said(ask(*ball)) <= 1e-6
     assert 0.0 < ask(*ball, "--json").data["error"] <= 1e-6
-    assert "error" not in ask(*ball[:4], "--json").data
+
+
+def test_simulate_tells_the_error_of_every_zeno_point_with_its_flights() -> None:
+    """Of the closed form, and not of the limit of impacts that are wrong themselves."""
+    e, g = 0.5, 9.81
+    truth = math.sqrt(2 / g) * (1 + e) / (1 - e)
+    ball = ("simulate", "bouncing_ball", "--set", f"restitution={e}", "--until", "5")
+    data = ask(*ball, "--json").data
+    (point,) = [event for event in data["events"] if event["event"] == "zeno_point"]
+    assert abs(point["time"] - truth) <= point["error"] * (1 + truth)
+    assert point["limit_error"] < point["error"] <= data["error"]
+    said = re.search(r"Zeno point \(\+- (.*?)\)", ask(*ball).out)
+    assert said is not None
+    assert float(said[1]) == pytest.approx(point["error"], rel=0.5)
+
+
+def test_simulate_says_where_no_looser_run_tells_the_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fragile(*given: Any, settings: SimulationSettings, **named: Any) -> Execution:
+        if settings.tolerance.relative > Tolerance().relative:
+            raise PenetrationError("Through the stop", time=0.0, state=(0.0, 0.0))
+        return simulate(*given, settings=settings, **named)
+
+    monkeypatch.setattr("zeno_orbits.accuracy.simulate", fragile)
+    ball = ("simulate", "bouncing_ball", "--until", "5")
+    answer = ask(*ball)
+    assert "Zeno point (+- ?)" in answer.out
+    assert "error: unknown" in answer.out
+    data = ask(*ball, "--json").data
+    assert data["error"] is None
+    assert data["events"][-1]["error"] is None
 
 
 def test_verify_at_an_accuracy_reports_the_error_as_json(orbit: Path) -> None:
