@@ -442,13 +442,13 @@ def test_a_ball_at_rest_has_no_error_but_its_tolerance(ball: HybridDynamics) -> 
 
 
 def test_the_reason_for_an_engine_names_the_rates(machine: HybridDynamics) -> None:
-    assert "implicit" in why_engine(machine, RELEASE)
-    assert "1.5e+03 1/s" in why_engine(machine, RELEASE)
+    assert "implicit" in why_engine(machine, RELEASE, 1.0)
+    assert "1.5e+03 1/s" in why_engine(machine, RELEASE, 1.0)
     ball = bind(
         compiled_model(load_problem("bouncing_ball")),
         load_problem("bouncing_ball").setting().values(),
     )
-    assert why_engine(ball, (1.0, 0.0)) == "explicit steps (DOP853): nothing decays."
+    assert why_engine(ball, (1.0, 0.0), 1.0) == "explicit steps (DOP853): nothing decays."
 
 
 @pytest.mark.parametrize("engine", [Automatic(), RungeKutta(), Radau()])

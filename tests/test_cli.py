@@ -351,6 +351,34 @@ def _not_at_release(data: dict[str, Any]) -> None:
     data["release_state"]["current"] += 1e-3
 
 
+def _off_the_stop(data: dict[str, Any]) -> None:
+    data["release_state"]["theta2"] += 1e-3
+
+
+def _inside_the_stop(data: dict[str, Any]) -> None:
+    data["release_state"]["theta2"] -= 1e-3
+
+
+def _moving_into_the_stop(data: dict[str, Any]) -> None:
+    data["release_state"]["dtheta2"] -= 1e-3
+
+
+def _doubled_period(data: dict[str, Any]) -> None:
+    data["period"] *= 2
+
+
+def _henries_for_millihenries(data: dict[str, Any]) -> None:
+    data["parameters"]["L"] *= 1000
+
+
+def _milliamperes_for_amperes(data: dict[str, Any]) -> None:
+    data["release_state"]["current"] *= 1000
+
+
+def _out_of_all_bounds(data: dict[str, Any]) -> None:
+    data["release_state"]["theta1"] = 1e200
+
+
 def _other_zeno_point(data: dict[str, Any]) -> None:
     data["zeno_state"]["theta1"] += 1e-4
 
@@ -363,6 +391,13 @@ def _other_zeno_point(data: dict[str, Any]) -> None:
         (_longer_period, "period"),
         (_other_first_impact, "first_impact"),
         (_not_at_release, "release"),
+        (_off_the_stop, "release"),
+        (_inside_the_stop, "release"),
+        (_moving_into_the_stop, "release"),
+        (_doubled_period, "period"),
+        (_henries_for_millihenries, "first_impact"),
+        (_milliamperes_for_amperes, "release"),
+        (_out_of_all_bounds, "release"),
     ],
 )
 def test_verify_refuses_a_tampered_orbit_and_names_the_residual(

@@ -16,7 +16,7 @@ import numpy as np
 
 from zeno_orbits.completion import ZenoPassage
 from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
-from zeno_orbits.engines.automatic import PAYS, decay_rates
+from zeno_orbits.engines.automatic import PAYS, eigenvalues, rates_of, staying_rate
 from zeno_orbits.errors import InputError, PenetrationError, SimulationError
 from zeno_orbits.execution import Execution, Impact, Release, ZenoPoint
 from zeno_orbits.landmarks import Kind, Landmark, apart, difference, landmarks, sizes, sizes_of
@@ -235,18 +235,21 @@ def _holds(execution: Execution) -> tuple[ZenoPoint | Release, ...]:
     return tuple(event for event in execution.events if not isinstance(event, Impact))
 
 
-def why_engine(dynamics: HybridDynamics, state: Sequence[float] | Vector) -> str:
+def why_engine(dynamics: HybridDynamics, state: Sequence[float] | Vector, leg: float) -> str:
     """Return in one sentence how the default engine will go about a scene, and why.
 
     Args:
         dynamics: The system at fixed numbers.
         state: Where it starts, ``(n_x,)``.
+        leg: How long it goes without an event [s]; what decays much sooner does not last.
     """
-    fastest, slower = decay_rates(dynamics.free, np.array(state, dtype=np.float64))
+    values = eigenvalues(dynamics.free, np.array(state, dtype=np.float64))
+    fastest, _ = rates_of(values)
     if fastest <= 0.0:
         return "explicit steps (DOP853): nothing decays."
-    rates = f"the fastest decay is {fastest:.3g} 1/s, the next rate {slower:.3g} 1/s"
-    if fastest > PAYS * slower:
+    lasting = staying_rate(values, leg)
+    rates = f"the fastest decay is {fastest:.3g} 1/s, what lasts changes at {lasting:.3g} 1/s"
+    if fastest > PAYS * lasting:
         return f"explicit steps (DOP853) in layers, then implicit (Radau IIA, order 13): {rates}."
     return f"explicit steps (DOP853): {rates}."
 

@@ -90,7 +90,9 @@ def _run_simulate(options: argparse.Namespace) -> int:
         print_json(_execution_json(problem, assured))
     else:
         report.print_execution(problem, assured)
-        report.print_engine(options.engine, why_engine(dynamics, state), assured.error)
+        longest = max(arc.end_time - arc.start_time for arc in execution.arcs)
+        why = why_engine(dynamics, state, longest)
+        report.print_engine(options.engine, why, assured.error)
     if options.output is not None:
         from zeno_orbits import plots
 
