@@ -560,6 +560,51 @@ def test_verify_at_an_accuracy_reports_the_error_as_json(orbit: Path) -> None:
     assert 0.0 < ask("verify", orbit, "--accuracy", "1e-6", "--json").data["error"] <= 1e-6
 
 
+def test_an_orbit_that_is_less_certain_than_asked_is_a_no(orbit: Path) -> None:
+    """However lax its residuals are judged."""
+    lax = ("verify", orbit, "--periods", "1", "--tolerance", "0.5", "--accuracy")
+    refused = ask(*lax, "1e-12")
+    assert refused.code == NO
+    assert "Verified" in refused.out
+    assert error_said(refused) > 1e-12
+    assert "more than the accuracy 1e-12" in refused.out
+    assert ask(*lax, "1e-12", "--json").code == NO
+    assert ask(*lax, "1e-6").code == YES
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--rate", "0"), ("`rate`", "positive")),
+        (("--rate", "1e12"), ("`rate`", "10000000 samples")),
+        (("--noise", "1e308"), ("`noise`", "1e+06")),
+        (("--noise", "nan"), ("`noise`", "nan")),
+        (("-o", "a.png", "--data", "./a.png"), ("`data`", "another file than `output`")),
+    ],
+    ids=str,
+)
+def test_samples_that_cannot_be_are_refused_before_the_work(
+    arguments: tuple[str, ...], words: tuple[str, ...], here: Path
+) -> None:
+    data = () if "--data" in arguments else ("--data", "data.csv")
+    answer = ask("simulate", "bouncing_ball", "--until", "1", *arguments, *data)
+    assert_refused(answer, *words)
+    assert contents(here) == {}
+
+
+def test_numbers_that_no_parameter_can_be_derived_from_are_misuse() -> None:
+    answer = ask("simulate", "motor_pendulum", "--set", "m2=1e300", "--until", "1")
+    assert_refused(answer, "`parameters`", "out of range")
+    assert "internal" not in answer.err
+
+
+@pytest.mark.parametrize("name", ["a" * 5000, "a\0b"])
+def test_a_name_that_no_file_can_have_is_no_scene(name: str) -> None:
+    answer = ask("simulate", name)
+    assert_refused(answer, "`problem` must be one of")
+    assert "internal" not in answer.err
+
+
 def test_an_accuracy_out_of_reach_is_a_no(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A machine that rounds a thousand times worse."""
     monkeypatch.setattr("zeno_orbits.accuracy.ROUNDING", 4e-12)
@@ -1274,6 +1319,45 @@ def test_a_reader_who_has_seen_enough_is_no_error(arguments: tuple[str, ...]) ->
         err = process.stderr.read()
     assert process.returncode == YES
     assert err == ""
+
+
+def closed(*arguments: str | Path, streams: str) -> subprocess.CompletedProcess[str]:
+    """Run the command line from a shell, with its streams closed or sent elsewhere."""
+    root = str(Path(__file__).resolve().parent.parent)
+    paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
+    words = shlex.join([sys.executable, "-m", "zeno_orbits", *map(str, arguments)])
+    return subprocess.run(
+        ["bash", "-c", f"set -o pipefail; {words} {streams}"],
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+        capture_output=True,
+        check=False,
+        timeout=120,
+    )
+
+
+@pytest.mark.parametrize("streams", [">&- 2>&-", "2>/dev/full", "| true"])
+def test_an_answer_does_not_depend_on_who_reads_it(
+    streams: str, orbit_data: dict[str, Any], here: Path
+) -> None:
+    _longer_period(orbit_data)
+    (here / "false.json").write_text(json.dumps(orbit_data))
+    found = closed("verify", here / "false.json", "--periods", "1", streams=streams)
+    assert found.returncode == NO
+    assert "Error" not in found.stderr
+
+
+def test_a_yes_and_a_misuse_do_not_depend_on_it_either(here: Path) -> None:
+    for streams in (">&-", "2>&-"):
+        assert closed("problems", streams=streams).returncode == YES
+        assert closed("verify", here / "none.json", streams=streams).returncode == MISUSE
+
+
+@pytest.mark.parametrize("arguments", [("problems",), ("problems", "--json"), ("--help",)])
+def test_an_output_that_finds_no_room_is_no_yes(arguments: tuple[str, ...]) -> None:
+    found = closed(*arguments, streams="> /dev/full")
+    assert found.returncode == MISUSE
+    assert re.fullmatch(r"zeno-orbits: Standard output must take .*No space left.*\n", found.stderr)
 
 
 def test_an_interrupt_from_the_keyboard_ends_a_search_without_a_file(here: Path) -> None:

@@ -23,6 +23,7 @@ from zeno_orbits.cli.shared import (
     simulation_of,
     start_of,
 )
+from zeno_orbits.errors import InputError
 from zeno_orbits.files import require_picture, require_writable
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ def _run_simulate(options: argparse.Namespace) -> int:
     if options.output is not None:
         require_picture(options.output)
     if options.data is not None:
-        require_writable(options.data)
+        _require_data(options)
     dynamics = bind(compiled_model(problem), setting.values())
     assured = _simulated(options, dynamics, state)
     execution = assured.execution
@@ -113,6 +114,19 @@ def _run_simulate(options: argparse.Namespace) -> int:
         write_recording(recording, options.data)
         say_written(options, [options.data])
     return YES
+
+
+def _require_data(options: argparse.Namespace) -> None:
+    """Refuse a file of samples that cannot be made, or would be another one that is written."""
+    from zeno_orbits.sampling import require_samples
+
+    require_writable(options.data)
+    if options.output is not None and options.output.resolve() == options.data.resolve():
+        message = f"must be another file than `output`, but both are `{options.data}`"
+        raise InputError(f"Argument `data` {message}.")
+    if options.until > 0.0:
+        # The simulator says itself what it does not take.
+        require_samples(options.until, options.rate, options.noise)
 
 
 def _simulated(

@@ -12,12 +12,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zeno_orbits.dynamics import GuardedFlow, Tolerance, Vector
 from zeno_orbits.engines.protocol import FAR, Leg, Passage, Step
 from zeno_orbits.engines.radau import Radau
 from zeno_orbits.engines.runge_kutta import RungeKutta
 from zeno_orbits.engines.stepping import follow_steps
+
+Values = NDArray[np.complex128]
 
 _FIRST_LOOK = 5
 """Explicit steps before the decay rates of a flow are asked for."""
@@ -98,14 +101,14 @@ class _Limits:
 
     fastest: float
     first: float
-    values: Vector
+    values: Values
 
     def pay(self, left: float) -> bool:
         """Tell whether implicit steps pay for what is left of a leg."""
         return self.fastest > PAYS * staying_rate(self.values, left)
 
 
-_NONE = _Limits(fastest=0.0, first=0.0, values=np.zeros(0))
+_NONE = _Limits(fastest=0.0, first=0.0, values=np.zeros(0, dtype=np.complex128))
 
 
 def _limits(flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> _Limits:
@@ -131,9 +134,9 @@ def _time_left(flow: GuardedFlow, step: Step) -> float:
     return -value / rate if rate < 0.0 else math.inf
 
 
-def eigenvalues(flow: GuardedFlow, y: Vector) -> Vector:
+def eigenvalues(flow: GuardedFlow, y: Vector) -> Values:
     """Return the eigenvalues of the Jacobian of a flow, ``(n_y,)`` [1/time]."""
-    return np.asarray(np.linalg.eigvals(flow.jacobian(y)))
+    return np.linalg.eigvals(flow.jacobian(y)).astype(np.complex128)
 
 
 def decay_rates(flow: GuardedFlow, y: Vector) -> tuple[float, float]:
@@ -145,14 +148,14 @@ def decay_rates(flow: GuardedFlow, y: Vector) -> tuple[float, float]:
     return rates_of(eigenvalues(flow, y))
 
 
-def rates_of(values: Vector) -> tuple[float, float]:
+def rates_of(values: Values) -> tuple[float, float]:
     """Return the same of eigenvalues, ``(n_y,)``."""
     fastest = max(float(-np.min(values.real)), 0.0)
     slower = [abs(value) for value in values if -value.real < fastest / 10]
     return fastest, float(max(slower, default=0.0))
 
 
-def staying_rate(values: Vector, left: float) -> float:
+def staying_rate(values: Values, left: float) -> float:
     """Return the largest rate of what does not decay long before a leg ends [1/time].
 
     Several layers, of motors with far different ``L / R`` for instance, are all passed soon. What
