@@ -429,6 +429,21 @@ def test_plot_writes_five_pictures(orbit: Path, here: Path) -> None:
     assert answer.out.count("Written: ") == 5
 
 
+def test_pictures_that_cannot_all_be_drawn_are_none(orbit_data: dict[str, Any], here: Path) -> None:
+    """A period too short for a Zeno point: the portraits alone could be drawn."""
+    (here / "short.json").write_text(json.dumps(orbit_data | {"period": 1e-3}))
+    before = contents(here)
+    assert_refused(ask("plot", "short.json", "-o", "pictures"), "Zeno point")
+    assert contents(here) == before
+    assert not (here / "pictures").exists()
+
+
+def test_a_new_scene_may_not_take_the_name_of_another(here: Path) -> None:
+    """An orbit file tells its scene by this name."""
+    assert_refused(ask("new", "motor_pendulum"), "`name`", "`motor_pendulum` is one")
+    assert contents(here) == {}
+
+
 def test_plot_writes_the_picture_that_is_asked_for(orbit: Path, here: Path) -> None:
     answer = ask("plot", orbit, "--kind", "portraits", "--format", "pdf", "--json")
     assert answer.data == {"pictures": ["portraits.pdf"]}

@@ -16,7 +16,7 @@ from zeno_orbits.cli.shared import (
     say_written,
 )
 from zeno_orbits.errors import InputError
-from zeno_orbits.files import require_writable
+from zeno_orbits.files import require_folder, write_all
 
 _PICTURES = ("portraits", "time", "outputs", "zeno", "region")
 
@@ -55,8 +55,7 @@ def _run_plot(options: argparse.Namespace) -> int:
 
     orbit, problem = orbit_and_problem(options)
     dynamics = problem_dynamics(orbit, problem)
-    if options.output.exists() and not options.output.is_dir():
-        raise InputError(f"Argument `output` must be a folder, but `{options.output}` is a file.")
+    require_folder(options.output)
     start = problem.state_vector(orbit.start_state)
     # A little longer, so that rounding does not cut off the last release.
     horizon = options.periods * orbit.period * (1 + 1e-6)
@@ -68,13 +67,6 @@ def _run_plot(options: argparse.Namespace) -> int:
         "zeno": lambda: plots.plot_zeno_zoom(problem, execution, dynamics),
         "region": lambda: plots.plot_zeno_region(problem, dynamics, execution),
     }
-    try:
-        options.output.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        message = (
-            f"Argument `output` must be a folder that can be made, but `{options.output}` is not"
-        )
-        raise InputError(f"{message} ({error.strerror}).") from error
     rests = orbit.shape.starts_at_release
     has = {
         "outputs": bool(problem.outputs),
@@ -89,10 +81,12 @@ def _run_plot(options: argparse.Namespace) -> int:
     if not rests and {"zeno", "region"} & {*kinds}:
         wanted = "must be a picture of an orbit without a Zeno point"
         raise InputError(f"Argument `kind` {wanted}, but it is `zeno` or `region`.")
-    paths = [options.output / f"{kind}.{options.format}" for kind in kinds]
-    for path in paths:
-        require_writable(path)
-        plots.save_figure(draw[path.stem](), path)
+    # One that cannot be drawn leaves none behind.
+    files = {
+        f"{kind}.{options.format}": plots.rendered(draw[kind](), options.format) for kind in kinds
+    }
+    write_all(options.output, files)
+    paths = [options.output / name for name in files]
     if options.json:
         print_json({"pictures": [str(path) for path in paths]})
     else:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from typing import Any, TextIO, cast
 
@@ -17,7 +17,7 @@ from zeno_orbits.errors import InputError
 
 
 @contextmanager
-def patient_streams() -> Iterator[None]:
+def patient_streams() -> Generator[None, None, None]:
     """Put patient streams in place of the standard ones for as long as the context lasts."""
     out, err = cast("TextIO | None", sys.stdout), cast("TextIO | None", sys.stderr)
     sys.stdout, sys.stderr = _Patient(out, may_fail=True), _Patient(err, may_fail=False)

@@ -27,6 +27,8 @@ from zeno_orbits.plots.style import (
     label_of,
     panels_of,
     paths_of,
+    portraits_of,
+    share_time,
 )
 from zeno_orbits.problem import Problem
 
@@ -36,6 +38,7 @@ _MODEL: dict[Mode, dict[str, Any]] = {
     Mode.LOCKED: ARCS[Mode.LOCKED] | {"lw": 2.6, "color": "#E69F00", "label": "Zeno model, locked"},
 }
 """Wide and light, so that the other motion is seen where it lies on top."""
+_TIME = "time since a release [s]"
 _CLOSER = 15.0
 """How much the gap is enlarged to show what happens on the stop."""
 
@@ -65,9 +68,7 @@ def plot_beside_over_time(
             ax.plot(times, states[:, row], **look)
         ax.plot(counterpart.times, counterpart.states[:, row], label=counterpart.label, **_OTHER)
         ax.set(ylabel=label_of(problem, row), xlim=(0.0, execution.end_time))
-        ax.tick_params(labelbottom=ax is panels[-1])
-    panels[-1].set_xlabel("time since a release [s]")
-    figure.align_ylabels(panels)
+    share_time(figure, panels, _TIME)
     add_legend(figure, width)
     return figure
 
@@ -101,9 +102,7 @@ def plot_beside_impacts(
         ax.plot(zeno.time, 0.0, label="Zeno point", **ZENO)
         ax.axhline(0.0, color="black", lw=0.4, zorder=1)
         ax.set(xlim=window, ylim=(-0.25 * highest * closer**0.5, 1.25 * highest), ylabel=label)
-        ax.tick_params(labelbottom=ax is panels[-1])
-    panels[-1].set_xlabel("time since a release [s]")
-    figure.align_ylabels(panels)
+    share_time(figure, panels, _TIME)
     add_legend(figure, width)
     return figure
 
@@ -123,9 +122,8 @@ def plot_beside_portraits(
         counterpart: The other motion.
         width: Width of the picture [in].
     """
-    pairs = [[problem.state_names.index(name) for name in pair] for pair in problem.portraits]
-    figure, panels = panels_of(width, len(pairs), height=2.0)
-    for ax, pair in zip(panels, pairs, strict=True):
+    figure, panels = portraits_of(problem, width, height=2.0)
+    for ax, pair in panels:
         for _, states, look in _paths(execution):
             ax.plot(*states[:, pair].T, **look)
         for impact in execution.impacts:
@@ -133,7 +131,6 @@ def plot_beside_portraits(
         ax.plot(*counterpart.states[:, pair].T, label=counterpart.label, **_OTHER)
         for zeno in execution.zeno_points:
             ax.plot(*zeno.state[pair], label="Zeno point", **ZENO)
-        ax.set(xlabel=label_of(problem, pair[0]), ylabel=label_of(problem, pair[1]))
     add_legend(figure, width)
     return figure
 
