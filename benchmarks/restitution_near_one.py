@@ -170,7 +170,7 @@ def cost(scene: Scene, restitution: float, *, along: bool, truth: Truth | None, 
         steps=counter.n_steps,
         wall=statistics.median(walls),
         error=error,
-        claimed=point.error,
+        claimed=point.limit_error,
     )
 
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 import pytest
+from scipy.integrate import DOP853
 
 from tests.reference_orbit import FIRST_IMPACT, PERIOD, RELEASE, ZENO_STATE, ZENO_TIME
 from zeno_orbits import accuracy
@@ -22,6 +24,7 @@ from zeno_orbits.accuracy import (
     landmarks,
     settings_for,
     simulate_to,
+    simulate_with_error,
     sizes,
     sizes_of,
     why_engine,
@@ -29,9 +32,9 @@ from zeno_orbits.accuracy import (
 from zeno_orbits.compiled import bind
 from zeno_orbits.completion import ZenoPassage
 from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
-from zeno_orbits.engines import Automatic, Radau, RungeKutta
+from zeno_orbits.engines import Automatic, Radau, RungeKutta, SciPy, Taylor
 from zeno_orbits.errors import InputError, PenetrationError, SimulationError
-from zeno_orbits.execution import Execution
+from zeno_orbits.execution import Execution, Release, ZenoPoint
 from zeno_orbits.extended import extended_execution
 from zeno_orbits.models import compiled_model
 from zeno_orbits.problem import Problem, load_problem
@@ -193,13 +196,124 @@ def test_the_zeno_points_own_doubt_counts_where_two_runs_share_it(
 ) -> None:
     def doubtful(*arguments: object, **named: object) -> Execution:
         run = simulate(*arguments, **named)  # type: ignore[arg-type]
-        doubts = tuple(replace(e, error=1e-5) if hasattr(e, "tail") else e for e in run.events)
+        doubts = tuple(
+            replace(e, limit_error=1e-5) if hasattr(e, "tail") else e for e in run.events
+        )
         return replace(run, events=doubts)
 
     monkeypatch.setattr(accuracy, "simulate", doubtful)
     assert simulate_to(ball, (1.0, 0.0), until=5.0, accuracy=1e-3).error >= 1e-5
     with pytest.raises(SimulationError, match="out of reach"):
         simulate_to(ball, (1.0, 0.0), until=5.0, accuracy=1e-6)
+
+
+# ------------------------------------------------------------ the error of Zeno points, total
+
+ENGINES = {
+    "automatic": Automatic(),
+    "explicit": RungeKutta(),
+    "implicit": Radau(),
+    "taylor": Taylor(),
+    "scipy": SciPy(method=DOP853),
+}
+Points = list[tuple[float, Vector]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    """A system with a start, and its Zeno points in extended precision."""
+
+    dynamics: HybridDynamics
+    start: Sequence[float]
+    until: float
+    points: Points
+
+
+@cache
+def motion(name: str) -> Motion:
+    problem, until = load_problem(name), UNTIL[name]
+    start = problem.state_vector(problem.starts[0]) if name != "bouncing_ball" else (1.0, 0.0)
+    exact = extended_execution(problem, problem.setting(), start, until=until)
+    points = [(float(p.time), np.array([float(v) for v in p.state])) for p in exact.zeno_points]
+    assert points
+    dynamics = bind(compiled_model(problem), problem.setting().values())
+    return Motion(dynamics=dynamics, start=start, until=until, points=points)
+
+
+UNTIL = {
+    "bouncing_ball": 5.0,
+    "forced_oscillator": 14.0,
+    "motor_pendulum": 4.5,
+    "motor_valve": 1.0,
+    "torque_pendulum": 4.0,
+    "two_motors": 4.0,
+}
+"""Seconds in which the impacts accumulate once at least."""
+
+
+def off(found: ZenoPoint, truth: tuple[float, Vector]) -> float:
+    """Return how far a Zeno point is off, relative to one plus its numbers."""
+    time, state = truth
+    states = np.abs(found.state - state) / (1 + np.abs(state))
+    return max(abs(found.time - time) / (1 + time), float(np.max(states)))
+
+
+@pytest.mark.parametrize("relative", [1e-4, 1e-6, 1e-8, 1e-10, 1e-12])
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("name", UNTIL)
+def test_the_error_of_a_zeno_point_bounds_the_true_one(
+    name: str, engine: str, relative: float
+) -> None:
+    pytest.importorskip("heyoka")
+    case = motion(name)
+    settings = SimulationSettings(
+        engine=ENGINES[engine], tolerance=Tolerance(relative=relative, absolute=relative / 10)
+    )
+    seen = simulate_with_error(case.dynamics, case.start, until=case.until, settings=settings)
+    found = seen.execution.zeno_points
+    assert len(found) == len(seen.zeno_errors) == len(case.points)
+    for point, error, truth in zip(found, seen.zeno_errors, case.points, strict=True):
+        assert off(point, truth) <= error
+    # Honest, and not merely large: at a tolerance that is worth it, within some periods.
+    assert relative > 1e-8 or max(seen.zeno_errors) < 1e5 * relative
+
+
+def test_the_estimate_of_the_limit_alone_bounds_nothing_of_that() -> None:
+    """What a Zeno point used to call its error is a billion times too small for a coarse run."""
+    pytest.importorskip("heyoka")
+    case = motion("forced_oscillator")
+    coarse = SimulationSettings(tolerance=Tolerance(relative=1e-4, absolute=1e-5))
+    run = simulate(case.dynamics, case.start, until=case.until, settings=coarse)
+    assert off(run.zeno_points[0], case.points[0]) > 1e6 * run.zeno_points[0].limit_error
+
+
+def test_two_runs_that_take_the_same_steps_are_not_taken_for_exact() -> None:
+    """Collocation of order 13 goes through a flight in one step at either tolerance."""
+    pytest.importorskip("heyoka")
+    case = motion("forced_oscillator")
+    rough = Tolerance(relative=1e-4, absolute=1e-5)
+    looser = Tolerance(relative=1e-2, absolute=1e-3)
+    first, second = (
+        simulate(
+            case.dynamics,
+            case.start,
+            until=case.until,
+            settings=SimulationSettings(engine=Radau(), tolerance=tolerance),
+        ).zeno_points[0]
+        for tolerance in (rough, looser)
+    )
+    true = off(first, case.points[0])
+    assert true > 10 * abs(first.time - second.time)
+    assert true <= rough.relative
+
+
+def test_zeno_points_that_only_one_run_has_are_of_unknown_error(ball: HybridDynamics) -> None:
+    run = simulate(ball, (1.0, 0.0), until=5.0)
+    assert list(accuracy.errors_of_zeno_points(None, run)) == [math.inf]
+    assert list(accuracy.errors_of_zeno_points(replace(run, events=run.impacts), run)) == [math.inf]
+    released = (Release(time=0.1, state=np.zeros(2)), *run.events)
+    assert list(accuracy.errors_of_zeno_points(replace(run, events=released), run)) == [math.inf]
+    assert list(accuracy.errors_of_zeno_points(run, run)) == [run.zeno_points[0].limit_error]
 
 
 # ---------------------------------------------------------------- events close to the horizon
@@ -316,10 +430,11 @@ def test_a_motion_without_any_event_is_judged_by_its_end(ball: HybridDynamics) -
     assert difference(run, other) == pytest.approx(1e-3 / (0.1 * GRAVITY - 1e-3))
 
 
-def test_a_ball_at_rest_has_no_error_but_rounding(ball: HybridDynamics) -> None:
+def test_a_ball_at_rest_has_no_error_but_its_tolerance(ball: HybridDynamics) -> None:
     """All states are zero all the time."""
     assured = simulate_to(ball, (0.0, 0.0), until=1.0, accuracy=1e-9)
-    assert 0.0 < assured.error < 1e-13
+    # No run claims to be better than its tolerance, even one that is.
+    assert 0.0 < assured.error == assured.settings.tolerance.relative <= 1e-9
     assert not assured.execution.end_state.any()
 
 
@@ -327,13 +442,13 @@ def test_a_ball_at_rest_has_no_error_but_rounding(ball: HybridDynamics) -> None:
 
 
 def test_the_reason_for_an_engine_names_the_rates(machine: HybridDynamics) -> None:
-    assert "implicit" in why_engine(machine, RELEASE)
-    assert "1.5e+03 1/s" in why_engine(machine, RELEASE)
+    assert "implicit" in why_engine(machine, RELEASE, 1.0)
+    assert "1.5e+03 1/s" in why_engine(machine, RELEASE, 1.0)
     ball = bind(
         compiled_model(load_problem("bouncing_ball")),
         load_problem("bouncing_ball").setting().values(),
     )
-    assert why_engine(ball, (1.0, 0.0)) == "explicit steps (DOP853): nothing decays."
+    assert why_engine(ball, (1.0, 0.0), 1.0) == "explicit steps (DOP853): nothing decays."
 
 
 @pytest.mark.parametrize("engine", [Automatic(), RungeKutta(), Radau()])

@@ -24,10 +24,13 @@ from tests.reference_orbit import ORBIT_KEYS, PERIOD, RELEASE
 from zeno_orbits import progress, symbolic
 from zeno_orbits.certificate import OrbitCertificate
 from zeno_orbits.cli import build_parser, main
-from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.dynamics import Tolerance
+from zeno_orbits.errors import PenetrationError, ZenoOrbitsError
+from zeno_orbits.execution import Execution
 from zeno_orbits.extended_orbit import ExtendedOrbit, extended_orbit
 from zeno_orbits.problem import Problem, bundled_problems, load_problem
 from zeno_orbits.search import SearchSettings
+from zeno_orbits.simulate import SimulationSettings, simulate
 
 YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
 COMMANDS = (
@@ -348,6 +351,34 @@ def _not_at_release(data: dict[str, Any]) -> None:
     data["release_state"]["current"] += 1e-3
 
 
+def _off_the_stop(data: dict[str, Any]) -> None:
+    data["release_state"]["theta2"] += 1e-3
+
+
+def _inside_the_stop(data: dict[str, Any]) -> None:
+    data["release_state"]["theta2"] -= 1e-3
+
+
+def _moving_into_the_stop(data: dict[str, Any]) -> None:
+    data["release_state"]["dtheta2"] -= 1e-3
+
+
+def _doubled_period(data: dict[str, Any]) -> None:
+    data["period"] *= 2
+
+
+def _henries_for_millihenries(data: dict[str, Any]) -> None:
+    data["parameters"]["L"] *= 1000
+
+
+def _milliamperes_for_amperes(data: dict[str, Any]) -> None:
+    data["release_state"]["current"] *= 1000
+
+
+def _out_of_all_bounds(data: dict[str, Any]) -> None:
+    data["release_state"]["theta1"] = 1e200
+
+
 def _other_zeno_point(data: dict[str, Any]) -> None:
     data["zeno_state"]["theta1"] += 1e-4
 
@@ -360,6 +391,13 @@ def _other_zeno_point(data: dict[str, Any]) -> None:
         (_longer_period, "period"),
         (_other_first_impact, "first_impact"),
         (_not_at_release, "release"),
+        (_off_the_stop, "release"),
+        (_inside_the_stop, "release"),
+        (_moving_into_the_stop, "release"),
+        (_doubled_period, "period"),
+        (_henries_for_millihenries, "first_impact"),
+        (_milliamperes_for_amperes, "release"),
+        (_out_of_all_bounds, "release"),
     ],
 )
 def test_verify_refuses_a_tampered_orbit_and_names_the_residual(
@@ -389,6 +427,21 @@ def test_plot_writes_five_pictures(orbit: Path, here: Path) -> None:
     ]
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in pictures)
     assert answer.out.count("Written: ") == 5
+
+
+def test_pictures_that_cannot_all_be_drawn_are_none(orbit_data: dict[str, Any], here: Path) -> None:
+    """A period too short for a Zeno point: the portraits alone could be drawn."""
+    (here / "short.json").write_text(json.dumps(orbit_data | {"period": 1e-3}))
+    before = contents(here)
+    assert_refused(ask("plot", "short.json", "-o", "pictures"), "Zeno point")
+    assert contents(here) == before
+    assert not (here / "pictures").exists()
+
+
+def test_a_new_scene_may_not_take_the_name_of_another(here: Path) -> None:
+    """An orbit file tells its scene by this name."""
+    assert_refused(ask("new", "motor_pendulum"), "`name`", "`motor_pendulum` is one")
+    assert contents(here) == {}
 
 
 def test_plot_writes_the_picture_that_is_asked_for(orbit: Path, here: Path) -> None:
@@ -486,11 +539,85 @@ def test_simulate_at_an_accuracy_reports_the_error_as_text_and_json() -> None:
     ball = ("simulate", "bouncing_ball", "--until", "5", "--accuracy", "1e-6")
     assert 0.0 < error_said(ask(*ball)) <= 1e-6
     assert 0.0 < ask(*ball, "--json").data["error"] <= 1e-6
-    assert "error" not in ask(*ball[:4], "--json").data
+
+
+def test_simulate_tells_the_error_of_every_zeno_point_with_its_flights() -> None:
+    """Of the closed form, and not of the limit of impacts that are wrong themselves."""
+    e, g = 0.5, 9.81
+    truth = math.sqrt(2 / g) * (1 + e) / (1 - e)
+    ball = ("simulate", "bouncing_ball", "--set", f"restitution={e}", "--until", "5")
+    data = ask(*ball, "--json").data
+    (point,) = [event for event in data["events"] if event["event"] == "zeno_point"]
+    assert abs(point["time"] - truth) <= point["error"] * (1 + truth)
+    assert point["limit_error"] < point["error"] <= data["error"]
+    said = re.search(r"Zeno point \(\+- (.*?)\)", ask(*ball).out)
+    assert said is not None
+    assert float(said[1]) == pytest.approx(point["error"], rel=0.5)
+
+
+def test_simulate_says_where_no_looser_run_tells_the_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fragile(*given: Any, settings: SimulationSettings, **named: Any) -> Execution:
+        if settings.tolerance.relative > Tolerance().relative:
+            raise PenetrationError("Through the stop", time=0.0, state=(0.0, 0.0))
+        return simulate(*given, settings=settings, **named)
+
+    monkeypatch.setattr("zeno_orbits.accuracy.simulate", fragile)
+    ball = ("simulate", "bouncing_ball", "--until", "5")
+    answer = ask(*ball)
+    assert "Zeno point (+- ?)" in answer.out
+    assert "error: unknown" in answer.out
+    data = ask(*ball, "--json").data
+    assert data["error"] is None
+    assert data["events"][-1]["error"] is None
 
 
 def test_verify_at_an_accuracy_reports_the_error_as_json(orbit: Path) -> None:
     assert 0.0 < ask("verify", orbit, "--accuracy", "1e-6", "--json").data["error"] <= 1e-6
+
+
+def test_an_orbit_that_is_less_certain_than_asked_is_a_no(orbit: Path) -> None:
+    """However lax its residuals are judged."""
+    lax = ("verify", orbit, "--periods", "1", "--tolerance", "0.5", "--accuracy")
+    refused = ask(*lax, "1e-12")
+    assert refused.code == NO
+    assert "Verified" in refused.out
+    assert error_said(refused) > 1e-12
+    assert "more than the accuracy 1e-12" in refused.out
+    assert ask(*lax, "1e-12", "--json").code == NO
+    assert ask(*lax, "1e-6").code == YES
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--rate", "0"), ("`rate`", "positive")),
+        (("--rate", "1e12"), ("`rate`", "10000000 samples")),
+        (("--noise", "1e308"), ("`noise`", "1e+06")),
+        (("--noise", "nan"), ("`noise`", "nan")),
+        (("-o", "a.png", "--data", "./a.png"), ("`data`", "another file than `output`")),
+    ],
+    ids=str,
+)
+def test_samples_that_cannot_be_are_refused_before_the_work(
+    arguments: tuple[str, ...], words: tuple[str, ...], here: Path
+) -> None:
+    data = () if "--data" in arguments else ("--data", "data.csv")
+    answer = ask("simulate", "bouncing_ball", "--until", "1", *arguments, *data)
+    assert_refused(answer, *words)
+    assert contents(here) == {}
+
+
+def test_numbers_that_no_parameter_can_be_derived_from_are_misuse() -> None:
+    answer = ask("simulate", "motor_pendulum", "--set", "m2=1e300", "--until", "1")
+    assert_refused(answer, "`parameters`", "out of range")
+    assert "internal" not in answer.err
+
+
+@pytest.mark.parametrize("name", ["a" * 5000, "a\0b"])
+def test_a_name_that_no_file_can_have_is_no_scene(name: str) -> None:
+    answer = ask("simulate", name)
+    assert_refused(answer, "`problem` must be one of")
+    assert "internal" not in answer.err
 
 
 def test_an_accuracy_out_of_reach_is_a_no(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -1218,6 +1345,45 @@ def test_a_reader_who_has_seen_enough_is_no_error(arguments: tuple[str, ...]) ->
         err = process.stderr.read()
     assert process.returncode == YES
     assert err == ""
+
+
+def closed(*arguments: str | Path, streams: str) -> subprocess.CompletedProcess[str]:
+    """Run the command line from a shell, with its streams closed or sent elsewhere."""
+    root = str(Path(__file__).resolve().parent.parent)
+    paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
+    words = shlex.join([sys.executable, "-m", "zeno_orbits", *map(str, arguments)])
+    return subprocess.run(
+        ["bash", "-c", f"set -o pipefail; {words} {streams}"],
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+        capture_output=True,
+        check=False,
+        timeout=120,
+    )
+
+
+@pytest.mark.parametrize("streams", [">&- 2>&-", "2>/dev/full", "| true"])
+def test_an_answer_does_not_depend_on_who_reads_it(
+    streams: str, orbit_data: dict[str, Any], here: Path
+) -> None:
+    _longer_period(orbit_data)
+    (here / "false.json").write_text(json.dumps(orbit_data))
+    found = closed("verify", here / "false.json", "--periods", "1", streams=streams)
+    assert found.returncode == NO
+    assert "Error" not in found.stderr
+
+
+def test_a_yes_and_a_misuse_do_not_depend_on_it_either(here: Path) -> None:
+    for streams in (">&-", "2>&-"):
+        assert closed("problems", streams=streams).returncode == YES
+        assert closed("verify", here / "none.json", streams=streams).returncode == MISUSE
+
+
+@pytest.mark.parametrize("arguments", [("problems",), ("problems", "--json"), ("--help",)])
+def test_an_output_that_finds_no_room_is_no_yes(arguments: tuple[str, ...]) -> None:
+    found = closed(*arguments, streams="> /dev/full")
+    assert found.returncode == MISUSE
+    assert re.fullmatch(r"zeno-orbits: Standard output must take .*No space left.*\n", found.stderr)
 
 
 def test_an_interrupt_from_the_keyboard_ends_a_search_without_a_file(here: Path) -> None:

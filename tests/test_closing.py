@@ -14,7 +14,7 @@ from tests.closed_forms import FORCED
 from tests.orbits import changed
 from tests.reference_orbit import PERIOD, PERIODS, RELEASE, ZENO_STATE, ZENO_TIME
 from tests.scenes import clocked_oscillator
-from zeno_orbits import closing
+from zeno_orbits import closed_cycles, closing
 from zeno_orbits.closing import OrbitNotClosedError, close_cycle, close_orbit, cycle_near
 from zeno_orbits.compiled import bind
 from zeno_orbits.completion import Truncation
@@ -273,7 +273,7 @@ def test_a_step_that_leads_nowhere_is_shortened(
         # Steps a hundred times too long lead off every return.
         return calls[-1] if len(calls) > 1 else np.eye(2) + 0.01 * (calls[-1] - np.eye(2))
 
-    monkeypatch.setattr(closing, "return_slope", wrong_at_first)
+    monkeypatch.setattr(closed_cycles, "return_slope", wrong_at_first)
     machine = bind(compiled_model(scene), behind_the_fold.setting(scene).values())
     x = np.array(list(behind_the_fold.release_state.values()))
     x = x + 1e-4 * np.array([1.0, 0.0, 1.0, 0.0, -1.0])
@@ -308,7 +308,7 @@ def test_a_scene_without_an_orbit_says_why() -> None:
 def test_returns_that_never_repeat_are_no_orbit(
     scene: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(closing, "_MOST_RETURNS", 1)
+    monkeypatch.setattr(closed_cycles, "_MOST_RETURNS", 1)
     closed = close_orbit(scene, scene.setting(), simulation=SETTINGS)
     assert closed.orbit is None
     assert "No return repeats" in closed.detail

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.files import write_whole
+from zeno_orbits.files import require_writable, write_whole
 
 
 def _full(*_: Any, **__: Any) -> Any:
@@ -53,6 +53,37 @@ def test_a_folder_is_not_replaced_by_a_file(tmp_path: Path) -> None:
         write_whole(path, "new")
     assert [file.name for file in tmp_path.iterdir()] == ["orbit.json"]
     assert path.is_dir()
+
+
+def test_a_device_is_written_to_and_stays_what_it_is() -> None:
+    """As the administrator, who may replace it by a file."""
+    for _ in range(2):
+        write_whole(Path(os.devnull), "new")
+        require_writable(Path(os.devnull))
+    assert Path(os.devnull).is_char_device()
+    assert Path(os.devnull).read_bytes() == b""
+
+
+def test_a_full_device_is_refused() -> None:
+    full = Path("/dev/full")
+    if not full.is_char_device():
+        pytest.skip("this system has no device that is always full")
+    with pytest.raises(InputError, match=r"must be a file that can be written.*No space left"):
+        write_whole(full, "new")
+    assert full.is_char_device()
+
+
+def test_a_pipe_gets_what_is_written(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        require_writable(pipe)
+        write_whole(pipe, "new")
+        assert os.read(reader, 10) == b"new"
+    finally:
+        os.close(reader)
+    assert pipe.is_fifo()
 
 
 class _FullDisk:

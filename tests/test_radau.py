@@ -12,13 +12,15 @@ from zeno_orbits.collocation import radau
 from zeno_orbits.compiled import bind, compile_problem
 from zeno_orbits.dynamics import GuardedFlow, PlainFlow, StageGuess, Tolerance, Vector
 from zeno_orbits.engines import Automatic, Leg, Outcome, Passage, Radau, RungeKutta
-from zeno_orbits.engines.automatic import decay_rates
+from zeno_orbits.engines.automatic import decay_rates, staying_rate
 from zeno_orbits.engines.radau import solved
 from zeno_orbits.engines.runge_kutta import ExplicitStep
 from zeno_orbits.engines.stepping import SteppedTrajectory
 from zeno_orbits.errors import StepSizeError
 from zeno_orbits.flows import CompiledFlow, ModeFunctions
+from zeno_orbits.models import compiled_model
 from zeno_orbits.problem import load_problem
+from zeno_orbits.simulate import simulate
 
 TIGHT = Tolerance(relative=1e-11, absolute=1e-12)
 
@@ -126,6 +128,55 @@ def test_the_default_engine_goes_over_to_implicit_steps_where_they_pay() -> None
     assert _n_steps(Automatic().follow(stiff)) < explicit / 50
     ours, theirs = Automatic().follow(smooth), RungeKutta().follow(smooth)
     assert ours.state.tolist() == theirs.state.tolist()
+
+
+def _two_layers(first: float, second: float) -> PlainFlow:
+    """Return `y' = -rate (y - cos t) - sin t` twice, at two rates, with a clock: both `cos t`."""
+
+    def rate(y: Vector) -> Vector:
+        off, slope = y[:2] - math.cos(y[2]), math.sin(y[2])
+        return np.array([-first * off[0] - slope, -second * off[1] - slope, 1.0])
+
+    return PlainFlow(field=rate, guard_and_rate=lambda _: (1.0, 0.0))
+
+
+@pytest.mark.parametrize("apart", [1.0, 3.0, 10.0, 24.0, 100.0])
+def test_two_layers_however_far_apart_are_both_left_behind(apart: float) -> None:
+    leg = _leg(_two_layers(1e5, 1e5 / apart), np.array([2.0, 2.0, 0.0]), 1.5)
+    ours, explicit = Automatic().follow(leg), RungeKutta().follow(leg)
+    # A layer costs some fifty steps; 1.5 s at the edge of stability, 6 / 1e5 s, 25 000.
+    assert _n_steps(ours) < 300
+    assert _n_steps(explicit) > 10_000
+    assert ours.state[:2] == pytest.approx([math.cos(1.5)] * 2, abs=1e-9)
+
+
+def test_a_second_decay_that_lasts_as_long_as_the_leg_is_no_layer() -> None:
+    """At a tenth of the fastest rate it leaves nothing to gain before the end of a short leg."""
+    leg = _leg(_two_layers(1e4, 1e3), np.array([2.0, 2.0, 0.0]), 0.02)
+    ours, explicit = Automatic().follow(leg), RungeKutta().follow(leg)
+    assert ours.state.tolist() == explicit.state.tolist()
+
+
+def test_what_lasts_is_neither_what_decays_long_before_nor_less_than_what_swings() -> None:
+    values = np.array([-1e5, -1e4, -50.0 + 400.0j, -50.0 - 400.0j, -7.0, 2.0])
+    assert staying_rate(values, 1.0) == pytest.approx(abs(values[2]))
+    assert staying_rate(values[[0, 1, 4, 5]], 1.0) == 7.0
+    assert staying_rate(values[[0, 1, 4, 5]], 100.0) == 2.0
+    assert staying_rate(values[[0, 1, 4, 5]], 1e-3) == 1e4
+    assert staying_rate(values[:2], math.inf) == 0.0
+
+
+def test_two_motors_ten_times_apart_are_followed_implicitly() -> None:
+    problem = load_problem("two_motors")
+    resistance, start = 3.0, problem.state_vector({"theta1": 0.6})
+    steps = []
+    for apart in (10.0, 1000.0):
+        coils = {"L": resistance / 1e5, "L_coil2": resistance / 1e5 * apart}
+        dynamics = bind(compiled_model(problem), problem.setting(parameters=coils).values())
+        run = simulate(dynamics, start, until=1.0)
+        steps.append(sum(len(arc.flow_times) - 1 for arc in run.arcs))
+    # The explicit engine takes 15 700 for either.
+    assert steps[0] < 2 * steps[1] < 500
 
 
 def _n_explicit(passage: Passage) -> int:

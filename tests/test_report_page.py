@@ -22,6 +22,7 @@ import pytest
 
 from tests import browser as browsers
 from tests.browser import Browser, need_browser
+from tests.orbits import changed
 from zeno_orbits.certificate import RESIDUALS, OrbitCertificate
 from zeno_orbits.cli import main
 from zeno_orbits.dynamics import HybridDynamics
@@ -344,6 +345,19 @@ def test_a_false_orbit_gets_a_page_that_says_so_and_a_no(orbit_file: Path) -> No
     assert "Not verified: do not rely on these numbers." in page
     assert "✗ no" in page
     assert page.index("Not verified") < page.index("What happens")
+
+
+@pytest.mark.parametrize("change", [{"theta2": -1e-3}, {"dtheta2": -1e-3}, {"theta1": 1e200}])
+def test_an_orbit_that_starts_where_no_motion_can_is_false_and_no_misuse(
+    change: dict[str, float], orbit_file: Path
+) -> None:
+    orbit = read_orbit(orbit_file)
+    start = {**orbit.release_state, **change}
+    write_orbit(changed(orbit, release_state=start), orbit_file)
+    code, out, _ = ask("report", orbit_file, "-o", "report.html", "--periods", "1")
+    assert code == NO
+    assert "Refused: `release`" in out
+    assert "Not verified" in Path("report.html").read_text(encoding="utf-8")
 
 
 def test_an_orbit_that_cannot_be_followed_gets_a_page_without_pictures(

@@ -12,6 +12,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
+from benchmarks.rig_convergence import spring_contact
 from zeno_orbits.drives import MotorBank, full_drive, quasi_static_drive
 from zeno_orbits.dynamics import Tolerance, Vector
 from zeno_orbits.errors import InputError, RunawayError, SimulationError
@@ -518,31 +519,6 @@ def test_each_further_contact_of_the_chatter_adds_its_length(
     # The next terms are smaller by the length of a contact over that of the first flights, 1e-3 at
     # the softer of the two; the bracket is a quarter of what it is the difference of.
     assert scaled[1] - scaled[0] == pytest.approx(expected, rel=0.02)
-
-
-def spring_contact(e: float, load: float) -> tuple[float, float]:
-    """Return how long a contact of unit speed, inertia and stiffness lasts, and how fast it ends.
-
-    Args:
-        e: The restitution that it is damped for.
-        load: A constant force that presses into the stop.
-    """
-    number = damping_number(e)
-
-    def out(_t: float, y: Vector) -> float:
-        return y[0] if y[1] < 0.0 else 1.0
-
-    out.terminal = True  # type: ignore[attr-defined]
-    bounce = solve_ivp(
-        lambda _t, y: (y[1], -y[0] * (1 + number * y[1]) + load),
-        (0.0, 50.0),
-        (0.0, 1.0),
-        method="DOP853",
-        events=out,
-        rtol=1e-12,
-        atol=1e-14,
-    )
-    return float(bounce.t_events[0][-1]), -float(bounce.y_events[0][-1][1])
 
 
 def test_settled_cycles_begin_and_end_at_releases_and_repeat(

@@ -1,8 +1,8 @@
-"""A wanted accuracy into settings, and how far two executions are apart.
+"""A wanted accuracy into settings, and the error that an execution was made with.
 
 The settings are the cheapest that `zeno-orbits trade` measured to reach an accuracy, and nobody has
-to believe them: an execution of a wanted accuracy is computed twice, ten times apart in tolerance,
-and the difference is reported.
+to believe them: an execution is computed twice, some times apart in tolerance, and the difference
+is reported.
 """
 
 from __future__ import annotations
@@ -10,17 +10,36 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from enum import Enum
-from itertools import pairwise
+from itertools import zip_longest
 
 import numpy as np
 
 from zeno_orbits.completion import ZenoPassage
 from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
-from zeno_orbits.engines.automatic import PAYS, decay_rates
+from zeno_orbits.engines.automatic import PAYS, eigenvalues, rates_of, staying_rate
 from zeno_orbits.errors import InputError, PenetrationError, SimulationError
-from zeno_orbits.execution import Event, Execution, Impact, ZenoPoint
+from zeno_orbits.execution import Execution, Impact, Release, ZenoPoint
+from zeno_orbits.landmarks import Kind, Landmark, apart, difference, landmarks, sizes, sizes_of
 from zeno_orbits.simulate import SimulationSettings, simulate
+
+__all__ = [
+    "COARSEST",
+    "FINEST",
+    "ROUNDING",
+    "Assured",
+    "Kind",
+    "Landmark",
+    "apart",
+    "at_tolerance",
+    "difference",
+    "landmarks",
+    "settings_for",
+    "simulate_to",
+    "simulate_with_error",
+    "sizes",
+    "sizes_of",
+    "why_engine",
+]
 
 FINEST, COARSEST = 1e-12, 1e-2
 """Accuracies that can be asked for."""
@@ -34,32 +53,9 @@ _SHARE = 0.1
 _TIGHTEST = 1e-14
 _STEP = 10.0
 
-_NOTHING = 1e-12
-"""A state that is never larger is zero to rounding, and no unit of its own error."""
-
-
-class Kind(Enum):
-    """What a landmark is."""
-
-    IMPACT = "impact"
-    ZENO = "Zeno point"
-    RELEASE = "release"
-    END = "end"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Landmark:
-    """A point of an execution that another one has, too.
-
-    Attributes:
-        kind: What it is.
-        time: When [s].
-        state: Where, ``(n_x,)``; before the impact, where it is one.
-    """
-
-    kind: Kind
-    time: float
-    state: Vector
+_LOOSER = 100.0
+"""Tolerance of the run beside one that is not to reach an accuracy: with a tenth of this the error
+has been seen three times the difference, with this never above 0.6 of it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,13 +65,17 @@ class Assured:
     Attributes:
         execution: The execution.
         settings: What it was computed with.
-        error: Its ``difference`` from one of ten times the tolerance, the error of that and so more
-            than its own, or its Zeno points' own estimate where that is more.
+        error: Its ``difference`` from one of a looser tolerance, the error of that and so more than
+            its own; what its Zeno limits expect, rounding, or the tolerance itself where that is
+            more. Infinite if the looser one goes another way or does not come through.
+        zeno_errors: The same of every Zeno point alone, flights before it and limit together: of
+            time and state, relative to ``1 + |t|`` and ``1 + |x|``.
     """
 
     execution: Execution
     settings: SimulationSettings
     error: float
+    zeno_errors: tuple[float, ...]
 
 
 def settings_for(accuracy: float, settings: SimulationSettings | None = None) -> SimulationSettings:
@@ -149,11 +149,10 @@ def simulate_to(
                 raise
             continue
         if previous is not None:
-            rounding = ROUNDING * (1 + len(found.events))
-            error = max(difference(previous, found), _limit_error(found), rounding)
-            if error <= accuracy:
-                return Assured(execution=found, settings=tried, error=error)
-            best = min(best, error)
+            assured = _beside(previous, found, tried)
+            if assured.error <= accuracy:
+                return assured
+            best = min(best, assured.error)
         previous = found
     reached = f"the best estimate is {best:.1e}" if best < math.inf else "no two runs go one way"
     raise SimulationError(
@@ -163,77 +162,94 @@ def simulate_to(
     )
 
 
-def difference(first: Execution, second: Execution) -> float:
-    """Return how far two executions are apart: the largest relative difference of what they have.
-
-    That is every event and the end. Times are relative to the last event's, states to their largest
-    value. Near a Zeno point one may resolve more impacts than the other. An event so late that the
-    other one lacks it is held against the end of that: an end so near an impact is before it or
-    after it, and no accuracy says which.
-
-    Args:
-        first: One execution.
-        second: Another one to the same time.
-
-    Returns:
-        Infinity if they go different ways.
-    """
-    pairs = list(_pairs(_stretches(first), _stretches(second)))
-    last = max((event.time for event in second.events), default=0.0)
-    return _largest(pairs, sizes(second), last or second.end_time)
-
-
-def landmarks(execution: Execution) -> tuple[Landmark, ...]:
-    """Return what executions of different completions are judged by: releases, if there are any.
-
-    Without a release, Zeno points; without these, impacts; without these, the end. So the paper's
-    rule, whose Zeno instants mean little, is judged by what comes later.
-    """
-    for events in (execution.releases, execution.zeno_points, execution.impacts):
-        if events:
-            return tuple(_landmark(event) for event in events)
-    return (_end(execution),)
-
-
-def apart(first: Sequence[Landmark], second: Sequence[Landmark], scale: Vector) -> float:
-    """Return the largest relative difference of two executions' landmarks.
+def simulate_with_error(
+    dynamics: HybridDynamics,
+    state: Sequence[float] | Vector,
+    *,
+    until: float,
+    settings: SimulationSettings | None = None,
+    on_progress: Callable[[float], None] | None = None,
+) -> Assured:
+    """Return the completed execution with given settings, and an estimate of its error.
 
     Args:
-        first: Of one execution.
-        second: Of the other; the time of the last one is the unit of the times.
-        scale: Size of each state, ``(n_x,)`` (see ``sizes``).
+        dynamics: The system at fixed numbers.
+        state: Initial state, ``(n_x,)``.
+        until: When to stop [s].
+        settings: Accuracy; a second run has a hundred times its tolerance.
+        on_progress: Called with the time reached, by one run after the other.
 
-    Returns:
-        Infinity if one has a landmark that the other lacks.
+    Raises:
+        InputError: If the state is not admissible or the horizon is not a positive number.
+        SimulationError: If the execution cannot be continued; that of the second run may end early.
     """
-    if [mark.kind for mark in first] != [mark.kind for mark in second]:
-        return math.inf
-    return _largest(list(zip(first, second, strict=True)), scale, second[-1].time or 1.0)
+    fine = settings or SimulationSettings()
+    found = simulate(dynamics, state, until=until, settings=fine, on_progress=on_progress)
+    loose = Tolerance(
+        relative=_LOOSER * fine.tolerance.relative, absolute=_LOOSER * fine.tolerance.absolute
+    )
+    try:
+        looser = simulate(
+            dynamics,
+            state,
+            until=until,
+            settings=replace(fine, tolerance=loose),
+            on_progress=on_progress,
+        )
+    except SimulationError:
+        looser = None
+    return _beside(looser, found, fine)
 
 
-def sizes(execution: Execution) -> Vector:
-    """Return the largest value of each state at the ends of arcs, ``(n_x,)``; 1 for no value."""
-    return sizes_of([x for arc in execution.arcs for x in (arc.start_state, arc.end_state)])
+def _beside(looser: Execution | None, found: Execution, settings: SimulationSettings) -> Assured:
+    """Return an execution with the error that a looser one shows."""
+    # Two runs that take the same steps share their errors, so no run is better than its tolerance.
+    least = max(ROUNDING * (1 + len(found.events)), settings.tolerance.relative)
+    error = math.inf if looser is None else difference(looser, found)
+    return Assured(
+        execution=found,
+        settings=settings,
+        error=max(error, _limit_error(found), least),
+        zeno_errors=tuple(max(error, least) for error in errors_of_zeno_points(looser, found)),
+    )
 
 
-def sizes_of(states: Sequence[Sequence[float] | Vector]) -> Vector:
-    """Return the largest value of each state among some, ``(n_x,)``; 1 for no value."""
-    largest = np.max(np.abs(np.array(states, dtype=np.float64)), axis=0)
-    return np.where(largest > _NOTHING, largest, 1.0)
+def errors_of_zeno_points(looser: Execution | None, found: Execution) -> Iterator[float]:
+    """Yield the error of every Zeno point; infinity from where a looser run goes another way on."""
+    others = () if looser is None else _holds(looser)
+    alike = True
+    for own, other in zip_longest(_holds(found), others):
+        alike = alike and type(own) is type(other)
+        if not isinstance(own, ZenoPoint):
+            continue
+        if alike and isinstance(other, ZenoPoint):
+            times = abs(own.time - other.time) / (1 + abs(own.time))
+            states = np.abs(own.state - other.state) / (1 + np.abs(own.state))
+            yield max(times, float(np.max(states))) + own.limit_error
+        else:
+            yield math.inf
 
 
-def why_engine(dynamics: HybridDynamics, state: Sequence[float] | Vector) -> str:
+def _holds(execution: Execution) -> tuple[ZenoPoint | Release, ...]:
+    """Return the events but for the impacts, of which a looser run may resolve fewer."""
+    return tuple(event for event in execution.events if not isinstance(event, Impact))
+
+
+def why_engine(dynamics: HybridDynamics, state: Sequence[float] | Vector, leg: float) -> str:
     """Return in one sentence how the default engine will go about a scene, and why.
 
     Args:
         dynamics: The system at fixed numbers.
         state: Where it starts, ``(n_x,)``.
+        leg: How long it goes without an event [s]; what decays much sooner does not last.
     """
-    fastest, slower = decay_rates(dynamics.free, np.array(state, dtype=np.float64))
+    values = eigenvalues(dynamics.free, np.array(state, dtype=np.float64))
+    fastest, _ = rates_of(values)
     if fastest <= 0.0:
         return "explicit steps (DOP853): nothing decays."
-    rates = f"the fastest decay is {fastest:.3g} 1/s, the next rate {slower:.3g} 1/s"
-    if fastest > PAYS * slower:
+    lasting = staying_rate(values, leg)
+    rates = f"the fastest decay is {fastest:.3g} 1/s, what lasts changes at {lasting:.3g} 1/s"
+    if fastest > PAYS * lasting:
         return f"explicit steps (DOP853) in layers, then implicit (Radau IIA, order 13): {rates}."
     return f"explicit steps (DOP853): {rates}."
 
@@ -245,49 +261,7 @@ def _limit_error(execution: Execution) -> float:
     """
     scale = sizes(execution)
     shares = [
-        point.error * float(np.max((1.0 + np.abs(point.state)) / scale))
+        point.limit_error * float(np.max((1.0 + np.abs(point.state)) / scale))
         for point in execution.zeno_points
     ]
     return max(shares, default=0.0)
-
-
-def _landmark(event: Event) -> Landmark:
-    if isinstance(event, Impact):
-        return Landmark(kind=Kind.IMPACT, time=event.time, state=event.state_minus)
-    kind = Kind.ZENO if isinstance(event, ZenoPoint) else Kind.RELEASE
-    return Landmark(kind=kind, time=event.time, state=event.state)
-
-
-def _end(execution: Execution) -> Landmark:
-    return Landmark(kind=Kind.END, time=execution.end_time, state=execution.end_state)
-
-
-def _stretches(execution: Execution) -> list[list[Landmark]]:
-    """Return the landmarks in stretches: some impacts, then a Zeno point, a release or the end."""
-    marks = [*map(_landmark, execution.events), _end(execution)]
-    cuts = [k for k, mark in enumerate(marks, start=1) if mark.kind is not Kind.IMPACT]
-    return [marks[start:stop] for start, stop in pairwise([0, *cuts])]
-
-
-def _pairs(
-    first: Sequence[Sequence[Landmark]], second: Sequence[Sequence[Landmark]]
-) -> Iterator[tuple[Landmark, Landmark]]:
-    """Yield what corresponds to each other."""
-    for (*some, mark), (*others, other) in zip(first, second, strict=False):
-        yield from zip(some, others, strict=False)
-        if mark.kind is other.kind is Kind.END and len(some) != len(others):
-            # One more impact before the end of one than before the end of the other.
-            n = min(len(some), len(others))
-            yield [*some, mark][n], [*others, other][n]
-        else:
-            yield mark, other
-
-
-def _largest(pairs: Sequence[tuple[Landmark, Landmark]], scale: Vector, unit: float) -> float:
-    """Return the largest relative difference within pairs; infinity if a pair is none."""
-    if any(a.kind is not b.kind and Kind.END not in (a.kind, b.kind) for a, b in pairs):
-        return math.inf
-    times = [abs(a.time - b.time) / unit for a, b in pairs]
-    states = [float(np.max(np.abs(a.state - b.state) / scale)) for a, b in pairs]
-    # NumPy's maximum keeps NaN, which Python's may lose.
-    return float(np.max([*times, *states]))

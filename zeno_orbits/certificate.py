@@ -74,7 +74,8 @@ class OrbitCertificate:
         delta_sweep: Cuts at falling thresholds.
         delta_order: Observed order of the error in the speed of the cut; NaN without a sweep.
         integration_error: Estimated error of the returned state, relative.
-        zeno_error: Estimated error of the Zeno limit, relative.
+        zeno_error: Estimated error of the Zeno limit, relative; that of the integration, which
+            gives the impacts, comes on top.
         period: Period that the integration found [s].
         n_periods: Periods that were integrated.
         model: Which derivation was integrated.

@@ -52,14 +52,16 @@ class ZenoPoint:
     Attributes:
         time: Zeno time [s].
         state: Zeno state, ``(n_x,)``.
-        error: Estimated error of both, the state's relative to ``1 + |x|``.
+        limit_error: Estimated error of both by the limit alone, relative to ``1 + |t|`` and
+            ``1 + |x|``: as if the impacts were exact that tell it. The error of the flights before
+            comes on top, and may be far more; ``accuracy.simulate_with_error`` estimates both.
         tail: Time between the last resolved impact and the limit [s].
         last_speed: Gap rate after the last resolved impact.
     """
 
     time: float
     state: Vector
-    error: float
+    limit_error: float
     tail: float
     last_speed: float
 

@@ -34,6 +34,8 @@ def require_picture(path: Path, argument: str = "output") -> None:
 def require_writable(path: Path, argument: str = "output") -> None:
     """Refuse a path that cannot become a file, before any work is done for it.
 
+    Devices and pipes are written to as they are.
+
     Args:
         path: The path.
         argument: What asked for it.
@@ -44,6 +46,8 @@ def require_writable(path: Path, argument: str = "output") -> None:
     folder = path.parent
     if path.is_dir():
         raise InputError(f"Argument `{argument}` must be a file, but `{path}` is a folder.")
+    if _is_special(path):
+        return
     if not folder.is_dir() or not os.access(folder, os.W_OK):
         message = f"must be in a writable folder, but `{path}` is not"
         raise InputError(f"Argument `{argument}` {message}.")
@@ -139,6 +143,16 @@ def write_whole(path: Path, content: str | bytes) -> None:
     write_pieces(path, (content.encode() if isinstance(content, str) else content,))
 
 
+_SYSTEM = (Path("/dev"), Path("/proc"))
+"""Folders whose files are the system's own: `/dev/stdout` may well lead to a regular file."""
+
+
+def _is_special(path: Path) -> bool:
+    """Tell whether a path is a device or a pipe, which is written to and never replaced."""
+    own = any(folder in path.absolute().parents for folder in _SYSTEM)
+    return path.exists() and not path.is_dir() and (own or not path.is_file())
+
+
 def write_pieces(path: Path, pieces: Iterable[bytes]) -> None:
     """Write a file piece by piece, as `write_whole` does: for what is too long to hold twice.
 
@@ -149,6 +163,9 @@ def write_pieces(path: Path, pieces: Iterable[bytes]) -> None:
     Raises:
         InputError: If the folder does not exist or cannot be written.
     """
+    if _is_special(path):
+        _write_through(path, pieces)
+        return
     try:
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     except OSError as error:
@@ -166,3 +183,14 @@ def write_pieces(path: Path, pieces: Iterable[bytes]) -> None:
         raise InputError(f"{message} ({error.strerror}).") from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _write_through(path: Path, pieces: Iterable[bytes]) -> None:
+    """Write to a device or a pipe; what has gone there cannot be taken back."""
+    try:
+        with path.open("ab") as file:
+            for piece in pieces:
+                file.write(piece)
+    except OSError as error:
+        message = f"Argument `output` must be a file that can be written, but `{path}` is not"
+        raise InputError(f"{message} ({error.strerror}).") from error

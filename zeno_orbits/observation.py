@@ -89,8 +89,8 @@ class FirstCycle:
 
     @property
     def zeno_error(self) -> float:
-        """Largest estimated error of a Zeno point, 0 without one."""
-        return max((p.zeno.error for p in self.phases if p.zeno is not None), default=0.0)
+        """Largest estimated error of a Zeno limit, its impacts taken as exact; 0 without one."""
+        return max((p.zeno.limit_error for p in self.phases if p.zeno is not None), default=0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -219,7 +219,7 @@ class Problem:
         chosen_gains = _chosen("gain", self.gains, gains or {}, bounded=False)
         chosen = _chosen("parameter", self.parameters, parameters or {}, bounded=True)
         if self.derive is not None:
-            derived = self.derive(chosen)
+            derived = self._derived(chosen)
             chosen = {
                 quantity.name: quantity.checked(
                     chosen[quantity.name] if quantity.name in chosen else derived[quantity.name]
@@ -227,6 +227,22 @@ class Problem:
                 for quantity in self.parameters
             }
         return Setting(gains=chosen_gains, parameters=chosen)
+
+    def _derived(self, chosen: Mapping[str, float]) -> Mapping[str, float]:
+        """Return the derived parameters.
+
+        Raises:
+            InputError: If numbers so far from each other allow none in double precision.
+        """
+        if self.derive is None:
+            return {}
+        try:
+            return self.derive(chosen)
+        except ArithmeticError as error:
+            wanted = f"must be numbers from which `{self.name}` can derive the others"
+            raise InputError(
+                f"Argument `parameters` {wanted}, but they are not ({error})."
+            ) from error
 
     def symbols(self) -> dict[str, ca.SX]:
         """Return one symbol for every gain and parameter, in order."""
@@ -292,12 +308,20 @@ def load_problem(name_or_path: str | Path) -> Problem:
         path = bundled[scene]
     else:
         path = Path(scene)
-        if not path.exists():
+        if not _is_there(path):
             raise InputError(_unknown("problem", scene, tuple(bundled)))
     problem = _declared(path)
     if scene not in bundled:
         _require_sound(path, problem)
     return problem.at_fidelity(fidelity) if fidelity is not None else problem
+
+
+def _is_there(path: Path) -> bool:
+    """Tell whether there is a file or folder; a name that no file can have has none."""
+    try:
+        return path.exists()
+    except (OSError, ValueError):
+        return False
 
 
 def split_fidelity(name_or_path: str | Path) -> tuple[str, str | None]:
@@ -307,7 +331,7 @@ def split_fidelity(name_or_path: str | Path) -> tuple[str, str | None]:
     """
     whole = str(name_or_path)
     scene, at, word = whole.rpartition("@")
-    if not at or (scene not in bundled_problems() and Path(whole).exists()):
+    if not at or (scene not in bundled_problems() and _is_there(Path(whole))):
         return whole, None
     return scene, word
 

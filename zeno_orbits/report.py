@@ -23,9 +23,9 @@ from zeno_orbits.surveys import print_families, print_map, print_trade
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from zeno_orbits.accuracy import Assured
     from zeno_orbits.bounds import Extent
     from zeno_orbits.certificate import OrbitCertificate
-    from zeno_orbits.execution import Execution
     from zeno_orbits.fidelity import ReductionCost
     from zeno_orbits.orbit import ZenoOrbit
     from zeno_orbits.problem import Problem, Setting
@@ -107,10 +107,11 @@ def print_costs(costs: Sequence[ReductionCost]) -> None:
     )
 
 
-def print_execution(problem: Problem, execution: Execution, most: int = 40) -> None:
-    """Print the events of an execution and where it ends."""
+def print_execution(problem: Problem, assured: Assured, most: int = 40) -> None:
+    """Print the events of an execution, the errors of its Zeno points and where it ends."""
     from zeno_orbits.execution import Impact, ZenoPoint
 
+    execution, errors = assured.execution, iter(assured.zeno_errors)
     console = plain_console()
     pair = problem.portraits[0] if problem.portraits else problem.state_names[:2]
     states = list(dict.fromkeys((*pair, problem.state_names[-1])))
@@ -122,7 +123,8 @@ def print_execution(problem: Problem, execution: Execution, most: int = 40) -> N
         if isinstance(event, Impact):
             word, rate = "impact", f"{event.approach_rate:.6g}"
         elif isinstance(event, ZenoPoint):
-            word = f"Zeno point (+- {event.error:.0e})"
+            error = next(errors)
+            word = f"Zeno point (+- {error:.0e})" if math.isfinite(error) else "Zeno point (+- ?)"
         values = [f"{state[problem.state_names.index(name)]:.6g}" for name in states]
         table.add_row(f"{event.time:.10g}", word, rate, *values)
     print_table(table)
@@ -135,12 +137,14 @@ def print_execution(problem: Problem, execution: Execution, most: int = 40) -> N
     )
 
 
-def print_engine(engine: str, why: str, error: float | None) -> None:
-    """Print which engine ran and why, and the error if it was asked for."""
+def print_engine(engine: str, why: str, error: float) -> None:
+    """Print which engine ran and why, and the error that was made."""
     chosen = f"automatic, {why}" if engine == "automatic" else f"{engine}, as asked for."
     print_lines([f"Engine: {chosen}"])
-    if error is not None:
+    if math.isfinite(error):
         print_error_made(error)
+    else:
+        print_lines(["Estimated relative error: unknown, a looser run goes another way."])
 
 
 def print_error_made(error: float) -> None:
@@ -229,7 +233,7 @@ def print_certificate(certificate: OrbitCertificate) -> None:
     console.print(f"Floquet multipliers: {multipliers} (+- {certificate.multiplier_error:.0e})")
     console.print(
         f"Estimated error of the integration: {certificate.integration_error:.0e}, "
-        f"of the Zeno point: {certificate.zeno_error:.0e}"
+        f"of the Zeno limit on top of it: {certificate.zeno_error:.0e}"
     )
 
 

@@ -14,8 +14,10 @@ from zeno_orbits.execution import Execution
 from zeno_orbits.problem import Problem
 from zeno_orbits.recordings import Recording, Signal, Source
 
-_MOST = 100_000_000
-"""Samples: hours of work, and a file of gigabytes."""
+MOST_SAMPLES = 10_000_000
+"""Samples of a recording at most; ten of each state take a gigabyte."""
+_MOST_NOISE = 1e6
+"""Noise in parts of a state's range beyond which nothing is left of the state."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,8 +39,8 @@ class Sampling:
         if not (math.isfinite(self.rate) and self.rate > 0.0):
             wanted = "must be a positive number of Hz"
             raise InputError(f"Argument `rate` {wanted}, but it is {self.rate:g}.")
-        if not (math.isfinite(self.noise) and self.noise >= 0.0):
-            wanted = "must be a number from 0 on"
+        if not 0.0 <= self.noise <= _MOST_NOISE:
+            wanted = f"must be a number from 0 on, up to {_MOST_NOISE:g}"
             raise InputError(f"Argument `noise` {wanted}, but it is {self.noise:g}.")
         if self.seed < 0:
             raise InputError(f"Argument `seed` must be at least 0, but it is {self.seed}.")
@@ -53,8 +55,8 @@ class Sampling:
             InputError: If there are fewer than two, or too many to write.
         """
         samples = self.rate * time * (1 + 1e-12)
-        if not 1.0 <= samples <= _MOST:
-            wanted = f"must give two to {_MOST} samples in {time:g} s"
+        if not 1.0 <= samples < MOST_SAMPLES:
+            wanted = f"must give two to {MOST_SAMPLES} samples in {time:g} s"
             raise InputError(f"Argument `rate` {wanted}, but it is {self.rate:g} Hz.")
         return math.floor(samples) + 1
 

@@ -356,7 +356,7 @@ class _Run:
             ZenoPoint(
                 time=limit.time,
                 state=limit.state,
-                error=limit.error,
+                limit_error=limit.error,
                 tail=limit.time - last.time,
                 last_speed=last_speed,
             )

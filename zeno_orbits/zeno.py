@@ -135,8 +135,9 @@ class ZenoLimit:
     Attributes:
         time: Zeno time [s].
         state: Zeno state, ``(n_x,)``, on the stop.
-        error: Estimate of the error of time and state, relative to ``1 + |t|`` and ``1 + |x|``:
-            the difference from the limit that the impacts a node earlier gave.
+        error: Estimate of the error of time and state, relative to ``1 + |t|`` and ``1 + |x|``,
+            had the impacts been exact: the difference from the limit that the impacts a node
+            earlier gave.
         path: The states on the stop on the way from the last impact, where they are known, with
             times from that impact; the hops that are left out lie above them.
     """

@@ -9,7 +9,6 @@ A command imports what it runs when it runs: `--help` and a mistyped option need
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Sequence
 
@@ -27,8 +26,9 @@ from zeno_orbits.cli.plot import add_plot
 from zeno_orbits.cli.problems import add_problems
 from zeno_orbits.cli.rig import add_rig
 from zeno_orbits.cli.search import add_search
-from zeno_orbits.cli.shared import INTERRUPTED, MISUSE, NO, YES, Parser
+from zeno_orbits.cli.shared import INTERRUPTED, MISUSE, NO, Parser
 from zeno_orbits.cli.simulate import add_simulate
+from zeno_orbits.cli.streams import patient_streams
 from zeno_orbits.cli.trade import add_trade
 from zeno_orbits.cli.verify import add_verify
 from zeno_orbits.errors import InputError, ZenoOrbitsError
@@ -39,19 +39,29 @@ __all__ = ["build_parser", "main"]
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
-    options = build_parser().parse_args(arguments)
+    with patient_streams():
+        try:
+            options = build_parser().parse_args(arguments)
+        except InputError as error:
+            # There is no room for what `--help` says.
+            report.print_error(str(error))
+            return MISUSE
+        return _answer(options)
+
+
+def _answer(options: argparse.Namespace) -> int:
+    """Run one command; whatever is wrong is one line on standard error, and an exit code."""
     try:
         with Interrupts() as interrupts:
             options.interrupts = interrupts
-            return options.run(options)
+            code: int = options.run(options)
+            # A disk may turn out to be full as late as here.
+            sys.stdout.flush()
+            return code
     except InputError as error:
         return _end(error, MISUSE, options)
     except ZenoOrbitsError as error:
         return _end(error, NO, options)
-    except BrokenPipeError:
-        # The reader has seen enough; nothing is left to flush at the end.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return YES
     except KeyboardInterrupt:
         report.print_error("interrupted; nothing was written")
         return INTERRUPTED

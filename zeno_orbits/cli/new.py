@@ -144,9 +144,14 @@ def add_new(commands: Any) -> None:
 
 
 def _run_new(options: argparse.Namespace) -> int:
+    from zeno_orbits.problem import bundled_problems
+
     if not options.name.isidentifier():
         wanted = "must be a word of letters, digits and underscores"
         raise InputError(f"Argument `name` {wanted}, but it is `{options.name}`.")
+    if options.name in bundled_problems():
+        wanted = "must not be that of a scene which comes with the package"
+        raise InputError(f"Argument `name` {wanted}, but `{options.name}` is one.")
     path = Path(f"{options.name}.py")
     if path.exists():
         raise InputError(f"Argument `name` must be of a new file, but `{path}` exists.")

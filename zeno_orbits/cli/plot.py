@@ -81,12 +81,12 @@ def _run_plot(options: argparse.Namespace) -> int:
     if not rests and {"zeno", "region"} & {*kinds}:
         wanted = "must be a picture of an orbit without a Zeno point"
         raise InputError(f"Argument `kind` {wanted}, but it is `zeno` or `region`.")
-    kind = options.format
-    write_all(
-        options.output,
-        {f"{name}.{kind}": plots.rendered(draw[name](), kind) for name in dict.fromkeys(kinds)},
-    )
-    paths = [options.output / f"{name}.{kind}" for name in dict.fromkeys(kinds)]
+    # One that cannot be drawn leaves none behind.
+    files = {
+        f"{kind}.{options.format}": plots.rendered(draw[kind](), options.format) for kind in kinds
+    }
+    write_all(options.output, files)
+    paths = [options.output / name for name in files]
     if options.json:
         print_json({"pictures": [str(path) for path in paths]})
     else:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,8 +26,8 @@ from zeno_orbits.cli.shared import (
 )
 
 if TYPE_CHECKING:
+    from zeno_orbits.accuracy import Assured
     from zeno_orbits.dynamics import HybridDynamics
-    from zeno_orbits.execution import Execution
     from zeno_orbits.problem import Problem
     from zeno_orbits.sampling import Sampling
 
@@ -82,13 +83,15 @@ def _run_simulate(options: argparse.Namespace) -> int:
     require_outputs(options, files=("data",), pictures=("output",))
     sampling = None if options.data is None else _sampling_of(options)
     dynamics = bind(compiled_model(problem), setting.values())
-    execution, error = _simulated(options, dynamics, state)
+    assured = _simulated(options, dynamics, state)
+    execution = assured.execution
     if options.json:
-        accuracy = {} if error is None else {"error": error}
-        print_json(_execution_json(problem, execution) | accuracy)
+        print_json(_execution_json(problem, assured))
     else:
-        report.print_execution(problem, execution)
-        report.print_engine(options.engine, why_engine(dynamics, state), error)
+        report.print_execution(problem, assured)
+        longest = max(arc.end_time - arc.start_time for arc in execution.arcs)
+        why = why_engine(dynamics, state, longest)
+        report.print_engine(options.engine, why, assured.error)
     if options.output is not None:
         from zeno_orbits import plots
 
@@ -114,10 +117,9 @@ def _sampling_of(options: argparse.Namespace) -> Sampling:
 
 def _simulated(
     options: argparse.Namespace, dynamics: HybridDynamics, state: Sequence[float]
-) -> tuple[Execution, float | None]:
-    """Return the execution, and its estimated error if an accuracy was asked for."""
-    from zeno_orbits.accuracy import simulate_to
-    from zeno_orbits.simulate import simulate
+) -> Assured:
+    """Return the execution with its estimated error, to an accuracy if one was asked for."""
+    from zeno_orbits.accuracy import simulate_to, simulate_with_error
 
     settings = simulation_of(options)
     with report.Progress(options.interrupts.check) as progress:
@@ -126,11 +128,10 @@ def _simulated(
             progress.tell("simulating", time / options.until)
 
         if options.accuracy is None:
-            execution = simulate(
+            return simulate_with_error(
                 dynamics, state, until=options.until, settings=settings, on_progress=tell
             )
-            return execution, None
-        assured = simulate_to(
+        return simulate_to(
             dynamics,
             state,
             until=options.until,
@@ -138,11 +139,17 @@ def _simulated(
             settings=settings,
             on_progress=tell,
         )
-    return assured.execution, assured.error
 
 
-def _execution_json(problem: Problem, execution: Execution) -> dict[str, Any]:
+def _number(error: float) -> float | None:
+    """Return an error for JSON, which has no infinity."""
+    return error if isfinite(error) else None
+
+
+def _execution_json(problem: Problem, assured: Assured) -> dict[str, Any]:
     from zeno_orbits.execution import Impact, ZenoPoint
+
+    execution, errors = assured.execution, iter(assured.zeno_errors)
 
     def named(state: Any) -> dict[str, float]:
         return dict(zip(problem.state_names, map(float, state), strict=True))
@@ -161,14 +168,20 @@ def _execution_json(problem: Problem, execution: Execution) -> dict[str, Any]:
             )
         else:
             kind = "zeno_point" if isinstance(event, ZenoPoint) else "release"
-            entry = {"event": kind, "time": event.time, "state": named(event.state)}
+            entry: dict[str, Any] = {
+                "event": kind,
+                "time": event.time,
+                "state": named(event.state),
+            }
             if isinstance(event, ZenoPoint):
-                entry["error"] = event.error
+                entry["error"] = _number(next(errors))
+                entry["limit_error"] = event.limit_error
             events.append(entry)
     return {
         "problem": problem.name,
         "end_time": execution.end_time,
         "end_mode": execution.arcs[-1].mode.value,
         "end_state": named(execution.end_state),
+        "error": _number(assured.error),
         "events": events,
     }

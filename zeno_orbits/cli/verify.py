@@ -83,4 +83,7 @@ def _run_verify(options: argparse.Namespace) -> int:
         report.print_verdict(certificate)
         if options.accuracy is not None:
             report.print_error_made(certificate.orbit_error)
-    return YES if certificate.passed else NO
+    certain = options.accuracy is None or certificate.orbit_error <= options.accuracy
+    if certificate.passed and not certain and not options.json:
+        report.print_lines([f"That is more than the accuracy {options.accuracy:.0e}."])
+    return YES if certificate.passed and certain else NO

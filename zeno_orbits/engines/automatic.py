@@ -12,12 +12,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zeno_orbits.dynamics import GuardedFlow, Tolerance, Vector
 from zeno_orbits.engines.protocol import FAR, Leg, Passage, Step
 from zeno_orbits.engines.radau import Radau
 from zeno_orbits.engines.runge_kutta import RungeKutta
 from zeno_orbits.engines.stepping import follow_steps
+
+Values = NDArray[np.complex128]
 
 _FIRST_LOOK = 5
 """Explicit steps before the decay rates of a flow are asked for."""
@@ -30,10 +33,11 @@ _HELD, _STUCK = 3.0, 1.0
 and of one that no longer grows, as it does to the end of a layer."""
 
 PAYS = 25.0
-"""Fastest decay over the next rate from which an implicit step pays."""
+"""Fastest decay over the rates that stay from which an implicit step pays."""
 
 _LONG = 60.0
-"""Fastest decay times what is left of the leg from which going over pays."""
+"""Decay times what is left of the leg from which it is gone for most of that, and so from which
+going over pays."""
 
 _FIRST_STEP = 2.5
 """First implicit step times the next rate, over the eighth root of the tolerance: what the error
@@ -68,32 +72,55 @@ class Automatic:
         Raises:
             StepSizeError: If the step size falls to rounding level.
         """
-        fastest, first, size = 0.0, 0.0, 0.0
+        limits, size = _NONE, 0.0
         for count, step in enumerate(self.explicit.steps(flow, y, tolerance, horizon), start=1):
             yield step
             if count == _FIRST_LOOK or count % _PATIENCE == 0:
-                fastest, first = _limits(flow, step.after, tolerance)
+                limits = _limits(flow, step.after, tolerance)
             stuck, size = step.size <= size, step.size
-            if size * fastest > (_STUCK if stuck else _HELD):
+            if size * limits.fastest > (_STUCK if stuck else _HELD):
                 end = step.start + size
                 left = min(_time_left(flow, step), horizon - end)
-                if left * fastest > _LONG:
-                    size = max(2 * size, min(first, 1.1 * left))
+                if left * limits.fastest > _LONG and limits.pay(left):
+                    size = max(2 * size, min(limits.first, 1.1 * left))
                     yield from self.implicit.steps(
                         flow, step.after, tolerance, horizon, time=end, size=size
                     )
 
 
-def _limits(flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> tuple[float, float]:
-    """Return the decay that holds explicit steps back and an implicit step to begin with.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Limits:
+    """What holds the steps of a flow back.
 
-    The decay is zero where nothing decays far faster than all else.
+    Attributes:
+        fastest: The decay that holds explicit steps back [1/time]; zero if nothing else is slower
+            by far, however long the leg.
+        first: Implicit step to begin with [time].
+        values: Eigenvalues of the Jacobian.
     """
-    fastest, next_rate = decay_rates(flow, y)
-    if not fastest > PAYS * next_rate:
-        return 0.0, 0.0
+
+    fastest: float
+    first: float
+    values: Values
+
+    def pay(self, left: float) -> bool:
+        """Tell whether implicit steps pay for what is left of a leg."""
+        return self.fastest > PAYS * staying_rate(self.values, left)
+
+
+_NONE = _Limits(fastest=0.0, first=0.0, values=np.zeros(0, dtype=np.complex128))
+
+
+def _limits(flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> _Limits:
+    """Return the decay that holds explicit steps back and an implicit step to begin with."""
+    values = eigenvalues(flow, y)
+    fastest, next_rate = rates_of(values)
+    if not fastest > PAYS * staying_rate(values, math.inf):
+        return _NONE
     first = _FIRST_STEP * tolerance.relative ** (1 / 8)
-    return fastest, first / next_rate if next_rate > 0.0 else 0.0
+    return _Limits(
+        fastest=fastest, first=first / next_rate if next_rate > 0.0 else 0.0, values=values
+    )
 
 
 def _time_left(flow: GuardedFlow, step: Step) -> float:
@@ -107,13 +134,40 @@ def _time_left(flow: GuardedFlow, step: Step) -> float:
     return -value / rate if rate < 0.0 else math.inf
 
 
+def eigenvalues(flow: GuardedFlow, y: Vector) -> Values:
+    """Return the eigenvalues of the Jacobian of a flow, ``(n_y,)`` [1/time]."""
+    return np.linalg.eigvals(flow.jacobian(y)).astype(np.complex128)
+
+
 def decay_rates(flow: GuardedFlow, y: Vector) -> tuple[float, float]:
     """Return the fastest decay of a flow and the largest rate of anything slower [1/time].
 
     Rates are moduli of eigenvalues of the Jacobian. Decays within a factor of ten of the fastest,
     of several motors for instance, count with it.
     """
-    values = np.linalg.eigvals(flow.jacobian(y))
+    return rates_of(eigenvalues(flow, y))
+
+
+def rates_of(values: Values) -> tuple[float, float]:
+    """Return the same of eigenvalues, ``(n_y,)``."""
     fastest = max(float(-np.min(values.real)), 0.0)
     slower = [abs(value) for value in values if -value.real < fastest / 10]
     return fastest, float(max(slower, default=0.0))
+
+
+def staying_rate(values: Values, left: float) -> float:
+    """Return the largest rate of what does not decay long before a leg ends [1/time].
+
+    Several layers, of motors with far different ``L / R`` for instance, are all passed soon. What
+    swings faster than it decays is not counted on to be gone.
+
+    Args:
+        values: Eigenvalues of the Jacobian, ``(n_y,)``.
+        left: What is left of the leg.
+    """
+    staying = [
+        abs(value)
+        for value in values
+        if not (value.real < -abs(value.imag) and -value.real * left > _LONG)
+    ]
+    return float(max(staying, default=0.0))

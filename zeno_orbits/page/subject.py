@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from zeno_orbits.certificate import OrbitCertificate
 from zeno_orbits.dynamics import HybridDynamics
-from zeno_orbits.errors import SimulationError
+from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.execution import Execution
 from zeno_orbits.orbit import ZenoOrbit
 from zeno_orbits.problem import Problem
+from zeno_orbits.returns import placed
 from zeno_orbits.simulate import simulate
 from zeno_orbits.trade import Trade
 
@@ -63,9 +66,12 @@ def subject_of(
     """Return what a report is about, one period simulated; see `Subject` for the arguments."""
     execution, trouble = None, ""
     try:
-        start = problem.state_vector(orbit.start_state)
+        start = np.array(problem.state_vector(orbit.start_state))
+        shape = orbit.shape.at_restitution(dynamics.restitution)
+        # As the check does: what is off the section is refused there, and not by the simulator.
+        start = placed(dynamics, shape, start)
         execution = simulate(dynamics, start, until=orbit.period * (1 + _LONGER))
-    except SimulationError as error:
+    except ZenoOrbitsError as error:
         # A false orbit may run anywhere; the page says so and does without its pictures.
         trouble = str(error)
     return Subject(

@@ -28,6 +28,8 @@ from zeno_orbits.plots.style import (
     label_of,
     panels_of,
     paths_of,
+    portraits_of,
+    share_time,
 )
 from zeno_orbits.problem import Problem
 
@@ -37,6 +39,7 @@ _MODEL: dict[Mode, dict[str, Any]] = {
     Mode.LOCKED: ARCS[Mode.LOCKED] | {"lw": 3.2, "label": "Zeno model, locked"},
 }
 """Wide, so that the other motion is seen on top; told apart by shade and width in grey, too."""
+_TIME = "time since a release [s]"
 _CLOSER = 15.0
 """How much the gap is enlarged to show what happens on the stop."""
 
@@ -62,7 +65,7 @@ def plot_beside_over_time(
             ax.plot(times, states[:, row], **look)
         ax.plot(counterpart.times, counterpart.states[:, row], label=counterpart.label, **_OTHER)
         ax.set(xlim=(0.0, execution.end_time))
-    panels[-1].set_xlabel("time since a release [s]")
+    share_time(figure, panels, _TIME)
     add_legend(figure, width)
     return figure
 
@@ -98,7 +101,7 @@ def plot_beside_by_phase(
         ax.set(xlim=(0.0, 1.0))
     periods = f"own periods: model {own:.5g} s, other {counterpart.period:.5g} s"
     panels[0].set_title(periods, size=TEXT)
-    panels[-1].set_xlabel("phase from release [own periods]")
+    share_time(figure, panels, "phase from release [own periods]")
     add_legend(figure, width)
     return figure
 
@@ -132,9 +135,7 @@ def plot_beside_impacts(
         ax.plot(zeno.time, 0.0, label="Zeno point", **ZENO)
         ax.axhline(0.0, color="black", lw=0.4, zorder=1)
         ax.set(xlim=window, ylim=(-0.25 * highest * closer**0.5, 1.25 * highest), ylabel=label)
-        ax.tick_params(labelbottom=ax is panels[-1])
-    panels[-1].set_xlabel("time since a release [s]")
-    figure.align_ylabels(panels)
+    share_time(figure, panels, _TIME)
     add_legend(figure, width)
     return figure
 
@@ -154,9 +155,8 @@ def plot_beside_portraits(
         counterpart: The other motion.
         width: Width of the picture [in].
     """
-    pairs = [[problem.state_names.index(name) for name in pair] for pair in problem.portraits]
-    figure, panels = panels_of(width, len(pairs), height=2.0)
-    for ax, pair in zip(panels, pairs, strict=True):
+    figure, panels = portraits_of(problem, width, height=2.0)
+    for ax, pair in panels:
         for _, states, look in _paths(execution):
             ax.plot(*states[:, pair].T, **look)
         for impact in execution.impacts:
@@ -164,7 +164,6 @@ def plot_beside_portraits(
         ax.plot(*counterpart.states[:, pair].T, label=counterpart.label, **_OTHER)
         for zeno in execution.zeno_points:
             ax.plot(*zeno.state[pair], label="Zeno point", **ZENO)
-        ax.set(xlabel=label_of(problem, pair[0]), ylabel=label_of(problem, pair[1]))
     add_legend(figure, width)
     return figure
 
@@ -222,8 +221,6 @@ def _coordinates(
                 start / unit, end / unit, color=TINTS[mode], lw=0, gid=mode.value, label=word
             )
         ax.set(ylabel=label_of(problem, row))
-        ax.tick_params(labelbottom=ax is panels[-1])
-    figure.align_ylabels(panels)
     return figure, panels
 
 

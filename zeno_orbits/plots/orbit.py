@@ -25,6 +25,8 @@ from zeno_orbits.plots.style import (
     mark_completion,
     panels_of,
     paths_of,
+    portraits_of,
+    share_time,
 )
 from zeno_orbits.problem import Problem, Setting
 
@@ -40,10 +42,9 @@ def plot_portraits(problem: Problem, execution: Execution, *, width: float = FUL
         execution: What to draw.
         width: Width of the picture [in].
     """
-    pairs = [[problem.state_names.index(name) for name in pair] for pair in problem.portraits]
-    figure, panels = panels_of(width, len(pairs), height=2.5)
+    figure, panels = portraits_of(problem, width, height=2.5)
     impacts = execution.impacts
-    for ax, pair in zip(panels, pairs, strict=True):
+    for ax, pair in panels:
         for _, states, look in paths_of(execution):
             ax.plot(*states[:, pair].T, **look)
         if impacts:
@@ -53,7 +54,6 @@ def plot_portraits(problem: Problem, execution: Execution, *, width: float = FUL
             ax.plot(*after, **AFTER)
             ax.plot(*before, **BEFORE)
         mark_completion(ax, execution, pair)
-        ax.set(xlabel=label_of(problem, pair[0]), ylabel=label_of(problem, pair[1]))
     add_legend(figure, width)
     return figure
 
@@ -118,9 +118,7 @@ def _over_time(
         if impacts:
             ax.plot([], [], color=INK, ls="", marker="|", ms=7, label="impact")
         ax.set(ylabel=label, xlim=(execution.arcs[0].start_time, _end(execution)))
-        ax.tick_params(labelbottom=ax is panels[-1])
-    panels[-1].set_xlabel("time $t$ [s]")
-    figure.align_ylabels(panels)
+    share_time(figure, panels, "time $t$ [s]")
     add_legend(figure, width)
     return figure
 

@@ -94,6 +94,25 @@ def panels_of(
     return figure, panels
 
 
+def portraits_of(
+    problem: Problem, width: float, *, height: float
+) -> tuple[Figure, list[tuple[Axes, list[int]]]]:
+    """Return a figure with a labelled panel a portrait of a scene, and which states it shows."""
+    pairs = [[problem.state_names.index(name) for name in pair] for pair in problem.portraits]
+    figure, panels = panels_of(width, len(pairs), height=height)
+    for ax, (across, up) in zip(panels, pairs, strict=True):
+        ax.set(xlabel=label_of(problem, across), ylabel=label_of(problem, up))
+    return figure, list(zip(panels, pairs, strict=True))
+
+
+def share_time(figure: Figure, panels: Sequence[Axes], label: str) -> None:
+    """Give stacked panels one axis of time, which the lowest shows, and align what they measure."""
+    for ax in panels:
+        ax.tick_params(labelbottom=ax is panels[-1])
+    panels[-1].set_xlabel(label)
+    figure.align_ylabels(panels)
+
+
 def add_legend(figure: Figure, width: float) -> None:
     """Set every text to one size and put a legend of what is drawn above the panels."""
     entries: dict[str, Any] = {}
