@@ -44,6 +44,7 @@ class Spread:
         information: :math:`H` without what the shift in phase takes, ``(k, k)``.
         inflation: Factor of the errors over those of independent residuals.
         misfit: What repeats of the residuals, over what noise makes repeat, as variances.
+        common: Size of what repeats without noise's part, in units of the residuals' own.
     """
 
     errors: Vector
@@ -52,6 +53,7 @@ class Spread:
     information: Vector
     inflation: float
     misfit: float
+    common: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,7 +87,7 @@ def spread_of(jacobian: Vector, residuals: Vector, data: Folded) -> Spread:
     information = jacobian.T @ jacobian
     inverse = np.linalg.pinv(information, rcond=1e-14, hermitian=True)
     own = np.outer(jacobian[-1], jacobian[-1])
-    together, misfit = _along_phase(samples, rest, data)
+    together, misfit, common = _along_phase(samples, rest, data)
     n_groups = int(data.groups.max()) + 1
     # Both that follow are estimates, and may come out too small; independent noise is the least.
     options = [
@@ -114,13 +116,14 @@ def spread_of(jacobian: Vector, residuals: Vector, data: Folded) -> Spread:
         information=reduced,
         inflation=float(np.max(errors / plain)),
         misfit=misfit,
+        common=common,
     )
 
 
 _TAIL = 1 - (1 - _LEVEL) / 2
 
 
-def _along_phase(samples: Vector, rest: Vector, data: Folded) -> tuple[Vector, float]:
+def _along_phase(samples: Vector, rest: Vector, data: Folded) -> tuple[Vector, float, float]:
     """Return the covariance of the gradient, from the residuals' autocorrelation along the phase.
 
     Residuals count as weighted, so that a mean of many samples weighs as much as they do.
@@ -128,7 +131,7 @@ def _along_phase(samples: Vector, rest: Vector, data: Folded) -> tuple[Vector, f
     m = samples.shape[2]
     bins = np.minimum((data.phases * _BINS).astype(np.int64), _BINS - 1)
     total = np.zeros((m, m))
-    repeated, expected = 0.0, 0.0
+    repeated, expected, excess, heavy = 0.0, 0.0, 0.0, 0.0
     taper = 1.0 - np.arange(_REACH + 1) / (_REACH + 1)
     for s in range(samples.shape[1]):
         seen = data.seen[:, s]
@@ -152,6 +155,8 @@ def _along_phase(samples: Vector, rest: Vector, data: Folded) -> tuple[Vector, f
         noise = float(within[usable].sum() / max(float((rows[usable] - 1).sum()), 1.0))
         repeated += float(np.mean(weight[known] * mean[known] ** 2))
         expected += noise
+        excess += float(np.sum(weight[known] * mean[known] ** 2 - noise))
+        heavy += float(weight.sum())
         for lag in range(_REACH + 1):
             both = known & np.roll(known, -lag)
             if not both.any():
@@ -159,7 +164,8 @@ def _along_phase(samples: Vector, rest: Vector, data: Folded) -> tuple[Vector, f
             gamma = float(np.mean((mean * np.roll(mean, -lag))[both])) * taper[lag]
             product = gradient.T @ np.roll(gradient, -lag, axis=0)
             total += gamma * (product if lag == 0 else product + product.T)
-    return _positive(total), repeated / expected if expected > 0.0 else 1.0
+    misfit = repeated / expected if expected > 0.0 else 1.0
+    return _positive(total), misfit, math.sqrt(max(excess, 0.0) / max(heavy, 1.0))
 
 
 def _by_groups(samples: Vector, rest: Vector, data: Folded, n_groups: int) -> Vector:
