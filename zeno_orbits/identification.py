@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from zeno_orbits.alignment import Alignment
 from zeno_orbits.closing import close_orbit, orbit_of
 from zeno_orbits.comparison import compare
 from zeno_orbits.cycle_tables import measurement
@@ -32,10 +33,14 @@ from zeno_orbits.orbit import ZenoOrbit
 from zeno_orbits.predictions import Predictions, Unknowns
 from zeno_orbits.problem import Problem, Setting
 from zeno_orbits.recordings import Recording
+from zeno_orbits.steadiness import unsteady
 
 _LEAST_CYCLES = 2.0
 _MISFIT = 2.0
 """What repeats of the residuals, over what noise makes repeat, where the model falls short."""
+_ALIEN = 0.05
+"""What all cycles have in common of the deviations, in parts of the ranges, in a machine that is
+the scene's, at most."""
 _LATE = 5.0
 """Standard errors by which a period may be off that a model follows."""
 _EDGE = 1e-6
@@ -188,6 +193,10 @@ def identify(
     orbits = Predictions(problem, unknowns, measured, first.deviations.table.cycle)
     values = np.stack([recording.signal(name).values for name in first.signals])
     answer = fit(orbits, folded(recording.time, values, where), found, tell)
+    _require_settled(answer, where, recording)
+    if answer.repeating > _ALIEN:
+        off = f"the nearest orbit is {100 * answer.repeating:.2g} % of the signals' ranges off"
+        raise UnfittableError(f"No parameters were found: {off}, in every cycle.")
     fitted = _fitted(unknowns, sought, answer)
     parameters = dict(begin.parameters)
     for one in fitted:
@@ -205,6 +214,25 @@ def identify(
         misfit=answer.spread.misfit,
         remarks=(*first.remarks, *_remarks(fitted, answer)),
     )
+
+
+def _require_settled(answer: Fit, where: Alignment, recording: Recording) -> None:
+    """Refuse a recording whose cycles differ by more than noise.
+
+    Raises:
+        UnfittableError: With the reason, and from when on the cycles are alike.
+    """
+    found = unsteady(answer)
+    if found is None:
+        return
+    hint = ""
+    if found.first:
+        begun = np.floor(where.phases(recording.time[[0, -1]]))
+        n_groups = int(answer.data.groups.max()) + 1
+        in_group = max(float(begun[1] - begun[0] + 1) / n_groups, 1.0)
+        since = where.release + where.period * (begun[0] + found.skip * in_group)
+        hint = f"; leave the beginning out with --from {since:.4g}"
+    raise UnfittableError(f"No parameters were found: {found.reason}{hint}.")
 
 
 def _begin(problem: Problem, setting: Setting, sought: Sequence[Sought]) -> Setting:
