@@ -70,8 +70,8 @@ class Fit:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Stage:
-    """The residuals of a round of the fit.
+class Weighed:
+    """Residuals in units of their noise, of a round of the fit.
 
     Attributes:
         orbits: What orbits say.
@@ -121,14 +121,14 @@ def fit(
     """
     x, converged = orbits.unknowns.first, True
     data = samples.without_jumps(orbits.table(x))
-    stage = _stage(orbits, data, found, x)
+    stage = weighed(orbits, data, found, x)
     before = deviation(orbits, data, x)
     for number in range(_ROUNDS):
         tell("fitting", number / _ROUNDS)
         x, converged = _nearest(stage, x)
         if number == 0:
             data = samples.without(_bent(stage, x, samples))
-        stage = _stage(orbits, data, found, x)
+        stage = weighed(orbits, data, found, x)
     tell("how sure it is", 0.95)
     jacobian, residuals = stage.jacobian(x), stage.residuals(x)
     spread = spread_of(jacobian, residuals, data)
@@ -156,7 +156,7 @@ def deviation(orbits: Predictions, data: Folded, x: Vector) -> float:
     return math.sqrt(square / max(float(counts.sum()), 1.0))
 
 
-def _stage(orbits: Predictions, data: Folded, found: Periodicity, x: Vector) -> _Stage:
+def weighed(orbits: Predictions, data: Folded, found: Periodicity, x: Vector) -> Weighed:
     """Return the residuals in units of their size at some unknowns, signal by signal."""
     fold = orbits.fold(x, data)
     weights = np.empty_like(data.values)
@@ -167,10 +167,10 @@ def _stage(orbits: Predictions, data: Folded, found: Periodicity, x: Vector) -> 
         extent = float(np.ptp(fold.values[:, k]))
         noise = max(size, _LEAST_NOISE * extent, np.finfo(float).tiny)
         weights[:, k] = np.sqrt(data.counts[:, k]) / noise
-    return _Stage(orbits=orbits, data=data, found=found, weights=weights)
+    return Weighed(orbits=orbits, data=data, found=found, weights=weights)
 
 
-def _nearest(stage: _Stage, x: Vector) -> tuple[Vector, bool]:
+def _nearest(stage: Weighed, x: Vector) -> tuple[Vector, bool]:
     """Return the unknowns of the least squares, and whether the search came to its end."""
     from scipy.optimize import least_squares
 
@@ -189,7 +189,7 @@ def _nearest(stage: _Stage, x: Vector) -> tuple[Vector, bool]:
     return np.asarray(answer.x, dtype=np.float64), int(answer.status) > 0
 
 
-def _bent(stage: _Stage, x: Vector, samples: Folded) -> NDArray[np.bool_]:
+def _bent(stage: Weighed, x: Vector, samples: Folded) -> NDArray[np.bool_]:
     """Return which of all samples are not predicted in a straight line, ``(n, n_s)``."""
     jacobian = stage.jacobian(x)
     spread = spread_of(jacobian, stage.residuals(x), stage.data)

@@ -6,6 +6,7 @@ Unknown are the sought numbers, relative to where they start, and a shift of the
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from zeno_orbits.closing import close_cycle
 from zeno_orbits.compiled import bind
 from zeno_orbits.cycle import Cycle
 from zeno_orbits.cycle_tables import Measurement, OrbitTable, tabulated
-from zeno_orbits.cycle_variations import orbit_slope
+from zeno_orbits.cycle_variations import OrbitSlope, orbit_slope
 from zeno_orbits.dynamics import HybridDynamics, Vector
 from zeno_orbits.folding import Fold, Folded
 from zeno_orbits.models import compiled_model
@@ -88,6 +89,7 @@ class Predictions:
     ) -> None:
         self._problem, self._measured, self._near = problem, measured, near
         self._known: dict[bytes, OrbitTable] = {}
+        self._moving: dict[bytes, OrbitSlope] = {}
         self._settings = SimulationSettings()
         self.unknowns = unknowns
 
@@ -109,8 +111,7 @@ class Predictions:
                 settings=self._settings,
             )
             self._known[key] = tabulated(dynamics, closed.cycle, self._measured, p)
-            while len(self._known) > _KEPT:
-                del self._known[next(iter(self._known))]
+            _forget(self._known)
         return self._known[key]
 
     def accept(self, x: Vector) -> None:
@@ -124,14 +125,7 @@ class Predictions:
     def slopes(self, x: Vector, data: Folded) -> Slopes:
         """Return the exact derivatives of what the orbit says of samples (theory (58))."""
         unknowns, table, fold = self.unknowns, self.table(x), self.fold(x, data)
-        slope = orbit_slope(
-            self._dynamics(table.p),
-            table.cycle.start.state,
-            scale=table.cycle.scale_at_events(),
-            period=table.period,
-            chosen=unknowns.places,
-            settings=self._settings,
-        )
+        slope = self._slope(x)
         states = slope.at(fold.times)
         n_x = states.shape[1]
         by = self._measured.derivatives(table.states.at(fold.times), table.p)
@@ -147,5 +141,25 @@ class Predictions:
             period=np.append(slope.period @ own, 0.0),
         )
 
+    def _slope(self, x: Vector) -> OrbitSlope:
+        key, table = x[:-1].tobytes(), self.table(x)
+        if key not in self._moving:
+            self._moving[key] = orbit_slope(
+                self._dynamics(table.p),
+                table.cycle.start.state,
+                scale=table.cycle.scale_at_events(),
+                period=table.period,
+                chosen=self.unknowns.places,
+                settings=self._settings,
+            )
+            _forget(self._moving)
+        return self._moving[key]
+
     def _dynamics(self, p: Vector) -> HybridDynamics:
         return bind(compiled_model(self._problem), tuple(p.tolist()))
+
+
+def _forget(known: dict[bytes, Any]) -> None:
+    """Keep the last ones only."""
+    while len(known) > _KEPT:
+        del known[next(iter(known))]
