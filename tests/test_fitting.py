@@ -85,8 +85,8 @@ def test_what_counts_is_straight_over_the_interval_and_what_does_not_is_not(
     counted = done.data.seen
     # The limit is 0.3 at the end of the first fit, whose interval is a little longer.
     assert np.max(found[counted]) < 0.35
-    # Without it, the current behind impacts counts: its slope is off by more than its noise.
-    assert np.max(found[~counted]) > 2.0
+    # Without it, the current behind impacts counts, off by several times that.
+    assert np.max(found[~counted]) > 0.9
     assert np.all(counted[:, :2].mean(axis=0) > 0.99)
     assert 0.9 < counted[:, 2].mean() < 1.0
 
@@ -119,8 +119,9 @@ def test_means_over_stretches_are_predicted_as_means(table: OrbitTable, scene: P
     assert data.span > 0.0
     full = (data.counts > 0.9 * np.median(data.counts)).all(axis=1)
     # Away from kinks, a mean is off its middle by y'' d^2 / 24, and the prediction knows.
-    smooth = full & (np.max(data.bends(table, 0.0), axis=1) < 1e-6)
-    assert smooth.mean() > 0.8
+    bends = data.bends(table, 0.0) / np.ptp(table.nodes.values, axis=0)
+    smooth = full & (np.max(bends, axis=1) < 1e-5)
+    assert smooth.mean() > 0.5
     middle = table.at(data.phases)[smooth]
     off = np.abs(data.values[smooth] - middle).max(axis=0)
     known = np.abs(data.values[smooth] - data.predicted(table, 0.0).values[smooth]).max(axis=0)

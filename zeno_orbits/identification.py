@@ -25,7 +25,7 @@ from zeno_orbits.closing import close_orbit, orbit_of
 from zeno_orbits.comparison import compare
 from zeno_orbits.cycle_tables import measurement
 from zeno_orbits.dynamics import Vector
-from zeno_orbits.errors import InputError, ZenoOrbitsError
+from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.fitting import Fit, fit
 from zeno_orbits.folding import folded
 from zeno_orbits.intervals import Unseen, unseen_combinations
@@ -33,7 +33,10 @@ from zeno_orbits.orbit import ZenoOrbit
 from zeno_orbits.predictions import Predictions, Unknowns
 from zeno_orbits.problem import Problem, Setting
 from zeno_orbits.recordings import Recording
+from zeno_orbits.sought import Sought, begin_of, unknowns_of
 from zeno_orbits.steadiness import unsteady
+
+__all__ = ["Fitted", "Identification", "Sought", "UnfittableError", "identify"]
 
 _LEAST_CYCLES = 2.0
 _MISFIT = 2.0
@@ -41,31 +44,13 @@ _MISFIT = 2.0
 _ALIEN = 0.05
 """What all cycles have in common of the deviations, in parts of the ranges, in a machine that is
 the scene's, at most."""
+_MOVED = 5e-3
+"""Relative change of a number between cycles up to which it is given, with a word of that."""
 _LATE = 5.0
 """Standard errors by which a period may be off that a model follows."""
 _EDGE = 1e-6
 _PART = 0.1
 """Part that a number has at least in a combination that hides it."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Sought:
-    """A number to be found.
-
-    Attributes:
-        names: The parameters that it is the value of; more than one if they are tied together.
-        lower: Smallest value.
-        upper: Largest value.
-    """
-
-    names: tuple[str, ...]
-    lower: float
-    upper: float
-
-    @property
-    def label(self) -> str:
-        """Its name: those of its parameters."""
-        return "+".join(self.names)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -174,7 +159,7 @@ def identify(
         if on_progress is not None:
             on_progress(what, part)
 
-    begin = _begin(problem, setting, sought)
+    begin = begin_of(problem, setting, sought)
     tell("looking for the orbit at the start")
     closing = close_orbit(problem, begin)
     if closing.orbit is None:
@@ -188,12 +173,12 @@ def identify(
     if found.n_cycles < _LEAST_CYCLES:
         few = f"{found.n_cycles:.2g} periods were recorded, and two are needed"
         raise UnfittableError(f"No parameters were found: {few}.")
-    unknowns = _unknowns(problem, begin, sought)
+    unknowns = unknowns_of(problem, begin, sought)
     measured = measurement(problem, first.signals)
     orbits = Predictions(problem, unknowns, measured, first.deviations.table.cycle)
     values = np.stack([recording.signal(name).values for name in first.signals])
     answer = fit(orbits, folded(recording.time, values, where), found, tell)
-    _require_settled(answer, where, recording)
+    remarks = [*first.remarks, *_unsettled(answer, where, recording)]
     if answer.repeating > _ALIEN:
         off = f"the nearest orbit is {100 * answer.repeating:.2g} % of the signals' ranges off"
         raise UnfittableError(f"No parameters were found: {off}, in every cycle.")
@@ -212,19 +197,19 @@ def identify(
         before=answer.before,
         after=answer.after,
         misfit=answer.spread.misfit,
-        remarks=(*first.remarks, *_remarks(fitted, answer)),
+        remarks=(*remarks, *_remarks(fitted, answer)),
     )
 
 
-def _require_settled(answer: Fit, where: Alignment, recording: Recording) -> None:
-    """Refuse a recording whose cycles differ by more than noise.
+def _unsettled(answer: Fit, where: Alignment, recording: Recording) -> list[str]:
+    """Return in words how cycles differ by more than noise, if that hardly moves the numbers.
 
     Raises:
-        UnfittableError: With the reason, and from when on the cycles are alike.
+        UnfittableError: If it does, with the reason and from when on the cycles are alike.
     """
     found = unsteady(answer)
     if found is None:
-        return
+        return []
     hint = ""
     if found.first:
         begun = np.floor(where.phases(recording.time[[0, -1]]))
@@ -232,50 +217,9 @@ def _require_settled(answer: Fit, where: Alignment, recording: Recording) -> Non
         in_group = max(float(begun[1] - begun[0] + 1) / n_groups, 1.0)
         since = where.release + where.period * (begun[0] + found.skip * in_group)
         hint = f"; leave the beginning out with --from {since:.4g}"
-    raise UnfittableError(f"No parameters were found: {found.reason}{hint}.")
-
-
-def _begin(problem: Problem, setting: Setting, sought: Sequence[Sought]) -> Setting:
-    """Return the numbers to start from: every sought one inside its range, tied ones equal."""
-    if not sought:
-        raise InputError("Argument `fit` must name a parameter, but it names none.")
-    taken: list[str] = []
-    parameters = dict(setting.parameters)
-    for one in sought:
-        for name in one.names:
-            if name not in parameters:
-                known = ", ".join(parameters)
-                hint = "; gains are known" if name in setting.gains else ""
-                message = f"must name parameters ({known}), but it names `{name}`{hint}"
-                raise InputError(f"Argument `fit` {message}.")
-            if name in taken:
-                raise InputError(f"Argument `fit` must name `{name}` once, but it does so twice.")
-            taken.append(name)
-        if not one.lower < one.upper:
-            bounds = f"[{one.lower:g}, {one.upper:g}]"
-            wanted = f"must have a range LOW:HIGH for `{one.label}`"
-            raise InputError(f"Argument `fit` {wanted}, but it is {bounds}.")
-        value = parameters[one.names[0]]
-        if not one.lower < value < one.upper:
-            value = (one.lower + one.upper) / 2
-        parameters |= dict.fromkeys(one.names, value)
-    return problem.setting(gains=setting.gains, parameters=parameters)
-
-
-def _unknowns(problem: Problem, begin: Setting, sought: Sequence[Sought]) -> Unknowns:
-    """Return what is sought as places in gains and parameters."""
-    names = [name for one in sought for name in one.names]
-    ties = np.array([[float(name in one.names) for one in sought] for name in names])
-    start = np.array([begin.parameters[one.names[0]] for one in sought])
-    return Unknowns(
-        base=np.array(begin.values(), dtype=np.float64),
-        places=tuple(problem.names.index(name) for name in names),
-        ties=ties,
-        start=start,
-        scale=np.where(start != 0.0, np.abs(start), 1.0),
-        lower=np.array([one.lower for one in sought]),
-        upper=np.array([one.upper for one in sought]),
-    )
+    if found.size > _MOVED:
+        raise UnfittableError(f"No parameters were found: {found.reason}{hint}.")
+    return [f"{found.reason}, by {100 * found.size:.1g} % of the numbers{hint}"]
 
 
 def _fitted(unknowns: Unknowns, sought: Sequence[Sought], found: Fit) -> tuple[Fitted, ...]:

@@ -46,11 +46,14 @@ class Unsteady:
         reason: In words.
         first: Whether it is the beginning that differs from the rest.
         skip: Cycles to leave out then, those begun counted.
+        size: How far apart the numbers are that the parts ask for, relative; infinite if the
+            deviations themselves are of another size.
     """
 
     reason: str
     first: bool
     skip: int
+    size: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -71,8 +74,8 @@ class _Cycles:
     sizes: Vector
     noise: float
 
-    def apart(self, one: NDArray[np.bool_], other: NDArray[np.bool_]) -> float:
-        """Return how far apart two parts of the cycles are, as chi-square."""
+    def apart(self, one: NDArray[np.bool_], other: NDArray[np.bool_]) -> tuple[float, float]:
+        """Return how far apart two parts of the cycles are, as chi-square and in numbers."""
         moves: list[Vector] = []
         spread = np.zeros(self.information.shape[1:])
         for part in (one, other):
@@ -80,7 +83,7 @@ class _Cycles:
             moves.append(-inverse @ self.gradients[part].sum(axis=0))
             spread += self.noise * inverse
         gap = moves[0] - moves[1]
-        return float(gap @ _inverse(spread) @ gap)
+        return float(gap @ _inverse(spread) @ gap), float(np.max(np.abs(gap[:-1])))
 
     def scatter(self, step: int) -> float:
         """Return by how much more than noise cycles differ from those some steps later."""
@@ -90,7 +93,7 @@ class _Cycles:
         if len(places) < _FEWEST:
             return 1.0
         own = np.arange(n)
-        found = [self.apart(own == k, own == k + step) for k in places]
+        found = [self.apart(own == k, own == k + step)[0] for k in places]
         return max(float(np.median(found)) / freedom, 1.0)
 
 
@@ -102,23 +105,28 @@ def unsteady(found: Fit) -> Unsteady | None:
     n = len(cycles.numbers)
     if n < 2:
         return None
-    most = float(chi2.isf(_CHANCE, cycles.gradients.shape[1]))
+    least = float(chi2.isf(_CHANCE, cycles.gradients.shape[1]))
     place = np.arange(n)
     skip = int(cycles.numbers[0]) + 1
     usual = math.sqrt(float(np.median(cycles.sizes[1:])))
     loud = math.sqrt(float(cycles.sizes[0])) / usual if usual > 0.0 else 1.0
-    begins = cycles.apart(place == 0, place > 0) / cycles.scatter(1) / most
-    if loud > _LOUD or begins > 1.0:
+    most = least * cycles.scatter(1)
+    begins, early = cycles.apart(place == 0, place > 0)
+    halves, later = cycles.apart(place < n // 2, place >= n // 2)
+    if loud > _LOUD or begins > max(most, halves if n > 3 else 0.0):
         reason = "its first cycle is not like the later ones: the motion still settles"
-        return Unsteady(reason=reason, first=True, skip=skip)
-    if cycles.apart(place < n // 2, place >= n // 2) / cycles.scatter(1) > most:
+        size = math.inf if loud > _LOUD else early
+        return Unsteady(reason=reason, first=True, skip=skip, size=size)
+    if halves > most:
         reason = "its first half asks for other numbers than its second: the motion still settles, "
-        return Unsteady(reason=reason + "or the machine changes", first=True, skip=n // 2)
-    if n > 2 and not found.data.span:
-        odd = cycles.numbers % 2 == 1
-        if 0 < odd.sum() < n and cycles.apart(odd, ~odd) / cycles.scatter(2) > most:
+        skip = int(cycles.numbers[n // 2])
+        return Unsteady(reason=reason + "or the machine changes", first=True, skip=skip, size=later)
+    odd = cycles.numbers % 2 == 1
+    if n > 2 and not found.data.span and 0 < odd.sum() < n:
+        turns, size = cycles.apart(odd, ~odd)
+        if turns > least * cycles.scatter(2):
             reason = "every other cycle asks for other numbers: the period is doubled"
-            return Unsteady(reason=reason, first=False, skip=0)
+            return Unsteady(reason=reason, first=False, skip=0, size=size)
     return None
 
 
