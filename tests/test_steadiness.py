@@ -62,7 +62,7 @@ def test_without_that_check_a_transient_gives_wrong_numbers(
 
 def test_a_drift_is_told(other: ZenoOrbit, scene: Problem) -> None:
     # What is drawn from one current to the other over the cycles passes for no other scene.
-    last = close_orbit(scene, scene.setting(parameters={**TRUTH, "R": 3.15})).unwrap()
+    last = close_orbit(scene, scene.setting(parameters={**TRUTH, "R": 3.24})).unwrap()
     tables = [table_of(orbit, scene, SIGNALS) for orbit in (other, last)]
     period = other.period
     time = np.arange(int(8 * period * 200.0)) / 200.0

@@ -171,4 +171,5 @@ def _correlated(data: Folded, rest: Vector, later: NDArray[np.bool_]) -> float:
 
 
 def _inverse(matrix: Vector) -> Vector:
-    return np.linalg.pinv(matrix, rcond=_RANK, hermitian=True)
+    found = np.linalg.pinv(matrix, rcond=_RANK, hermitian=True)
+    return np.asarray(found, dtype=np.float64)
