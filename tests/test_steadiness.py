@@ -78,9 +78,7 @@ def test_a_drift_is_told(other: ZenoOrbit, scene: Problem) -> None:
         identify(scene, scene.setting(parameters=TRUTH), drifting, SOUGHT)
 
 
-def test_cycles_that_differ_in_turn_are_told_below_what_a_comparison_sees(
-    other: ZenoOrbit, scene: Problem
-) -> None:
+def test_cycles_that_differ_in_turn_are_told(other: ZenoOrbit, scene: Problem) -> None:
     second = close_orbit(scene, scene.setting(parameters={**TRUTH, "R": 3.16})).unwrap()
     tables = [table_of(orbit, scene, SIGNALS) for orbit in (other, second)]
     time = np.arange(int(8 * other.period * 200.0)) / 200.0
