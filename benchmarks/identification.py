@@ -1,10 +1,13 @@
 """How often the 95 % intervals of `identify` hold the truth, on recordings whose truth is known.
 
-    python benchmarks/identification.py [--seeds 20] [--noise 0.01] [--correlated]
+    python benchmarks/identification.py [--seeds 60] [--noise 0.01] [--correlated]
 
 Every seed has its own truth, some per cent from the scene's numbers, its own unknown start and its
 own noise on angles and current; the fit begins at the scene's numbers. With ``--correlated`` the
 noise is that of a filtered sensor, which a fit that counts samples as independent gets wrong.
+A share of intervals that hold is given with the range in which it would be in 95 of 100 such
+benchmarks if it were 95 %. Small matrices gain nothing from threads: with OPENBLAS_NUM_THREADS=1
+in the environment a fit takes half of the processor time.
 """
 
 from __future__ import annotations
@@ -15,10 +18,11 @@ import time
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import binom
 
 from zeno_orbits.closing import close_orbit
 from zeno_orbits.cycle_tables import table_of
-from zeno_orbits.identification import Sought, identify
+from zeno_orbits.identification import Sought, UnfittableError, identify
 from zeno_orbits.problem import load_problem
 from zeno_orbits.recordings import Recording, Signal, Source
 
@@ -81,14 +85,15 @@ def recorded(
 def main() -> None:
     """Run the benchmark and print one row a seed."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--seeds", type=int, default=60)
     parser.add_argument("--noise", type=float, default=0.01)
     parser.add_argument("--correlated", action="store_true")
     options = parser.parse_args()
     problem = load_problem(SCENE)
     labels = [one.label for one in SOUGHT]
     inside, whole, tried = dict.fromkeys(labels, 0), 0, 0
-    scores: list[float] = []
+    scores: dict[str, list[float]] = {label: [] for label in labels}
+    errors: dict[str, list[float]] = {label: [] for label in labels}
     times: list[float] = []
     print("seed  " + "".join(f"{label:>22}" for label in labels) + "   (error in standard errors)")
     for seed in range(options.seeds):
@@ -98,21 +103,33 @@ def main() -> None:
             continue
         recording, truth = made
         began = time.process_time()
-        found = identify(problem, problem.setting(), recording, SOUGHT)
-        times.append(time.process_time() - began)
         tried += 1
+        try:
+            found = identify(problem, problem.setting(), recording, SOUGHT)
+        except UnfittableError as error:
+            print(f"{seed:4d}  {error}")
+            continue
+        times.append(time.process_time() - began)
         row, all_in = "", True
         for one in found.fitted:
             true = truth[one.sought.names[0]]
             here = one.low <= true <= one.high
             inside[one.sought.label] += here
             all_in &= here
-            scores.append((one.value - true) / one.error)
-            row += f"{one.value / true - 1:+14.2e} ({scores[-1]:+.1f})"
+            scores[one.sought.label].append((one.value - true) / one.error)
+            errors[one.sought.label].append(one.error / true)
+            row += f"{one.value / true - 1:+14.2e} ({scores[one.sought.label][-1]:+.1f})"
         whole += all_in
-        print(f"{seed:4d}  {row}{'' if all_in else '   outside'}")
+        print(f"{seed:4d}  {row}{'' if all_in else '   outside'}", flush=True)
+    low, high = binom.interval(0.95, tried, 0.95)
     print(f"\ntruth inside the 95 % interval, of {tried}: {inside}; all three at once: {whole}")
-    print(f"root mean square error: {np.sqrt(np.mean(np.square(scores))):.2f} standard errors")
+    print(f"expected {low:.0f} to {high:.0f}; errors, in standard errors and relative, as medians:")
+    for label in labels:
+        own = np.array(scores[label])
+        print(
+            f"  {label}: root mean square {np.sqrt(np.mean(own**2)):.2f}, "
+            f"greatest {np.max(np.abs(own)):.1f}; {statistics.median(errors[label]):.1e}"
+        )
     print(f"median processor time: {statistics.median(times):.1f} s")
 
 

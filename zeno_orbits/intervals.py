@@ -17,12 +17,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zeno_orbits.folding import Folded, Vector
 
 _BINS = 240
 _REACH = 30
 """Bins over which residuals may be correlated."""
+_LASTING = 0.1
+"""Part of a period over which noise may be correlated."""
 _LEAST_GROUPS = 6
 _FREEDOM = 60
 """Degrees of freedom of an estimate from all samples together."""
@@ -44,6 +47,7 @@ class Spread:
         information: :math:`H` without what the shift in phase takes, ``(k, k)``.
         inflation: Factor of the errors over those of independent residuals.
         misfit: What repeats of the residuals, over what noise makes repeat, as variances.
+        common: Size of what repeats without noise's part, in units of the residuals' own.
     """
 
     errors: Vector
@@ -52,6 +56,7 @@ class Spread:
     information: Vector
     inflation: float
     misfit: float
+    common: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,12 +90,16 @@ def spread_of(jacobian: Vector, residuals: Vector, data: Folded) -> Spread:
     information = jacobian.T @ jacobian
     inverse = np.linalg.pinv(information, rcond=1e-14, hermitian=True)
     own = np.outer(jacobian[-1], jacobian[-1])
-    together, misfit = _along_phase(samples, rest, data)
+    together, misfit, common = _along_phase(samples, rest, data)
     n_groups = int(data.groups.max()) + 1
     # Both that follow are estimates, and may come out too small; independent noise is the least.
     options = [
         (inverse @ (together + own) @ inverse, float(student.ppf(_TAIL, _FREEDOM))),
         (inverse, float(student.ppf(_TAIL, _FREEDOM))),
+        (
+            inverse @ (_along_time(samples, rest, data) + own) @ inverse,
+            float(student.ppf(_TAIL, _FREEDOM)),
+        ),
     ]
     if n_groups >= _LEAST_GROUPS:
         apart = _by_groups(samples, rest, data, n_groups)
@@ -114,13 +123,14 @@ def spread_of(jacobian: Vector, residuals: Vector, data: Folded) -> Spread:
         information=reduced,
         inflation=float(np.max(errors / plain)),
         misfit=misfit,
+        common=common,
     )
 
 
 _TAIL = 1 - (1 - _LEVEL) / 2
 
 
-def _along_phase(samples: Vector, rest: Vector, data: Folded) -> tuple[Vector, float]:
+def _along_phase(samples: Vector, rest: Vector, data: Folded) -> tuple[Vector, float, float]:
     """Return the covariance of the gradient, from the residuals' autocorrelation along the phase.
 
     Residuals count as weighted, so that a mean of many samples weighs as much as they do.
@@ -128,7 +138,7 @@ def _along_phase(samples: Vector, rest: Vector, data: Folded) -> tuple[Vector, f
     m = samples.shape[2]
     bins = np.minimum((data.phases * _BINS).astype(np.int64), _BINS - 1)
     total = np.zeros((m, m))
-    repeated, expected = 0.0, 0.0
+    repeated, expected, excess, heavy = 0.0, 0.0, 0.0, 0.0
     taper = 1.0 - np.arange(_REACH + 1) / (_REACH + 1)
     for s in range(samples.shape[1]):
         seen = data.seen[:, s]
@@ -145,13 +155,11 @@ def _along_phase(samples: Vector, rest: Vector, data: Folded) -> tuple[Vector, f
             ],
             axis=1,
         )
-        square = np.bincount(here, weights=rest[seen, s] ** 2, minlength=_BINS)
-        rows = np.bincount(here, minlength=_BINS)
-        usable = known & (rows > 1)
-        within = square - weight * mean**2
-        noise = float(within[usable].sum() / max(float((rows[usable] - 1).sum()), 1.0))
+        noise = _scatter(here + _BINS * data.groups[seen], root, rest[seen, s], mean)
         repeated += float(np.mean(weight[known] * mean[known] ** 2))
         expected += noise
+        excess += float(np.sum(weight[known] * mean[known] ** 2 - noise))
+        heavy += float(weight.sum())
         for lag in range(_REACH + 1):
             both = known & np.roll(known, -lag)
             if not both.any():
@@ -159,7 +167,47 @@ def _along_phase(samples: Vector, rest: Vector, data: Folded) -> tuple[Vector, f
             gamma = float(np.mean((mean * np.roll(mean, -lag))[both])) * taper[lag]
             product = gradient.T @ np.roll(gradient, -lag, axis=0)
             total += gamma * (product if lag == 0 else product + product.T)
-    return _positive(total), repeated / expected if expected > 0.0 else 1.0
+    misfit = repeated / expected if expected > 0.0 else 1.0
+    return _positive(total), misfit, math.sqrt(max(excess, 0.0) / max(heavy, 1.0))
+
+
+def _scatter(places: NDArray[np.int64], root: Vector, rest: Vector, mean: Vector) -> float:
+    """Return the variance of a sum of weighted residuals, per weight, between cycles.
+
+    Args:
+        places: Cycle and bin of each, as `bin + _BINS cycle`.
+        root: Their root weights.
+        rest: The residuals.
+        mean: Over all cycles in each bin.
+    """
+    weight = np.bincount(places, weights=root**2)
+    sums = np.bincount(places, weights=root * rest)
+    found = np.flatnonzero(weight > 0.0)
+    bins, weight = found % _BINS, weight[found]
+    apart = sums[found] / weight - mean[bins]
+    n_free = float(np.sum(np.maximum(np.bincount(bins, minlength=_BINS) - 1, 0)))
+    return float(np.sum(weight * apart**2)) / max(n_free, 1.0)
+
+
+def _along_time(samples: Vector, rest: Vector, data: Folded) -> Vector:
+    """Return the covariance of the gradient, from the residuals' autocorrelation in time.
+
+    Weights are one up to half of the reach and then fall to zero: a sensor that forgets well
+    within it is counted whole.
+    """
+    n, n_s, m = samples.shape
+    reach = max(round(_LASTING * n / float(np.ptp(data.groups + data.phases))), 1)
+    total = np.zeros((m, m))
+    for s in range(n_s):
+        seen = data.seen[:, s].astype(np.float64)
+        own, gradient = rest[:, s] * seen, samples[:, s] * seen[:, None]
+        for lag in range(reach + 1):
+            pairs = float(seen[lag:] @ seen[: n - lag])
+            gamma = float(own[lag:] @ own[: n - lag]) / max(pairs, 1.0)
+            gamma *= min(1.0, 2.0 * (1.0 - lag / (reach + 1)))
+            product = gradient[lag:].T @ gradient[: n - lag]
+            total += gamma * (product if lag == 0 else product + product.T)
+    return _positive(total)
 
 
 def _by_groups(samples: Vector, rest: Vector, data: Folded, n_groups: int) -> Vector:
