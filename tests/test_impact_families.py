@@ -18,7 +18,7 @@ from zeno_orbits.impact_families import continue_impacts
 from zeno_orbits.impact_returns import ImpactReturns
 from zeno_orbits.problem import load_problem
 from zeno_orbits.simulate import SimulationSettings
-from zeno_orbits.tracks import ContinuationSettings, Course, Track
+from zeno_orbits.tracks import ContinuationSettings, Course, Root, Track
 
 OSCILLATOR = load_problem("forced_oscillator")
 COCO = {"c": 0.1, "stop": 1.0, "restitution": 0.8}
@@ -43,7 +43,11 @@ def track_in(parameter: str, box: tuple[float, float], **numbers: float) -> Trac
 @cache
 def family_in_amplitude() -> Continuation:
     track = track_in("A", (0.05, 1.5))
-    return continuation_on(track, np.array(STATE), 1.0, settings=ContinuationSettings())
+    return continuation_on(published(track), settings=ContinuationSettings())
+
+
+def published(track: Track) -> Root:
+    return Root(track=track, x=np.array(STATE), s=1.0)
 
 
 def test_the_published_orbit_closes_with_the_published_multipliers() -> None:
@@ -86,7 +90,7 @@ def test_its_fold_is_where_the_closed_form_has_a_multiplier_of_one() -> None:
 def test_longer_steps_find_the_same_points() -> None:
     track = track_in("A", (0.05, 1.5))
     settings = ContinuationSettings(steps=Steps(first=0.1, longest=0.2))
-    (family,) = continuation_on(track, np.array(STATE), 1.0, settings=settings).families
+    (family,) = continuation_on(published(track), settings=settings).families
     (usual,) = family_in_amplitude().families
     assert len(family.points) < len(usual.points)
     assert [s.kind for s in family.named] == [s.kind for s in usual.named]
@@ -134,10 +138,10 @@ def test_a_flip_throws_off_the_branch_of_twice_the_period() -> None:
 def test_numbers_of_steps_and_giving_up_are_named_results() -> None:
     track = track_in("A", (0.05, 1.5))
     few = ContinuationSettings(steps=Steps(most=3))
-    (family,) = continuation_on(track, np.array(STATE), 1.0, settings=few).families
+    (family,) = continuation_on(published(track), settings=few).families
     assert {family.first.kind, family.last.kind} == {Kind.MOST_STEPS}
     hasty = ContinuationSettings(steps=Steps(first=0.9, longest=0.9, shortest=0.5))
-    (family,) = continuation_on(track, np.array(STATE), 1.0, settings=hasty).families
+    (family,) = continuation_on(published(track), settings=hasty).families
     assert Kind.GAVE_UP in (family.first.kind, family.last.kind)
     assert family.first.detail or family.last.detail
 
