@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterator
 
@@ -15,6 +16,9 @@ from zeno_orbits.orbit import ZenoOrbit
 from zeno_orbits.problem import Problem, load_problem
 from zeno_orbits.search import SearchResult, find_orbit
 from zeno_orbits.verify import problem_dynamics, verify
+
+# Matrices are small: threads of linear algebra would only wait for each other.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # The same examples every time, and no clock: a run that fails must fail again, on any machine.
 settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
@@ -50,6 +54,12 @@ def machine(orbit: ZenoOrbit, scene: Problem) -> HybridDynamics:
 def certificate(orbit: ZenoOrbit, scene: Problem) -> OrbitCertificate:
     """The certificate of the orbit at the published gains."""
     return verify(orbit, scene)
+
+
+@pytest.fixture(autouse=True)
+def _silence(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No progress in this process, however slow the machine is."""
+    monkeypatch.setattr("zeno_orbits.progress._PATIENCE", math.inf)
 
 
 @pytest.fixture

@@ -95,12 +95,6 @@ def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-@pytest.fixture(name="silence", autouse=True)
-def _silence(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No progress in this process, however slow it is."""
-    monkeypatch.setattr(progress, "_PATIENCE", math.inf)
-
-
 @pytest.fixture(name="orbit")
 def _orbit(searched: tuple[Answer, Path], here: Path) -> Path:
     """A copy of the orbit file in the working folder."""

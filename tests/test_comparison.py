@@ -248,7 +248,9 @@ def test_signals_of_another_kind_are_refused(orbit: ZenoOrbit, scene: Problem) -
     metres = Signal(name="theta1", unit="m", values=np.sin(time))
     other = Signal(name="pressure", unit="Pa", values=np.sin(time))
     empty = Signal(name="theta1", unit="rad", values=np.full(100, np.nan))
+    huge = Signal(name="theta1", unit="rad", values=1e300 * np.sin(time))
     for signal, reason in (
+        (huge, r"must have values of `theta1` up to 1e\+100, but it has"),
         (metres, "`theta1` in a unit like rad, but it has m"),
         (other, "must have a signal of the scene"),
         (empty, "must have values of `theta1`"),

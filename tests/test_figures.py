@@ -120,7 +120,6 @@ def parts(
 def orbit_file(orbit: ZenoOrbit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An orbit file in the working folder."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("zeno_orbits.progress._PATIENCE", math.inf)
     path = tmp_path / "orbit.json"
     write_orbit(orbit, path)
     return path
@@ -721,7 +720,6 @@ def test_a_scene_is_searched_at_its_own_numbers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("zeno_orbits.progress._PATIENCE", math.inf)
     code, out, _ = ask("figures", "forced_oscillator", "-o", "f", "--kind", "portraits")
     assert code == YES
     assert "fig4_portraits.png" in out

@@ -57,11 +57,6 @@ def pendulum(**changes: Any) -> Plane:
     return replace(whole, **changes)
 
 
-@pytest.fixture(name="silence", autouse=True)
-def _silence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("zeno_orbits.progress._PATIENCE", float("inf"))
-
-
 # ---------------------------------------------------------------------------- the grid
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 import shlex
 from collections import Counter
@@ -11,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from tests.pages import ROOT, SHOWN, blocks, commands, run_page
-from zeno_orbits import progress
 from zeno_orbits.cli import build_parser
 
 PAGES = sorted(
@@ -52,9 +50,8 @@ LEFT_BEHIND = {
 
 @pytest.fixture(name="here", autouse=True)
 def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty working folder, and no progress however slow the commands are."""
+    """An empty working folder."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(progress, "_PATIENCE", math.inf)
     return tmp_path
 
 

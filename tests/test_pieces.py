@@ -53,11 +53,6 @@ NEAR = (*IMPACTS, "--in", "A=0.8:1.1", "--steps", "12")
 needs_two = pytest.mark.skipif(CORES < 2, reason="needs two cores")
 
 
-@pytest.fixture(autouse=True)
-def _silence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("zeno_orbits.progress._PATIENCE", float("inf"))
-
-
 def contents(folder: Path) -> dict[str, bytes]:
     files = (path for path in sorted(folder.rglob("*")) if path.is_file())
     return {str(path.relative_to(folder)): path.read_bytes() for path in files}

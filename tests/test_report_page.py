@@ -90,7 +90,6 @@ def page(subject: Subject) -> str:
 def orbit_file(orbit: ZenoOrbit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An orbit file in the working folder."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("zeno_orbits.progress._PATIENCE", math.inf)
     path = tmp_path / "orbit.json"
     write_orbit(orbit, path)
     return path
@@ -216,7 +215,6 @@ def test_the_commands_on_the_page_find_the_orbit_again(
     subject: Subject, page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("zeno_orbits.progress._PATIENCE", math.inf)
     shown = unescape(re.findall(r"<code>(.*?)</code>", page, re.DOTALL)[0]).splitlines()
     assert [tuple(shlex.split(line)) for line in shown] == list(commands(subject))
     for line in shown:

@@ -46,11 +46,6 @@ BALL = ("search", "bouncing_ball", "--free", "m=1:2", "--starts", "3")
 needs_two = pytest.mark.skipif(CORES < 2, reason="needs two cores")
 
 
-@pytest.fixture(autouse=True)
-def _silence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("zeno_orbits.progress._PATIENCE", float("inf"))
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Picky:
     """Verifies orbits, but for those at one restitution.

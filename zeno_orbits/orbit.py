@@ -252,8 +252,10 @@ def read_orbit(path: Path | str) -> ZenoOrbit:
     path = Path(path)
     try:
         text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise OrbitFileError(path, f"it cannot be read ({type(error).__name__})") from error
+    except OSError as error:
+        raise OrbitFileError(path, f"it cannot be read ({error.strerror})") from error
+    except UnicodeDecodeError as error:
+        raise OrbitFileError(path, "it is no text in UTF-8") from error
     try:
         data = json.loads(text)
     except (ValueError, RecursionError) as error:

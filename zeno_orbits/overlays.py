@@ -32,6 +32,8 @@ _ALTERNATES = 0.02
 """Cycles that differ in turn by this part of the signals' size are of twice the period."""
 _SURE = 4.0
 """So many standard errors are no accident."""
+_LARGEST = 1e100
+"""Squares of larger values, summed, are no numbers."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -131,7 +133,7 @@ def shared_signals(problem: Problem, recording: Recording) -> tuple[str, ...]:
     """Return the names of the recorded signals that a scene has.
 
     Raises:
-        InputError: If there is none, one has a unit of another kind, or holds nothing.
+        InputError: If there is none, or one has a unit of another kind, holds nothing or nonsense.
     """
     known = measurable(problem)
     names = tuple(name for name in recording.names if name in known)
@@ -144,6 +146,11 @@ def shared_signals(problem: Problem, recording: Recording) -> tuple[str, ...]:
         if powers_of(signal.unit) != powers_of(known[name]):
             wanted = f"must have `{name}` in a unit like {known[name]}"
             raise InputError(f"Argument `recording` {wanted}, but it has {signal.unit}.")
-        if not np.isfinite(signal.values).any():
+        values = signal.values[np.isfinite(signal.values)]
+        if not len(values):
             raise InputError(f"Argument `recording` must have values of `{name}`, but it has none.")
+        largest = float(np.max(np.abs(values)))
+        if largest > _LARGEST:
+            wanted = f"must have values of `{name}` up to {_LARGEST:g}"
+            raise InputError(f"Argument `recording` {wanted}, but it has {largest:g}.")
     return names
