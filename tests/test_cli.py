@@ -588,7 +588,7 @@ def test_an_orbit_that_is_less_certain_than_asked_is_a_no(orbit: Path) -> None:
         (("--rate", "1e12"), ("`rate`", "10000000 samples")),
         (("--noise", "1e308"), ("`noise`", "1e+06")),
         (("--noise", "nan"), ("`noise`", "nan")),
-        (("-o", "a.png", "--data", "./a.png"), ("`data`", "another file than `output`")),
+        (("-o", "a.png", "--data", "./a.png"), ("`output`", "another file than `data`")),
     ],
     ids=str,
 )

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.test_cli import Answer, ask
+from tests.test_cli import MISUSE, NO, YES, Answer, ask
 from zeno_orbits import progress
-from zeno_orbits.cli import MISUSE, NO, YES
 from zeno_orbits.orbit import ZenoOrbit, write_orbit
 from zeno_orbits.recordings import Source, read_recording
 

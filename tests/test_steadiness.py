@@ -17,7 +17,7 @@ from zeno_orbits.models import compiled_model
 from zeno_orbits.orbit import ZenoOrbit
 from zeno_orbits.problem import Problem
 from zeno_orbits.recordings import Recording, cut
-from zeno_orbits.sampling import sampled
+from zeno_orbits.sampling import Sampling, sampled
 from zeno_orbits.simulate import simulate
 
 SOUGHT = (
@@ -34,7 +34,7 @@ def settling(scene: Problem) -> Recording:
     setting = scene.setting(parameters=TRUTH)
     dynamics = bind(compiled_model(scene), tuple(setting.values()))
     motion = simulate(dynamics, scene.state_vector(scene.starts[0]), until=13.0)
-    whole = sampled(scene, dynamics, motion, rate=200.0, noise=5e-3)
+    whole = sampled(scene, dynamics, motion, Sampling(rate=200.0, noise=5e-3))
     return replace(whole, signals=tuple(one for one in whole.signals if one.name in SIGNALS))
 
 

@@ -61,7 +61,7 @@ def symbols_of(flow: GuardedFlow) -> tuple[SymbolicMode, Vector]:
 class Carrier:
     """Carries a state until the guard of its mode falls, without a return to Python on the way.
 
-    Every root of the guard ends the way, rises too: that after a fall that was dropped betrays it.
+    Terminal events are the fall itself and, as a net under it, the fall through a depth.
     """
 
     def __init__(self, mode: SymbolicMode, tolerance: float, resting: tuple[int, ...]) -> None:
@@ -71,13 +71,16 @@ class Carrier:
         names = [heyoka.expression(f"y{k}") for k in range(len(lean.moving))]
         numbers = [heyoka.par[k] for k in range(n_p + n_factors)]
         *rates, guard = translate(lean.formulas, [names, numbers[:n_p], numbers[n_p:]])
-        # heyoka counts parameters up to the last that occurs: as one of them this is always it.
-        nudge = heyoka.par[n_p + n_factors]
+        depth = heyoka.par[n_p + n_factors]
+        falls = heyoka.event_direction.negative
         self._taylor: Any = heyoka.taylor_adaptive(
             list(zip(names, rates, strict=True)),
             np.zeros(len(names)),
             tol=tolerance,
-            t_events=[heyoka.t_event(guard + nudge)],
+            t_events=[
+                heyoka.t_event(guard + NUDGE, direction=falls),
+                heyoka.t_event(guard + depth, direction=falls),
+            ],
             compact_mode=_is_large(mode),
             # Sums in any order, a sixth faster. What is not finite is seen by comparisons outside
             # this code, and whatever is in doubt is followed again by the stepper, which is strict.
@@ -86,7 +89,6 @@ class Carrier:
         # These arrays are the integrator's own memory, here and in CasADi's calls.
         self._moved: Vector = self._taylor.state
         self._numbers: Vector = self._taylor.pars
-        self._numbers[-1] = NUDGE
         self._moving = list(lean.moving)
         self._p = self._numbers[:n_p]
         self._full = self._moved if not resting else np.zeros(lean.n_y)
@@ -94,18 +96,18 @@ class Carrier:
         self._guard = _caller(mode.guard, (self._full, self._p), self._pair)
         self._fold = _caller(lean.factors, (self._p,), self._numbers[n_p : n_p + n_factors])
         limits = heyoka.taylor_outcome
-        self.root = -1
         self.time_limit, self.step_limit = int(limits.time_limit), int(limits.step_limit)
-        self.known = frozenset({self.root, self.time_limit, self.step_limit})
+        self.fall = -1
 
-    def begin(self, y: Vector, p: Vector) -> None:
-        """Put the state at time zero."""
+    def begin(self, y: Vector, p: Vector) -> tuple[float, float]:
+        """Put the state at time zero and return guard and rate there."""
         taylor = self._taylor
         taylor.time = 0.0
         taylor.reset_cooldowns()
         self._p[:] = p
         self._fold()
         self._moved[:] = y if self._full is self._moved else y[self._moving]
+        return self.guard()
 
     @property
     def state(self) -> Vector:
@@ -120,6 +122,10 @@ class Carrier:
         self._guard()
         value, rate = self._pair.tolist()
         return value, rate
+
+    def set_net(self, depth: float) -> None:
+        """Hang the net this far below zero."""
+        self._numbers[-1] = depth
 
     def advance(self, until: float, largest: float, steps: int) -> tuple[int, int, float]:
         """Take steps until an event, the time or their number ends it.

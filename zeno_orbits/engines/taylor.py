@@ -29,13 +29,16 @@ _FEWEST, _MOST = 256, 4096
 _GROWTH = 8.0
 """Growth of single steps at most."""
 
+_NET = 1e-9
+"""Depth of the net under the guard, as part of guard and rate at the start."""
+
 _SHALLOW = 1e-12
-"""A rise from the guard lower than this is rounding."""
+"""A rise from the guard lower than this is rounding, and so is a net that shallow."""
 
 _ON_ROOT = 1e-9
 """A root is one if the guard there is below this part of what it fell from."""
 
-_MOST_FALSE_ROOTS = 4
+_MOST_FALSE_FALLS = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,7 +57,7 @@ class Taylor:
             StepSizeError: If the step size falls to rounding level.
         """
         mode, p = symbols_of(leg.flow)
-        passage = _carried(leg, p, carrier(mode, _single(leg.tolerance), leg.y))
+        passage = _carried(leg, mode, p, carrier(mode, _single(leg.tolerance), leg.y))
         return passage or follow_steps(self.steps(leg.flow, leg.y, leg.tolerance), leg)
 
     def steps(self, flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> Iterator[TaylorStep]:
@@ -108,43 +111,42 @@ class TaylorStep:
         return self.state_at(offset)
 
 
-def _carried(leg: Leg, p: Vector, kept: Carrier) -> Passage | None:
+def _carried(leg: Leg, mode: SymbolicMode, p: Vector, kept: Carrier) -> Passage | None:
     """Return what came of a leg followed in compiled code, or nothing where that is in doubt."""
-    kept.begin(leg.y, p)
-    start = 0.0 if leg.on_guard else kept.guard()[0]
-    if not (leg.on_guard or start > 0.0):
+    before = kept.begin(leg.y, p)
+    if not (leg.on_guard or before[0] > 0.0):
         return None
-    bound, batch, last, false_roots = _FIRST_BOUND, _FEWEST, 0.0, 0
+    kept.set_net(max(leg.contact, _SHALLOW, _NET * (abs(before[0]) + abs(before[1]))))
+    bound, batch, last, false_falls = _FIRST_BOUND, _FEWEST, 0.0, 0
     while True:
         outcome, steps, time = kept.advance(leg.horizon, bound, batch)
-        if outcome not in kept.known:
+        if outcome not in {kept.fall, kept.time_limit, kept.step_limit}:
             return None
         end = kept.state.copy()
         leg.watch(steps, time, end)
-        value, rate = kept.guard()
-        if outcome == kept.root:
-            height = -rate * time
-            if not leg.on_guard or abs(height) > max(leg.contact, _SHALLOW):
-                sound = rate < 0.0 and abs(value) <= _ON_ROOT * max(start, height)
-                return _passage(leg, Outcome.FALL, time, end) if sound else None
-            # The start is a root to rounding only, and the guard rose no higher since.
-            false_roots += 1
-            if false_roots > _MOST_FALSE_ROOTS:
+        if outcome == kept.step_limit:
+            if not time - last > batch * np.spacing(time):
                 return None
-        elif not value > 0.0:
-            # It fell without a word.
-            return None
-        elif outcome == kept.time_limit:
-            return _passage(leg, Outcome.HORIZON, leg.horizon, end)
-        elif time - last > batch * np.spacing(time):
             bound, batch, last = _BOUND_GROWTH * bound, min(4 * batch, _MOST), time
-        else:
+            continue
+        value, rate = kept.guard()
+        if outcome == kept.time_limit:
+            return _passage(leg, mode, p, Outcome.HORIZON, leg.horizon, end) if value > 0 else None
+        height = -rate * time
+        if not leg.on_guard or height > max(leg.contact, _SHALLOW):
+            sound = rate < 0.0 and abs(value) <= _ON_ROOT * max(before[0], height)
+            return _passage(leg, mode, p, Outcome.FALL, time, end) if sound else None
+        # The start is a root to rounding only, and the guard fell from less than that.
+        false_falls += 1
+        if false_falls > _MOST_FALSE_FALLS:
             return None
 
 
-def _passage(leg: Leg, outcome: Outcome, duration: float, end: Vector) -> Passage:
+def _passage(
+    leg: Leg, mode: SymbolicMode, p: Vector, outcome: Outcome, duration: float, end: Vector
+) -> Passage:
     way = TaylorTrajectory(
-        flow=leg.flow, tolerance=leg.tolerance, start=leg.y, duration=duration, end=end
+        mode=mode, p=p, tolerance=_single(leg.tolerance), start=leg.y, duration=duration, end=end
     )
     return Passage(outcome=outcome, duration=duration, state=end, trajectory=way)
 
@@ -154,15 +156,17 @@ class TaylorTrajectory:
     """The flow along a leg, integrated again, with its series, once somebody asks for it.
 
     Attributes:
-        flow: The flow.
+        mode: The formulas.
+        p: Numbers in them.
         tolerance: Of a step.
         start: State at the start, ``(n_y,)``.
         duration: Where the leg ends.
         end: State there, ``(n_y,)``.
     """
 
-    flow: GuardedFlow
-    tolerance: Tolerance
+    mode: SymbolicMode
+    p: Vector
+    tolerance: float
     start: Vector
     duration: float
     end: Vector
@@ -170,8 +174,7 @@ class TaylorTrajectory:
     @cached_property
     def _way(self) -> SteppedTrajectory:
         steps: list[TaylorStep] = []
-        mode, p = symbols_of(self.flow)
-        for step in _steps(mode, p, self.start, _single(self.tolerance), self.duration):
+        for step in _steps(self.mode, self.p, self.start, self.tolerance, self.duration):
             steps.append(step)
             if step.start + step.size >= self.duration:
                 break
