@@ -480,6 +480,7 @@ def orbit_miss(data: Mapping[str, Any], exact: ExtendedOrbit) -> float:
 
 
 @pytest.mark.parametrize("wanted", [1e-4, 1e-6, 1e-10])
+@pytest.mark.slow
 def test_a_search_to_an_accuracy_keeps_it_and_bounds_its_error(
     wanted: float, here: Path, exact: ExtendedOrbit
 ) -> None:
@@ -679,6 +680,7 @@ def test_trade_writes_what_it_prints_and_draws_it(here: Path) -> None:
 
 
 @pytest.mark.parametrize("scene", ["bouncing_ball", "motor_pendulum", "motor_pendulum@corrected"])
+@pytest.mark.slow
 def test_trade_shows_the_cheapest_setting_of_each_accuracy(scene: str) -> None:
     answer = ask("trade", scene, "--quick", "--until", "4.5")
     assert answer.code == YES

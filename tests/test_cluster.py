@@ -113,6 +113,7 @@ def test_a_family_on_a_cluster_with_a_worker_killed_is_the_file_made_here(
     assert there.read_bytes() == here.read_bytes()
 
 
+@pytest.mark.slow
 def test_a_point_that_kills_every_worker_of_a_cluster_is_named(cluster: DaskCluster) -> None:
     cluster.start_worker("--nanny")
     task = Deadly(points=(POINTS[1],))

@@ -665,6 +665,7 @@ def test_one_command_writes_all_figures(orbit_file: Path) -> None:
 
 
 @pytest.mark.usefixtures("parts")
+@pytest.mark.slow
 def test_the_same_orbit_gives_the_same_bytes(orbit_file: Path) -> None:
     kinds = [word for kind in ("graph", "region", "portraits") for word in ("--kind", kind)]
     for folder in ("a", "b"):
@@ -775,6 +776,7 @@ def test_an_orbit_without_a_zeno_point_is_refused(orbit_file: Path, orbit: ZenoO
 
 
 @pytest.mark.usefixtures("parts")
+@pytest.mark.slow
 def test_the_examples_of_the_help_run(orbit_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert orbit_file.exists()
     # The first example is run in full by `test_one_command_writes_all_figures`.

@@ -56,6 +56,7 @@ def _scan(
 
 
 @pytest.mark.parametrize("quantity", ["current", "voltage"])
+@pytest.mark.slow
 def test_the_least_peak_is_that_of_a_scan(scene: Problem, quantity: str) -> None:
     scan = _scan(scene, "Kp", np.linspace(2.0, 3.0, 11).tolist(), quantity)
     result = search_gains(

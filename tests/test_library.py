@@ -61,6 +61,7 @@ def _marked(name: str) -> Any:
 
 
 @pytest.mark.parametrize("name", [_marked(name) for name in SCENES])
+@pytest.mark.slow
 def test_every_scene_goes_through_every_command(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -311,6 +312,7 @@ def test_equations_by_hand_and_another_integrator_lead_to_the_same_first_impact(
     assert np.max(np.abs(run.y[:, -1] - expected) / size) < 1e-8
 
 
+@pytest.mark.slow
 def test_an_orbit_with_a_wrong_release_of_the_cart_is_refused(tmp_path: Path) -> None:
     orbit = _orbit("motor_cart").as_json()
     orbit["release_state"]["current"] *= 1.001

@@ -266,6 +266,7 @@ class Blind:
         return replace(self, returns=self.returns.moved_to(line))
 
 
+@pytest.mark.slow
 def test_a_curve_of_ends_is_not_followed_along_ends_of_another_name() -> None:
     track, branch = plastic()
     assert branch.end is not None

@@ -12,16 +12,26 @@ from zeno_orbits.orbit import ZenoOrbit, read_orbit, write_orbit
 from zeno_orbits.recordings import Source, read_recording
 
 
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """A recording as `simulate` writes it."""
+    path = tmp_path_factory.mktemp("recorded") / "data.csv"
+    answer = ask(
+        *("simulate", "motor_pendulum", "--until", "28", "--rate", "200"),
+        *("--data", path, "--noise", "1e-3"),
+    )
+    assert answer.code == YES, answer.err
+    return path.read_bytes()
+
+
 @pytest.fixture
-def folder(tmp_path: Path, orbit: ZenoOrbit, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(
+    tmp_path: Path, orbit: ZenoOrbit, recorded: bytes, monkeypatch: pytest.MonkeyPatch
+) -> Path:
     """A folder with an orbit and a recording, to work in."""
     monkeypatch.chdir(tmp_path)
     write_orbit(orbit, tmp_path / "orbit.json")
-    answer = ask(
-        *("simulate", "motor_pendulum", "--until", "28", "--rate", "200"),
-        *("--data", "data.csv", "--noise", "1e-3"),
-    )
-    assert answer.code == YES, answer.err
+    (tmp_path / "data.csv").write_bytes(recorded)
     return tmp_path
 
 

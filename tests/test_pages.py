@@ -55,7 +55,18 @@ def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+LONG = {
+    f"{name}.md"
+    for name in ("accuracy", "mapping", "measured_data", "own_tests", "rig", "searching")
+}
+"""Pages that take more than five seconds."""
+
+
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(p, marks=[pytest.mark.slow] if p.name in LONG else []) for p in PAGES],
+    ids=lambda page: str(page.relative_to(ROOT)),
+)
 def test_the_blocks_of_a_page_run(page: Path, here: Path) -> None:
     run_page(page, slow=False)
     for name in LEFT_BEHIND.get(page.name, ()):

@@ -678,6 +678,7 @@ def test_hostile_texts_do_nothing_in_a_browser(
     ("name", "parameters"),
     [("forced_oscillator", {}), ("motor_pendulum", {"restitution": 0.0})],
 )
+@pytest.mark.slow
 def test_pages_of_other_orbits_open_too(
     browser: Browser, tmp_path: Path, name: str, parameters: dict[str, float]
 ) -> None:

@@ -92,6 +92,7 @@ def test_multipliers_in_the_program_are_those_of_the_simulated_map(
         ("two_motors", {}),
     ],
 )
+@pytest.mark.slow
 def test_the_derivative_of_the_map_by_every_unknown_is_that_of_differences(
     name: str, numbers: dict[str, float]
 ) -> None:

@@ -99,6 +99,7 @@ def test_a_scene_runs_from_a_start_and_lists_its_contacts(tmp_path: Path) -> Non
     assert recording.source is Source.SIMULATED
 
 
+@pytest.mark.slow
 def test_parts_are_left_out_and_numbers_changed(file: Path) -> None:
     def period(*options: str) -> float:
         return float(ask("rig", file, "--cycles", "1", "--json", *options).data["mean"]["period"])

@@ -233,6 +233,7 @@ def test_a_ball_thrown_twice_a_turn_comes_to_rest_twice() -> None:
     ("amplitude", "shape"),
     [(0.03, "plastic"), (0.036, "impact"), (0.042, "impact*2"), (0.048, "impact,plastic")],
 )
+@pytest.mark.slow
 def test_a_ball_on_a_plastic_table_stays_or_is_thrown_at_once(amplitude: float, shape: str) -> None:
     orbit = falls(amplitude)
     assert orbit.shape.text == shape

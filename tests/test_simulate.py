@@ -678,6 +678,7 @@ def test_a_motion_that_dies_out_is_followed_to_rest() -> None:
 
 
 @pytest.mark.parametrize("gain", [-10.0, -1e3])
+@pytest.mark.slow
 def test_a_motion_that_speeds_up_without_end_is_told_in_a_tenth_of_the_steps(gain: float) -> None:
     # Feedback of the wrong sign: the shoulder whirls ever faster, and every turn takes its steps.
     problem = load_problem("motor_pendulum")

@@ -44,7 +44,9 @@ def other(scene: Problem) -> ZenoOrbit:
     return close_orbit(scene, scene.setting(parameters=TRUTH)).unwrap()
 
 
-@pytest.mark.parametrize(("since", "until"), [(0.0, 5.0), (3.6, 11.0)])
+@pytest.mark.parametrize(
+    ("since", "until"), [(0.0, 5.0), pytest.param(3.6, 11.0, marks=pytest.mark.slow)]
+)
 def test_a_transient_is_told_and_where_it_ends(
     settling: Recording, scene: Problem, since: float, until: float
 ) -> None:
@@ -52,6 +54,7 @@ def test_a_transient_is_told_and_where_it_ends(
         identify(scene, scene.setting(), cut(settling, since, until), SOUGHT)
 
 
+@pytest.mark.slow
 def test_without_that_check_a_transient_gives_wrong_numbers(
     settling: Recording, scene: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -100,6 +103,7 @@ def test_a_settled_machine_is_not_refused(other: ZenoOrbit, scene: Problem) -> N
 
 
 @pytest.mark.parametrize("names", [SIGNALS, ("theta1", "current")])
+@pytest.mark.slow
 def test_a_stop_that_is_never_touched_gives_no_parameters(
     scene: Problem, names: tuple[str, ...]
 ) -> None:

@@ -135,6 +135,7 @@ def test_a_task_that_cannot_be_sent_is_refused() -> None:
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, None], ids=["killed", "exit code 0"])
+@pytest.mark.slow
 def test_a_point_that_kills_every_worker_is_named_and_the_others_are_not(how: int | None) -> None:
     task = Deadly(points=(POINTS[5],), how=how)
     results = spread(task, POINTS[:12], plan())
