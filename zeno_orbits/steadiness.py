@@ -64,7 +64,7 @@ class _Cycles:
         numbers: Of the cycles that are long enough, ``(n_c,)``.
         gradients: ``(n_c, k + 1)``.
         information: ``(n_c, k + 1, k + 1)``.
-        sizes: Mean square residuals, ``(n_c,)``.
+        sizes: Median square residuals, ``(n_c,)``.
         noise: Factor of the variance over that of independent samples.
     """
 
@@ -140,7 +140,8 @@ def _cycles(found: Fit) -> _Cycles:
     parts = [data.groups == g for g in numbers]
     gradients = [np.einsum("nsk,ns->k", slopes[own], rest[own]) for own in parts]
     information = [np.einsum("nsk,nsl->kl", slopes[own], slopes[own]) for own in parts]
-    sizes = [float(np.sum(rest[own] ** 2)) / float(data.seen[own].sum()) for own in parts]
+    # The median: a single sample on the other side of a jump makes no cycle loud.
+    sizes = [float(np.median(rest[own][data.seen[own]] ** 2)) for own in parts]
     return _Cycles(
         numbers=numbers,
         gradients=np.array(gradients),
