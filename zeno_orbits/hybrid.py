@@ -14,9 +14,6 @@ import casadi as ca
 from zeno_orbits.drives import Drive
 from zeno_orbits.mechanics import HybridLagrangian
 
-_CRAMER = 4
-"""Coordinates up to which Cramer's rule takes fewer operations than the inverse."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CompletedSystem:
@@ -183,26 +180,13 @@ def accelerate(lagrangian: HybridLagrangian, force: ca.SX) -> tuple[ca.SX, ca.SX
     inverse_mass = ca.inv(lagrangian.mass_matrix)
     net_force = force - lagrangian.bias
     if eta.numel() == 0:
-        return inverse_mass, _solved(lagrangian.mass_matrix, net_force)
+        return inverse_mass, ca.mtimes(inverse_mass, net_force)
     jacobian = ca.jacobian(eta, q)
     response = ca.mtimes(inverse_mass, jacobian.T)
     gain = ca.mtimes(response, ca.inv(ca.mtimes(jacobian, response)))
     constrained = inverse_mass - ca.mtimes(gain, response.T)
     drift = ca.jtimes(ca.mtimes(jacobian, v), q, v)
     return constrained, ca.mtimes(constrained, net_force) - ca.mtimes(gain, drift)
-
-
-def _solved(mass_matrix: ca.SX, force: ca.SX) -> ca.SX:
-    r"""Return :math:`M^{-1} F`, for few coordinates by Cramer's rule.
-
-    .. math:: a = \operatorname{adj}(M) F / \det M
-
-    With one division an entry of the acceleration, where the inverse has one an entry of its own; a
-    step of Taylor's method for two coordinates gets a tenth cheaper.
-    """
-    if mass_matrix.size1() > _CRAMER:
-        return ca.mtimes(ca.inv(mass_matrix), force)
-    return ca.mtimes(ca.adj(mass_matrix), force) / ca.det(mass_matrix)
 
 
 def _corrected_restitution(
