@@ -21,16 +21,19 @@ import numpy as np
 from scipy.integrate import DOP853, LSODA
 from scipy.integrate import Radau as SciPyRadau
 
-from zeno_orbits.compiled import CompiledSystem, bind, compile_problem
-from zeno_orbits.completion import Truncation, ZenoExtrapolation
-from zeno_orbits.dynamics import HybridDynamics, Tolerance, Vector
-from zeno_orbits.engines import Automatic, Engine, Radau, RungeKutta, SciPy, Taylor
-from zeno_orbits.engines.protocol import Leg, Passage
+from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.execution import Execution
-from zeno_orbits.problem import Problem, load_problem
-from zeno_orbits.simulate import SimulationSettings, simulate
-from zeno_orbits.translate import load_heyoka, translate
+from zeno_orbits.integrators import Automatic, Engine, Radau, RungeKutta, SciPy, Taylor
+from zeno_orbits.integrators.casadi_to_heyoka import load_heyoka, translate
+from zeno_orbits.integrators.engine import Leg, Passage
+from zeno_orbits.integrators.flow import Tolerance
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.model.numeric.compiled import CompiledSystem, bind, compile_problem
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.simulation.completion import Truncation, ZenoExtrapolation
+from zeno_orbits.simulation.execution import Execution
+from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 
 RELEASE = (0.1985068301199, 0.0, -5.2365375521764, 0.0, -1.8591703843225)
 PERIOD, N_PERIODS = 1.81371293903044, 11

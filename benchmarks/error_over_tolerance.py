@@ -15,13 +15,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zeno_orbits.accuracy import at_tolerance, difference, simulate_to
-from zeno_orbits.compiled import bind, compile_problem
-from zeno_orbits.dynamics import HybridDynamics
-from zeno_orbits.engines import Automatic, Engine, Radau, RungeKutta, Taylor
-from zeno_orbits.execution import Execution
-from zeno_orbits.problem import load_problem
-from zeno_orbits.simulate import SimulationSettings, simulate
+from zeno_orbits.integrators import Automatic, Engine, Radau, RungeKutta, Taylor
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.model.numeric.compiled import bind, compile_problem
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.precision.accuracy import at_tolerance, difference, simulate_to
+from zeno_orbits.simulation.execution import Execution
+from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 
 ENGINES: dict[str, Engine] = {
     "automatic": Automatic(),

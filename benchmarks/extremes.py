@@ -10,7 +10,7 @@ import argparse
 import math
 import sys
 
-from tests.extremes import ROWS, Row
+from tests.support.extremes import ROWS, Row
 from zeno_orbits.errors import ZenoOrbitsError
 
 

@@ -20,21 +20,21 @@ from typing import Any
 
 import numpy as np
 
-from zeno_orbits import plots
-from zeno_orbits.continuation import (
+from zeno_orbits.continuation.continuation import (
     continue_orbit,
     continue_orbit_in_two,
     start_orbit,
 )
-from zeno_orbits.dispatch import Crew
-from zeno_orbits.families import Boundary, Continuation, Kind
-from zeno_orbits.files import write_whole
-from zeno_orbits.plane import CurveSteps
-from zeno_orbits.problem import Problem
-from zeno_orbits.progress import Progress
-from zeno_orbits.scenes import scene_file
-from zeno_orbits.tracks import ContinuationSettings
+from zeno_orbits.continuation.families import Boundary, Continuation, Kind
+from zeno_orbits.continuation.parallel import Crew
+from zeno_orbits.continuation.setup import ContinuationSettings
+from zeno_orbits.continuation.two_parameters.plane import CurveSteps
+from zeno_orbits.model.library import scene_file
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.report import plots
+from zeno_orbits.report.terminal.progress import Progress
 from zeno_orbits.work import Plan, Workers, open_pool
+from zeno_orbits.work.files import write_whole
 
 KP, KD = (0.5, 12.0), (-2.5, 0.0)
 RESTITUTION = (0.0, 0.5)

@@ -20,10 +20,13 @@ from dataclasses import asdict, dataclass, replace
 import casadi as ca
 import numpy as np
 
-from zeno_orbits.compiled import bind, compile_problem
-from zeno_orbits.cycle import Cycle
-from zeno_orbits.dynamics import HybridDynamics
-from zeno_orbits.fidelity import (
+from zeno_orbits.model.hybrid import CompletedSystem
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.model.numeric.compiled import bind, compile_problem
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.orbits.cycle import Cycle
+from zeno_orbits.precision.reduced_models import (
     CORRECTED,
     LANDMARKS,
     QUASI_STATIC,
@@ -31,10 +34,8 @@ from zeno_orbits.fidelity import (
     orbit_near,
     reduction_costs,
 )
-from zeno_orbits.hybrid import CompletedSystem
-from zeno_orbits.problem import Problem, load_problem
-from zeno_orbits.search import find_orbit
-from zeno_orbits.simulate import simulate
+from zeno_orbits.search.search import find_orbit
+from zeno_orbits.simulation.simulator import simulate
 
 INDUCTANCES = (2e-2, 6e-3, 2e-3, 6e-4, 2e-4, 6e-5, 2e-5, 6e-6)
 """L/R from 7e-3 to 2e-6 s."""

@@ -21,9 +21,10 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 
-from zeno_orbits.problem import Problem, load_problem
-from zeno_orbits.search import find_orbit
-from zeno_orbits.verify import verify
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.search.search import find_orbit
+from zeno_orbits.verification.verifier import verify
 
 SOLVE_BOUND = 0.3
 """Largest median time of one solve [s]."""

@@ -13,10 +13,10 @@ import sys
 import time
 from dataclasses import dataclass
 
-from zeno_orbits.bounds import Bound
-from zeno_orbits.objectives import FastestContraction, LeastEnergy, NearestGains, Objective
-from zeno_orbits.problem import load_problem
-from zeno_orbits.search import SearchSettings, search_gains
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.orbits.bounds import Bound
+from zeno_orbits.search.objectives import FastestContraction, LeastEnergy, NearestGains, Objective
+from zeno_orbits.search.search import SearchSettings, search_gains
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -20,11 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binom
 
-from zeno_orbits.closing import close_orbit
-from zeno_orbits.cycle_tables import table_of
-from zeno_orbits.identification import Sought, UnfittableError, identify
-from zeno_orbits.problem import load_problem
-from zeno_orbits.recordings import Recording, Signal, Source
+from zeno_orbits.experiment.identification.identification import Sought, UnfittableError, identify
+from zeno_orbits.experiment.orbit_table import table_of
+from zeno_orbits.experiment.recordings.recording import Recording, Signal, Source
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.search.closing import close_orbit
 
 SCENE = "motor_pendulum"
 SIGNALS = ("theta1", "theta2", "current")

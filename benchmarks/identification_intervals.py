@@ -22,16 +22,16 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from identification import CYCLES, RATE, SCENE, SIGNALS, SOUGHT, noise_of
 
-from zeno_orbits.alignment import aligned
-from zeno_orbits.closing import close_orbit
-from zeno_orbits.cycle_tables import measurement, table_of
-from zeno_orbits.fitting import Fit, weighed
-from zeno_orbits.folding import folded
-from zeno_orbits.intervals import spread_of
-from zeno_orbits.periodicity import periodicity
-from zeno_orbits.predictions import Predictions, Unknowns
-from zeno_orbits.problem import load_problem
-from zeno_orbits.steadiness import unsteady
+from zeno_orbits.experiment.comparison.alignment import aligned
+from zeno_orbits.experiment.identification.folding import folded
+from zeno_orbits.experiment.identification.least_squares import Fit, weighed
+from zeno_orbits.experiment.identification.predictions import Predictions, Unknowns
+from zeno_orbits.experiment.identification.stationarity import unsteady
+from zeno_orbits.experiment.identification.uncertainty import spread_of
+from zeno_orbits.experiment.orbit_table import measurement, table_of
+from zeno_orbits.experiment.recordings.periodicity import periodicity
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.search.closing import close_orbit
 
 TRUTH = (3.06, 0.0303, 0.207)
 """Of what is sought; not the scene's numbers, nor round ones."""

@@ -1,7 +1,7 @@
 """Whether a map agrees with long simulations at random points of the Kp-Kd plane.
 
 A map is computed by the fast function, and 500 random points of its grid are simulated for several
-times as long by `zeno_orbits.long_run`, which shares the model with it and nothing else. Fates must
+times as long by `tests.reference.long_simulation`, which shares the model with it and nothing else. Fates must
 be the same, and for periodic ones the number of releases, the period and the spectral radius to
 their tolerances. Listed and excused are a point within one cell of a boundary, where a neighbour in
 the map has another fate or a closer look at its cells finds that of the long run, and one where the
@@ -22,12 +22,12 @@ from typing import Any
 
 import numpy as np
 
-from zeno_orbits import report
-from zeno_orbits.attractors import Attractor, Fate, attractor_from_json, attractor_json
-from zeno_orbits.long_run import LongRun, attractor_of
-from zeno_orbits.map_file import read_map, write_map
-from zeno_orbits.maps import Axis, ParameterMap, Plane, parameter_map
-from zeno_orbits.scenes import scene_file
+from tests.reference.long_simulation import LongRun, attractor_of
+from zeno_orbits.maps.map_file import read_map, write_map
+from zeno_orbits.maps.parameter_map import Axis, ParameterMap, Plane, parameter_map
+from zeno_orbits.model.library import scene_file
+from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.simulation.attractor import Attractor, Fate, attractor_from_json, attractor_json
 from zeno_orbits.work import Plan, spread
 
 Fast = Callable[[Plane, Plan], ParameterMap]

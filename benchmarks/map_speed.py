@@ -15,14 +15,14 @@ from collections import Counter
 
 import numpy as np
 
-from zeno_orbits.attractors import Attractor, Fate
-from zeno_orbits.compiled import bind
 from zeno_orbits.errors import RunawayError
-from zeno_orbits.fates import RUNAWAY, attractors_at
-from zeno_orbits.lockstep.columns import Columns
-from zeno_orbits.models import compiled_model
-from zeno_orbits.problem import Problem, Setting, load_problem
-from zeno_orbits.simulate import SimulationSettings, simulate
+from zeno_orbits.maps.classify import RUNAWAY, attractors_at
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.model.numeric.compiled import bind, compiled_model
+from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.simulation.attractor import Attractor, Fate
+from zeno_orbits.simulation.batch.model import Columns
+from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 
 BOUND = 24.0
 """Processor time of a point [ms]."""

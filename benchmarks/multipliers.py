@@ -17,15 +17,14 @@ from typing import Any
 
 import numpy as np
 
-from zeno_orbits.closing import close_orbit
-from zeno_orbits.compiled import bind
-from zeno_orbits.dynamics import Tolerance
-from zeno_orbits.extended_orbit import extended_orbit
-from zeno_orbits.models import compiled_model
-from zeno_orbits.monodromy import return_derivative
-from zeno_orbits.poincare import floquet_multipliers, poincare_map
-from zeno_orbits.problem import load_problem
-from zeno_orbits.simulate import SimulationSettings
+from zeno_orbits.integrators.flow import Tolerance
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.model.numeric.compiled import bind, compiled_model
+from zeno_orbits.orbits.monodromy import return_derivative
+from zeno_orbits.orbits.poincare import floquet_multipliers, poincare_map
+from zeno_orbits.precision.extended_orbit import extended_orbit
+from zeno_orbits.search.closing import close_orbit
+from zeno_orbits.simulation.simulator import SimulationSettings
 
 
 def median_time(call: Callable[[], Any], repeats: int) -> float:

@@ -15,11 +15,12 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from decimal import Decimal
 
-from zeno_orbits.arguments import read_numbers
+from zeno_orbits.cli.parsing import read_numbers
 from zeno_orbits.errors import InputError, ZenoOrbitsError
-from zeno_orbits.extended_orbit import ExtendedOrbit, extended_orbit
-from zeno_orbits.problem import Problem, Setting, load_problem
-from zeno_orbits.search import find_orbit
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.precision.extended_orbit import ExtendedOrbit, extended_orbit
+from zeno_orbits.search.search import find_orbit
 
 
 def rounded(value: Decimal, digits: int) -> str:

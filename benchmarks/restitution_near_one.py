@@ -26,15 +26,17 @@ from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
-from tests.closed_forms import FadingBall, SlidingBead
-from tests.scenes import GRAVITY, bead_on_disc, fading_ball
-from zeno_orbits.compiled import bind, compile_problem
-from zeno_orbits.completion import Completion, ZenoExtrapolation, ZenoPassage
-from zeno_orbits.dynamics import GuardedFlow, HybridDynamics, Tolerance, Vector
-from zeno_orbits.engines import RungeKutta, Step
-from zeno_orbits.execution import ZenoPoint
-from zeno_orbits.problem import load_problem
-from zeno_orbits.simulate import SimulationSettings, simulate
+from tests.reference.closed_forms import FadingBall, SlidingBead
+from tests.support.mechanisms import GRAVITY, bead_on_disc, fading_ball
+from zeno_orbits.arrays import Vector
+from zeno_orbits.integrators import RungeKutta, Step
+from zeno_orbits.integrators.flow import GuardedFlow, Tolerance
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.model.numeric.compiled import bind, compile_problem
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.simulation.completion import Completion, ZenoExtrapolation, ZenoPassage
+from zeno_orbits.simulation.execution import ZenoPoint
+from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 
 RESTITUTIONS = (0.9, 0.99, 0.999, 0.9999, 0.99999)
 MOST_BY_IMPACTS = 0.999

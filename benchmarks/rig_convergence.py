@@ -19,21 +19,22 @@ from pathlib import Path
 
 import numpy as np
 
-from zeno_orbits.closing import close_orbit
-from zeno_orbits.compiled import bind
-from zeno_orbits.dynamics import Tolerance
-from zeno_orbits.imperfections import Contact, Controller, Rig, Switching
-from zeno_orbits.models import compiled_model
-from zeno_orbits.orbit import ZenoOrbit, read_orbit
-from zeno_orbits.problem import Problem, load_problem
-from zeno_orbits.rig import RigSettings, SettledRig, default_rig, rig_cycles
-from zeno_orbits.rig.convergence import (
+from zeno_orbits.experiment.rig import RigSettings, SettledRig, default_rig, rig_cycles
+from zeno_orbits.experiment.rig.convergence import (
     OrbitCurve,
     OrbitDistance,
     fit_order,
     orbit_curve,
     orbit_distance,
 )
+from zeno_orbits.integrators.flow import Tolerance
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.model.numeric.compiled import bind, compiled_model
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.model.rig_parts import Contact, Controller, Rig, Switching
+from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.orbits.orbit_file import read_orbit
+from zeno_orbits.search.closing import close_orbit
 
 FINE = RigSettings(tolerance=Tolerance(relative=1e-12, absolute=1e-14))
 LOOSE = RigSettings(tolerance=Tolerance(relative=1e-10, absolute=1e-12))
@@ -141,7 +142,7 @@ def spring_contact(e: float, load: float) -> tuple[float, float]:
     """
     from scipy.integrate import solve_ivp
 
-    from zeno_orbits.rig import damping_number
+    from zeno_orbits.experiment.rig import damping_number
 
     number = damping_number(e)
 
@@ -377,7 +378,7 @@ LABELS = {
 
 def draw(sweeps: Mapping[float, tuple[list[float], list[Row], list[Row]]], path: Path) -> None:
     """Draw the distances over the stiffness, the fits, and the numerical error below them."""
-    from zeno_orbits.plots.style import FULL_WIDTH, add_legend, panels_of, save_figure
+    from zeno_orbits.report.plots.style import FULL_WIDTH, add_legend, panels_of, save_figure
 
     figure, panels = panels_of(FULL_WIDTH, len(sweeps), height=3.4, columns=2)
     for ax, (exponent, (stiffnesses, rows, errors)) in zip(panels, sweeps.items(), strict=True):

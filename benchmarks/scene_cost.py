@@ -16,10 +16,10 @@ from dataclasses import asdict, dataclass, fields, is_dataclass
 
 import casadi as ca
 
-from zeno_orbits.compiled import bind, compile_problem
-from zeno_orbits.problem import load_problem
-from zeno_orbits.search import find_orbit
-from zeno_orbits.simulate import simulate
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.model.numeric.compiled import bind, compile_problem
+from zeno_orbits.search.search import find_orbit
+from zeno_orbits.simulation.simulator import simulate
 
 SCENES = ("bouncing_ball", "vibrating_table", "motor_valve", "motor_pendulum", "two_motors")
 NO_ORBIT = {"bouncing_ball": 4.0}

@@ -25,16 +25,15 @@ from typing import Any
 
 import numpy as np
 
-from zeno_orbits import report
-from zeno_orbits.compiled import bind
 from zeno_orbits.errors import InputError, ZenoOrbitsError
-from zeno_orbits.guess import settle
-from zeno_orbits.models import compiled_model
-from zeno_orbits.orbit import versions
-from zeno_orbits.problem import Problem, Setting
-from zeno_orbits.scenes import scene_file
-from zeno_orbits.search import SearchResult, find_orbit, search_gains
-from zeno_orbits.verify import verify
+from zeno_orbits.model.library import scene_file
+from zeno_orbits.model.numeric.compiled import bind, compiled_model
+from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.orbits.orbit import versions
+from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.search.guess import settle
+from zeno_orbits.search.search import SearchResult, find_orbit, search_gains
+from zeno_orbits.verification.verifier import verify
 from zeno_orbits.work import Cluster, Lost, Plan, Workers, spread_in_order
 
 SETTLED = 1e-6

@@ -16,11 +16,12 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
-from zeno_orbits.closing import close_orbit
-from zeno_orbits.engines import Automatic, Engine, Taylor
-from zeno_orbits.problem import Problem, load_problem
-from zeno_orbits.simulate import SimulationSettings
-from zeno_orbits.verify import VerificationSettings, verify
+from zeno_orbits.integrators import Automatic, Engine, Taylor
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.search.closing import close_orbit
+from zeno_orbits.simulation.simulator import SimulationSettings
+from zeno_orbits.verification.verifier import VerificationSettings, verify
 
 BOUND = 0.05
 """Largest median wall time of a verified orbit with Taylor's method [s]."""

@@ -9,13 +9,14 @@ from collections.abc import Iterator
 import pytest
 from hypothesis import settings
 
-from tests.processes import Commands
-from zeno_orbits.certificate import OrbitCertificate
-from zeno_orbits.dynamics import HybridDynamics
-from zeno_orbits.orbit import ZenoOrbit
-from zeno_orbits.problem import Problem, load_problem
-from zeno_orbits.search import SearchResult, find_orbit
-from zeno_orbits.verify import problem_dynamics, verify
+from tests.support.processes import Commands
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.search.search import SearchResult, find_orbit
+from zeno_orbits.verification.certificate import OrbitCertificate
+from zeno_orbits.verification.verifier import problem_dynamics, verify
 
 # Matrices are small: threads of linear algebra would only wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -59,7 +60,7 @@ def certificate(orbit: ZenoOrbit, scene: Problem) -> OrbitCertificate:
 @pytest.fixture(autouse=True)
 def _silence(monkeypatch: pytest.MonkeyPatch) -> None:
     """No progress in this process, however slow the machine is."""
-    monkeypatch.setattr("zeno_orbits.progress._PATIENCE", math.inf)
+    monkeypatch.setattr("zeno_orbits.report.terminal.progress._PATIENCE", math.inf)
 
 
 @pytest.fixture

@@ -10,13 +10,14 @@ from functools import cache, partial
 import work
 from work import HORIZON, Method, Motion
 
-from zeno_orbits.compiled import bind, compile_problem
-from zeno_orbits.completion import ZenoExtrapolation
-from zeno_orbits.dynamics import HybridDynamics, Tolerance
-from zeno_orbits.engines import Automatic, Engine, Radau, RungeKutta, Taylor
-from zeno_orbits.problem import load_problem
-from zeno_orbits.simulate import SimulationSettings, simulate
-from zeno_orbits.translate import heyoka_is_installed
+from zeno_orbits.integrators import Automatic, Engine, Radau, RungeKutta, Taylor
+from zeno_orbits.integrators.casadi_to_heyoka import heyoka_is_installed
+from zeno_orbits.integrators.flow import Tolerance
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.model.numeric.compiled import bind, compile_problem
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.simulation.completion import ZenoExtrapolation
+from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 
 
 def settings(accuracy: float, engine: Engine | None = None) -> SimulationSettings:

@@ -25,10 +25,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from zeno_orbits.dynamics import HybridDynamics, PlainFlow, Vector, plain_flight
+from zeno_orbits.arrays import Vector
+from zeno_orbits.integrators.flow import PlainFlow, plain_flight
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 
 if TYPE_CHECKING:
-    from zeno_orbits.problem import Setting
+    from zeno_orbits.model.problem import Setting
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

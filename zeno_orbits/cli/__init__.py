@@ -12,27 +12,27 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from zeno_orbits import report
 from zeno_orbits.cli.compare import add_compare
 from zeno_orbits.cli.conditions import add_conditions
-from zeno_orbits.cli.continuation import add_continue
+from zeno_orbits.cli.continue_command import add_continue
 from zeno_orbits.cli.fidelity import add_fidelity
 from zeno_orbits.cli.figures import add_figures
 from zeno_orbits.cli.identify import add_identify
+from zeno_orbits.cli.interrupts import Interrupts
 from zeno_orbits.cli.map import add_map
 from zeno_orbits.cli.new import add_new
-from zeno_orbits.cli.page import add_report
+from zeno_orbits.cli.options import INTERRUPTED, MISUSE, NO, Parser
 from zeno_orbits.cli.plot import add_plot
 from zeno_orbits.cli.problems import add_problems
+from zeno_orbits.cli.report_command import add_report
 from zeno_orbits.cli.rig import add_rig
 from zeno_orbits.cli.search import add_search
-from zeno_orbits.cli.shared import INTERRUPTED, MISUSE, NO, Parser
 from zeno_orbits.cli.simulate import add_simulate
 from zeno_orbits.cli.streams import patient_streams
 from zeno_orbits.cli.trade import add_trade
 from zeno_orbits.cli.verify import add_verify
 from zeno_orbits.errors import InputError, ZenoOrbitsError
-from zeno_orbits.interrupts import Interrupts
+from zeno_orbits.report.terminal import orbits as report
 
 __all__ = ["build_parser", "main"]
 

@@ -6,8 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from zeno_orbits import report
-from zeno_orbits.cli.shared import (
+from zeno_orbits.cli.options import (
     NO,
     YES,
     add_command,
@@ -18,6 +17,7 @@ from zeno_orbits.cli.shared import (
     require_outputs,
     say_written,
 )
+from zeno_orbits.report.terminal import orbits as report
 
 
 def add_compare(commands: Any) -> None:
@@ -39,9 +39,9 @@ def add_compare(commands: Any) -> None:
 
 
 def _run_compare(options: argparse.Namespace) -> int:
-    from zeno_orbits.comparison import compare
-    from zeno_orbits.cycle_tables import measurable
-    from zeno_orbits.recordings import cut, read_recording
+    from zeno_orbits.experiment.comparison.comparison import compare
+    from zeno_orbits.experiment.orbit_table import measurable
+    from zeno_orbits.experiment.recordings.recording import cut, read_recording
 
     require_outputs(options, files=(), reads=[options.orbit, options.data])
     orbit, problem = orbit_and_problem(options)
@@ -54,7 +54,7 @@ def _run_compare(options: argparse.Namespace) -> int:
     picture: Path | None = options.picture
     drawn = [] if picture is None or found.deviations is None else [picture]
     for path in drawn:
-        from zeno_orbits import plots
+        from zeno_orbits.report import plots
 
         plots.save_figure(plots.plot_comparison(problem, found), path)
     if options.json:

@@ -6,8 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from zeno_orbits import report
-from zeno_orbits.cli.shared import (
+from zeno_orbits.cli.options import (
     NO,
     YES,
     add_command,
@@ -17,10 +16,11 @@ from zeno_orbits.cli.shared import (
     say_written,
     setting_of,
 )
-from zeno_orbits.files import require_picture
+from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.work.files import require_picture
 
 if TYPE_CHECKING:
-    from zeno_orbits.problem import Problem, Setting
+    from zeno_orbits.model.problem import Problem, Setting
 
 
 def add_conditions(commands: Any) -> None:
@@ -41,12 +41,12 @@ def add_conditions(commands: Any) -> None:
 
 
 def _run_conditions(options: argparse.Namespace) -> int:
-    from zeno_orbits.problem import load_problem
-    from zeno_orbits.symbolic import (
+    from zeno_orbits.model.formulas import (
         equilibrium_acceleration,
         six_digits,
         with_numbers,
     )
+    from zeno_orbits.model.library import load_problem
 
     problem = load_problem(options.problem)
     setting = setting_of(problem, options)
@@ -78,9 +78,8 @@ def _run_conditions(options: argparse.Namespace) -> int:
 
 
 def _draw_region(problem: Problem, setting: Setting, path: Path) -> None:
-    from zeno_orbits import plots
-    from zeno_orbits.compiled import bind
-    from zeno_orbits.models import compiled_model
+    from zeno_orbits.model.numeric.compiled import bind, compiled_model
+    from zeno_orbits.report import plots
 
     require_picture(path)
     dynamics = bind(compiled_model(problem), setting.values())

@@ -6,8 +6,7 @@ import argparse
 from dataclasses import asdict
 from typing import Any
 
-from zeno_orbits import report
-from zeno_orbits.cli.shared import (
+from zeno_orbits.cli.options import (
     YES,
     add_command,
     add_gain_values,
@@ -15,6 +14,7 @@ from zeno_orbits.cli.shared import (
     print_json,
     setting_of,
 )
+from zeno_orbits.report.terminal import orbits as report
 
 
 def add_fidelity(commands: Any) -> None:
@@ -37,8 +37,8 @@ def add_fidelity(commands: Any) -> None:
 
 
 def _run_fidelity(options: argparse.Namespace) -> int:
-    from zeno_orbits.fidelity import reduction_costs
-    from zeno_orbits.problem import load_problem
+    from zeno_orbits.model.library import load_problem
+    from zeno_orbits.precision.reduced_models import reduction_costs
 
     problem = load_problem(options.problem)
     setting = setting_of(problem, options)

@@ -6,17 +6,17 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from zeno_orbits import report
-from zeno_orbits.arguments import read_count
-from zeno_orbits.cli.shared import YES, add_command, orbit_and_problem, print_json, say_written
+from zeno_orbits.cli.options import YES, add_command, orbit_and_problem, print_json, say_written
+from zeno_orbits.cli.parsing import read_count
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.files import require_folder, write_all
+from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.work.files import require_folder, write_all
 
 if TYPE_CHECKING:
-    from zeno_orbits.counterparts import Counterpart
-    from zeno_orbits.orbit import ZenoOrbit
-    from zeno_orbits.plots.paper import Material
-    from zeno_orbits.problem import Problem
+    from zeno_orbits.experiment.comparison.counterpart import Counterpart
+    from zeno_orbits.model.problem import Problem
+    from zeno_orbits.orbits.orbit import ZenoOrbit
+    from zeno_orbits.report.plots.paper_figures import Material
 
 _KINDS = ("graph", "region", "portraits", "beside", "animation")
 
@@ -68,7 +68,7 @@ def add_figures(commands: Any) -> None:
 
 
 def _run_figures(options: argparse.Namespace) -> int:
-    from zeno_orbits.plots.paper import PAPER
+    from zeno_orbits.report.plots.paper_figures import PAPER
 
     require_folder(options.output)
     if options.data is not None and options.kind and "beside" not in options.kind:
@@ -101,9 +101,9 @@ def _run_figures(options: argparse.Namespace) -> int:
 
 
 def _material(options: argparse.Namespace, progress: report.Progress) -> Material:
-    from zeno_orbits.plots.paper import Material
-    from zeno_orbits.simulate import simulate
-    from zeno_orbits.verify import problem_dynamics
+    from zeno_orbits.report.plots.paper_figures import Material
+    from zeno_orbits.simulation.simulator import simulate
+    from zeno_orbits.verification.verifier import problem_dynamics
 
     orbit, problem = _orbit_and_problem(options, progress)
     dynamics = problem_dynamics(orbit, problem)
@@ -116,9 +116,12 @@ def _material(options: argparse.Namespace, progress: report.Progress) -> Materia
         raise InputError(f"Argument `orbit` {message}; see `verify`.")
 
     def other() -> Counterpart:
-        from zeno_orbits.counterparts import recording_counterpart, rig_counterpart
-        from zeno_orbits.cycle_tables import measurable
-        from zeno_orbits.recordings import read_recording
+        from zeno_orbits.experiment.comparison.counterpart import (
+            recording_counterpart,
+            rig_counterpart,
+        )
+        from zeno_orbits.experiment.orbit_table import measurable
+        from zeno_orbits.experiment.recordings.recording import read_recording
 
         count = options.periods
         if options.data is not None:
@@ -145,8 +148,8 @@ def _orbit_and_problem(
     """Return the orbit of a file, or the one of a scene at its own numbers."""
     if options.orbit.suffix == ".json":
         return orbit_and_problem(options)
-    from zeno_orbits.problem import load_problem
-    from zeno_orbits.search import find_orbit
+    from zeno_orbits.model.library import load_problem
+    from zeno_orbits.search.search import find_orbit
 
     if options.problem is not None:
         message = "must come with an orbit file, but a scene is named already"

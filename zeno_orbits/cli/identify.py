@@ -7,9 +7,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from zeno_orbits import report
-from zeno_orbits.arguments import read_fit
-from zeno_orbits.cli.shared import (
+from zeno_orbits.cli.options import (
     YES,
     add_command,
     add_gain_values,
@@ -21,11 +19,13 @@ from zeno_orbits.cli.shared import (
     say_written,
     setting_of,
 )
-from zeno_orbits.files import write_whole
+from zeno_orbits.cli.parsing import read_fit
+from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.work.files import write_whole
 
 if TYPE_CHECKING:
-    from zeno_orbits.identification import Sought
-    from zeno_orbits.problem import Problem, Setting
+    from zeno_orbits.experiment.identification.identification import Sought
+    from zeno_orbits.model.problem import Problem, Setting
 
 
 def add_identify(commands: Any) -> None:
@@ -59,11 +59,11 @@ def add_identify(commands: Any) -> None:
 
 
 def _run_identify(options: argparse.Namespace) -> int:
-    from zeno_orbits.cycle_tables import measurable
-    from zeno_orbits.identification import identify
-    from zeno_orbits.orbit import write_orbit
-    from zeno_orbits.problem import load_problem
-    from zeno_orbits.recordings import cut, read_recording
+    from zeno_orbits.experiment.identification.identification import identify
+    from zeno_orbits.experiment.orbit_table import measurable
+    from zeno_orbits.experiment.recordings.recording import cut, read_recording
+    from zeno_orbits.model.library import load_problem
+    from zeno_orbits.orbits.orbit_file import write_orbit
 
     problem = load_problem(options.problem)
     setting = setting_of(problem, options)
@@ -92,7 +92,7 @@ _DECADE = 10.0
 
 def _sought(problem: Problem, setting: Setting, text: str) -> tuple[Sought, ...]:
     """Return what is to be found, in ranges that the scene allows."""
-    from zeno_orbits.identification import Sought
+    from zeno_orbits.experiment.identification.identification import Sought
 
     known = {quantity.name: quantity for quantity in problem.parameters}
     found: list[Sought] = []

@@ -6,9 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from zeno_orbits import report
-from zeno_orbits.arguments import read_boxes, read_grid, read_numbers
-from zeno_orbits.cli.shared import (
+from zeno_orbits.cli.options import (
     NO,
     YES,
     add_command,
@@ -24,10 +22,12 @@ from zeno_orbits.cli.shared import (
     say_written,
     start_of,
 )
+from zeno_orbits.cli.parsing import read_boxes, read_grid, read_numbers
 from zeno_orbits.errors import InputError
+from zeno_orbits.report.terminal import orbits as report
 
 if TYPE_CHECKING:
-    from zeno_orbits.maps import Axis, Boundary, ParameterMap, Plane
+    from zeno_orbits.maps.parameter_map import Axis, Boundary, ParameterMap, Plane
 
 _UNTIL = 60.0
 
@@ -83,8 +83,8 @@ def add_map(commands: Any) -> None:
 
 
 def _run_map(options: argparse.Namespace) -> int:
-    from zeno_orbits.map_file import read_boundaries, write_map
-    from zeno_orbits.maps import chunk_of, parameter_map, require_plane
+    from zeno_orbits.maps.map_file import read_boundaries, write_map
+    from zeno_orbits.maps.parameter_map import chunk_of, parameter_map, require_plane
     from zeno_orbits.work import Plan, remove_checkpoint
 
     plane = require_plane(_plane(options))
@@ -103,7 +103,7 @@ def _run_map(options: argparse.Namespace) -> int:
         return interrupted(options, checkpoint)
     # The file comes last: drawing takes long enough to be interrupted.
     if options.picture is not None:
-        from zeno_orbits import plots
+        from zeno_orbits.report import plots
 
         plots.save_figure(plots.plot_map(found, boundaries=boundaries), options.picture)
     if options.output is not None:
@@ -123,8 +123,8 @@ def _show(options: argparse.Namespace, found: ParameterMap) -> int:
 
 
 def _plane(options: argparse.Namespace) -> Plane:
-    from zeno_orbits.maps import Plane
-    from zeno_orbits.scenes import scene_file
+    from zeno_orbits.maps.parameter_map import Plane
+    from zeno_orbits.model.library import scene_file
 
     scene = scene_file(options.problem)
     return Plane(
@@ -139,7 +139,7 @@ def _plane(options: argparse.Namespace) -> Plane:
 
 
 def _axis(entries: list[str], count: int, side: str) -> Axis:
-    from zeno_orbits.maps import Axis
+    from zeno_orbits.maps.parameter_map import Axis
 
     if len(entries) != 1:
         raise InputError(f"Argument `{side}` must be given once, but it is {len(entries)} times.")

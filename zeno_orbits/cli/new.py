@@ -6,20 +6,20 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from zeno_orbits.cli.shared import YES, add_command, print_json, say_written
+from zeno_orbits.cli.options import YES, add_command, print_json, say_written
 from zeno_orbits.errors import InputError
-from zeno_orbits.files import write_whole
+from zeno_orbits.work.files import write_whole
 
 _FORCED = '''\
 """NAME: a mass on a spring, shaken against a stop. Change it line by line into your own scene."""
 
 import casadi as ca
 
-from zeno_orbits.drives import no_drive
-from zeno_orbits.forcing import Clock
-from zeno_orbits.hybrid import complete
-from zeno_orbits.mechanics import HybridLagrangian
-from zeno_orbits.problem import Problem, Quantity, positive, restitution
+from zeno_orbits.model.drives import no_drive
+from zeno_orbits.model.clock import Clock
+from zeno_orbits.model.hybrid import complete
+from zeno_orbits.model.lagrangian import HybridLagrangian
+from zeno_orbits.model.problem import Problem, Quantity, positive, restitution
 
 
 def model(p):  # p: name to symbol, of every gain and parameter below
@@ -66,10 +66,10 @@ _MOTOR = '''\
 
 import casadi as ca
 
-from zeno_orbits.drives import MotorBank, full_drive
-from zeno_orbits.hybrid import complete
-from zeno_orbits.mechanics import HybridLagrangian
-from zeno_orbits.problem import Problem, Quantity, positive, restitution
+from zeno_orbits.model.drives import MotorBank, full_drive
+from zeno_orbits.model.hybrid import complete
+from zeno_orbits.model.lagrangian import HybridLagrangian
+from zeno_orbits.model.problem import Problem, Quantity, positive, restitution
 
 
 def model(p):  # p: name to symbol, of every gain and parameter below
@@ -144,7 +144,7 @@ def add_new(commands: Any) -> None:
 
 
 def _run_new(options: argparse.Namespace) -> int:
-    from zeno_orbits.problem import bundled_problems
+    from zeno_orbits.model.library import bundled_problems
 
     if not options.name.isidentifier():
         wanted = "must be a word of letters, digits and underscores"

@@ -6,8 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from zeno_orbits.arguments import read_count
-from zeno_orbits.cli.shared import (
+from zeno_orbits.cli.options import (
     YES,
     add_command,
     add_orbit,
@@ -15,8 +14,9 @@ from zeno_orbits.cli.shared import (
     print_json,
     say_written,
 )
+from zeno_orbits.cli.parsing import read_count
 from zeno_orbits.errors import InputError
-from zeno_orbits.files import require_folder, write_all
+from zeno_orbits.work.files import require_folder, write_all
 
 _PICTURES = ("portraits", "time", "outputs", "zeno", "region")
 
@@ -49,9 +49,9 @@ def add_plot(commands: Any) -> None:
 
 
 def _run_plot(options: argparse.Namespace) -> int:
-    from zeno_orbits import plots
-    from zeno_orbits.simulate import simulate
-    from zeno_orbits.verify import problem_dynamics
+    from zeno_orbits.report import plots
+    from zeno_orbits.simulation.simulator import simulate
+    from zeno_orbits.verification.verifier import problem_dynamics
 
     orbit, problem = orbit_and_problem(options)
     dynamics = problem_dynamics(orbit, problem)

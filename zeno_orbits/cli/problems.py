@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from zeno_orbits import report
-from zeno_orbits.cli.shared import YES, add_command, print_json
+from zeno_orbits.cli.options import YES, add_command, print_json
+from zeno_orbits.report.terminal import orbits as report
 
 if TYPE_CHECKING:
-    from zeno_orbits.problem import Problem
+    from zeno_orbits.model.problem import Problem
 
 
 def add_problems(commands: Any) -> None:
@@ -24,7 +24,7 @@ def add_problems(commands: Any) -> None:
 
 
 def _run_problems(options: argparse.Namespace) -> int:
-    from zeno_orbits.problem import bundled_problems, load_problem
+    from zeno_orbits.model.library import bundled_problems, load_problem
 
     problems = [one for name in bundled_problems() for one in load_problem(name).ladder()]
     if options.json:

@@ -7,9 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from zeno_orbits import report
-from zeno_orbits.arguments import read_count, read_rig
-from zeno_orbits.cli.shared import (
+from zeno_orbits.cli.options import (
     NO,
     YES,
     add_command,
@@ -22,12 +20,14 @@ from zeno_orbits.cli.shared import (
     setting_of,
     start_of,
 )
+from zeno_orbits.cli.parsing import read_count, read_rig
 from zeno_orbits.errors import InputError
+from zeno_orbits.report.terminal import orbits as report
 
 if TYPE_CHECKING:
-    from zeno_orbits.imperfections import Rig
-    from zeno_orbits.problem import Problem
-    from zeno_orbits.rig import RigRun, RigSettings
+    from zeno_orbits.experiment.rig import RigRun, RigSettings
+    from zeno_orbits.model.problem import Problem
+    from zeno_orbits.model.rig_parts import Rig
 
 _PARTS = ("friction", "gears", "bridge", "controller", "sensors")
 
@@ -114,8 +114,8 @@ def _run_rig(options: argparse.Namespace) -> int:
 
 
 def _near_orbit(options: argparse.Namespace) -> int:
-    from zeno_orbits.rig import rig_cycles
-    from zeno_orbits.rig.comparison import compare_cycles
+    from zeno_orbits.experiment.rig import rig_cycles
+    from zeno_orbits.experiment.rig.cycle_comparison import compare_cycles
 
     for name in ("gain", "set", "start", "until"):
         if getattr(options, name) not in (None, []):
@@ -144,8 +144,8 @@ def _near_orbit(options: argparse.Namespace) -> int:
 
 
 def _from_start(options: argparse.Namespace) -> int:
-    from zeno_orbits.problem import load_problem
-    from zeno_orbits.rig import simulate_rig
+    from zeno_orbits.experiment.rig import simulate_rig
+    from zeno_orbits.model.library import load_problem
 
     for name in ("cycles", "problem"):
         if getattr(options, name) is not None:
@@ -179,8 +179,8 @@ def _from_start(options: argparse.Namespace) -> int:
 def _rig_of(options: argparse.Namespace, problem: Problem) -> Rig:
     from dataclasses import replace
 
-    from zeno_orbits.imperfections import Switching, without_parts
-    from zeno_orbits.rig import default_rig
+    from zeno_orbits.experiment.rig import default_rig
+    from zeno_orbits.model.rig_parts import Switching, without_parts
 
     rig = read_rig(without_parts(default_rig(problem), options.without), options.part, options.only)
     if not options.exact:
@@ -192,8 +192,8 @@ def _rig_of(options: argparse.Namespace, problem: Problem) -> Rig:
 
 def _settings(rig: Rig) -> RigSettings:
     """Return an accuracy that noise and rounding by sensors leave worth having."""
-    from zeno_orbits.dynamics import Tolerance
-    from zeno_orbits.rig import RigSettings
+    from zeno_orbits.experiment.rig import RigSettings
+    from zeno_orbits.integrators.flow import Tolerance
 
     if rig.controller is None:
         return RigSettings()
@@ -202,8 +202,8 @@ def _settings(rig: Rig) -> RigSettings:
 
 def _write(options: argparse.Namespace, run: RigRun, problem: Problem) -> None:
     if options.output is not None:
-        from zeno_orbits.recordings import write_recording
-        from zeno_orbits.rig.recorded import recording_of
+        from zeno_orbits.experiment.recordings.recording import write_recording
+        from zeno_orbits.experiment.rig.run import recording_of
 
         notes: Mapping[str, str] = {"seed": str(options.seed)}
         write_recording(recording_of(run, problem, notes), options.output)

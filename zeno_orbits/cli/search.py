@@ -8,19 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from zeno_orbits import report
-from zeno_orbits.arguments import (
-    read_bounds,
-    read_boxes,
-    read_count,
-    read_numbers,
-    read_objective,
-    read_once,
-    read_seed,
-    read_shape,
-)
-from zeno_orbits.cli.search_answer import answer, far_from_own, kept_as_derived
-from zeno_orbits.cli.shared import (
+from zeno_orbits.cli.options import (
     add_accuracy,
     add_command,
     add_place,
@@ -31,15 +19,27 @@ from zeno_orbits.cli.shared import (
     require_engine,
     verification_of,
 )
+from zeno_orbits.cli.parsing import (
+    read_bounds,
+    read_boxes,
+    read_count,
+    read_numbers,
+    read_objective,
+    read_once,
+    read_seed,
+    read_shape,
+)
+from zeno_orbits.cli.search_output import answer, far_from_own, kept_as_derived
 from zeno_orbits.errors import InputError
-from zeno_orbits.files import require_writable
+from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.work.files import require_writable
 
 if TYPE_CHECKING:
-    from zeno_orbits.orbit import ZenoOrbit
-    from zeno_orbits.problem import Problem, Setting
-    from zeno_orbits.scenes import SceneFile
-    from zeno_orbits.search import Judgement
-    from zeno_orbits.verify import VerificationSettings
+    from zeno_orbits.model.library import SceneFile
+    from zeno_orbits.model.problem import Problem, Setting
+    from zeno_orbits.orbits.orbit import ZenoOrbit
+    from zeno_orbits.search.search import Judgement
+    from zeno_orbits.verification.verifier import VerificationSettings
 
 
 def add_search(commands: Any) -> None:
@@ -153,8 +153,8 @@ class _Judge:
     accuracy: float | None
 
     def __call__(self, orbit: ZenoOrbit) -> Judgement:
-        from zeno_orbits.search import Judgement
-        from zeno_orbits.verify import verify
+        from zeno_orbits.search.search import Judgement
+        from zeno_orbits.verification.verifier import verify
 
         certificate = verify(orbit, self.scene.load(), settings=self.settings)
         objection = ""
@@ -169,10 +169,9 @@ class _Judge:
 
 
 def _run_search(options: argparse.Namespace) -> int:
-    from zeno_orbits.compiled import bind
-    from zeno_orbits.models import compiled_model
-    from zeno_orbits.scenes import scene_file
-    from zeno_orbits.search import SearchSettings, Spread, search_gains
+    from zeno_orbits.model.library import scene_file
+    from zeno_orbits.model.numeric.compiled import bind, compiled_model
+    from zeno_orbits.search.search import SearchSettings, Spread, search_gains
     from zeno_orbits.work import Plan, remove_checkpoint
 
     scene = scene_file(options.problem)
@@ -233,7 +232,7 @@ def _checkpoint(options: argparse.Namespace, *, several: bool) -> Path | None:
 
 
 def _known_orbit(options: argparse.Namespace, problem: Problem) -> ZenoOrbit | None:
-    from zeno_orbits.orbit import read_orbit
+    from zeno_orbits.orbits.orbit_file import read_orbit
 
     if options.near is None:
         return None

@@ -8,9 +8,7 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from zeno_orbits import report
-from zeno_orbits.arguments import read_seed
-from zeno_orbits.cli.shared import (
+from zeno_orbits.cli.options import (
     YES,
     add_accuracy,
     add_command,
@@ -24,12 +22,14 @@ from zeno_orbits.cli.shared import (
     simulation_of,
     start_of,
 )
+from zeno_orbits.cli.parsing import read_seed
+from zeno_orbits.report.terminal import orbits as report
 
 if TYPE_CHECKING:
-    from zeno_orbits.accuracy import Assured
-    from zeno_orbits.dynamics import HybridDynamics
-    from zeno_orbits.problem import Problem
-    from zeno_orbits.sampling import Sampling
+    from zeno_orbits.experiment.recordings.sampling import Sampling
+    from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+    from zeno_orbits.model.problem import Problem
+    from zeno_orbits.precision.accuracy import Assured
 
 
 def add_simulate(commands: Any) -> None:
@@ -72,10 +72,9 @@ def add_simulate(commands: Any) -> None:
 
 
 def _run_simulate(options: argparse.Namespace) -> int:
-    from zeno_orbits.accuracy import why_engine
-    from zeno_orbits.compiled import bind
-    from zeno_orbits.models import compiled_model
-    from zeno_orbits.problem import load_problem
+    from zeno_orbits.model.library import load_problem
+    from zeno_orbits.model.numeric.compiled import bind, compiled_model
+    from zeno_orbits.precision.accuracy import why_engine
 
     problem = load_problem(options.problem)
     setting = setting_of(problem, options)
@@ -93,13 +92,13 @@ def _run_simulate(options: argparse.Namespace) -> int:
         why = why_engine(dynamics, state, longest)
         report.print_engine(options.engine, why, assured.error)
     if options.output is not None:
-        from zeno_orbits import plots
+        from zeno_orbits.report import plots
 
         plots.save_figure(plots.plot_time_series(problem, execution), options.output)
         say_written(options, [options.output])
     if sampling is not None and options.data is not None:
-        from zeno_orbits.recordings import write_recording
-        from zeno_orbits.sampling import sampled
+        from zeno_orbits.experiment.recordings.recording import write_recording
+        from zeno_orbits.experiment.recordings.sampling import sampled
 
         write_recording(sampled(problem, dynamics, execution, sampling), options.data)
         say_written(options, [options.data])
@@ -107,7 +106,7 @@ def _run_simulate(options: argparse.Namespace) -> int:
 
 
 def _sampling_of(options: argparse.Namespace) -> Sampling:
-    from zeno_orbits.sampling import Sampling
+    from zeno_orbits.experiment.recordings.sampling import Sampling
 
     sampling = Sampling(rate=options.rate, noise=options.noise, seed=options.seed)
     if options.until > 0.0:
@@ -119,7 +118,7 @@ def _simulated(
     options: argparse.Namespace, dynamics: HybridDynamics, state: Sequence[float]
 ) -> Assured:
     """Return the execution with its estimated error, to an accuracy if one was asked for."""
-    from zeno_orbits.accuracy import simulate_to, simulate_with_error
+    from zeno_orbits.precision.accuracy import simulate_to, simulate_with_error
 
     settings = simulation_of(options)
     with report.Progress(options.interrupts.check) as progress:
@@ -147,7 +146,7 @@ def _number(error: float) -> float | None:
 
 
 def _execution_json(problem: Problem, assured: Assured) -> dict[str, Any]:
-    from zeno_orbits.execution import Impact, ZenoPoint
+    from zeno_orbits.simulation.execution import Impact, ZenoPoint
 
     execution, errors = assured.execution, iter(assured.zeno_errors)
 

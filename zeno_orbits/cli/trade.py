@@ -7,8 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from zeno_orbits import report
-from zeno_orbits.cli.shared import (
+from zeno_orbits.cli.options import (
     YES,
     add_command,
     add_gain_values,
@@ -21,7 +20,8 @@ from zeno_orbits.cli.shared import (
     setting_of,
     start_of,
 )
-from zeno_orbits.files import write_whole
+from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.work.files import write_whole
 
 
 def add_trade(commands: Any) -> None:
@@ -47,8 +47,8 @@ def add_trade(commands: Any) -> None:
 
 
 def _run_trade(options: argparse.Namespace) -> int:
-    from zeno_orbits.problem import load_problem
-    from zeno_orbits.trade import QUICK, TradeSettings, trade
+    from zeno_orbits.model.library import load_problem
+    from zeno_orbits.precision.work_precision import QUICK, TradeSettings, trade
 
     problem = load_problem(options.problem)
     setting = setting_of(problem, options)
@@ -61,7 +61,7 @@ def _run_trade(options: argparse.Namespace) -> int:
         found = trade(problem, setting, state, settings=settings, tell=progress.tell)
     # The file comes last: drawing takes long enough to be interrupted.
     if options.picture is not None:
-        from zeno_orbits import plots
+        from zeno_orbits.report import plots
 
         plots.save_figure(plots.plot_trade(found), options.picture)
     if options.output is not None:

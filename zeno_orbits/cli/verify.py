@@ -7,9 +7,7 @@ from dataclasses import replace
 from math import isfinite
 from typing import Any
 
-from zeno_orbits import report
-from zeno_orbits.arguments import read_count
-from zeno_orbits.cli.shared import (
+from zeno_orbits.cli.options import (
     NO,
     YES,
     add_accuracy,
@@ -20,7 +18,9 @@ from zeno_orbits.cli.shared import (
     require_engine,
     verification_of,
 )
+from zeno_orbits.cli.parsing import read_count
 from zeno_orbits.errors import InputError
+from zeno_orbits.report.terminal import orbits as report
 
 
 def add_verify(commands: Any) -> None:
@@ -55,7 +55,7 @@ def add_verify(commands: Any) -> None:
 
 
 def _run_verify(options: argparse.Namespace) -> int:
-    from zeno_orbits.verify import problem_dynamics, verify
+    from zeno_orbits.verification.verifier import problem_dynamics, verify
 
     tolerance = options.tolerance
     if tolerance is not None and not 0.0 < tolerance < 1.0:

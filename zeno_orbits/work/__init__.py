@@ -8,7 +8,7 @@ come out for any number of workers, and after any number of new starts.
 from zeno_orbits.work.checkpoint import keeps_nothing, remove_checkpoint
 from zeno_orbits.work.plan import Cluster, Lost, Place, Plan, Workers
 from zeno_orbits.work.pools import Pool, open_pool
-from zeno_orbits.work.spreading import Task, Tell, claim, spread, spread_in_order
+from zeno_orbits.work.scheduling import Task, Tell, claim, spread, spread_in_order
 
 __all__ = [
     "Cluster",

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from zeno_orbits.errors import CheckpointError
-from zeno_orbits.files import read_object, write_whole
+from zeno_orbits.work.files import read_object, write_whole
 from zeno_orbits.work.plan import Lost
 
 FORMAT = 1

@@ -12,8 +12,8 @@ from contextlib import contextmanager
 from typing import Any
 
 from zeno_orbits.errors import InputError, WorkError
-from zeno_orbits.work.chunks import Task, code_digest, run_chunk
 from zeno_orbits.work.plan import Cluster
+from zeno_orbits.work.tasks import Task, code_digest, run_chunk
 
 _PAUSE = 1.0
 """Between two questions to the scheduler [s]."""

@@ -1,0 +1,205 @@
+"""The command `continue`: its file, its table, its picture, its refusals."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.cli.test_cli import YES, ask, examples
+from tests.reference.reference_orbit import RELEASE
+from zeno_orbits.cli import main
+from zeno_orbits.continuation.families import (
+    Boundary,
+    Continuation,
+    Family,
+    FamilyPoint,
+    Kind,
+    SpecialPoint,
+)
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.orbits.orbit_file import write_orbit
+from zeno_orbits.report import plots
+from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.search.closing import close_orbit
+
+PENDULUM = load_problem("motor_pendulum")
+IMPACTS = [
+    "forced_oscillator",
+    "--section",
+    "impact",
+    "--set",
+    "c=0.1",
+    "--set",
+    "stop=1",
+    "--set",
+    "restitution=0.8",
+    "--start",
+    "speed=1",
+    "--start",
+    "cosine=1",
+]
+
+
+def test_a_family_is_written_printed_and_drawn(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, picture = tmp_path / "family.json", tmp_path / "family.png"
+    words = ["continue", *IMPACTS, "--in", "A=0.05:1.1"]
+    assert main([*words, "-o", str(file), "--picture", str(picture)]) == 0
+    told = capsys.readouterr().out
+    assert "first impact grazes" in told
+    assert "fold" in told
+    data = json.loads(file.read_text())
+    assert data["format"] == 1
+    assert (data["problem"], data["parameter"]) == ("forced_oscillator", "A")
+    (family,) = data["families"]
+    assert [special["kind"] for special in family["special"]] == ["fold"]
+    assert {end["kind"] for end in family["ends"]} == {"first impact grazes", "end of the range"}
+    values = [point["value"] for point in family["points"]]
+    assert min(values) > 0.0999
+    assert max(values) == pytest.approx(1.1, abs=1e-12)
+    assert {"period", "state", "multipliers", "stable", "margins", "miss"} <= set(
+        family["points"][0]
+    )
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_family_starts_at_an_orbit_file_and_prints_json(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    orbit = close_orbit(PENDULUM, PENDULUM.setting()).unwrap()
+    file = tmp_path / "orbit.json"
+    write_orbit(orbit, file)
+    words = ["continue", "motor_pendulum", "--from", str(file), "--in", "Kp=2.4:2.6", "--json"]
+    assert main(words) == 0
+    (family,) = json.loads(capsys.readouterr().out)["families"]
+    starts = [point for point in family["points"] if point["value"] == pytest.approx(2.5, abs=1e-9)]
+    assert len(starts) == 1
+    assert list(starts[0]["state"].values()) == pytest.approx(RELEASE, abs=1e-10)
+    # An orbit file has all numbers; more would contradict it.
+    assert main([*words, "--gain", "Kp=2"]) == 2
+    assert "must come without --gain and --set" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["motor_pendulum", "--in", "Kd"], "must be NAME=LOW:HIGH"),
+        (["motor_pendulum", "--in", "Kd=-2:0", "--point", "fold"], "must come with --second"),
+        (
+            ["motor_pendulum", "--in", "Kd=-2:0", "--second", "Kp=1:5", "--point", "cusp"],
+            "must be one of fold",
+        ),
+        (["motor_pendulum", "--in", "Kd=-2:0", "--start", "theta1=1"], "--section impact"),
+        (["forced_oscillator", "--in", "A=1:2", "--section", "impact"], "must come with --start"),
+        (["motor_pendulum", "--in", "Kd=-2:0", "--picture", "a.jpg"], "must end in .png"),
+    ],
+)
+def test_what_does_not_fit_is_refused_before_any_work(
+    words: list[str], reason: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["continue", *words]) == 2
+    assert reason in capsys.readouterr().err
+
+
+def point(value: float, radius: float) -> FamilyPoint:
+    return FamilyPoint(
+        value=value,
+        state={"theta1": 0.0},
+        period=1.0 + value,
+        multipliers=(complex(radius),),
+        margins={"amplitude": 2.0 - value, "speed of the first impact": 1.0},
+        miss=0.0,
+    )
+
+
+def family(kind: Kind) -> Family:
+    points = tuple(point(0.1 * k, 0.6 + 0.1 * k) for k in range(9))
+    special = SpecialPoint(kind=Kind.FLIP, at=point(0.4, 1.0), error=1e-10, index=4)
+    first = SpecialPoint(kind=Kind.BOUND, at=points[0], error=0.0, index=0)
+    return Family(
+        problem="motor_pendulum",
+        parameter="Kd",
+        gains={},
+        parameters={},
+        n_returns=1,
+        points=points,
+        special=(special,),
+        first=first,
+        last=replace(first, kind=kind, at=points[-1], index=8),
+    )
+
+
+def test_a_picture_has_stable_orbits_solid_unstable_ones_dashed_and_names_points() -> None:
+    figure = plots.plot_families(
+        Continuation(families=(family(Kind.GRAZING),)), PENDULUM, width=plots.FULL_WIDTH
+    )
+    period = figure.axes[0]
+    lines = [line for line in period.lines if line.get_marker() in (None, "None", "")]
+    assert {line.get_linestyle() for line in lines} == {"-", "--"}
+    (legend,) = figure.legends
+    words = {text.get_text() for text in legend.get_texts()}
+    assert words == {"stable", "unstable", "flip", "first impact grazes"}
+    assert period.get_ylabel() == "period [s]"
+    assert period.get_xlabel() == "Kd [V s/rad]"
+
+
+def test_boundaries_are_drawn_over_both_parameters() -> None:
+    boundary = Boundary(
+        kind=Kind.FOLD,
+        names=("Kp", "Kd"),
+        x=(1.0, 2.0),
+        y=(-1.0, -2.0),
+        errors=(0.0, 0.0),
+        ends=("end of the range", "end of the range"),
+    )
+    found = Continuation(families=(family(Kind.BOUND),), boundaries=(boundary,))
+    (ax,) = plots.plot_boundaries(found, PENDULUM).axes
+    assert ax.get_xlabel() == "Kp [V/rad]"
+    assert ax.get_ylabel() == "Kd [V s/rad]"
+    assert ax.lines[0].get_label() == "fold"
+
+
+def test_a_cusp_is_printed_and_drawn(capsys: pytest.CaptureFixture[str]) -> None:
+    boundary = Boundary(
+        kind=Kind.FOLD,
+        names=("Kp", "Kd"),
+        x=(1.0, 2.0, 1.5),
+        y=(-1.0, -2.0, -1.5),
+        errors=(0.0, 0.0, 0.0),
+        ends=("end of the range", "end of the range"),
+        cusps=(1,),
+    )
+    found = Continuation(families=(family(Kind.BOUND),), boundaries=(boundary,))
+    (ax,) = plots.plot_boundaries(found, PENDULUM).axes
+    marks = [line.get_xydata() for line in ax.lines if line.get_label() == "cusp"]
+    assert [mark.tolist() for mark in marks] == [[[2.0, -2.0]]]
+    report.print_families(found)
+    assert "cusp at Kp = 2, Kd = -2." in capsys.readouterr().out
+
+
+def test_giving_up_is_an_answer_of_no(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lost = replace(family(Kind.GAVE_UP).last, detail="the tangent turns too fast")
+    found = Continuation(families=(replace(family(Kind.BOUND), last=lost),))
+    monkeypatch.setattr("zeno_orbits.continuation.continuation.continue_impacts", lambda *_, **__: found)
+    assert main(["continue", *IMPACTS, "--in", "A=0.5:1.1"]) == 1
+    told = capsys.readouterr().out
+    assert "gave up: the tangent turns too fast" in told
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", range(4))
+def test_an_example_of_the_help_runs(
+    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_orbit(close_orbit(PENDULUM, PENDULUM.setting()).unwrap(), tmp_path / "orbit.json")
+    shown = examples("continue")
+    assert len(shown) == 4
+    answer = ask(*shown[number])
+    assert answer.code == YES, answer.err

@@ -1,0 +1,112 @@
+"""The commands `compare` and `identify`, and the data that `simulate` writes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.cli.test_cli import MISUSE, NO, YES, ask, examples
+from zeno_orbits.experiment.recordings.recording import Source, read_recording
+from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.orbits.orbit_file import read_orbit, write_orbit
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """A recording as `simulate` writes it."""
+    path = tmp_path_factory.mktemp("recorded") / "data.csv"
+    answer = ask(
+        *("simulate", "motor_pendulum", "--until", "28", "--rate", "200"),
+        *("--data", path, "--noise", "1e-3"),
+    )
+    assert answer.code == YES, answer.err
+    return path.read_bytes()
+
+
+@pytest.fixture
+def folder(
+    tmp_path: Path, orbit: ZenoOrbit, recorded: bytes, monkeypatch: pytest.MonkeyPatch
+) -> Path:
+    """A folder with an orbit and a recording, to work in."""
+    monkeypatch.chdir(tmp_path)
+    write_orbit(orbit, tmp_path / "orbit.json")
+    (tmp_path / "data.csv").write_bytes(recorded)
+    return tmp_path
+
+
+def test_simulated_data_say_that_they_are(folder: Path) -> None:
+    found = read_recording(folder / "data.csv")
+    assert found.source is Source.SIMULATED
+    assert found.scene == "motor_pendulum"
+    assert dict(found.notes) == {"noise": "0.001", "seed": "0"}
+    assert len(found.time) == 28 * 200 + 1
+
+
+def test_the_examples_of_compare_run(folder: Path) -> None:
+    for example in examples("compare"):
+        answer = ask(*example)
+        assert answer.code == YES, answer.err
+        assert "--json" in example or "recording, simulated" in answer.out
+    assert (folder / "compared.png").stat().st_size > 50_000
+    data = json.loads(answer.out)
+    # From 5 s on the motion still settles a little.
+    assert data["metrics"]["period"]["data"] == pytest.approx(1.81371293904, abs=3e-3)
+
+
+@pytest.mark.slow
+def test_the_examples_of_identify_run(folder: Path) -> None:
+    for example in examples("identify"):
+        answer = ask(*example)
+        assert answer.code == YES, answer.err
+    assert read_orbit(folder / "fitted_orbit.json").parameters["R"] == pytest.approx(3.0, rel=0.02)
+
+
+def test_a_false_recording_is_a_no_with_the_reason(folder: Path) -> None:
+    text = (folder / "data.csv").read_text()
+    (folder / "data.csv").write_text(text.replace("theta1 [rad]", "theta1 [deg]"))
+    answer = ask("compare", "orbit.json", "data.csv", "--from", "12")
+    assert answer.code == NO
+    assert "`theta1` looks like radians labelled as degrees" in answer.out
+    answer = ask("identify", "motor_pendulum", "data.csv", "--from", "12", "--fit", "R")
+    assert answer.code == NO
+    assert "radians labelled as degrees" in answer.err
+    assert answer.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (("compare", "orbit.json", "none.csv"), "cannot be read"),
+        (("compare", "orbit.json", "data.csv", "--picture", "x.gif"), "must end in .png"),
+        (("compare", "orbit.json", "data.csv", "--from", "99"), "must leave two rows"),
+        (("identify", "motor_pendulum", "data.csv", "--fit", "R=2"), "must be NAME=LOW:HIGH"),
+        (("identify", "motor_pendulum", "data.csv", "--fit", "R,,L"), "must be NAME or"),
+        (("identify", "motor_pendulum", "data.csv", "--fit", "Kp"), "gains are known"),
+        (("identify", "motor_pendulum", "data.csv", "--fit", "R=4:2"), "must have a range"),
+        (
+            ("identify", "motor_pendulum", "data.csv", "--fit", "R", "-o", "no/f.json"),
+            "must be in a writable folder",
+        ),
+        (
+            ("identify", "motor_pendulum", "data.csv", "--fit", "R", "-o", "./data.csv"),
+            "`output` must be another file than what is read",
+        ),
+        (
+            ("identify", "motor_pendulum", "data.csv", "--fit", "R", "-o", "f", "--orbit", "f"),
+            "`orbit` must be another file than `output`",
+        ),
+        (("simulate", "motor_pendulum", "--data", "d.csv", "--rate", "0"), "`rate` must be"),
+        (("simulate", "motor_pendulum", "--data", "d.csv", "--rate", "1e12"), "two to 10000000"),
+        (("simulate", "motor_pendulum", "--data", "d.csv", "--rate", "1e-3"), "two to 10000000"),
+        (("simulate", "motor_pendulum", "--data", "d.csv", "--noise", "-1"), "`noise` must be"),
+        (("simulate", "motor_pendulum", "--data", "no/d.csv"), "must be in a writable folder"),
+    ],
+)
+def test_misuse_is_one_line(folder: Path, arguments: tuple[str, ...], reason: str) -> None:
+    assert folder.exists()
+    answer = ask(*arguments)
+    assert answer.code == MISUSE
+    assert reason in answer.err
+    assert answer.err.count("\n") == 1

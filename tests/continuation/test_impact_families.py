@@ -1,0 +1,159 @@
+"""Families of orbits without a Zeno point, against the closed form of the impact oscillator."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+
+from tests.reference.linear_impacts import ImpactOscillator, critical
+from zeno_orbits.continuation.branch import Steps
+from zeno_orbits.continuation.continuation import continuation_on, continue_impacts
+from zeno_orbits.continuation.corrector import Metric, first_point
+from zeno_orbits.continuation.families import Continuation, Kind
+from zeno_orbits.continuation.return_maps import ImpactReturns
+from zeno_orbits.continuation.setup import ContinuationSettings, Course, Root, Track
+from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.simulation.simulator import SimulationSettings
+
+OSCILLATOR = load_problem("forced_oscillator")
+COCO = {"c": 0.1, "stop": 1.0, "restitution": 0.8}
+PHASE, VELOCITY = 0.07595216493831239, -1.3565863500759056
+"""Of the orbit at A = 1, as COCO prints them."""
+STATE = (0.0, -VELOCITY, math.cos(PHASE), math.sin(PHASE))
+
+
+def track_in(parameter: str, box: tuple[float, float], **numbers: float) -> Track:
+    setting = OSCILLATOR.setting(parameters={**COCO, **numbers})
+    course = Course(
+        setting=setting,
+        parameter=parameter,
+        box=box,
+        section=ImpactReturns,
+        metric=Metric(scale=np.array([2.0, 1.4, 1.0, 1.0]), unit=box[1] - box[0], horizon=25.0),
+        simulation=SimulationSettings(),
+    )
+    return Track(problem=OSCILLATOR, course=course)
+
+
+@cache
+def family_in_amplitude() -> Continuation:
+    track = track_in("A", (0.05, 1.5))
+    return continuation_on(published(track), settings=ContinuationSettings())
+
+
+def published(track: Track) -> Root:
+    return Root(track=track, x=np.array(STATE), s=1.0)
+
+
+def test_the_published_orbit_closes_with_the_published_multipliers() -> None:
+    track = track_in("A", (0.05, 1.5))
+    point = first_point(track.returns, track.metric, np.array(STATE), 1.0, rising=True)
+    assert np.max(np.abs(point.x - STATE)) < 1e-12
+    assert point.found.time == pytest.approx(2 * math.pi, abs=1e-11)
+    assert point.multipliers[0].real == pytest.approx(-0.58429531434153, abs=1e-12)
+    assert abs(point.multipliers[0].imag) == pytest.approx(0.00560035149247, abs=1e-11)
+    product = point.multipliers[0] * point.multipliers[1]
+    assert product.real == pytest.approx(0.8**2 * math.exp(-0.1 * 2 * math.pi), rel=1e-12)
+
+
+def test_the_family_in_the_amplitude_ends_by_grazing_at_one_tenth() -> None:
+    (family,) = family_in_amplitude().families
+    end = next(end for end in (family.first, family.last) if end.kind is not Kind.BOUND)
+    assert end.kind is Kind.GRAZING
+    # At resonance the free oscillation A / c just reaches the stop.
+    assert end.at.value == pytest.approx(0.1, abs=1e-9)
+    assert abs(end.at.value - 0.1) < 10 * end.error < 1e-8
+    assert end.at.state["speed"] == pytest.approx(0.0, abs=1e-8)
+
+
+def test_its_fold_is_where_the_closed_form_has_a_multiplier_of_one() -> None:
+    (family,) = family_in_amplitude().families
+    (fold,) = [special for special in family.special if special.kind is Kind.FOLD]
+
+    def make(amplitude: float) -> ImpactOscillator:
+        return ImpactOscillator(
+            amplitude=amplitude, omega=1.0, damping=0.1, stop=1.0, restitution=0.8
+        )
+
+    phase = math.atan2(fold.at.state["sine"], fold.at.state["cosine"])
+    guess = (phase, -fold.at.state["speed"], fold.at.value)
+    assert fold.at.value == pytest.approx(critical(make, 1.0, guess), abs=1e-11)
+    assert fold.error < 1e-10
+    assert fold.at.multipliers[0] == pytest.approx(1.0, abs=1e-9)
+
+
+def test_longer_steps_find_the_same_points() -> None:
+    track = track_in("A", (0.05, 1.5))
+    settings = ContinuationSettings(steps=Steps(first=0.1, longest=0.2))
+    (family,) = continuation_on(published(track), settings=settings).families
+    (usual,) = family_in_amplitude().families
+    assert len(family.points) < len(usual.points)
+    assert [s.kind for s in family.named] == [s.kind for s in usual.named]
+    for one, other in zip(family.named, usual.named, strict=True):
+        assert one.at.value == pytest.approx(other.at.value, abs=1e-9)
+
+
+def test_a_flip_throws_off_the_branch_of_twice_the_period() -> None:
+    setting = OSCILLATOR.setting(parameters={**COCO, "stop": 0.0, "omega": 2.5})
+    found = continue_impacts(
+        OSCILLATOR,
+        setting,
+        OSCILLATOR.state_vector({"speed": 1.0, "cosine": 1.0}),
+        "omega",
+        (2.3, 2.75),
+        settings=ContinuationSettings(),
+        tell=lambda *_: None,
+    )
+    single, double = found.families
+    (flip,) = single.special
+
+    def make(omega: float) -> ImpactOscillator:
+        return ImpactOscillator(amplitude=1.0, omega=omega, damping=0.1, stop=0.0, restitution=0.8)
+
+    start = math.atan2(flip.at.state["sine"], flip.at.state["cosine"]) / flip.at.value
+    guess = (start, -flip.at.state["speed"], flip.at.value)
+    assert flip.kind is Kind.FLIP
+    assert flip.at.value == pytest.approx(critical(make, -1.0, guess), abs=1e-10)
+    assert double.n_returns == 2
+    assert double.first.kind is Kind.FLIP
+    assert double.first.at.value == flip.at.value
+    # Two turns of the force, and a true period of two: the halves differ.
+    later = double.points[-1]
+    assert later.period == pytest.approx(4 * math.pi / later.value, rel=1e-9)
+    speeds = [v for name, v in later.margins.items() if name.startswith("speed of")]
+    assert abs(speeds[0] - speeds[1]) > 0.05
+    # Stability passes from one to the other (supercritical), and the branch flips again.
+    assert [point.stable for point in single.points] == [
+        point.value < flip.at.value for point in single.points
+    ]
+    assert double.points[1].stable
+    assert [s.kind for s in double.special] == [Kind.FLIP]
+
+
+def test_numbers_of_steps_and_giving_up_are_named_results() -> None:
+    track = track_in("A", (0.05, 1.5))
+    few = ContinuationSettings(steps=Steps(most=3))
+    (family,) = continuation_on(published(track), settings=few).families
+    assert {family.first.kind, family.last.kind} == {Kind.MOST_STEPS}
+    hasty = ContinuationSettings(steps=Steps(first=0.9, longest=0.9, shortest=0.5))
+    (family,) = continuation_on(published(track), settings=hasty).families
+    assert Kind.GAVE_UP in (family.first.kind, family.last.kind)
+    assert family.first.detail or family.last.detail
+
+
+def test_a_motion_that_rests_on_the_stop_has_no_family_of_impacts() -> None:
+    setting = OSCILLATOR.setting(parameters={"A": 0.5})
+    with pytest.raises((SimulationError, InputError)):
+        continue_impacts(
+            OSCILLATOR,
+            setting,
+            OSCILLATOR.state_vector({"speed": 1.0, "cosine": 1.0}),
+            "A",
+            (0.4, 0.6),
+            settings=ContinuationSettings(),
+            tell=lambda *_: None,
+        )

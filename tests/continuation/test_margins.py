@@ -1,0 +1,297 @@
+"""What an end is called: the cause of what vanishes there, whichever margin led to it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from tests.continuation.test_branches import Formula, formula
+from zeno_orbits.arrays import Vector
+from zeno_orbits.continuation.assembly import as_family
+from zeno_orbits.continuation.branch import Branch, Steps, follow
+from zeno_orbits.continuation.branch_data import branch_from_json, branch_to_json
+from zeno_orbits.continuation.continuation import continue_orbit, start_orbit
+from zeno_orbits.continuation.corrector import Metric, first_point
+from zeno_orbits.continuation.ends import locate_end
+from zeno_orbits.continuation.families import Family, HalfCurve, Kind
+from zeno_orbits.continuation.margins import Stage, Threat, causes, consequences, threats
+from zeno_orbits.continuation.parallel import Half
+from zeno_orbits.continuation.return_maps import Loss, Margin, Return, ReturnMap
+from zeno_orbits.continuation.setup import ContinuationSettings, Track, track_of
+from zeno_orbits.continuation.two_parameters.plane import Plane
+from zeno_orbits.errors import SimulationError
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.orbits.section import Frame, Line
+
+OSCILLATOR = load_problem("forced_oscillator")
+DEFAULT, SHORT = Steps(), Steps(first=0.003, longest=0.01)
+LONG = Steps(first=0.1, longest=0.3)
+
+
+def family_in_the_force(box: tuple[float, float], steps: Steps, **numbers: float) -> Family:
+    orbit = start_orbit(OSCILLATOR, OSCILLATOR.setting(parameters=numbers))
+    settings = ContinuationSettings(steps=steps)
+    (family,) = continue_orbit(OSCILLATOR, orbit, "A", box, settings=settings).families
+    return family
+
+
+@pytest.mark.parametrize(
+    ("box", "steps"),
+    [
+        ((0.7, 1.5), DEFAULT),
+        ((0.5, 1.5), SHORT),
+        ((0.5, 1.5), LONG),
+        ((0.79, 1.01), DEFAULT),
+        ((0.79, 1.01), LONG),
+    ],
+)
+def test_the_end_of_a_flight_has_one_name_for_every_range_and_step(
+    box: tuple[float, float], steps: Steps
+) -> None:
+    # With A = 0.8 + eps^2 the stop lets go for a time of order eps, and the acceleration at the
+    # next contact is of order eps^2: in arclength it is the nearer one to vanish.
+    first = family_in_the_force(box, steps, restitution=0.0).first
+    assert (first.kind, first.detail) == (Kind.RELEASE_LOST, "")
+    assert abs(first.at.value - 0.8) < 10 * first.error < 1e-9
+
+
+def test_so_it_has_with_impacts_that_accumulate() -> None:
+    first = family_in_the_force((0.7, 1.5), DEFAULT, restitution=0.5).first
+    assert (first.kind, first.detail) == (Kind.RELEASE_LOST, "")
+    assert abs(first.at.value - 0.8) < 10 * first.error < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("restitution", "top", "steps"),
+    [(0.0, 1.5, DEFAULT), (0.0, 1.1, SHORT), (0.3, 1.5, LONG), (0.3, 3.0, DEFAULT)],
+)
+def test_a_motion_in_proportion_to_its_force_ends_with_its_amplitude(
+    restitution: float, top: float, steps: Steps
+) -> None:
+    # With the stop where the spring is relaxed, x(t) / A does not depend on A at all.
+    family = family_in_the_force((0.0, top), steps, restitution=restitution, stop=0.0)
+    assert (family.first.kind, family.first.detail) == (Kind.AMPLITUDE_ZERO, "")
+    assert abs(family.first.at.value) < 1e-12
+    speeds = [point.margins["speed of the first impact"] / point.value for point in family.points]
+    assert max(speeds) == pytest.approx(min(speeds), rel=1e-9)
+    sizes = [point.margins["amplitude"] / point.value for point in family.points]
+    # Looked at a few parts of the arcs, all at the same phases.
+    assert max(sizes) == pytest.approx(min(sizes), rel=1e-9)
+
+
+def way(powers: Mapping[Margin, float], *, left: float = 0.0) -> list[Stage]:
+    """Return stages at which margins are powers of what is halved from one to the next."""
+    return [
+        Stage(
+            z=np.array([size]),
+            margins={margin: left + 3 * size**power for margin, power in powers.items()},
+        )
+        for size in 0.01 / 2.0 ** np.arange(5)
+    ]
+
+
+RELEASE, ACCELERATION = Margin(loss=Loss.RELEASE_RATE), Margin(loss=Loss.ACCELERATION)
+FIRST, NEAR = Margin(loss=Loss.FIRST_IMPACT), Margin(loss=Loss.NEAR_MISS)
+AMPLITUDE, LOCK = Margin(loss=Loss.AMPLITUDE), Margin(loss=Loss.LOCK)
+
+
+@pytest.mark.parametrize(
+    ("powers", "cause"),
+    [
+        ({RELEASE: 1, ACCELERATION: 2, FIRST: 3}, RELEASE),
+        ({RELEASE: 1, ACCELERATION: 2, FIRST: 3, AMPLITUDE: 3}, RELEASE),
+        ({AMPLITUDE: 1, ACCELERATION: 1, FIRST: 1, RELEASE: 1}, AMPLITUDE),
+        ({LOCK: 1, ACCELERATION: 1}, LOCK),
+        ({ACCELERATION: 1}, ACCELERATION),
+    ],
+)
+def test_the_cause_is_the_same_whichever_margin_is_followed(
+    powers: Mapping[Margin, float], cause: Margin
+) -> None:
+    for gone in powers:
+        assert causes(way(powers), gone) == (cause,)
+
+
+def test_what_is_left_where_another_vanishes_is_no_cause() -> None:
+    kept = way({RELEASE: 1}, left=0.1)
+    lost = way({ACCELERATION: 1})
+    both = [
+        Stage(z=one.z, margins={**one.margins, **other.margins})
+        for one, other in zip(kept, lost, strict=True)
+    ]
+    assert causes(both, ACCELERATION) == (ACCELERATION,)
+
+
+def test_two_losses_that_have_nothing_to_do_with_each_other_have_one_order() -> None:
+    both = way({NEAR: 1, FIRST: 1})
+    assert causes(both, NEAR) == causes(both, FIRST) == (FIRST, NEAR)
+
+
+def test_a_release_takes_the_flight_of_the_next_return_with_it_and_of_no_other() -> None:
+    last = replace(RELEASE, place=1)
+    assert consequences(RELEASE, 2).keys() >= {replace(FIRST, place=1)}
+    assert consequences(last, 2).keys() >= {FIRST}
+    own = {replace(FIRST, place=1): 3, last: 1}
+    assert causes(way(own), last) == (replace(FIRST, place=1), last)
+    assert causes(way({FIRST: 3, last: 1}), FIRST) == (last,)
+
+
+@pytest.mark.parametrize(("restitution", "threatened"), [(0.0, True), (0.3, False)])
+def test_the_acceleration_threatens_by_itself_at_plastic_impacts_alone(
+    restitution: float, *, threatened: bool
+) -> None:
+    found = threats(way({ACCELERATION: 1}), restitution)
+    assert bool(found) is threatened
+
+
+def ended(margins: Mapping[Margin, float], restitution: float = 0.0) -> Branch:
+    """Return a family that ends at s = 0.25, as an impact that grazes has it."""
+
+    def image(y: ca.SX, s: ca.SX) -> ca.SX:
+        return y + (ca.sqrt(s - 0.25) + s - 0.25 - y) / 2
+
+    returns = Formula(
+        function=formula(image, 1),
+        margins={
+            margin: lambda x, _, factor=factor: factor * (np.sqrt(1 + 4 * float(x[0])) - 1) / 2
+            for margin, factor in margins.items()
+        },
+        least=0.25,
+    )
+    metric = Metric(scale=np.ones(1), unit=1.0, horizon=1.0)
+    start = first_point(returns, metric, np.array([0.75]), 0.5, rising=False)
+    return follow(
+        returns,
+        metric,
+        start,
+        (0.0, 1.0),
+        Steps(),
+        restitution=lambda _: restitution,
+        tell=lambda *_: None,
+    )
+
+
+def test_an_end_at_which_two_things_happen_says_both() -> None:
+    for order in ((FIRST, NEAR), (NEAR, FIRST)):
+        branch = ended(dict(zip(order, (1.0, 3.0), strict=True)))
+        assert branch.ending is Kind.GRAZING
+        assert branch.end is not None
+        assert branch.end.also == (Kind.EARLIER_GRAZING,)
+        again = branch_from_json(json.loads(json.dumps(branch_to_json(branch))))
+        assert again.end is not None
+        assert again.end.also == branch.end.also
+
+
+@cache
+def plastic() -> tuple[Track, Branch]:
+    """Return the oscillator's family with plastic impacts, down to its end in the force."""
+    orbit = start_orbit(OSCILLATOR, OSCILLATOR.setting(parameters={"restitution": 0.0}))
+    track = track_of(OSCILLATOR, orbit, "A", (0.7, 1.5), ContinuationSettings())
+    x = np.array(OSCILLATOR.state_vector(orbit.release_state))
+    start = first_point(track.returns, track.metric, x, 1.0, rising=False)
+    branch = follow(
+        track.returns,
+        track.metric,
+        start,
+        (0.7, 1.5),
+        LONG,
+        restitution=track.restitution,
+        tell=lambda *_: None,
+    )
+    return track, branch
+
+
+def test_both_are_in_the_family() -> None:
+    track, branch = plastic()
+    assert branch.end is not None
+    end = replace(branch.end, also=(Kind.LOCK_VANISHES, Kind.GRAZING))
+    family = as_family(track, branch, replace(branch, end=end)).family
+    assert family.first.detail == ""
+    assert family.last.detail == "together with: locked arc vanishes, first impact grazes"
+
+
+def test_an_acceleration_that_seems_to_vanish_alone_ends_plastic_impacts_only() -> None:
+    assert ended({ACCELERATION: 1.0}).ending is Kind.THEOREM_LOST
+    assert ended({ACCELERATION: 1.0}, restitution=0.3).ending is Kind.GAVE_UP
+
+
+def test_an_acceleration_is_not_approached_where_impacts_accumulate() -> None:
+    track, branch = plastic()
+    points, line = branch.points[-8:-6], track.returns
+    assert branch.end is not None
+    alone = Threat(margin=ACCELERATION, distance=1.0, fall=1.0)
+    # Without its cause among the margins it would be an end of its own.
+    blind = Blind(returns=line, kept=(ACCELERATION,))
+    found = locate_end(blind, track.metric, points, alone, lambda _: 0.0)
+    assert found.kind is Kind.THEOREM_LOST
+    with pytest.raises(SimulationError, match="for no reason"):
+        locate_end(blind, track.metric, points, alone, lambda _: 0.3)
+    # With it, the end has its name, and is better known than by what follows from it.
+    caused = locate_end(line, track.metric, points, alone, lambda _: 0.0)
+    assert caused.kind is Kind.RELEASE_LOST
+    assert caused.error < found.error
+
+
+@dataclass(frozen=True, kw_only=True)
+class Blind:
+    """A return map that tells some margins only."""
+
+    returns: ReturnMap
+    kept: tuple[Margin, ...]
+
+    @property
+    def line(self) -> Line:
+        return self.returns.line
+
+    def follow(self, x: Vector, s: float, *, horizon: float) -> Return:
+        found = self.returns.follow(x, s, horizon=horizon)
+        return replace(found, margins={key: found.margins[key] for key in self.kept})
+
+    def frame(self, x: Vector, s: float, scale: Vector) -> Frame:
+        return self.returns.frame(x, s, scale)
+
+    def projected(self, x: Vector, s: float, scale: Vector) -> Vector:
+        return self.returns.projected(x, s, scale)
+
+    def loosened(self) -> Blind:
+        return replace(self, returns=self.returns.loosened())
+
+    def moved_to(self, line: Line) -> Blind:
+        return replace(self, returns=self.returns.moved_to(line))
+
+
+@pytest.mark.slow
+def test_a_curve_of_ends_is_not_followed_along_ends_of_another_name() -> None:
+    track, branch = plastic()
+    assert branch.end is not None
+    names = OSCILLATOR.names
+    plane = Plane(
+        names=("A", "stop"),
+        places=(names.index("A"), names.index("stop")),
+        box=np.array([(0.7, 1.5), (-0.82, -0.78)]),
+        p=np.array(track.course.setting.values()),
+        restitution=names.index("restitution"),
+    )
+
+    def curve(kind: Kind) -> HalfCurve:
+        half = Half(
+            course=track.course,
+            plane=plane,
+            found=replace(branch.end, kind=kind) if branch.end is not None else branch.end,
+            value=(0.8, -0.8),
+            leading=branch.points[-8:-6],
+            upwards=True,
+        )
+        return half.done(OSCILLATOR, ContinuationSettings(), lambda *_: None)
+
+    right, wrong = curve(Kind.RELEASE_LOST), curve(Kind.THEOREM_LOST)
+    assert right.end == Kind.BOUND.value
+    assert np.array(right.x) + np.array(right.y) == pytest.approx(np.zeros(len(right.x)), abs=1e-8)
+    assert wrong.end.startswith(Kind.GAVE_UP.value)
+    assert len(wrong.x) == 1

@@ -1,0 +1,374 @@
+"""Continuations by many workers: the same families as by one, kept over kills."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import joblib
+import numpy as np
+import pytest
+
+from tests.cli.test_cli import ask
+from tests.support.places import places_that_cannot_be_had, refuses
+from tests.support.processes import Commands, workers_of
+from zeno_orbits.continuation import parallel as dispatch
+from zeno_orbits.continuation.branch import Steps
+from zeno_orbits.continuation.branch_data import (
+    branch_from_json,
+    branch_to_json,
+    half_from_json,
+    half_to_json,
+)
+from zeno_orbits.continuation.continuation import continue_orbit, continue_orbit_in_two, start_orbit
+from zeno_orbits.continuation.corrector import first_point
+from zeno_orbits.continuation.families import HalfCurve, Kind
+from zeno_orbits.continuation.parallel import Crew, Direction, Dispatch, Half
+from zeno_orbits.continuation.setup import ContinuationSettings, track_of
+from zeno_orbits.continuation.two_parameters.plane import CurveSteps
+from zeno_orbits.errors import CheckpointError, InputError, SimulationError, WorkError
+from zeno_orbits.model.library import load_problem, scene_file
+from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.work import Cluster, Lost, Plan, Workers, open_pool
+from zeno_orbits.work import scheduling as spreading_module
+from zeno_orbits.work.serialization import plain
+
+YES, MISUSE, INTERRUPTED = 0, 2, 130
+CORES = int(joblib.cpu_count())
+SCENE = "forced_oscillator"
+IMPACTS = (
+    *("continue", SCENE, "--section", "impact", "--set", "c=0.1", "--set", "stop=1"),
+    *("--set", "restitution=0.8", "--start", "speed=1", "--start", "cosine=1"),
+)
+NEAR = (*IMPACTS, "--in", "A=0.8:1.1", "--steps", "12")
+"""A family that takes a second."""
+
+needs_two = pytest.mark.skipif(CORES < 2, reason="needs two cores")
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    files = (path for path in sorted(folder.rglob("*")) if path.is_file())
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
+
+@pytest.fixture(name="kept", scope="module")
+def _kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """A finished continuation that kept its checkpoint, and what it printed."""
+    folder = tmp_path_factory.mktemp("kept") / "kept"
+    answer = ask(*NEAR, "--workers", "1", "--checkpoint", folder, "--json")
+    assert answer.code == YES
+    return folder, answer.data
+
+
+def oscillator() -> tuple[Any, ZenoOrbit]:
+    problem = scene_file(SCENE).load()
+    return problem, start_orbit(problem, problem.setting())
+
+
+def crewed(place: Workers | Cluster | None, folder: Path | None = None) -> Any:
+    """Follow the loss of the release in two parameters; without a place, in this process."""
+    problem, orbit = oscillator()
+    told: dict[str, Any] = {
+        "kinds": (Kind.RELEASE_LOST,),
+        "settings": ContinuationSettings(
+            steps=Steps(first=0.1, longest=0.2), curve=CurveSteps(first=0.2, longest=0.2, most=2)
+        ),
+    }
+    asked = (problem, orbit, ("A", "stop"), ((0.7, 1.05), (-0.85, -0.75)))
+    if place is None:
+        return continue_orbit_in_two(*asked, **told)
+    with open_pool(place) as pool:
+        crew = Crew(
+            scene=scene_file(SCENE),
+            plan=Plan(place=place, checkpoint=folder),
+            pool=pool,
+            tell=lambda *_: None,
+        )
+        return continue_orbit_in_two(*asked, **told, crew=crew)
+
+
+# ---------------------------------------------------------------------------- the same results
+
+
+@needs_two
+@pytest.mark.slow
+def test_one_worker_and_two_find_what_a_continuation_without_workers_finds() -> None:
+    alone = crewed(None)
+    # In closed form: the force just reaches the stop.
+    (curve,) = alone.boundaries
+    assert len(curve.x) > 3
+    assert np.array(curve.x) == pytest.approx(-np.array(curve.y), abs=1e-11)
+    for count in (1, 2):
+        assert plain(crewed(Workers(count=count))) == plain(alone)
+
+
+@needs_two
+def test_the_command_writes_the_same_bytes_with_one_worker_and_two(tmp_path: Path) -> None:
+    one, two = tmp_path / "one.json", tmp_path / "two.json"
+    assert ask(*NEAR, "--workers", "1", "-o", one).code == YES
+    assert ask(*NEAR, "--workers", "2", "-o", two).code == YES
+    assert one.read_bytes() == two.read_bytes()
+    # The checkpoints beside them went with their work.
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["one.json", "two.json"]
+
+
+def test_a_family_and_half_a_curve_pass_through_json_with_every_bit() -> None:
+    problem, orbit = oscillator()
+    settings = ContinuationSettings(steps=Steps(most=3))
+    track = track_of(problem, orbit, "A", (0.79, 1.2), settings)
+    x = np.array(problem.state_vector(orbit.release_state))
+    start = first_point(track.returns, track.metric, x, 1.0, rising=False)
+    piece = Direction(course=track.course, start=start)
+    branch = replace(piece.done(problem, settings, lambda *_: None), ending=Kind.FOLD)
+    again = branch_from_json(json.loads(json.dumps(branch_to_json(branch), allow_nan=False)))
+    assert plain(again) == plain(branch)
+    assert again.points[0].multipliers == branch.points[0].multipliers
+    # An oscillator without memory has no coordinates on its section, but that is a shape, too.
+    assert again.points[0].jacobian.shape == branch.points[0].jacobian.shape == (0, 0)
+    half = HalfCurve(x=(0.1, 5e-324), y=(-0.0, 1 / 3), errors=(float("inf"), 0.0), end="40 steps")
+    told = json.loads(json.dumps(half_to_json(half), allow_nan=False))
+    assert plain(half_from_json(told)) == plain(half)
+    assert half_from_json(told) == half
+
+
+def test_a_curve_that_closes_has_no_second_half() -> None:
+    here = Dispatch(
+        problem=load_problem(SCENE), settings=ContinuationSettings(), tell=lambda *_: None
+    )
+
+    class Loop:
+        def done(self, *_: Any) -> HalfCurve:
+            return HalfCurve(x=(0.0,), y=(0.0,), errors=(0.0,), end=Kind.CLOSED.value)
+
+    assert [len(group) for group in here.done("stage", "halves", [(Loop(), Loop())])] == [1]
+
+
+# ---------------------------------------------------------------------------- what is lost
+
+
+def test_a_piece_that_fails_or_kills_every_worker_leaves_the_others_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    spread, done = dispatch.spread, Half.done
+
+    def fail(half: Half, *arguments: Any) -> HalfCurve:
+        if half.upwards:
+            raise SimulationError("Nothing returns", time=0.0, state=())
+        return done(half, *arguments)
+
+    monkeypatch.setattr(Half, "done", fail)
+    (curve,) = crewed(None).boundaries
+    assert curve.ends == ("2 steps", "gave up: Nothing returns (at t = 0 s)")
+    monkeypatch.setattr(Half, "done", done)
+
+    def lose_a_half(task: Any, *arguments: Any, **named: Any) -> Any:
+        results = spread(task, *arguments, **named)
+        return (Lost(), *results[1:]) if isinstance(task.pieces[0], Half) else results
+
+    monkeypatch.setattr(dispatch, "spread", lose_a_half)
+    (curve,) = crewed(Workers(count=1)).boundaries
+    assert curve.ends == ("2 steps", f"gave up: {Lost().reason}")
+
+
+def test_a_direction_that_kills_every_worker_is_an_end_that_was_given_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    spread = dispatch.spread
+
+    def lose_the_second(*arguments: Any, **named: Any) -> Any:
+        return (*spread(*arguments, **named)[:1], Lost())
+
+    monkeypatch.setattr(dispatch, "spread", lose_the_second)
+    answer = ask(*NEAR, "--workers", "1", "--json")
+    assert answer.code == 1
+    first, last = answer.data["families"][0]["ends"]
+    assert (first["kind"], first["detail"]) == ("gave up", Lost().reason)
+    assert last["kind"] != "gave up"
+
+
+# ---------------------------------------------------------------------------- checkpoints
+
+
+def test_what_is_finished_is_not_done_again(
+    kept: tuple[Path, dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, told = kept
+    before = contents(folder)
+    assert sorted(before) == [
+        "directions/chunk-000000.json",
+        "directions/chunk-000001.json",
+        "directions/identity.json",
+        "identity.json",
+    ]
+
+    def refuse(*_: Any) -> None:
+        raise WorkError("It is done again")
+
+    monkeypatch.setattr("zeno_orbits.work.pools._CorePool.submit", refuse)
+    assert ask(*NEAR, "--checkpoint", folder, "--json").data == told
+    assert contents(folder) == before
+
+
+def test_a_piece_that_was_lost_is_done_again_and_gives_the_same(
+    kept: tuple[Path, dict[str, Any]],
+) -> None:
+    folder, told = kept
+    before = contents(folder)
+    (folder / "directions" / "chunk-000001.json").unlink()
+    assert ask(*NEAR, "--workers", "1", "--checkpoint", folder, "--json").data == told
+    assert contents(folder) == before
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ((*NEAR[:-1], "11"), "`settings.steps.most` is 12, not 11"),
+        ((*NEAR[:-4], "--in", "A=0.8:1.2", "--steps", "12"), "`range` is"),
+        ((*NEAR[:-4], "--in", "omega=0.9:1.1", "--steps", "12"), '`in` is "A", not "omega"'),
+        ((*NEAR, "--set", "omega=1.01"), "`parameters.omega` is 1.0, not 1.01"),
+        (("continue", "motor_pendulum", "--in", "Kd=-1.1:-0.9"), '`problem` is "forced_osc'),
+        (("map", "bouncing_ball", "--x", "m=1:2", "--y", "g=9:10"), '`work` is "continuation"'),
+    ],
+)
+def test_the_checkpoint_of_another_continuation_is_refused_and_left_untouched(
+    words: tuple[str, ...], told: str, kept: tuple[Path, dict[str, Any]]
+) -> None:
+    folder, _ = kept
+    before = contents(folder)
+    answer = ask(*words, "--workers", "1", "--checkpoint", folder)
+    assert answer.code == MISUSE
+    assert told in answer.err
+    assert len(answer.err.splitlines()) == 1
+    assert contents(folder) == before
+
+
+def test_the_checkpoint_of_another_version_and_a_broken_one_are_refused(
+    kept: tuple[Path, dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, _ = kept
+    words = (*NEAR, "--workers", "1", "--checkpoint", folder)
+    with monkeypatch.context() as patch:
+        patch.setattr(spreading_module, "code_digest", lambda: "another")
+        answer = ask(*words)
+    assert (answer.code, "`code` is" in answer.err) == (MISUSE, True)
+    chunk = folder / "directions" / "chunk-000000.json"
+    whole = chunk.read_bytes()
+    chunk.write_bytes(whole[: len(whole) // 2])
+    answer = ask(*words)
+    assert answer.code == MISUSE
+    assert "`chunk-000000.json` is broken" in answer.err
+    assert len(chunk.read_bytes()) == len(whole) // 2
+    chunk.write_bytes(whole)
+
+
+def test_an_interrupt_keeps_the_pieces_that_are_finished(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept: tuple[Path, dict[str, Any]]
+) -> None:
+    words = (*NEAR, "--workers", "1", "-o", tmp_path / "family.json", "--json")
+
+    def interrupt(_progress: report.Progress, what: str, _part: float | None = None) -> None:
+        if what.startswith("1 of 2 directions"):
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(report.Progress, "tell", interrupt)
+        answer = ask(*words)
+    assert answer.code == INTERRUPTED
+    assert answer.err.endswith("family.json.checkpoint` keeps what is finished\n")
+    assert len(list((tmp_path / "family.json.checkpoint").rglob("chunk-*"))) == 1
+    assert ask(*words).data == kept[1]
+    assert [path.name for path in tmp_path.iterdir()] == ["family.json"]
+
+
+def test_an_interrupt_with_nothing_finished_leaves_no_checkpoint_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(_progress: report.Progress, what: str, _part: float | None = None) -> None:
+        if "directions" in what:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(report.Progress, "tell", interrupt)
+    assert ask(*NEAR, "--workers", "1", "-o", tmp_path / "family.json").code == INTERRUPTED
+    assert list(tmp_path.iterdir()) == []
+
+
+# ---------------------------------------------------------------------------- misuse
+
+
+@places_that_cannot_be_had
+def test_a_place_that_cannot_be_had_is_refused_and_the_checkpoint_left_untouched(
+    place: tuple[str, ...],
+    told: str,
+    kept: tuple[Path, dict[str, Any]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    folder, _ = kept
+    before = contents(folder)
+    begins = "zeno_orbits.continuation.continuation.continue_impacts"
+    refuses(monkeypatch, (*NEAR, "--checkpoint", folder, *place), told, work_of=begins)
+    assert contents(folder) == before
+
+
+def test_a_scene_that_workers_would_not_see_is_refused(tmp_path: Path) -> None:
+    problem, orbit = oscillator()
+    with open_pool(Workers(count=1)) as pool:
+        crew = Crew(
+            scene=scene_file("bouncing_ball"),
+            plan=Plan(checkpoint=tmp_path / "kept"),
+            pool=pool,
+            tell=lambda *_: None,
+        )
+        with pytest.raises(InputError, match="`problem` must be what the `scene` of `crew` loads"):
+            continue_orbit(problem, orbit, "A", (0.5, 1.2), crew=crew)
+    assert not (tmp_path / "kept").exists()
+
+
+def test_a_stage_of_another_work_in_the_folder_is_refused(tmp_path: Path) -> None:
+    crewed(Workers(count=1), tmp_path / "kept")
+    stage = tmp_path / "kept" / "curves-1" / "identity.json"
+    entries = json.loads(stage.read_text()) | {"pieces": "others"}
+    stage.write_text(json.dumps(entries))
+    before = contents(tmp_path / "kept")
+    with pytest.raises(CheckpointError, match='`pieces` is "others"'):
+        crewed(Workers(count=1), tmp_path / "kept")
+    assert contents(tmp_path / "kept") == before
+
+
+# ---------------------------------------------------------------------------- killed
+
+
+LONG = ("continue", SCENE, "--in", "A=0.5:1.2", "--second", "stop=-0.9:-0.7")
+
+
+@needs_two
+@pytest.mark.slow
+def test_a_continuation_by_two_workers_one_killed_and_then_all_is_that_of_one_worker(
+    tmp_path: Path, commands: Commands
+) -> None:
+    quiet, killed = tmp_path / "quiet.json", tmp_path / "killed.json"
+
+    def wait_for(count: int) -> None:
+        end = time.monotonic() + 240
+        while len(list(kept.rglob("chunk-*.json"))) < count:
+            assert time.monotonic() < end
+            time.sleep(0.01)
+
+    kept = tmp_path / "killed.json.checkpoint"
+    assert commands.start(*LONG, "--workers", "1", "-o", quiet).wait(400) == YES
+    program = commands.start(*LONG, "--workers", "2", "-o", killed)
+    wait_for(1)
+    os.kill(workers_of(program.pid)[0], signal.SIGKILL)
+    wait_for(2)
+    program.kill()
+    program.wait()
+    assert not killed.exists()
+    assert len(list(kept.rglob("chunk-*.json"))) < 4
+    assert commands.start(*LONG, "--workers", "2", "-o", killed).wait(400) == YES
+    assert killed.read_bytes() == quiet.read_bytes()
+    assert not kept.exists()

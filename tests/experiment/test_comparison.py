@@ -1,0 +1,308 @@
+"""Recordings whose truth is known: what is measured of them is right, and the false ones are told.
+
+Tolerances are five standard errors as claimed, so a claim that is too bold fails; and where there
+is no noise, what the table of the orbit and the harmonics of the period leave.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.support.recordings_of import recorded, recording_of
+from zeno_orbits.errors import InputError
+from zeno_orbits.experiment.comparison.comparison import Comparison, compare
+from zeno_orbits.experiment.orbit_table import OrbitTable, gap_coordinates, table_of
+from zeno_orbits.experiment.recordings.periodicity import periodicity
+from zeno_orbits.experiment.recordings.recording import Recording, Signal
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.search.closing import close_orbit
+from zeno_orbits.simulation.simulator import simulate
+
+SIGNALS = ("theta1", "theta2", "current")
+SURE = 5.0
+
+
+@pytest.fixture(scope="module")
+def table(orbit: ZenoOrbit, scene: Problem) -> OrbitTable:
+    return table_of(orbit, scene, SIGNALS)
+
+
+def changed(recording: Recording, change: Callable[[np.ndarray, np.ndarray], Any]) -> Recording:
+    """Return a recording with other times and values, ``(time, values) -> (time, values)``."""
+    values = np.stack([signal.values for signal in recording.signals])
+    time, values = change(recording.time, values)
+    signals = tuple(
+        replace(signal, values=row) for signal, row in zip(recording.signals, values, strict=True)
+    )
+    return replace(recording, time=time, signals=signals)
+
+
+def truth_of(orbit: ZenoOrbit, stretch: float) -> dict[str, float]:
+    """Return what a copy of the orbit, stretched in time, shows of its contacts."""
+    first = orbit.impacts[0]
+    rate, after = first.state_minus["dtheta2"], first.time
+    return {
+        "period": stretch * orbit.period,
+        "first impact time": stretch * after,
+        "first impact speed": rate / stretch,
+        "restitution seen": orbit.parameters["restitution"],
+        "end of chatter": stretch * orbit.zeno_time,
+        "chatter duration": stretch * (orbit.zeno_time - after),
+        "locked duration": stretch * (orbit.period - orbit.zeno_time),
+        "release time": stretch * orbit.period,
+        "delay of theta1": 0.0,
+        "delay of current": 0.0,
+        "gap while locked": 0.0,
+    }
+
+
+COPIES: dict[str, dict[str, float]] = {
+    "noisy": {"noise": 2e-3},
+    "very noisy": {"noise": 1e-2},
+    "shifted": {"noise": 2e-3, "start": 0.85},
+    "coarse and uneven": {"noise": 2e-3, "rate": 80.0, "jitter": 1.0},
+    "slower": {"noise": 2e-3, "stretch": 1.3},
+    "faster": {"noise": 2e-3, "stretch": 0.7, "start": 0.6},
+    "short": {"noise": 2e-3, "n_cycles": 3.5},
+}
+
+
+@pytest.mark.parametrize("name", COPIES)
+def test_the_numbers_of_a_copy_are_the_orbits_own(
+    name: str, orbit: ZenoOrbit, scene: Problem, table: OrbitTable
+) -> None:
+    options: Any = COPIES[name]
+    found = compare(orbit, scene, recorded(table, scene, seed=3, **options))
+    assert found.agrees, found.reasons
+    for what, true in truth_of(orbit, options.get("stretch", 1.0)).items():
+        metric = found.metric(what)
+        assert math.isfinite(metric.data), what
+        assert abs(metric.data - true) < SURE * metric.error, (what, metric)
+    # A claimed error that is huge would make the above say nothing.
+    assert found.metric("first impact time").error < 1e-3
+    assert found.metric("period").error < 1e-3
+    assert found.metric("locked duration").error < 2e-2
+
+
+def test_the_numbers_of_a_copy_without_noise_are_near_the_orbits_own(
+    orbit: ZenoOrbit, scene: Problem, table: OrbitTable
+) -> None:
+    found = compare(orbit, scene, recorded(table, scene))
+    # Times are as good as the period, which sixteen harmonics of a kinked signal give to 1e-5.
+    for what, true in truth_of(orbit, 1.0).items():
+        assert found.metric(what).data == pytest.approx(true, rel=3e-5, abs=3e-5), what
+    for metric in found.metrics:
+        if "rms" in metric.name or "distance" in metric.name:
+            assert abs(metric.data) < 1e-2, metric
+
+
+def test_a_known_deviation_is_measured(orbit: ZenoOrbit, scene: Problem, table: OrbitTable) -> None:
+    def cut_off(time: np.ndarray, values: np.ndarray) -> Any:
+        # Above 2.1 A the current is cut off; link 1 is off by 0.05 rad.
+        return time, np.stack([values[0] + 0.05, values[1], np.minimum(values[2], 2.1)])
+
+    found = compare(orbit, scene, changed(recorded(table, scene, noise=1e-3), cut_off))
+    assert found.agrees
+    # Within a bin of 1/240 of a period the current changes by less than 0.03 A near its top.
+    assert found.metric("highest of current").data == pytest.approx(2.1, abs=0.03)
+    assert any("`current` looks cut off" in remark for remark in found.remarks)
+    # The same offset everywhere: its root mean square is the offset. What is cut off moves the
+    # alignment by less than 0.5 ms, and link 1 by 8 rad/s times that.
+    for part in ("in flight", "in chatter", "locked"):
+        rms = found.metric(f"rms deviation {part} of theta1")
+        assert rms.data == pytest.approx(0.05, abs=4e-3)
+
+
+def test_a_signal_that_comes_late_is_told_by_how_much(
+    orbit: ZenoOrbit, scene: Problem, table: OrbitTable
+) -> None:
+    def late(time: np.ndarray, values: np.ndarray) -> Any:
+        values = values.copy()
+        values[2] = table.at((time - 0.020) / table.period + 0.3)[:, 2]
+        return time, values
+
+    found = compare(orbit, scene, changed(recorded(table, scene, noise=1e-3), late))
+    behind = found.metric("delay of current").data - found.metric("delay of theta1").data
+    # Means over bins of 7.6 ms of a signal with a jump: a twentieth of a bin.
+    assert behind == pytest.approx(0.020, abs=4e-4)
+
+
+def test_gaps_and_holes_are_lived_with(orbit: ZenoOrbit, scene: Problem, table: OrbitTable) -> None:
+    copy = recorded(table, scene, noise=2e-3)
+    rng = np.random.default_rng(1)
+
+    def holed(time: np.ndarray, values: np.ndarray) -> Any:
+        kept = (time < 5.0) | (time > 8.1)
+        values = np.where(rng.random(values.shape) < 0.2, np.nan, values)
+        return time[kept], values[:, kept]
+
+    found = compare(orbit, scene, changed(copy, holed))
+    assert found.agrees, found.reasons
+    for what, true in truth_of(orbit, 1.0).items():
+        metric = found.metric(what)
+        assert abs(metric.data - true) < SURE * metric.error, (what, metric)
+
+
+def test_angles_alone_give_portraits(orbit: ZenoOrbit, scene: Problem, table: OrbitTable) -> None:
+    whole = recorded(table, scene, noise=1e-3)
+    angles = replace(whole, signals=whole.signals[:2])
+    found = compare(orbit, scene, angles)
+    assert found.agrees
+    distance = found.metric("mean distance in the portrait of theta1 and dtheta1")
+    # The floor of the noise of estimated velocities, as claimed.
+    assert 0.0 <= distance.data < SURE * distance.error < 0.02
+
+
+Change = Callable[[np.ndarray, np.ndarray], Any]
+
+FALSE: dict[str, tuple[Change, str]] = {
+    "first angle mirrored": (
+        lambda t, y: (t, y * [[-1], [1], [1]]),
+        "`theta1` looks like its sign turned",
+    ),
+    "gap mirrored": (
+        lambda t, y: (t, y * [[1], [-1], [1]]),
+        "`theta2` looks like its sign turned",
+    ),
+    "degrees as radians": (
+        lambda t, y: (t, y * [[180 / math.pi], [180 / math.pi], [1]]),
+        "`theta1` looks like degrees labelled as radians",
+    ),
+    "milliampere as ampere": (
+        lambda t, y: (t, y * [[1], [1], [1e3]]),
+        "`current` looks like a thousandth of its unit labelled as the unit",
+    ),
+    "milliseconds as seconds": (
+        lambda t, y: (1e3 * t, y),
+        "milliseconds labelled as seconds",
+    ),
+    "doubled period": (
+        lambda t, y: (t, y * (1 + 0.05 * np.sign(np.sin(math.pi * t / 1.81371293903)))),
+        "the period is doubled",
+    ),
+    "noise": (
+        lambda t, y: (t, np.random.default_rng(0).normal(size=y.shape)),
+        "variance repeat",
+    ),
+    "another motion": (
+        lambda t, y: (t, 0 * y + np.sin(np.outer([3.0, 6.0, 9.0], t))),
+        "moves otherwise|looks like",
+    ),
+    "less than a period": (
+        lambda t, y: (t[:500], y[:, :500]),
+        "no period is seen",
+    ),
+    "never at rest": (
+        lambda t, y: (
+            t,
+            y + [[0.0], [0.15], [0.0]] * (1 + np.sin(6 * math.pi * t / 1.81371293903)),
+        ),
+        "no locked phase is seen",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FALSE)
+def test_what_shows_no_such_orbit_is_told_with_the_reason(
+    name: str, orbit: ZenoOrbit, scene: Problem, table: OrbitTable
+) -> None:
+    change, reason = FALSE[name]
+    found = compare(orbit, scene, changed(recorded(table, scene, noise=1e-3), change))
+    assert not found.agrees
+    assert any(part in one for one in found.reasons for part in reason.split("|")), found.reasons
+
+
+def test_signals_that_jump_are_aligned_as_well() -> None:
+    # The speed of this scene jumps by two thirds of its range; its slope knows nothing of that.
+    problem = load_problem("forced_oscillator")
+    orbit = close_orbit(problem, problem.setting()).unwrap()
+    table = table_of(orbit, problem, ("distance", "speed"))
+    found = compare(orbit, problem, recorded(table, problem, noise=1e-3, rate=60.0))
+    assert found.agrees, found.reasons
+    for what in ("first impact time", "end of chatter", "release time", "locked duration"):
+        metric = found.metric(what)
+        assert abs(metric.data - metric.orbit) < SURE * metric.error < 0.05, metric
+
+
+def test_a_start_that_still_settles_is_named(
+    orbit: ZenoOrbit, scene: Problem, machine: HybridDynamics
+) -> None:
+    execution = simulate(machine, [0.6, 0, 0, 0, 0], until=30.0)
+    time = np.arange(0.0, 30.0, 2.5e-3)
+    states = np.array([execution.state_at(t) for t in time])
+    recording = recording_of(scene, scene.state_names, time, states.T)
+    found = compare(orbit, scene, recording)
+    assert any("still settles" in remark and "--from" in remark for remark in found.remarks)
+
+
+def test_signals_of_another_kind_are_refused(orbit: ZenoOrbit, scene: Problem) -> None:
+    time = np.arange(100) * 0.1
+    metres = Signal(name="theta1", unit="m", values=np.sin(time))
+    other = Signal(name="pressure", unit="Pa", values=np.sin(time))
+    empty = Signal(name="theta1", unit="rad", values=np.full(100, np.nan))
+    huge = Signal(name="theta1", unit="rad", values=1e300 * np.sin(time))
+    for signal, reason in (
+        (huge, r"must have values of `theta1` up to 1e\+100, but it has"),
+        (metres, "`theta1` in a unit like rad, but it has m"),
+        (other, "must have a signal of the scene"),
+        (empty, "must have values of `theta1`"),
+    ):
+        recording = Recording(source=None, scene="", time=time, signals=(signal,))
+        with pytest.raises(InputError, match=reason):
+            compare(orbit, scene, recording)
+
+
+def test_the_data_are_plain_and_finite(orbit: ZenoOrbit, scene: Problem, table: OrbitTable) -> None:
+    import json
+
+    found: Comparison = compare(orbit, scene, recorded(table, scene, noise=1e-3))
+    data = json.loads(json.dumps(found.as_json(), allow_nan=False))
+    assert data["agrees"] is True
+    assert data["source"] == "simulated"
+    assert data["metrics"]["period"]["unit"] == "s"
+
+
+def test_a_table_of_the_orbit_is_the_orbit(
+    orbit: ZenoOrbit, scene: Problem, machine: HybridDynamics
+) -> None:
+    whole = table_of(orbit, scene, scene.state_names)
+    execution = simulate(machine, scene.state_vector(orbit.release_state), until=orbit.period)
+    phases = np.random.default_rng(0).random(500)
+    true = np.array([execution.state_at(phase * orbit.period) for phase in phases])
+    # Cubics between nodes a few ms apart, of motions that change within 0.1 s: (0.05)^4 / 384.
+    assert whole.at(phases) == pytest.approx(true, abs=2e-7)
+    assert gap_coordinates(scene) == ("theta2",)
+    assert scene.gap_unit == "rad"
+    assert load_problem("curved_surface").gap_unit == "SI"
+
+
+@pytest.mark.parametrize("n_cycles", [2.2, 3.7, 5.3, 7.27, 9.9])
+@pytest.mark.parametrize("start", [0.0, 0.35, 0.7])
+def test_the_period_is_none_of_its_multiples_wherever_a_record_is_cut_off(
+    n_cycles: float, start: float, orbit: ZenoOrbit, scene: Problem
+) -> None:
+    # What overlaps at the end of a record may hold more of the motion's energy than its share.
+    table = table_of(orbit, scene, ("theta1", "theta2"))
+    whole = recorded(table, scene, n_cycles=n_cycles, start=start, rate=200.0, noise=2e-3)
+    found = periodicity(whole.time, np.stack([one.values for one in whole.signals]))
+    assert found is not None
+    # Two cycles at 200 Hz: some samples; a multiple would be off by a whole period.
+    assert found.period == pytest.approx(orbit.period, abs=0.01)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_period_is_as_sure_as_is_said(seed: int, scene: Problem, table: OrbitTable) -> None:
+    copy = recorded(table, scene, noise=2e-2, rate=200.0, seed=seed, start=0.2 * seed)
+    found = periodicity(copy.time, np.stack([signal.values for signal in copy.signals]))
+    assert found is not None
+    assert abs(found.period - table.period) < SURE * found.error < 1e-3
+    assert found.alternation < SURE * found.alternation_noise

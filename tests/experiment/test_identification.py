@@ -1,0 +1,214 @@
+"""Parameters from recordings whose truth is known, and what recordings cannot tell."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.recordings_of import recorded, recording_of
+from zeno_orbits.errors import InputError
+from zeno_orbits.experiment.identification.folding import folded
+from zeno_orbits.experiment.identification.identification import (
+    Identification,
+    Sought,
+    UnfittableError,
+    identify,
+)
+from zeno_orbits.experiment.identification.orbit_sensitivity import orbit_slope
+from zeno_orbits.experiment.identification.uncertainty import unseen_combinations
+from zeno_orbits.experiment.orbit_table import table_of
+from zeno_orbits.experiment.recordings.recording import Recording
+from zeno_orbits.model.numeric.compiled import bind, compiled_model
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.search.closing import close_cycle, close_orbit
+from zeno_orbits.simulation.simulator import SimulationSettings
+
+SOUGHT = (
+    Sought(names=("R",), lower=2.0, upper=4.0),
+    Sought(names=("K_torque", "K_emf"), lower=0.02, upper=0.05),
+    Sought(names=("restitution",), lower=0.0, upper=0.4),
+)
+TRUTH = {"R": 3.12, "K_torque": 0.0303, "K_emf": 0.0303, "restitution": 0.215}
+
+
+@pytest.fixture(scope="module")
+def other(scene: Problem) -> ZenoOrbit:
+    """The orbit of a machine that is not quite the scene's."""
+    return close_orbit(scene, scene.setting(parameters=TRUTH)).unwrap()
+
+
+def record(other: ZenoOrbit, scene: Problem, seed: int, noise: float = 5e-3) -> Recording:
+    table = table_of(other, scene, ("theta1", "theta2", "current"))
+    return recorded(table, scene, n_cycles=8, rate=200.0, noise=noise, seed=seed, start=0.4)
+
+
+@pytest.fixture(scope="module")
+def fitted(other: ZenoOrbit, scene: Problem) -> Identification:
+    return identify(scene, scene.setting(), record(other, scene, 0), SOUGHT)
+
+
+def test_the_true_parameters_are_found(fitted: Identification) -> None:
+    for one in fitted.fitted:
+        true = TRUTH[one.sought.names[0]]
+        # Five standard errors, and those are small: the recording tells all three to a per cent.
+        assert abs(one.value - true) < 5 * one.error < 0.05 * true, one
+        assert one.low < one.value < one.high
+    assert fitted.unseen == ()
+    # Noise of 5e-3 remains, and nothing that repeats beyond it: the variance ratio of 240 bins of
+    # three signals scatters by sqrt(2 / 720), so that 1.5 is far beyond.
+    assert fitted.after == pytest.approx(5e-3, rel=0.05)
+    assert fitted.before > 1.5 * fitted.after
+    assert fitted.misfit < 1.5
+
+
+def test_what_is_fitted_can_be_passed_on(fitted: Identification, scene: Problem) -> None:
+    data = json.loads(json.dumps(fitted.as_json(), allow_nan=False))
+    again = scene.setting(gains=data["gains"], parameters=data["parameters"])
+    assert again == fitted.setting
+    assert fitted.orbit.parameters == dict(fitted.setting.parameters)
+    assert data["parameters"]["K_torque"] == data["parameters"]["K_emf"]
+
+
+@pytest.mark.slow
+def test_intervals_hold_the_truth_as_often_as_they_say(other: ZenoOrbit, scene: Problem) -> None:
+    # Of 8 seeds and 3 numbers at 95 %, 19 or fewer inside has a chance below 1e-3.
+    inside = 0
+    for seed in range(1, 9):
+        found = identify(scene, scene.setting(), record(other, scene, seed), SOUGHT)
+        inside += sum(one.low <= TRUTH[one.sought.names[0]] <= one.high for one in found.fitted)
+    assert inside >= 20
+
+
+def test_the_orbits_derivatives_are_those_of_neighbouring_orbits(
+    orbit: ZenoOrbit, scene: Problem
+) -> None:
+    names = ("R", "K_torque", "restitution", "J_rotor")
+    places = tuple(scene.names.index(name) for name in names)
+    p = np.array(orbit.setting(scene).values())
+    table = table_of(orbit, scene, scene.state_names)
+    cycle, settings = table.cycle, SimulationSettings()
+
+    def closed(values: np.ndarray):
+        dynamics = bind(compiled_model(scene), tuple(values.tolist()))
+        return close_cycle(
+            dynamics, cycle.start.state, scale=cycle.scale(), period=cycle.period, settings=settings
+        ).cycle
+
+    here = closed(p)
+    slope = orbit_slope(
+        bind(compiled_model(scene), tuple(p.tolist())),
+        here.start.state,
+        scale=here.scale(),
+        period=here.period,
+        chosen=places,
+        settings=settings,
+    )
+    times = np.array([0.2, 0.5, 0.9, 1.1, 1.26, 1.31, 1.4, 1.7])
+    for k, place in enumerate(places):
+        step = 1e-5 * p[place]
+        ahead, behind = p.copy(), p.copy()
+        ahead[place] += step
+        behind[place] -= step
+        after, before = closed(ahead), closed(behind)
+        # Central differences: 1e-10 of truncation and 1e-12 / 1e-5 of rounding, relative.
+        by_period = (after.period - before.period) / (2 * step)
+        assert slope.period[k] == pytest.approx(by_period, rel=1e-6)
+        rows = [_at(after, times) - _at(before, times)]
+        differences = rows[0] / (2 * step)
+        size = np.max(np.abs(differences), axis=0)
+        # Between its nodes a derivative is a cubic, good to some 1e-3.
+        assert np.all(np.abs(slope.at(times)[:, :, k] - differences) < 2e-3 * size)
+
+
+def _at(cycle, times: np.ndarray) -> np.ndarray:
+    arcs = [cycle.flight, *cycle.hops, cycle.locked]
+    start = cycle.start.time
+    found = []
+    for time in times:
+        arc = next(a for a in arcs if a.start_time - start <= time < a.end_time - start)
+        found.append(arc.state_at(start + time))
+    return np.array(found)
+
+
+def test_what_a_recording_cannot_tell_is_named(other: ZenoOrbit, scene: Problem) -> None:
+    # Only the ratio of both inertial terms I2 and m2 lc2^2 enters with lc2 as it does... I1 and
+    # J_rotor enter as their sum alone, so a change of one is undone by the other.
+    sought = (
+        Sought(names=("I1",), lower=0.0005, upper=0.002),
+        Sought(names=("J_rotor",), lower=0.01, upper=0.03),
+    )
+    found = identify(scene, scene.setting(parameters=TRUTH), record(other, scene, 2), sought)
+    assert len(found.unseen) == 1
+    assert set(found.unseen[0].direction) == {"I1", "J_rotor"}
+    assert "I1" in found.unseen[0].text
+    assert math.isinf(found.fitted[0].error)
+
+
+def test_unseen_combinations_are_read_off_the_information() -> None:
+    # Information about log(a) - log(b) alone, about log(a) + log(b) alone, and about a alone.
+    ratio = np.outer([1.0, -1.0], [1.0, -1.0]) * 1e6
+    (one,) = unseen_combinations(("a", "b"), ratio, 1.0)
+    assert "only `a/b` is seen" in one.text
+    product = np.outer([1.0, 1.0], [1.0, 1.0]) * 1e6
+    (one,) = unseen_combinations(("a", "b"), product, 1.0)
+    assert "only the product of `a` and `b` is seen" in one.text
+    (one,) = unseen_combinations(("a", "b"), np.diag([1e6, 0.0]), 1.0)
+    assert one.text == "`b` is not seen"
+    assert unseen_combinations(("a", "b"), 1e6 * np.eye(2), 1.0) == ()
+
+
+@pytest.mark.parametrize(
+    ("sought", "reason"),
+    [
+        ((), "must name a parameter, but it names none"),
+        ((Sought(names=("Kp",), lower=1, upper=3),), "names `Kp`; gains are known"),
+        ((Sought(names=("x",), lower=1, upper=3),), "but it names `x`"),
+        ((Sought(names=("R", "R"), lower=1, upper=3),), "must name `R` once"),
+        ((Sought(names=("R",), lower=3, upper=3),), "must have a range LOW:HIGH for `R`"),
+    ],
+)
+def test_a_question_that_cannot_be_is_refused(
+    sought: tuple[Sought, ...], reason: str, scene: Problem
+) -> None:
+    time = np.arange(100) * 0.1
+    recording = recording_of(scene, ("theta1",), time, np.sin(time)[None])
+    with pytest.raises(InputError, match=reason):
+        identify(scene, scene.setting(), recording, sought)
+
+
+def test_a_recording_that_shows_no_such_orbit_gives_no_parameters(
+    other: ZenoOrbit, scene: Problem
+) -> None:
+    good = record(other, scene, 0)
+    degrees = replace(
+        good, signals=tuple(replace(one, values=57.3 * one.values) for one in good.signals)
+    )
+    with pytest.raises(UnfittableError, match="degrees labelled as radians"):
+        identify(scene, scene.setting(), degrees, SOUGHT)
+
+
+def test_a_start_without_an_orbit_is_told(other: ZenoOrbit, scene: Problem) -> None:
+    nowhere = scene.setting(gains={"Kp": 2.5, "Kd": 5.0})
+    with pytest.raises(UnfittableError, match="at the start there is no orbit to fit"):
+        identify(scene, nowhere, record(other, scene, 0), SOUGHT)
+
+
+def test_gathering_many_samples_changes_no_mean(other: ZenoOrbit, scene: Problem) -> None:
+    from zeno_orbits.experiment.comparison.comparison import compare
+
+    table = table_of(other, scene, ("theta1",))
+    long = recorded(table, scene, n_cycles=20, rate=2000.0)
+    where = compare(other, scene, long).where
+    assert where is not None
+    values = long.signal("theta1").values[None]
+    gathered = folded(long.time, values, where)
+    assert len(gathered.phases) < len(long.time) / 2
+    assert gathered.counts.sum() == len(long.time)
+    # A mean over a bin is the value at the mean phase, but for the bend: 20 rad/s^2 (3e-3 s)^2 / 8.
+    here = table.at(gathered.phases)
+    assert gathered.values == pytest.approx(here, abs=1e-3)

@@ -1,0 +1,337 @@
+"""Files of time series as they are met: what is read, what is left out, what is refused."""
+
+from __future__ import annotations
+
+import math
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
+
+from zeno_orbits.errors import DataFileError, InputError
+from zeno_orbits.experiment.recordings.recording import (
+    Recording,
+    Signal,
+    Source,
+    read_recording,
+    write_recording,
+)
+from zeno_orbits.model.units import in_si
+
+HEAD = "# zeno-orbits data 1\n# source: measured\n# scene: some_scene\n"
+TITLES = "time [s],angle [rad],current [A]\n"
+ROWS = "0.0,1.5,-2\n0.5,2.5,3e-1\n1.0,3.5,0\n"
+
+Write = Callable[[str | bytes], Path]
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    def written(content: str | bytes) -> Path:
+        path = tmp_path / "data.csv"
+        path.write_bytes(content.encode() if isinstance(content, str) else content)
+        return path
+
+    return written
+
+
+def angles(recording: Recording) -> list[float]:
+    return recording.signal("angle").values.tolist()
+
+
+def test_a_whole_file_is_read(write: Write) -> None:
+    found = read_recording(write(HEAD + "# rig: the second one\n" + TITLES + ROWS))
+    assert found.source is Source.MEASURED
+    assert found.scene == "some_scene"
+    assert dict(found.notes) == {"rig": "the second one"}
+    assert found.time.tolist() == [0.0, 0.5, 1.0]
+    assert found.names == ("angle", "current")
+    assert angles(found) == [1.5, 2.5, 3.5]
+    assert found.signal("current").values.tolist() == [-2.0, 0.3, 0.0]
+    assert found.remarks == ()
+
+
+def test_the_lines_above_the_titles_may_be_missing(write: Write) -> None:
+    found = read_recording(write(TITLES + ROWS))
+    assert (found.source, found.scene, found.names) == (None, "", ("angle", "current"))
+
+
+numbers = st.floats(allow_nan=True, allow_infinity=False)
+
+
+@given(st.lists(st.tuples(numbers, numbers), min_size=2, max_size=30))
+def test_what_is_written_is_read_to_the_bit(rows: list[tuple[float, float]]) -> None:
+    import tempfile
+
+    first, second = np.array(rows).T
+    time = np.cumsum(np.linspace(0.1, 0.2, len(rows)))
+    signals = (
+        Signal(name="a", unit="rad", values=first),
+        Signal(name="b", unit="N m s/rad", values=second),
+    )
+    notes = {"seed": "4"}
+    whole = Recording(source=Source.SIMULATED, scene="x", time=time, signals=signals, notes=notes)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "out.csv"
+        write_recording(whole, path)
+        found = read_recording(path)
+    assert (found.source, found.scene, found.notes) == (whole.source, "x", notes)
+    assert_array_equal(found.time, time)
+    for here, there in zip(found.signals, signals, strict=True):
+        assert (here.name, here.unit) == (there.name, there.unit)
+        assert_array_equal(here.values, there.values)
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "factor"),
+    [
+        ("s", "s", 1.0),
+        ("ms", "s", 1e-3),
+        ("us", "s", 1e-6),
+        ("µs", "s", 1e-6),
+        ("min", "s", 60.0),
+        ("deg", "rad", math.pi / 180),
+        ("°", "rad", math.pi / 180),
+        ("rev", "rad", 2 * math.pi),
+        ("deg/s", "rad/s", math.pi / 180),
+        ("rpm", "rad/s", 2 * math.pi / 60),
+        ("rev/min", "rad/s", 2 * math.pi / 60),
+        ("mm/s", "m/s", 1e-3),
+        ("mm/s^2", "m/s^2", 1e-3),
+        ("m/ms^2", "m/s^2", 1e6),
+        ("km", "m", 1e3),
+        ("cm", "m", 1e-2),
+        ("mA", "A", 1e-3),
+        ("mV", "V", 1e-3),
+        ("N m s/rad", "N m s/rad", 1.0),
+        ("1", "1", 1.0),
+    ],
+)
+def test_a_unit_of_an_instrument_is_so_many_of_ours(text: str, unit: str, factor: float) -> None:
+    found, scale = in_si(text)
+    assert found == unit
+    # A product and a quotient round by at most an ulp each.
+    assert scale == pytest.approx(factor, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("furlong", "`furlong` is no unit; known are kg, .*deg.*mA"),
+        ("counts", r"encoder; write angle = counts \* 360"),
+        ("ticks", "encoder"),
+        ("LSB", "converter"),
+        ("raw", "instrument"),
+        ("", "no unit"),
+        ("rpm/s", "`rpm` must stand alone"),
+        ("m/s/s", "is no unit"),
+    ],
+)
+def test_what_is_no_unit_is_refused_with_a_hint(text: str, reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        in_si(text)
+
+
+def test_units_are_converted(write: Write) -> None:
+    found = read_recording(write("time [ms],angle [deg],current [mA]\n0,180,1500\n5,90,-2\n"))
+    assert found.time.tolist() == [0.0, 0.005]
+    assert angles(found) == pytest.approx([math.pi, math.pi / 2], rel=1e-15)
+    assert found.signal("angle").unit == "rad"
+    assert found.signal("current").values.tolist() == [1.5, -0.002]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "\ufeff" + TITLES + ROWS,
+        (TITLES + ROWS).replace("\n", "\r\n"),
+        (TITLES + ROWS).replace("\n", "\r"),
+        (TITLES + ROWS).replace(",", "\t"),
+        (TITLES + ROWS).replace(",", ";"),
+        (TITLES + ROWS).replace(",", ";").replace(".", ","),
+        (TITLES + ROWS).replace(",", "\t").replace(".", ","),
+        TITLES.replace(",", " , ") + ROWS.replace(",", " ,  "),
+        TITLES.replace(",", '","').replace("time", '"time').replace("[A]", '[A]"') + ROWS,
+        TITLES + "\n" + ROWS + "\n\n",
+        TITLES + ROWS.replace("0.5", "# a remark\n0.5"),
+        TITLES + ROWS.removesuffix("\n"),
+        TITLES + ROWS.replace("1.5", '"1.5"'),
+        TITLES.replace("[", "(").replace("]", ")") + ROWS,
+        TITLES.replace("\n", ",\n") + ROWS.replace("\n", ",\n"),
+        TITLES + ROWS.replace("\n", ",\n"),
+        TITLES.replace("time", "t") + ROWS,
+        TITLES.replace("time", "Time") + ROWS,
+        "# Größe\n" + TITLES + ROWS,
+        "# Größe\n".encode("latin-1") + (TITLES + ROWS).encode(),
+    ],
+    ids=lambda content: repr(content)[:60],
+)
+def test_the_same_numbers_are_read_however_the_file_is_written(
+    write: Write, content: str | bytes
+) -> None:
+    found = read_recording(write(content))
+    assert found.time.tolist() == [0.0, 0.5, 1.0]
+    assert angles(found) == [1.5, 2.5, 3.5]
+    assert found.signal("current").values.tolist() == [-2.0, 0.3, 0.0]
+
+
+def test_columns_may_stand_in_any_order(write: Write) -> None:
+    found = read_recording(write("a [rad],time [s],b [rad]\n1,0,2\n3,1,4\n"))
+    assert found.time.tolist() == [0.0, 1.0]
+    assert found.signal("b").values.tolist() == [2.0, 4.0]
+
+
+@pytest.mark.parametrize("hole", ["", "nan", "NaN", "NA", "null", "-", "inf", "-inf", "1e999"])
+def test_a_hole_stays_a_hole_and_is_counted(write: Write, hole: str) -> None:
+    found = read_recording(write(TITLES + ROWS.replace("2.5", hole)))
+    assert math.isnan(angles(found)[1])
+    assert found.signal("current").values.tolist() == [-2.0, 0.3, 0.0]
+    assert found.remarks == ("`angle` is missing in 1 of 3 rows",)
+
+
+def test_a_row_without_a_time_is_left_out_and_said(write: Write) -> None:
+    found = read_recording(write(HEAD + TITLES + ROWS.replace("0.5", "nan")))
+    assert angles(found) == [1.5, 3.5]
+    assert found.remarks == ("1 row without a time left out, first line 6",)
+
+
+def test_a_repeated_time_is_left_out_and_said(write: Write) -> None:
+    found = read_recording(write(TITLES + ROWS + "1.0,9,9\n1.5,4.5,0\n"))
+    assert angles(found) == [1.5, 2.5, 3.5, 4.5]
+    assert found.remarks == ("1 row with the time of the row before left out, first line 5",)
+
+
+def test_a_gap_in_time_is_said(write: Write) -> None:
+    found = read_recording(write("time [s],a [rad]\n0,1\n1,1\n2,1\n30,1\n31,1\n"))
+    assert found.remarks == ("1 gap in time, the longest 28 s after t = 2 s",)
+
+
+def test_a_last_line_that_is_cut_short_is_left_out_and_said(write: Write) -> None:
+    found = read_recording(write(TITLES + ROWS + "1.5,4."))
+    assert angles(found) == [1.5, 2.5, 3.5]
+    assert found.remarks == ("line 5, the last, is cut short and was left out",)
+
+
+def test_columns_that_nobody_asks_for_may_hold_anything(write: Write) -> None:
+    content = "time [s],state,angle [rad]\n0,idle,1\n1,run,2\n"
+    assert angles(read_recording(write(content), only=("angle",))) == [1.0, 2.0]
+    with pytest.raises(DataFileError, match="column `state` has no unit; write for instance"):
+        read_recording(write(content))
+
+
+LONG = "".join(f"{k * 0.001!r},{k % 7}.25,{-k}\n" for k in range(200_000))
+"""More than one piece of the reader: some 4 MB are read at a time."""
+
+
+@pytest.mark.parametrize("at", [0, 1, 100_000, 199_999])
+@pytest.mark.parametrize(
+    ("before", "after", "reason"),
+    [
+        (".25,", ".25x,", r"line {} has `\d\.25x` where column `angle \[rad\]` has a number"),
+        (".25,", ".25,7,", "line {} has 4 columns where line 1 names 3"),
+        (".25,", ".25;", "line {} has 2 columns where line 1 names 3"),
+        (".25,", ".2_5,", r"line {} has `\d\.2_5` where"),
+    ],
+)
+def test_a_false_line_is_named_wherever_it_stands(
+    write: Write, at: int, before: str, after: str, reason: str
+) -> None:
+    lines = LONG.splitlines(keepends=True)
+    lines[at] = lines[at].replace(before, after)
+    with pytest.raises(DataFileError, match=reason.format(at + 2)):
+        read_recording(write(TITLES + "".join(lines)))
+
+
+def test_a_hole_in_every_line_of_a_long_file_is_kept(write: Write) -> None:
+    lines = "".join(f"{k * 0.001!r},{k % 7}.25,,{-k}\n" for k in range(200_000))
+    found = read_recording(write("time [s],angle [rad],empty [V],current [A]\n" + lines))
+    assert len(found.time) == 200_000
+    assert np.isnan(found.signal("empty").values).all()
+    assert found.signal("current").values[-1] == -199_999.0
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        ("", "it has no line of column titles"),
+        ("\n\n", "it has no line of column titles"),
+        (HEAD, "it has no line of column titles"),
+        (TITLES, "it has 0 rows of numbers, and two are the least"),
+        (TITLES + "0,1,2\n", "it has 1 row of numbers"),
+        (TITLES + "nan,1,2\nnan,1,2\n", "it has 0 rows of numbers"),
+        (ROWS, "line 1 must hold the column titles, and it holds numbers"),
+        ("time angle\n0 1\n", "line 1 must separate its columns by commas, semicolons or tabs"),
+        ("angle [rad],x [m]\n0,1\n1,2\n", r"no column named `time` \(its columns: angle, x\)"),
+        ("time [s],t [s],x [m]\n0,1,2\n1,2,3\n", "more than one column named `time`"),
+        ("time [s],x [m],x [m]\n0,1,2\n1,2,3\n", "two of its columns are named `x`"),
+        ("time [rad],x [m]\n0,1\n1,2\n", r"column `time \[rad\]` is no time"),
+        ("time,x [m]\n0,1\n1,2\n", r"column `time` has no unit; write for instance `time \["),
+        ("time [s],x [counts]\n0,1\n1,2\n", "the unit of column `x` is not clear: `counts`"),
+        ("time [s],x []\n0,1\n1,2\n", "the unit of column `x` is not clear"),
+        (HEAD.replace("data 1", "data 2") + TITLES + ROWS, "its format 2 is newer than 1"),
+        (HEAD.replace("measured", "guessed") + TITLES + ROWS, "its source must be one of measured"),
+        (TITLES + ROWS + "0.75,1,1\n", "the time goes back from 1 to 0.75 in line 5; sort"),
+        (TITLES + "0,1,1\n0,1,1\n0,1,1\n1,1,1\n1,2,2\n", "most of its times repeat .* line 3"),
+        (TITLES + "0,0,1,5,2,5\n0,5,1,5,2,5\n", "6 columns .* with decimal commas, separate"),
+        (
+            (TITLES + ROWS).replace(",", ";").replace("2.5", "2,5"),
+            "line 3 writes decimals with `,`",
+        ),
+        (TITLES + "2026-11-05 12:00,1,2\n", "line 2 has `2026-11-05 12:00` where column `time"),
+        ("time [s]\tx [m]\n0\t1.234,5\n1\t2\n", "line 2 has `1.234,5` where column"),
+        ((TITLES + ROWS).encode("utf-16"), "it is UTF-16 text; save it as UTF-8"),
+        (TITLES.encode() + b"0,1,2\n\0\0\0\0", "it holds zero bytes"),
+    ],
+    ids=lambda value: repr(value)[:50],
+)
+def test_what_cannot_be_understood_is_refused_in_one_line(
+    write: Write, content: str | bytes, reason: str
+) -> None:
+    with pytest.raises(DataFileError, match=reason) as caught:
+        read_recording(write(content))
+    assert str(caught.value).startswith("Data file `")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(DataFileError, match="cannot be read"):
+        read_recording(tmp_path / "none.csv")
+    with pytest.raises(DataFileError, match="cannot be read"):
+        read_recording(tmp_path)
+
+
+def test_a_long_file_is_held_once(write: Write) -> None:
+    # 1.2e6 rows of three numbers are 29 MB (38 MB with the line numbers); twice would be 77 MB,
+    # and the text itself is 30 MB. A piece of text and its rows take some 30 MB at a time.
+    rows = "".join(f"{k},1.5,2.5\n" for k in range(1_200_000))
+    path = write(TITLES + rows)
+    del rows
+    tracemalloc.start()
+    found = read_recording(path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert len(found.time) == 1_200_000
+    assert peak < 38e6 * 2 + 30e6
+
+
+def test_a_recording_refuses_signals_that_do_not_belong_together() -> None:
+    time = np.array([0.0, 1.0])
+    good = Signal(name="a", unit="rad", values=np.zeros(2))
+    short = Signal(name="b", unit="rad", values=np.zeros(1))
+    for signals, reason in (((good, good), "different names"), ((short,), "must have 2 values")):
+        with pytest.raises(ValueError, match=reason):
+            Recording(source=None, scene="", time=time, signals=signals)
+    for wrong in (time[::-1], time[:1], np.zeros(2), np.array([0.0, math.nan])):
+        with pytest.raises(ValueError, match="`time` must hold two or more times that increase"):
+            Recording(source=None, scene="", time=wrong, signals=())
+
+
+def test_an_unknown_signal_is_refused_by_name(write: Write) -> None:
+    found = read_recording(write(TITLES + ROWS))
+    with pytest.raises(InputError, match="`signal` must be one of angle, current, but it is `x`"):
+        found.signal("x")

@@ -1,0 +1,721 @@
+"""Runs of a virtual rig, held against closed forms and against SciPy on models written by hand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+from benchmarks.rig_convergence import spring_contact
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError, RunawayError, SimulationError
+from zeno_orbits.experiment.recordings.recording import Source
+from zeno_orbits.experiment.rig import (
+    RigSettings,
+    cut_cycles,
+    damping_number,
+    default_rig,
+    effective_restitution,
+    rig_cycles,
+    simulate_rig,
+)
+from zeno_orbits.experiment.rig.convergence import (
+    OrbitCurve,
+    fit_order,
+    numbers_of_orbit,
+    orbit_curve,
+    orbit_distance,
+)
+from zeno_orbits.experiment.rig.cycle_comparison import compare_cycles, drift
+from zeno_orbits.experiment.rig.cycles import settling_cycles
+from zeno_orbits.experiment.rig.run import recording_of
+from zeno_orbits.integrators.flow import Tolerance
+from zeno_orbits.model.drives import MotorBank, full_drive, quasi_static_drive
+from zeno_orbits.model.hybrid import CompletedSystem, complete
+from zeno_orbits.model.lagrangian import HybridLagrangian
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.model.numeric.compiled import reference_model
+from zeno_orbits.model.problem import Problem, restitution
+from zeno_orbits.model.quantities import Quantity
+from zeno_orbits.model.rig_parts import (
+    Bridge,
+    Contact,
+    Controller,
+    Friction,
+    Gear,
+    Rig,
+    Switching,
+)
+from zeno_orbits.orbits.orbit import ZenoOrbit
+
+FINE = RigSettings(tolerance=Tolerance(relative=1e-12, absolute=1e-14))
+STIFF = Contact(stiffness=1e6)
+
+# --------------------------------------------------------- a disc that a motor turns, and no stop
+
+INERTIA, FAR = 0.02, 1e6
+ELECTRIC = {"R": 2.0, "L": 3e-3, "K": 0.05}
+
+
+def disc_system(p: Mapping[str, ca.SX], *, quasi_static: bool = False) -> CompletedSystem:
+    """Return a disc on a motor, its stop far away, under ``V = V0 - Kp angle - Kd rate``."""
+    angle, rate = ca.SX.sym("angle"), ca.SX.sym("rate")
+    disc = HybridLagrangian.from_energies(
+        q=angle, v=rate, kinetic=INERTIA * rate**2 / 2, potential=ca.SX(0), gap=FAR - angle
+    )
+    motor = MotorBank(
+        selection=ca.SX(1),
+        resistance=ca.SX(ELECTRIC["R"]),
+        inductance=ca.SX(ELECTRIC["L"]),
+        torque_constant=p["K"],
+        emf_constant=p["K"],
+        voltage=p["V0"] - p["Kp"] * angle - p["Kd"] * rate,
+    )
+    drive = quasi_static_drive if quasi_static else full_drive
+    return complete(disc, drive(disc, motor), p["restitution"])
+
+
+def gain(name: str) -> Quantity:
+    return Quantity(name=name, unit="1", meaning=name, default=0.0, lower=-9.0, upper=9.0)
+
+
+DISC = Problem(
+    name="disc",
+    title="disc on a motor",
+    source="here",
+    state_names=("angle", "rate", "current"),
+    state_units=("rad", "rad/s", "A"),
+    parameters=(
+        Quantity(name="K", unit="N m/A", meaning="motor constant", default=ELECTRIC["K"]),
+        restitution(0.2),
+    ),
+    gains=(gain("V0"), gain("Kp"), gain("Kd")),
+    model=disc_system,
+    starts=({},),
+    portraits=(("angle", "rate"),),
+    amplitude_of="angle",
+)
+
+
+def disc_matrix(resistance: float, constant: float = ELECTRIC["K"]) -> Vector:
+    """Return the disc as ``d(angle, rate, current, voltage)/dt``, the voltage held."""
+    matrix = np.zeros((4, 4))
+    matrix[0, 1] = 1.0
+    matrix[1, 2] = constant / INERTIA
+    matrix[2] = np.array([0.0, -constant, -resistance, 1.0]) / ELECTRIC["L"]
+    return matrix
+
+
+# -------------------------------------------------------------------------------- the contact
+
+
+def ball_by_scipy(e: float, exponent: float, stiffness: float, speed: float) -> tuple[float, float]:
+    """Return when a ball that meets the floor at a speed leaves it, and how fast, under gravity."""
+    alpha, g = damping_number(e) / speed, 9.81
+
+    def rate(_t: float, y: Vector) -> tuple[float, float]:
+        depth = -y[0]
+        force = stiffness * math.copysign(abs(depth) ** exponent, depth)
+        return y[1], force * max(0.0, 1 - alpha * y[1]) - g
+
+    def out(_t: float, y: Vector) -> float:
+        return y[0] if y[1] > 0.0 else -1.0
+
+    out.terminal = True  # type: ignore[attr-defined]
+    out.direction = 1.0  # type: ignore[attr-defined]
+    motion = solve_ivp(
+        rate, (0.0, 1.0), (0.0, -speed), method="DOP853", events=out, rtol=3e-13, atol=1e-15
+    )
+    return float(motion.t_events[0][0]), float(motion.y_events[0][0][1])
+
+
+@pytest.mark.parametrize("e", [0.1, 0.2, 0.8])
+@pytest.mark.parametrize("exponent", [1.0, 1.5])
+def test_a_ball_leaves_the_floor_when_and_as_fast_as_scipy_says(e: float, exponent: float) -> None:
+    ball, stiffness, speed = load_problem("bouncing_ball"), 2e7, 3.0
+    run = simulate_rig(
+        ball,
+        ball.setting(parameters={"restitution": e}),
+        Rig(contact=Contact(stiffness=stiffness, exponent=exponent)),
+        (0.0, -speed),
+        0.1,
+        settings=FINE,
+    )
+    lasted, left = ball_by_scipy(e, exponent, stiffness, speed)
+    touch = run.touches[0]
+    # Both at tolerances of 1e-12 and less, over some twenty steps.
+    assert touch.end - touch.start == pytest.approx(lasted, rel=1e-9)
+    assert touch.depart_rate == pytest.approx(left, rel=1e-9)
+    # Gravity acts for as long as the contact lasts; without it the restitution would be exact.
+    assert touch.depart_rate == pytest.approx(e * speed, abs=9.81 * lasted)
+
+
+def test_the_restitution_does_not_depend_on_the_speed_of_the_impact() -> None:
+    ball = load_problem("bouncing_ball")
+    setting = ball.setting(parameters={"restitution": 0.4, "g": 1e-9})
+    for speed in (0.01, 1.0, 100.0):
+        run = simulate_rig(
+            ball, setting, Rig(contact=Contact(stiffness=1e6)), (1e-3 * speed, -speed), 0.1
+        )
+        touch = run.touches[0]
+        # Gravity changes the speed by g times 5 ms.
+        assert -touch.depart_rate / touch.approach_rate == pytest.approx(0.4, abs=1e-8)
+
+
+def test_a_ball_comes_to_rest_in_the_floor_after_a_finite_number_of_contacts() -> None:
+    """No Zeno point: where the weight bends the floor by as much as the impact, it stays in it."""
+    ball = load_problem("bouncing_ball")
+    stiffness, g = 1e6, 9.81
+    setting = ball.setting(parameters={"restitution": 0.2})
+    run = simulate_rig(ball, setting, Rig(contact=Contact(stiffness=stiffness)), (1.0, 0.0), 3.0)
+    resting = run.touches[-1]
+    slow = g / math.sqrt(stiffness)
+    fall = math.sqrt(2 * g)
+    # Impacts k = 0, 1, ... meet the floor at e^k of the first speed, down to about `slow`.
+    most = math.log(fall / slow) / math.log(5)
+    assert len(run.touches) == pytest.approx(most + 1, abs=1.5)
+    assert math.isinf(resting.end)
+    assert run.gap[-1] == pytest.approx(-g / stiffness, rel=1e-6)
+    assert run.contact_force[-1] == pytest.approx(g, rel=1e-6)
+
+
+def test_the_rig_of_the_pendulum_moves_as_scipy_moves_the_one_written_by_hand(
+    scene: Problem, orbit: ZenoOrbit
+) -> None:
+    """Contact force, normal inertia and feedback, through the first impact and into the second."""
+    stiffness = 1e4
+    setting = orbit.setting(scene)
+    by_hand = reference_model(scene)(setting)
+    number = damping_number(setting.number("restitution"))
+    start = np.array(scene.state_vector(orbit.release_state))
+
+    def pushed(x: Vector, alpha: float) -> Vector:
+        depth, closing = -by_hand.gap(x), -by_hand.gap_rate(x)
+        force = stiffness * depth * max(0.0, 1 + alpha * closing)
+        return by_hand.free.rate(x) + force / by_hand.normal_inertia(x) * by_hand.impulse_direction(
+            x
+        )
+
+    def meets(_t: float, x: Vector) -> float:
+        return by_hand.gap(x)
+
+    meets.terminal = True  # type: ignore[attr-defined]
+    time, x = 0.0, start
+    for touching in (False, True, False, True):
+        meets.direction = 1.0 if touching else -1.0  # type: ignore[attr-defined]
+        alpha = number / -by_hand.gap_rate(x) if touching else 0.0
+        arc = solve_ivp(
+            lambda _t, y, a=alpha, on=touching: pushed(y, a) if on else by_hand.free.rate(y),
+            (time, 2.0),
+            x,
+            method="DOP853",
+            events=meets,
+            rtol=3e-14,
+            atol=1e-14,
+            first_step=1e-5,
+        )
+        time, x = float(arc.t_events[0][-1]), arc.y_events[0][-1]
+    run = simulate_rig(
+        scene, setting, Rig(contact=Contact(stiffness=stiffness)), start, 1.3, settings=FINE
+    )
+    touch = run.touches[1]
+    # SciPy's events are located on dense output of order 7: some 1e-9 of a step of milliseconds.
+    assert touch.end == pytest.approx(time, abs=1e-9)
+    assert touch.end_state == pytest.approx(x, rel=1e-8, abs=1e-9)
+
+
+def test_energy_that_a_contact_takes_is_that_of_newtons_law() -> None:
+    """Two coordinates: the kinetic metric makes the inertia that the contact feels."""
+    pendulum = load_problem("motor_pendulum")
+    setting = pendulum.setting()
+    hand = reference_model(pendulum)(setting)
+    run = simulate_rig(
+        pendulum,
+        setting,
+        Rig(contact=Contact(stiffness=1e9)),
+        pendulum.state_vector({"theta1": 0.5, "theta2": 1e-6, "dtheta2": -8.0}),
+        0.01,
+        settings=FINE,
+    )
+    touch = run.touches[0]
+    lost = hand.energy(touch.state) - hand.energy(touch.end_state)
+    inertia = hand.normal_inertia(touch.state)
+    expected = (1 - 0.2**2) / 2 * inertia * touch.approach_rate**2
+    # Gravity and motor act for the 5 us of the contact: 25 rad/s^2 against 8 rad/s.
+    assert lost == pytest.approx(expected, rel=1e-4)
+
+
+def test_a_curved_stop_gives_back_the_restitution_in_its_own_metric() -> None:
+    """The gap is no coordinate and its gradient turns: the force acts along it, all the same."""
+    bowl = load_problem("curved_surface")
+    e = bowl.setting().number("restitution")
+    start = bowl.state_vector({"x": 0.05, "y": 0.1, "dx": 0.5, "cosine": 1.0})
+    ratios: list[float] = []
+    for stiffness in (1e6, 1e8):
+        rig = Rig(contact=Contact(stiffness=stiffness))
+        touch = simulate_rig(bowl, bowl.setting(), rig, start, 0.2, settings=FINE).touches[0]
+        ratios.append(-touch.depart_rate / touch.approach_rate - e)
+    # What acts beside the contact does so for its length, which falls with the square root.
+    assert abs(ratios[0]) < 1e-2
+    assert ratios[0] / ratios[1] == pytest.approx(10.0, rel=0.05)
+
+
+# -------------------------------------------------------------------- friction, gears, bridges
+
+
+def test_a_gear_of_very_stiff_teeth_is_none(scene: Problem) -> None:
+    """Taken out of the mass matrix and put back behind teeth, the rotor moves as it did."""
+    start = scene.state_vector({"theta1": 0.6, "theta2": 1.5})
+
+    def final(gears: Mapping[int, Gear]) -> Vector:
+        rig = Rig(gears=dict(gears))
+        run = simulate_rig(scene, scene.setting(), rig, start, 0.2, settings=FINE)
+        assert not run.touches
+        return run.states[-1, :5]
+
+    rigid = final({})
+    away = [
+        float(np.max(np.abs(final({1: Gear(rotor_inertia=0.0175, stiffness=k)}) - rigid)))
+        for k in (1e5, 1e6)
+    ]
+    # Angles twist by torque over stiffness; the vibration of the teeth that begins with it is as
+    # fast as the root of it, so rates differ by its root.
+    assert away[1] < away[0] < 0.02
+    assert away[0] / away[1] == pytest.approx(math.sqrt(10), rel=0.5)
+
+
+def test_dry_and_viscous_friction_let_a_disc_run_down_as_their_closed_forms_say() -> None:
+    setting = DISC.setting(parameters={"K": 1e-12})
+    dry, creep, start = 0.004, 0.05, 2.0
+    run = simulate_rig(
+        DISC,
+        setting,
+        Rig(friction={"angle": Friction(coulomb=dry, creep=creep)}),
+        (0.0, start, 0.0),
+        12.0,
+        settings=FINE,
+    )
+    # J dv/dt = -c tanh(v / v_c): sinh(v / v_c) decays exponentially, v straight while v >> v_c.
+    decay = np.exp(-dry * run.times / (INERTIA * creep))
+    expected = creep * np.arcsinh(np.sinh(start / creep) * decay)
+    assert run.of("rate") == pytest.approx(expected, abs=1e-9)
+    viscous = 0.01
+    run = simulate_rig(
+        DISC,
+        setting,
+        Rig(friction={"angle": Friction(viscous=viscous)}),
+        (0.0, start, 0.0),
+        2.0,
+        settings=FINE,
+    )
+    assert run.of("rate") == pytest.approx(
+        start * np.exp(-viscous * run.times / INERTIA), abs=1e-10
+    )
+
+
+def test_a_rotor_crosses_its_play_freely_and_strikes_the_teeth_with_their_restitution() -> None:
+    """Two free inertias: momentum stays, the play is crossed at the relative speed, teeth lose."""
+    rotor, play, loss = 0.015, 0.02, 0.5
+    setting = DISC.setting(parameters={"K": 1e-12})
+    gear = Gear(rotor_inertia=rotor, play=play, stiffness=4000.0, loss=loss)
+    rig = Rig(gears={1: gear}, friction={})
+    joint = INERTIA - rotor
+    run = simulate_rig(DISC, setting, rig, (0.0, 0.0, 0.0), 0.2, settings=FINE)
+    assert run.state_names == ("angle", "rate", "current", "rotor1", "drotor1")
+    # A state of the scene starts rotor and joint together; a current sets the rotor going alone.
+    setting = DISC.setting(gains={"V0": 1.0}, parameters={"K": 0.05})
+    run = simulate_rig(DISC, setting, rig, (0.0, 0.0, 0.5), 0.3, settings=FINE)
+    held = run.of("rotor1") - run.of("angle") < play / 2
+    before = np.argmin(held)
+    assert np.all(run.of("rate")[:before] == 0.0)
+    # The torque K i makes all the momentum that there is.
+    torque_time = np.concatenate(
+        [
+            [0.0],
+            np.cumsum(
+                np.diff(run.times) * 0.05 * (run.of("current")[1:] + run.of("current")[:-1]) / 2
+            ),
+        ]
+    )
+    momentum = rotor * run.of("drotor1") + joint * run.of("rate")
+    # The trapezoidal rule over the current, whose layer of 1.5 ms has records every 1 ms.
+    assert momentum == pytest.approx(torque_time, abs=2e-2 * float(np.max(torque_time)))
+
+
+def test_teeth_give_back_what_their_loss_leaves() -> None:
+    """Without a motor's torque the impact of the teeth is the contact law of the stop once more."""
+    rotor, joint, loss, slip = 0.015, INERTIA - 0.015, 0.5, 1.5
+    gear = Gear(rotor_inertia=rotor, play=0.02, stiffness=4000.0, loss=loss)
+    setting = DISC.setting(parameters={"K": 1e-12})
+    # Dry friction holds nothing here: the joint is stopped by hand, by starting it at rest and the
+    # rotor through a current that has gone before it touches.
+    from zeno_orbits.experiment.rig.simulator import machine_of
+
+    built = machine_of(DISC, Rig(gears={1: gear}))
+    p = np.array(setting.values())
+    numbers = np.concatenate([p, [0.0], [0.0]])
+
+    def rate(_t: float, y: Vector) -> Vector:
+        return np.array(built.free.rate(y, numbers)).ravel()
+
+    motion = solve_ivp(
+        rate,
+        (0.0, 0.05),
+        (0.0, 0.0, 0.0, 0.0, slip),
+        method="DOP853",
+        rtol=1e-11,
+        atol=1e-13,
+        max_step=2e-4,
+    )
+    touched = motion.y[3] - motion.y[0] > 0.01
+    after = motion.y[:, np.argmax(touched) + np.argmin(touched[np.argmax(touched) :])]
+    e = effective_restitution(loss * slip)
+    assert after[4] - after[1] == pytest.approx(-e * slip, rel=1e-6)
+    assert rotor * after[4] + joint * after[1] == pytest.approx(rotor * slip, rel=1e-9)
+
+
+def test_a_current_ripples_between_its_two_closed_forms() -> None:
+    """An RL circuit under pulses: exponentials between the edges, periodic from its own valley."""
+    supply, frequency, asked, drop = 12.0, 5e3, 4.0, 0.5
+    tau, share, period = ELECTRIC["L"] / (ELECTRIC["R"] + drop), asked / supply, 1 / frequency
+    final = supply / (ELECTRIC["R"] + drop)
+    peak = final * (1 - math.exp(-share * period / tau)) / (1 - math.exp(-period / tau))
+    valley = peak * math.exp(-(1 - share) * period / tau)
+    bridge = Bridge(supply=supply, resistance=drop, frequency=frequency, switching=Switching.EXACT)
+    run = simulate_rig(
+        DISC,
+        DISC.setting(gains={"V0": asked}, parameters={"K": 1e-12}),
+        Rig(bridge=bridge),
+        (0.0, 0.0, valley),
+        20 * period,
+        settings=replace(FINE, spacing=period / 7),
+    )
+    phase = np.mod(run.times + 1e-12, period) - 1e-12
+    rising = final + (valley - final) * np.exp(-phase / tau)
+    falling = peak * np.exp(-(phase - share * period) / tau)
+    expected = np.where(phase < share * period, rising, falling)
+    assert run.of("current") == pytest.approx(expected, rel=1e-9)
+    # The terminals see the supply less the drop over the transistors, or the drop alone.
+    on = run.voltage[:, 0] + drop * run.of("current")
+    assert set(np.round(on[:-1], 9)) == {0.0, supply}
+
+
+@pytest.mark.parametrize("asked", [4.0, -4.0])
+def test_an_averaged_bridge_gives_the_mean_current_of_an_exact_one(asked: float) -> None:
+    bridge = Bridge(supply=12.0, resistance=0.5, frequency=5e3, dead_time=2e-6, diode_drop=0.7)
+    setting = DISC.setting(gains={"V0": asked}, parameters={"K": 1e-12})
+
+    def current(switching: Switching) -> Vector:
+        rig = Rig(bridge=replace(bridge, switching=switching))
+        settings = replace(FINE, spacing=1e-6, keep_from=0.03)
+        run = simulate_rig(
+            DISC, setting, rig, (0.0, 0.0, asked / 2.5), 0.03 + 2e-4, settings=settings
+        )
+        return run.of("current")[:200]
+
+    exact, averaged = current(Switching.EXACT), current(Switching.AVERAGED)
+    # The rectangle rule over one period of 200 points, with the kinks of its edges.
+    assert np.ptp(exact) > 0.1
+    assert np.mean(exact) == pytest.approx(np.mean(averaged), abs=2e-4)
+
+
+# -------------------------------------------------------------------------------- the controller
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.7e-3, 2e-3, 4.6e-3])
+def test_a_sampled_disc_moves_as_matrix_exponentials_say(delay: float) -> None:
+    period, gains = 2e-3, {"V0": 3.0, "Kp": 4.0, "Kd": 0.3}
+    rig = Rig(controller=Controller(period=period, delay=delay))
+    run = simulate_rig(DISC, DISC.setting(gains=gains), rig, (0.1, 1.0, 0.0), 0.05, settings=FINE)
+    matrix = disc_matrix(ELECTRIC["R"])
+    y = np.array([0.1, 1.0, 0.0, 0.0])
+    edges = sorted(
+        [(k * period, False) for k in range(26)] + [(k * period + delay, True) for k in range(25)]
+    )
+    time, commands, taken = 0.0, list[float](), 0
+    for edge, takes_over in edges:
+        if edge > 0.05 - 1e-12:
+            break
+        y = expm(matrix * (edge - time)) @ y
+        time = edge
+        if takes_over:
+            y[3], taken = commands[taken], taken + 1
+        else:
+            commands.append(gains["V0"] - gains["Kp"] * y[0] - gains["Kd"] * y[1])
+    y = expm(matrix * (0.05 - time)) @ y
+    assert run.states[-1] == pytest.approx(y[:3], rel=1e-9)
+
+
+def test_fast_sampling_tends_to_the_feedback_of_the_model_at_first_order() -> None:
+    gains = {"V0": 3.0, "Kp": 4.0, "Kd": 0.3}
+
+    def final(rig: Rig) -> Vector:
+        setting = DISC.setting(gains=gains)
+        return simulate_rig(DISC, setting, rig, (0.1, 1.0, 0.0), 0.1, settings=FINE).states[-1]
+
+    ideal = final(Rig())
+    away = [
+        float(np.max(np.abs(final(Rig(controller=Controller(period=period))) - ideal)))
+        for period in (1e-4, 1e-5)
+    ]
+    # A hold delays by half a period: first order. The second is the period over L/R, 1.5 ms.
+    assert away[0] / away[1] == pytest.approx(10.0, rel=0.05)
+
+
+def test_a_run_is_the_same_for_the_same_seed_and_another_for_another(scene: Problem) -> None:
+    rig = replace(default_rig(scene), gears={})
+    assert rig.sensors is not None
+    assert rig.sensors.noise > 0.0
+    start = scene.state_vector(scene.starts[0])
+
+    def final(rig: Rig, seed: int) -> list[float]:
+        return simulate_rig(scene, scene.setting(), rig, start, 0.2, seed=seed).states[-1].tolist()
+
+    assert final(rig, 3) == final(rig, 3) != final(rig, 4)
+    quiet = replace(rig, sensors=replace(rig.sensors, noise=0.0, current_noise=0.0))
+    assert final(quiet, 3) == final(quiet, 4)
+
+
+# ---------------------------------------------------------------------- near an orbit of the model
+
+
+def period_error(orbit: ZenoOrbit, scene: Problem, contact: Contact) -> float:
+    """Return how much longer a cycle of the rig is than the orbit."""
+    settled = rig_cycles(orbit, scene, Rig(contact=contact), cycles=1, settle=6, settings=FINE)
+    return settled.cycles[-1].period - orbit.period
+
+
+def test_the_rig_tends_to_the_zeno_orbit_as_the_square_root_of_its_compliance(
+    scene: Problem, orbit: ZenoOrbit
+) -> None:
+    errors = [period_error(orbit, scene, Contact(stiffness=k)) for k in (1e4, 1e6, 1e8)]
+    orders = [math.log(errors[k] / errors[k + 1]) / math.log(100) for k in range(2)]
+    # Theory (53): 1/2, the next term smaller by the contact's length over the layer of the current.
+    assert orders[0] == pytest.approx(0.5, abs=0.02)
+    assert orders[1] == pytest.approx(0.5, abs=0.003)
+    assert abs(errors[2]) < 1e-6
+
+
+def test_each_further_contact_of_the_chatter_adds_its_length(
+    scene: Problem, orbit: ZenoOrbit
+) -> None:
+    """Theory (53), without a fitted number, between one stiffness and the next by 1/e^2."""
+    e, curve = 0.2, orbit_curve(orbit, scene, n_per_arc=50)
+    scaled: list[float] = []
+    for k in (1e7, 1e7 / e**2):
+        rig = Rig(contact=Contact(stiffness=k))
+        settled = rig_cycles(orbit, scene, rig, cycles=1, settle=6, settings=FINE)
+        scaled.append(orbit_distance(orbit, scene, curve, settled).lock_time * math.sqrt(k))
+    lasting, left = spring_contact(e, 0.0)
+    load = 1e-4
+    slower = (left - spring_contact(e, load)[1]) / (load * lasting)
+    hand = reference_model(scene)(orbit.setting(scene))
+    inertia = hand.normal_inertia(np.array(scene.state_vector(orbit.zeno_state)))
+    expected = lasting * math.sqrt(inertia) * (1 - 2 * slower / (1 - e))
+    # The next terms are smaller by the length of a contact over that of the first flights, 1e-3 at
+    # the softer of the two; the bracket is a quarter of what it is the difference of.
+    assert scaled[1] - scaled[0] == pytest.approx(expected, rel=0.02)
+
+
+def test_settled_cycles_begin_and_end_at_releases_and_repeat(
+    scene: Problem, orbit: ZenoOrbit
+) -> None:
+    settled = rig_cycles(orbit, scene, Rig(contact=Contact(stiffness=1e4)), cycles=2)
+    first, second = settled.cycles
+    assert first.release == 0.0
+    assert first.end == second.release
+    assert settled.run.times[0] >= 0.0
+    assert settled.run.times[-1] <= second.end
+    assert np.all(np.diff(settled.run.times) >= 0.0)
+    assert first.impacts == second.impacts >= 3
+    # What is left falls to 1e-8 of the distance from the orbit at the start, itself some 1e-4.
+    assert first.period == pytest.approx(second.period, abs=1e-9)
+    assert first.impact.approach_rate < -10.0
+    locked = (settled.run.times > first.lock + 0.01) & (settled.run.times < first.end - 0.01)
+    assert np.all(settled.run.in_contact[locked])
+    assert np.all(settled.run.contact_force[locked] > 0.0)
+    assert np.all(settled.run.contact_force >= 0.0)
+
+
+def test_a_machine_that_does_not_lock_is_told_so(scene: Problem, orbit: ZenoOrbit) -> None:
+    stuck = Rig(friction={"theta1": Friction(coulomb=0.5)})
+    with pytest.raises(SimulationError, match=r"made \d cycles with a lock where 3 were expected"):
+        rig_cycles(orbit, scene, stuck, cycles=1, settle=2)
+
+
+def test_a_machine_gets_the_cycles_to_settle_that_the_multipliers_of_its_orbit_ask_for(
+    orbit: ZenoOrbit,
+) -> None:
+    counts = {(): 8, (0.15,): 10, (0.5, -0.1): 27, (1e-5,): 4, (0.0,): 4, (0.999,): 60, (1.2,): 60}
+    for multipliers, count in counts.items():
+        known = replace(orbit, floquet_multipliers=tuple(map(complex, multipliers)))
+        assert settling_cycles(known) == count
+
+
+def test_no_cycle_at_all_is_refused(scene: Problem, orbit: ZenoOrbit) -> None:
+    for cycles, settle in ((0, 1), (1, -1)):
+        with pytest.raises(InputError, match="`cycles` must be at least 1, and `settle`"):
+            rig_cycles(orbit, scene, Rig(), cycles=cycles, settle=settle)
+
+
+def test_touches_without_a_long_one_hold_no_cycle(orbit: ZenoOrbit, scene: Problem) -> None:
+    settled = rig_cycles(orbit, scene, Rig(contact=STIFF), cycles=2, settle=2)
+    touches = settled.run.touches
+    assert len(cut_cycles(touches, orbit)) >= 1
+    assert cut_cycles([t for t in touches if t.end - t.start < 0.1], orbit) == ()
+
+
+def test_the_comparison_tells_means_spreads_and_where_the_machine_is_farthest(
+    scene: Problem, orbit: ZenoOrbit
+) -> None:
+    settled = rig_cycles(orbit, scene, Rig(contact=Contact(stiffness=1e5)), cycles=2)
+    comparison = compare_cycles(orbit, scene, settled)
+    assert comparison.orbit == numbers_of_orbit(orbit, scene)
+    assert comparison.orbit.period == orbit.period
+    assert comparison.mean.period == pytest.approx(orbit.period, abs=1e-4)
+    assert comparison.spread.period < 1e-9
+    assert comparison.drifting is None
+    # Farthest while the contact takes the place of the reset: at the first impact.
+    assert comparison.portrait_at == pytest.approx(orbit.impacts[0].time / orbit.period, abs=0.01)
+    assert comparison.as_json()["source"] == "simulated"
+
+
+def test_a_drift_is_the_change_along_the_line_and_noise_makes_none() -> None:
+    line = 3.0 + 0.5 * np.arange(5.0)
+    assert drift(line) == pytest.approx((2.0, 0.0), abs=1e-13)
+    noise = np.random.default_rng(0).normal(size=(2000, 6))
+    taken_for_drift = sum(abs(change) > chance for change, chance in map(drift, noise))
+    # Expected are 0.2 of 2000; four or more have a probability of 1e-4.
+    assert taken_for_drift < 4
+    drifts = noise + 30.0 * np.linspace(0.0, 1.0, 6)
+    assert sum(abs(change) > chance for change, chance in map(drift, drifts)) > 1500
+    # Numbers that go to and fro have no trend, however far they go.
+    change, chance = drift(np.array([1.0, -1.0, 1.0, -1.0, 1.0]))
+    assert abs(change) < chance
+
+
+def test_distances_from_a_line_are_those_of_its_sides() -> None:
+    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, 0.0]])
+    curve = OrbitCurve(times=np.arange(5.0), states=square, ranges=np.array([1.0, 1.0]))
+    points = np.array([[0.5, 0.2], [0.5, -0.3], [2.0, 2.0], [1.0, 0.4], [0.0, 0.0]])
+    # Posts stand 3e-4 apart; the side itself is found, so the distances are exact.
+    assert curve.distances(points) == pytest.approx([0.2, 0.3, math.sqrt(2), 0.0, 0.0], abs=1e-15)
+    stretched = replace(curve, ranges=np.array([1.0, 2.0]))
+    assert stretched.distances(points)[1] == pytest.approx(0.15, abs=1e-15)
+
+
+def test_an_orbit_lies_on_its_own_line(scene: Problem, orbit: ZenoOrbit) -> None:
+    coarse, fine = (orbit_curve(orbit, scene, n_per_arc=n) for n in (1500, 2100))
+    # Chords of 3e-4 of the size, and what is left out of flights shorter than that.
+    assert np.max(fine.distances(coarse.states)) < 3e-4
+
+
+def test_a_power_law_is_fitted_with_its_order() -> None:
+    k = np.array([1.0, 10.0, 100.0, 1000.0])
+    fit = fit_order(k, -3.0 * k**-0.4)
+    assert (fit.order, fit.coefficient) == pytest.approx((0.4, 3.0))
+    assert fit.error < 1e-12
+    rough = fit_order(k, 3.0 * k**-0.4 * np.array([1.1, 0.9, 1.1, 0.9]))
+    assert rough.error > 0.01
+    for wrong, message in (([1.0, 2.0], "three or more"), ([1.0, 0.0, 1.0, 1.0], "zero")):
+        with pytest.raises(ValueError, match=message):
+            fit_order(k[: len(wrong)], wrong)
+
+
+# -------------------------------------------------------------------------------------- refusals
+
+
+def test_a_part_that_the_scene_has_no_place_for_is_refused_by_name(scene: Problem) -> None:
+    start = scene.state_vector({})
+    ball = load_problem("bouncing_ball")
+    cases = (
+        (scene, Rig(friction={"knee": Friction()}), "`friction` must name one of theta1, theta2"),
+        (scene, Rig(gears={2: Gear(rotor_inertia=0.01)}), "`gears` must number one of 1 motors"),
+        (ball, Rig(controller=Controller(period=1e-3)), "must have motors for a bridge"),
+        (scene.at_fidelity("quasi_static"), Rig(bridge=Bridge(supply=12.0)), "states for a bridge"),
+        (scene.at_fidelity("corrected"), Rig(), "currents as states, or none at all, for a rig"),
+        (scene, Rig(gears={1: Gear(rotor_inertia=1.0)}), "`rotor_inertia` must leave"),
+    )
+    for problem, rig, message in cases:
+        given = start[: len(problem.state_names)]
+        with pytest.raises(InputError, match=message):
+            simulate_rig(problem, problem.setting(), rig, given, 0.1)
+
+
+def test_a_plastic_impact_a_wrong_state_and_a_wrong_time_are_refused(scene: Problem) -> None:
+    start, setting = scene.state_vector({}), scene.setting()
+    plastic = scene.setting(parameters={"restitution": 0.0})
+    with pytest.raises(InputError, match="`restitution` must be greater than 0 for a contact"):
+        simulate_rig(scene, plastic, Rig(), start, 1.0)
+    with pytest.raises(InputError, match="`start` must be of shape"):
+        simulate_rig(scene, setting, Rig(), start[:4], 1.0)
+    for wrong in (0.0, -1.0, math.nan, math.inf):
+        with pytest.raises(InputError, match="`until` must be a positive number"):
+            simulate_rig(scene, setting, Rig(), start, wrong)
+
+
+def test_a_machine_that_runs_away_says_which_coordinate_did(scene: Problem) -> None:
+    wild = scene.setting(gains={"Kd": -6.0})
+    with pytest.raises(RunawayError, match=r"`theta[12]` ran away"):
+        simulate_rig(scene, wild, Rig(), scene.state_vector({"theta1": 1.0}), 20.0)
+
+
+# ------------------------------------------------------------------------------- any other scene
+
+
+@pytest.mark.parametrize("name", ["two_motors", "motor_cart", "motor_valve", "forced_oscillator"])
+def test_other_scenes_have_a_rig_too(name: str) -> None:
+    problem = load_problem(name)
+    rig = Rig(contact=Contact(stiffness=1e5))
+    if problem.state_names[-1].startswith("current"):
+        rig = replace(rig, controller=Controller(period=1e-3), bridge=Bridge(supply=24.0))
+    start = problem.state_vector(problem.starts[0])
+    run = simulate_rig(problem, problem.setting(), rig, start, 1.0)
+    assert np.all(np.isfinite(run.states))
+    assert float(np.min(run.gap)) > -0.1
+    recording = recording_of(run, problem)
+    assert recording.source is Source.SIMULATED
+    assert (
+        recording.names[: problem.model(problem.symbols()).n_q]
+        == problem.state_names[:2][: problem.model(problem.symbols()).n_q]
+    )
+
+
+def test_a_reduced_model_without_currents_has_a_rig_with_a_controller(scene: Problem) -> None:
+    reduced = scene.at_fidelity("quasi_static")
+    rig = Rig(controller=Controller(period=1e-4))
+    start = (0.6, 0.3, 0.0, 0.0)
+    ideal, sampled = (
+        simulate_rig(reduced, reduced.setting(), r, start, 0.2).states[-1] for r in (Rig(), rig)
+    )
+    # First order in the period: 1e-4 s at accelerations of some 30 rad/s^2 over 0.2 s.
+    assert sampled == pytest.approx(ideal, abs=1e-2)
+    assert not np.allclose(sampled, ideal, atol=1e-7)
+
+
+def test_a_run_is_recorded_with_names_and_units_as_simulated(scene: Problem) -> None:
+    start = scene.state_vector(scene.starts[0])
+    run = simulate_rig(scene, scene.setting(), default_rig(scene), start, 0.1)
+    recording = recording_of(run, scene, {"seed": "0"})
+    assert recording.names == ("theta1", "theta2", "current")
+    assert [signal.unit for signal in recording.signals] == ["rad", "rad", "A"]
+    assert recording.scene == scene.name
+    assert recording.notes["seed"] == "0"
+    assert np.diff(recording.time) == pytest.approx(1e-3)
+    step = 2 * math.pi / 8192
+    steps = recording.signal("theta1").values / step
+    assert steps == pytest.approx(np.round(steps), abs=1e-9)
+    ideal = simulate_rig(scene, scene.setting(), Rig(), start, 0.1)
+    exact = recording_of(ideal, scene)
+    assert exact.time == pytest.approx(np.arange(len(exact.time)) * 1e-3, abs=1e-12)
+    assert len(exact.time) >= 100
+    assert exact.signal("theta1").values == pytest.approx(
+        np.interp(exact.time, ideal.times, ideal.of("theta1"))
+    )
+    assert asdict(ideal.rig)["controller"] is None

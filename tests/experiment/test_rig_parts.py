@@ -1,0 +1,322 @@
+"""The parts of a virtual rig by themselves: contact law, forces, pulses, readings, numbers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import casadi as ca
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from zeno_orbits.errors import InputError
+from zeno_orbits.experiment.rig import damping_number, effective_restitution
+from zeno_orbits.experiment.rig.controller import Leg, Reader, level, pulse
+from zeno_orbits.experiment.rig.forces import (
+    averaged_voltage,
+    contact_force,
+    friction_force,
+    teeth_torque,
+)
+from zeno_orbits.model.rig_parts import (
+    Bridge,
+    Contact,
+    Controller,
+    Friction,
+    Gear,
+    Rig,
+    Sensors,
+    with_numbers,
+    without_parts,
+)
+
+ROUNDING = float(np.finfo(float).eps)
+RESTITUTIONS = (1e-3, 0.05, 0.2, 0.5, 0.9, 0.999)
+
+
+# ------------------------------------------------------------------ damping and restitution
+
+
+@pytest.mark.parametrize("e", RESTITUTIONS)
+def test_the_damping_number_solves_its_equation_to_fifty_digits(e: float) -> None:
+    number = damping_number(e)
+    with mpmath.workdps(60):
+        exact_e = mpmath.mpf(e)
+
+        # In s with e u = 1 - exp(-s), so that 1 - e u keeps its digits for small e.
+        def missing(s: mpmath.mpf) -> mpmath.mpf:
+            u = (1 - mpmath.exp(-s)) / exact_e
+            return mpmath.log(1 + u) + s - (1 + exact_e) * u
+
+        # The equation itself tells where to look: s = (1 + e) u - log(1 + u), which says 50 digits
+        # only once `findroot` has been there.
+        guess = (1 + exact_e) * mpmath.mpf(number) - mpmath.log(1 + mpmath.mpf(number))
+        s = mpmath.findroot(missing, guess)
+        exact = float((1 - mpmath.exp(-s)) / exact_e)
+    # The equation is of third order in 1 - e near a second-order zero: rounding over 1 - e.
+    assert number == pytest.approx(exact, rel=30 * ROUNDING / (1 - e))
+
+
+@pytest.mark.parametrize("e", RESTITUTIONS)
+@pytest.mark.parametrize("exponent", [1.0, 1.5])
+def test_a_mass_in_the_contact_leaves_with_the_restitution_that_it_is_damped_for(
+    e: float, exponent: float
+) -> None:
+    """The equation of motion itself, at unit mass, stiffness and speed, by another integrator."""
+    number = damping_number(e)
+
+    def out(_t: float, y: tuple[float, float]) -> float:
+        return y[0] if y[1] < 0.0 else 1.0
+
+    out.terminal = True  # type: ignore[attr-defined]
+    motion = solve_ivp(
+        lambda _t, y: (y[1], -(abs(y[0]) ** exponent) * np.sign(y[0]) * (1 + number * y[1])),
+        (0.0, 1e4),
+        (0.0, 1.0),
+        method="Radau",
+        events=out,
+        rtol=1e-10,
+        atol=1e-12,
+    )
+    left = -motion.y_events[0][-1][1]
+    # Tolerance of the integrator, times the few thousand by which strong damping amplifies it.
+    assert left == pytest.approx(e, rel=1e-6, abs=1e-9)
+
+
+def test_the_usual_formula_for_weak_damping_would_be_far_off_here() -> None:
+    """3/2 (1 - e) is the limit for e -> 1; at 0.2 it asks for a quarter of the damping."""
+    assert damping_number(0.9999) == pytest.approx(1.5e-4, rel=2e-4)
+    assert damping_number(0.2) > 4 * 1.5 * 0.8
+    assert effective_restitution(1.5 * 0.8) > 0.5
+
+
+@given(st.floats(1e-6, 1 - 1e-6))
+def test_restitution_and_damping_number_are_inverse_to_each_other(e: float) -> None:
+    assert effective_restitution(damping_number(e)) == pytest.approx(e, abs=50 * ROUNDING / (1 - e))
+
+
+def test_the_damping_number_has_its_limits() -> None:
+    assert damping_number(1.0) == 0.0
+    assert math.isinf(damping_number(0.0))
+    assert effective_restitution(0.0) == 1.0
+    assert effective_restitution(math.inf) == 0.0
+    # For strong damping e u -> 1.
+    assert 1e-3 * damping_number(1e-3) == pytest.approx(1.0, abs=1e-12)
+    for wrong in (-0.1, 1.1, math.nan):
+        with pytest.raises(InputError, match="`restitution` must lie in"):
+            damping_number(wrong)
+    with pytest.raises(InputError, match="`number` must be at least 0"):
+        effective_restitution(-1.0)
+
+
+# ---------------------------------------------------------------------------------- forces
+
+
+def at(expression: ca.SX, symbols: list[ca.SX], *values: float) -> float:
+    """Return an expression at numbers."""
+    return float(ca.Function("f", symbols, [expression])(*values))
+
+
+def test_the_stop_pushes_and_never_pulls() -> None:
+    depth, rate = ca.SX.sym("depth"), ca.SX.sym("rate")
+    force = contact_force(Contact(stiffness=8.0, exponent=1.5), ca.SX(2.0), depth, rate)
+    assert at(force, [depth, rate], 0.25, 0.0) == pytest.approx(8 * 0.125, rel=4 * ROUNDING)
+    assert at(force, [depth, rate], 0.25, 0.5) == pytest.approx(8 * 0.125 * 2, rel=4 * ROUNDING)
+    assert at(force, [depth, rate], 0.25, -3.0) == 0.0
+
+
+def test_dry_friction_is_its_full_size_away_from_rest_and_opposes_motion() -> None:
+    rate = ca.SX.sym("rate")
+    force = friction_force(Friction(coulomb=0.3, viscous=0.1, creep=0.01), rate)
+    assert at(force, [rate], 2.0) == pytest.approx(-0.3 - 0.2, rel=4 * ROUNDING)
+    assert at(force, [rate], -2.0) == pytest.approx(0.3 + 0.2, rel=4 * ROUNDING)
+    assert at(force, [rate], 0.0) == 0.0
+
+
+def test_teeth_carry_nothing_inside_the_play_and_push_on_either_side() -> None:
+    twist, rate = ca.SX.sym("twist"), ca.SX.sym("rate")
+    gear = Gear(rotor_inertia=1.0, play=0.2, stiffness=50.0, loss=1.0)
+    torque = teeth_torque(gear, twist, rate)
+    inside = [at(torque, [twist, rate], angle, 5.0) for angle in (-0.1, -0.05, 0.0, 0.1)]
+    assert inside == [0.0] * 4
+    assert at(torque, [twist, rate], 0.3, 0.0) == pytest.approx(10.0)
+    assert at(torque, [twist, rate], -0.3, 0.0) == pytest.approx(-10.0)
+    assert at(torque, [twist, rate], -0.3, -1.0) == pytest.approx(-20.0)
+
+
+BRIDGE = Bridge(supply=10.0, frequency=1e4, dead_time=1e-6, diode_drop=0.5)
+LOST = (10.0 + 2 * 0.5) * 1e-6 * 1e4
+
+
+@pytest.mark.parametrize(
+    ("asked", "current", "mean"),
+    [
+        (4.0, 3.0, 4.0 - LOST),  # driving: the dead time takes
+        (4.0, -3.0, 4.0 + LOST),  # braking: it gives
+        (-4.0, -3.0, -4.0 + LOST),
+        (4.0, 0.0, 4.0),  # the ripple takes the current through zero: neither
+        (25.0, 3.0, 10.0 - LOST),  # no more than the supply
+        (0.5 * LOST, 3.0, 0.0),  # a pulse shorter than the dead time is none
+    ],
+)
+def test_an_averaged_bridge_loses_what_its_dead_times_take(
+    asked: float, current: float, mean: float
+) -> None:
+    voltage, i = ca.SX.sym("voltage"), ca.SX.sym("i")
+    averaged = averaged_voltage(BRIDGE, voltage, i, ca.SX(1e-3))
+    # The roundings of the two signs are below exp(-20) here.
+    assert at(averaged, [voltage, i], asked, current) == pytest.approx(mean, abs=1e-8)
+
+
+# ---------------------------------------------------------------------------------- pulses
+
+
+@pytest.mark.parametrize("share", [0.0, 0.005, 0.02, 0.5, 0.98, 0.995, 1.0])
+@pytest.mark.parametrize("current", [2.0, -2.0])
+def test_the_mean_of_the_pulses_is_what_the_averaged_bridge_says(
+    share: float, current: float
+) -> None:
+    edges = [*pulse(BRIDGE, share), (1 / BRIDGE.frequency, Leg.LOW)]
+    spans = [later[0] - first[0] for first, later in pairwise(edges)]
+    levels = [level(BRIDGE, leg, 1.0, current) for _, leg in edges[:-1]]
+    mean = sum(span * value for span, value in zip(spans, levels, strict=True)) * BRIDGE.frequency
+    assert sum(spans) == pytest.approx(1 / BRIDGE.frequency)
+    assert min(spans) > 0.0
+    voltage, i = ca.SX.sym("voltage"), ca.SX.sym("i")
+    # Without ripple, as the current is held here.
+    averaged = at(
+        averaged_voltage(BRIDGE, voltage, i, ca.SX(1e9)), [voltage, i], 10 * share, current
+    )
+    # A pulse or a pause shorter than the dead time keeps both transistors off for its own length
+    # and one dead time; the averaged law does not know that, and errs by what a dead time weighs.
+    exact = 0.01 < share < 0.99 or share in {0.0, 1.0}
+    full = {0.0: 0.0, 1.0: 10.0}
+    assert mean == pytest.approx(full.get(share, averaged), abs=1e-9 if exact else 2 * LOST)
+
+
+def test_full_and_no_voltage_need_no_edges() -> None:
+    assert pulse(BRIDGE, 0.0) == ((0.0, Leg.LOW),)
+    assert pulse(BRIDGE, 1.0) == ((0.0, Leg.HIGH),)
+    assert level(BRIDGE, Leg.NONE, 1.0, 0.0) == 0.0
+
+
+# -------------------------------------------------------------------------------- readings
+
+
+def reader(sensors: Sensors | None, seed: int = 0) -> Reader:
+    """Return a reader of one coordinate every millisecond."""
+    return Reader(sensors, Controller(period=1e-3), 1, np.random.default_rng(seed))
+
+
+def test_without_sensors_the_state_itself_is_read() -> None:
+    x = np.array([0.1234, 5.0, -1.0])
+    assert reader(None).read(x) is x
+
+
+def test_encoders_give_whole_steps_and_rates_are_their_differences() -> None:
+    step = 0.01
+    machine = reader(Sensors(resolution=step))
+    first = machine.read(np.array([0.1249, 5.0, -1.0]))
+    later = machine.read(np.array([0.1351, 5.0, -1.0]))
+    assert first.tolist() == pytest.approx([0.12, 5.0, -1.0])
+    assert later.tolist() == pytest.approx([0.14, (0.14 - 0.12) / 1e-3, -1.0])
+
+
+def test_the_filter_of_a_ramp_comes_to_its_slope_as_a_low_pass_does() -> None:
+    tau, slope = 5e-3, 3.0
+    machine = reader(Sensors(filter_time=tau))
+    readings = [machine.read(np.array([slope * k * 1e-3, 0.0, 0.0])) for k in range(21)]
+    # The first rate is that of the state, 0 here; each difference then counts 1 - exp(-T/tau).
+    assert readings[20][1] == pytest.approx(slope * (1 - math.exp(-20e-3 / tau)), rel=1e-12)
+
+
+def test_noise_comes_from_its_seed() -> None:
+    noisy = Sensors(noise=0.1, current_noise=0.5)
+    x = np.zeros(3)
+    one, same, other = (reader(noisy, seed).read(x)[0] for seed in (1, 1, 2))
+    assert one == same != other
+    assert reader(noisy).currents(np.zeros(2)).shape == (2,)
+    draws = np.array([machine.read(x)[0] for machine in [reader(noisy)] for _ in range(4000)])
+    # Standard error of a standard deviation from n draws: 1 / sqrt(2 n), here 1.1 %; four of them.
+    assert np.std(draws) == pytest.approx(0.1, rel=4 / math.sqrt(2 * 4000))
+
+
+# --------------------------------------------------------------------------------- numbers
+
+
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        (lambda: Contact(stiffness=0.0), "stiffness"),
+        (lambda: Contact(exponent=0.5), "exponent"),
+        (lambda: Contact(slowest=0.0), "slowest"),
+        (lambda: Friction(coulomb=-1.0), "coulomb"),
+        (lambda: Friction(creep=0.0), "creep"),
+        (lambda: Gear(rotor_inertia=0.0), "rotor_inertia"),
+        (lambda: Gear(rotor_inertia=1.0, play=-0.1), "play"),
+        (lambda: Bridge(supply=-12.0), "supply"),
+        (lambda: Bridge(supply=12.0, dead_time=3e-5), "dead_time"),
+        (lambda: Bridge(supply=math.nan), "supply"),
+        (lambda: Controller(period=0.0), "period"),
+        (lambda: Controller(period=1e-3, delay=-1e-3), "delay"),
+        (lambda: Sensors(resolution=-1.0), "resolution"),
+        (lambda: Rig(sensors=Sensors()), "controller"),
+    ],
+)
+def test_a_number_out_of_its_range_is_refused_by_name(make: object, name: str) -> None:
+    with pytest.raises(InputError, match=f"^Argument `{name}` must .*, but .*[.]$"):
+        make()  # type: ignore[operator]
+
+
+def test_numbers_of_a_rig_are_changed_by_name_and_parts_are_added() -> None:
+    rig = Rig(friction={"a": Friction(coulomb=1.0)}, gears={1: Gear(rotor_inertia=2.0)})
+    changed = with_numbers(
+        rig,
+        {
+            "contact.stiffness": 7.0,
+            "friction.a.viscous": 3.0,
+            "friction.b.coulomb": 4.0,
+            "gears.1.play": 0.1,
+            "controller.period": 0.01,
+        },
+    )
+    assert changed.contact == replace(rig.contact, stiffness=7.0)
+    assert changed.friction == {"a": Friction(coulomb=1.0, viscous=3.0), "b": Friction(coulomb=4.0)}
+    assert changed.gears == {1: Gear(rotor_inertia=2.0, play=0.1)}
+    assert changed.controller == Controller(period=0.01)
+    assert hash(changed) != hash(rig)
+    assert hash(with_numbers(rig, {})) == hash(rig)
+    assert rig.contact == Contact()
+    two = {"a": Friction(coulomb=1.0), "b": Friction()}
+    turned = {name: two[name] for name in ("b", "a")}
+    assert Rig(friction=two) == Rig(friction=turned)
+    assert hash(Rig(friction=two)) == hash(Rig(friction=turned))
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("spring.stiffness", "must begin with one of contact, bridge, controller, sensors"),
+        ("contact.softness", "must be one of contact.stiffness, contact.exponent"),
+        ("contact.a.stiffness", "must be one of contact.stiffness"),
+        ("friction.coulomb", "must be one of friction.COORDINATE.coulomb"),
+        ("gears.one.play", "must be a number in `gears.MOTOR.NAME`, but it is `one`"),
+        ("gears.1.play", "`rotor_inertia` must be given for a part that is added"),
+    ],
+)
+def test_a_number_that_no_part_has_is_refused_with_those_that_there_are(
+    name: str, message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        with_numbers(Rig(), {name: 1.0})
+
+
+def test_without_its_controller_a_machine_has_no_sensors_either() -> None:
+    rig = Rig(controller=Controller(period=1e-3), sensors=Sensors(), friction={"a": Friction()})
+    assert without_parts(rig, ["controller"]) == replace(rig, controller=None, sensors=None)
+    assert without_parts(rig, ["friction"]).friction == {}

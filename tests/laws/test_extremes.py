@@ -1,0 +1,100 @@
+"""The extremes: every row is right to its stated tolerance or ends in a named error.
+
+`extremes.py` holds the rows, `docs/extremes.md` shows them to the reader.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from scipy.integrate import DOP853, Radau
+
+from tests.reference.independent import Follower, Method
+from tests.reference.reference_orbit import FIRST_RATE, PERIOD, ZENO_STATE, ZENO_TIME
+from tests.support.extremes import CALIBRATED, FLYING, ROWS, Row, difference, vanishing_sequence
+from zeno_orbits.model.library import load_problem, load_reference
+from zeno_orbits.simulation.simulator import simulate
+
+TABLE = Path(__file__).parents[2] / "docs" / "extremes.md"
+
+
+def _marked(row: Row) -> object:
+    marks = [pytest.mark.slow] if row.slow else []
+    return pytest.param(row, id=row.name, marks=marks)
+
+
+@pytest.mark.parametrize("row", [_marked(row) for row in ROWS])
+def test_the_row_is_right_or_ends_in_its_named_error(row: Row) -> None:
+    if row.ends_in is not None:
+        with pytest.raises(row.ends_in):
+            row.error()
+    else:
+        assert row.error() <= row.tolerance
+
+
+# The table.
+
+
+def _table() -> dict[str, tuple[str, str, str, str]]:
+    """Return the rows of the document: name to what is asked, truth, promise and what is seen."""
+    rows: dict[str, tuple[str, str, str, str]] = {}
+    for line in TABLE.read_text().splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        if line.startswith("|") and len(cells) == 5 and cells[0] not in {"Row", "---"}:
+            name, asked, truth, promise, seen = cells
+            assert name not in rows, name
+            rows[name] = asked, truth, promise, seen
+    return rows
+
+
+def test_the_names_of_the_rows_differ() -> None:
+    assert len({row.name for row in ROWS}) == len(ROWS)
+
+
+def test_the_table_has_the_rows_that_are_run_and_no_others() -> None:
+    assert list(_table()) == [row.name for row in ROWS]
+
+
+@pytest.mark.parametrize("row", [pytest.param(row, id=row.name) for row in ROWS])
+def test_the_table_promises_what_is_tested(row: Row) -> None:
+    asked, truth, promise, seen = _table()[row.name]
+    assert (asked, truth, promise) == (row.asked, row.truth, row.promise)
+    if row.ends_in is not None:
+        assert seen == row.promise
+    else:
+        assert re.fullmatch(r"0|\d\.\de-\d\d", seen)
+        assert float(seen) <= row.tolerance
+
+
+# The truth itself.
+
+
+@pytest.mark.parametrize(("method", "relative"), [(DOP853, 3e-14), (Radau, 1e-11)])
+def test_the_second_simulator_finds_the_reference_orbit(method: Method, relative: float) -> None:
+    problem = load_problem("motor_pendulum")
+    machine = load_reference(problem).pendulum(problem.setting(parameters=CALIBRATED))
+    follower = Follower(machine=machine, method=method, relative=relative)
+    # From its Zeno point over the release to the next Zeno point, one period later.
+    followed = follower.follow(ZENO_STATE, PERIOD + 1e-9)
+    # The published digits.
+    assert followed.release_times[0] == pytest.approx(PERIOD - ZENO_TIME, abs=1e-11)
+    assert followed.impacts[0][1] == pytest.approx(FIRST_RATE, abs=1e-9)
+    assert followed.zeno_times[0] == pytest.approx(PERIOD, abs=1e-11)
+
+
+def test_the_sequence_that_ends_at_the_release_parts_those_that_do_from_those_that_do_not() -> None:
+    assert vanishing_sequence(-1e-9)[1] is not None
+    assert vanishing_sequence(1e-9)[1] is None
+
+
+def test_a_machine_that_differs_in_the_ninth_digit_is_told_apart() -> None:
+    problem = load_problem("motor_pendulum")
+    setting = problem.setting(parameters=CALIBRATED)
+    other = problem.setting(parameters={**CALIBRATED, "g": 9.81 * (1 + 1e-9)})
+    execution = simulate(load_reference(problem).dynamics(setting), FLYING, until=1.0)
+    for numbers, told in ((setting, False), (other, True)):
+        machine = load_reference(problem).pendulum(numbers)
+        truth = Follower(machine=machine).follow(FLYING, 1.0)
+        assert (difference(execution, truth, 1.0) > 1e-11) == told

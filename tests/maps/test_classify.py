@@ -1,0 +1,331 @@
+"""What motions settle to, against one-lane simulations, known orbits, and made-up returns."""
+
+import math
+
+import numpy as np
+import pytest
+
+from tests.reference.closed_forms import COCO, FORCED
+from tests.reference.reference_orbit import PERIOD, PERIODS, RELEASE
+from tests.support.mechanisms import clocked_oscillator
+from zeno_orbits.continuation.return_maps import Composed, ImpactReturns
+from zeno_orbits.errors import InputError, RunawayError
+from zeno_orbits.maps.classify import RUNAWAY, attractors_at
+from zeno_orbits.maps.newton_attempt import Lost
+from zeno_orbits.maps.newton_impacts import bundle_around
+from zeno_orbits.maps.newton_request import Accuracy
+from zeno_orbits.maps.point import Point
+from zeno_orbits.maps.return_sequence import changes, growth_of, scale_of
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.model.numeric.compiled import bind, compiled_model
+from zeno_orbits.orbits.poincare import floquet_multipliers
+from zeno_orbits.orbits.section import Line
+from zeno_orbits.simulation.attractor import Attractor, Fate
+from zeno_orbits.simulation.batch.outcomes import Ended, Reason, Struck
+from zeno_orbits.simulation.simulator import SimulationSettings, simulate
+
+PENDULUM = load_problem("motor_pendulum")
+START = PENDULUM.state_vector(PENDULUM.starts[0])
+
+
+def at(kp, kd, **parameters):
+    return PENDULUM.setting(gains={"Kp": kp, "Kd": kd}, parameters=parameters)
+
+
+def dynamics_at(setting):
+    return bind(compiled_model(PENDULUM), setting.values())
+
+
+def state_of(attractor):
+    return np.array([attractor.state[name] for name in PENDULUM.state_names])
+
+
+def test_the_reference_setting_settles_to_the_reference_orbit():
+    (found,) = attractors_at(PENDULUM, [PENDULUM.setting()])
+    assert (found.fate, found.returns) == (Fate.ZENO, 1)
+    # 300 steps with a local error of 1e-8, most of which the layers damp.
+    assert found.period == pytest.approx(PERIOD, abs=1e-8)
+    assert state_of(found) == pytest.approx(RELEASE, abs=1e-7)
+    # The derivative of the steps as computed; 4e-6 was seen, a tenth of it at a tenth of the error.
+    assert found.spectral_radius == pytest.approx(0.0193686, abs=1e-5)
+
+
+def test_orbits_multipliers_and_margins_are_those_of_a_single_simulation():
+    settings = [at(2.0, -0.9), at(4.2, -1.4), at(3.1, -0.42), at(3.0, -1.2, L1=0.22, R=2.5)]
+    for setting, found in zip(settings, attractors_at(PENDULUM, settings), strict=True):
+        dynamics = dynamics_at(setting)
+        release = state_of(found)
+        run = simulate(dynamics, release, until=3.0, releases=2)
+        (back, *_) = run.returns(found.period)
+        assert back.time == pytest.approx(found.period, abs=2e-8)
+        assert back.state == pytest.approx(release, abs=2e-7)
+        zeno = run.zeno_points[0]
+        assert found.margins == pytest.approx(
+            {
+                "gap_acceleration": -dynamics.gap_acceleration(zeno.state),
+                "first_impact_speed": -run.impacts[0].approach_rate,
+                "release_transversality": -dynamics.multiplier_rate(back.state),
+                "locked_time": back.time - zeno.time,
+            },
+            rel=1e-6,
+        )
+        scale = np.maximum(np.abs(release), 0.1)
+        known = floquet_multipliers(
+            dynamics,
+            dynamics.on_stop(release),
+            scale=scale,
+            period=found.period,
+            settings=SimulationSettings(),
+        )
+        assert found.multipliers[0] == pytest.approx(known.values[0], abs=1e-5)
+
+
+@pytest.mark.parametrize("restitution", PERIODS)
+def test_other_restitutions_have_their_periods_and_a_plastic_stop_a_simple_orbit(restitution):
+    (found,) = attractors_at(PENDULUM, [at(2.5, -1.0, restitution=restitution)])
+    assert found.fate is (Fate.ZENO if restitution > 0.0 else Fate.SIMPLE)
+    assert found.period == pytest.approx(PERIODS[restitution], abs=2e-8)
+
+
+def test_a_flipped_orbit_has_two_releases_a_period_as_a_long_simulation_has():
+    setting = at(4.37, -1.58)
+    (found,) = attractors_at(PENDULUM, [setting])
+    assert (found.fate, found.returns) == (Fate.ZENO, 2)
+    run = simulate(dynamics_at(setting), state_of(found), until=1.2 * found.period)
+    first, second = run.returns(found.period)[:2]
+    assert second.time == pytest.approx(found.period, abs=1e-7)
+    assert second.state == pytest.approx(state_of(found), abs=1e-6)
+    assert abs(first.state[0] - state_of(found)[0]) > 1e-3
+
+
+def test_an_escape_is_told_in_the_words_of_the_scene():
+    (found,) = attractors_at(PENDULUM, [at(1.2, -1.95)])
+    assert found.fate is Fate.ESCAPE
+    assert found.detail == PENDULUM.escapes[found.escaped].phrase
+
+
+def test_what_runs_away_is_named_as_a_single_simulation_names_it():
+    bounds = dict.fromkeys(("theta1", "theta2"), RUNAWAY)
+    for setting in (at(1.2, -1.95), at(1.63, -2.0)):
+        (found,) = attractors_at(PENDULUM, [setting], bounds=bounds)
+        assert found.fate is Fate.ESCAPE
+        with pytest.raises(RunawayError) as error:
+            simulate(
+                dynamics_at(setting), START, until=60.0, settings=SimulationSettings(far=RUNAWAY)
+            )
+        assert error.value.reason.split()[0] == found.escaped
+
+
+def test_a_bound_of_the_users_is_kept():
+    (found,) = attractors_at(PENDULUM, [PENDULUM.setting()], bounds={"theta2": 0.01})
+    assert (found.fate, found.escaped) == (Fate.ESCAPE, "theta2")
+
+
+def test_a_motion_that_dies_out_is_at_rest_long_before_it_stands_still():
+    setting = at(3.0, -0.02)
+    (found,) = attractors_at(PENDULUM, [setting])
+    assert found.fate is Fate.REST
+    assert found.trend < 1.0
+    first, *_, last = simulate(dynamics_at(setting), START, until=60.0).releases
+    assert abs(last.state[2]) < 0.3 * abs(first.state[2])
+
+
+def test_a_ball_comes_to_rest():
+    ball = load_problem("bouncing_ball")
+    found = attractors_at(ball, [ball.setting()], start={"height": 1.0}, until=30.0)
+    assert [one.fate for one in found] == [Fate.REST]
+
+
+def test_a_motion_near_orbits_that_repel_is_not_taken_for_one_of_them():
+    (found,) = attractors_at(PENDULUM, [at(4.384615384615385, -1.5384615384615385)], until=40.0)
+    assert found.fate is Fate.UNSETTLED
+
+
+def test_a_motion_that_has_not_settled_tells_its_trend():
+    never = Accuracy(near=0.0)
+    (found,) = attractors_at(PENDULUM, [at(2.47, -0.21)], until=40.0, accuracy=never)
+    assert found.fate is Fate.UNSETTLED
+    # It falls slowly to its orbit: by half a percent a return.
+    assert 0.98 < found.trend < 1.0
+
+
+@pytest.mark.slow
+def test_the_answer_at_a_point_does_not_depend_on_the_other_points():
+    grid = [at(kp, kd) for kp in (1.5, 3.0, 4.5) for kd in (-1.9, -1.2, -0.45, -0.2)]
+    together = attractors_at(PENDULUM, grid)
+    order = np.random.default_rng(5).permutation(len(grid))
+    shuffled = attractors_at(PENDULUM, [grid[k] for k in order])
+    alone = [attractors_at(PENDULUM, [grid[k]])[0] for k in (0, 5, 7)]
+    for k, found in [*zip(order, shuffled, strict=True), *zip((0, 5, 7), alone, strict=True)]:
+        assert repr(found) == repr(together[k])
+
+
+def test_a_start_inside_the_stop_fails_by_name_and_others_do_not():
+    (found,) = attractors_at(PENDULUM, [PENDULUM.setting()], start={"theta2": -0.1})
+    assert found.fate is Fate.FAILED
+    assert "gap is negative" in found.detail
+
+
+def test_wrong_arguments_are_refused():
+    setting = PENDULUM.setting()
+    with pytest.raises(InputError, match="theta9"):
+        attractors_at(PENDULUM, [setting], bounds={"theta9": 1.0})
+    with pytest.raises(InputError, match="bounds"):
+        attractors_at(PENDULUM, [setting], bounds={"theta1": 0.0})
+    with pytest.raises(InputError, match="until"):
+        attractors_at(PENDULUM, [setting], until=math.nan)
+    with pytest.raises(InputError, match="theta9"):
+        attractors_at(PENDULUM, [setting], start={"theta9": 1.0})
+    assert attractors_at(PENDULUM, []) == ()
+
+
+def test_progress_counts_the_points_up_to_all():
+    counts = []
+    attractors_at(PENDULUM, [at(2.5, -1.0), at(1.2, -1.95)], on_progress=counts.append)
+    assert counts == sorted(set(counts))
+    assert counts[-1] == 2
+
+
+def point():
+    return Point(dynamics_at(PENDULUM.setting()), np.array(START), 100.0, Accuracy())
+
+
+def test_oscillators_with_a_stop_have_their_orbits_in_closed_form():
+    zeno = clocked_oscillator(FORCED, attracting=True)
+    (found,) = attractors_at(zeno, [zeno.setting()], until=200.0)
+    assert found.fate is Fate.ZENO
+    assert found.period == pytest.approx(2 * math.pi, abs=1e-8)
+    # It lets go where the forcing is that of the stop; y = cos t there.
+    assert found.state["y"] == pytest.approx(FORCED.stop, abs=1e-7)
+    # The clock forgets a displacement r of its circle by exp(-2 pi), its only multiplier.
+    assert found.multipliers[0] == pytest.approx(math.exp(-2 * math.pi), rel=1e-4)
+    struck = clocked_oscillator(COCO, attracting=True)
+    (found,) = attractors_at(struck, [struck.setting()], until=400.0)
+    assert found.fate is Fate.NO_ZENO
+    # Its two multipliers as COCO prints them, and those of the clock: it forgets its amplitude.
+    published = -0.58429531434153 + 0.00560035149247j
+    assert sorted(abs(value - published) for value in found.multipliers)[0] < 1e-6
+    clock = math.exp(-2 * math.pi)
+    assert sorted(abs(value - clock) for value in found.multipliers)[0] < 1e-6
+    # Just after its impact, by Recipes for Continuation, chapter 15.
+    assert found.period == pytest.approx(2 * math.pi, abs=1e-7)
+    assert found.state["dx"] == pytest.approx(-1.3565863500759056, abs=1e-6)
+    assert found.state["dy"] == pytest.approx(-math.sin(0.07595216493831239), abs=1e-6)
+
+
+def test_orbits_without_a_zeno_point_have_the_multipliers_of_their_closed_form():
+    # The flow shrinks areas by exp(-c T), an impact by e squared; by COCO at A = 1.
+    oscillator = load_problem("forced_oscillator")
+    numbers = {"c": 0.1, "stop": 1.0, "restitution": 0.8}
+    settings = [oscillator.setting(parameters={**numbers, "A": a}) for a in (1.0, 0.5, 1.3)]
+    start = {"speed": 1.0, "cosine": 1.0}
+    found = attractors_at(oscillator, settings, start=start, until=400.0)
+    assert [one.fate for one in found] == 3 * [Fate.NO_ZENO]
+    for one in found:
+        assert one.period == pytest.approx(2 * math.pi, abs=1e-8)
+        product = np.prod(one.multipliers)
+        assert product == pytest.approx(0.64 * math.exp(-0.2 * math.pi), abs=1e-6)
+    published = -0.58429531434153 + 0.00560035149247j
+    assert found[0].multipliers[0] in (
+        pytest.approx(published, abs=1e-6),
+        pytest.approx(published.conjugate(), abs=1e-6),
+    )
+    assert found[0].state["speed"] == pytest.approx(1.3565863500759056, abs=1e-8)
+
+
+def test_the_multipliers_between_impacts_are_those_of_the_exact_derivative():
+    # Differences of shared steps here, the variational equation of a continuation there.
+    oscillator = load_problem("forced_oscillator")
+    setting = oscillator.setting(
+        parameters={"c": 0.1, "stop": 0.0, "restitution": 0.8, "omega": 2.6}
+    )
+    start = {"speed": 1.0, "cosine": 1.0}
+    (found,) = attractors_at(oscillator, [setting], start=start, until=600.0)
+    assert found.fate is Fate.NO_ZENO
+    p = np.array(setting.values())
+    returns = ImpactReturns(
+        compiled=compiled_model(oscillator),
+        line=Line(origin=p, direction=0 * p),
+        settings=SimulationSettings(),
+    )
+    x, scale = np.array(oscillator.state_vector(found.state)), np.ones(4)
+    n = round(found.period / (2 * math.pi / 2.6))
+    whole = Composed(maps=n * (returns,)) if n > 1 else returns
+    back = whole.follow(x, 0.0, horizon=20.0)
+    assert back.end == pytest.approx(x, abs=1e-7)
+    tangent = returns.frame(x, 0.0, scale).tangent
+    exact = sorted(np.linalg.eigvals(tangent.T @ back.by_state @ tangent), key=abs)
+    assert sorted(found.multipliers, key=abs) == pytest.approx(exact, abs=1e-5)
+
+
+def test_impacts_that_repeat_without_a_release_are_an_orbit_without_a_zeno_point():
+    motion = point()
+    motion.begin()
+    answers = []
+    for k in range(48):
+        if answers and len(answers[-1].states) > 1:
+            # No neighbour comes back: there is no derivative, and the motion goes on.
+            over = Ended(lane=1, time=9.0, state=np.zeros(5), reason=Reason.HORIZON)
+            answers.append(motion.hear(1, over))
+            assert len(answers[-1].states) == 1
+        # Two impacts a period of 1.5 s.
+        state = np.array([0.3, 0.0, 1.0 + k % 2, 2.0, 0.1])
+        answer = motion.hear(0, Struck(lane=0, time=0.75 * k, state=state, rate=-1.0 - k % 2))
+        if isinstance(answer, Attractor):
+            break
+        if answer is not None:
+            answers.append(answer)
+    assert [len(asked.states) for asked in answers] == [5, 1, 1]
+    assert answer.fate is Fate.NO_ZENO
+    assert answer.margins == {"first_impact_speed": 1.0}
+    assert answer.multipliers == ()
+
+
+def test_an_orbit_that_repels_is_not_what_impacts_come_to():
+    # One impact a second; the neighbours come back twice as far off.
+    motion = dynamics_at(PENDULUM.setting())
+    x, scale = np.array([0.3, 0.0, 1.0, 2.0, 0.1]), np.ones(5)
+
+    def heard(factor):
+        bundle = bundle_around(motion, Accuracy(), x, scale, 1, 1.0)
+        for rank, state in enumerate(bundle.states):
+            away = bundle.states[0] + factor * (state - bundle.states[0])
+            answer = bundle.hear(rank, Struck(lane=rank, time=1.0, state=away, rate=-2.0))
+        return answer
+
+    assert heard(0.5).multipliers == pytest.approx(4 * [0.5], abs=1e-9)
+    assert heard(2.0) == Lost()
+    assert heard(np.nan) == Lost()
+
+
+def test_a_lane_that_fails_is_reported_with_its_reason():
+    event = Ended(
+        lane=0, time=1.0, state=np.zeros(5), reason=Reason.FAILURE, detail="It is too stiff"
+    )
+    found = point().hear(0, event)
+    assert (found.fate, found.detail) == (Fate.FAILED, "It is too stiff")
+
+
+def test_growth_near_rest_follows_its_law_down_to_zero():
+    def amplitudes(at_rest, bend, n=12):
+        values = [1.0]
+        for _ in range(n):
+            values.append(values[-1] * math.exp(at_rest + bend * values[-1] ** 2))
+        return values
+
+    assert growth_of(amplitudes(-0.05, -0.02)).dies_out
+    assert growth_of(amplitudes(-0.05, 0.03)).dies_out
+    # Falls to an orbit of amplitude sqrt(0.02 / 0.06), where growth begins.
+    assert not growth_of(amplitudes(0.02, -0.06)).dies_out
+    # Grows.
+    assert growth_of(amplitudes(0.05, -0.01)).factor > 1.0
+    assert not growth_of(amplitudes(0.05, -0.01)).dies_out
+
+
+def test_changes_see_the_period_of_a_sequence_and_zero_states_do_not_blur_it():
+    states = [np.array([1.0 + 0.1 * (k % 3), 1e-17 * k, 5.0, 0.0, 0.2]) for k in range(9)]
+    scale = scale_of(states, 2)
+    found = changes(states, scale)
+    assert found[3] < 1e-12
+    assert found[1] > 0.05
+    assert found[2] > 0.05

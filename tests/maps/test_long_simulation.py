@@ -1,0 +1,213 @@
+"""What a long simulation calls the motions of scenes whose attractors are known."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from tests.reference.closed_forms import StoppedOscillator
+from tests.reference.long_simulation import LongRun, attractor_of
+from tests.reference.reference_orbit import MULTIPLIER, PERIOD
+from tests.support.mechanisms import clocked_oscillator
+from zeno_orbits.integrators.flow import Tolerance
+from zeno_orbits.model.drives import no_drive
+from zeno_orbits.model.hybrid import CompletedSystem, complete
+from zeno_orbits.model.lagrangian import HybridLagrangian
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.model.problem import (
+    Escape,
+    Problem,
+    Quantity,
+    restitution,
+)
+from zeno_orbits.simulation.attractor import (
+    Attractor,
+    Fate,
+    attractor_from_json,
+    attractor_json,
+)
+from zeno_orbits.simulation.simulator import SimulationSettings
+
+QUICK = LongRun(
+    until=40.0,
+    simulation=SimulationSettings(tolerance=Tolerance(relative=1e-9, absolute=1e-11)),
+)
+
+
+def at(scene: Problem, run: LongRun = QUICK, **numbers: float) -> Attractor:
+    gains = {gain.name for gain in scene.gains}
+    setting = scene.setting(
+        gains={name: value for name, value in numbers.items() if name in gains},
+        parameters={name: value for name, value in numbers.items() if name not in gains},
+    )
+    return attractor_of(scene, setting, run=run)
+
+
+def oscillator(damping: float = 0.1, stiffness: float = 1.0) -> Problem:
+    """``x'' + c x' + k x = 0`` above a stop at ``x = -10``, far below where it starts, 1."""
+
+    def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
+        q, v = ca.SX.sym("q"), ca.SX.sym("v")
+        mechanism = HybridLagrangian.from_energies(
+            q=q,
+            v=v,
+            kinetic=v**2 / 2,
+            potential=p["k"] * q**2 / 2,
+            gap=q + 10,
+            passive_force=-p["c"] * v,
+        )
+        return complete(mechanism, no_drive(mechanism), p["restitution"])
+
+    quantities = (
+        Quantity(name="c", unit="1/s", meaning="damping", default=damping),
+        Quantity(name="k", unit="1/s^2", meaning="stiffness", default=stiffness),
+    )
+    return Problem(
+        name="oscillator",
+        title="oscillator far from its stop",
+        source="textbook",
+        state_names=("x", "dx"),
+        state_units=("m", "m/s"),
+        parameters=(*quantities, restitution(0.5)),
+        gains=(),
+        model=model,
+        starts=({"x": 1.0},),
+        portraits=(("x", "dx"),),
+        amplitude_of="x",
+    )
+
+
+def test_the_reference_orbit_is_a_zeno_orbit_of_period_one_with_its_multiplier(
+    scene: Problem,
+) -> None:
+    found = at(scene)
+    assert (found.fate, found.returns) == (Fate.ZENO, 1)
+    # A return that repeats to 1e-6 has its time to the same.
+    assert found.period == pytest.approx(PERIOD, rel=1e-6)
+    # Differences over 1e-4 are off by its square, and by the integration over it: 1e-9 / 1e-4.
+    assert found.multipliers[0] == pytest.approx(MULTIPLIER, abs=3e-5)
+    assert found.spectral_radius == abs(found.multipliers[0])
+    assert set(found.margins) == {
+        "gap_acceleration",
+        "first_impact_speed",
+        "release_transversality",
+        "locked_time",
+    }
+    assert found.margins["first_impact_speed"] == pytest.approx(16.909711305434, rel=1e-5)
+
+
+def test_a_plastic_stop_makes_the_orbit_simple(scene: Problem) -> None:
+    found = at(scene, restitution=0.0)
+    assert (found.fate, found.returns) == (Fate.SIMPLE, 1)
+    assert found.period == pytest.approx(1.82033892548, rel=1e-6)
+
+
+def test_where_the_locked_arc_has_shrunk_to_nothing_the_orbit_has_no_zeno_point(
+    scene: Problem,
+) -> None:
+    found = at(scene, replace(QUICK, until=100.0), restitution=0.43)
+    assert (found.fate, found.returns) == (Fate.NO_ZENO, 0)
+    assert found.period == pytest.approx(1.8141, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("gains", "name", "phrase"),
+    [
+        ({"Kp": 2.5, "Kd": -1.8}, "theta1", "link 1 whirls"),
+        ({"Kp": 3.0, "Kd": -3.0}, "theta2", "link 2 goes over the top"),
+    ],
+)
+def test_what_runs_away_is_named_by_what_it_means(
+    scene: Problem, gains: Mapping[str, float], name: str, phrase: str
+) -> None:
+    found = at(scene, **gains)
+    assert (found.fate, found.escaped, found.detail) == (Fate.ESCAPE, name, phrase)
+
+
+def test_a_link_that_swings_past_half_a_turn_and_comes_back_does_not_run_away(
+    scene: Problem,
+) -> None:
+    close = scene.escapes | {"theta2": Escape(beyond=2.0, phrase="nearly")}
+    numbers = {"Kp": 3.56, "Kd": -1.48}
+    assert at(scene, **numbers).fate is Fate.ZENO
+    assert at(replace(scene, escapes=close), **numbers).detail == "nearly"
+
+
+def test_a_ball_comes_to_rest_on_the_floor() -> None:
+    found = at(load_problem("bouncing_ball"))
+    assert found.fate is Fate.REST
+    assert found.state == {"height": 0.0, "speed": 0.0}
+
+
+def test_the_forced_oscillator_has_the_zeno_orbit_of_the_closed_form() -> None:
+    stopped = StoppedOscillator(damping=1.9, stop=-0.8, restitution=0.5)
+    found = at(clocked_oscillator(stopped, attracting=True))
+    assert (found.fate, found.returns) == (Fate.ZENO, 1)
+    assert found.period == pytest.approx(2 * math.pi, rel=1e-6)
+
+
+def test_an_oscillation_that_dies_slowly_is_told_with_its_factor_a_period() -> None:
+    found = at(oscillator(damping=0.1))
+    assert found.fate is Fate.UNSETTLED
+    # The maxima of exp(-c t / 2) cos(w t) follow each other at 2 pi / w.
+    damped = math.sqrt(1 - 0.1**2 / 4)
+    assert found.trend == pytest.approx(math.exp(-0.05 * 2 * math.pi / damped), rel=1e-4)
+    assert found.phrase.endswith("dying out")
+
+
+def test_an_oscillation_that_grows_slowly_is_told_so_and_one_that_died_rests() -> None:
+    growing = at(oscillator(damping=-0.02))
+    assert growing.fate is Fate.UNSETTLED
+    assert growing.trend > 1.0
+    assert growing.phrase.endswith("growing")
+    assert at(oscillator(damping=1.5)).fate is Fate.REST
+
+
+def test_a_coordinate_without_a_bound_runs_away_in_the_end() -> None:
+    found = at(oscillator(stiffness=-1.0))
+    assert (found.fate, found.escaped, found.detail) == (Fate.ESCAPE, "x", "x runs away")
+
+
+def test_free_oscillations_repeat_without_a_zeno_point() -> None:
+    found = at(oscillator(damping=0.0))
+    assert found.fate is Fate.NO_ZENO
+    assert found.period == pytest.approx(2 * math.pi, rel=1e-6)
+
+
+def test_a_simulation_that_stops_is_a_failure_with_its_reason(scene: Problem) -> None:
+    few = replace(QUICK, simulation=replace(QUICK.simulation, most_steps=50))
+    found = at(scene, few)
+    assert found.fate is Fate.FAILED
+    assert "more than 50 steps" in found.detail
+
+
+@pytest.mark.parametrize(
+    "attractor",
+    [
+        Attractor(fate=Fate.REST, state={"x": 0.0}),
+        Attractor(fate=Fate.UNSETTLED, trend=0.0),
+        Attractor(fate=Fate.ESCAPE, escaped="x", detail="x runs away"),
+        Attractor(
+            fate=Fate.ZENO,
+            returns=2,
+            period=0.1 + 0.2,
+            multipliers=(complex(1 / 3, -5e-324), 0j),
+            margins={"locked_time": 1e-300},
+            state={"x": -0.0},
+        ),
+    ],
+)
+def test_an_attractor_comes_back_from_plain_data_to_the_last_bit(attractor: Attractor) -> None:
+    back = attractor_from_json(attractor_json(attractor))
+    assert repr(back) == repr(attractor)
+
+
+def test_numbers_of_an_attractor_are_plain(scene: Problem) -> None:
+    for value in attractor_json(at(scene))["state"].values():
+        assert type(value) is float
+    assert np.isnan(Attractor(fate=Fate.REST).spectral_radius)

@@ -1,0 +1,422 @@
+"""Maps: the grid, what is refused, the file, the command, and a kill in the middle."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import joblib
+import numpy as np
+import pytest
+from ZZ_orbits import work
+
+from tests.cli.test_cli import ask
+from tests.reference.long_simulation import attractor_of
+from tests.support.processes import Commands, workers_of
+from zeno_orbits.errors import CheckpointError, InputError, MapFileError, ProblemFileError
+from zeno_orbits.maps.map_file import read_boundaries, read_map, write_map
+from zeno_orbits.maps.parameter_map import Axis, ParameterMap, Plane, parameter_map, require_plane
+from zeno_orbits.model.library import bundled_problems, load_problem, scene_file
+from zeno_orbits.model.problem import Escape
+from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.simulation.attractor import Attractor, Fate
+from zeno_orbits.work import Cluster, Plan, Workers
+
+YES, NO, MISUSE = 0, 1, 2
+CORES = int(joblib.cpu_count())
+ONE = Plan(place=Workers(count=1), chunk=4)
+BALL = ("map", "bouncing_ball", "--x", "m=1:2", "--y", "restitution=0:0.5", "--points", "3x2")
+
+needs_two = pytest.mark.skipif(CORES < 2, reason="needs two cores")
+
+
+def plane(scene: str | Path = "bouncing_ball", **changes: Any) -> Plane:
+    whole = Plane(
+        scene=scene_file(scene),
+        x=Axis(name="m", lower=1.0, upper=2.0, count=3),
+        y=Axis(name="restitution", lower=0.0, upper=0.5, count=2),
+        start=(1.0, 0.0),
+    )
+    return replace(whole, **changes)
+
+
+def pendulum(**changes: Any) -> Plane:
+    whole = Plane(
+        scene=scene_file("motor_pendulum"),
+        x=Axis(name="Kp", lower=2.0, upper=3.0, count=2),
+        y=Axis(name="Kd", lower=-3.0, upper=-2.0, count=2),
+        start=(0.6, 0.0, 0.0, 0.0, 0.0),
+    )
+    return replace(whole, **changes)
+
+
+# ---------------------------------------------------------------------------- the grid
+
+
+def test_the_grid_runs_row_by_row_from_below_and_holds_both_ends() -> None:
+    assert plane().points() == (
+        *((1.0, 0.0), (1.5, 0.0), (2.0, 0.0)),
+        *((1.0, 0.5), (1.5, 0.5), (2.0, 0.5)),
+    )
+
+
+def test_every_point_of_a_map_is_the_long_run_at_its_numbers() -> None:
+    scene = load_problem("motor_pendulum")
+    found = parameter_map(pendulum(), ONE)
+    for (kp, kd), attractor in zip(pendulum().points(), found.attractors, strict=True):
+        alone = attractor_of(scene, scene.setting(gains={"Kp": kp, "Kd": kd}), pendulum().start)
+        # A representation holds every bit, and NaN equals itself.
+        assert repr(attractor) == repr(alone)
+    assert {one.fate for one in found.attractors} == {Fate.ESCAPE}
+
+
+def test_parameters_that_others_are_derived_from_are_derived_anew_at_every_point() -> None:
+    scene = load_problem("motor_pendulum")
+    crossed = pendulum(x=Axis(name="m2", lower=0.1, upper=0.12, count=2))
+    setting = crossed.setting(scene, 0.12, -1.0)
+    assert setting == scene.setting(gains={"Kd": -1.0}, parameters={"m2": 0.12})
+    assert setting.parameters["J_rotor"] != scene.setting().parameters["J_rotor"]
+
+
+def test_a_point_whose_derived_numbers_do_not_exist_fails_by_itself() -> None:
+    # The calibration needs lc2 below 0.3558 m, roughly.
+    crossed = pendulum(x=Axis(name="lc2", lower=0.15, upper=0.9, count=2))
+    found = parameter_map(crossed, ONE)
+    fates = [[one.fate is Fate.FAILED for one in found.attractors[k : k + 2]] for k in (0, 2)]
+    assert fates == [[False, True], [False, True]]
+    assert "no rotor inertia" in found.attractors[1].detail
+
+
+# ---------------------------------------------------------------------------- refused
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"x": Axis(name="m", lower=2.0, upper=1.0, count=3)}, "`x` must go from a lower to"),
+        ({"x": Axis(name="m", lower=1.0, upper=1.0, count=3)}, "`x` must go from a lower to"),
+        ({"y": Axis(name="m", lower=1.0, upper=2.0, count=3)}, "`y` must be another"),
+        ({"x": Axis(name="mass", lower=1.0, upper=2.0, count=3)}, "`x` must name one of m, g"),
+        ({"x": Axis(name="m", lower=0.0, upper=2.0, count=3)}, "`m` must be greater than 0"),
+        ({"y": Axis(name="restitution", lower=0.0, upper=1.0, count=3)}, r"lie in \[0, 1\)"),
+        ({"x": Axis(name="m", lower=1.0, upper=float("nan"), count=3)}, "`x` must go from"),
+        ({"x": Axis(name="m", lower=1.0, upper=2.0, count=1)}, "`points` must be at least 2x2"),
+        (
+            {"x": Axis(name="m", lower=1.0, upper=2.0, count=10_000_000)},
+            "`points` must ask for at most 10000000 points",
+        ),
+        ({"parameters": {"m": 1.0}}, "`x` must name what is not fixed, but `m` is"),
+        ({"parameters": {"mass": 1.0}}, "`parameter` must be one of"),
+    ],
+)
+def test_a_plane_that_makes_no_sense_is_refused(changes: Mapping[str, Any], told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        require_plane(plane(**changes))
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("--x m=2:1 --y restitution=0:0.5", "Argument `x` must go from a lower to a higher number"),
+        ("--x mass=1:2 --y restitution=0:0.5", "Argument `x` must name one of m, g, restitution"),
+        ("--x m=1 --y restitution=0:0.5", "Argument `x` must be NAME=LOW:HIGH"),
+        ("--x m=1:2 --x g=1:2 --y restitution=0:0.5", "Argument `x` must be given once"),
+        ("--x m=1:2 --y restitution=0:0.5 --points 3", "must be NxM"),
+        ("--x m=1:2 --y restitution=0:0.5 --points 0x3", "positive whole number"),
+        ("--x m=1:2 --y restitution=0:0.5 --until -1", "`until` must be a positive number"),
+        ("--x m=1:2 --y restitution=0:0.5 --picture map.gif", r"must end in .png"),
+        ("--x m=1:2 --y restitution=0:0.5 -o missing/map.json", "must be in a writable folder"),
+        (
+            f"--x m=1:2 --y restitution=0:0.5 --workers {CORES + 1}",
+            f"at most the {CORES} cores of this machine, but it is {CORES + 1}",
+        ),
+        (
+            "--x m=1:2 --y restitution=0:0.5 --workers 1 --scheduler tcp://127.0.0.1:1",
+            "`workers` must not be given with a scheduler",
+        ),
+    ],
+)
+def test_the_command_refuses_what_makes_no_sense(
+    words: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    answer = ask("map", "bouncing_ball", *words.split())
+    assert answer.code == MISUSE
+    assert told in answer.err
+    assert answer.err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_scheduler_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(work, "Cluster", partial(Cluster, patience=0.5))
+    answer = ask(*BALL, "--scheduler", "tcp://127.0.0.1:1")
+    assert answer.code == MISUSE
+    assert "`tcp://127.0.0.1:1` does not answer" in answer.err
+
+
+# ---------------------------------------------------------------------------- scenes by path
+
+
+def test_a_scene_from_a_file_is_loaded_by_the_workers_themselves(tmp_path: Path) -> None:
+    scene = tmp_path / "ball.py"
+    shutil.copy(bundled_problems()["bouncing_ball"], scene)
+    found = parameter_map(plane(scene), ONE)
+    assert {one.fate for one in found.attractors} == {Fate.REST}
+    assert found.attractors == parameter_map(plane(), ONE).attractors
+
+
+def test_a_scene_whose_file_has_changed_meanwhile_is_refused(tmp_path: Path) -> None:
+    scene = tmp_path / "ball.py"
+    shutil.copy(bundled_problems()["bouncing_ball"], scene)
+    before = plane(scene)
+    scene.write_text(scene.read_text() + "\n# another thought\n")
+    with pytest.raises(InputError, match="must be the same file for everybody"):
+        before.scene.load()
+    scene.unlink()
+    with pytest.raises(InputError):
+        before.scene.load()
+
+
+def test_a_scene_file_that_defines_none_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "empty.py").write_text("")
+    with pytest.raises(ProblemFileError):
+        scene_file(tmp_path / "empty.py")
+
+
+def test_a_reduced_model_can_be_mapped() -> None:
+    scene = scene_file("motor_pendulum@quasi_static")
+    assert scene.load().name == "motor_pendulum@quasi_static"
+    assert scene.digest == scene_file("motor_pendulum").digest
+    assert set(scene.load().escapes) == {"theta1", "theta2"}
+
+
+def test_a_scene_that_lets_an_unknown_state_escape_is_refused() -> None:
+    scene = load_problem("bouncing_ball")
+    with pytest.raises(InputError, match=r"`escapes` must be one of height, speed, but it is `x`"):
+        replace(scene, escapes={"x": Escape(beyond=1.0, phrase="x leaves")})
+
+
+def test_a_checkpoint_of_another_scene_of_the_same_name_is_refused(tmp_path: Path) -> None:
+    scene, kept = tmp_path / "ball.py", tmp_path / "kept"
+    shutil.copy(bundled_problems()["bouncing_ball"], scene)
+    parameter_map(plane(scene), replace(ONE, checkpoint=kept))
+    before = {path.name: path.read_bytes() for path in kept.iterdir()}
+    scene.write_text(scene.read_text().replace("9.81", "9.82"))
+    with pytest.raises(CheckpointError, match="`scene` is"):
+        parameter_map(plane(scene), replace(ONE, checkpoint=kept))
+    other = plane(parameters={"g": 9.0})
+    with pytest.raises(CheckpointError, match="its `"):
+        parameter_map(other, replace(ONE, checkpoint=kept))
+    assert {path.name: path.read_bytes() for path in kept.iterdir()} == before
+
+
+# ---------------------------------------------------------------------------- files
+
+
+@pytest.fixture(name="found", scope="module")
+def _found() -> ParameterMap:
+    return parameter_map(plane(), ONE)
+
+
+def test_a_map_file_holds_every_bit_of_the_map(found: ParameterMap, tmp_path: Path) -> None:
+    odd = replace(
+        found,
+        attractors=(
+            Attractor(fate=Fate.ZENO, returns=1, period=0.1 + 0.2, multipliers=(0.1 + 1e-17j,)),
+            *found.attractors[1:],
+        ),
+    )
+    write_map(odd, tmp_path / "map.json")
+    assert repr(read_map(tmp_path / "map.json")) == repr(odd)
+    assert json.loads((tmp_path / "map.json").read_text()) == odd.as_json()
+
+
+def test_the_arrays_of_a_map_have_a_row_for_every_y(found: ParameterMap) -> None:
+    assert found.shape == (2, 3)
+    assert found.numbers("returns").shape == (2, 3)
+    assert np.all(np.isnan(found.numbers("period")))
+    assert np.all(np.isnan(found.margin("locked_time")))
+    assert not found.has_zeno
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda text: text[:-40], "no complete JSON"),
+        (lambda _: "[]", "no object"),
+        (lambda text: text.replace('"format": 1', '"format": 2'), "format is 2"),
+        (lambda text: text.replace('"fate": "rest"', '"fate": "bliss"', 1), "does not fit"),
+        (lambda text: text.replace('"count": 3', '"count": 4'), "not one entry a point"),
+        (lambda text: text.replace('"until"', '"before"'), "does not fit"),
+    ],
+)
+def test_a_map_file_that_is_not_whole_is_refused(
+    found: ParameterMap, tmp_path: Path, change: Any, told: str
+) -> None:
+    path = tmp_path / "map.json"
+    write_map(found, path)
+    path.write_text(change(path.read_text()))
+    with pytest.raises(MapFileError, match=told):
+        read_map(path)
+
+
+# ---------------------------------------------------------------------------- the command
+
+
+def test_the_command_answers_no_where_nothing_settles_to_a_zeno_orbit() -> None:
+    answer = ask(*BALL, "--workers", "1")
+    assert (answer.code, answer.err) == (NO, "")
+    assert "rest" in answer.out
+    assert "100.0 %" in answer.out
+
+
+def test_the_command_answers_yes_with_file_and_picture_and_removes_its_checkpoint(
+    tmp_path: Path,
+) -> None:
+    out, picture = tmp_path / "map.json", tmp_path / "map.png"
+    words = "--x Kp=2.4:2.6 --y Kd=-1.05:-0.95 --points 2x2 --set restitution=0 --workers 1"
+    answer = ask("map", "motor_pendulum", *words.split(), "-o", out, "--picture", picture)
+    assert (answer.code, answer.err) == (YES, "")
+    assert "simple periodic orbit" in answer.out
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["map.json", "map.png"]
+    found = read_map(out)
+    assert found.has_zeno
+    assert found.parameters == {"restitution": 0.0}
+    assert np.all(np.isfinite(found.margin("locked_time")))
+
+
+def test_json_is_the_content_of_the_file(tmp_path: Path) -> None:
+    answer = ask(*BALL, "--workers", "1", "--json", "-o", tmp_path / "map.json")
+    assert answer.data == json.loads((tmp_path / "map.json").read_text())
+
+
+def test_a_named_checkpoint_stays_and_another_map_leaves_it_alone(tmp_path: Path) -> None:
+    kept, out = tmp_path / "kept", tmp_path / "map.json"
+    assert ask(*BALL, "--workers", "1", "--checkpoint", kept).code == NO
+    before = {path.name: path.read_bytes() for path in kept.iterdir()}
+    assert ask(*BALL, "--workers", "1", "--checkpoint", kept, "-o", out).code == NO
+    answer = ask(*BALL, "--workers", "1", "--checkpoint", kept, "--until", "50", "-o", out)
+    assert answer.code == MISUSE
+    assert "`until` is" in answer.err
+    assert {path.name: path.read_bytes() for path in kept.iterdir()} == before
+
+
+def test_an_interrupt_says_what_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tell = report.Progress.tell
+
+    def interrupt(progress: report.Progress, what: str, part: float | None = None) -> None:
+        if part == 1.0:
+            raise KeyboardInterrupt
+        tell(progress, what, part)
+
+    monkeypatch.setattr(report.Progress, "tell", interrupt)
+    out = tmp_path / "map.json"
+    answer = ask(*BALL, "--workers", "1", "-o", out)
+    assert answer.code == 130
+    assert answer.err.endswith("map.json.checkpoint` keeps what is finished\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["map.json.checkpoint"]
+    assert ask(*BALL, "--workers", "1").err == "zeno-orbits: interrupted; nothing was written\n"
+
+
+def test_an_interrupt_with_nothing_finished_leaves_no_checkpoint_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(report.Progress, "tell", interrupt)
+    named = tmp_path / "named"
+    for words in ((), ("--checkpoint", named)):
+        answer = ask(*BALL, "--workers", "1", "-o", tmp_path / "map.json", *words)
+        assert answer.code == 130
+    assert [path.name for path in tmp_path.iterdir()] == ["named"]
+
+
+LONG = ("map", "motor_pendulum", "--x", "Kp=2:3", "--y", "Kd=-3:-2", "--points", "8x8")
+
+
+@needs_two
+@pytest.mark.slow
+def test_a_map_by_two_workers_one_killed_and_then_all_is_that_of_one_worker(
+    tmp_path: Path, commands: Commands
+) -> None:
+    quiet, killed = tmp_path / "quiet.json", tmp_path / "killed.json"
+    assert commands.start(*LONG, "--workers", "1", "-o", quiet).wait(300) == NO
+    kept = tmp_path / "killed.json.checkpoint"
+
+    def chunks() -> int:
+        return len(list(kept.glob("chunk-*.json")))
+
+    def wait_for(count: int) -> None:
+        end = time.monotonic() + 120
+        while chunks() < count:
+            assert time.monotonic() < end
+            time.sleep(0.01)
+
+    program = commands.start(*LONG, "--workers", "2", "-o", killed)
+    wait_for(1)
+    os.kill(workers_of(program.pid)[0], signal.SIGKILL)
+    wait_for(2)
+    program.kill()
+    program.wait()
+    assert not killed.exists()
+    assert chunks() < 4
+    assert commands.start(*LONG, "--workers", "2", "-o", killed).wait(300) == NO
+    assert killed.read_bytes() == quiet.read_bytes()
+    assert not kept.exists()
+
+
+# ---------------------------------------------------------------------------- curves on top
+
+
+def _curves(path: Path, parameters: list[str]) -> Path:
+    curve = {"name": "fold", "parameters": parameters, "x": [1.0, 2.0], "y": [0.0, 0.5]}
+    path.write_text(json.dumps({"boundaries": [curve]}))
+    return path
+
+
+def test_curves_of_a_family_file_are_read_whichever_way_round(tmp_path: Path) -> None:
+    straight = read_boundaries(_curves(tmp_path / "a.json", ["m", "e"]), "m", "e")
+    turned = read_boundaries(_curves(tmp_path / "b.json", ["e", "m"]), "m", "e")
+    assert straight[0].points == ((1.0, 0.0), (2.0, 0.5))
+    assert turned[0].points == ((0.0, 1.0), (0.5, 2.0))
+    bare = tmp_path / "c.json"
+    bare.write_text(json.dumps(json.loads((tmp_path / "a.json").read_text())["boundaries"]))
+    assert read_boundaries(bare, "m", "e") == straight
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("no JSON", "holds no boundaries"),
+        ("{}", "holds no boundaries"),
+        ('[{"name": "fold"}]', "holds no boundaries"),
+        ('[{"name": "f", "parameters": ["a", "b"], "x": [], "y": []}]', "no boundary over m and e"),
+    ],
+)
+def test_a_file_without_curves_of_the_plane_is_refused(
+    tmp_path: Path, text: str, reason: str
+) -> None:
+    path = tmp_path / "curves.json"
+    path.write_text(text)
+    with pytest.raises(MapFileError, match=reason):
+        read_boundaries(path, "m", "e")
+
+
+def test_curves_are_drawn_on_top_and_need_a_picture(tmp_path: Path) -> None:
+    curves = _curves(tmp_path / "curves.json", ["m", "restitution"])
+    answer = ask(*BALL, "--boundaries", curves)
+    assert answer.code == MISUSE
+    assert "`boundaries` must come with `picture`" in answer.err
+    picture = tmp_path / "map.png"
+    assert ask(*BALL, "--workers", "1", "--boundaries", curves, "--picture", picture).code == NO
+    assert picture.stat().st_size > 0

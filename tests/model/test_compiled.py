@@ -1,0 +1,198 @@
+"""The compiled functions give every entry its place, sparse as the symbols may be."""
+
+import gc
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import DOP853
+
+from problems.motor_pendulum import reference
+from zeno_orbits.errors import StepSizeError
+from zeno_orbits.integrators import RungeKutta
+from zeno_orbits.integrators.dop853_step import FIFTH, STAGES, STEP, THIRD
+from zeno_orbits.integrators.flow import PlainFlow, Tolerance
+from zeno_orbits.model.drives import no_drive
+from zeno_orbits.model.hybrid import audited, complete
+from zeno_orbits.model.lagrangian import HybridLagrangian
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.model.numeric.compiled import bind, compile_problem, compile_system
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+
+ROUNDING = 1e-15
+
+
+def _uncoupled_ball() -> HybridDynamics:
+    """Return a ball of unit mass in the plane over a floor: its mass matrix couples nothing."""
+    q, v, e = ca.SX.sym("q", 2), ca.SX.sym("v", 2), ca.SX.sym("restitution")
+    lagrangian = HybridLagrangian.from_energies(
+        q=q, v=v, kinetic=ca.sumsqr(v) / 2, potential=9.81 * q[1], gap=q[1]
+    )
+    system = complete(lagrangian, no_drive(lagrangian), e)
+    compiled = compile_system(system, {"restitution": e}, ("x", "y", "vx", "vy"))
+    return bind(compiled, [0.3])
+
+
+def test_structural_zeros_keep_their_places() -> None:
+    ball = _uncoupled_ball()
+    state = np.array([0.0, 0.0, 1.0, -1.0])
+    assert ball.impulse_direction(state).tolist() == [0.0, 0.0, 0.0, 1.0]
+    assert ball.free.rate(state).tolist() == [1.0, -1.0, 0.0, -9.81]
+    assert ball.reset_map(state, -1.0) == pytest.approx(np.array([0.0, 0.0, 1.0, 0.3]))
+    assert ball.on_stop(state).tolist() == [0.0, 0.0, 1.0, 0.0]
+
+
+def test_the_numbers_of_a_flow_outlive_their_maker() -> None:
+    ball = _uncoupled_ball()
+    flights = [ball.flight(10.0**-k) for k in range(50)]
+    gc.collect()
+    _ = [np.full(4, np.nan) for _ in range(1000)]
+    y = np.array([0.0, 0.0, 1.0, 0.5, 0.0, 1.0])
+    for k, flight in enumerate(flights):
+        speed = 10.0**-k
+        expected = np.array([speed, 0.5 * speed, 0.0, -9.81 * speed, 1.0, -9.81])
+        assert flight.rate(y) == pytest.approx(expected, rel=ROUNDING)
+
+
+def test_the_fused_rest_is_that_of_the_pendulum_written_by_hand() -> None:
+    problem = load_problem("motor_pendulum")
+    setting = problem.setting()
+    compiled = bind(compile_problem(problem), setting.values())
+    by_hand = reference.dynamics(setting)
+    assert compiled.fused_resting is not None
+    assert by_hand.fused_resting is None
+    random = np.random.default_rng(0)
+    for gap in (0.0, 1e-9, 0.1):
+        x = random.uniform(-2.0, 2.0, 5)
+        x[1] = gap
+        fused, plain = compiled.resting(x), by_hand.resting(x)
+        # Forces of size 100 over inertias of 0.01 cancel in the accelerations.
+        assert fused.state == pytest.approx(plain.state, rel=1e-13, abs=1e-14)
+        assert fused.gap_acceleration == pytest.approx(plain.gap_acceleration, rel=1e-11, abs=1e-11)
+        assert fused.rate == pytest.approx(plain.rate, rel=1e-11, abs=1e-11)
+        assert compiled.on_stop(x).tolist() == fused.state.tolist()
+
+
+def test_the_fused_rest_gives_way_to_a_part_that_was_replaced() -> None:
+    ball = _uncoupled_ball()
+    x = np.array([0.0, 0.1, 1.0, -1.0])
+    assert ball.resting(x).gap_acceleration == pytest.approx(-9.81)
+    heavy = replace(ball, gap_acceleration=lambda _: -20.0)
+    assert heavy.resting(x).gap_acceleration == -20.0
+    sideways = replace(ball, impulse_direction=lambda _: np.array([0.0, 0.0, 0.5, 1.0]))
+    assert sideways.on_stop(x) == pytest.approx(np.array([-0.05, 0.0, 1.5, 0.0]))
+    # What it does not stand for leaves it alone.
+    assert replace(ball, energy=lambda _: 0.0).fused_resting is ball.fused_resting
+
+
+def test_a_compiled_step_is_the_plain_step() -> None:
+    problem = load_problem("motor_pendulum")
+    dynamics = bind(compile_problem(problem), problem.setting().values())
+    state = np.array([0.4, 0.2, -1.0, 2.0, 0.5])
+    plain = PlainFlow(field=dynamics.free.rate, guard_and_rate=dynamics.free.guard)
+    tolerance = Tolerance(relative=1e-9, absolute=1e-9)
+    for size in (1e-5, 1e-3, 5e-3):
+        by_plain, plain_error = plain.attempt(state, size, tolerance)
+        by_compiled, compiled_error = dynamics.free.attempt(state, size, tolerance)
+        assert by_compiled == pytest.approx(by_plain, rel=1e-13)
+        # Below the tolerance the error estimate is rounding, magnified.
+        assert compiled_error == pytest.approx(plain_error, rel=1e-3, abs=1e-6)
+
+
+def test_a_flow_that_is_not_finite_is_named() -> None:
+    flow = PlainFlow(field=lambda y: y / 0.0 * np.inf, guard_and_rate=lambda _: (1.0, 0.0))
+    with np.errstate(all="ignore"), pytest.raises(StepSizeError, match="not finite"):
+        next(RungeKutta().steps(flow, np.array([1.0]), Tolerance()))
+
+
+def test_a_flow_that_blows_up_ends_in_a_named_error() -> None:
+    flow = PlainFlow(field=lambda y: y**2, guard_and_rate=lambda _: (1.0, 0.0))
+    starts: list[float] = []
+
+    def follow() -> None:
+        starts.extend(s.start for s in RungeKutta().steps(flow, np.array([1.0]), Tolerance()))
+
+    with np.errstate(all="ignore"), pytest.raises(StepSizeError, match="rounding level"):
+        follow()
+    # y' = y^2 from 1 is infinite at t = 1.
+    assert starts[-1] == pytest.approx(1.0, rel=1e-11)
+
+
+def test_the_ledger_leaves_the_motion_alone() -> None:
+    problem = load_problem("motor_pendulum")
+    values = problem.setting().values()
+    plain = bind(compile_problem(problem), values)
+    ledger = bind(compile_problem(problem, audited), values)
+    state = np.array([0.4, 0.2, -1.0, 2.0, 0.5])
+    longer = np.append(state, [1.0, 2.0, 3.0])
+    assert ledger.free.rate(longer)[:5].tolist() == plain.free.rate(state).tolist()
+    assert ledger.reset_map(longer, -2.0)[5:].tolist() == [1.0, 2.0, 3.0]
+    # Voltage -Kp theta1 - Kd dtheta1 at R = 3 ohm.
+    work, copper, other = ledger.free.rate(longer)[5:]
+    assert work == pytest.approx((-2.5 * 0.4 + 1.0 * -1.0) * 0.5)
+    assert copper == pytest.approx(3.0 * 0.5**2)
+    assert other == pytest.approx(0.0, abs=ROUNDING)
+
+
+def test_names_that_do_not_fit_the_states_are_refused() -> None:
+    problem = load_problem("bouncing_ball")
+    symbols = problem.symbols()
+    system = problem.model(symbols)
+    with pytest.raises(ValueError, match="must name 2 states"):
+        compile_system(system, symbols, ("height",))
+
+
+def test_a_loose_symbol_is_named() -> None:
+    problem = load_problem("bouncing_ball")
+    symbols = problem.symbols()
+    system = problem.model(symbols)
+    del symbols["g"]
+    with pytest.raises(ValueError, match="depends on g"):
+        compile_system(system, symbols, problem.state_names)
+
+
+def test_a_step_that_overflows_is_never_accepted() -> None:
+    problem = load_problem("motor_pendulum")
+    dynamics = bind(compile_problem(problem), problem.setting(gains={"Kd": 0.5}).values())
+    plain = PlainFlow(field=dynamics.free.rate, guard_and_rate=dynamics.free.guard)
+    state = np.array([-2.8e-7, 0.0, -1.4e-5, 0.0, 2.6e-6])
+    tolerance = Tolerance(relative=1e-8, absolute=1e-10)
+    # R/L = 1500 1/s: a step of 12 s raises 2e4 to the power 8 in every stage, and ends in NaN.
+    assert not dynamics.free.attempt(state, 12.0, tolerance)[1] <= 1.0
+    with np.errstate(all="ignore"):
+        assert not plain.attempt(state, 12.0, tolerance)[1] <= 1.0
+
+
+def test_a_damped_component_keeps_its_tolerance() -> None:
+    # y' = -a (y - sin w t), t' = 1, settled: y = (a^2 sin w t - a w cos w t) / (a^2 + w^2). The
+    # usual mixed estimate lets through five times the tolerance here, the bounded one far less.
+    a, w = 10.0, 20.0
+
+    def exact(t: float) -> float:
+        return (a**2 * np.sin(w * t) - a * w * np.cos(w * t)) / (a**2 + w**2)
+
+    flow = PlainFlow(
+        field=lambda y: np.array([-a * (y[0] - np.sin(w * y[1])), 1.0]),
+        guard_and_rate=lambda _: (1.0, 0.0),
+    )
+    tolerance = Tolerance(relative=1e-12, absolute=1e-13)
+    worst = 0.0
+    for step in RungeKutta().steps(flow, np.array([exact(0.0), 0.0]), tolerance):
+        worst = max(worst, abs(float(step.after[0]) - exact(float(step.after[1]))))
+        if step.start > 1.0:
+            break
+    assert worst < tolerance.relative
+
+
+def test_the_tableau_is_that_of_the_method() -> None:
+    matrix = np.zeros((N_STAGES := len(STAGES) + 1, N_STAGES))
+    for k, row in enumerate(STAGES, start=1):
+        for stage, weight in row:
+            matrix[k, stage] = weight
+    assert matrix.tolist() == DOP853.A[:N_STAGES, :N_STAGES].tolist()
+    for row, theirs in ((STEP, DOP853.B), (FIFTH, DOP853.E5), (THIRD, DOP853.E3)):
+        dense = np.zeros(len(theirs))
+        for stage, weight in row:
+            dense[stage] = weight
+        assert dense.tolist() == theirs.tolist()

@@ -1,0 +1,164 @@
+"""Scenes by name and from files: what is refused, and in which words."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from zeno_orbits.errors import InputError, ProblemFileError
+from zeno_orbits.model.library import bundled_problems, load_problem, load_reference
+from zeno_orbits.model.problem import Problem, positive, restitution
+
+
+@pytest.fixture(name="pendulum", scope="module")
+def _pendulum() -> Problem:
+    return load_problem("motor_pendulum")
+
+
+def test_the_bundled_scenes_are_found_by_name() -> None:
+    assert {"bouncing_ball", "motor_pendulum"} <= set(bundled_problems())
+    for name in bundled_problems():
+        assert load_problem(name).name == name
+
+
+@pytest.mark.parametrize("name", sorted(bundled_problems()))
+def test_every_bundled_scene_is_consistent(name: str) -> None:
+    problem = load_problem(name)
+    system = problem.model(problem.symbols())
+    assert system.state.numel() == len(problem.state_names) == len(problem.state_units)
+    assert len(set(problem.names)) == len(problem.names)
+    assert "restitution" in problem.names
+    assert len(problem.setting().values()) == len(problem.names)
+    assert problem.amplitude_of in problem.state_names
+    for pair in problem.portraits:
+        assert set(pair) <= set(problem.state_names)
+    for start in problem.starts:
+        assert len(problem.state_vector(start)) == len(problem.state_names)
+
+
+def test_a_scene_is_found_by_the_path_of_its_file_or_folder() -> None:
+    path = bundled_problems()["motor_pendulum"]
+    assert load_problem(path).name == "motor_pendulum"
+    assert load_problem(path / "model.py").name == "motor_pendulum"
+    assert load_problem(str(path / "model.py")).name == "motor_pendulum"
+
+
+def test_an_unknown_scene_is_refused_with_the_known_names() -> None:
+    with pytest.raises(
+        InputError, match=r"`problem` must be one of .*bouncing_ball.*`motor_pendul`"
+    ):
+        load_problem("motor_pendul")
+
+
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"`problem` must be one of .*nothing\.py"):
+        load_problem(tmp_path / "nothing.py")
+
+
+def test_a_file_that_raises_is_refused_with_its_error(tmp_path: Path) -> None:
+    file = tmp_path / "broken.py"
+    file.write_text("ratio = 1 / 0\n", encoding="utf-8")
+    with pytest.raises(ProblemFileError, match=r"broken\.py.*raises ZeroDivisionError") as caught:
+        load_problem(file)
+    assert caught.value.path == file
+
+
+def test_a_file_that_is_no_python_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "garbled.py"
+    file.write_text("def :\n", encoding="utf-8")
+    with pytest.raises(ProblemFileError, match="raises SyntaxError"):
+        load_problem(file)
+    other = tmp_path / "scene.toml"
+    other.write_text("", encoding="utf-8")
+    with pytest.raises(ProblemFileError, match="it is not a Python file"):
+        load_problem(other)
+
+
+def test_a_file_without_a_scene_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "empty.py"
+    file.write_text("problem = 1\n", encoding="utf-8")
+    with pytest.raises(ProblemFileError, match="it has no `PROBLEM`"):
+        load_problem(file)
+    file.write_text("PROBLEM = 'a pendulum'\n", encoding="utf-8")
+    with pytest.raises(ProblemFileError, match="it has no `PROBLEM` of type `Problem`"):
+        load_problem(file)
+
+
+def test_a_folder_without_a_model_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ProblemFileError, match="it is not a Python file"):
+        load_problem(tmp_path)
+
+
+def test_an_unknown_parameter_is_refused_with_the_known_names(pendulum: Problem) -> None:
+    with pytest.raises(
+        InputError, match=r"`parameter` must be one of L1, lc1, .* but it is `mass`"
+    ):
+        pendulum.setting(parameters={"mass": 1.0})
+
+
+def test_an_unknown_gain_is_refused_with_the_known_names(pendulum: Problem) -> None:
+    with pytest.raises(InputError, match="`gain` must be one of Kp, Kd, but it is `Ki`"):
+        pendulum.setting(gains={"Ki": 1.0})
+
+
+def test_a_gain_of_a_scene_without_gains_is_refused() -> None:
+    with pytest.raises(InputError, match="`gain` must be one of none, but it is `Kp`"):
+        load_problem("bouncing_ball").setting(gains={"Kp": 1.0})
+
+
+@pytest.mark.parametrize("mass", [0.0, -0.3])
+def test_a_mass_that_is_not_positive_is_refused(pendulum: Problem, mass: float) -> None:
+    with pytest.raises(InputError, match=f"`m1` must be greater than 0, but it is {mass:g}"):
+        pendulum.setting(parameters={"m1": mass})
+
+
+@pytest.mark.parametrize("value", [-0.1, 1.0, 1.5])
+def test_a_restitution_outside_its_range_is_refused(pendulum: Problem, value: float) -> None:
+    with pytest.raises(
+        InputError, match=rf"`restitution` must lie in \[0, 1\), but it is {value:g}"
+    ):
+        pendulum.setting(parameters={"restitution": value})
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_number_that_is_not_finite_is_refused(pendulum: Problem, value: float) -> None:
+    with pytest.raises(InputError, match="`m1` must be a finite number"):
+        pendulum.setting(parameters={"m1": value})
+    with pytest.raises(InputError, match="`Kp` must be a finite number"):
+        pendulum.setting(gains={"Kp": value})
+    with pytest.raises(InputError, match="`theta1` must be a finite number"):
+        pendulum.state_vector({"theta1": value})
+
+
+def test_gains_outside_the_search_box_are_allowed(pendulum: Problem) -> None:
+    assert pendulum.setting(gains={"Kp": 100.0}).gains["Kp"] == 100.0
+
+
+def test_an_unknown_state_is_refused(pendulum: Problem) -> None:
+    with pytest.raises(InputError, match=r"`state` must be one of theta1, .* but it is `theta3`"):
+        pendulum.state_vector({"theta3": 1.0})
+
+
+def test_states_that_are_not_named_are_zero(pendulum: Problem) -> None:
+    assert pendulum.state_vector({"dtheta1": 2}) == (0.0, 0.0, 2.0, 0.0, 0.0)
+
+
+def test_values_come_gains_first_in_the_order_of_the_names(pendulum: Problem) -> None:
+    setting = pendulum.setting(gains={"Kd": -0.5})
+    named = dict(zip(pendulum.names, setting.values(), strict=True))
+    assert named == {**setting.gains, **setting.parameters}
+    assert named["Kd"] == -0.5
+
+
+def test_a_scene_without_a_hand_written_model_says_so() -> None:
+    with pytest.raises(InputError, match="`bouncing_ball` has none"):
+        load_reference(load_problem("bouncing_ball"))
+
+
+def test_ranges_are_told_in_words() -> None:
+    with pytest.raises(InputError, match="`m` must be greater than 0, but it is 0"):
+        positive("m", 1.0, "kg", "mass").checked(0.0)
+    with pytest.raises(InputError, match=r"must lie in \[0, 1\)"):
+        restitution(0.5).checked(1.0)

@@ -1,0 +1,356 @@
+"""Broken scenes: every mistake is one line that names the thing at fault, and no traceback."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import casadi as ca
+import pytest
+
+from zeno_orbits.cli import main, new
+from zeno_orbits.model.drives import MotorBank
+from zeno_orbits.model.lagrangian import HybridLagrangian
+from zeno_orbits.model.library import bundled_problems, load_problem
+from zeno_orbits.model.units import is_rate_of, powers_of
+
+FORCED, MOTOR = new._FORCED, new._MOTOR
+
+# Name: template, what is replaced, by what, and the words that have to name it.
+BROKEN: dict[str, tuple[str, str, str, str]] = {
+    "gap of the velocity": (
+        *(FORCED, "gap=q,", "gap=q + 0.1 * v,"),
+        "`gap` must depend on the configuration only",
+    ),
+    "gap that is constant": (
+        *(FORCED, "gap=q,", "gap=ca.SX(1),"),
+        "`gap` must depend on the configuration, but it is constant",
+    ),
+    "gap that moves with time": (
+        *(FORCED, "gap=q,", "gap=q + clock.sine,"),
+        "`gap` must not depend on the clock",
+    ),
+    "gap flat at the start": (
+        *(FORCED, "gap=q,", "gap=q**2,"),
+        "finite at start 1, but its normal_inertia is not; does the gap change",
+    ),
+    "no mass": (
+        *(FORCED, 'p["m"] * v**2 / 2', "0 * v**2"),
+        "`kinetic` must give every coordinate an inertia.*coordinate 1",
+    ),
+    "negative mass": (
+        *(FORCED, 'p["m"] * v**2 / 2', '-p["m"] * v**2 / 2'),
+        "mass matrix must be positive definite.*indefinite",
+    ),
+    "mass that changes its sign": (
+        *(MOTOR, 'p["J"] * v**2 / 2', 'p["J"] * (0.5 - q) * v**2 / 2'),
+        "mass matrix must be positive definite.*angle = ",
+    ),
+    "kinetic energy that is not quadratic": (
+        *(FORCED, 'p["m"] * v**2 / 2', 'p["m"] * v**4'),
+        "`kinetic` must be quadratic",
+    ),
+    "potential of the velocity": (
+        *(FORCED, '(q + p["pressed"]) ** 2 / 2', "v**2"),
+        "`potential` must depend on the configuration only",
+    ),
+    "motor that turns nothing": (
+        *(MOTOR, "selection=ca.SX(1)", "selection=ca.SX(0)"),
+        "`selection` must let every motor turn a joint, but motor 1 turns none",
+    ),
+    "motor of a wrong shape": (
+        *(MOTOR, 'resistance=p["R"]', "resistance=ca.SX.eye(2)"),
+        r"`resistance` must be of shape \(1, 1\)",
+    ),
+    "gain that appears nowhere": (
+        *(MOTOR, ' - p["Kp"] * q', ""),
+        "`gains` must appear.*`Kp` appears nowhere",
+    ),
+    "parameter that appears nowhere": (
+        *(FORCED, '-p["c"] * v', "0 * v"),
+        "`parameters` must appear.*`c` appears nowhere",
+    ),
+    "parameter that is not declared": (
+        *(FORCED, 'p["k"] *', 'p["stiffness"] *'),
+        "must use declared gains and parameters, but it asks for `stiffness`",
+    ),
+    "symbol that is no parameter": (
+        *(FORCED, 'p["F"] *', 'ca.SX.sym("wind") *'),
+        "free_flow holds another symbol, `wind`",
+    ),
+    "unit that is none": (
+        *(FORCED, '"N s/m"', '"Ns/m"'),
+        "`unit` must be one for `c`, but `Ns` in `Ns/m` is no unit",
+    ),
+    "unit with two slashes": (
+        *(FORCED, '"N s/m"', '"N/m/s"'),
+        "`unit` must be one for `c`, but `N/m/s` is no unit",
+    ),
+    "velocity in the unit of the position": (
+        *(FORCED, '("m", "m/s", "1", "1")', '("m", "m", "1", "1")'),
+        "`state_units` must give `dx` the unit of `x` per second",
+    ),
+    "too few units": (
+        *(FORCED, '("m", "m/s", "1", "1")', '("m", "m/s")'),
+        "`state_units` must be one for every state, but there are 2 for 4",
+    ),
+    "too few states": (
+        *(MOTOR, '"angle", "rate", "current")', '"angle", "rate")'),
+        "`state_units` must be one for every state, but there are 3 for 2",
+    ),
+    "states that the model has not": (
+        *(MOTOR, "full_drive(mechanism, motor)", "no_drive(mechanism)"),
+        "name 'no_drive' is not defined",
+    ),
+    "current that the model has not": (
+        *(MOTOR, "full_drive", "quasi_static_drive"),
+        "`state_names` must name the model's 2 states .* names 3: angle, rate, current",
+    ),
+    "start beyond the stop": (
+        *(MOTOR, '{"angle": 0.0}', '{"angle": -0.1}'),
+        "Start 1 must have a gap >= 0, but it is -0.1",
+    ),
+    "start off the clock": (
+        *(FORCED, '{"cosine": 1.0}', '{"x": 1.0}'),
+        "Start 1 must keep the constraints.*cosine at 1",
+    ),
+    "start of an unknown state": (
+        *(FORCED, '{"cosine": 1.0}', '{"theta": 1.0}'),
+        "`starts` must name states .* it names `theta`",
+    ),
+    "start that is not finite": (
+        *(MOTOR, '{"angle": 0.0}', '{"angle": float("nan")}'),
+        "`angle` must be a finite number",
+    ),
+    "no start": (
+        *(MOTOR, '({"angle": 0.0},)', "()"),
+        "`starts` must hold a state to start from",
+    ),
+    "box the wrong way round": (
+        *(MOTOR, "lower=6.0, upper=20.0", "lower=20.0, upper=6.0"),
+        "`lower` must have a range with lower < upper for `Kp`, but it is 20:6",
+    ),
+    "box without an end": (
+        *(MOTOR, "lower=6.0, upper=20.0", "lower=6.0"),
+        "`gains` must have a default and a finite range for `Kp`",
+    ),
+    "formula that is not finite at the start": (
+        *(FORCED, 'p["k"] * (q + p["pressed"]) ** 2 / 2', 'p["k"] * p["pressed"] * ca.log(q)'),
+        "must be finite at start 1, but its free_flow",
+    ),
+    "no restitution": (
+        *(FORCED, "        restitution(0.5),  # of the stop, in [0, 1)\n", ""),
+        "must hold a `restitution`.*it holds none",
+    ),
+    "restitution of one": (
+        *(FORCED, "restitution(0.5)", "restitution(1.0)"),
+        r"`restitution` must lie in \[0, 1\), but it is 1",
+    ),
+    "restitution in a range of its own": (
+        FORCED,
+        "restitution(0.5),",
+        'Quantity(name="restitution", unit="1", meaning="", default=0.5),',
+        "must hold a `restitution`.*its range is another one",
+    ),
+    "default outside its range": (
+        *(FORCED, "default=1.0, lower=0.0", "default=-1.0, lower=0.0"),
+        "`c` must be at least 0, but it is -1",
+    ),
+    "name that is there twice": (
+        *(FORCED, 'positive("omega"', 'positive("k"'),
+        "but `k` is there twice",
+    ),
+    "state with the name of a parameter": (
+        *(FORCED, '("x", "dx", "cosine"', '("k", "dx", "cosine"'),
+        "but `k` is there twice",
+    ),
+    "name that cannot be typed": (
+        *(FORCED, 'positive("m"', 'positive("the mass"'),
+        "`name` must be a word .* but it is `the mass`",
+    ),
+    "portrait of an unknown state": (
+        *(FORCED, '(("x", "dx"),)', '(("x", "y"),)'),
+        "`portraits` must name states .* it names `y`",
+    ),
+    "amplitude of an unknown state": (
+        *(FORCED, 'amplitude_of="x"', 'amplitude_of="y"'),
+        "`amplitude_of` must name states .* it names `y`",
+    ),
+    "friction with an entry too many": (
+        *(FORCED, '-p["c"] * v', 'ca.vertcat(-p["c"] * v, 0)'),
+        "`passive_force` must have 1 entries",
+    ),
+    "mechanism that is not completed": (
+        FORCED,
+        'complete(mechanism, no_drive(mechanism), p["restitution"])',
+        "mechanism",
+        "`model` must return what `complete` makes, but it returns a `HybridLagrangian`",
+    ),
+    "no scene": (*(FORCED, "PROBLEM =", "SCENE ="), "it has no `PROBLEM`"),
+    "no Python": (*(FORCED, "def model(p):", "def model(p)"), "raises SyntaxError"),
+}
+
+
+def test_there_are_enough_of_them() -> None:
+    assert len(BROKEN) >= 25
+
+
+@pytest.mark.parametrize("fault", BROKEN)
+def test_a_broken_scene_is_refused_in_one_line_that_names_the_fault(
+    fault: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    template, old, broken, words = BROKEN[fault]
+    assert old in template, fault
+    file = tmp_path / "broken.py"
+    text = template.replace("NAME", "broken").replace(old, broken, 1)
+    if "quasi_static_drive" in broken:
+        text = text.replace("import MotorBank, quasi_static_drive", "import MotorBank, full_drive")
+        text = text.replace("full_drive\n", "full_drive, quasi_static_drive\n", 1)
+        text = text.replace("full_drive(mechanism", "quasi_static_drive(mechanism")
+    file.write_text(text)
+    assert main(["conditions", str(file)]) == 2
+    shown = capsys.readouterr()
+    lines = shown.err.strip().splitlines()
+    assert len(lines) == 1, shown.err
+    assert re.search(words, lines[0]), lines[0]
+    assert str(file) in lines[0]
+    assert not shown.out
+
+
+def test_the_traceback_is_there_for_those_who_ask(tmp_path: Path) -> None:
+    file = tmp_path / "broken.py"
+    file.write_text(FORCED.replace("gap=q,", "gap=v,"))
+    with pytest.raises(ValueError, match="`gap` must depend on the configuration") as caught:
+        main(["conditions", str(file), "--debug"])
+    assert isinstance(caught.value.__cause__, ValueError)
+
+
+@pytest.mark.parametrize("name", sorted(bundled_problems()))
+def test_every_bundled_scene_holds_together(name: str) -> None:
+    problem = load_problem(name)
+    assert problem.checked() is problem
+
+
+@pytest.mark.parametrize("flags", [[], ["--with-motor"]])
+def test_a_new_scene_works_as_it_is_written(
+    flags: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "mine", *flags]) == 0
+    written = Path("mine.py").read_text()
+    assert len(written.splitlines()) < 60
+    assert main(["new", "mine", *flags]) == 2
+    assert "`mine.py` exists" in capsys.readouterr().err
+    assert Path("mine.py").read_text() == written
+    assert main(["conditions", "./mine.py"]) == 0
+    assert main(["simulate", "./mine.py", "--until", "2"]) == 0
+    assert main(["search", "./mine.py", "-o", "orbit.json"]) == 0
+    assert main(["verify", "orbit.json", "--problem", "mine.py"]) == 0
+
+
+@pytest.mark.parametrize("name", ["my-scene", "a/b", "", "2nd"])
+def test_a_new_scene_needs_a_name_that_is_a_word(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["new", name]) == 2
+    assert "`name` must be a word" in capsys.readouterr().err
+
+
+def test_units_multiply_out() -> None:
+    assert powers_of("V s/rad") == powers_of("kg m^2/A s^2 rad")
+    assert powers_of("N m/A") == powers_of("kg m^2/s^2 A")
+    assert powers_of("ohm") == powers_of("V/A")
+    assert powers_of("H/ohm") == {"s": 1}
+    assert powers_of("1") == {}
+    assert powers_of("1/s") == powers_of("Hz")
+    assert is_rate_of("rad/s", "rad")
+    assert not is_rate_of("m/s", "rad")
+    assert not is_rate_of("m s", "m")
+
+
+@pytest.mark.parametrize("text", ["", "metre", "m/", "m//s", "m^x", "kg*m", "m^2.5"])
+def test_what_is_no_unit_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="is no unit"):
+        powers_of(text)
+
+
+# Matrices in place of energies.
+
+
+def _links() -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
+    """Return a double pendulum by its matrices: q, v, M, C, N."""
+    q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+    a, b, c, d, e = 0.025, 0.003, 0.003, 0.4, 0.15
+    coupling = b + c * ca.cos(q[1])
+    mass = ca.blockcat([[a + b + 2 * c * ca.cos(q[1]), coupling], [coupling, b]])
+    turn = c * ca.sin(q[1])
+    coriolis = ca.blockcat([[-turn * v[1], -turn * (v[0] + v[1])], [turn * v[0], 0]])
+    both = e * ca.sin(q[0] + q[1])
+    return q, v, mass, coriolis, ca.vertcat(d * ca.sin(q[0]) + both, both)
+
+
+def test_matrices_give_the_equations_that_their_energies_give() -> None:
+    q, v, mass, coriolis, gravity = _links()
+    potential = -0.4 * ca.cos(q[0]) - 0.15 * ca.cos(q[0] + q[1])
+    by_matrices = HybridLagrangian.from_matrices(
+        q=q, v=v, mass_matrix=mass, coriolis=coriolis, gravity=gravity, gap=q[1]
+    )
+    by_energies = HybridLagrangian.from_energies(
+        q=q,
+        v=v,
+        kinetic=ca.dot(v, ca.mtimes(mass, v)) / 2,
+        potential=potential,
+        gap=q[1],
+    )
+    difference = ca.Function("d", [q, v], [by_matrices.bias - by_energies.bias])
+    for place in ([0.3, 0.4, -1.0, 2.0], [-2.0, 1.3, 0.7, 0.2]):
+        # Of terms of about 1.
+        assert float(ca.norm_inf(difference(place[:2], place[2:]))) < 1e-14
+    # Without a potential all of N is a force whose work is a loss; with it nothing is left.
+    known = HybridLagrangian.from_matrices(
+        q=q,
+        v=v,
+        mass_matrix=mass,
+        coriolis=coriolis,
+        gravity=gravity,
+        gap=q[1],
+        potential=potential,
+    )
+    left = ca.Function("f", [q], [known.passive_force, by_matrices.passive_force + gravity])
+    for force in left([0.3, 0.4]):
+        assert float(ca.norm_inf(force)) < 1e-15
+
+
+def test_matrices_that_do_not_go_together_are_refused_by_name() -> None:
+    q, v, mass, coriolis, gravity = _links()
+    given = {"mass_matrix": mass, "coriolis": coriolis, "gravity": gravity}
+
+    def refused(words: str, **changes: ca.SX) -> None:
+        with pytest.raises(ValueError, match=words):
+            HybridLagrangian.from_matrices(q=q, v=v, gap=q[1], **{**given, **changes})
+
+    refused("`coriolis` must be that of the mass matrix", coriolis=2 * coriolis)
+    refused("`coriolis` must be of shape", coriolis=ca.SX(1))
+    refused("`gravity` must have 2 entries", gravity=ca.SX(1))
+    lopsided = mass + ca.blockcat([[0, 0.1], [0, 0]])
+    refused("`mass_matrix` must be symmetric", mass_matrix=lopsided)
+    refused("`mass_matrix` must depend on the configuration", mass_matrix=mass * (1 + v[0]))
+    refused(
+        "`mass_matrix` must give every coordinate an inertia", mass_matrix=ca.diag(ca.SX([1, 0]))
+    )
+
+
+def test_the_second_of_two_motors_is_named_if_it_turns_nothing() -> None:
+    two = ca.SX.eye(2)
+    with pytest.raises(ValueError, match="motor 2 turns none"):
+        MotorBank(
+            selection=ca.SX([[1, 0], [0, 0]]),
+            resistance=two,
+            inductance=two,
+            torque_constant=two,
+            emf_constant=two,
+            voltage=ca.SX(2, 1),
+        )

@@ -1,0 +1,399 @@
+"""Orbit files: every number comes back bit for bit, and what does not fit is named."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tests.reference.reference_orbit import ORBIT_KEYS
+from tests.support.orbits import changed
+from zeno_orbits.errors import InputError, OrbitFileError
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.orbits.orbit import (
+    FORMAT,
+    ONE_RELEASE,
+    OrbitImpact,
+    OrbitPhase,
+    ZenoOrbit,
+    one_release_phase,
+)
+from zeno_orbits.orbits.orbit_file import read_orbit, write_orbit
+from zeno_orbits.orbits.shape import PhaseKind
+from zeno_orbits.verification.certificate import OrbitCertificate
+from zeno_orbits.verification.verifier import certified
+
+STATE = {"height": 0.1, "speed": -1 / 3}
+SMALL = ZenoOrbit(
+    problem="bouncing_ball",
+    parameters={"m": 1.0, "g": 9.81, "restitution": 0.8},
+    gains={},
+    period=math.pi,
+    phases=(
+        one_release_phase(
+            release_state=STATE,
+            impacts=(OrbitImpact(time=0.1, state_minus=STATE),),
+            zeno_time=math.nextafter(2.0, 3.0),
+            zeno_state=STATE,
+        ),
+    ),
+    floquet_multipliers=(complex(0.1, -0.2),),
+    certificate={"passed": True, "residuals": {"closure": None}},
+    versions={"python": "3"},
+)
+"""No real orbit: enough to be written and read."""
+
+
+def _round_trip(orbit: ZenoOrbit, folder: Path) -> ZenoOrbit:
+    path = folder / "orbit.json"
+    write_orbit(orbit, path)
+    return read_orbit(path)
+
+
+def _bits(value: float) -> bytes:
+    return struct.pack("<d", value)
+
+
+def _refusal(folder: Path, text: str | bytes) -> str:
+    """Return the message with which a file is refused."""
+    path = folder / "bad.json"
+    path.write_bytes(text.encode() if isinstance(text, str) else text)
+    with pytest.raises(OrbitFileError) as caught:
+        read_orbit(path)
+    message = str(caught.value)
+    assert caught.value.path == path
+    assert "\n" not in message
+    assert message.startswith(f"Orbit file `{path}` must hold a Zeno orbit, but ")
+    return message
+
+
+def _changed(*path: str | int, to: Any) -> str:
+    """Return the small orbit's file with one entry changed."""
+    data = SMALL.as_json()
+    here: Any = data
+    for step in path[:-1]:
+        here = here[step]
+    here[path[-1]] = to
+    return json.dumps(data)
+
+
+def test_a_found_orbit_comes_back_bit_for_bit(
+    orbit: ZenoOrbit, certificate: OrbitCertificate, tmp_path: Path
+) -> None:
+    whole = certified(orbit, certificate)
+    again = _round_trip(whole, tmp_path)
+    assert again == whole
+    write_orbit(whole, str(tmp_path / "by_name.json"))
+    assert read_orbit(str(tmp_path / "by_name.json")) == whole
+    for name, value in whole.release_state.items():
+        assert _bits(again.release_state[name]) == _bits(value)
+    for mu, same in zip(whole.floquet_multipliers, again.floquet_multipliers, strict=True):
+        assert _bits(mu.real) == _bits(same.real)
+        assert _bits(mu.imag) == _bits(same.imag)
+
+
+def test_the_file_has_every_entry_of_the_contract(
+    orbit: ZenoOrbit, certificate: OrbitCertificate, scene: Problem
+) -> None:
+    data = json.loads(json.dumps(certified(orbit, certificate).as_json(), allow_nan=False))
+    assert set(data) == ORBIT_KEYS
+    assert data["format"] == ONE_RELEASE == 1
+    assert data["shape"] == "zeno"
+    assert data["problem"] == scene.name
+    assert data["gains"] == {"Kp": 2.5, "Kd": -1.0}
+    assert list(data["parameters"]) == [quantity.name for quantity in scene.parameters]
+    for state in (data["release_state"], data["zeno_state"], data["impacts"][0]["state_minus"]):
+        assert tuple(state) == scene.state_names
+    assert set(data["impacts"][0]) == {"time", "state_minus"}
+    assert all(len(pair) == 2 for pair in data["floquet_multipliers"])
+    assert {"passed", "residuals", "margins"} <= set(data["certificate"])
+    assert {"zeno_orbits", "casadi", "numpy", "python"} <= set(data["versions"])
+
+
+def test_an_orbit_gives_the_numbers_of_its_scene(orbit: ZenoOrbit, scene: Problem) -> None:
+    assert orbit.setting(scene) == scene.setting()
+    with pytest.raises(InputError, match="but it is `Ki`"):
+        replace(orbit, gains={"Ki": 1.0}).setting(scene)
+
+
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+POSITIVE = st.floats(min_value=0.0, exclude_min=True, allow_infinity=False)
+NAMED = st.dictionaries(st.text(max_size=8), FINITE, max_size=4)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    period=POSITIVE,
+    zeno_time=POSITIVE,
+    state=NAMED,
+    times=st.lists(FINITE, max_size=4),
+    pair=st.tuples(FINITE, FINITE),
+)
+def test_any_finite_numbers_and_names_come_back(
+    tmp_path: Path,
+    period: float,
+    zeno_time: float,
+    state: dict[str, float],
+    times: list[float],
+    pair: tuple[float, float],
+) -> None:
+    original = changed(
+        SMALL,
+        period=period,
+        zeno_time=zeno_time,
+        release_state=state,
+        impacts=tuple(OrbitImpact(time=time, state_minus=state) for time in times),
+        floquet_multipliers=(complex(*pair),),
+    )
+    again = _round_trip(original, tmp_path)
+    assert again == original
+    assert {k: _bits(v) for k, v in again.release_state.items()} == {
+        k: _bits(v) for k, v in state.items()
+    }
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_an_orbit_that_is_not_finite_is_not_written(tmp_path: Path, value: float) -> None:
+    with pytest.raises(ValueError, match="JSON"):
+        write_orbit(replace(SMALL, period=value), tmp_path / "orbit.json")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", sorted(ORBIT_KEYS - {"certificate", "versions", "shape"}))
+def test_a_missing_entry_is_named(tmp_path: Path, name: str) -> None:
+    data = SMALL.as_json()
+    del data[name]
+    assert f"it has no `{name}`" in _refusal(tmp_path, json.dumps(data))
+
+
+@pytest.mark.parametrize("name", ["certificate", "versions"])
+def test_an_orbit_that_nobody_checked_may_leave_that_out(tmp_path: Path, name: str) -> None:
+    data = SMALL.as_json()
+    del data[name]
+    path = tmp_path / "orbit.json"
+    path.write_text(json.dumps(data), encoding="utf-8")
+    assert getattr(read_orbit(path), name) == {}
+
+
+@pytest.mark.parametrize("name", ["time", "state_minus"])
+def test_a_missing_entry_of_an_impact_is_named(tmp_path: Path, name: str) -> None:
+    data = SMALL.as_json()
+    del data["impacts"][0][name]
+    assert f"it has no `{name}`" in _refusal(tmp_path, json.dumps(data))
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "words"),
+    [
+        (("format",), "1", "`format` is not a positive whole number"),
+        (("format",), True, "`format` is not a positive whole number"),
+        (("format",), 0, "`format` is not a positive whole number"),
+        (("format",), 1.5, "`format` is not a positive whole number"),
+        (("problem",), 1, "`problem` is not a text"),
+        (("parameters",), [], "`parameters` is not an object"),
+        (("parameters", "g"), "9.81", "`parameters.g` is not a number"),
+        (("gains",), None, "`gains` is not an object"),
+        (("period",), "1", "`period` is not a number"),
+        (("period",), None, "`period` is not a number"),
+        (("period",), True, "`period` is not a number"),
+        (("period",), -1.0, "`period` is not positive"),
+        (("period",), 0, "`period` is not positive"),
+        (("period",), math.nan, "`period` is not finite"),
+        (("period",), math.inf, "`period` is not finite"),
+        (("release_state",), 1, "`release_state` is not an object"),
+        (("release_state", "speed"), None, "`release_state.speed` is not a number"),
+        (("impacts",), {}, "`impacts` is not a list"),
+        (("impacts", 0), 1, "`impacts` is not an object"),
+        (("impacts", 0, "time"), "x", "`impacts[0].time` is not a number"),
+        (("impacts", 0, "time"), math.nan, "`impacts[0].time` is not finite"),
+        (("impacts", 0, "state_minus"), [], "`impacts[0].state_minus` is not an object"),
+        (
+            ("impacts", 0, "state_minus", "speed"),
+            [],
+            "`impacts[0].state_minus.speed` is not a number",
+        ),
+        (("zeno_time",), "x", "`zeno_time` is not a number"),
+        (("zeno_time",), -0.5, "`zeno_time` is not positive"),
+        (("zeno_state",), "x", "`zeno_state` is not an object"),
+        (("zeno_state", "height"), math.nan, "`zeno_state.height` is not finite"),
+        (("floquet_multipliers",), 0.5, "`floquet_multipliers` is not a list"),
+        (("floquet_multipliers", 0), 0.5, "`floquet_multipliers` is not a list of pairs"),
+        (("floquet_multipliers", 0), [1, 2, 3], "`floquet_multipliers` is not a list of pairs"),
+        (("floquet_multipliers", 0), ["a", 2], "`floquet_multipliers` is not a number"),
+        (("certificate",), [], "`certificate` is not an object"),
+        (("versions",), "1", "`versions` is not an object"),
+    ],
+    ids=str,
+)
+def test_an_entry_of_the_wrong_type_is_named(
+    tmp_path: Path, path: tuple[str | int, ...], value: Any, words: str
+) -> None:
+    assert words in _refusal(tmp_path, _changed(*path, to=value))
+
+
+def test_a_newer_format_is_refused_before_anything_else(tmp_path: Path) -> None:
+    text = json.dumps({"format": FORMAT + 1})
+    words = f"its format {FORMAT + 1} is newer than {FORMAT}, the newest this version reads"
+    assert words in _refusal(tmp_path, text)
+
+
+@pytest.mark.parametrize("part", [0.0, 0.1, 0.5, 0.99])
+def test_a_file_that_was_cut_short_is_refused(tmp_path: Path, part: float) -> None:
+    text = json.dumps(SMALL.as_json())
+    assert "it is no complete JSON" in _refusal(tmp_path, text[: int(part * len(text))])
+
+
+@pytest.mark.parametrize("text", ["orbit", "{'format': 1}", '{"format": 1} {}'])
+def test_a_file_that_is_no_json_is_refused(tmp_path: Path, text: str) -> None:
+    assert "it is no complete JSON" in _refusal(tmp_path, text)
+
+
+@pytest.mark.parametrize("text", ["[]", "1", "null", '"orbit"'])
+def test_json_without_names_is_refused(tmp_path: Path, text: str) -> None:
+    assert "`the file` is not an object with names" in _refusal(tmp_path, text)
+
+
+def test_binary_garbage_is_refused(tmp_path: Path) -> None:
+    assert "it is no text in UTF-8" in _refusal(tmp_path, b"\x80\xff\x00" * 99)
+
+
+def test_a_number_too_large_for_a_float_is_refused(tmp_path: Path) -> None:
+    text = _changed("period", to=1.0).replace('"period": 1.0', '"period": 1' + 400 * "0")
+    assert "`period`" in _refusal(tmp_path, text)
+
+
+def test_deep_nesting_is_refused(tmp_path: Path) -> None:
+    assert "JSON" in _refusal(tmp_path, 200_000 * "[")
+
+
+@pytest.mark.parametrize("name", ["missing.json", "."])
+def test_what_is_no_file_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(OrbitFileError, match="it cannot be read"):
+        read_orbit(tmp_path / name)
+
+
+# Files of other shapes.
+
+BOUNCE = OrbitImpact(time=0.5, state_minus=STATE)
+OTHER = replace(
+    SMALL,
+    phases=(
+        OrbitPhase(
+            kind=PhaseKind.ZENO,
+            start_time=0.0,
+            start_state=STATE,
+            impacts=(BOUNCE,),
+            zeno_time=0.75,
+            zeno_state=STATE,
+        ),
+        OrbitPhase(
+            kind=PhaseKind.ZENO,
+            start_time=1.0,
+            start_state=STATE,
+            impacts=(replace(BOUNCE, time=2.0),),
+            zeno_time=2.5,
+            zeno_state=STATE,
+        ),
+    ),
+)
+"""No real orbit either: two phases."""
+
+
+@given(
+    times=st.lists(POSITIVE, min_size=1, max_size=4, unique=True),
+    kind=st.sampled_from([PhaseKind.IMPACT, PhaseKind.ZENO]),
+    state=NAMED,
+)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_phases_of_any_finite_numbers_come_back(
+    tmp_path: Path, times: list[float], kind: PhaseKind, state: dict[str, float]
+) -> None:
+    phases = tuple(
+        OrbitPhase(
+            kind=kind,
+            start_time=time if k else 0.0,
+            start_state=state,
+            impacts=(OrbitImpact(time=time, state_minus=state),),
+            zeno_time=time if kind.holds else None,
+            zeno_state=state if kind.holds else None,
+        )
+        for k, time in enumerate(times)
+    )
+    original = replace(SMALL, phases=phases)
+    assert _round_trip(original, tmp_path) == original
+
+
+def test_a_file_without_a_shape_is_read_as_older_versions_wrote_it(tmp_path: Path) -> None:
+    data = SMALL.as_json()
+    del data["shape"]
+    path = tmp_path / "orbit.json"
+    path.write_text(json.dumps(data), encoding="utf-8")
+    assert read_orbit(path) == SMALL
+    # A single impact at the Zeno time itself was a plastic one.
+    data["zeno_time"] = data["impacts"][0]["time"]
+    path.write_text(json.dumps(data), encoding="utf-8")
+    assert read_orbit(path).shape.text == "plastic"
+
+
+def test_an_older_reader_refuses_another_shape_by_its_format() -> None:
+    assert OTHER.as_json()["format"] == FORMAT == 2 > ONE_RELEASE
+    assert OTHER.shape.text == "zeno*2"
+
+
+def _spoilt(*path: str | int, to: Any) -> str:
+    data = OTHER.as_json()
+    here: Any = data
+    for step in path[:-1]:
+        here = here[step]
+    if to is None:
+        del here[path[-1]]
+    else:
+        here[path[-1]] = to
+    return json.dumps(data)
+
+
+@pytest.mark.parametrize(
+    ("path", "to", "words"),
+    [
+        (("shape",), "zeno", "its `shape` is `zeno`, but its phases are `zeno*2`"),
+        (("shape",), "zeno*3", "its `shape` is `zeno*3`, but its phases are `zeno*2`"),
+        (("shape",), 2, "`shape` is not a text"),
+        (("shape",), None, "it has no `shape`"),
+        (("phases",), [], "`phases` is empty"),
+        (("phases",), {}, "`phases` is not a list"),
+        (("phases",), None, "it has no `phases`"),
+        (("phases", 0), 1, "`phases[0]` is not an object"),
+        (("phases", 1, "kind"), "zenon", "`phases[1].kind` is none of zeno, plastic, impact"),
+        (("phases", 1, "kind"), "impact", "is `impact`, and yet there is a Zeno point"),
+        (("phases", 1, "kind"), "plastic", "its phases are no shape: "),
+        (("phases", 1, "zeno_time"), None, "it has no `zeno_time`"),
+        (("phases", 1, "zeno_time"), -1.0, "`phases[1].zeno_time` is not positive"),
+        (("phases", 1, "zeno_state"), None, "it has no `zeno_state`"),
+        (("phases", 1, "start_time"), 0.0, "`phases[1].start_time` is not later than 0"),
+        (("phases", 0, "start_time"), 0.5, "`phases[0].start_time` is not 0"),
+        (("phases", 1, "start_time"), math.nan, "`phases[1].start_time` is not finite"),
+        (("phases", 1, "start_state"), None, "it has no `start_state`"),
+        (("phases", 1, "impacts", 0, "time"), "x", "`phases[1].impacts[0].time` is not a number"),
+        (("format",), 1, "it has no `release_state`"),
+        (("format",), 3, "its format 3 is newer than 2"),
+    ],
+)
+def test_a_file_of_several_phases_that_contradicts_itself_is_refused(
+    tmp_path: Path, path: tuple[str | int, ...], to: Any, words: str
+) -> None:
+    assert words in _refusal(tmp_path, _spoilt(*path, to=to))
+
+
+def test_a_file_of_one_release_has_format_1_and_no_other(tmp_path: Path) -> None:
+    data = OTHER.as_json() | {"shape": "zeno"}
+    data["phases"] = data["phases"][:1]
+    assert "a shape `zeno` has format 1, but it has 2" in _refusal(tmp_path, json.dumps(data))
+    said = SMALL.as_json() | {"shape": "zeno*2"}
+    assert "its `shape` is `zeno*2`" in _refusal(tmp_path, json.dumps(said))

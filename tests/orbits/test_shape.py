@@ -1,0 +1,106 @@
+"""Shapes of orbits: what can be one, how it is written, and which are others gone round again."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from zeno_orbits.errors import InputError
+from zeno_orbits.orbits.shape import ONE_ZENO, OrbitShape, PhaseKind
+
+ZENO, PLASTIC, IMPACT = PhaseKind.ZENO, PhaseKind.PLASTIC, PhaseKind.IMPACT
+
+KINDS = st.one_of(
+    st.lists(st.just(ZENO), min_size=1, max_size=9),
+    st.lists(st.just(IMPACT), min_size=1, max_size=9),
+    st.lists(st.sampled_from([PLASTIC, IMPACT]), max_size=8).map(lambda kinds: [*kinds, PLASTIC]),
+)
+"""Every kind of period that there is."""
+
+
+@pytest.mark.parametrize(
+    ("text", "kinds"),
+    [
+        ("zeno", (ZENO,)),
+        ("zeno*3", 3 * (ZENO,)),
+        ("impact*2", 2 * (IMPACT,)),
+        ("impact*2,plastic", (IMPACT, IMPACT, PLASTIC)),
+        ("plastic,impact,plastic*2", (PLASTIC, IMPACT, PLASTIC, PLASTIC)),
+    ],
+)
+def test_a_shape_is_read_and_written(text: str, kinds: tuple[PhaseKind, ...]) -> None:
+    shape = OrbitShape.parsed(text)
+    assert shape.phases == kinds
+    assert shape.text == text
+    assert OrbitShape.parsed(text.replace(",", " , ")) == shape
+
+
+@given(KINDS)
+def test_every_shape_is_read_as_it_is_written(kinds: list[PhaseKind]) -> None:
+    shape = OrbitShape(phases=tuple(kinds))
+    assert OrbitShape.parsed(shape.text) == shape
+    assert shape.n_phases == len(kinds)
+    assert shape.n_releases == len(kinds) - kinds.count(IMPACT)
+    assert shape.starts_at_release == (shape.n_releases > 0)
+
+
+@given(KINDS, st.integers(min_value=2, max_value=4))
+def test_a_shape_gone_round_again_names_what_it_goes_round(
+    kinds: list[PhaseKind], times: int
+) -> None:
+    shape = OrbitShape(phases=tuple(kinds))
+    again = OrbitShape(phases=times * shape.phases)
+    assert shape in again.shorter
+    assert all(len(again.phases) % len(one.phases) == 0 for one in again.shorter)
+    assert again not in again.shorter
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "zeno*0", "zeno*-1", "zeno*", "zeno*x", "Zeno", "zeno;zeno", "zeno*1e3", "impact*²", ","],
+)
+def test_a_text_that_is_no_shape_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="`shape` must be zeno, plastic or impact"):
+        OrbitShape.parsed(text)
+
+
+def test_a_slip_of_the_pen_makes_no_period_of_a_million_phases() -> None:
+    with pytest.raises(InputError, match="but it is `impact\\*1000000`"):
+        OrbitShape.parsed("impact*1000000")
+
+
+@pytest.mark.parametrize("text", ["zeno,impact", "plastic,zeno", "impact,zeno,impact"])
+def test_impacts_of_an_accumulation_are_no_phases_of_their_own(text: str) -> None:
+    with pytest.raises(InputError, match="must not mix zeno"):
+        OrbitShape.parsed(text)
+
+
+def test_a_period_with_a_release_starts_at_one() -> None:
+    with pytest.raises(InputError, match="must end with the plastic impact"):
+        OrbitShape.parsed("plastic,impact")
+    with pytest.raises(InputError, match="must have a phase"):
+        OrbitShape(phases=())
+
+
+def test_the_stop_decides_whether_what_holds_accumulates() -> None:
+    assert ONE_ZENO.at_restitution(0.0).text == "plastic"
+    assert OrbitShape.parsed("plastic*2").at_restitution(0.3).text == "zeno*2"
+    assert OrbitShape.parsed("impact*2").at_restitution(0.0).text == "impact*2"
+
+
+def test_a_plastic_shape_agrees_with_an_accumulating_one_and_with_no_other() -> None:
+    plastic = OrbitShape.parsed("plastic")
+    assert plastic.agreed(ONE_ZENO) is plastic
+    assert plastic.agreed(None) is plastic
+    with pytest.raises(InputError, match="must be the shape `plastic` of the orbit"):
+        plastic.agreed(OrbitShape.parsed("impact"))
+
+
+@pytest.mark.parametrize("text", ["zeno*2", "impact", "impact,plastic"])
+def test_what_needs_one_release_says_which_shape_it_was_given(text: str) -> None:
+    shape = OrbitShape.parsed(text)
+    assert not shape.has_one_release
+    with pytest.raises(InputError, match="one Zeno point and one release") as caught:
+        shape.require_one_release()
+    assert f"its shape is `{text}`" in str(caught.value)

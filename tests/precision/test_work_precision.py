@@ -1,0 +1,286 @@
+"""What accuracy costs: trials held against a better truth, and the front of those worth taking."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from typing import Any, NoReturn
+
+import numpy as np
+import pytest
+
+from tests.reference.reference_orbit import PERIOD, RELEASE
+from zeno_orbits.errors import InputError, StepSizeError, ZenoOrbitsError
+from zeno_orbits.integrators import RungeKutta
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.model.numeric.compiled import bind, compiled_model
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.precision import reference as truths
+from zeno_orbits.precision import work_precision as trading
+from zeno_orbits.precision.accuracy import Kind
+from zeno_orbits.precision.reference import true_landmarks
+from zeno_orbits.precision.work_precision import (
+    SAME_WORK,
+    Trade,
+    TradeSettings,
+    Trial,
+    engines,
+    trade,
+)
+
+TINY = TradeSettings(
+    until=1.02 * PERIOD,
+    repeats=1,
+    tolerances=(1e-4, 1e-9),
+    slow_from=1e-4,
+    cuts=(1.0, 1e-1),
+    impacts=(2, 6),
+    meshes=(),
+)
+
+
+@pytest.fixture(name="measured", scope="module")
+def _measured(scene: Problem) -> Trade:
+    """Two releases and a Zeno point, from rest."""
+    return trade(
+        scene, scene.setting(), (0.6, 0.0, 0.0, 0.0, 0.0), settings=replace(TINY, until=3.0)
+    )
+
+
+def trial(seconds: float, error: float, **others: Any) -> Trial:
+    return Trial(
+        **{"sweep": "engine", "name": "x", "value": 1e-6, **others}, seconds=seconds, error=error
+    )
+
+
+def traded(*trials: Trial) -> Trade:
+    return Trade(problem="p", work="w", truth="t", truth_error=1e-25, trials=trials)
+
+
+def errors(found: Trade, sweep: str, name: str | None = None) -> list[float]:
+    return [t.error for t in found.trials if t.sweep == sweep and name in (None, t.name)]
+
+
+# -------------------------------------------------------------------------------- measuring
+
+
+def test_every_sweep_is_measured_and_nothing_fails(measured: Trade) -> None:
+    swept = {t.sweep for t in measured.trials}
+    assert swept == set(SAME_WORK)
+    assert {t.name for t in measured.trials if t.sweep == "engine"} == set(engines())
+    assert not any(t.trouble for t in measured.trials)
+    assert all(0.0 < t.seconds < math.inf for t in measured.trials)
+    assert all(t.error < math.inf for t in measured.trials)
+
+
+def test_the_truth_is_far_more_certain_than_any_trial(measured: Trade) -> None:
+    pytest.importorskip("heyoka")
+    assert measured.truth == "extended precision"
+    assert measured.truth_error < 1e-3 * min(t.error for t in measured.trials if t.error > 0.0)
+
+
+@pytest.mark.parametrize("name", ["automatic", "explicit", "implicit"])
+def test_a_tighter_tolerance_errs_less(name: str, measured: Trade) -> None:
+    loose, tight = errors(measured, "engine", name)
+    assert tight < 1e-8
+    assert loose > 10 * tight
+
+
+def test_the_cut_errs_by_the_cube_of_its_speed(measured: Trade) -> None:
+    """Theory (11): ten times slower, a thousand times better, but for where impacts fall."""
+    coarse, fine = errors(measured, "cut")
+    assert 30 * fine < coarse
+
+
+def test_more_impacts_before_the_limit_err_less(measured: Trade) -> None:
+    few, many = errors(measured, "impacts")
+    assert many < 1e-3 * few
+
+
+def test_a_reduced_model_errs_by_its_model_and_not_by_its_tolerance(measured: Trade) -> None:
+    loose, tight = errors(measured, "fidelity", "quasi_static")
+    assert tight == pytest.approx(loose, rel=0.05)
+    # Measured on its orbit: 2.6e-4 of the period, and more of the state.
+    assert 1e-5 < tight < 1e-2
+    assert errors(measured, "fidelity", "corrected")[-1] < 0.1 * tight
+
+
+def test_a_false_truth_makes_every_trial_err(
+    scene: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def false(*arguments: Any) -> Any:
+        truth = true_landmarks(*arguments)
+        marks = tuple(replace(mark, time=mark.time + 1e-3) for mark in truth.marks)
+        return replace(truth, marks=marks)
+
+    monkeypatch.setattr(trading, "true_landmarks", false)
+    monkeypatch.setattr(trading, "engines", lambda: {"explicit": RungeKutta()})
+    found = trade(scene, scene.setting(), RELEASE, settings=replace(TINY, cuts=(), impacts=()))
+    assert min(t.error for t in found.trials) > 0.9e-3 / TINY.until
+
+
+def test_a_trial_that_fails_is_a_row_with_its_trouble(
+    scene: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Broken:
+        def __init__(self, error: Exception) -> None:
+            self.error = error
+
+        def follow(self, _leg: object) -> NoReturn:
+            raise self.error
+
+    broken = {
+        "stuck": Broken(StepSizeError("No step is small enough", time=1.0, state=(0.0,))),
+        "overflown": Broken(OverflowError("too large")),
+        "odd": Broken(ValueError("array must not contain infs or NaNs")),
+    }
+    sound = {"explicit": RungeKutta()}
+    monkeypatch.setattr(trading, "engines", lambda: broken | sound)
+    found = trade(scene, scene.setting(), RELEASE, settings=replace(TINY, cuts=(), impacts=()))
+    rows = {t.name: t for t in found.trials}
+    for name in broken:
+        assert math.isinf(rows[name].error)
+        assert math.isinf(rows[name].seconds)
+    assert "No step is small enough" in rows["stuck"].trouble
+    assert rows["overflown"].trouble == "too large"
+    assert not rows["explicit"].trouble
+    assert all(t.name not in broken for t in found.front)
+
+
+def test_an_interrupt_ends_the_trials(scene: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_arguments: object, **_named: object) -> NoReturn:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(trading, "simulate", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        trade(scene, scene.setting(), RELEASE, settings=TINY)
+
+
+def test_progress_names_what_is_measured_and_rises(scene: Problem) -> None:
+    said: list[tuple[str, float]] = []
+    few = replace(TINY, tolerances=(1e-4,), slow_from=1.0, cuts=(), impacts=())
+    trade(
+        scene,
+        scene.setting(),
+        RELEASE,
+        settings=few,
+        tell=lambda what, part: said.append((what, part)),
+    )
+    assert said[0] == ("computing the truth", 0.0)
+    assert ("engine: automatic, 1e-04") in [what for what, _ in said]
+    parts = [part for _, part in said]
+    assert parts == sorted(parts)
+    assert parts[-1] <= 1.0
+
+
+def test_meshes_are_solved_where_there_is_an_orbit_and_say_why_where_there_is_none(
+    scene: Problem,
+) -> None:
+    none = replace(
+        TINY, tolerances=(1e-4,), slow_from=1.0, cuts=(), impacts=(), meshes=(1e-2, 1e-5)
+    )
+    found = trade(scene, scene.setting(), RELEASE, settings=none)
+    coarse, fine = (t for t in found.trials if t.sweep == "mesh")
+    assert fine.error < 0.1 * coarse.error
+    assert "mesh" not in {t.sweep for t in found.front}
+    ball = load_problem("bouncing_ball")
+    missing = trade(ball, ball.setting(), (1.0, 0.0), settings=replace(none, until=5.0))
+    (row,) = (t for t in missing.trials if t.sweep == "mesh")
+    assert math.isinf(row.error)
+    assert "No simulation settled" in row.trouble
+
+
+# --------------------------------------------------------------------------------- the truth
+
+
+def test_without_heyoka_the_truth_is_in_doubles_and_says_so(
+    scene: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (truths, trading):
+        monkeypatch.setattr(module, "heyoka_is_installed", lambda: False)
+    assert "taylor" not in engines()
+    dynamics = bind(compiled_model(scene), scene.setting().values())
+    truth = true_landmarks(scene, scene.setting(), dynamics, RELEASE, 1.02 * PERIOD)
+    assert "double precision" in truth.how
+    assert "extra `taylor`" in truth.how
+    assert 0.0 < truth.error < 1e-11
+    assert abs(truth.marks[-1].time - PERIOD) < 1e-12
+
+
+def test_a_scene_that_is_not_all_analytic_is_measured_in_doubles() -> None:
+    scene = load_problem("motor_pendulum").at_fidelity("corrected")
+    dynamics = bind(compiled_model(scene), scene.setting().values())
+    truth = true_landmarks(scene, scene.setting(), dynamics, RELEASE[:4], PERIOD)
+    assert "not all of the scene is analytic" in truth.how
+
+
+def test_the_truth_is_judged_by_the_largest_state_on_the_way(scene: Problem) -> None:
+    pytest.importorskip("heyoka")
+    dynamics = bind(compiled_model(scene), scene.setting().values())
+    truth = true_landmarks(scene, scene.setting(), dynamics, RELEASE, 1.02 * PERIOD)
+    assert {mark.kind for mark in truth.marks} == {Kind.RELEASE}
+    assert abs(truth.marks[-1].time - PERIOD) < 1e-13
+    # At its releases the second link does not turn; on the way it does.
+    assert np.all(truth.scale > [1.0, 1.0, 5.0, 5.0, 1.0])
+
+
+def test_nothing_to_judge_by_is_said(scene: Problem) -> None:
+    pytest.importorskip("heyoka")
+    with pytest.raises(ZenoOrbitsError, match="no release and no Zeno point so soon"):
+        trade(scene, scene.setting(), (0.6, 0.1, 0.0, 0.0, 0.0), settings=replace(TINY, until=1e-3))
+
+
+@pytest.mark.parametrize("until", [0.0, -1.0, math.nan, math.inf])
+def test_a_horizon_that_is_none_is_refused(until: float, scene: Problem) -> None:
+    with pytest.raises(InputError, match="`until`"):
+        trade(scene, scene.setting(), RELEASE, settings=replace(TINY, until=until))
+
+
+# --------------------------------------------------------------------------------- the front
+
+
+def test_the_front_holds_what_no_other_beats(measured: Trade) -> None:
+    front = measured.front
+    assert front
+    comparable = [t for t in measured.trials if t.sweep in SAME_WORK]
+    for best in front:
+        assert not any(t.seconds < best.seconds and t.error < best.error for t in comparable)
+    for t in comparable:
+        assert any(
+            best.seconds <= t.seconds and best.error <= max(t.error, 4e-15) for best in front
+        )
+
+
+def test_a_trial_that_another_one_beats_is_not_on_the_front() -> None:
+    fast, middle, slow = trial(1.0, 1e-2), trial(2.0, 1e-4), trial(3.0, 1e-6)
+    beaten, lost = trial(2.5, 1e-3), trial(0.5, math.inf)
+    other_work = trial(0.1, 1e-9, sweep="mesh")
+    assert traded(beaten, slow, lost, fast, other_work, middle).front == (fast, middle, slow)
+    assert traded(lost, other_work).front == ()
+
+
+def test_errors_below_rounding_are_not_smaller_than_each_other() -> None:
+    lucky, quick = trial(2.0, 1e-23), trial(1.0, 1e-16)
+    assert traded(lucky, quick).front == (quick,)
+
+
+def test_the_cheapest_is_the_fastest_that_is_accurate_enough() -> None:
+    fast, slow = trial(1.0, 1e-4), trial(3.0, 1e-8)
+    found = traded(slow, fast, trial(2.0, 1e-3))
+    assert found.cheapest(1e-3) is fast
+    assert found.cheapest(1e-4) is fast
+    assert found.cheapest(0.99e-4) is slow
+    assert found.cheapest(1e-9) is None
+
+
+def test_as_json_nothing_is_infinite_and_the_front_is_marked() -> None:
+    lost = trial(math.inf, math.inf, trouble="It fell.")
+    good = trial(1.0, 1e-6)
+    data = json.loads(json.dumps(traded(lost, good).as_json(), allow_nan=False))
+    assert data["problem"] == "p"
+    assert [t["on_front"] for t in data["trials"]] == [False, True]
+    assert (data["trials"][0]["seconds"], data["trials"][0]["error"]) == (None, None)
+    assert data["trials"][0]["trouble"] == "It fell."
+    unsure = replace(traded(good), truth_error=math.inf).as_json()
+    assert json.loads(json.dumps(unsure, allow_nan=False))["truth_error"] is None

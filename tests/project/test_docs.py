@@ -1,0 +1,124 @@
+"""The documents say what is so: links lead somewhere, citations exist, the site has every page."""
+
+import json
+import re
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from docs.site.commands import command_page
+from docs.site.docstrings import linked
+from docs.site.navigation import navigation
+from zeno_orbits.verification.certificate import RESIDUALS
+
+ROOT = Path(__file__).parents[2]
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+SOURCES = sorted([*(ROOT / "zeno_orbits").rglob("*.py"), *(ROOT / "problems").rglob("*.py")])
+
+
+def _anchors(document: Path) -> set[str]:
+    return set(re.findall(r'<a id="([^"]+)"></a>', document.read_text()))
+
+
+def test_the_readme_is_short_and_shows_an_orbit_near_its_top() -> None:
+    lines = (ROOT / "README.md").read_text().splitlines()
+    assert len(lines) < 150
+    assert any(line.startswith("![") for line in lines[:12])
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_every_link_of_a_document_leads_somewhere(document: Path) -> None:
+    for target in re.findall(r"\]\(([^)\s]+)\)", document.read_text()):
+        if target.startswith("http"):
+            continue
+        name, _, anchor = target.partition("#")
+        path = (document.parent / name).resolve() if name else document
+        assert path.exists(), target
+        if anchor:
+            assert anchor in _anchors(path), target
+
+
+def test_every_equation_that_a_docstring_cites_exists() -> None:
+    numbers = {anchor.removeprefix("eq-") for anchor in _anchors(ROOT / "docs" / "theory.md")}
+    for source in SOURCES:
+        for cited in re.findall(r"theory ((?:\(\d+\)(?:, | and |-)?)+)", source.read_text()):
+            assert set(re.findall(r"\d+", cited)) <= numbers, (source.name, cited)
+
+
+def test_every_source_that_a_docstring_cites_is_listed() -> None:
+    listed = (ROOT / "docs" / "references.md").read_text()
+    for source in SOURCES:
+        for key in re.findall(r"\[(\w+)\]_", source.read_text()):
+            assert f"[{key}]" in listed, (source.name, key)
+
+
+def test_every_residual_is_explained_in_the_theory() -> None:
+    theory = (ROOT / "docs" / "theory.md").read_text()
+    assert all(f"`{name}`" in theory for name in RESIDUALS)
+
+
+def test_every_page_is_in_the_navigation_of_the_site_once() -> None:
+    captions = navigation(ROOT)
+    listed = [page for pages in captions.values() for page in pages]
+    assert len(listed) == len(set(listed))
+    pages = [*(ROOT / "docs").glob("*.md"), *(ROOT / "notebooks").glob("*.ipynb")]
+    there = {str(page.relative_to(ROOT)) for page in pages} - {"docs/README.md"}
+    assert there <= set(listed)
+
+
+def test_a_page_that_the_list_of_documents_lacks_comes_last(tmp_path: Path) -> None:
+    docs = tmp_path / "docs"
+    docs.mkdir()
+    for name in ("here", "new"):
+        (docs / f"{name}.md").write_text("# A page")
+    (docs / "README.md").write_text("# Documents\n\n## How to\n\n- [Here](here.md): a page.\n")
+    assert navigation(tmp_path) == {"How to": {"docs/here.md": "Here"}, "More": {"docs/new.md": ""}}
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_begins_with_what_is_expected_and_ends_by_asserting_it(path: Path) -> None:
+    cells = json.loads(path.read_text())["cells"]
+    first = "".join(cells[0]["source"])
+    assert first.startswith("# ")
+    assert "| expected |" in first
+    last = cells[-1]
+    assert last["cell_type"] == "code"
+    assert "".join(last["source"]).splitlines()[-1].strip().startswith("assert ")
+    assert all(not cell.get("outputs") for cell in cells)
+
+
+def test_every_module_of_the_reference_exists_and_those_that_pages_import_are_in_it() -> None:
+    listed = set(
+        re.findall(r"`(zeno_orbits\.[\w.]+)` \|", (ROOT / "docs/reference.md").read_text())
+    )
+    assert all(find_spec(name) is not None for name in listed)
+    # The second notebook shows the inside of a search; the others call what is public.
+    texts = [path.read_text() for path in [*DOCUMENTS, *NOTEBOOKS[:1], *NOTEBOOKS[2:]]]
+    imported = set(re.findall(r"from (zeno_orbits\.[\w.]+) import", "\n".join(texts)))
+    assert imported <= listed
+
+
+def test_docstrings_cite_by_links_on_the_site() -> None:
+    cited = "As in theory (37) to (40), and theory (7). Source: [Keller1977]_."
+    links = [f":ref:`({k}) <eq-{k}>`" for k in (37, 40, 7)]
+    source = ":ref:`[Keller1977] <Keller1977>`"
+    wanted = f"As in theory {links[0]} to {links[1]}, and theory {links[2]}. Source: {source}."
+    assert linked(cited) == wanted
+
+
+def test_the_page_of_the_command_line_has_every_command_and_option() -> None:
+    page = command_page()
+    for name in ("search", "verify", "continue", "map"):
+        assert f"## `{name}`" in page
+    assert "`--keep NAME=LOWER:UPPER`" in page
+    assert "zeno-orbits search motor_pendulum -o orbit.json" in page
+
+
+def test_every_dependency_is_accounted_for() -> None:
+    project = (ROOT / "pyproject.toml").read_text()
+    named = set(re.findall(r'^    "([a-z-]+)>=', project, re.MULTILINE))
+    explained = (ROOT / "docs" / "dependencies.md").read_text()
+    assert named
+    assert all(name in explained for name in named)

@@ -1,0 +1,500 @@
+"""Pictures: what they mark, how their axes speak, and how they reach the disk."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import casadi as ca
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, QuadMesh
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from zeno_orbits.errors import InputError
+from zeno_orbits.maps.parameter_map import Axis, Boundary, ParameterMap
+from zeno_orbits.model.drives import no_drive
+from zeno_orbits.model.hybrid import CompletedSystem, complete
+from zeno_orbits.model.lagrangian import HybridLagrangian
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.model.numeric.compiled import bind, compile_problem
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model.problem import Problem, restitution
+from zeno_orbits.precision.work_precision import Trade, Trial
+from zeno_orbits.report.plots import (
+    COLUMN_WIDTH,
+    FULL_WIDTH,
+    plot_map,
+    plot_portraits,
+    plot_time_series,
+    plot_trade,
+    plot_zeno_region,
+    plot_zeno_zoom,
+    save_figure,
+)
+from zeno_orbits.simulation.attractor import Attractor, Fate
+from zeno_orbits.simulation.completion import Truncation, ZenoExtrapolation
+from zeno_orbits.simulation.execution import Execution, Mode
+from zeno_orbits.simulation.simulator import SimulationSettings, simulate
+
+RELEASE = (0.1985068301199, 0.0, -5.2365375521764, 0.0, -1.8591703843225)
+UNIT = re.compile(r" \[[^\]]+\]$")
+
+
+class Scene(NamedTuple):
+    problem: Problem
+    dynamics: HybridDynamics
+    execution: Execution
+
+    def pictures(self, width: float) -> list[Figure]:
+        problem, dynamics, execution = self
+        return [
+            plot_portraits(problem, execution, width=width),
+            plot_time_series(problem, execution, width=width),
+            plot_zeno_zoom(problem, execution, dynamics, width=width),
+            plot_zeno_region(problem, dynamics, execution, width=width),
+            plot_zeno_region(problem, dynamics, width=width),
+        ]
+
+
+def simulated(
+    problem: Problem,
+    state: tuple[float, ...],
+    *,
+    until: float = 10.0,
+    releases: int | None = None,
+    settings: SimulationSettings | None = None,
+    **parameters: float,
+) -> Scene:
+    setting = problem.setting(parameters=parameters)
+    dynamics = bind(compile_problem(problem), setting.values())
+    execution = simulate(dynamics, state, until=until, releases=releases, settings=settings)
+    return Scene(problem, dynamics, execution)
+
+
+def sliding_puck() -> Problem:
+    """Return a puck on a wall at y = 0.5, without motor; the stop leaves its x free."""
+
+    def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
+        q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+        puck = HybridLagrangian.from_energies(
+            q=q,
+            v=v,
+            kinetic=ca.sumsqr(v) / 2 + 0.3 * v[0] * v[1],
+            potential=9 * q[0] * q[1],
+            gap=q[1] - 0.5,
+        )
+        return complete(puck, no_drive(puck), p["restitution"])
+
+    return Problem(
+        name="puck",
+        title="puck on a wall",
+        source="for this test",
+        state_names=("x", "y", "dx", "dy"),
+        state_units=("m", "m", "m/s", "m/s"),
+        parameters=(restitution(0.3),),
+        gains=(),
+        model=model,
+        starts=({"x": 1.0, "y": 0.6},),
+        portraits=(("x", "dx"), ("y", "dy")),
+        amplitude_of="x",
+    )
+
+
+def pendulum(*, e: float = 0.2, releases: int = 1) -> Scene:
+    problem = load_problem("motor_pendulum")
+    return simulated(problem, RELEASE, releases=releases, restitution=e)
+
+
+SCENES: dict[str, Callable[[], Scene]] = {
+    "pendulum": pendulum,
+    "three periods": lambda: pendulum(releases=3),
+    "plastic": lambda: pendulum(e=0.0),
+    "elastic": lambda: pendulum(e=0.41),
+    "ball": lambda: simulated(load_problem("bouncing_ball"), (1.0, 0.0), until=5.0),
+    "truncated ball": lambda: simulated(
+        load_problem("bouncing_ball"),
+        (1.0, 0.0),
+        until=5.0,
+        settings=SimulationSettings(completion=Truncation(delta=0.01)),
+    ),
+    "puck": lambda: simulated(sliding_puck(), (1.0, 0.6, 0.0, 0.0), until=0.8),
+}
+
+
+def early_ball() -> Scene:
+    """Return a ball whose Zeno point is taken from its first impacts, so that a tail is left."""
+    rough = SimulationSettings(completion=ZenoExtrapolation(resolved=0.5))
+    return simulated(load_problem("bouncing_ball"), (1.0, 0.0), until=5.0, settings=rough)
+
+
+SCENES["early ball"] = early_ball
+
+
+@pytest.fixture(scope="module", params=SCENES)
+def scene(request: pytest.FixtureRequest) -> Scene:
+    return SCENES[request.param]()
+
+
+@pytest.fixture(scope="module")
+def orbit() -> Scene:
+    return pendulum(releases=3)
+
+
+def spans(ax: Axes, mode: Mode) -> list[tuple[float, float]]:
+    patches = [patch for patch in ax.patches if patch.get_gid() == mode.value]
+    boxes = [patch.get_extents().transformed(ax.transData.inverted()) for patch in patches]
+    return [(box.x0, box.x1) for box in boxes]
+
+
+def points(line: Line2D) -> np.ndarray:
+    return np.column_stack(line.get_data())
+
+
+def marked(ax: Axes) -> np.ndarray:
+    return np.concatenate([points(line) for line in ax.lines if line.get_gid() == "impact"])
+
+
+def labelled(ax: Axes, label: str) -> list[Line2D]:
+    return [line for line in ax.lines if line.get_label() == label]
+
+
+def ticks(ax: Axes) -> list[float]:
+    (collection,) = [item for item in ax.collections if item.get_gid() == "impact"]
+    assert isinstance(collection, LineCollection)
+    return [float(segment[0, 0]) for segment in collection.get_segments()]
+
+
+@pytest.fixture(scope="module", params=[COLUMN_WIDTH, FULL_WIDTH])
+def drawn(scene: Scene, request: pytest.FixtureRequest) -> list[Figure]:
+    figures = scene.pictures(request.param)
+    for figure in figures:
+        figure.draw_without_rendering()
+    return figures
+
+
+def test_every_axis_says_its_quantity_and_its_unit(drawn: list[Figure]) -> None:
+    for figure in drawn:
+        for ax in figure.axes:
+            assert UNIT.search(ax.get_ylabel())
+            numbered = any(tick.label1.get_visible() for tick in ax.xaxis.get_major_ticks())
+            assert not numbered or UNIT.search(ax.get_xlabel())
+
+
+def test_the_legend_keeps_off_the_panels_and_inside_the_picture(drawn: list[Figure]) -> None:
+    for figure in drawn:
+        legend = figure.legends[0].get_window_extent()
+        assert 0.0 <= legend.x0 < legend.x1 <= figure.bbox.x1
+        assert legend.y1 <= figure.bbox.y1
+        assert all(not legend.overlaps(ax.get_window_extent()) for ax in figure.axes)
+
+
+def test_portraits_and_time_series_mark_every_impact_once(scene: Scene) -> None:
+    impacts = scene.execution.impacts
+    for ax in plot_portraits(scene.problem, scene.execution).axes:
+        assert len(marked(ax)) == len(impacts)
+    for ax in plot_time_series(scene.problem, scene.execution).axes:
+        assert ticks(ax) == [impact.time for impact in impacts]
+
+
+def test_the_mark_before_an_impact_is_the_state_before_it(orbit: Scene) -> None:
+    ax = plot_portraits(orbit.problem, orbit.execution).axes[1]
+    before = np.array([impact.state_minus for impact in orbit.execution.impacts])
+    assert np.array_equal(marked(ax), before[:, [1, 3]])
+
+
+def test_zeno_points_and_releases_are_marked_where_they_are(orbit: Scene) -> None:
+    ax = plot_portraits(orbit.problem, orbit.execution).axes[0]
+    for label, events in (
+        ("Zeno point", orbit.execution.zeno_points),
+        ("release", orbit.execution.releases),
+    ):
+        marks = [points(line)[0].tolist() for line in labelled(ax, label)]
+        assert marks == [event.state[[0, 2]].tolist() for event in events]
+
+
+def test_locked_phases_are_shaded_from_zeno_point_to_release(orbit: Scene) -> None:
+    zeno = [point.time for point in orbit.execution.zeno_points]
+    release = [event.time for event in orbit.execution.releases]
+    for ax in plot_time_series(orbit.problem, orbit.execution).axes:
+        assert np.allclose(
+            spans(ax, Mode.LOCKED), list(zip(zeno, release, strict=True)), rtol=0, atol=1e-12
+        )
+        free = list(zip([0.0, *release[:-1]], zeno, strict=True))
+        assert np.allclose(spans(ax, Mode.FREE), free, rtol=0, atol=1e-12)
+
+
+def test_time_series_show_coordinates_and_current_but_no_velocity(orbit: Scene) -> None:
+    figure = plot_time_series(orbit.problem, orbit.execution)
+    labels = [ax.get_ylabel() for ax in figure.axes]
+    assert labels == [r"$\theta_{1}$ [rad]", r"$\theta_{2}$ [rad]", "$i$ [A]"]
+
+
+def test_a_zeno_tail_without_impacts_leaves_no_hole_in_the_curve() -> None:
+    ball = early_ball()
+    (zeno,) = ball.execution.zeno_points
+    (ax,) = plot_time_series(ball.problem, ball.execution).axes
+    (tail,) = labelled(ax, "Zeno tail, summed")
+    assert points(tail)[:, 0].tolist() == [ball.execution.impacts[-1].time, zeno.time]
+
+
+def test_the_first_order_law_meets_every_impact_of_a_ball() -> None:
+    ball = early_ball()
+    ax = plot_zeno_zoom(ball.problem, ball.execution, ball.dynamics).axes[2]
+    (law,) = labelled(ax, "first-order law")
+    remaining, speed = points(law)[0]
+    measured = marked(ax)
+    assert np.allclose(measured[:, 1], speed / remaining * measured[:, 0], rtol=1e-9)
+
+
+def test_the_flights_of_the_law_continue_the_resolved_ones_of_a_ball() -> None:
+    ball = early_ball()
+    ax = plot_zeno_zoom(ball.problem, ball.execution, ball.dynamics).axes[0]
+    law = [points(line) for line in labelled(ax, "first-order law")]
+    last = ball.execution.impacts[-1]
+    highest = (0.8 * last.approach_rate) ** 2 / (2 * 9.81)
+    expected = [highest * 0.8 ** (2 * k) for k in range(len(law))]
+    assert np.allclose([flight[:, 1].max() for flight in law], expected, rtol=1e-3)
+    assert law[0][0, 0] == pytest.approx(last.time)
+
+
+def test_the_boundary_of_the_region_is_the_published_curve(orbit: Scene) -> None:
+    ax = plot_zeno_region(orbit.problem, orbit.dynamics).axes[0]
+    (boundary,) = [item for item in ax.collections if np.ravel(item.get_linewidth())[0] == 1.2]
+    vertices = [np.asarray(path.vertices) for path in boundary.get_paths()]
+    angle, current = np.concatenate(vertices).T
+    assert np.allclose(current, -27.5697 / 2.92437 * np.sin(angle), rtol=0, atol=0.02)
+    assert ax.get_xlim() == pytest.approx((-np.pi, np.pi))
+
+
+def test_a_scene_without_current_shows_its_region_over_coordinate_and_velocity() -> None:
+    puck = SCENES["puck"]()
+    ax = plot_zeno_region(puck.problem, puck.dynamics, puck.execution).axes[0]
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("$x$ [m]", r"$\dot{x}$ [m/s]")
+
+
+def test_a_scene_with_one_coordinate_shows_a_curve_over_its_velocity() -> None:
+    ball = SCENES["ball"]()
+    (ax,) = plot_zeno_region(ball.problem, ball.dynamics, ball.execution).axes
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("speed [m/s]", r"$\ddot h$ [m/s$^2$]")
+    (curve,) = labelled(ax, r"$\ddot h$")
+    assert np.allclose(points(curve)[:, 1], -9.81)
+
+
+def test_a_zoom_needs_a_zeno_point() -> None:
+    falling = simulated(load_problem("bouncing_ball"), (1.0, 0.0), until=0.1)
+    with pytest.raises(InputError, match="`execution` must reach a Zeno point"):
+        plot_zeno_zoom(falling.problem, falling.execution, falling.dynamics)
+
+
+def test_a_flight_without_events_is_drawn_all_the_same() -> None:
+    falling = simulated(load_problem("bouncing_ball"), (1.0, 0.0), until=0.1)
+    (portrait,) = plot_portraits(falling.problem, falling.execution).axes
+    (series,) = plot_time_series(falling.problem, falling.execution).axes
+    assert len(labelled(portrait, "free arc")) == len(labelled(series, "free arc")) == 1
+    assert spans(series, Mode.LOCKED) == []
+
+
+def test_drawing_leaves_the_settings_of_matplotlib_alone(orbit: Scene, tmp_path: Path) -> None:
+    before = dict(mpl.rcParams)
+    save_figure(plot_portraits(orbit.problem, orbit.execution), tmp_path / "portrait.svg")
+    assert dict(mpl.rcParams) == before
+
+
+@pytest.mark.parametrize(
+    ("name", "start"), [("a.png", b"\x89PNG"), ("a.PDF", b"%PDF"), ("a.svg", b"<?xml")]
+)
+def test_the_suffix_says_the_format_and_the_bytes_repeat(
+    name: str, start: bytes, tmp_path: Path
+) -> None:
+    for folder in ("one", "two"):
+        (tmp_path / folder).mkdir()
+        figure = Figure(figsize=(1, 1))
+        figure.add_subplot().plot([0, 1])
+        save_figure(figure, tmp_path / folder / name)
+    first, second = ((tmp_path / folder / name).read_bytes() for folder in ("one", "two"))
+    assert first.startswith(start)
+    assert first == second
+    assert [path.name for path in (tmp_path / "one").iterdir()] == [name]
+
+
+@pytest.mark.parametrize("name", ["picture.gif", "picture", ".png"])
+def test_an_unknown_suffix_is_refused(name: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"`output` must end in \.png, \.pdf or \.svg, but"):
+        save_figure(Figure(), tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_failed_write_leaves_the_old_picture_and_no_partial_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "picture.png"
+    path.write_text("old")
+
+    def break_off(_: Figure, target: io.BytesIO, **_settings: object) -> None:
+        target.write(b"half a pic")
+        raise OSError("No space left on device")
+
+    monkeypatch.setattr(Figure, "savefig", break_off)
+    with pytest.raises(OSError, match="No space left"):
+        save_figure(Figure(), path)
+    assert [file.name for file in tmp_path.iterdir()] == ["picture.png"]
+    assert path.read_text() == "old"
+
+
+# ---------------------------------------------------------------------------------- a trade
+
+
+def measured(sweep: str, name: str, *pairs: tuple[float, float]) -> tuple[Trial, ...]:
+    """Return trials of times and errors, the loosest first."""
+    return tuple(
+        Trial(sweep=sweep, name=name, value=10.0**-k, seconds=seconds, error=error)
+        for k, (seconds, error) in enumerate(pairs)
+    )
+
+
+TRADE = Trade(
+    problem="p",
+    work="w",
+    truth="t",
+    truth_error=1e-25,
+    trials=(
+        *measured("engine", "explicit", (1e-3, 1e-3), (4e-3, 1e-9)),
+        *measured("engine", "implicit", (2e-3, 0.0), (np.inf, np.inf)),
+        *measured("cut", "plastic below", (3e-3, 1e-2)),
+        *measured("fidelity", "quasi_static", (5e-4, 1e-1)),
+        *measured("mesh", "868 unknowns", (1e-6, 1e-6)),
+    ),
+)
+
+
+def lines_of(figure: Figure) -> dict[str, Line2D]:
+    return {str(line.get_label()): line for line in figure.axes[0].get_lines()}
+
+
+def test_a_trade_has_a_line_an_engine_and_one_for_the_front() -> None:
+    figure = plot_trade(TRADE)
+    lines = lines_of(figure)
+    assert list(lines) == [
+        *("explicit", "implicit", "plastic below a speed", "model quasi_static"),
+        "nothing is faster and better",
+    ]
+    assert lines["explicit"].get_linestyle() != lines["plastic below a speed"].get_linestyle()
+    looks = {(line.get_color(), line.get_marker()) for line in lines.values()}
+    assert len(looks) == len(lines)
+
+
+def test_a_trade_shows_times_in_milliseconds_and_what_is_lost_nowhere() -> None:
+    lines = lines_of(plot_trade(TRADE))
+    assert sorted(np.asarray(lines["explicit"].get_ydata())) == pytest.approx([1.0, 4.0])
+    # An error of zero has no logarithm and an infinite one no place.
+    (error,) = np.asarray(lines["implicit"].get_xdata())
+    assert 0.0 < error < 1e-15
+    front = lines["nothing is faster and better"]
+    assert list(np.asarray(front.get_ydata())) == pytest.approx([0.5, 1.0, 2.0])
+
+
+def test_a_trade_without_any_result_is_an_empty_picture(tmp_path: Path) -> None:
+    lost = Trade(problem="p", work="w", truth="t", truth_error=1e-25, trials=())
+    save_figure(plot_trade(lost), tmp_path / "lost.png")
+    assert (tmp_path / "lost.png").read_bytes().startswith(b"\x89PNG")
+
+
+def _small_map(*attractors: Attractor) -> ParameterMap:
+    return ParameterMap(
+        problem="motor_pendulum",
+        x=Axis(name="Kp", lower=1.0, upper=3.0, count=3, unit="V/rad"),
+        y=Axis(name="Kd", lower=-2.0, upper=-1.0, count=len(attractors) // 3, unit="V s/rad"),
+        gains={},
+        parameters={},
+        start={},
+        until=60.0,
+        attractors=attractors,
+        versions={},
+    )
+
+
+def _zeno(period: float, radius: float, returns: int = 1) -> Attractor:
+    multipliers = (complex(radius), 0j)
+    return Attractor(fate=Fate.ZENO, returns=returns, period=period, multipliers=multipliers)
+
+
+EVERY_FATE = (
+    *(_zeno(1.70 + 0.1 * k, 0.1 + 0.15 * k) for k in range(3)),
+    *(_zeno(1.75 + 0.1 * k, 0.2 + 0.15 * k) for k in range(3)),
+    *(_zeno(3.6, 0.5, returns=n) for n in (2, 4, 3)),
+    Attractor(fate=Fate.SIMPLE, returns=1, period=1.8),
+    Attractor(fate=Fate.NO_ZENO, period=1.8),
+    Attractor(fate=Fate.REST),
+    Attractor(fate=Fate.ESCAPE, escaped="theta1", detail="link 1 whirls"),
+    Attractor(fate=Fate.ESCAPE, escaped="theta2", detail="link 2 goes over the top"),
+    Attractor(fate=Fate.UNSETTLED),
+    Attractor(fate=Fate.UNSETTLED, trend=1.1),
+    Attractor(fate=Fate.UNSETTLED, trend=0.9),
+    Attractor(fate=Fate.FAILED, detail="no"),
+)
+
+
+def _legend(figure: Figure) -> dict[str, Any]:
+    (legend,) = figure.legends
+    handles = legend.legend_handles
+    return {text.get_text(): handle for text, handle in zip(legend.texts, handles, strict=True)}
+
+
+@pytest.mark.parametrize("width", [COLUMN_WIDTH, FULL_WIDTH])
+def test_a_map_names_every_fate_once_in_a_colour_of_its_own(width: float) -> None:
+    figure = plot_map(_small_map(*EVERY_FATE), width=width)
+    entries = _legend(figure)
+    phrases = {attractor.phrase for attractor in EVERY_FATE}
+    assert phrases <= set(entries)
+    assert {"period [s]", "spectral radius"} <= set(entries)
+    colours = [entries[phrase].get_facecolor() for phrase in phrases]
+    assert len(set(colours)) == len(phrases)
+    (ax,) = figure.axes
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("Kp [V/rad]", "Kd [V s/rad]")
+
+
+@pytest.mark.parametrize("width", [COLUMN_WIDTH, FULL_WIDTH])
+def test_the_legend_of_a_map_stands_outside_and_inside_the_picture(width: float) -> None:
+    figure = plot_map(_small_map(*EVERY_FATE), width=width)
+    figure.savefig(io.BytesIO(), format="png")
+    (ax,) = figure.axes
+    (legend,) = figure.legends
+    inside, outside = ax.get_window_extent(), legend.get_window_extent()
+    assert not inside.overlaps(outside)
+    assert figure.bbox.x0 <= outside.x0
+    assert outside.x1 <= figure.bbox.x1
+    assert outside.y0 >= figure.bbox.y0
+    assert inside.width > 0.5 * inside.height > 0.15 * inside.width
+
+
+def test_the_cells_of_a_map_have_the_colours_of_their_fates() -> None:
+    figure = plot_map(_small_map(*EVERY_FATE))
+    (mesh,) = (c for c in figure.axes[0].collections if isinstance(c, QuadMesh))
+    figure.savefig(io.BytesIO(), format="png")
+    entries = _legend(figure)
+    cells = mesh.get_facecolor().reshape(-1, 4)
+    for cell, attractor in zip(cells, EVERY_FATE, strict=True):
+        assert tuple(cell) == pytest.approx(entries[attractor.phrase].get_facecolor())
+
+
+def test_boundaries_are_drawn_on_top_of_a_map_and_leave_its_limits() -> None:
+    curve = Boundary(name="flip", points=((0.0, -1.5), (9.0, -1.5)))
+    figure = plot_map(_small_map(*EVERY_FATE), boundaries=[curve])
+    (ax,) = figure.axes
+    assert "flip" in _legend(figure)
+    assert any(np.array_equal(line.get_xdata(), [0.0, 9.0]) for line in ax.lines)
+    assert ax.get_xlim() == pytest.approx((0.5, 3.5))
+
+
+def test_a_map_of_one_fate_has_no_contours() -> None:
+    rest = [Attractor(fate=Fate.REST)] * 6
+    assert list(_legend(plot_map(_small_map(*rest)))) == ["rest"]
+    same = [_zeno(1.8, 0.1)] * 6
+    assert list(_legend(plot_map(_small_map(*same)))) == ["Zeno periodic orbit, period 1"]

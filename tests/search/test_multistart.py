@@ -1,0 +1,367 @@
+"""Searches by many workers: the same answer as by one, kept over kills, and nobody else's."""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import joblib
+import pytest
+
+from tests.cli.test_cli import ask
+from tests.support.places import places_that_cannot_be_had, refuses
+from tests.support.processes import Commands
+from zeno_orbits.errors import CheckpointError, InputError
+from zeno_orbits.model.library import load_problem, scene_file
+from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.search import multistart as starts
+from zeno_orbits.search.search import Judgement, SearchResult, Spread, find_orbit, search_gains
+from zeno_orbits.search.settings import SearchSettings, SearchStatus
+from zeno_orbits.search.start import Candidate, Trial
+from zeno_orbits.search.start_data import trial_from_json, trial_to_json
+from zeno_orbits.simulation.signals import Extent
+from zeno_orbits.verification.certificate import DeltaCut, OrbitCertificate
+from zeno_orbits.verification.verifier import verify
+from zeno_orbits.work import Lost, Plan, Workers
+from zeno_orbits.work import scheduling as spreading_module
+from zeno_orbits.work.serialization import plain
+
+YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
+CORES = int(joblib.cpu_count())
+SCENE = "vibrating_table"
+FREE = {"restitution": (0.2, 0.5)}
+TABLE = ("search", SCENE, "--free", "restitution=0.2:0.5")
+"""A search whose every start finds an orbit."""
+BALL = ("search", "bouncing_ball", "--free", "m=1:2", "--starts", "3")
+"""A search whose no start finds one."""
+
+needs_two = pytest.mark.skipif(CORES < 2, reason="needs two cores")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Picky:
+    """Verifies orbits, but for those at one restitution.
+
+    Attributes:
+        refused: The restitution.
+    """
+
+    refused: float = 0.0
+
+    def __call__(self, orbit: ZenoOrbit) -> Judgement:
+        """Return the objection, or the certificate."""
+        if orbit.parameters["restitution"] == self.refused:
+            return Judgement(objection="It is the usual one.")
+        return Judgement(certificate=verify(orbit, scene_file(SCENE).load()))
+
+
+def search(place: Workers | None, *, folder: Path | None = None, **changes: Any) -> SearchResult:
+    """Search the table for several orbits; without a place, in this process alone."""
+    scene = scene_file(SCENE)
+    spread = None
+    if place is not None:
+        spread = Spread(scene=scene, plan=Plan(place=place, checkpoint=folder))
+    settings = SearchSettings(n_starts=2, candidates=4, seed=changes.pop("seed", 0))
+    told: dict[str, Any] = {"accept": Picky(), "settings": settings, **changes}
+    problem = scene.load()
+    return search_gains(problem, problem.setting(), free=FREE, spread=spread, **told)
+
+
+def timeless(result: SearchResult) -> Any:
+    """Return everything that a search promises but the time it took, as comparable data."""
+    return plain(replace(result, wall_time=0.0, solve_time=0.0))
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+@pytest.fixture(name="kept", scope="module")
+def _kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """A finished search that kept its checkpoint, and what it printed."""
+    folder = tmp_path_factory.mktemp("kept") / "kept"
+    answer = ask(*BALL, "--workers", "1", "--checkpoint", folder, "--json")
+    assert answer.code == NO
+    return folder, answer.data
+
+
+# ---------------------------------------------------------------------------- plain data
+
+
+def _certificate() -> OrbitCertificate:
+    """A certificate with all that JSON has no words for."""
+    return OrbitCertificate(
+        tolerance=1e-9,
+        residuals={"release": 5e-324, "closure": math.inf},
+        margins={"locked_time": -0.0},
+        energies={"input_work": math.nan},
+        multipliers=(complex(-0.0, 0.1), complex(math.inf, math.nan)),
+        multiplier_error=math.inf,
+        delta_sweep=(DeltaCut(delta=0.1, speed=math.nan, error=1 / 3),),
+        delta_order=math.nan,
+        integration_error=0.1 + 0.2,
+        zeno_error=math.inf,
+        period=math.nan,
+        n_periods=3,
+        model="derived",
+        trouble="It fell over.",
+        asked=({"quantity": "period", "lower": None, "kept": True},),
+    )
+
+
+def test_what_came_of_a_start_survives_json_to_the_last_bit() -> None:
+    problem = load_problem(SCENE)
+    orbit = find_orbit(problem, problem.setting()).unwrap()
+    candidate = Candidate(
+        orbit=replace(orbit, floquet_multipliers=(complex(0.1, -0.0),)),
+        score=1 / 3,
+        extents={"period": Extent(lowest=-math.inf, highest=0.1, error=math.nan)},
+        certificate=_certificate(),
+    )
+    whole = Trial(
+        status=SearchStatus.FOUND,
+        residuals={"gap": 1e-300},
+        agreement=1e-12,
+        closure_error=0.0,
+        n_unknowns=7,
+        iterations=3,
+        solve_time=0.25,
+        candidate=candidate,
+    )
+    for trial in (whole, Trial(status=SearchStatus.NO_GUESS, detail="It rests.")):
+        back = trial_from_json(json.loads(json.dumps(trial_to_json(trial), allow_nan=False)))
+        # As texts, in which NaN equals NaN and -0.0 differs from 0.0.
+        assert repr(plain(back)) == repr(plain(trial))
+        assert type(back.status) is SearchStatus
+
+
+# ---------------------------------------------------------------------------- the same answer
+
+
+@needs_two
+def test_one_worker_and_two_find_what_a_search_without_workers_finds() -> None:
+    alone = search(None)
+    assert len(alone.attempts) == 3
+    assert len(alone.candidates) == 3
+    assert timeless(search(Workers(count=1))) == timeless(alone)
+    assert timeless(search(Workers(count=2))) == timeless(alone)
+
+
+@pytest.mark.slow
+@needs_two
+def test_the_command_prints_the_same_bytes_for_one_worker_and_two() -> None:
+    for words, code in ((TABLE, YES), (BALL, NO)):
+        more = (*words, "--candidates", "9", "--starts", "3", "--json")
+        one, two = (ask(*more, "--workers", count) for count in ("1", "2"))
+        assert one.code == two.code == code
+        assert one.out == two.out != ""
+
+
+def test_the_first_start_that_is_accepted_ends_the_search_though_more_are_under_way() -> None:
+    # Every start ends near the restitution of the first, and only the first one at it.
+    one = SearchSettings(n_starts=6, candidates=1)
+    result = search(Workers(count=min(CORES, 2)), accept=Picky(refused=0.3), settings=one)
+    ends = [attempt.status for attempt in result.attempts]
+    assert ends == [SearchStatus.NOT_ACCEPTED, SearchStatus.FOUND]
+    assert timeless(result) == timeless(search(None, accept=Picky(refused=0.3), settings=one))
+
+
+def test_a_search_that_ends_at_its_first_start_begins_no_worker(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refuse(_place: Workers) -> None:
+        raise OSError("a pool is opened")
+
+    monkeypatch.setattr(spreading_module, "open_pool", refuse)
+    assert ask(*TABLE).code == YES
+    answer = ask(*BALL)
+    assert (answer.code, "a pool is opened" in answer.err) == (MISUSE, True)
+
+
+def test_a_seed_repeats_its_starts_and_another_has_others() -> None:
+    def tried(seed: str) -> list[float]:
+        answer = ask(*BALL, "--workers", "1", "--seed", seed, "--json")
+        return [attempt["parameters"]["m"] for attempt in answer.data["attempts"]]
+
+    first = tried("1")
+    assert tried("1") == first
+    other = tried("2")
+    assert other[0] == first[0] == 1.0
+    assert not {*other[1:]} & {*first[1:]}
+
+
+def test_a_start_that_kills_every_worker_is_a_failure_by_name(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    spread_in_order = starts.spread_in_order
+
+    def lose_the_second(*arguments: Any, **named: Any) -> Iterator[Any]:
+        for k, result in enumerate(spread_in_order(*arguments, **named)):
+            yield Lost() if k == 1 else result
+
+    monkeypatch.setattr(starts, "spread_in_order", lose_the_second)
+    result = search(Workers(count=1))
+    found = [attempt.status is SearchStatus.FOUND for attempt in result.attempts]
+    assert found == [True, False, True]
+    assert result.attempts[1].detail == Lost().reason
+
+
+# ---------------------------------------------------------------------------- checkpoints
+
+
+def test_what_is_finished_is_not_tried_again(
+    kept: tuple[Path, dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, told = kept
+    before = contents(folder)
+    assert len([name for name in before if name.startswith("chunk")]) == 4
+
+    def refuse(*_: Any) -> None:
+        raise OSError("it is tried again")
+
+    monkeypatch.setattr(starts, "tried", refuse)
+    monkeypatch.setattr(spreading_module, "open_pool", refuse)
+    assert ask(*BALL, "--checkpoint", folder, "--json").data == told
+    assert contents(folder) == before
+
+
+@pytest.mark.parametrize("chunk", [0, 2])
+def test_a_start_that_was_lost_is_tried_again_and_gives_the_same(
+    chunk: int, kept: tuple[Path, dict[str, Any]]
+) -> None:
+    folder, told = kept
+    (folder / f"chunk-{chunk:06d}.json").unlink()
+    assert ask(*BALL, "--workers", "1", "--checkpoint", folder, "--json").data == told
+    assert (folder / f"chunk-{chunk:06d}.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ((*BALL, "--seed", "1"), "`settings.seed` is 0, not 1"),
+        ((*BALL[:-1], "4"), "`settings.n_starts` is 3, not 4"),
+        ((*BALL, "--candidates", "2"), "`settings.candidates` is 1, not 2"),
+        ((*BALL, "--set", "restitution=0.4"), "`parameters.restitution` is"),
+        ((*BALL, "--objective", "nearest:m=1.5"), "`parameters.m` is 1.0, not 1.5"),
+        ((*BALL, "--objective", "period=2"), "`objective.kind` is"),
+        ((*BALL, "--keep", "period=:2"), "`bounds` is []"),
+        ((*BALL, "--allow-unstable"), "`accept.allow_unstable` is false, not true"),
+        ((*BALL, "--accuracy", "1e-5"), "`settings.transcription.mesh_tolerance` is"),
+        ((*BALL, "--engine", "implicit"), "`accept.settings.simulation.engine.kind` is"),
+        (("search", "bouncing_ball", "--free", "m=1:3", "--starts", "3"), "`free.m` is"),
+        ((*TABLE, "--starts", "3"), '`problem` is "bouncing_ball"'),
+        (("map", "bouncing_ball", "--x", "m=1:2", "--y", "g=9:10"), '`work` is "search"'),
+    ],
+)
+def test_the_checkpoint_of_another_search_is_refused_and_left_untouched(
+    words: tuple[str, ...], told: str, kept: tuple[Path, dict[str, Any]]
+) -> None:
+    folder, _ = kept
+    before = contents(folder)
+    answer = ask(*words, "--workers", "1", "--checkpoint", folder)
+    assert answer.code == MISUSE
+    assert told in answer.err
+    assert contents(folder) == before
+
+
+def test_the_checkpoint_of_another_known_orbit_is_refused(tmp_path: Path) -> None:
+    orbit = search(None).unwrap()
+    folder = tmp_path / "kept"
+    search(Workers(count=1), folder=folder, near=orbit, settings=SearchSettings(n_starts=0))
+    other = replace(orbit, period=math.nextafter(orbit.period, 10.0))
+    with pytest.raises(CheckpointError, match=r"`from\.period` is"):
+        search(Workers(count=1), folder=folder, near=other, settings=SearchSettings(n_starts=0))
+
+
+def test_the_checkpoint_beside_the_output_goes_when_there_is_an_answer(tmp_path: Path) -> None:
+    assert ask(*TABLE, "-o", tmp_path / "orbit.json").code == YES
+    assert [path.name for path in tmp_path.iterdir()] == ["orbit.json"]
+    assert ask(*BALL, "--workers", "1", "-o", tmp_path / "ball.json").code == NO
+    assert [path.name for path in tmp_path.iterdir()] == ["orbit.json"]
+
+
+def test_an_interrupt_keeps_the_starts_that_are_finished(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept: tuple[Path, dict[str, Any]]
+) -> None:
+    words = (*BALL, "--workers", "1", "-o", tmp_path / "ball.json", "--json")
+
+    def interrupt(_progress: report.Progress, _what: str, part: float | None = None) -> None:
+        if part is not None and part >= 0.5:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(report.Progress, "tell", interrupt)
+        answer = ask(*words)
+    assert answer.code == INTERRUPTED
+    assert answer.err.endswith("ball.json.checkpoint` keeps what is finished\n")
+    assert len(list((tmp_path / "ball.json.checkpoint").glob("chunk-*"))) == 2
+    assert ask(*words).data == kept[1]
+    assert list(tmp_path.iterdir()) == []
+
+
+# ---------------------------------------------------------------------------- misuse
+
+
+@places_that_cannot_be_had
+def test_a_place_that_cannot_be_had_is_refused_even_if_one_start_would_do(
+    place: tuple[str, ...], told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    refuses(monkeypatch, (*TABLE, *place), told, work_of="zeno_orbits.search.multistart.tried")
+
+
+def test_a_scene_that_workers_would_not_see_is_refused() -> None:
+    scene = scene_file(SCENE)
+    other = replace(scene.load())
+    with pytest.raises(InputError, match="`problem` must be what the `scene` of `spread` loads"):
+        search_gains(other, other.setting(), free=FREE, spread=Spread(scene=scene, plan=Plan()))
+
+
+def test_a_judge_that_has_no_name_cannot_be_told_from_another_by_a_checkpoint(
+    tmp_path: Path,
+) -> None:
+    with pytest.raises(InputError, match="`accept` must be made of"):
+        search(Workers(count=1), folder=tmp_path / "kept", accept=lambda _: Judgement())
+
+
+# ---------------------------------------------------------------------------- the pendulum
+
+LONG = (
+    *("search", "motor_pendulum", "--gain", "Kp=2:3", "--gain", "Kd=-1.2:-0.8"),
+    *("--objective", "period=1.8", "--candidates", "9", "--starts", "4", "--json"),
+)
+
+
+@needs_two
+@pytest.mark.slow
+@pytest.mark.parametrize("signal_", [signal.SIGKILL, signal.SIGINT])
+def test_a_search_that_is_killed_in_the_middle_ends_at_the_same_bytes(
+    signal_: signal.Signals, tmp_path: Path, commands: Commands
+) -> None:
+    def start(folder: Path, workers: int, out: Path) -> subprocess.Popen[bytes]:
+        with out.open("wb") as stream:
+            place = ("--workers", str(workers), "--checkpoint", folder)
+            return commands.start(*LONG, *place, stdout=stream)
+
+    quiet, out = tmp_path / "quiet.json", tmp_path / "out.json"
+    assert start(tmp_path / "quiet", 1, quiet).wait(300) == YES
+    kept = tmp_path / "kept"
+    program = start(kept, 2, out)
+    end = time.monotonic() + 120
+    while len(list(kept.glob("chunk-*.json"))) < 2:
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    program.send_signal(signal_)
+    assert program.wait(60) in (-signal.SIGKILL, INTERRUPTED)
+    assert out.read_bytes() == b""
+    assert len(list(kept.glob("chunk-*.json"))) < 5
+    assert start(kept, 2, out).wait(300) == YES
+    assert out.read_bytes() == quiet.read_bytes()
+    assert json.loads(out.read_text())["candidates"]

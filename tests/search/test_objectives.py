@@ -1,0 +1,356 @@
+"""What a search is asked is reached, and measured without the program that reached it."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from zeno_orbits.errors import InputError
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.orbits.bounds import Bound
+from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.orbits.poincare import floquet_multipliers
+from zeno_orbits.search.closing import close_orbit
+from zeno_orbits.search.guess import SettlingSettings
+from zeno_orbits.search.objectives import (
+    FastestContraction,
+    LeastEnergy,
+    LeastPeak,
+    NearestGains,
+    Objective,
+    WantedPeriod,
+    WidestMargin,
+)
+from zeno_orbits.search.refinement import Hunt
+from zeno_orbits.search.search import SearchSettings, SearchStatus, find_orbit, search_gains
+from zeno_orbits.search.settings import Start
+from zeno_orbits.search.start import Trial, tried
+from zeno_orbits.simulation.simulator import SimulationSettings, simulate
+from zeno_orbits.verification.measure import measure
+from zeno_orbits.verification.verifier import problem_dynamics
+
+ONCE = SearchSettings(n_starts=0)
+OPTIMAL = 1e-5
+"""How near the best value the solver stops: ten times its optimality tolerance, relative."""
+
+
+def _scan(
+    scene: Problem, name: str, values: Sequence[float], quantity: str, **fixed: float
+) -> list[float]:
+    """Return a quantity of the orbits on a line, each closed by simulation alone."""
+    found: list[float] = []
+    near: ZenoOrbit | None = None
+    for value in values:
+        setting = scene.setting().replaced({**fixed, name: value})
+        near = close_orbit(scene, setting, near=near).unwrap()
+        extent = measure(near, scene, [quantity])[quantity]
+        found.append(extent.largest if quantity != "margin" else extent.lowest)
+    return found
+
+
+# Objectives, each against a scan by simulation.
+
+
+@pytest.mark.parametrize("quantity", ["current", "voltage"])
+@pytest.mark.slow
+def test_the_least_peak_is_that_of_a_scan(scene: Problem, quantity: str) -> None:
+    scan = _scan(scene, "Kp", np.linspace(2.0, 3.0, 11).tolist(), quantity)
+    result = search_gains(
+        scene,
+        scene.setting(),
+        free={"Kp": (2.0, 3.0)},
+        objective=LeastPeak(signal=quantity),
+        settings=ONCE,
+    )
+    best = result.candidates[0]
+    assert best.extents[quantity].largest == pytest.approx(min(scan), rel=OPTIMAL)
+    assert best.score == best.extents[quantity].largest
+
+
+@pytest.mark.slow
+def test_the_widest_margin_is_that_of_a_scan(scene: Problem) -> None:
+    values = np.linspace(-1.2, -0.8, 9).tolist()
+    scan = _scan(scene, "Kd", values, "margin")
+    result = search_gains(
+        scene, scene.setting(), free={"Kd": (-1.2, -0.8)}, objective=WidestMargin(), settings=ONCE
+    )
+    assert -result.candidates[0].score == pytest.approx(max(scan), rel=OPTIMAL)
+    assert result.unwrap().gains["Kd"] == pytest.approx(values[int(np.argmax(scan))], abs=1e-4)
+
+
+@pytest.mark.slow
+def test_the_fastest_contraction_is_that_of_a_scan(scene: Problem) -> None:
+    # Along this line the larger multiplier does not cross zero, where anything would do.
+    scan = _scan(scene, "Kd", np.linspace(-1.2, -1.1, 5).tolist(), "spectral_radius")
+    result = search_gains(
+        scene,
+        scene.setting(gains={"Kd": -1.15}),
+        free={"Kd": (-1.2, -1.1)},
+        objective=FastestContraction(),
+        settings=ONCE,
+    )
+    assert result.candidates[0].score == pytest.approx(min(scan), rel=1e-3)
+    orbit = result.unwrap()
+    dynamics = problem_dynamics(orbit, scene)
+    multipliers = floquet_multipliers(
+        dynamics,
+        dynamics.on_stop(np.array(list(orbit.release_state.values()))),
+        scale=np.ones(5),
+        period=orbit.period,
+        settings=SimulationSettings(),
+    )
+    # The one that was made small is the dominating one.
+    assert multipliers.spectral_radius == pytest.approx(result.candidates[0].score, abs=1e-6)
+
+
+# Bounds.
+
+
+def test_a_bound_on_an_angle_is_active_and_held_at_all_times(scene: Problem) -> None:
+    highest = 1.9
+    result = search_gains(
+        scene,
+        scene.setting(),
+        free={"Kd": (-1.1, -0.8)},
+        bounds=[Bound(name="theta2", upper=highest)],
+        settings=ONCE,
+    )
+    orbit = result.unwrap()
+    dynamics = problem_dynamics(orbit, scene, use_reference=True)
+    start = dynamics.on_stop(np.array(list(orbit.release_state.values())))
+    run = simulate(dynamics, start, until=1.2 * orbit.period)
+    times = np.linspace(0.0, orbit.period, 20_001)
+    angles = [run.state_at(float(time))[1] for time in times]
+    # Without the bound it swings to 1.988, so a nearest orbit lies on the bound.
+    assert highest - 1e-4 < max(angles) <= highest + 1e-9
+
+
+@pytest.mark.slow
+def test_a_spectral_radius_is_kept(scene: Problem) -> None:
+    result = search_gains(
+        scene,
+        scene.setting(gains={"Kd": -1.2}),
+        free={"Kd": (-1.3, -0.9)},
+        bounds=[Bound(name="spectral_radius", upper=0.1)],
+        settings=ONCE,
+    )
+    extent = result.candidates[0].extents["spectral_radius"]
+    # Without the bound it would be twice that.
+    assert 0.09 < extent.highest <= 0.1
+
+
+def test_bounds_that_contradict_each_other_are_named_with_what_they_lack(
+    scene: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[Trial] = []
+
+    def and_one_that_is_worse(hunt: Hunt, *_: object) -> Generator[Trial]:
+        trial = tried(hunt, Start(setting=hunt.setting), None, 1)
+        told.append(trial)
+        yield replace(trial, detail="Twice as far.", shortfall=2 * trial.shortfall)
+        yield trial
+
+    monkeypatch.setattr("zeno_orbits.search.search.trials_here", and_one_that_is_worse)
+    result = search_gains(
+        scene,
+        scene.setting(),
+        free={"Kd": (-1.05, -0.95)},
+        bounds=[Bound(name="theta2", upper=1.5), Bound(name="period", lower=1.7)],
+    )
+    assert result.status is SearchStatus.NOT_SOLVED
+    # Of two starts that fail the one is told that comes nearest.
+    assert result.detail == told[0].detail
+    assert "No orbit was found that keeps all bounds" in result.detail
+    assert "`theta2` leaves :1.5 by 0." in result.detail
+    assert "`period`" not in result.detail
+    lacking = float(result.detail.split("`theta2` leaves :1.5 by ")[1].rstrip("."))
+    least = _scan(scene, "Kd", [-1.05, -0.95], "theta2")
+    assert lacking == pytest.approx(min(least) - 1.5, rel=1e-2)
+    # In units of the largest value in the guess, which is one of an orbit in the box.
+    assert lacking / (max(least) + 0.01) < told[0].shortfall < lacking / (min(least) - 0.01)
+
+
+@pytest.mark.slow
+def test_the_nearest_orbit_to_bounds_that_no_gains_keep_is_that_of_a_scan(scene: Problem) -> None:
+    radius, current = 0.2, 2.0
+    box = {gain.name: (gain.lower, gain.upper) for gain in scene.gains}
+    result = search_gains(
+        scene,
+        scene.setting(),
+        free=box,
+        objective=LeastEnergy(),
+        bounds=[
+            Bound(name="spectral_radius", upper=radius),
+            Bound(name="current", lower=-current, upper=current),
+        ],
+        settings=ONCE,
+    )
+    assert result.status is SearchStatus.NOT_SOLVED
+    assert result.detail.startswith("No orbit was found that keeps all bounds; nearest to it, at")
+    assert "(Kp at its bound 1)" in result.detail
+    # Simulation alone: on no line of fixed Kp do the two intervals of Kd meet, least so at Kp = 1.
+    lacks: list[float] = []
+    for proportional in (1.0, 1.2, 2.0, 3.0):
+
+        def peak(derivative: float, Kp: float = proportional) -> float:
+            return _scan(scene, "Kd", [derivative], "current", Kp=Kp)[0] - current
+
+        there = float(brentq(peak, -1.0, -0.5, xtol=1e-6))
+        lacks += _scan(scene, "Kd", [there], "spectral_radius", Kp=proportional)
+        # Less Kd against gravity, more current; more Kd, slower contraction.
+        assert peak(there - 0.05) > 0.0
+        assert _scan(scene, "Kd", [there + 0.05], "spectral_radius", Kp=proportional) > lacks[-1:]
+    assert lacks == sorted(lacks)
+    lacking = float(result.detail.split("leaves :0.2 by ")[1].rstrip("."))
+    assert lacking == pytest.approx(lacks[0] - radius, rel=1e-2)
+
+
+@pytest.mark.slow
+def test_a_spectral_radius_is_kept_where_the_section_has_three_coordinates() -> None:
+    scene = load_problem("two_motors")
+    here, asked = scene.setting().number("Kd"), 0.1
+    result = search_gains(
+        scene,
+        scene.setting(),
+        free={"Kd": (-1.2, -0.8)},
+        bounds=[Bound(name="spectral_radius", upper=asked)],
+        settings=ONCE,
+    )
+    assert result.candidates[0].extents["spectral_radius"].highest <= asked
+
+    def radius(value: float) -> float:
+        return _scan(scene, "Kd", [value], "spectral_radius")[0] - asked
+
+    assert radius(here) > 0.0
+    nearest = float(brentq(radius, here, here + 0.1, xtol=1e-9))
+    assert result.unwrap().gains["Kd"] == pytest.approx(nearest, abs=1e-6)
+
+
+def test_an_orbit_at_fixed_numbers_that_passes_a_bound_is_refused(scene: Problem) -> None:
+    result = search_gains(
+        scene, scene.setting(), free={}, bounds=[Bound(name="theta2", upper=1.9)], settings=ONCE
+    )
+    assert result.status is SearchStatus.NOT_ACCEPTED
+    assert result.orbit is None
+    assert result.detail == "`theta2` leaves :1.9 by 0.0883."
+
+
+# What is free.
+
+
+def test_a_free_parameter_is_found_and_what_is_derived_from_it_stays(scene: Problem) -> None:
+    start = scene.setting()
+    box = {"R": (2.0, 4.0), "L1": (0.195, 0.205)}
+    result = search_gains(scene, start, free=box, objective=WantedPeriod(target=1.8), settings=ONCE)
+    orbit = result.unwrap()
+    assert orbit.period == pytest.approx(1.8, abs=1e-8)
+    assert orbit.gains == start.gains
+    moved = {n for n, value in orbit.parameters.items() if value != start.parameters[n]}
+    assert moved == {"R", "L1"}
+    # The calibration would have moved the rotor; the orbit says what it stands for.
+    other = scene.setting(parameters={"L1": orbit.parameters["L1"]})
+    assert other.parameters["J_rotor"] != orbit.parameters["J_rotor"]
+    closed = close_orbit(scene, orbit.setting(scene), near=orbit).unwrap()
+    assert closed.period == pytest.approx(1.8, abs=1e-8)
+
+
+def test_a_free_restitution_moves_the_impacts_and_the_zeno_point_with_it(scene: Problem) -> None:
+    result = search_gains(
+        scene,
+        scene.setting(),
+        free={"restitution": (0.1, 0.35)},
+        objective=WantedPeriod(target=1.8126),
+        settings=ONCE,
+    )
+    orbit = result.unwrap()
+    closed = close_orbit(scene, orbit.setting(scene)).unwrap()
+    assert closed.period == pytest.approx(1.8126, abs=1e-8)
+    assert 0.2 < orbit.parameters["restitution"] < 0.3
+
+
+# Ways to an orbit.
+
+
+def test_a_known_orbit_is_followed_to_other_numbers(scene: Problem, orbit: ZenoOrbit) -> None:
+    setting = scene.setting(parameters={"restitution": 0.3, "R": 2.8})
+    result = search_gains(scene, setting, free={}, near=orbit, settings=ONCE)
+    alone = close_orbit(scene, setting).unwrap()
+    assert result.unwrap().period == pytest.approx(alone.period, abs=1e-8)
+
+
+def test_the_end_of_a_family_is_named(scene: Problem, orbit: ZenoOrbit) -> None:
+    setting = scene.setting(parameters={"restitution": 0.5})
+    result = search_gains(scene, setting, free={}, near=orbit, settings=ONCE)
+    assert result.status is SearchStatus.NO_GUESS
+    assert "the locked arc shrinks to nothing" in result.detail
+    end = float(result.detail.split("restitution = ")[1].split(",")[0])
+    # Where the locked arc vanishes was measured beforehand to be near 0.417.
+    assert end == pytest.approx(0.4168, abs=2e-4)
+
+
+def test_a_start_that_settles_to_nothing_is_reached_from_an_easier_one(scene: Problem) -> None:
+    # Too short a wait for the motion to settle at these gains, but not at the scene's own.
+    brief = SearchSettings(n_starts=0, settling=SettlingSettings(horizon=12.0, usable=1e-5))
+    setting = scene.setting(gains={"Kp": 2.5, "Kd": -0.5})
+    result = find_orbit(scene, setting, settings=brief)
+    patient = find_orbit(scene, setting)
+    assert result.unwrap().period == pytest.approx(patient.unwrap().period, abs=1e-8)
+
+
+def test_candidates_are_ranked_and_the_best_is_the_orbit(scene: Problem) -> None:
+    settings = SearchSettings(n_starts=2, candidates=2)
+    result = search_gains(
+        scene,
+        scene.setting(),
+        free={"Kd": (-1.1, -0.9)},
+        objective=WantedPeriod(target=1.8),
+        settings=replace(settings, candidates=2),
+    )
+    scores = [one.score for one in result.candidates]
+    assert scores == sorted(scores)
+    assert result.orbit is result.candidates[0].orbit
+    # Every start leads to the one orbit of that period on this line.
+    assert len(result.candidates) == 1
+    assert [one.status for one in result.attempts] == [SearchStatus.FOUND] * 3
+
+
+# Misuse.
+
+
+@pytest.mark.parametrize(
+    ("free", "bounds", "objective", "said"),
+    [
+        ({"restitution": (0.1, 1.0)}, [], None, r"`restitution` must lie in \[0, 1\)"),
+        ({"R": (4.0, 2.0)}, [], None, "`R` must have finite bounds LOWER < UPPER"),
+        ({"Q": (1.0, 2.0)}, [], None, "`free` must be one of Kp, .*R.*, but it is `Q`"),
+        ({}, [Bound(name="angle", upper=1.0)], None, "`keep` must name a quantity .*`angle`"),
+        ({}, [Bound(name="spectral_radius", lower=0.1)], None, "from above only"),
+        ({}, [Bound(name="spectral_radius", upper=0.0)], None, "by 0.0001 or more"),
+        ({}, [Bound(name="spectral_radius", upper=9e-5)], None, "by 0.0001 or more"),
+        ({}, [Bound(name="margin", lower=1.0)], None, "a `margin` below 1"),
+        ({}, [Bound(name="period", upper=0.0)], None, "a positive `period`"),
+        ({}, [Bound(name="period", upper=2.0)] * 2, None, "must bound `period` once"),
+        ({"Kp": (1.0, 2.0)}, [], LeastPeak(signal="torque"), "`objective` must name .*`torque`"),
+        ({"Kp": (1.0, 2.0)}, [], NearestGains(target={"R": 2.0}), "names `R`"),
+    ],
+)
+def test_a_question_that_makes_no_sense_is_refused(
+    scene: Problem,
+    free: dict[str, tuple[float, float]],
+    bounds: list[Bound],
+    objective: Objective | None,
+    said: str,
+) -> None:
+    with pytest.raises(InputError, match=said):
+        search_gains(scene, scene.setting(), free=free, bounds=bounds, objective=objective)
+
+
+def test_an_orbit_of_another_scene_is_no_start(scene: Problem, orbit: ZenoOrbit) -> None:
+    other = scene.at_fidelity("quasi_static")
+    with pytest.raises(InputError, match="`near` must be of scene `motor_pendulum@quasi_static`"):
+        search_gains(other, other.setting(), free={}, near=orbit, objective=LeastEnergy())

@@ -1,0 +1,340 @@
+"""Searches end at the orbits of independent simulations, or say why they found none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.reference.reference_orbit import (
+    FIRST_IMPACT,
+    FIRST_RATE,
+    PERIOD,
+    PERIODS,
+    RELEASE,
+    ZENO_STATE,
+    ZENO_TIME,
+)
+from zeno_orbits.errors import InputError
+from zeno_orbits.model.library import load_problem, load_reference
+from zeno_orbits.model.numeric.compiled import bind, compile_problem
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.orbits.shape import ONE_ZENO
+from zeno_orbits.search.guess import SettlingSettings
+from zeno_orbits.search.objectives import LeastEnergy, NearestGains, WantedAmplitude, WantedPeriod
+from zeno_orbits.search.refinement import Hunt
+from zeno_orbits.search.search import (
+    Judgement,
+    OrbitNotFoundError,
+    SearchResult,
+    SearchSettings,
+    SearchStatus,
+    find_orbit,
+    search_gains,
+)
+from zeno_orbits.search.settings import Find
+from zeno_orbits.simulation.execution import Execution
+from zeno_orbits.simulation.simulator import simulate
+from zeno_orbits.verification.certificate import OrbitCertificate
+from zeno_orbits.verification.verifier import VerificationSettings, verify
+
+ACCURACY = 1e-8
+"""What is promised of an orbit; the first one is within 1e-11 of the declared numbers."""
+IMPATIENT = SearchSettings(settling=SettlingSettings(horizon=40.0))
+
+
+def _one_period(orbit: ZenoOrbit, problem: Problem) -> Execution:
+    """Return the period after the release, on the model that was written by hand."""
+    by_hand = load_reference(problem).dynamics(orbit.setting(problem))
+    start = by_hand.on_stop(np.array(list(orbit.release_state.values())))
+    run = simulate(by_hand, start, until=1.3 * orbit.period)
+    assert run.releases
+    return run
+
+
+def _box(problem: Problem) -> dict[str, tuple[float, float]]:
+    return {gain.name: (gain.lower, gain.upper) for gain in problem.gains}
+
+
+# At fixed gains.
+
+
+@pytest.mark.parametrize("inductance", [1e-6, 1e-8])
+def test_a_current_that_decays_within_nanoseconds_leaves_the_orbit_of_the_reduced_model(
+    scene: Problem, inductance: float
+) -> None:
+    found = find_orbit(scene, scene.setting(parameters={"L": inductance}))
+    assert found.status is SearchStatus.FOUND
+    reduced = load_problem("motor_pendulum@corrected")
+    without = find_orbit(reduced, reduced.setting(parameters={"L": inductance}))
+    # The reduced model errs by 4e-7 at 2 mH and by the square of L: by less than rounding here.
+    # Each search agrees with its simulation to 3e-10.
+    assert found.unwrap().period == pytest.approx(without.unwrap().period, rel=6e-10)
+
+
+def test_the_orbit_at_the_published_gains_is_the_declared_one(orbit: ZenoOrbit) -> None:
+    assert orbit.period == pytest.approx(PERIOD, abs=ACCURACY)
+    assert list(orbit.release_state.values()) == pytest.approx(RELEASE, abs=ACCURACY)
+    assert orbit.zeno_time == pytest.approx(ZENO_TIME, abs=ACCURACY)
+    assert list(orbit.zeno_state.values()) == pytest.approx(ZENO_STATE, abs=ACCURACY)
+    first = orbit.impacts[0]
+    assert first.time == pytest.approx(FIRST_IMPACT, abs=ACCURACY)
+    assert first.state_minus["dtheta2"] == pytest.approx(FIRST_RATE, abs=ACCURACY)
+
+
+def test_a_search_reports_how_well_it_did(found: SearchResult) -> None:
+    assert found.status is SearchStatus.FOUND
+    assert found.detail == ""
+    assert found.agreement <= SearchSettings().agreement
+    assert 0.0 < found.closure_error <= SearchSettings().transcription.closure_tolerance
+    assert max(found.residuals.values()) < 1e-9
+    assert found.n_unknowns > 1000
+    assert found.iterations >= 1
+    assert 0.0 < found.solve_time < found.wall_time
+    assert [attempt.status for attempt in found.attempts] == [SearchStatus.FOUND]
+
+
+@pytest.mark.parametrize(("restitution", "period"), list(PERIODS.items()))
+def test_other_restitutions_have_their_declared_periods(
+    scene: Problem, restitution: float, period: float
+) -> None:
+    result = find_orbit(scene, scene.setting(parameters={"restitution": restitution}))
+    assert result.unwrap().period == pytest.approx(period, abs=ACCURACY)
+    assert (result.closure_error == 0.0) == (restitution == 0.0)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "gains"), [({"R": 2.0}, {}), ({"R": 4.0}, {}), ({}, {"Kp": 4.0})]
+)
+def test_the_orbit_is_where_a_long_simulation_ends(
+    scene: Problem, parameters: dict[str, float], gains: dict[str, float]
+) -> None:
+    setting = scene.setting(parameters=parameters, gains=gains)
+    orbit = find_orbit(scene, setting).unwrap()
+    dynamics = bind(compile_problem(scene), setting.values())
+    # The largest multiplier is 0.37 in size: 27 periods shrink any start to 1e-11.
+    run = simulate(dynamics, scene.state_vector({"theta1": 0.6}), until=50.0)
+    early, late = run.releases[-2:]
+    assert late.time - early.time == pytest.approx(orbit.period, abs=ACCURACY)
+    assert late.state == pytest.approx(np.array(list(orbit.release_state.values())), abs=ACCURACY)
+    # What the search calls an orbit must pass the check that follows it.
+    certificate = verify(orbit, scene, settings=VerificationSettings(n_periods=1))
+    assert certificate.passed, certificate.verdict()
+
+
+# Free gains.
+
+
+@pytest.mark.parametrize("period", [1.75, pytest.param(1.90, marks=pytest.mark.slow)])
+def test_a_wanted_period_is_reached(scene: Problem, period: float) -> None:
+    wanted = WantedPeriod(target=period)
+    result = search_gains(scene, scene.setting(), free=_box(scene), objective=wanted)
+    orbit = result.unwrap()
+    run = _one_period(orbit, scene)
+    assert run.releases[-1].time == pytest.approx(period, abs=ACCURACY)
+    assert verify(orbit, scene, settings=VerificationSettings(n_periods=1)).passed
+    for name, (lower, upper) in _box(scene).items():
+        assert lower <= orbit.gains[name] <= upper
+
+
+def test_one_free_gain_is_enough_for_a_period(scene: Problem) -> None:
+    result = search_gains(
+        scene,
+        scene.setting(),
+        free={"Kd": (-1.5, -0.4)},
+        objective=WantedPeriod(target=1.82),
+    )
+    orbit = result.unwrap()
+    assert orbit.gains["Kp"] == 2.5
+    run = _one_period(orbit, scene)
+    assert run.releases[-1].time == pytest.approx(1.82, abs=ACCURACY)
+
+
+@pytest.mark.slow
+def test_a_wanted_amplitude_is_reached(scene: Problem) -> None:
+    wanted = WantedAmplitude(state="theta1", target=1.2)
+    result = search_gains(scene, scene.setting(), free=_box(scene), objective=wanted)
+    orbit = result.unwrap()
+    run = _one_period(orbit, scene)
+    times = np.linspace(0.0, orbit.period, 4001)
+    angles = np.array([run.state_at(float(time))[0] for time in times])
+    ends = []
+    for sign in (1, -1):
+        # The parabola through the three highest samples is right to the fourth power of the step.
+        k = int(np.argmax(sign * angles))
+        around = np.array([run.state_at(float(t))[0] for t in times[k - 1 : k + 2]])
+        fit = np.polynomial.Polynomial.fit(times[k - 1 : k + 2], around, 2)
+        ends.append(float(fit(fit.deriv().roots()[0])))
+    assert (ends[0] - ends[1]) / 2 == pytest.approx(1.2, abs=ACCURACY)
+
+
+def test_less_energy_is_found_where_gains_may_give(
+    scene: Problem, certificate: OrbitCertificate
+) -> None:
+    result = search_gains(
+        scene, scene.setting(), free={"Kd": (-1.1, -0.9)}, objective=LeastEnergy()
+    )
+    orbit = result.unwrap()
+    spent = verify(orbit, scene, settings=VerificationSettings(n_periods=1)).energies
+    assert spent["input_work"] < 0.9 * certificate.energies["input_work"]
+    assert -1.1 <= orbit.gains["Kd"] <= -0.9
+
+
+def test_gains_that_have_an_orbit_are_their_own_nearest(scene: Problem) -> None:
+    target = {"Kp": 3.0, "Kd": -0.9}
+    result = search_gains(
+        scene, scene.setting(), free=_box(scene), objective=NearestGains(target=target)
+    )
+    assert result.unwrap().gains == target
+
+
+def test_a_target_outside_the_box_is_met_at_its_edge(scene: Problem) -> None:
+    result = search_gains(
+        scene,
+        scene.setting(),
+        free={"Kp": (2.0, 3.0)},
+        objective=NearestGains(target={"Kp": 9.0}),
+    )
+    assert result.unwrap().gains == pytest.approx({"Kp": 3.0, "Kd": -1.0}, abs=1e-6)
+
+
+# No orbit.
+
+
+def test_a_restitution_beyond_the_family_leaves_no_zeno_orbit(scene: Problem) -> None:
+    setting = scene.setting(parameters={"restitution": 0.5})
+    result = find_orbit(scene, setting, settings=IMPATIENT, shape=ONE_ZENO)
+    # A period on the way to its orbit without a Zeno point may pass for a guess.
+    assert result.status in (SearchStatus.NO_GUESS, SearchStatus.NOT_SOLVED)
+    assert result.orbit is None
+    # The family ends near 0.417.
+    assert "Orbits could be followed to restitution = 0.416" in result.detail
+    assert "there the locked arc shrinks to nothing" in result.detail
+
+
+def test_motion_that_grows_or_dies_out_slowly_is_no_orbit(scene: Problem) -> None:
+    result = find_orbit(scene, scene.setting(gains={"Kd": -0.1}), settings=IMPATIENT)
+    # It changes so little a period that it may pass for a guess; the program then finds nothing.
+    assert result.status in (SearchStatus.NO_GUESS, SearchStatus.NOT_SOLVED)
+    assert result.orbit is None
+    assert result.detail
+
+
+def test_a_ball_has_no_orbit() -> None:
+    ball = load_problem("bouncing_ball")
+    result = find_orbit(ball, ball.setting(), settings=IMPATIENT)
+    assert result.status is SearchStatus.NO_GUESS
+    assert result.detail == "The motion dies out."
+    with pytest.raises(OrbitNotFoundError, match="No simulation settled") as caught:
+        result.unwrap()
+    assert caught.value.result is result
+
+
+def test_an_orbit_that_nobody_accepts_is_not_returned(scene: Problem) -> None:
+    seen: list[ZenoOrbit] = []
+
+    def refuse(orbit: ZenoOrbit) -> Judgement:
+        seen.append(orbit)
+        return Judgement(objection="it is too plain")
+
+    result = search_gains(
+        scene,
+        scene.setting(),
+        free={"Kp": (2.4, 2.6)},
+        accept=refuse,
+        settings=replace(IMPATIENT, n_starts=1),
+    )
+    assert result.status is SearchStatus.NOT_ACCEPTED
+    assert result.orbit is None
+    assert result.detail == "it is too plain"
+    assert len(seen) == len(result.attempts) == 2
+    assert {attempt.detail for attempt in result.attempts} == {"it is too plain"}
+
+
+def test_progress_is_told_in_order(scene: Problem) -> None:
+    told: list[str] = []
+    result = search_gains(
+        scene, scene.setting(), free={}, accept=lambda _: Judgement(), on_progress=told.append
+    )
+    assert result.status is SearchStatus.FOUND
+    assert told[0] == "start 1: simulating Kp = 2.5, Kd = -1"
+    assert told[-1] == "start 1: verifying"
+
+
+# Misuse.
+
+
+@pytest.mark.parametrize("bounds", [(2.0, 2.0), (3.0, 2.0), (2.0, np.inf), (np.nan, 2.0)])
+def test_a_box_that_is_empty_or_endless_is_refused(
+    scene: Problem, bounds: tuple[float, float]
+) -> None:
+    with pytest.raises(InputError, match=r"`Kp` must have .*bounds LOWER < UPPER"):
+        search_gains(scene, scene.setting(), free={"Kp": bounds})
+
+
+def test_a_gain_that_the_scene_does_not_have_is_refused(scene: Problem) -> None:
+    with pytest.raises(InputError, match=r"`free` must be one of Kp, Kd, .* but it is `Ki`"):
+        search_gains(scene, scene.setting(), free={"Ki": (1.0, 2.0)})
+
+
+def test_a_target_of_a_gain_that_the_scene_does_not_have_is_refused(scene: Problem) -> None:
+    with pytest.raises(InputError, match="Ki"):
+        search_gains(
+            scene,
+            scene.setting(),
+            free={"Kp": (1.0, 2.0)},
+            objective=NearestGains(target={"Ki": 1.0}),
+            settings=replace(IMPATIENT, n_starts=0),
+        )
+
+
+def test_an_agreement_that_cannot_be_had_ends_the_search() -> None:
+    # Program and simulation never agree beyond rounding; the wanted value itself is met.
+    settings = SearchSettings(n_starts=0, rounds=1, agreement=1e-17, smallest_step=0.03)
+    pendulum = load_problem("motor_pendulum")
+    result = search_gains(
+        pendulum,
+        pendulum.setting(),
+        free={"Kd": (-1.2, -0.8)},
+        objective=WantedPeriod(target=1.81),
+        settings=settings,
+    )
+    assert result.status is SearchStatus.NOT_SOLVED
+    assert "differ by" in result.detail
+
+
+@pytest.mark.slow
+def test_an_orbit_is_kept_where_the_way_to_the_nearest_gains_is_lost(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    refine = Hunt.refine
+
+    def lose_the_way(hunt: Hunt, *arguments: object) -> Find:
+        if hunt.free:
+            return Find(status=SearchStatus.NOT_SOLVED)
+        return refine(hunt, *arguments)
+
+    monkeypatch.setattr(Hunt, "refine", lose_the_way)
+    pendulum = load_problem("motor_pendulum")
+    # At Kd = 0.5 the motion dies out, so orbits are followed toward it, up to where they end.
+    result = search_gains(
+        pendulum,
+        pendulum.setting(gains={"Kd": 0.5}),
+        free={"Kp": (2.0, 3.0), "Kd": (-1.2, 0.6)},
+        settings=SearchSettings(n_starts=4),
+    )
+    assert result.status is SearchStatus.FOUND
+    assert "not the nearest" in result.detail
+
+
+@pytest.mark.parametrize("wanted", [1e-12, 1e-10, 1e-6, 1e-2])
+def test_an_accuracy_asks_for_an_agreement_below_it_and_changes_nothing_else(wanted: float) -> None:
+    given = SearchSettings(n_starts=3, seed=7)
+    chosen = given.for_accuracy(wanted)
+    assert chosen.agreement < wanted
+    assert chosen.transcription.closure_tolerance <= wanted
+    assert chosen.transcription.mesh_tolerance <= 1e-2
+    same = replace(chosen, agreement=given.agreement, transcription=given.transcription)
+    assert same == given

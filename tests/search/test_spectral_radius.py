@@ -1,0 +1,151 @@
+"""The return map inside a program is that of the simulator, and its rows bound its multipliers."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from tests.reference.reference_orbit import MULTIPLIER
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.model.numeric.compiled import bind, compiled_model
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.orbits.cycle import closures_of
+from zeno_orbits.orbits.period import placed
+from zeno_orbits.orbits.poincare import floquet_multipliers
+from zeno_orbits.search.closing import close_orbit
+from zeno_orbits.search.confirmation import one_cycle
+from zeno_orbits.search.spectral_radius import keep_radius_below, section_map
+from zeno_orbits.search.transcription.arc import TranscriptionSettings
+from zeno_orbits.search.transcription.program import ProgramBuilder
+from zeno_orbits.search.transcription.transcribe import OrbitTerms, transcribe
+from zeno_orbits.simulation.simulator import SimulationSettings
+
+DIFFERENCES = 1e-6
+"""Asked of the agreement with differences of the simulated map; these err by less than 1e-8."""
+
+
+def _terms(
+    problem: Problem, free: dict[str, tuple[float, float]] | None = None, **numbers: float
+) -> tuple[OrbitTerms, Vector]:
+    """Return the terms of an orbit's program, and its multipliers by differences."""
+    setting = problem.setting().replaced(numbers)
+    orbit = close_orbit(problem, setting).unwrap()
+    compiled = compiled_model(problem)
+    dynamics = bind(compiled, setting.values())
+    start = placed(dynamics, orbit.shape, np.array(list(orbit.start_state.values())))
+    cycle = one_cycle(dynamics, start, 2 * orbit.period, orbit.shape)
+    assert cycle is not None
+    terms = transcribe(
+        compiled,
+        setting,
+        dynamics=dynamics,
+        cycle=cycle,
+        closures=closures_of(cycle, dynamics, 1e-11),
+        free=free or {},
+        first={name: setting.number(name) for name in free or {}},
+        settings=TranscriptionSettings(),
+    )
+    multipliers = floquet_multipliers(
+        dynamics,
+        start,
+        scale=cycle.scale(),
+        period=orbit.period,
+        settings=SimulationSettings(),
+        shape=orbit.shape,
+    )
+    return terms, np.array(multipliers.values)
+
+
+@pytest.mark.parametrize(
+    ("name", "numbers", "size"),
+    [
+        ("motor_pendulum", {}, 2),
+        ("motor_pendulum", {"Kp": 1.5, "Kd": -1.4}, 2),
+        ("motor_pendulum", {"restitution": 0.0}, 2),
+        ("motor_pendulum", {"restitution": 0.35, "L": 0.02}, 2),
+        # Beyond the end of its Zeno orbits: three impacts a period, and no release.
+        ("motor_pendulum", {"restitution": 0.5}, 4),
+        ("motor_pendulum@quasi_static", {"Kd": -0.7}, 1),
+        ("two_motors", {"Kd": -1.1}, 3),
+    ],
+)
+def test_multipliers_in_the_program_are_those_of_the_simulated_map(
+    name: str, numbers: dict[str, float], size: int
+) -> None:
+    terms, expected = _terms(load_problem(name), **numbers)
+    found = np.linalg.eigvals(terms.guessed(section_map(terms)))
+    found = np.array(sorted(found, key=abs, reverse=True))
+    assert len(found) == len(expected) == size
+    assert found == pytest.approx(expected, abs=DIFFERENCES)
+    if name == "motor_pendulum" and not numbers:
+        assert found[0].real == pytest.approx(MULTIPLIER, abs=DIFFERENCES)
+
+
+@pytest.mark.parametrize(
+    ("name", "numbers"),
+    [
+        ("motor_pendulum", {"Kp": 1.5, "Kd": -1.4}),
+        ("motor_pendulum", {"restitution": 0.5}),
+        ("two_motors", {}),
+    ],
+)
+@pytest.mark.slow
+def test_the_derivative_of_the_map_by_every_unknown_is_that_of_differences(
+    name: str, numbers: dict[str, float]
+) -> None:
+    terms, _ = _terms(load_problem(name), free={"Kd": (-2.0, 0.0)}, **numbers)
+    slope = section_map(terms)
+    terms.program.at_least_zero("slope", ca.vec(slope))
+    program = terms.program.build()
+    n = slope.numel()
+    rows = ca.Function("rows", [program.unknowns], [program.rows[-n:]])
+    slopes = ca.Function("slopes", [program.unknowns], [program.jacobian[-n:, :]])
+    jacobian = slopes(program.guess).full()
+    random = np.random.default_rng(1)
+    for place, shape in program.names.values():
+        move = np.zeros(program.guess.size)
+        move[place : place + shape[0] * shape[1]] = random.normal(size=shape[0] * shape[1])
+        move /= np.linalg.norm(move)
+        # The error of differences is of second order; two of them tell how large it is.
+        coarse, fine = (
+            (rows(program.guess + h * move) - rows(program.guess - h * move)).full().ravel() / 2 / h
+            for h in (2e-5, 1e-5)
+        )
+        size = 1.0 + np.max(np.abs(fine))
+        allowed = 1e-7 * size + np.max(np.abs(coarse - fine))
+        assert np.max(np.abs(jacobian @ move - fine)) < allowed < 1e-3 * size
+    # The gain moves the map, too, not only the orbit.
+    assert np.max(np.abs(jacobian[:, program.names["free Kd"][0]])) > 1e-2
+
+
+def test_a_section_of_too_many_coordinates_is_refused(
+    scene: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    terms, _ = _terms(scene)
+    monkeypatch.setattr("zeno_orbits.search.spectral_radius.MOST_COORDINATES", 1)
+    with pytest.raises(InputError, match="where the section has 2 coordinates"):
+        section_map(terms)
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 4, 5, 6])
+def test_the_rows_hold_for_exactly_the_radii_above_the_spectral_radius(size: int) -> None:
+    program = ProgramBuilder()
+    entries = program.variable("entries", np.zeros((size, size)))
+    radius = program.variable("radius", 1.0)[0, 0]
+    keep_radius_below(program, entries, radius)
+    built = program.build()
+    rows = ca.Function("rows", [built.unknowns], [built.rows])
+    random = np.random.default_rng(1)
+    kinds = set[bool]()
+    for _ in range(300):
+        matrix = random.normal(size=(size, size))
+        values = np.linalg.eigvals(matrix)
+        kinds.add(bool(np.iscomplex(values[0])))
+        true = float(np.max(np.abs(values)))
+        for factor, holds in ((1.001, True), (0.999, False)):
+            point = np.concatenate([matrix.flatten(order="F"), [factor * true]])
+            assert (float(ca.mmin(rows(point))) >= 0.0) is holds
+    assert kinds == ({False} if size == 1 else {False, True})

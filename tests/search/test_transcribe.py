@@ -1,0 +1,244 @@
+"""The program of an orbit: true orbits meet its rows, and each row fails for its own reason."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from tests.reference.closed_forms import FORCED
+from tests.reference.reference_orbit import PERIOD, RELEASE, ZENO_TIME
+from tests.support.mechanisms import clocked_oscillator
+from zeno_orbits.arrays import Vector
+from zeno_orbits.model.numeric.compiled import bind, compile_problem
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.orbits.cycle import Cycle, closures_of, cycles
+from zeno_orbits.search.search import SearchStatus, find_orbit
+from zeno_orbits.search.transcription.arc import TranscriptionSettings
+from zeno_orbits.search.transcription.ipopt import Hessian, IpoptSettings, SolveStatus, solve
+from zeno_orbits.search.transcription.program import Program
+from zeno_orbits.search.transcription.transcribe import transcribe
+from zeno_orbits.simulation.simulator import simulate
+
+MESH = 1e-7
+VISIBLE = 20 * MESH
+"""A condition counts as violated above this; meshes leave about their tolerance."""
+
+
+@pytest.fixture(name="cycle", scope="module")
+def _cycle(machine: HybridDynamics) -> Cycle:
+    start = np.array(RELEASE)
+    (cycle,) = cycles(simulate(machine, start, until=1.5 * PERIOD), start=start)
+    return cycle
+
+
+def _program(
+    problem: Problem,
+    setting: Setting,
+    cycle: Cycle,
+    *,
+    mesh_tolerance: float = MESH,
+    free: Mapping[str, tuple[float, float]] | None = None,
+) -> Program:
+    compiled = compile_problem(problem)
+    dynamics = bind(compiled, setting.values())
+    settings = TranscriptionSettings(mesh_tolerance=mesh_tolerance)
+    terms = transcribe(
+        compiled,
+        setting,
+        dynamics=dynamics,
+        cycle=cycle,
+        closures=closures_of(cycle, dynamics, settings.closure_tolerance),
+        free=free or {},
+        first={name: setting.number(name) for name in free or {}},
+        settings=settings,
+    )
+    return terms.program.build()
+
+
+@pytest.fixture(name="program", scope="module")
+def _made(scene: Problem, cycle: Cycle) -> Program:
+    return _program(scene, scene.setting(), cycle)
+
+
+def _violations(program: Program, scaled: Vector) -> dict[str, float]:
+    rows = ca.Function("rows", [program.unknowns], [program.rows])(scaled).full().ravel()
+    sizes = np.maximum(program.row_lower - rows, rows - program.row_upper)
+    found: dict[str, float] = {}
+    for name, size in zip(program.row_names, sizes, strict=True):
+        found[name] = max(found.get(name, 0.0), float(size))
+    return found
+
+
+def _violated(program: Program, block: str, entry: int, change: float = 1e-3) -> set[str]:
+    """Return the rows that fail when one entry of a block of the guess is changed (scaled).
+
+    Args:
+        program: The program.
+        block: Name of the block.
+        entry: Place in the block, column by column; negative from its end.
+        change: Change in units of the scale.
+    """
+    start, (n_rows, n_columns) = program.names[block]
+    scaled = program.guess.copy()
+    scaled[start + entry % (n_rows * n_columns)] += change
+    return {name for name, size in _violations(program, scaled).items() if size > VISIBLE}
+
+
+@pytest.mark.parametrize("tolerance", [1e-5, 1e-7, 1e-9])
+def test_a_simulated_period_meets_every_condition_to_the_accuracy_of_its_mesh(
+    scene: Problem, cycle: Cycle, tolerance: float
+) -> None:
+    program = _program(scene, scene.setting(), cycle, mesh_tolerance=tolerance)
+    assert max(_violations(program, program.guess).values()) < 2 * tolerance
+
+
+@pytest.mark.parametrize("free", [{}, {"Kp": (1.0, 6.0), "Kd": (-1.5, -0.4)}])
+def test_the_jacobian_by_the_chain_rule_is_that_of_the_whole_graph(
+    free: dict[str, tuple[float, float]], scene: Problem, cycle: Cycle
+) -> None:
+    program = _program(scene, scene.setting(), cycle, free=free)
+    plain = ca.jacobian(program.rows, program.unknowns)
+    both = ca.Function("both", [program.unknowns], [program.jacobian, plain])
+    # Off the guess, so that no entry vanishes by the orbit's own symmetry.
+    ours, theirs = both(program.guess * (1 + 1e-3 * np.sin(np.arange(len(program.guess)))))
+    largest = float(ca.norm_inf(ca.vec(theirs)))
+    # An entry is a sum of some hundred products.
+    assert float(ca.norm_inf(ca.vec(ours - theirs))) < 100 * np.finfo(np.float64).eps * largest
+    # A gain left out of the chain rule would show: its column is far above rounding.
+    assert all(np.max(np.abs(theirs[:, k].full())) > 1e-6 for k in range(len(free)))
+
+
+def test_at_fixed_gains_there_are_as_many_equations_as_unknowns(program: Program) -> None:
+    equations = int(np.sum(program.row_lower == program.row_upper))
+    assert equations == program.unknowns.numel() == len(program.guess)
+
+
+def test_every_free_gain_is_one_unknown_more(
+    scene: Problem, cycle: Cycle, program: Program
+) -> None:
+    box = {"Kp": (1.0, 6.0), "Kd": (-1.5, -0.4)}
+    wider = _program(scene, scene.setting(), cycle, free=box)
+    assert len(wider.guess) == len(program.guess) + 2
+    for name, (lower, upper) in box.items():
+        (place, _) = wider.names[f"free {name}"]
+        scale = wider.scales[place]
+        assert wider.lower[place] * scale == pytest.approx(lower)
+        assert wider.upper[place] * scale == pytest.approx(upper)
+        assert wider.guess[place] * scale == pytest.approx(scene.setting().gains[name])
+
+
+def test_rows_speak_of_flights_impacts_and_the_release(program: Program) -> None:
+    assert {
+        "continuity[flight 0, interval 0]",
+        "continuity[flight 2, interval 1]",
+        "continuity[locked, interval 0]",
+        "gap closes at impact 1",
+        "gap closes at impact 3",
+        "restitution at impact 2",
+        "release: gap = 0",
+        "release: gap rate = 0",
+        "release: multiplier = 0",
+        "release: multiplier falls",
+        "Zeno point",
+        "Zeno point: d2h/dt2 < 0",
+        "the orbit closes",
+        "gap >= 0 in flight 0",
+        "multiplier >= 0 on the stop",
+    } <= set(program.row_names)
+
+
+START = "continuity[flight 0, interval 0]"
+
+
+@pytest.mark.parametrize(
+    ("state", "rows"),
+    [
+        ("theta1", {START, "release: multiplier = 0", "the orbit closes"}),
+        ("theta2", {START, "release: gap = 0", "release: multiplier = 0"}),
+        ("dtheta1", {START, "the orbit closes"}),
+        ("dtheta2", {START, "release: gap rate = 0"}),
+        ("current", {START, "release: multiplier = 0", "the orbit closes"}),
+    ],
+)
+def test_another_release_state_violates_the_conditions_that_it_enters(
+    program: Program, scene: Problem, state: str, rows: set[str]
+) -> None:
+    assert _violated(program, "release state", scene.state_names.index(state)) == rows
+
+
+@pytest.mark.parametrize("entry", range(5))
+def test_another_zeno_state_is_not_the_limit_of_the_impacts(program: Program, entry: int) -> None:
+    expected = {"Zeno point", "continuity[locked, interval 0]"}
+    assert _violated(program, "Zeno state", entry) == expected
+
+
+def test_another_speed_after_an_impact_breaks_the_law_of_restitution(program: Program) -> None:
+    rows = _violated(program, "speed after impact 3", 0)
+    assert "restitution at impact 3" in rows
+    assert "continuity[flight 3, interval 0]" in rows
+    assert not any("flight 2" in name for name in rows)
+
+
+def test_a_flight_that_ends_off_the_stop_is_named(program: Program) -> None:
+    # The last stage of a rescaled flight ends with gap and gap rate.
+    assert "gap closes at impact 3" in _violated(program, "flight 2 stages", -2)
+    assert "restitution at impact 3" in _violated(program, "flight 2 stages", -1)
+    assert "gap closes at impact 1" in _violated(program, "flight 0 stages", -4)
+
+
+def test_a_flight_of_another_length_breaks_its_continuity_only(program: Program) -> None:
+    for arc in ("flight 0", "flight 2", "locked"):
+        rows = _violated(program, f"{arc} duration", 0)
+        assert rows
+        assert all(name.startswith(f"continuity[{arc}, ") for name in rows)
+
+
+def test_a_locked_arc_that_ends_elsewhere_does_not_close(program: Program) -> None:
+    # dtheta1 of the last stage.
+    assert "the orbit closes" in _violated(program, "locked stages", -3)
+
+
+def test_a_flight_through_the_stop_is_named(program: Program) -> None:
+    rows = _violated(program, "flight 0 stages", 5 * 30 + 1, change=-5.0)
+    assert "gap >= 0 in flight 0" in rows
+
+
+def test_the_program_comes_back_to_the_declared_orbit(program: Program) -> None:
+    off = program.guess * (1 + 1e-4)
+    nudged = Program(
+        **{name: getattr(program, name) for name in program.__slots__} | {"guess": off}
+    )
+    solution = solve(nudged, IpoptSettings(hessian=Hessian.LIMITED_MEMORY))
+    assert solution.status is SolveStatus.SOLVED
+    # The mesh tolerance bounds the polynomials between stages; ends of intervals are better.
+    assert solution.values["period"][0, 0] == pytest.approx(PERIOD, abs=MESH)
+    assert solution.values["Zeno time"][0, 0] == pytest.approx(ZENO_TIME, abs=MESH)
+    assert max(solution.residuals.values()) < 1e-9
+
+
+# A scene without motors.
+
+
+@pytest.mark.parametrize("attracting", [True, False])
+def test_the_orbit_of_the_forced_oscillator_is_found(attracting: bool) -> None:
+    # Where the clock does not attract, every amplitude of it has its own orbit and the program is
+    # singular; it is solved all the same, near its guess.
+    problem = clocked_oscillator(FORCED, attracting=attracting)
+    result = find_orbit(problem, problem.setting())
+    assert result.status is SearchStatus.FOUND
+    found = result.unwrap()
+    # The loose settling drifts along the neutral amplitude, by 1e-8 a second for up to 200 s; the
+    # times and states of the orbit follow the amplitude with a factor below 10.
+    accuracy = 1e-9 if attracting else 10 * 200 * 1e-8
+    assert found.period == pytest.approx(2 * np.pi, abs=1e-9)
+    assert found.release_state["y"] == pytest.approx(FORCED.stop, abs=accuracy)
+    assert found.release_state["dy"] == pytest.approx(-0.6, abs=accuracy)
+    exact = FORCED.zeno_time() - FORCED.release_time
+    assert found.zeno_time == pytest.approx(exact, abs=accuracy)
+    for impact, (time, approach) in zip(found.impacts, FORCED.impacts(), strict=False):
+        assert impact.time == pytest.approx(time - FORCED.release_time, abs=accuracy)
+        assert impact.state_minus["dx"] == pytest.approx(approach, abs=accuracy)

@@ -1,0 +1,279 @@
+"""Executions in lockstep against closed forms, one-lane simulation, and each other."""
+
+import math
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from zeno_orbits.integrators.flow import Tolerance
+from zeno_orbits.integrators.rosenbrock import rosenbrock_step
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.model.numeric.compiled import bind, compiled_model
+from zeno_orbits.simulation.batch.batch import Batch, BatchSettings
+from zeno_orbits.simulation.batch.events import first_falls, may_fall
+from zeno_orbits.simulation.batch.model import model_in_rows
+from zeno_orbits.simulation.batch.outcomes import Ended, Reason, Released
+from zeno_orbits.simulation.batch.zeno_limit import Tails
+from zeno_orbits.simulation.simulator import SimulationSettings, simulate
+from zeno_orbits.simulation.zeno_limit import TailEstimate, combine
+
+PENDULUM = load_problem("motor_pendulum")
+BALL = load_problem("bouncing_ball")
+
+PERIOD = 1.81371293903044
+"""Of the reference orbit, from an independent Taylor integration."""
+RELEASE = (0.1985068301199, 0.0, -5.2365375521764, 0.0, -1.8591703843225)
+
+
+def run(batch):
+    """Return every event until no lane runs."""
+    events = []
+    while batch.n_running:
+        events.extend(batch.round())
+    return events
+
+
+def releases_of(events, lane):
+    return [event for event in events if isinstance(event, Released) and event.lane == lane]
+
+
+def values(**gains):
+    return PENDULUM.setting(gains=gains).values()
+
+
+def random_gains(n, seed=4):
+    rng = np.random.default_rng(seed)
+    pairs = zip(rng.uniform(1, 5, n), rng.uniform(-1.5, -0.2, n), strict=True)
+    return np.array([values(Kp=kp, Kd=kd) for kp, kd in pairs])
+
+
+def one_step(rate, y0, size):
+    y, h = ca.SX.sym("y", len(y0)), ca.SX.sym("h")
+    step = ca.Function("step", [y, h], [*rosenbrock_step(rate, ca.jacobian(rate(y), y), y, h)])
+    return [np.array(part).ravel() for part in step(y0, size)]
+
+
+def test_a_rosenbrock_step_has_order_5_and_its_error_estimate_order_4():
+    # y' = y (1 - y) from 0.2: y = 1 / (1 + 4 exp(-t)).
+    def missed(size):
+        after, estimate = one_step(lambda y: y * (1 - y), [0.2], size)
+        return abs(after[0] - 1 / (1 + 4 * math.exp(-size))), abs(estimate[0])
+
+    (coarse, told), (fine, told_fine) = missed(0.4), missed(0.2)
+    assert math.log2(coarse / fine) == pytest.approx(6, abs=0.5)
+    assert math.log2(told / told_fine) == pytest.approx(5, abs=0.5)
+
+
+def test_a_fast_decay_is_damped_in_one_step_however_stiff():
+    after, _ = one_step(lambda y: -1e12 * (y - 3.0), [5.0], 1.0)
+    assert after[0] == pytest.approx(3.0, abs=1e-9)
+
+
+def test_many_balls_reach_their_zeno_times_in_closed_form():
+    heights, restitutions = np.meshgrid([0.3, 1.0, 2.5], [0.0, 0.2, 0.5, 0.8, 0.9])
+    heights, restitutions = heights.ravel(), restitutions.ravel()
+    settings = [BALL.setting(parameters={"restitution": e}) for e in restitutions]
+    names = BALL.state_names
+    states = [[height if name == names[0] else 0.0 for name in names] for height in heights]
+    batch = Batch(model_in_rows(BALL), len(heights))
+    until = np.full(len(heights), 60.0)
+    lanes = batch.start(np.array([s.values() for s in settings]), np.array(states), 1e-9, until)
+    ended = {event.lane: event for event in run(batch) if isinstance(event, Ended)}
+    fall = np.sqrt(2 * heights / settings[0].parameters["g"])
+    expected = fall * (1 + restitutions) / (1 - restitutions)
+    # Gravity is a polynomial of degree 2 and exact; an error is the limit's, 1e-3 of 1e-9.
+    assert batch._lanes.zeno_time[lanes] == pytest.approx(expected, rel=1e-11)
+    assert {event.reason for event in ended.values()} == {Reason.REST}
+
+
+def test_the_reference_orbit_has_its_period():
+    batch = Batch(model_in_rows(PENDULUM), 1)
+    p, x = np.array([values()]), np.array([RELEASE])
+    (lane,) = batch.start_released(p, x, 1e-10, np.array([4.0]), n_followers=0)
+    first, second = releases_of(run(batch), lane)
+    # Some 800 steps with a local error of 1e-10 each; the layers damp most of it.
+    assert first.time == pytest.approx(PERIOD, abs=1e-9)
+    assert second.time == pytest.approx(2 * PERIOD, abs=2e-9)
+    assert first.state == pytest.approx(RELEASE, abs=1e-8)
+    assert first.zeno_time == pytest.approx(1.3200260238375, abs=1e-8)
+    assert first.struck == pytest.approx(-16.909711305434, abs=1e-7)
+
+
+def test_lanes_do_what_single_simulations_do():
+    p = random_gains(6)
+    start = np.array(PENDULUM.state_vector(PENDULUM.starts[0]))
+    batch = Batch(model_in_rows(PENDULUM), len(p))
+    lanes = batch.start(p, np.tile(start, (len(p), 1)), 1e-9, np.full(len(p), 6.0))
+    events = run(batch)
+    for lane, numbers in zip(lanes, p, strict=True):
+        alone = simulate(bind(compiled_model(PENDULUM), numbers), start, until=6.0).releases
+        found = releases_of(events, lane)
+        assert len(found) == len(alone) > 1
+        for ours, theirs in zip(found, alone, strict=True):
+            # Before they settle motions stretch errors; 300 times the local error was seen.
+            assert ours.time == pytest.approx(theirs.time, abs=1e-6)
+            assert ours.state == pytest.approx(theirs.state, abs=5e-6)
+
+
+def test_a_lane_is_the_same_to_the_last_bit_in_any_company_and_order():
+    p = random_gains(21)
+    start = np.tile(PENDULUM.state_vector(PENDULUM.starts[0]), (len(p), 1))
+
+    def returns(order):
+        batch = Batch(model_in_rows(PENDULUM), len(order))
+        lanes = batch.start(p[order], start[order], 1e-7, np.full(len(order), 4.0))
+        events = run(batch)
+        return {
+            k: [(e.time, *e.state) for e in releases_of(events, lane)]
+            for k, lane in zip(order, lanes, strict=True)
+        }
+
+    together = returns(list(range(21)))
+    shuffled = returns(np.random.default_rng(1).permutation(21).tolist())
+    some = returns([3, 17, 4])
+    assert shuffled == together
+    assert some == {k: together[k] for k in (3, 17, 4)}
+
+
+def test_a_lane_that_fails_says_why_and_leaves_the_others_untouched():
+    p = random_gains(4)
+    start = np.tile(PENDULUM.state_vector(PENDULUM.starts[0]), (4, 1))
+    spoiled = start.copy()
+    spoiled[1, 1], spoiled[2, 0] = -0.1, np.nan
+
+    def outcome(x):
+        batch = Batch(model_in_rows(PENDULUM), 4)
+        lanes = batch.start(p, x, 1e-7, np.full(4, 3.0))
+        events = run(batch)
+        ends = {event.lane: event for event in events if isinstance(event, Ended)}
+        states = [[tuple(e.state) for e in releases_of(events, lane)] for lane in lanes]
+        return states, [ends[lane] for lane in lanes]
+
+    (good, _), (found, ends) = outcome(start), outcome(spoiled)
+    assert found[0] == good[0]
+    assert found[3] == good[3]
+    assert [end.reason for end in ends[1:3]] == [Reason.FAILURE, Reason.FAILURE]
+    assert "gap is negative" in ends[1].detail
+
+
+def test_chatter_beyond_the_cap_and_steps_beyond_theirs_are_failures_with_a_name():
+    p, x = np.array([values()]), np.array([RELEASE])
+    caps = {
+        "impacts": BatchSettings(most_impacts=3),
+        "steps": BatchSettings(most_steps=50),
+    }
+    for word, settings in caps.items():
+        batch = Batch(model_in_rows(PENDULUM), 1, settings=settings)
+        batch.start_released(p, x, 1e-7, np.array([9.0]), n_followers=0)
+        (end,) = [event for event in run(batch) if isinstance(event, Ended)]
+        assert end.reason is Reason.FAILURE
+        assert word in end.detail
+
+
+def test_a_coordinate_beyond_its_bound_has_escaped_by_name():
+    bounds = np.array([0.5, math.inf, math.inf, math.inf, math.inf])
+    batch = Batch(model_in_rows(PENDULUM), 1, bounds=bounds)
+    batch.start_released(
+        np.array([values()]), np.array([RELEASE]), 1e-7, np.array([9.0]), n_followers=0
+    )
+    (end,) = [event for event in run(batch) if isinstance(event, Ended)]
+    assert (end.reason, end.detail) == (Reason.ESCAPE, "theta1")
+
+
+def test_a_stiff_lane_settles_at_the_same_period_for_any_inductance():
+    # The orbit depends on L/R to first order: at 1e-6 of the declared layer it is the limit's.
+    small = [PENDULUM.setting(parameters={"L": value}).values() for value in (2e-8, 2e-9)]
+    quasi = load_problem("motor_pendulum@quasi_static")
+    limit = bind(compiled_model(quasi), quasi.setting().values())
+    start = PENDULUM.state_vector(PENDULUM.starts[0])
+    batch = Batch(model_in_rows(PENDULUM), 2)
+    lanes = batch.start(np.array(small), np.tile(start, (2, 1)), 1e-8, np.full(2, 4.0))
+    events = run(batch)
+    settings = SimulationSettings(tolerance=Tolerance(relative=1e-10, absolute=1e-11))
+    expected = [r.time for r in simulate(limit, start[:4], until=4.0, settings=settings).releases]
+    for lane, inductance in zip(lanes, (2e-8, 2e-9), strict=True):
+        found = [event.time for event in releases_of(events, lane)]
+        assert found == pytest.approx(expected, abs=1e-6 + inductance / 3.0 * 10)
+
+
+def test_a_neighbour_that_follows_tells_the_derivative_of_the_return():
+    # The tangent direction (theta1, dtheta1, i) of the release section is not needed: any state
+    # beside the release serves, as long as leader and follower leave the stop alike.
+    p = np.tile(values(), (3, 1))
+    x = np.tile(RELEASE, (3, 1))
+    x[1, 2] += 1e-6
+    x[2, 2] -= 1e-6
+    batch = Batch(model_in_rows(PENDULUM), 3)
+    lanes = batch.start_released(p, x, 1e-7, np.full(3, 3.0), n_followers=2)
+    events = run(batch)
+    first = [releases_of(events, lane)[0].state for lane in lanes]
+    forward, backward = (first[1] - first[0]) / 1e-6, (first[0] - first[2]) / 1e-6
+    # Both one-sided differences have errors of 1e-6 times the curvature, and no noise of steps.
+    assert forward == pytest.approx(backward, abs=1e-4)
+    assert np.max(np.abs(forward)) > 1e-3
+
+
+def cubic(roots, size):
+    """Return rows of a guard with these roots, and what `first_falls` asks of it."""
+    polynomials = [np.poly1d(np.poly(row)) * -1.0 for row in roots]
+
+    def dense(rows, offset):
+        pairs = [
+            (polynomials[r](t), polynomials[r].deriv()(t))
+            for r, t in zip(rows, offset, strict=True)
+        ]
+        return np.array(pairs).reshape(-1, 2)
+
+    every = np.arange(len(roots))
+    return dense, dense(every, np.zeros(len(roots))), dense(every, np.full(len(roots), size))
+
+
+def test_falls_are_found_where_a_cubic_has_them_and_nowhere_else():
+    # -(t - a)(t - b)(t - c) falls at the first and third root, and rises at the second.
+    roots = [(0.3, 2.0, 3.0), (-1.0, -0.5, 0.7), (0.2, 0.21, 4.0), (-2.0, -1.0, 5.0)]
+    dense, before, after = cubic(roots, 1.0)
+    size, on_guard = np.ones(4), np.zeros(4, dtype=bool)
+    before = before.copy()
+    falls = first_falls(dense, size, before, after, on_guard)
+    assert falls[:2] == pytest.approx([0.3, 0.7], abs=1e-14)
+    assert falls[2] == pytest.approx(0.2, abs=1e-12)
+    assert np.isnan(falls[3])
+    assert may_fall(size, before, after, on_guard).tolist() == [True, True, True, False]
+
+
+def test_the_start_on_a_guard_is_no_fall_but_a_later_one_is():
+    # Roots at the start, where the guard rises, and at 0.6, where it falls.
+    dense, before, after = cubic([(-1.0, 0.0, 0.6)], 1.0)
+    falls = first_falls(dense, np.ones(1), before, after, np.ones(1, dtype=bool))
+    assert falls == pytest.approx([0.6], abs=1e-14)
+
+
+def test_limits_in_rows_are_those_of_single_sequences():
+    rng = np.random.default_rng(2)
+    tails = Tails(3, 4)
+    estimates = {lane: [] for lane in range(3)}
+    for lane, (ratio, n) in enumerate([(0.2, 6), (0.7, 40), (0.45, 1)]):
+        for k in range(n):
+            speed = ratio**k
+            state = rng.normal(size=4) * 1e-3 * speed**2 + lane
+            time = 2.0 + 0.1 * speed**2
+            rows = np.array([lane])
+            tails.append(rows, np.array([speed]), np.array([time]), state[None])
+            estimates[lane].append(
+                TailEstimate(
+                    impact_time=0.0,
+                    resting=state,
+                    speed=speed,
+                    time=time,
+                    state=state,
+                    gap_acceleration=-1.0,
+                )
+            )
+    rows = np.arange(3)
+    times, states, errors = tails.limits(rows, rows)
+    for lane in range(3):
+        limit = combine(estimates[lane])
+        assert times[lane] == pytest.approx(limit.time, rel=1e-13)
+        assert states[lane] == pytest.approx(limit.state, rel=1e-12)
+        assert errors[lane] == pytest.approx(limit.error, rel=1e-6, abs=1e-14)

@@ -1,0 +1,26 @@
+"""Orbits with some of their numbers changed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from zeno_orbits.orbits.orbit import ZenoOrbit
+
+_OF_PHASE = {"release_state": "start_state", "start_state": "start_state"}
+_ENTRIES = {"kind", "start_time", "impacts", "zeno_time", "zeno_state", *_OF_PHASE}
+
+
+def changed(orbit: ZenoOrbit, place: int = 0, **entries: Any) -> ZenoOrbit:
+    """Return an orbit with other entries; those of a phase are changed in one of them.
+
+    Args:
+        orbit: The orbit.
+        place: Which phase.
+        entries: Name of each entry, as its file calls it, to its value.
+    """
+    inner = {_OF_PHASE.get(k, k): v for k, v in entries.items() if k in _ENTRIES}
+    outer = {k: v for k, v in entries.items() if k not in _ENTRIES}
+    phases = list(orbit.phases)
+    phases[place] = replace(phases[place], **inner)
+    return replace(orbit, phases=tuple(phases), **outer)

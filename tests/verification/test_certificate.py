@@ -1,0 +1,204 @@
+"""Verdicts: one sentence, the first failure, and numbers that any JSON reader takes."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from zeno_orbits.verification.certificate import RESIDUALS, DeltaCut, OrbitCertificate
+
+GOOD = OrbitCertificate(
+    tolerance=1e-9,
+    residuals=dict.fromkeys(RESIDUALS, 1e-12),
+    margins={"locked_time": 0.5, "gap_acceleration": 24.0},
+    energies={"input_work": 1.0},
+    multipliers=(0.5 + 0.1j, 0.5 - 0.1j),
+    multiplier_error=1e-6,
+    delta_sweep=(DeltaCut(delta=0.1, speed=0.05, error=1e-6),),
+    delta_order=3.0,
+    integration_error=1e-12,
+    zeno_error=1e-13,
+    period=1.8,
+    n_periods=3,
+    model="derived",
+)
+
+
+def _with(**residuals: float) -> OrbitCertificate:
+    return replace(GOOD, residuals={**GOOD.residuals, **residuals})
+
+
+def _numbers(data: Any) -> list[float]:
+    if isinstance(data, dict):
+        return [number for value in data.values() for number in _numbers(value)]
+    if isinstance(data, list):
+        return [number for value in data for number in _numbers(value)]
+    return [data] if isinstance(data, float) else []
+
+
+def test_small_residuals_and_positive_margins_pass() -> None:
+    assert GOOD.passed
+    assert GOOD.failed == GOOD.lost == ()
+    assert GOOD.verdict() == ("Verified: a stable Zeno periodic orbit; largest residual 1.0e-12.")
+
+
+@pytest.mark.parametrize("name", list(RESIDUALS))
+@pytest.mark.parametrize("size", [2e-9, math.inf, math.nan])
+def test_one_large_residual_refuses_and_is_named(name: str, size: float) -> None:
+    seen = _with(**{name: size})
+    assert seen.failed == (name,)
+    assert not seen.passed
+    assert seen.verdict().startswith(f"Refused: `{name}` is ")
+    assert RESIDUALS[name] in seen.verdict()
+
+
+def test_the_tolerance_itself_passes() -> None:
+    assert _with(closure=1e-9).passed
+    assert not _with(closure=math.nextafter(1e-9, 1.0)).passed
+
+
+def test_the_first_failure_in_causal_order_explains_the_rest() -> None:
+    seen = _with(closure=1.0, first_impact=1e-8, period=2.0)
+    assert seen.failed == ("first_impact", "closure", "period")
+    assert "`first_impact` is 1.00e-08, above 1e-09" in seen.verdict()
+    assert "closure" not in seen.verdict()
+
+
+def test_a_residual_that_was_not_taken_does_not_fail() -> None:
+    few = {name: size for name, size in GOOD.residuals.items() if name != "second_model"}
+    assert replace(GOOD, residuals=few).passed
+
+
+@pytest.mark.parametrize("margin", [0.0, -1e-3, math.nan])
+def test_a_margin_that_is_not_positive_refuses(margin: float) -> None:
+    seen = replace(GOOD, margins={**GOOD.margins, "locked_time": margin})
+    assert seen.lost == ("locked_time",)
+    assert not seen.passed
+    assert "the margin `locked_time` is" in seen.verdict()
+
+
+def test_trouble_refuses_even_without_residuals() -> None:
+    seen = replace(GOOD, trouble="There is no release within 3 s")
+    assert not seen.passed
+    assert seen.verdict() == "Refused: There is no release within 3 s."
+    both = replace(seen, residuals={**GOOD.residuals, "closure": math.inf})
+    assert "`closure` is inf" in both.verdict()
+    assert "(There is no release within 3 s)" in both.verdict()
+
+
+@pytest.mark.parametrize("seen", [GOOD, _with(closure=1.0), replace(GOOD, multipliers=())])
+def test_a_verdict_is_one_sentence_on_one_line(seen: OrbitCertificate) -> None:
+    verdict = seen.verdict()
+    assert "\n" not in verdict
+    assert verdict.endswith(".")
+    assert not verdict.endswith("..")
+
+
+# Stability.
+
+
+def test_the_spectral_radius_is_the_largest_modulus() -> None:
+    assert GOOD.spectral_radius == pytest.approx(math.sqrt(0.26))
+    assert math.isnan(replace(GOOD, multipliers=(), multiplier_error=math.inf).spectral_radius)
+    assert replace(GOOD, multipliers=()).spectral_radius == 0.0
+
+
+@pytest.mark.parametrize(
+    ("multiplier", "error", "stable"),
+    [
+        (0.99, 1e-6, True),
+        (0.99, 0.02, False),
+        (-0.9999, 1e-6, True),
+        (1.0, 0.0, False),
+        (1.01, 1e-6, False),
+        (0.5, math.inf, False),
+        (0.5, math.nan, False),
+    ],
+)
+def test_stability_takes_the_error_of_the_multiplier_into_account(
+    multiplier: float, error: float, stable: bool
+) -> None:
+    seen = replace(GOOD, multipliers=(complex(multiplier),), multiplier_error=error)
+    assert seen.stable is stable
+    assert ("a stable" in seen.verdict()) is stable
+    # An orbit need not be stable to be one.
+    assert seen.passed
+
+
+def test_without_multipliers_nothing_is_called_stable() -> None:
+    assert not replace(GOOD, multipliers=(), multiplier_error=math.inf).stable
+
+
+# JSON.
+
+
+def test_a_certificate_is_plain_data_that_comes_back() -> None:
+    data = GOOD.as_json()
+    assert json.loads(json.dumps(data, allow_nan=False)) == data
+    assert data["passed"] is True
+    assert data["stable"] is True
+    assert data["verdict"] == GOOD.verdict()
+    assert data["residuals"] == GOOD.residuals
+    assert data["floquet_multipliers"] == [[0.5, 0.1], [0.5, -0.1]]
+
+
+def test_what_is_not_finite_becomes_null() -> None:
+    bad = replace(
+        GOOD,
+        residuals=dict.fromkeys(RESIDUALS, math.inf),
+        margins={"locked_time": math.nan},
+        energies={"input_work": math.nan},
+        multipliers=(),
+        multiplier_error=math.inf,
+        delta_sweep=(DeltaCut(delta=0.1, speed=math.nan, error=math.inf),),
+        delta_order=math.nan,
+        integration_error=math.inf,
+        zeno_error=math.inf,
+        period=math.nan,
+        trouble="There is no release",
+    )
+    data = bad.as_json()
+    json.dumps(data, allow_nan=False)
+    assert all(math.isfinite(number) for number in _numbers(data))
+    assert data["period"] is None
+    assert set(data["residuals"].values()) == {None}
+
+
+def test_the_certificate_of_an_orbit_is_plain_data(certificate: OrbitCertificate) -> None:
+    data = certificate.as_json()
+    assert json.loads(json.dumps(data, allow_nan=False)) == data
+    assert data["failed"] == []
+
+
+@pytest.mark.parametrize("multiplier", [-0.9, 0.0, 0.5, 0.99, 1.01, 3.0])
+def test_the_error_of_an_orbit_bounds_its_distance_from_the_fixed_point(multiplier: float) -> None:
+    """Of the map x -> multiplier x: a point at 1e-8 returns with this miss."""
+    distance = 1e-8
+    miss = abs(1.0 - multiplier) * distance
+    seen = replace(_with(closure=miss), multipliers=(multiplier,))
+    assert seen.orbit_error >= distance
+    # Nor is it ever below what the other residuals miss by.
+    assert seen.orbit_error >= miss
+
+
+@pytest.mark.parametrize(
+    "name", ["release", "first_impact", "impact_sequence", "zeno_point", "closure", "period"]
+)
+def test_every_residual_of_the_orbits_numbers_counts_in_its_error(name: str) -> None:
+    assert GOOD.orbit_error < 1e-11
+    assert _with(**{name: 1e-6}).orbit_error >= 1e-6
+    assert math.isinf(_with(**{name: math.nan}).orbit_error)
+    assert math.isinf(_with(**{name: math.inf}).orbit_error)
+
+
+def test_an_orbit_of_unknown_or_unit_multipliers_has_an_error_without_bound() -> None:
+    unknown = replace(GOOD, multipliers=(), multiplier_error=math.inf)
+    assert math.isinf(unknown.orbit_error)
+    assert math.isinf(replace(GOOD, multipliers=(1.0,)).orbit_error)
+    assert math.isinf(replace(GOOD, residuals={}).orbit_error)
+    # A section of one point has no multipliers and nothing to magnify.
+    assert replace(GOOD, multipliers=()).orbit_error == pytest.approx(2e-12)

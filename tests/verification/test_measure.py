@@ -1,0 +1,69 @@
+"""What is measured of an orbit is what a dense simulation shows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.reference.reference_orbit import MULTIPLIER, PERIOD
+from zeno_orbits.errors import InputError
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.simulation.simulator import simulate
+from zeno_orbits.verification.certificate import OrbitCertificate
+from zeno_orbits.verification.measure import measure, quantity_names
+
+SAMPLES = 20_001
+
+
+def test_the_quantities_of_a_scene_are_its_states_its_motors_and_numbers(scene: Problem) -> None:
+    names = quantity_names(scene)
+    assert names[:6] == ("theta1", "theta2", "dtheta1", "dtheta2", "current", "voltage")
+    assert {"period", "energy", "spectral_radius", "margin", "locked_time"} <= set(names)
+    assert "current" in quantity_names(load_problem("motor_pendulum@quasi_static"))
+    assert "current" not in quantity_names(load_problem("bouncing_ball"))
+
+
+def test_peaks_are_those_of_a_dense_simulation(
+    scene: Problem, orbit: ZenoOrbit, machine: HybridDynamics
+) -> None:
+    found = measure(orbit, scene, ["theta2", "current", "voltage"])
+    start = machine.on_stop(np.array(list(orbit.release_state.values())))
+    run = simulate(machine, start, until=1.3 * orbit.period)
+    times = np.linspace(0.0, orbit.period, SAMPLES)
+    states = np.array([run.state_at(float(time)) for time in times])
+    gains = orbit.gains
+    dense = {
+        "theta2": states[:, 1],
+        "current": states[:, 4],
+        "voltage": -gains["Kp"] * states[:, 0] - gains["Kd"] * states[:, 2],
+    }
+    step = orbit.period / SAMPLES
+    for name, values in dense.items():
+        # A sample misses a smooth peak by the square of the step, a kink by the step; both rates
+        # are below 1e3 a second here, at the impact.
+        assert found[name].highest >= np.max(values) - 1e-9
+        assert found[name].lowest <= np.min(values) + 1e-9
+        assert found[name].highest == pytest.approx(np.max(values), abs=1e3 * step)
+        assert found[name].lowest == pytest.approx(np.min(values), abs=1e3 * step)
+
+
+def test_numbers_are_those_of_the_certificate(
+    scene: Problem, orbit: ZenoOrbit, certificate: OrbitCertificate
+) -> None:
+    names = ["period", "energy", "spectral_radius", "margin", *certificate.margins]
+    found = measure(orbit, scene, names)
+    assert found["period"].highest == pytest.approx(PERIOD, abs=1e-8)
+    assert found["energy"].highest == pytest.approx(certificate.energies["input_work"], rel=1e-9)
+    assert found["spectral_radius"].highest == pytest.approx(abs(MULTIPLIER), abs=1e-6)
+    for name, value in certificate.margins.items():
+        assert found[name].highest == pytest.approx(value, rel=1e-8)
+    # The locked arc is the nearest way to lose this orbit.
+    assert found["margin"].lowest == pytest.approx(certificate.margins["locked_time"] / PERIOD)
+
+
+def test_what_is_no_quantity_of_the_scene_is_refused(scene: Problem, orbit: ZenoOrbit) -> None:
+    with pytest.raises(InputError, match=r"must name a quantity of the scene .*`theta3`"):
+        measure(orbit, scene, ["theta3"])

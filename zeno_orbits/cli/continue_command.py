@@ -1,0 +1,248 @@
+"""The command `continue`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from zeno_orbits.cli.options import (
+    NO,
+    YES,
+    add_command,
+    add_gain_values,
+    add_place,
+    add_scene,
+    checkpoint_of,
+    interrupted,
+    json_text,
+    place_of,
+    print_json,
+    require_outputs,
+    say_written,
+    setting_of,
+    start_of,
+)
+from zeno_orbits.cli.parsing import read_count, read_numbers, read_range
+from zeno_orbits.errors import InputError
+from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.work.files import write_whole
+
+if TYPE_CHECKING:
+    from zeno_orbits.continuation.families import Continuation
+    from zeno_orbits.continuation.parallel import Crew
+    from zeno_orbits.continuation.setup import ContinuationSettings
+    from zeno_orbits.model.library import SceneFile
+    from zeno_orbits.model.problem import Problem, Setting
+    from zeno_orbits.orbits.orbit import ZenoOrbit
+
+
+def add_continue(commands: Any) -> None:
+    """Add the command `continue`."""
+    parser = add_command(
+        commands,
+        "continue",
+        _run_continue,
+        "follow the family of an orbit in a gain or a parameter, stable or not, to its ends",
+        [
+            "zeno-orbits continue motor_pendulum --in restitution=0:0.5 --picture family.png",
+            "zeno-orbits continue motor_pendulum --in Kd=-2.5:0 --from orbit.json -o family.json",
+            "zeno-orbits continue motor_pendulum --in Kd=-2.5:0 --second Kp=1:6 --point fold",
+            "zeno-orbits continue forced_oscillator --in A=0.05:1.5 --section impact "
+            "--set c=0.1 --set stop=1 --set restitution=0.8 --start speed=1 --start cosine=1",
+        ],
+    )
+    add_scene(parser)
+    add_gain_values(parser)
+    parser.add_argument(
+        "--in",
+        dest="range",
+        required=True,
+        metavar="NAME=LOW:HIGH",
+        help="the gain or parameter to follow the family in; the start must lie in the range",
+    )
+    parser.add_argument(
+        "--from",
+        dest="start_orbit",
+        type=Path,
+        metavar="ORBIT.json",
+        help="start at this orbit and its numbers; by default at one that a motion settles to",
+    )
+    parser.add_argument(
+        "--section",
+        choices=("release", "impact"),
+        default="release",
+        help="close orbits from release to release, or, without a Zeno point, impact to impact",
+    )
+    parser.add_argument(
+        "--start",
+        action="append",
+        default=[],
+        metavar="STATE=VALUE",
+        help="with --section impact: where a motion starts that settles to the orbit",
+    )
+    parser.add_argument(
+        "--steps", type=read_count, default=300, metavar="N", help="steps in each direction"
+    )
+    parser.add_argument(
+        "--second",
+        metavar="NAME=LOW:HIGH",
+        help="follow the special points in this parameter, too",
+    )
+    parser.add_argument(
+        "--point",
+        action="append",
+        default=[],
+        metavar="KIND",
+        help="with --second: only points of this kind, fold for instance; may be repeated",
+    )
+    add_place(parser)
+    parser.add_argument("-o", "--output", type=Path, help="write the families here, as JSON")
+    parser.add_argument("--picture", type=Path, help="draw the families here")
+
+
+def _run_continue(options: argparse.Namespace) -> int:
+    from zeno_orbits.continuation.families import Kind
+    from zeno_orbits.model.library import scene_file
+    from zeno_orbits.work import remove_checkpoint
+
+    scene = scene_file(options.problem)
+    problem = scene.load()
+    require_outputs(options)
+    checkpoint = checkpoint_of(options)
+    try:
+        with report.Progress(options.interrupts.check) as progress:
+            found = _continued(options, scene, checkpoint, progress)
+    except KeyboardInterrupt:
+        return interrupted(options, checkpoint)
+    if options.picture is not None:
+        from zeno_orbits.report import plots
+
+        plots.save_figure(plots.plot_families(found, problem), options.picture)
+    if options.output is not None:
+        write_whole(options.output, json_text(found.as_json()) + "\n")
+        if options.checkpoint is None and checkpoint is not None:
+            remove_checkpoint(checkpoint)
+    if options.json:
+        print_json(found.as_json())
+    else:
+        report.print_families(found)
+    say_written(options, [path for path in (options.output, options.picture) if path is not None])
+    ends = [end for family in found.families for end in (family.first, family.last)]
+    return NO if any(end.kind is Kind.GAVE_UP for end in ends) else YES
+
+
+def _continued(
+    options: argparse.Namespace,
+    scene: SceneFile,
+    checkpoint: Path | None,
+    progress: report.Progress,
+) -> Continuation:
+    """Return what was asked for, by the workers that were asked for."""
+    from zeno_orbits.continuation.branch import Steps
+    from zeno_orbits.continuation.parallel import Crew
+    from zeno_orbits.continuation.setup import ContinuationSettings
+    from zeno_orbits.work import Plan, open_pool
+
+    settings = ContinuationSettings(steps=Steps(most=options.steps))
+    plan = Plan(place=place_of(options), checkpoint=checkpoint)
+    name, box = read_range(options.range, "in")
+    kinds = _kinds(options)
+    _require_section(options)
+    with open_pool(plan.place) as pool:
+        crew = Crew(scene=scene, plan=plan, pool=pool, tell=progress.tell)
+        return _asked(options, scene.load(), (name, box), kinds, settings, crew)
+
+
+def _require_section(options: argparse.Namespace) -> None:
+    if options.section == "impact":
+        if options.start_orbit is not None or options.second is not None or not options.start:
+            message = "must come with --start, and without --from and --second"
+            raise InputError(f"Argument `section` {message}, but it does not.")
+    elif options.start:
+        raise InputError("Argument `start` must come with --section impact, but it does not.")
+
+
+def _asked(
+    options: argparse.Namespace,
+    problem: Problem,
+    asked: tuple[str, tuple[float, float]],
+    kinds: tuple[Any, ...],
+    settings: ContinuationSettings,
+    crew: Crew,
+) -> Continuation:
+    from zeno_orbits.continuation.continuation import (
+        continue_impacts,
+        continue_orbit,
+        continue_orbit_in_two,
+    )
+
+    (name, box), tell = asked, crew.tell
+    if options.section == "impact":
+        return continue_impacts(
+            problem,
+            setting_of(problem, options),
+            start_of(problem, options),
+            name,
+            box,
+            settings=settings,
+            tell=tell,
+            crew=crew,
+        )
+    second = None if options.second is None else read_range(options.second, "second")
+    orbit = _orbit(options, problem, crew)
+    if second is None:
+        return continue_orbit(problem, orbit, name, box, settings=settings, tell=tell, crew=crew)
+    return continue_orbit_in_two(
+        problem,
+        orbit,
+        (name, second[0]),
+        (box, second[1]),
+        kinds=kinds,
+        settings=settings,
+        tell=tell,
+        crew=crew,
+    )
+
+
+def _kinds(options: argparse.Namespace) -> tuple[Any, ...]:
+    """Return the kinds of points that were asked for by words, all without any."""
+    from zeno_orbits.continuation.families import Kind
+
+    if options.point and options.second is None:
+        raise InputError("Argument `point` must come with --second, but it does not.")
+    words = {kind.name.lower().replace("_", "-"): kind for kind in Kind if kind.located}
+    for word in options.point:
+        if word not in words:
+            known = ", ".join(words)
+            raise InputError(f"Argument `point` must be one of {known}, but it is `{word}`.")
+    return tuple(words[word] for word in options.point) or tuple(words.values())
+
+
+def _orbit(options: argparse.Namespace, problem: Problem, crew: Crew) -> ZenoOrbit:
+    """Return the orbit to start from."""
+    from zeno_orbits.continuation.continuation import start_orbit
+    from zeno_orbits.orbits.orbit_file import read_orbit
+
+    if options.start_orbit is None:
+        setting = _inside(problem, setting_of(problem, options), options)
+        return start_orbit(problem, setting, tell=lambda stage: crew.tell(stage, None))
+    if options.gain or options.set:
+        message = "must come without --gain and --set, as the orbit has numbers"
+        raise InputError(f"Argument `from` {message}, but it does not.")
+    return read_orbit(options.start_orbit)
+
+
+def _inside(problem: Problem, setting: Setting, options: argparse.Namespace) -> Setting:
+    """Return the setting to start at: mid-range for what nobody has set and lies outside."""
+    gains, parameters = dict(setting.gains), read_numbers(options.set, "set")
+    named = {*read_numbers(options.gain, "gain"), *parameters}
+    for entry, option in ((options.range, "in"), (options.second, "second")):
+        if entry is None:
+            continue
+        name, (low, high) = read_range(entry, option)
+        value = {**setting.parameters, **gains}.get(name)
+        if value is None or name in named or low <= value <= high:
+            continue
+        (gains if name in gains else parameters)[name] = (low + high) / 2
+    return problem.setting(gains=gains, parameters=parameters)

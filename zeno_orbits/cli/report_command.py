@@ -1,0 +1,130 @@
+"""The command `report`."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from zeno_orbits.cli.options import (
+    NO,
+    YES,
+    add_command,
+    add_orbit,
+    orbit_and_problem,
+    print_json,
+    require_outputs,
+    say_written,
+)
+from zeno_orbits.cli.parsing import read_count
+from zeno_orbits.errors import InputError
+from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.work.files import write_whole
+
+if TYPE_CHECKING:
+    from zeno_orbits.orbits.orbit import ZenoOrbit
+    from zeno_orbits.precision.work_precision import Trade
+
+_PAGES = (".html", ".htm")
+
+
+def add_report(commands: Any) -> None:
+    """Add the command `report`."""
+    parser = add_command(
+        commands,
+        "report",
+        _run_report,
+        "check an orbit and write all that is known of it into one page for a browser; the answer "
+        "is no, and the page says so, if the orbit is none",
+        [
+            "zeno-orbits report orbit.json -o report.html",
+            "zeno-orbits report orbit.json -o report.html --trade trade.json",
+        ],
+    )
+    add_orbit(parser)
+    parser.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="PAGE.html", help="write the page here"
+    )
+    parser.add_argument(
+        "--trade", type=Path, metavar="TRADE.json", help="show these figures of `trade -o`, too"
+    )
+    parser.add_argument(
+        "--tolerance",
+        type=float,
+        default=1e-9,
+        metavar="TOL",
+        help="largest relative residual that passes; 1e-9 by default",
+    )
+    parser.add_argument(
+        "--periods", type=read_count, default=3, metavar="N", help="periods to follow"
+    )
+
+
+def _run_report(options: argparse.Namespace) -> int:
+    from zeno_orbits.report.page import load_bundle, page_of, subject_of
+    from zeno_orbits.verification.verifier import VerificationSettings, problem_dynamics, verify
+
+    if not 0.0 < options.tolerance < 1.0:
+        message = f"must lie in (0, 1), but it is {options.tolerance:g}"
+        raise InputError(f"Argument `tolerance` {message}.")
+    reads = [path for path in (options.orbit, options.trade) if path is not None]
+    require_outputs(options, pictures=(), reads=reads)
+    if options.output.suffix.lower() not in _PAGES:
+        ends = f"must end in .html or .htm, but it is `{options.output.name}`"
+        raise InputError(f"Argument `output` {ends}.")
+    bundle = load_bundle()
+    orbit, problem = orbit_and_problem(options)
+    trade = _trade(options, orbit)
+    dynamics = problem_dynamics(orbit, problem)
+    settings = replace(VerificationSettings(tolerance=options.tolerance), n_periods=options.periods)
+    with report.Progress(options.interrupts.check) as progress:
+        certificate = verify(
+            orbit, problem, settings=settings, dynamics=dynamics, on_progress=progress.tell
+        )
+        progress.tell("writing the page")
+        subject = subject_of(
+            orbit,
+            problem,
+            dynamics,
+            certificate,
+            trade=trade,
+            file=options.orbit.name,
+            scene_file=options.problem or "",
+            content=options.orbit.read_text(encoding="utf-8"),
+            command=_command(options),
+        )
+        page = page_of(subject, bundle).encode()
+    write_whole(options.output, page)
+    if options.json:
+        print_json(certificate.as_json() | {"page": str(options.output), "bytes": len(page)})
+    else:
+        report.print_verdict(certificate)
+    say_written(options, [options.output])
+    return YES if certificate.passed else NO
+
+
+def _trade(options: argparse.Namespace, orbit: ZenoOrbit) -> Trade | None:
+    from zeno_orbits.precision.work_precision import read_trade
+
+    if options.trade is None:
+        return None
+    found = read_trade(options.trade)
+    if found.problem != orbit.problem:
+        message = f"must be of the scene `{orbit.problem}`, but it is of `{found.problem}`"
+        raise InputError(f"Argument `trade` {message}.")
+    return found
+
+
+def _command(options: argparse.Namespace) -> tuple[str, ...]:
+    """Return the words of this command, defaults left out."""
+    words = ["zeno-orbits", "report", options.orbit.name, "-o", options.output.name]
+    if options.problem is not None:
+        words += ["--problem", options.problem]
+    if options.trade is not None:
+        words += ["--trade", options.trade.name]
+    if options.tolerance != 1e-9:
+        words += ["--tolerance", f"{options.tolerance:g}"]
+    if options.periods != 3:
+        words += ["--periods", str(options.periods)]
+    return tuple(words)

@@ -1,0 +1,155 @@
+"""What the command `search` says: the orbit and how it was reached, or why there is none."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from zeno_orbits.cli.options import NO, YES, print_json, say_written
+from zeno_orbits.errors import InputError
+from zeno_orbits.report.terminal import orbits as report
+
+if TYPE_CHECKING:
+    from zeno_orbits.model.problem import Problem, Setting
+    from zeno_orbits.orbits.bounds import Bound
+    from zeno_orbits.search.objectives import Objective
+    from zeno_orbits.search.search import SearchResult
+
+
+def answer(
+    options: argparse.Namespace,
+    problem: Problem,
+    result: SearchResult,
+    objective: Objective | None,
+    bounds: Sequence[Bound],
+    held: Sequence[str],
+    far: Sequence[str] = (),
+) -> int:
+    """Print what a search found, write its orbit, and return the exit code.
+
+    Args:
+        options: The command line.
+        problem: The scene.
+        result: What the search returned.
+        objective: What was asked, if anything was free.
+        bounds: What had to be kept.
+        held: What does not follow the free parameters that it is derived from.
+        far: Sentences that may explain a failure, one for each number far from the scene's own.
+    """
+    from zeno_orbits.orbits.bounds import asked_and_reached
+    from zeno_orbits.orbits.orbit_file import write_orbit
+    from zeno_orbits.verification.verifier import certified
+
+    if result.orbit is None:
+        if options.json:
+            print_json(
+                {
+                    "found": False,
+                    "status": result.status.value,
+                    "detail": result.detail,
+                    "attempts": _attempts(result),
+                    "far": list(far),
+                }
+            )
+        else:
+            report.print_search(result)
+            report.print_lines(far)
+        return NO
+    options.interrupts.check()
+    best = result.candidates[0]
+    certificate = best.certificate
+    if certificate is None:
+        raise InputError("Argument `accept` must give a certificate, but it gave none.")
+    certificate = replace(certificate, asked=tuple(asked_and_reached(bounds, best.extents)))
+    orbit = certified(result.orbit, certificate)
+    if options.output is not None:
+        write_orbit(orbit, options.output)
+    if options.json:
+        print_json(orbit.as_json() | _ranking(options, result))
+    else:
+        report.print_search(result)
+        if options.candidates > 1:
+            report.print_candidates(result)
+        report.print_orbit(problem, orbit, certificate, result.attempts[0].parameters)
+        if objective is not None:
+            report.print_goal(objective.wish, best.extents, objective.quantities)
+        report.print_asked(certificate.asked)
+        if held:
+            report.print_lines([f"Not free, and kept as at the start: {', '.join(held)}."])
+        if options.accuracy is not None:
+            report.print_error_made(certificate.orbit_error)
+        report.print_verdict(certificate)
+        say_written(options, [] if options.output is None else [options.output])
+    return YES
+
+
+def _attempts(result: SearchResult) -> list[dict[str, Any]]:
+    return [
+        {
+            "gains": dict(a.gains),
+            "parameters": dict(a.parameters),
+            "status": a.status.value,
+            "detail": a.detail,
+        }
+        for a in result.attempts
+    ]
+
+
+def _ranking(options: argparse.Namespace, result: SearchResult) -> dict[str, Any]:
+    """Return the ranked orbits and the failures, if more than one was asked for."""
+    if options.candidates == 1:
+        return {}
+    from zeno_orbits.search.search import SearchStatus
+    from zeno_orbits.verification.verifier import certified
+
+    ranked = [
+        {
+            "score": one.score,
+            "orbit": (
+                one.orbit if one.certificate is None else certified(one.orbit, one.certificate)
+            ).as_json(),
+        }
+        for one in result.candidates
+    ]
+    pairs = zip(result.attempts, _attempts(result), strict=True)
+    failures = [data for attempt, data in pairs if attempt.status is not SearchStatus.FOUND]
+    return {"candidates": ranked, "failures": failures}
+
+
+def kept_as_derived(
+    problem: Problem, setting: Setting, free: Mapping[str, tuple[float, float]]
+) -> list[str]:
+    """Return the parameters that the scene derives from free ones, which stay as they are."""
+    if problem.derive is None:
+        return []
+    known = {
+        n.name: setting.parameters[n.name] for n in problem.parameters if n.default is not None
+    }
+    moved = dict(known)
+    for name, box in free.items():
+        if name in moved:
+            moved[name] = sum(box) / 2 if moved[name] == box[0] else box[0]
+    try:
+        before, after = problem.derive(known), problem.derive(moved)
+    except InputError:
+        return [n.name for n in problem.parameters if n.default is None and n.name not in free]
+    return [name for name in before if before[name] != after[name] and name not in free]
+
+
+_FAR = 100.0
+"""Factor by which a number differs from the scene's own when its unit may be mistaken."""
+
+
+def far_from_own(problem: Problem, setting: Setting) -> list[str]:
+    """Return the numbers that are far from the scene's own, each as a sentence."""
+    found: list[str] = []
+    for quantity in (*problem.gains, *problem.parameters):
+        own, given = quantity.default, setting.number(quantity.name)
+        if not own or not given or 1 / _FAR < abs(given / own) < _FAR:
+            continue
+        unit = "" if quantity.unit == "1" else f" {quantity.unit}"
+        times = f"{abs(given / own):.4g} times the scene's own {own:g}{unit}"
+        found.append(f"`{quantity.name}` is {given:g}{unit}, {times}: is that its unit?")
+    return found

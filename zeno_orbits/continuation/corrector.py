@@ -1,0 +1,253 @@
+r"""Points of a family of fixed points, and Newton's method that leads to them.
+
+With the section coordinates `y` and the parameter `s`, a family solves :math:`P(y, s) - y = 0`.
+Everything is measured in scaled ambient terms, :math:`z = (x / \mathrm{scale}, s / \mathrm{unit})`,
+so that a chart can be laid anew around every iterate and none is ever left. Theory (37).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector, eigenvalues
+from zeno_orbits.continuation.return_maps import Return, ReturnMap
+from zeno_orbits.errors import SimulationError
+from zeno_orbits.orbits.section import Frame
+
+_MOST_ITERATIONS = 9
+CLOSED = 2e-11
+"""Miss of a return, in scaled states, that counts as none."""
+STALLED = 2e-9
+"""Miss that rounding may leave near an end of a family; more is no point of it."""
+_CONTRACTION = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Metric:
+    """Units in which distances along a family are measured.
+
+    Attributes:
+        scale: Size of each state, ``(n_x,)``.
+        unit: Size of the parameter's range.
+        horizon: Longest time to wait for a return [s].
+    """
+
+    scale: Vector
+    unit: float
+    horizon: float
+
+    def place(self, x: Vector, s: float) -> Vector:
+        """Return the ambient place of a state and a parameter, ``(n_x + 1,)``."""
+        return np.append(x / self.scale, s / self.unit)
+
+    def of_place(self, z: Vector) -> tuple[Vector, float]:
+        """Return the state and the parameter at an ambient place."""
+        return z[:-1] * self.scale, float(z[-1]) * self.unit
+
+
+@dataclass(frozen=True, kw_only=True)
+class BranchPoint:
+    r"""A point of a family.
+
+    Attributes:
+        x: State on the section, ``(n_x,)``.
+        s: Parameter.
+        z: Both in scaled terms, ``(n_x + 1,)``.
+        tangent: Unit tangent of the family there, ``(n_x + 1,)``.
+        jacobian: :math:`\partial P / \partial y`, ``(d, d)``.
+        found: The return.
+        miss: What the return misses the state by, in scaled states.
+    """
+
+    x: Vector
+    s: float
+    z: Vector
+    tangent: Vector
+    jacobian: Vector
+    found: Return
+    miss: float
+
+    @cached_property
+    def multipliers(self) -> tuple[complex, ...]:
+        """Floquet multipliers, the largest first."""
+        return eigenvalues(self.jacobian)
+
+    @property
+    def spectral_radius(self) -> float:
+        """Largest modulus of a multiplier."""
+        return max((abs(value) for value in self.multipliers), default=0.0)
+
+
+def correct(
+    returns: ReturnMap, metric: Metric, z: Vector, along: Vector, *, fixed: Vector | None = None
+) -> BranchPoint:
+    r"""Return the point of the family in the plane through a place, at right angles to a tangent.
+
+    .. math::
+        \begin{pmatrix} \partial_y P - 1 & \partial_s P\\ t^\top \partial_y z & t^\top \partial_s z
+        \end{pmatrix} \begin{pmatrix}\delta y\\ \delta s\end{pmatrix} =
+        - \begin{pmatrix} P - y\\ t^\top (z - z_0) \end{pmatrix}
+
+    Args:
+        returns: The return map.
+        metric: Units.
+        z: The place :math:`z_0`, ``(n_x + 1,)``.
+        along: The tangent `t`, whose sense the new tangent gets, ``(n_x + 1,)``.
+        fixed: Normal of another plane, if not the tangent.
+
+    Raises:
+        SimulationError: If Newton's method does not converge.
+        ZenoOrbitsError: If a return fails on the way.
+    """
+    normal = along if fixed is None else fixed
+    x, s = metric.of_place(z)
+    before = np.inf
+    for _ in range(_MOST_ITERATIONS):
+        x = returns.projected(x, s, metric.scale)
+        here = returns.frame(x, s, metric.scale)
+        found = followed(returns, x, s, metric)
+        missed = here.coordinates(found.end - x)
+        miss = float(np.max(np.abs(missed), initial=0.0))
+        off = float(normal @ (metric.place(x, s) - z))
+        rows, ambient = linearized(here, found, metric)
+        stalled = miss <= STALLED and miss > _CONTRACTION * before
+        if miss > 1e3 * before:
+            break
+        matrix = np.concatenate([rows, (normal @ ambient)[None, :]])
+        change = np.linalg.lstsq(matrix, -np.append(missed, off), rcond=None)[0]
+        x, s = x + here.lift @ change, s + float(change[-1])
+        if max(miss, abs(off)) <= CLOSED or stalled:
+            # The last correction is too small to be worth another return.
+            return _point(x, s, metric, rows, ambient, found, miss, along)
+        before = miss
+    raise SimulationError(
+        f"Newton's method does not close the return, it misses by {before:.1e}",
+        time=metric.horizon,
+        state=tuple(x.tolist()),
+    )
+
+
+def corrected_again(returns: ReturnMap, metric: Metric, point: BranchPoint) -> BranchPoint:
+    """Return a point after one more correction, however small its miss is.
+
+    Args:
+        returns: The return map, at another accuracy than the one of the point for instance.
+        metric: Units.
+        point: The point.
+
+    Raises:
+        ZenoOrbitsError: If a return fails.
+    """
+    here = returns.frame(point.x, point.s, metric.scale)
+    found = followed(returns, point.x, point.s, metric)
+    rows, ambient = linearized(here, found, metric)
+    matrix = np.concatenate([rows, (point.tangent @ ambient)[None, :]])
+    missed = np.append(here.coordinates(found.end - point.x), 0.0)
+    change = np.linalg.lstsq(matrix, -missed, rcond=None)[0]
+    place = metric.place(point.x + here.lift @ change, point.s + float(change[-1]))
+    return correct(returns, metric, place, point.tangent)
+
+
+def first_point(
+    returns: ReturnMap, metric: Metric, x: Vector, s: float, *, rising: bool
+) -> BranchPoint:
+    """Return the point of the family at a parameter, its tangent with the parameter or against it.
+
+    Raises:
+        ZenoOrbitsError: If there is none near the state.
+    """
+    z = metric.place(x, s)
+    upwards = np.zeros(z.size)
+    upwards[-1] = 1.0 if rising else -1.0
+    return correct(returns, metric, z, upwards)
+
+
+_BACK = 3
+"""Points of a curve before it can have come back to its start."""
+
+
+class OnCurve(Protocol):
+    """A point of a curve that is followed."""
+
+    @property
+    def z(self) -> Vector:
+        """Its place in scaled terms."""
+        ...
+
+    @property
+    def tangent(self) -> Vector:
+        """Unit tangent of the curve there, in the same terms."""
+        ...
+
+
+def is_back(points: Sequence[OnCurve], stray: float, turn: float) -> bool:
+    """Tell whether a curve has come back: its start lies between its last two points.
+
+    Args:
+        points: Of the curve, in order.
+        stray: Largest distance of the start from their chord, as part of its length.
+        turn: Largest angle between neighbouring tangents [rad]; the start may have twice that.
+    """
+    if len(points) <= _BACK:
+        return False
+    start, before, last = points[0], *points[-2:]
+    step = last.z - before.z
+    length = float(np.linalg.norm(step))
+    along = float((start.z - before.z) @ step) / length
+    off = float(np.linalg.norm(start.z - before.z - along / length * step))
+    aligned = float(start.tangent @ last.tangent) > np.cos(2 * turn)
+    return bool(0.0 < along <= length and off < stray * length and aligned)
+
+
+def followed(returns: ReturnMap, x: Vector, s: float, metric: Metric) -> Return:
+    """Return a return, or say that the numbers ran out of range on the way."""
+    if not (np.all(np.isfinite(x)) and np.isfinite(s)):
+        raise SimulationError("Newton's method diverges", time=0.0, state=tuple(x.tolist()))
+    try:
+        return returns.follow(x, s, horizon=metric.horizon)
+    except (np.linalg.LinAlgError, OverflowError) as error:
+        # A trial far off the family may run away before it is stopped.
+        raise SimulationError(str(error), time=metric.horizon, state=tuple(x.tolist())) from error
+
+
+def linearized(here: Frame, found: Return, metric: Metric) -> tuple[Vector, Vector]:
+    """Return the derivative of `P - y` and of the ambient place, by coordinates and parameter."""
+    d = here.tangent.shape[1]
+    moved = found.by_state @ here.lift
+    moved[:, d] += found.by_parameter
+    rows = here.coordinates(moved - here.lift)
+    parameter = np.zeros((1, d + 1))
+    parameter[0, d] = 1 / metric.unit
+    return rows, np.concatenate([here.lift / metric.scale[:, None], parameter])
+
+
+def _point(
+    x: Vector,
+    s: float,
+    metric: Metric,
+    rows: Vector,
+    ambient: Vector,
+    found: Return,
+    miss: float,
+    along: Vector,
+) -> BranchPoint:
+    d = len(rows)
+    direction = np.linalg.svd(rows)[2][-1] if d else np.ones(1)
+    tangent = ambient @ direction
+    tangent = tangent / np.linalg.norm(tangent)
+    if tangent @ along < 0.0:
+        tangent = -tangent
+    return BranchPoint(
+        x=x,
+        s=s,
+        z=metric.place(x, s),
+        tangent=tangent,
+        jacobian=rows[:, :d] + np.eye(d),
+        found=found,
+        miss=miss,
+    )

@@ -1,0 +1,229 @@
+r"""The end at which a locked arc vanishes, from sequences of impacts that are cut ever later.
+
+There the Zeno point is not differentiable, but a return cut after some impacts is, on both sides of
+the end. Theory (39).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.continuation.corrector import BranchPoint, Metric, correct, corrected_again
+from zeno_orbits.continuation.cut_return_map import cut_after
+from zeno_orbits.continuation.families import Kind
+from zeno_orbits.continuation.return_maps import Loss, Margin, ReturnMap
+from zeno_orbits.continuation.separatrix import separatrix
+from zeno_orbits.continuation.special_points import Located
+from zeno_orbits.errors import SimulationError, ZenoOrbitsError
+
+_ROOT = 1e-13
+_GOOD = 1e-11
+_REACH = 4.0
+"""Distance of an end from the last point, as a multiple of the predicted one."""
+_MOST_IMPACTS = 400
+
+
+def locate_cut(
+    returns: ReturnMap,
+    metric: Metric,
+    last: BranchPoint,
+    margin: Margin,
+    distance: float,
+    restitution: Callable[[float], float],
+) -> Located:
+    """Return where the locked arc vanishes beyond a point of the family.
+
+    Args:
+        returns: The return map.
+        metric: Units.
+        last: The last point of the family.
+        margin: The locked time, of one of several returns.
+        distance: How far the end is, roughly.
+        restitution: At a parameter.
+
+    Raises:
+        ZenoOrbitsError: If it does not vanish near.
+    """
+    near = _Near(centre=last.z, reach=_REACH * distance)
+    cut = Margin(loss=Loss.CUT, place=margin.place)
+    n, here, step = _first_cut(returns, metric, last, margin.place, cut)
+    found = _cut_ever_later(returns, metric, here, n, step, margin.place, restitution, near)
+    return replace(found, margins={**last.found.margins, margin: 0.0})
+
+
+def locate_cut_near(
+    returns: ReturnMap,
+    metric: Metric,
+    z: Vector,
+    along: Vector,
+    place: int,
+    restitution: Callable[[float], float],
+) -> Located:
+    """Return where the locked arc vanishes near a place at which it is expected to.
+
+    Args:
+        returns: The return map.
+        metric: Units.
+        z: The place, ``(n_x + 1,)``.
+        along: Tangent of the family there, roughly, ``(n_x + 1,)``.
+        place: The return in which it is.
+        restitution: At a parameter.
+
+    Raises:
+        ZenoOrbitsError: If it does not.
+    """
+    for n in _KNOWN_CUTS:
+        try:
+            here = correct(cut_after(returns, place, n), metric, z, along)
+            near = _Near(centre=here.z, reach=_BESIDE)
+            return _cut_ever_later(returns, metric, here, n, 1e-4, place, restitution, near)
+        except ZenoOrbitsError:
+            # Beyond the end a sequence is let go, the later the nearer: fewer impacts still are.
+            continue
+    raise SimulationError("The end of the locked arc is not near", time=0.0, state=())
+
+
+_KNOWN_CUTS = (9, 7, 5, 4)
+"""Impacts of the first cut where the end is known roughly."""
+_BESIDE = 0.03
+"""How far from there the end may be."""
+
+
+def _cut_ever_later(
+    returns: ReturnMap,
+    metric: Metric,
+    here: BranchPoint,
+    n: int,
+    step: float,
+    place: int,
+    restitution: Callable[[float], float],
+    near: _Near,
+) -> Located:
+    r"""Return the limit of the points at which cut sequences are on the separatrix (theory (39)).
+
+    The root of :math:`1 - r_n / r_*` converges like :math:`(\sigma/\kappa)^n`, so every two
+    give a better third.
+    """
+    cut, law = Margin(loss=Loss.CUT, place=place), separatrix(restitution(here.s))
+    # About one decade of convergence between the cuts, so that their differences tell something.
+    stride = max(1, round(-1.0 / np.log10(law.shrinking / law.repulsion)))
+    found: list[BranchPoint] = []
+    limits: list[Vector] = []
+    error = np.inf
+    for _ in range(_MOST_CUTS):
+        here = _cut_root(cut_after(returns, place, n), metric, here, step, cut, near)
+        found.append(here)
+        if len(found) > 1:
+            change = found[-1].z - found[-2].z
+            law = separatrix(restitution(here.s))
+            part = (law.shrinking / law.repulsion) ** stride
+            limits.append(np.append(here.z + change * part / (1 - part), here.found.time))
+            step = float(np.linalg.norm(change)) * part
+        if len(limits) > 1:
+            error = float(np.max(np.abs(limits[-1] - limits[-2])[:-1]))
+            if error < _GOOD or step < _GOOD:
+                break
+        n += stride
+    # The last cut's own convergence, and what a looser computation changes.
+    loose = corrected_again(cut_after(returns, place, n).loosened(), metric, here)
+    slope = _slope(cut_after(returns, place, n), metric, here, cut, max(step, 1e-9))
+    doubt = abs(loose.found.margins[cut] - here.found.margins[cut]) / abs(slope)
+    return Located(
+        kind=Kind.LOCK_VANISHES,
+        point=here,
+        z=limits[-1][:-1],
+        period=float(limits[-1][-1]),
+        error=(error + doubt) * metric.unit,
+        margins=here.found.margins,
+        place=place,
+    )
+
+
+_MOST_CUTS = 16
+
+
+def _first_cut(
+    returns: ReturnMap, metric: Metric, last: BranchPoint, place: int, cut: Margin
+) -> tuple[int, BranchPoint, float]:
+    """Return the least number of impacts at which the cut tells how far the end is."""
+    n = 2
+    while n < _MOST_IMPACTS:
+        whole = cut_after(returns, place, n)
+        point = correct(whole, metric, last.z, last.tangent)
+        if point.found.margins[cut] > 0.0:
+            return n, point, 1e-4
+        n = max(n + 1, round(1.2 * n))
+    raise SimulationError("The locked arc does not vanish", time=0.0, state=())
+
+
+def _slope(
+    returns: ReturnMap, metric: Metric, point: BranchPoint, cut: Margin, step: float
+) -> float:
+    """Return the derivative of the cut's margin along the family."""
+    for _ in range(6):
+        try:
+            other = correct(returns, metric, point.z - step * point.tangent, point.tangent)
+        except ZenoOrbitsError:
+            step /= 4
+            continue
+        return (point.found.margins[cut] - other.found.margins[cut]) / step
+    raise SimulationError("The cut has no slope", time=0.0, state=())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Near:
+    """Where a root is looked for: farther off it is another one, or none."""
+
+    centre: Vector
+    reach: float
+
+    def check(self, z: Vector) -> None:
+        """Refuse a place that is too far."""
+        if not float(np.linalg.norm(z - self.centre)) <= self.reach:
+            raise SimulationError("The locked arc does not vanish near", time=0.0, state=())
+
+
+_MOST_CUT_SECANTS, _MOST_CUT_TRIALS = 12, 5
+
+
+def _cut_root(
+    returns: ReturnMap, metric: Metric, start: BranchPoint, step: float, cut: Margin, near: _Near
+) -> BranchPoint:
+    """Return the point at which a cut sequence is on the separatrix, by secants."""
+    here = correct(returns, metric, start.z, start.tangent)
+    value = here.found.margins[cut]
+    slope = _slope(returns, metric, here, cut, step)
+    for _ in range(_MOST_CUT_SECANTS):
+        distance = -value / slope
+        if abs(distance) < _ROOT:
+            return here
+        near.check(here.z + distance * here.tangent)
+        other = _less(returns, metric, here, distance, cut)
+        gone = float((other.z - here.z) @ here.tangent)
+        if other.found.margins[cut] == value or gone == 0.0:
+            return other
+        slope = (other.found.margins[cut] - value) / gone
+        here, value = other, other.found.margins[cut]
+        if abs(value / slope) < 3 * _ROOT:
+            return here
+    raise SimulationError("The end of the locked arc is not found", time=0.0, state=())
+
+
+def _less(
+    returns: ReturnMap, metric: Metric, here: BranchPoint, distance: float, cut: Margin
+) -> BranchPoint:
+    """Return a point ahead at which the cut's margin is smaller, as far ahead as it can be had."""
+    for _ in range(_MOST_CUT_TRIALS):
+        try:
+            other = correct(returns, metric, here.z + distance * here.tangent, here.tangent)
+        except ZenoOrbitsError:
+            pass
+        else:
+            if abs(other.found.margins[cut]) < 2 * abs(here.found.margins[cut]):
+                return other
+        distance /= 4
+    raise SimulationError("The end of the locked arc is not found", time=0.0, state=())

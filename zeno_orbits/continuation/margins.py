@@ -1,0 +1,231 @@
+r"""What a family loses at its end, and which of the losses is the cause of the others.
+
+Several margins may vanish at one point. What an end is called must not depend on which of them was
+followed to it, so it is a matter of the powers in which they vanish together. Theory (40).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.continuation.corrector import BranchPoint
+from zeno_orbits.continuation.families import Kind
+from zeno_orbits.continuation.return_maps import Loss, Margin
+from zeno_orbits.continuation.separatrix import separatrix
+
+ENDS = {
+    Loss.AMPLITUDE: Kind.AMPLITUDE_ZERO,
+    Loss.LOCK: Kind.LOCK_VANISHES,
+    Loss.ACCELERATION: Kind.THEOREM_LOST,
+    Loss.FIRST_IMPACT: Kind.GRAZING,
+    Loss.NEAR_MISS: Kind.EARLIER_GRAZING,
+    Loss.LATER_IMPACT: Kind.LATER_GRAZING,
+    Loss.RELEASE_RATE: Kind.RELEASE_LOST,
+    Loss.ADHESION: Kind.EARLIER_RELEASE,
+}
+"""What a loss is called when it happens."""
+
+_NEARLY = 0.4
+"""Part of a margin's largest value below which its end may be near."""
+_TOGETHER = 0.6
+"""Fall of a margin, as a part of what another's entails, at which both vanish at one point.
+
+Far from it; close to it the powers are told to `_POWER`."""
+_ENTAILED: dict[Loss, dict[Loss, float]] = {
+    Loss.AMPLITUDE: {
+        Loss.FIRST_IMPACT: 1.0,
+        Loss.ACCELERATION: 1.0,
+        Loss.RELEASE_RATE: 1.0,
+        Loss.NEAR_MISS: 1.0,
+        Loss.ADHESION: 1.0,
+    },
+    Loss.RELEASE_RATE: {Loss.FIRST_IMPACT: 3.0, Loss.ACCELERATION: 2.0, Loss.AMPLITUDE: 3.0},
+    Loss.LOCK: {Loss.ACCELERATION: 1.0, Loss.ADHESION: 2.0},
+}
+"""What else vanishes with a margin, and with which power of it (theory (40)).
+
+The amplitude does so with the release where nothing but the flight moves it.
+"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Threat:
+    """A margin that runs out.
+
+    Attributes:
+        margin: Which.
+        distance: Predicted distance along the family.
+        fall: Logarithm of its last fall.
+    """
+
+    margin: Margin
+    distance: float
+    fall: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stage:
+    """A place on the way to a loss.
+
+    Attributes:
+        z: Where, in any metric.
+        margins: What is left there.
+    """
+
+    z: Vector
+    margins: Mapping[Margin, float]
+
+
+def stages(points: Sequence[BranchPoint]) -> list[Stage]:
+    """Return points of a family as stages on the way to its end."""
+    return [Stage(z=point.z, margins=point.found.margins) for point in points]
+
+
+def threats(way: Sequence[Stage], restitution: float) -> list[Threat]:
+    """Return the margins that run out beyond the last stage, the nearest first.
+
+    Args:
+        way: Neighbours in order, at least two.
+        restitution: At the last one.
+    """
+    before, last = way[-2], way[-1]
+    step = float(np.linalg.norm(last.z - before.z))
+    found: dict[Margin, Threat] = {}
+    for margin, value in last.margins.items():
+        earlier = before.margins.get(margin)
+        if earlier is None or step == 0.0 or margin.loss is Loss.CUT:
+            continue
+        if margin.loss is Loss.ACCELERATION and restitution > 0.0:
+            # It vanishes by itself at plastic impacts alone.
+            continue
+        largest = max(stage.margins.get(margin, 0.0) for stage in way)
+        if 0.0 < value < min(earlier, _NEARLY * largest):
+            power = 1.0
+            if margin.loss is Loss.LOCK and restitution > 0.0:
+                power = 1 / separatrix(restitution).exponent
+            found[margin] = Threat(
+                margin=margin,
+                distance=step / ((earlier / value) ** power - 1),
+                fall=float(np.log(earlier / value)),
+            )
+    return _without_consequences(found, _n_returns(last))
+
+
+def _n_returns(stage: Stage) -> int:
+    return 1 + max((margin.place for margin in stage.margins), default=0)
+
+
+def consequences(margin: Margin, n_returns: int) -> dict[Margin, float]:
+    """Return what vanishes with a margin, and with which power of it.
+
+    Where the amplitude vanishes everything does that is no time, in proportion. Where the release
+    is not transversal the flight after it, in the next return, vanishes. Where the locked arc
+    vanishes, so does the acceleration at its start.
+
+    Args:
+        margin: What vanishes.
+        n_returns: Returns to a period.
+    """
+    later = margin.loss is Loss.RELEASE_RATE
+    place = (margin.place + later) % n_returns
+    return {
+        Margin(loss=loss, place=place): power
+        for loss, power in _ENTAILED.get(margin.loss, {}).items()
+    }
+
+
+def _without_consequences(found: dict[Margin, Threat], n_returns: int) -> list[Threat]:
+    """Return threats without those that another entails, by how fast they fall together."""
+    left = dict(found)
+    for margin, threat in found.items():
+        for consequence, power in consequences(margin, n_returns).items():
+            lesser = left.get(consequence)
+            if lesser is None:
+                continue
+            if _TOGETHER < power * threat.fall / lesser.fall < 1 / _TOGETHER:
+                del left[consequence]
+    return sorted(left.values(), key=lambda threat: threat.distance)
+
+
+def causes(way: Sequence[Stage], gone: Margin) -> tuple[Margin, ...]:
+    r"""Return what vanishes where a margin does, without what is entailed by another of them.
+
+    With :math:`m` the margin, others vanish with it as :math:`m^\alpha`. Next to the end
+    :math:`\alpha` no longer changes; that of a margin with something left falls to zero.
+
+    Args:
+        way: Stages on the way to the end, the last ones next to it; at least three.
+        gone: The margin.
+
+    Returns:
+        In the order of `ENDS`, so that the same comes out whichever of them was followed.
+    """
+    powers = {gone: 1.0}
+    for margin in way[-1].margins:
+        fallen = [_exponent(before, after, margin, gone) for before, after in pairwise(way[-3:])]
+        if min(fallen) > _LEAST_POWER and abs(fallen[1] / fallen[0] - 1) < _STEADY:
+            powers[margin] = fallen[-1]
+    entailed = {
+        margin
+        for cause, power in powers.items()
+        for margin, factor in consequences(cause, _n_returns(way[-1])).items()
+        if margin in powers and abs(powers[margin] / (factor * power) - 1) < _POWER
+    }
+    order = list(ENDS)
+    left = [margin for margin in powers if margin not in entailed and margin.loss in ENDS]
+    return tuple(sorted(left, key=lambda margin: (order.index(margin.loss), margin.place)))
+
+
+_LEAST_POWER, _STEADY, _POWER = 0.2, 0.1, 0.25
+"""Least exponent of what vanishes, and how far it may change and be from a power it should have."""
+
+
+def _exponent(before: Stage, after: Stage, margin: Margin, gone: Margin) -> float:
+    """Return the exponent with which a margin falls beside another between two stages."""
+    early, late = before.margins.get(margin, 0.0), after.margins[margin]
+    if not early > late > 0.0:
+        return 0.0
+    return float(np.log(early / late) / np.log(before.margins[gone] / after.margins[gone]))
+
+
+CLOSE = 0.02
+"""Distance along a curve, in the ranges, at which what runs out is where it ends."""
+
+
+def meeting(way: Sequence[Stage], restitution: float, within: float = CLOSE) -> str:
+    """Return in words what else is lost where a curve of special points ends.
+
+    Two things happen there at once, a point of codimension two. Nothing is said if no margin runs
+    out near.
+
+    Args:
+        way: Points of the curve in order.
+        restitution: At the last one.
+        within: How far ahead a loss may be.
+    """
+    found: list[Threat] = []
+    for margin, value in way[-1].margins.items():
+        # A margin may waver on its last steps: what counts is whence it fell to what is left.
+        whence = [
+            k for k, stage in enumerate(way) if stage.margins.get(margin, 0.0) > _FALL * value
+        ]
+        if whence and value == 0.0:
+            last = float(np.linalg.norm(way[-1].z - way[whence[-1]].z))
+            found.append(Threat(margin=margin, distance=last, fall=np.inf))
+        elif whence:
+            fallen = threats((*way[: whence[-1] + 1], way[-1]), restitution)
+            found += [threat for threat in fallen if threat.margin == margin]
+    for threat in sorted(found, key=lambda threat: threat.distance):
+        if threat.distance < within:
+            word = ENDS[threat.margin.loss].value
+            return f"meets: {word}, within {threat.distance:.0e} of the ranges"
+    return ""
+
+
+_FALL = 1.5
+"""Fall of a margin that tells how far its end is."""

@@ -1,0 +1,1 @@
+"""continuation.two_parameters."""

@@ -1,0 +1,272 @@
+"""Curves of special points by secants in the plane of two parameters.
+
+On a line at right angles to the secant, through the predicted place, the special point is located
+anew as one of a family along that line. Theory (40), (42).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.continuation.corrector import BranchPoint, Metric, correct
+from zeno_orbits.continuation.ends import locate_end
+from zeno_orbits.continuation.families import Kind
+from zeno_orbits.continuation.lock_end import locate_cut_near
+from zeno_orbits.continuation.margins import ENDS, Stage, Threat, meeting
+from zeno_orbits.continuation.return_maps import Loss, Margin, ReturnMap
+from zeno_orbits.continuation.special_points import INSIDE, Located, TestFunction, located_near
+from zeno_orbits.continuation.two_parameters.plane import CurveSteps, OnLine, Plane, Tell
+from zeno_orbits.errors import SimulationError, ZenoOrbitsError
+from zeno_orbits.orbits.section import Line
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spot:
+    """A point of a boundary.
+
+    Attributes:
+        at: Its place in units of the ranges, ``(2,)``.
+        located: The special point; its parameter counts along the line that it was found on.
+        before: Points of the family that lead to an end.
+    """
+
+    at: Vector
+    located: Located
+    before: tuple[Before, ...]
+
+    @property
+    def amplitude(self) -> float:
+        """How far the orbit moves; NaN where that is not known, which is no less than anything."""
+        margins = self.located.margins.items()
+        return next((value for margin, value in margins if margin.loss is Loss.AMPLITUDE), np.nan)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Before:
+    """A point of a family that leads to an end, relative to it.
+
+    Attributes:
+        state: In scaled terms, ``(n_x,)``.
+        away: In the plane, ``(2,)``.
+        left: What is left there of what vanishes at the end.
+    """
+
+    state: Vector
+    away: Vector
+    left: float
+
+
+class SecantCurve:
+    """A boundary in the making."""
+
+    def __init__(
+        self,
+        plane: Plane,
+        on_line: OnLine,
+        metric: Metric,
+        kind: Kind,
+        place: int,
+        steps: CurveSteps,
+        tell: Tell,
+    ) -> None:
+        self.plane, self.on_line, self.metric, self.kind = plane, on_line, metric, kind
+        self.steps, self.tell, self.place = steps, tell, place
+
+    def run(self, first: Spot, *, upwards: bool) -> tuple[list[Spot], str]:
+        """Return the curve from a point in one direction, and why it ends."""
+        try:
+            heading = self._heading(first)
+        except ZenoOrbitsError as error:
+            return [first], f"{Kind.GAVE_UP.value}: {error}"
+        return self._run(first, heading if upwards else -heading)
+
+    def _heading(self, first: Spot) -> Vector:
+        """Return the direction in which the curve leaves its first point, upwards if it may.
+
+        A line across a guess meets the curve elsewhere than guessed, and tells the direction.
+
+        Raises:
+            SimulationError: If no place beside the point leads to another.
+        """
+        step, trouble = self.steps.first, ""
+        while step >= self.steps.shortest:
+            for guess in _GUESSES:
+                at = first.at + step * guess
+                try:
+                    new = self._located(first, at, guess, [first])
+                except ZenoOrbitsError as error:
+                    trouble = str(error)
+                    continue
+                way = new.at - first.at
+                if float(np.linalg.norm(new.at - at)) <= step:
+                    way = way / np.linalg.norm(way)
+                    return way if way[1] >= 0.0 else -way
+                trouble = "the curve bends too fast"
+            step /= 8
+        raise SimulationError(trouble, time=0.0, state=())
+
+    def _run(self, first: Spot, forward: Vector) -> tuple[list[Spot], str]:
+        spots = [first]
+        step, trouble = self.steps.first, ""
+        while len(spots) <= self.steps.most:
+            last = spots[-1]
+            at = last.at + step * forward
+            if not self.plane.holds(at):
+                reach = self._to_edge(last.at, forward)
+                if reach < self.steps.shortest or reach > step:
+                    return spots, Kind.BOUND.value
+                at = last.at + reach * forward
+            try:
+                new = self._located(last, at, forward, spots)
+            except ZenoOrbitsError as error:
+                new, trouble = None, str(error)
+            if new is not None and not self._fits(last, new, at, forward):
+                if float(np.linalg.norm(new.at - at)) < step:
+                    # A chord tells less of the direction at its end than what was just found.
+                    forward = (new.at - last.at) / np.linalg.norm(new.at - last.at)
+                new, trouble = None, "the curve bends too fast"
+            if new is not None and not 1 / _LIKE < new.located.period / last.located.period < _LIKE:
+                new, trouble = None, "the period is another one"
+            if new is not None and new.amplitude < last.amplitude / _LIKE:
+                new, trouble = None, "the orbit collapses"
+            if new is not None and not self.plane.holds(new.at):
+                # The curve leaves the plane beside the place that was predicted.
+                new, trouble = None, Kind.BOUND.value
+            if new is None:
+                step /= 2
+                if step < self.steps.shortest:
+                    return spots, self._ending(spots, trouble)
+                continue
+            strayed = float(np.linalg.norm(new.at - at))
+            forward = (new.at - last.at) / np.linalg.norm(new.at - last.at)
+            spots.append(new)
+            values = new.at * self.plane.units
+            self.tell(f"{self.kind.value} at {values[0]:.6g}, {values[1]:.6g}", None)
+            if strayed < self.steps.bend * step / 3:
+                step = min(1.5 * step, self.steps.longest)
+        return spots, f"{self.steps.most} steps"
+
+    def _ending(self, spots: list[Spot], trouble: str) -> str:
+        """Return why no point follows."""
+        if trouble == Kind.BOUND.value:
+            return trouble
+        way = [Stage(z=spot.at, margins=self._others(spot)) for spot in spots]
+        met = meeting(way, self.plane.restitution_at(spots[-1].at))
+        return met or f"{Kind.GAVE_UP.value}: {trouble}"
+
+    def _others(self, spot: Spot) -> dict[Margin, float]:
+        """Return what is left at a point beside what vanishes on the curve."""
+        margins = spot.located.margins.items()
+        return {margin: value for margin, value in margins if ENDS.get(margin.loss) != self.kind}
+
+    def _to_edge(self, at: Vector, forward: Vector) -> float:
+        """Return how far it is to the edge of the plane."""
+        bounds = self.plane.box / self.plane.units[:, None]
+        reach = [
+            ((high if slope > 0.0 else low) - value) / slope
+            for value, slope, (low, high) in zip(at, forward, bounds, strict=True)
+            if slope != 0.0
+        ]
+        return max(0.0, min(reach))
+
+    def _fits(self, last: Spot, new: Spot, at: Vector, forward: Vector) -> bool:
+        """Tell whether a point is a neighbour of the last one."""
+        step = float(np.linalg.norm(at - last.at))
+        near = float(np.linalg.norm(new.at - at)) < self.steps.bend * step
+        return near and float((new.at - last.at) @ forward) > 0.0
+
+    def _located(self, last: Spot, at: Vector, forward: Vector, spots: list[Spot]) -> Spot:
+        """Return the special point on the line across the curve through a place."""
+        across = np.array([forward[1], -forward[0]])
+        line = self.plane.line(at, across)
+        returns = self.on_line(line)
+        z = last.located.z[:-1]
+        if len(spots) > 1:
+            earlier = spots[-2]
+            gone = float(np.linalg.norm(last.at - earlier.at))
+            ahead = float(np.linalg.norm(at - last.at))
+            z = z + ahead / gone * (last.located.z[:-1] - earlier.located.z[:-1])
+        if self.kind in INSIDE:
+            located = self._inside(returns, np.append(z, 0.0))
+            before = last.before
+        else:
+            located, before = self._end(returns, line, z, last, across)
+        if located.kind is not self.kind:
+            raise SimulationError("What ends there is another end", time=0.0, state=())
+        if not located.error < _CERTAIN:
+            raise SimulationError("What ends there is not certain", time=0.0, state=())
+        new_at = at + located.z[-1] * across
+        return Spot(at=new_at, located=located, before=before)
+
+    def _inside(self, returns: ReturnMap, z: Vector) -> Located:
+        normal = np.zeros(z.size)
+        normal[-1] = 1.0
+        start = correct(returns, self.metric, z, normal)
+        test: TestFunction = INSIDE[self.kind]
+        return located_near(returns, self.metric, start, self.kind, test)
+
+    def _end(
+        self, returns: ReturnMap, line: Line, z: Vector, last: Spot, across: Vector
+    ) -> tuple[Located, tuple[Before, ...]]:
+        """Return an end, approached as the last one was from points at the same distance."""
+
+        def restitution(s: float) -> float:
+            return float(line.at(s)[self.plane.restitution])
+
+        if self.kind is Kind.LOCK_VANISHES and restitution(0.0) > 0.0:
+            along = last.located.point.tangent
+            found = locate_cut_near(
+                returns, self.metric, np.append(z, 0.0), along, self.place, restitution
+            )
+            return found, last.before
+        points = [self._ahead(returns, z, one, across) for one in last.before]
+        threat = Threat(margin=_margin(self.kind, self.place), distance=np.inf, fall=1.0)
+        located = locate_end(returns, self.metric, points, threat, restitution)
+        before = tuple(
+            Before(
+                state=point.z[:-1] - located.z[:-1],
+                away=(point.s - located.z[-1]) * across,
+                left=left_of(point, self.kind, self.place),
+            )
+            for point in points
+        )
+        return located, before
+
+    def _ahead(self, returns: ReturnMap, z: Vector, before: Before, across: Vector) -> BranchPoint:
+        """Return the point of the family ahead of an end that was ahead of the last one."""
+        place = float(before.away @ across)
+        if abs(place) < _SLANT * float(np.linalg.norm(before.away)):
+            raise SimulationError("The line does not cross the end", time=0.0, state=())
+        place *= float(before.away @ before.away) / place**2
+        target = np.append(z + before.state, place)
+        normal = np.append(-before.state, -place)
+        point = correct(returns, self.metric, target, normal / np.linalg.norm(normal))
+        left = left_of(point, self.kind, self.place)
+        # Two families may come so close at an end that Newton's method hops over.
+        if not 1 / _LIKE < left / before.left < _LIKE:
+            raise SimulationError("The family ahead of the end is another", time=0.0, state=())
+        return point
+
+
+def _margin(kind: Kind, place: int) -> Margin:
+    """Return what vanishes at an end."""
+    return Margin(loss=next(loss for loss, end in ENDS.items() if end is kind), place=place)
+
+
+def left_of(point: BranchPoint, kind: Kind, place: int) -> float:
+    """Return what a point of a family has left of what vanishes at an end."""
+    return point.found.margins.get(_margin(kind, place), np.nan)
+
+
+_LIKE = 1.4
+"""Factor by which periods, and what is left ahead of an end, may change along a curve in a step."""
+_UP, _ACROSS = np.array([0.0, 1.0]), np.array([1.0, 0.0])
+_GUESSES = (_UP, -_UP, _ACROSS, -_ACROSS)
+"""Directions in which a curve is looked for; within half a right angle of one of them it is."""
+_CERTAIN = 1e-6
+"""Estimated error of a point, as part of the range, above which it is none."""
+_SLANT = 0.2
+"""Least sine of the angle at which a line crosses the family that leads to an end."""

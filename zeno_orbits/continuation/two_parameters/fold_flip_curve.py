@@ -1,0 +1,271 @@
+r"""Curves of folds and flips in two parameters, by pseudo-arclength in the state and both.
+
+A curve may turn back in either parameter, and where two folds meet: there it has a cusp in the
+plane, but none in the space in which it is followed. Theory (40).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.continuation.branch import jumped
+from zeno_orbits.continuation.corrector import Metric, is_back
+from zeno_orbits.continuation.families import HalfCurve, Kind
+from zeno_orbits.continuation.margins import CLOSE, Stage, meeting
+from zeno_orbits.continuation.special_points import Located
+from zeno_orbits.continuation.two_parameters.fold_flip_point import CriticalPoint, CriticalSystem
+from zeno_orbits.continuation.two_parameters.plane import CurveSteps, OnLine, Plane, Tell
+from zeno_orbits.errors import SimulationError, ZenoOrbitsError
+
+CRITICAL = {Kind.FOLD: 1.0, Kind.FLIP: -1.0}
+"""Kinds of points that are followed so, and the multiplier that they have."""
+
+_GROWTH, _EASY = 1.5, 0.4
+_FAR = 2.0
+"""How many steps off a neighbour may be, on a bound for instance."""
+_SMOOTH = 5.0
+"""Factor by which the gradient of the test function may change in a step."""
+_REACHED = 1e-6
+"""A step that fails, and is this short, has reached what is ten times as near at most."""
+_FOUND = 1e-8
+"""Part of a step to which a cusp is known: the parameters err by its square there."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CriticalCurve:
+    """A curve in one direction.
+
+    Attributes:
+        points: In order, the first one given.
+        cusps: Which of them are cusps.
+        end: Why it ends.
+    """
+
+    points: tuple[CriticalPoint, ...]
+    cusps: tuple[int, ...]
+    end: str
+
+
+def half_critical(
+    plane: Plane,
+    on_line: OnLine,
+    metric: Metric,
+    found: Located,
+    value: tuple[float, float],
+    *,
+    upwards: bool,
+    steps: CurveSteps,
+    tell: Tell,
+) -> HalfCurve:
+    """Return the curve of a fold or a flip in one direction.
+
+    Args:
+        plane: The two parameters.
+        on_line: From a line to the return map along it.
+        metric: Units of the family.
+        found: The point.
+        value: Both parameters there.
+        upwards: Whether the second parameter rises at first, or falls.
+        steps: How to step.
+        tell: Called with what happens.
+
+    Raises:
+        ZenoOrbitsError: If the point is none of the curve, or its neighbours do not return.
+    """
+    system = CriticalSystem(
+        plane=plane,
+        on_line=on_line,
+        metric=replace(metric, unit=1.0),
+        multiplier=CRITICAL[found.kind],
+    )
+    along = np.zeros(found.z.size + 1)
+    along[-1] = 1.0
+    at = np.array(value) / plane.units
+    start = system.point_at(found.z[:-1] * metric.scale, at, along)
+    if not upwards:
+        start = replace(start, tangent=-start.tangent)
+    curve = curve_from(system, start, found.kind, steps, tell)
+    values = np.array([point.at * plane.units for point in curve.points])
+    return HalfCurve(
+        x=tuple(values[:, 0].tolist()),
+        y=tuple(values[:, 1].tolist()),
+        errors=tuple(point.error for point in curve.points),
+        end=curve.end,
+        cusps=curve.cusps,
+    )
+
+
+def curve_from(
+    system: CriticalSystem, start: CriticalPoint, kind: Kind, steps: CurveSteps, tell: Tell
+) -> CriticalCurve:
+    """Return the curve from a point along its tangent."""
+    return _Walk(system, start, kind, steps, tell).run()
+
+
+class _Walk:
+    """A curve in the making."""
+
+    def __init__(
+        self,
+        system: CriticalSystem,
+        start: CriticalPoint,
+        kind: Kind,
+        steps: CurveSteps,
+        tell: Tell,
+    ) -> None:
+        self.system, self.kind, self.steps, self.tell = system, kind, steps, tell
+        self.points, self.cusps = [start], list[int]()
+
+    def run(self) -> CriticalCurve:
+        """Return the curve."""
+        step, trouble = self.steps.first, ""
+        while len(self.points) <= self.steps.most_arcs:
+            new, at_bound, cusp = None, False, None
+            try:
+                new, at_bound = self._stepped(step)
+                trouble = "" if new is None else self._objection(new, step)
+                if new is not None and not trouble:
+                    cusp = self._cusp_before(new)
+            except ZenoOrbitsError as error:
+                new, trouble = None, str(error)
+            if new is None and at_bound:
+                return self._curve(Kind.BOUND.value)
+            if new is None or trouble:
+                step /= 2
+                if step < _REACHED:
+                    met = self._meeting(10 * _REACHED)
+                    if met:
+                        return self._curve(met)
+                if step < self.steps.least_arc:
+                    return self._curve(self._meeting() or f"{Kind.GAVE_UP.value}: {trouble}")
+                continue
+            easy = self._ease(new) < _EASY
+            self._accept(new, cusp)
+            if at_bound:
+                return self._curve(Kind.BOUND.value)
+            if is_back(self.points, self.steps.bend, self.steps.turn):
+                self.points[-1] = self.points[0]
+                return self._curve(Kind.CLOSED.value)
+            if easy:
+                step = min(_GROWTH * step, self.steps.longest)
+        return self._curve(f"{self.steps.most_arcs} steps")
+
+    def _stepped(self, step: float) -> tuple[CriticalPoint | None, bool]:
+        """Return the next point, and whether it lies on a bound; none if the last one does."""
+        last, plane = self.points[-1], self.system.plane
+        z = last.z + step * last.tangent
+        if plane.holds(z[-2:]):
+            new = self._corrected(z, last.tangent)
+            if plane.holds(new.at):
+                return new, False
+            z = new.z
+        bounds = plane.box / plane.units[:, None]
+        reach: list[tuple[float, int]] = []
+        for k, (low, high) in enumerate(bounds):
+            went = z[k - 2] - last.z[k - 2]
+            bound = high if went > 0.0 else low
+            if (z[k - 2] - bound) * went > 0.0:
+                reach.append(((bound - last.z[k - 2]) / went, k))
+        part, k = min(reach)
+        if part * step < self.steps.least_arc:
+            return None, True
+        normal = np.zeros(z.size)
+        normal[k - 2] = 1.0
+        new = self._corrected(last.z + part * (z - last.z), normal)
+        if not plane.holds(new.at):
+            raise SimulationError("The curve leaves the ranges at a corner", time=0.0, state=())
+        return new, True
+
+    def _corrected(self, z: Vector, normal: Vector) -> CriticalPoint:
+        last = self.points[-1]
+        return self.system.corrected(z, normal, last.gradient, last.tangent)
+
+    def _objection(self, new: CriticalPoint, step: float) -> str:
+        """Return why a point is no neighbour of the last one, or nothing."""
+        last, steps = self.points[-1], self.steps
+        if not 0.0 < float((new.z - last.z) @ last.tangent) < _FAR * step:
+            return "the steps lead to another point"
+        if float(new.tangent @ last.tangent) < np.cos(steps.turn):
+            return "the curve turns too fast"
+        if self.kind is Kind.FOLD and abs(float(new.normal @ last.normal)) < np.cos(steps.turn):
+            return "the curve turns too fast in the plane"
+        if self._stray(new) > steps.bend:
+            return "the curve bends too fast"
+        growth = float(np.linalg.norm(new.gradient) / np.linalg.norm(last.gradient))
+        if not 1 / _SMOOTH < growth < _SMOOTH:
+            return "the test function is not smooth"
+        return jumped(last.found, new.found)
+
+    def _stray(self, new: CriticalPoint) -> float:
+        """Return how far two points lie from each other's tangents, as part of their distance."""
+        last = self.points[-1]
+        step = new.z - last.z
+        length = float(np.linalg.norm(step)) or 1.0
+        return max(
+            float(np.linalg.norm(step - (step @ tangent) * tangent)) / length
+            for tangent in (last.tangent, new.tangent)
+        )
+
+    def _ease(self, new: CriticalPoint) -> float:
+        """Return how much of what a step may bend this one did."""
+        last, steps = self.points[-1], self.steps
+        angles = [float(new.tangent @ last.tangent)]
+        if self.kind is Kind.FOLD:
+            angles.append(abs(float(new.normal @ last.normal)))
+        turn = max(float(np.arccos(min(1.0, angle))) for angle in angles) / steps.turn
+        return max(turn, self._stray(new) / steps.bend)
+
+    def _cusp_before(self, new: CriticalPoint) -> CriticalPoint | None:
+        """Return the cusp between the last point and a new one, if there is one.
+
+        The parameters move at right angles to the normal, and stand still where two folds meet.
+        """
+        from scipy.optimize import brentq
+
+        last = self.points[-1]
+        if self.kind is not Kind.FOLD or _speed(last, last) * _speed(new, last) >= 0.0:
+            return None
+        known = {0.0: last, 1.0: new}
+
+        def speed_at(part: float) -> float:
+            if part not in known:
+                z = last.z + part * (new.z - last.z)
+                known[part] = self._corrected(z, new.z - last.z)
+            return _speed(known[part], last)
+
+        root = float(brentq(speed_at, 0.0, 1.0, xtol=_FOUND))
+        return min(known.items(), key=lambda item: abs(item[0] - root))[1]
+
+    def _accept(self, new: CriticalPoint, cusp: CriticalPoint | None) -> None:
+        if cusp is not None:
+            self.cusps.append(len(self.points))
+            self.points.append(cusp)
+            self._tell_of("cusp", cusp)
+        self.points.append(new)
+        self._tell_of(self.kind.value, new)
+
+    def _tell_of(self, word: str, point: CriticalPoint) -> None:
+        values = point.at * self.system.plane.units
+        self.tell(f"{word} at {values[0]:.6g}, {values[1]:.6g}", None)
+
+    def _meeting(self, within: float = CLOSE) -> str:
+        """Return what else is lost near the last point, if something is."""
+        way = [Stage(z=point.z, margins=point.found.margins) for point in self.points]
+        return meeting(way, self.system.plane.restitution_at(self.points[-1].at), within)
+
+    def _curve(self, end: str) -> CriticalCurve:
+        return CriticalCurve(points=tuple(self.points), cusps=tuple(self.cusps), end=end)
+
+
+def _speed(point: CriticalPoint, other: CriticalPoint) -> float:
+    """Return how fast the parameters move along a curve, with the sign that another's normal has.
+
+    Args:
+        point: Where.
+        other: A neighbour.
+    """
+    sense = 1.0 if float(point.normal @ other.normal) > 0.0 else -1.0
+    return sense * float(point.normal[0] * point.tangent[-1] - point.normal[1] * point.tangent[-2])

@@ -1,0 +1,265 @@
+r"""Folds and flips as roots of one system in the state and two parameters.
+
+.. math:: P(y, p) - y = 0, \qquad \psi = \det(\partial_y P \mp 1) = 0
+
+The system stays regular where a family folds and where two folds meet, so its points make a smooth
+curve there, too. Theory (40).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.continuation.corrector import CLOSED, STALLED, Metric, followed, linearized
+from zeno_orbits.continuation.return_maps import Return, ReturnMap
+from zeno_orbits.continuation.two_parameters.plane import OnLine, Plane
+from zeno_orbits.errors import SimulationError, ZenoOrbitsError
+from zeno_orbits.orbits.section import Line
+
+_MOST_ITERATIONS = 10
+_WIDTH = 1e-6
+"""Half the width of the differences that the gradient is made of, in scaled terms."""
+_SMALL = 1e-9
+"""A correction after which, as they shrink faster than in proportion, rounding is left."""
+_STUCK = 1e-7
+"""A correction that rounding may leave where the test function is flat."""
+_FARTHEST = 0.5
+_ROUNDING = 1e-15
+_DIAGONALS = np.array([[1.0, 1.0], [1.0, -1.0]]) / np.sqrt(2.0)
+"""Two lines through a place of the plane, rows. On either, both parameters move."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Look:
+    """What is seen at a place: the return, what it misses, the test function.
+
+    Attributes:
+        x: State, ``(n_x,)``.
+        at: Place in the plane, in units of the ranges, ``(2,)``.
+        z: Both in scaled terms, ``(n_x + 2,)``.
+        missed: What the return misses the state by, ``(d,)``.
+        test: The test function.
+        rows: Derivative of `missed` by coordinates and both lines, ``(d, d + 2)``.
+        basis: Derivative of `z` by the same, ``(n_x + 2, d + 2)``.
+        found: The return.
+    """
+
+    x: Vector
+    at: Vector
+    z: Vector
+    missed: Vector
+    test: float
+    rows: Vector
+    basis: Vector
+    found: Return
+
+
+@dataclass(frozen=True, kw_only=True)
+class CriticalPoint:
+    r"""A fold or a flip in the plane of two parameters.
+
+    Attributes:
+        x: State, ``(n_x,)``.
+        at: Place in the plane, in units of the ranges, ``(2,)``.
+        z: Both in scaled terms, ``(n_x + 2,)``.
+        tangent: Unit tangent of the curve, ``(n_x + 2,)``.
+        gradient: Of the test function, in the same terms, ``(n_x + 2,)``.
+        normal: Direction of the plane in which the parameters move off the curve, ``(2,)``; of a
+            fold it turns smoothly even at a cusp.
+        found: The return.
+        error: What `at` moves when the return is computed less accurately.
+    """
+
+    x: Vector
+    at: Vector
+    z: Vector
+    tangent: Vector
+    gradient: Vector
+    normal: Vector
+    found: Return
+    error: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class CriticalSystem:
+    """The equations of a fold or a flip.
+
+    Attributes:
+        plane: The two parameters.
+        on_line: From a line to the return map along it.
+        metric: Units; its unit of the parameter is one, a range.
+        multiplier: 1 of a fold, -1 of a flip.
+    """
+
+    plane: Plane
+    on_line: OnLine
+    metric: Metric
+    multiplier: float
+
+    def point_at(self, x: Vector, at: Vector, along: Vector) -> CriticalPoint:
+        """Return the point near a state and a place, in no given plane.
+
+        Args:
+            x: The state, ``(n_x,)``.
+            at: The place, ``(2,)``.
+            along: Sense of the tangent, ``(n_x + 2,)``.
+
+        Raises:
+            ZenoOrbitsError: If there is none near.
+        """
+        start = _seen(self, x, at)
+        gradient = self._gradient(start)
+        tangent = _tangent(start, gradient, along)
+        return self.corrected(start.z, tangent, gradient, along)
+
+    def corrected(
+        self, z: Vector, normal: Vector, gradient: Vector, along: Vector
+    ) -> CriticalPoint:
+        r"""Return the point in the plane through a place at right angles to a normal.
+
+        Newton's method with exact derivatives of `P`; those of the test function are corrected
+        after each step by what it changed, and computed anew where it ends. [Broyden1965]_
+
+        Args:
+            z: The place, ``(n_x + 2,)``.
+            normal: The normal, ``(n_x + 2,)``.
+            gradient: Of the test function near there, ``(n_x + 2,)``.
+            along: Sense of the tangent, ``(n_x + 2,)``.
+
+        Raises:
+            ZenoOrbitsError: If a return fails, or Newton's method does.
+        """
+        look, before = _seen(self, *self._of_place(z)), np.inf
+        for _ in range(_MOST_ITERATIONS):
+            off = float(normal @ (look.z - z))
+            matrix = _matrix(look, gradient, normal)
+            change = _solved(matrix, -np.concatenate([look.missed, [look.test, off]]))
+            step = look.basis @ change
+            size = float(np.linalg.norm(step))
+            if size > _FARTHEST:
+                break
+            x, at = look.x + self.metric.scale * step[:-2], look.at + step[-2:]
+            miss = float(np.max(np.abs(look.missed), initial=0.0))
+            there = _seen(self, x, at)
+            if miss <= CLOSED and size <= _SMALL:
+                return self._finished(there, along)
+            if miss <= STALLED and size <= _STUCK and size > before / 2:
+                return self._finished(there, along)
+            moved = there.z - look.z
+            surprise = there.test - look.test - float(gradient @ moved)
+            gradient = gradient + surprise / float(moved @ moved or 1.0) * moved
+            look, before = there, size
+        raise SimulationError("Newton's method does not close in on the point", time=0.0, state=())
+
+    def _of_place(self, z: Vector) -> tuple[Vector, Vector]:
+        return z[:-2] * self.metric.scale, z[-2:]
+
+    def _gradient(self, look: _Look) -> Vector:
+        """Return the gradient of the test function by central differences, ``(n_x + 2,)``."""
+        slopes: list[float] = []
+        for column in look.basis.T:
+            sides: list[float] = []
+            for width in (_WIDTH, -_WIDTH):
+                x, at = self._of_place(look.z + width * column)
+                returns = self.on_line(self.plane.line(at, _DIAGONALS[0]))
+                x = returns.projected(x, 0.0, self.metric.scale)
+                here = returns.frame(x, 0.0, self.metric.scale)
+                found = followed(returns, x, 0.0, self.metric)
+                rows = linearized(here, found, self.metric)[0]
+                sides.append(_test(rows, self.multiplier))
+            slopes.append((sides[0] - sides[1]) / (2 * _WIDTH))
+        return np.asarray(np.array(slopes) @ np.linalg.pinv(look.basis), dtype=np.float64)
+
+    def _finished(self, look: _Look, along: Vector) -> CriticalPoint:
+        gradient = self._gradient(look)
+        tangent = _tangent(look, gradient, along)
+        d = len(look.rows)
+        left = np.linalg.svd(look.rows[:, :d])[0][:, -1]
+        normal = (left @ look.rows[:, d:]) @ _DIAGONALS
+        return CriticalPoint(
+            x=look.x,
+            at=look.at,
+            z=look.z,
+            tangent=tangent,
+            gradient=gradient,
+            normal=normal / (np.linalg.norm(normal) or 1.0),
+            found=look.found,
+            error=self._doubt(look, gradient, tangent),
+        )
+
+    def _doubt(self, look: _Look, gradient: Vector, tangent: Vector) -> float:
+        """Return by how much a looser computation moves the point in the plane."""
+
+        def on_line(line: Line) -> ReturnMap:
+            return self.on_line(line).loosened()
+
+        try:
+            again = _seen(replace(self, on_line=on_line), look.x, look.at)
+        except ZenoOrbitsError:
+            return float("inf")
+        matrix = _matrix(look, gradient, tangent)
+        moved = 0.0
+        for other in (look, again):
+            missed = np.concatenate([other.missed, [other.test, 0.0]])
+            moved += float(np.linalg.norm((look.basis @ _solved(matrix, -missed))[-2:]))
+        return moved + _ROUNDING * max(1.0, float(np.max(np.abs(look.at))))
+
+
+def _seen(system: CriticalSystem, x: Vector, at: Vector) -> _Look:
+    """Return what is seen at a state and a place of the plane."""
+    scale, size = system.metric.scale, x.size
+    first, second = (system.on_line(system.plane.line(at, way)) for way in _DIAGONALS)
+    x = first.projected(x, 0.0, scale)
+    here, other = first.frame(x, 0.0, scale), second.frame(x, 0.0, scale)
+    d = here.tangent.shape[1]
+    # Any rotation of a chart is as good as another, but both lines must be seen in one.
+    lift = np.column_stack([here.lift, other.lift[:, d]])
+    other = replace(here, lift=lift[:, [*range(d), d + 1]])
+    found = followed(first, x, 0.0, system.metric)
+    beside = followed(second, x, 0.0, system.metric)
+    rows = linearized(here, found, system.metric)[0]
+    rows = np.column_stack([rows, linearized(other, beside, system.metric)[0][:, d]])
+    basis = np.zeros((size + 2, d + 2))
+    basis[:size] = lift / scale[:, None]
+    basis[size:, d:] = _DIAGONALS.T
+    return _Look(
+        x=x,
+        at=at,
+        z=np.concatenate([x / scale, at]),
+        missed=here.coordinates(found.end - x),
+        test=_test(rows, system.multiplier),
+        rows=rows,
+        basis=basis,
+        found=found,
+    )
+
+
+def _test(rows: Vector, multiplier: float) -> float:
+    """Return the test function from the derivative of `P - y`."""
+    d = len(rows)
+    return float(np.linalg.det(rows[:, :d] + (1.0 - multiplier) * np.eye(d)))
+
+
+def _matrix(look: _Look, gradient: Vector, normal: Vector) -> Vector:
+    return np.concatenate([look.rows, [gradient @ look.basis, normal @ look.basis]])
+
+
+def _solved(matrix: Vector, right: Vector) -> Vector:
+    try:
+        return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
+    except np.linalg.LinAlgError as error:
+        raise SimulationError(str(error), time=0.0, state=()) from error
+
+
+def _tangent(look: _Look, gradient: Vector, along: Vector) -> Vector:
+    rows = np.concatenate([look.rows, (gradient @ look.basis)[None, :]])
+    # The rows have very different sizes, and only their directions matter.
+    rows = rows / np.linalg.norm(rows, axis=1, keepdims=True)
+    tangent = look.basis @ np.linalg.svd(rows)[2][-1]
+    tangent = np.asarray(tangent / np.linalg.norm(tangent), dtype=np.float64)
+    if tangent @ along < 0.0:
+        return -tangent
+    return tangent

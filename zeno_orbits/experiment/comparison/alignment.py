@@ -1,0 +1,230 @@
+r"""Where in its cycle an orbit is when a record begins, and whether both show the same motion.
+
+The first value of the shift is where all signals together correlate best, each in units of its own
+spread, so that a false unit does not hide it; the last is the least-squares shift of the record
+against the orbit (theory (55)). Then every signal is held against the orbit's own: what turns its
+sign or multiplies it by the factor of a unit is not a deviation but a mistake in the file.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.experiment.orbit_table import OrbitTable, near_jumps
+from zeno_orbits.experiment.recordings.periodicity import Periodicity
+
+_PHASES = 720
+_MOST_ROWS = 60_000
+_STEPS = 6
+_NEAR = 0.01
+"""Part of a period beside a jump that does not count; the first shift is good to a tenth of it."""
+_TURNED = 0.95
+"""All signs as they are count as best from this part of the best with signs turned on."""
+_OPPOSED = -0.4
+"""A correlation below this is that of a signal with its sign turned."""
+
+_FACTORS: tuple[tuple[float, str], ...] = (
+    (180.0 / math.pi, "degrees labelled as radians"),
+    (math.pi / 180.0, "radians labelled as degrees"),
+    (1.0 / (2.0 * math.pi), "revolutions labelled as radians"),
+    (2.0 * math.pi, "radians labelled as revolutions"),
+    (30.0 / math.pi, "rpm labelled as rad/s"),
+    (math.pi / 30.0, "rad/s labelled as rpm"),
+    (1e3, "a thousandth of its unit labelled as the unit"),
+    (1e-3, "its unit labelled as a thousandth of it"),
+    (1e2, "a hundredth of its unit labelled as the unit"),
+    (1e6, "a millionth of its unit labelled as the unit"),
+    (1e-6, "its unit labelled as a millionth of it"),
+)
+_TIME_FACTORS: tuple[tuple[float, str], ...] = (
+    (1e3, "milliseconds labelled as seconds"),
+    (1e-3, "seconds labelled as milliseconds"),
+    (1e6, "microseconds labelled as seconds"),
+    (1e-6, "seconds labelled as microseconds"),
+    (60.0, "seconds labelled as minutes"),
+    (1.0 / 60.0, "minutes labelled as seconds"),
+)
+_LIKE = 0.25
+"""A factor is like that of a unit if it is as near, relative."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Likeness:
+    """How a recorded signal is like the orbit's.
+
+    Attributes:
+        name: Of the signal.
+        correlation: Of its average over a cycle with the orbit's, 1 for the same shape.
+        gain: Factor by which it is larger.
+        offset: How far its mean is from the orbit's.
+        suspicion: What mistake in the file it looks like; empty if none.
+    """
+
+    name: str
+    correlation: float
+    gain: float
+    offset: float
+    suspicion: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Alignment:
+    """Where the orbit is in a record.
+
+    Attributes:
+        release: A time at which the orbit's release falls, near the middle of the record [s].
+        error: Standard error of it [s].
+        period: Of the record [s].
+        likeness: Of each signal.
+        time_suspicion: What mistake the unit of time looks like; empty if none.
+    """
+
+    release: float
+    error: float
+    period: float
+    likeness: tuple[Likeness, ...]
+    time_suspicion: str
+
+    def phases(self, time: Vector) -> Vector:
+        """Return times in periods since the release."""
+        return (time - self.release) / self.period
+
+
+def aligned(
+    table: OrbitTable, time: Vector, values: Vector, found: Periodicity, names: Sequence[str]
+) -> Alignment:
+    """Return where the orbit is in a record.
+
+    Args:
+        table: The orbit, its first signals in the order of the rows.
+        time: Increasing, ``(n_t,)`` [s].
+        values: One row a signal, ``(n_s, n_t)``.
+        found: How they repeat.
+        names: Of the signals.
+    """
+    grid = np.arange(_PHASES) / _PHASES
+    data = found.average(grid)
+    model = table.at(grid)[:, : data.shape[1]]
+    shift, signs = _coarse(model, data)
+    likeness = [
+        _likeness(name, model[:, k], np.roll(data[:, k], shift), bool(signs[k] < 0))
+        for k, name in enumerate(names)
+    ]
+    ratio = found.period / table.period
+    release = time[0] - shift / _PHASES * found.period
+    # A false unit or sign must not pull at the shift.
+    trusted = np.array([not one.suspicion for one in likeness])
+    weight = trusted if trusted.any() else np.ones_like(trusted)
+    # In the middle of the record an error of the period moves it least.
+    release += found.period * round((0.5 * (time[0] + time[-1]) - release) / found.period)
+    release, error = _fine(table, time, values, found, release, weight, data)
+    return Alignment(
+        release=release,
+        error=error,
+        period=found.period,
+        likeness=tuple(likeness),
+        time_suspicion=_like_factor(ratio, _TIME_FACTORS),
+    )
+
+
+def _coarse(model: Vector, data: Vector) -> tuple[int, Vector]:
+    """Return by how many grid points the data must be rolled, and the sign of each signal."""
+    a = model - model.mean(axis=0)
+    b = data - data.mean(axis=0)
+    size = np.linalg.norm(a, axis=0) * np.linalg.norm(b, axis=0)
+    spectra = np.fft.rfft(a, axis=0) * np.conj(np.fft.rfft(b, axis=0))
+    products = np.asarray(np.fft.irfft(spectra, _PHASES, axis=0), dtype=np.float64)
+    together: Vector = products / np.where(size > 0.0, size, 1.0)
+    plain, turned = together.sum(axis=1), np.abs(together).sum(axis=1)
+    best, other = int(np.argmax(plain)), int(np.argmax(turned))
+    if plain[best] >= _TURNED * turned[other]:
+        return best, np.ones(len(model[0]))
+    signs: Vector = np.ones(len(model[0]))
+    for k in range(len(signs)):
+        if float(together[other, k]) < _OPPOSED:
+            signs[k] = -1.0
+    return other, signs
+
+
+def _likeness(name: str, model: Vector, data: Vector, opposed: bool) -> Likeness:
+    a, b = model - model.mean(), data - data.mean()
+    own = float(a @ a)
+    gain = float(a @ b) / own if own > 0.0 else 0.0
+    size = math.sqrt(own * float(b @ b))
+    correlation = float(a @ b) / size if size > 0.0 else 0.0
+    suspicion = _like_factor(abs(gain), _FACTORS) if abs(correlation) > -_OPPOSED else ""
+    if opposed:
+        suspicion = " and ".join(filter(None, ("its sign turned", suspicion)))
+    return Likeness(
+        name=name,
+        correlation=correlation,
+        gain=gain,
+        offset=float(data.mean() - model.mean()),
+        suspicion=suspicion,
+    )
+
+
+def _like_factor(factor: float, known: Sequence[tuple[float, str]]) -> str:
+    """Return what mistake a factor looks like; near one it is none."""
+    if not 0.0 < factor < math.inf or 0.5 < factor < 2.0:
+        return ""
+    distances = [abs(math.log(factor / one)) for one, _ in known]
+    nearest = int(np.argmin(distances))
+    return known[nearest][1] if distances[nearest] < _LIKE else ""
+
+
+def _fine(
+    table: OrbitTable,
+    time: Vector,
+    values: Vector,
+    found: Periodicity,
+    release: float,
+    weight: NDArray[np.bool_],
+    data: Vector,
+) -> tuple[float, float]:
+    """Return the least-squares time of the release and its standard error."""
+    rows = np.unique(np.linspace(0, len(time) - 1, min(len(time), _MOST_ROWS)).astype(np.int64))
+    t, y = time[rows], values[:, rows].T
+    scale = np.std(data, axis=0)
+    scale = np.where((scale > 0.0) & weight, scale, np.inf)
+    known = seen = np.isfinite(y)
+    period, stretch = found.period, table.period / found.period
+    above, below = np.zeros(len(t)), np.zeros(len(t))
+    white = 0.0
+    for _ in range(_STEPS):
+        model, slope = (
+            columns[:, : len(values)]
+            for columns in table.nodes.with_slopes(np.mod((t - release) * stretch, table.period))
+        )
+        # A slope does not know of a jump: samples beside one would push the wrong way.
+        phases = np.mod((t - release) / period, 1.0)
+        seen = known & ~near_jumps(table, phases, _NEAR)[:, : len(values)]
+        rest = np.where(seen, y - model, 0.0)
+        count = np.maximum(seen.sum(axis=0), 1)
+        # An offset of an encoder is no shift in time.
+        rest = np.where(seen, rest - rest.sum(axis=0) / count, 0.0) / scale
+        moved = np.where(seen, -slope * stretch, 0.0) / scale
+        above, below = np.sum(moved * rest, axis=1), np.sum(moved**2, axis=1)
+        if not below.sum() > 0.0:
+            return release, math.inf
+        change = float(above.sum() / below.sum())
+        release += float(np.clip(change, -0.1 * period, 0.1 * period))
+        white = float(np.sum((rest - moved * change) ** 2) / max(int(seen.sum()), 1))
+    cycles = np.floor((t - release) / period).astype(np.int64)
+    cycles -= cycles[0]
+    n = int(cycles[-1]) + 1
+    each_below = np.bincount(cycles, weights=below, minlength=n)
+    told = each_below > 0.5 * np.median(each_below)
+    each = np.bincount(cycles, weights=above, minlength=n)[told] / each_below[told]
+    error = math.sqrt(white / float(below.sum()))
+    # Thinned rows tell less than all of them do.
+    error *= math.sqrt(len(t) / len(time))
+    if len(each) >= 4:
+        error = max(error, float(np.std(each, ddof=1)) / math.sqrt(len(each)))
+    return release, error

@@ -1,0 +1,274 @@
+"""A recording beside an orbit: is it such an orbit, and by how much do they differ.
+
+Source: theory (54) to (57).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError
+from zeno_orbits.experiment.comparison.alignment import Alignment
+from zeno_orbits.experiment.comparison.contact_events import CycleEvents, cycle_events
+from zeno_orbits.experiment.comparison.deviations import Deviations, deviations
+from zeno_orbits.experiment.comparison.gap_model import (
+    Stop,
+    gap_model,
+    recorded_gap,
+    refined_stop,
+    stop_level,
+)
+from zeno_orbits.experiment.comparison.metrics import (
+    Metric,
+    contact_metrics,
+    portrait_metrics,
+    portraits_of,
+    signal_metrics,
+)
+from zeno_orbits.experiment.comparison.overlay import laid_over, shared_signals
+from zeno_orbits.experiment.recordings.periodicity import Periodicity
+from zeno_orbits.experiment.recordings.recording import Recording
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.orbits.orbit import ZenoOrbit
+
+__all__ = ["Comparison", "Metric", "compare"]
+
+
+_SEEN = 0.5
+"""Part of the cycles that must show a locked phase and an impact."""
+_FEWEST_CYCLES = 6
+_STRAY = 0.1
+"""Part of the variance that does not repeat and is not said: harmonics leave some of jumps."""
+_SETTLING = 3.0
+"""Cycles whose deviation is larger by this factor than that of later ones have not settled."""
+_CLIPPED = 0.01
+"""Part of the samples that sit at an extreme in a signal that is cut off there."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Comparison:
+    """A recording beside an orbit.
+
+    Attributes:
+        orbit: The orbit.
+        recording: The recording, whole.
+        signals: Names of the signals that both have.
+        period: How the recording repeats, if it does.
+        where: Where the orbit is in it, if it does.
+        deviations: By phase, if it does.
+        stop: The stop as the gap shows it, if it does.
+        events: What each cycle shows.
+        metrics: The numbers.
+        reasons: Why the recording shows no such orbit; empty if it does.
+        remarks: What else is to be said.
+    """
+
+    orbit: ZenoOrbit
+    recording: Recording
+    signals: tuple[str, ...]
+    period: Periodicity | None
+    where: Alignment | None
+    deviations: Deviations | None
+    stop: Stop | None
+    events: tuple[CycleEvents, ...]
+    metrics: tuple[Metric, ...]
+    reasons: tuple[str, ...]
+    remarks: tuple[str, ...]
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the recording shows such an orbit, however far its numbers are off."""
+        return not self.reasons
+
+    def metric(self, name: str) -> Metric:
+        """Return a number by its name.
+
+        Raises:
+            InputError: If there is none.
+        """
+        for metric in self.metrics:
+            if metric.name == name:
+                return metric
+        known = ", ".join(metric.name for metric in self.metrics)
+        raise InputError(f"Argument `metric` must be one of {known}, but it is `{name}`.")
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the comparison as plain data; what is not known is null."""
+        source = self.recording.source
+        return {
+            "agrees": self.agrees,
+            "reasons": list(self.reasons),
+            "remarks": list(self.remarks),
+            "problem": self.orbit.problem,
+            "source": None if source is None else source.value,
+            "signals": list(self.signals),
+            "cycles": None if self.period is None else self.period.n_cycles,
+            "release_time": None if self.where is None else _plain(self.where.release),
+            "metrics": {
+                metric.name: {
+                    "unit": metric.unit,
+                    "orbit": _plain(metric.orbit),
+                    "data": _plain(metric.data),
+                    "difference": _plain(metric.data - metric.orbit),
+                    "standard_error": _plain(metric.error),
+                }
+                for metric in self.metrics
+            },
+        }
+
+
+def compare(orbit: ZenoOrbit, problem: Problem, recording: Recording) -> Comparison:
+    """Return a recording beside an orbit.
+
+    Args:
+        orbit: The orbit.
+        problem: Its scene.
+        recording: The recording; signals with names of the scene's states, motors or outputs count.
+
+    Raises:
+        InputError: If no signal is the scene's, or one has a unit of another kind.
+        SimulationError: If the orbit does not return.
+    """
+    names = shared_signals(problem, recording)
+    nothing = _nothing(orbit, recording, names, _oddities(recording, problem, names))
+    overlay = laid_over(orbit, problem, recording, _more_signals(problem, names))
+    if overlay is None:
+        whole = recording.time[-1] - recording.time[0]
+        reason = f"no period is seen in {whole:.4g} s; the orbit's is {orbit.period:.4g} s"
+        return replace(nothing, reasons=(reason,))
+    found, where, table, reasons = overlay.found, overlay.where, overlay.table, overlay.reasons()
+    remarks = [*nothing.remarks]
+    if found.n_cycles < 3.0:
+        remarks.append(f"only {found.n_cycles:.1f} cycles were recorded: errors are rough")
+    own = table.period
+    period = Metric(name="period", unit="s", orbit=own, data=found.period, error=found.error)
+    laid = replace(nothing, period=found, where=where)
+    if not overlay.holds:
+        # Numbers of signals that are mistaken for others would mislead.
+        said, why = tuple(remarks), tuple(reasons)
+        return replace(laid, metrics=(period,), reasons=why, remarks=said)
+    gap = recorded_gap(orbit, problem, recording)
+    stop, events = _contacts(orbit, problem, recording.time, gap, where)
+    if gap is None:
+        missing = "coordinates that the gap depends on were not recorded"
+        remarks.append(f"impacts, locked phase and release are not told: {missing}")
+    else:
+        reasons += _contact_reasons(stop, events)
+    if found.repeats < 1.0 - _STRAY:
+        remarks.append(f"{100 * (1 - found.repeats):.2g} % of the signals' variance do not repeat")
+    deviation = deviations(table, recording.time, overlay.values, where)
+    remarks += _settling(deviation, recording.time, where)
+    metrics = [period]
+    if stop is not None and events:
+        metrics += contact_metrics(table, events, where, stop, problem.gap_unit)
+    metrics += signal_metrics(problem, deviation, names)
+    metrics += portrait_metrics(deviation, portraits_of(problem, names))
+    return replace(
+        laid,
+        deviations=deviation,
+        stop=stop,
+        events=events,
+        metrics=tuple(metrics),
+        reasons=tuple(reasons),
+        remarks=tuple(remarks),
+    )
+
+
+def _more_signals(problem: Problem, names: Sequence[str]) -> tuple[str, ...]:
+    """Return what portraits need beside the recorded signals."""
+    seconds = [one.signals[1] for one in portraits_of(problem, names)]
+    return tuple(dict.fromkeys(second for second in seconds if second not in names))
+
+
+def _contacts(
+    orbit: ZenoOrbit, problem: Problem, time: Vector, gap: Vector | None, where: Alignment
+) -> tuple[Stop | None, tuple[CycleEvents, ...]]:
+    """Return the stop and what each cycle shows of it."""
+    stop = None if gap is None else stop_level(gap)
+    if gap is None or stop is None:
+        return None, ()
+    model = gap_model(orbit, problem, where.period)
+    events = cycle_events(time, gap, stop, model, where.release)
+    rests = [(one.rest_start, one.rest_end) for one in events if math.isfinite(one.rest_start)]
+    stop = refined_stop(time, gap, stop, rests, where.release, where.period)
+    return stop, cycle_events(time, gap, stop, model, where.release)
+
+
+def _oddities(recording: Recording, problem: Problem, names: Sequence[str]) -> list[str]:
+    remarks: list[str] = []
+    others = [name for name in recording.names if name not in names]
+    if others:
+        remarks.append(f"not signals of the scene, left out: {', '.join(others)}")
+    if recording.scene and recording.scene.partition("@")[0] != problem.name.partition("@")[0]:
+        remarks.append(f"the recording names the scene `{recording.scene}`, not `{problem.name}`")
+    if recording.source is None:
+        remarks.append("the recording does not say whether it was measured or simulated")
+    for name in names:
+        row = recording.signal(name).values
+        row = row[np.isfinite(row)]
+        for extreme in (float(row.max()), float(row.min())):
+            share = float(np.mean(np.abs(row - extreme) <= 1e-9 * max(float(np.ptp(row)), 1e-300)))
+            if _CLIPPED < share < 0.2 and len(np.unique(row[:2000])) > 200:
+                what = f"{100 * share:.2g} % of its values are {extreme:.6g}"
+                remarks.append(f"`{name}` looks cut off: {what}")
+    return remarks
+
+
+def _settling(found: Deviations, time: Vector, where: Alignment) -> list[str]:
+    """Say so if the first cycles are farther from the mean of the others than those are."""
+    sizes = found.sizes_in_turn()
+    if len(sizes) < _FEWEST_CYCLES:
+        return []
+    usual = float(np.median(sizes[len(sizes) // 2 :]))
+    strange = np.flatnonzero(sizes > _SETTLING * usual)
+    if not len(strange) or strange[0] > 1 or strange[-1] > len(sizes) // 2:
+        return []
+    begin = where.release + where.period * math.floor((time[0] - where.release) / where.period)
+    until = begin + (int(strange[-1]) + 1) * where.period
+    return [f"the motion still settles at first; leave that out with --from {until:.4g}"]
+
+
+def _contact_reasons(stop: Stop | None, events: Sequence[CycleEvents]) -> list[str]:
+    if stop is None:
+        return ["no locked phase is seen: the gap rests nowhere"]
+    told = [one for one in events if math.isfinite(one.rest_start)]
+    if not events:
+        return []
+    struck = [one for one in events if math.isfinite(one.first_impact)]
+    reasons: list[str] = []
+    if len(told) < _SEEN * len(events):
+        reasons.append(
+            f"no locked phase is seen in {len(events) - len(told)} of {len(events)} cycles"
+        )
+    if len(struck) < _SEEN * len(events):
+        reasons.append(f"no impact is seen in {len(events) - len(struck)} of {len(events)} cycles")
+    return reasons
+
+
+def _nothing(
+    orbit: ZenoOrbit, recording: Recording, names: tuple[str, ...], remarks: Sequence[str]
+) -> Comparison:
+    """Return a comparison of which nothing is known yet."""
+    return Comparison(
+        orbit=orbit,
+        recording=recording,
+        signals=names,
+        period=None,
+        where=None,
+        deviations=None,
+        stop=None,
+        events=(),
+        metrics=(),
+        reasons=(),
+        remarks=tuple(remarks),
+    )
+
+
+def _plain(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,189 @@
+r"""Fits of one touch, one hop and one opening of a recorded gap, each held against the orbit's own.
+
+What is fitted is what the samples have beyond the orbit's own flight: in a copy of the orbit that
+is noise, in another motion it is smooth, and a polynomial of low degree takes it up (theory (56)).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.experiment.comparison.gap_model import GapModel
+
+LEAST = 6
+"""Samples that a fit needs."""
+_WINDOW = 0.08
+"""Part of a period before an impact whose samples tell of it."""
+_OPENED = 0.08
+"""An opening is seen up to this part of the greatest gap."""
+_UNKNOWN = (math.nan, math.nan)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Touch:
+    """A gap that closes.
+
+    Attributes:
+        time: [s].
+        rate: Gap rate just before, negative.
+        time_error: Standard error of ``time`` [s].
+        rate_error: Standard error of ``rate``.
+    """
+
+    time: float
+    rate: float
+    time_error: float
+    rate_error: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hop:
+    """A hop that rises above the noise.
+
+    Attributes:
+        length: [s].
+        up: Gap rate at its start.
+        down: Gap rate at its end, negative.
+        up_error: Standard error of ``up``.
+        length_error: Standard error of ``length`` [s].
+    """
+
+    length: float
+    up: float
+    down: float
+    up_error: float
+    length_error: float
+
+
+def fitted_touch(
+    t: Vector, h: Vector, apex: int, at: int, noise: float, model: GapModel
+) -> Touch | None:
+    """Return the touch that ends the orbit's first flight, or nothing if the samples do not tell.
+
+    Args:
+        t: Times of a cycle since its release, ``(n,)`` [s].
+        h: Gaps above the stop, ``(n,)``.
+        apex: Number of the highest sample before.
+        at: Number of the first sample that may lie behind the touch.
+        noise: Standard deviation of the gap.
+        model: The orbit's gap.
+    """
+    crossing, unit = float(t[at]), _WINDOW * model.period
+    near = slice(int(np.searchsorted(t, max(crossing - unit, t[apex]))), at)
+    t, h = t[near], h[near]
+    if len(t) < LEAST or crossing - t[-1] > 0.25 * unit or t[0] > crossing - 0.7 * unit:
+        return None
+    rest = h - model.flight(0, t)[0]
+    fit, covariance = _fitted(_square(t, crossing, unit), rest, noise)
+    impact, speed = crossing, math.nan
+    for _ in range(8):
+        gap, rate = model.flight(0, np.array([impact]))
+        value = float(gap[0]) + float(_square(impact, crossing, unit) @ fit)
+        speed = float(rate[0]) + float(_square_slope(impact, crossing, unit) @ fit)
+        if not speed < 0.0:
+            return None
+        impact -= float(np.clip(value / speed, -0.2 * unit, 0.2 * unit))
+    row, slope = _square(impact, crossing, unit), _square_slope(impact, crossing, unit)
+    return Touch(
+        time=impact,
+        rate=speed,
+        time_error=math.sqrt(float(row @ covariance @ row)) / -speed,
+        rate_error=math.sqrt(float(slope @ covariance @ slope)),
+    )
+
+
+def fitted_hop(
+    number: int, s: Vector, h: Vector, length: float, noise: float, model: GapModel
+) -> Hop | None:
+    """Return a hop, the orbit's own and a cubic that is zero at its start, or nothing if too few.
+
+    Args:
+        number: Of the hop, from 1.
+        s: Times since its start, ``(n,)`` [s].
+        h: Gaps above the stop, ``(n,)``.
+        length: A first value [s].
+        noise: Standard deviation of the gap.
+        model: The orbit's gap.
+    """
+    if len(s) < LEAST or max(float(s[0]), float(np.max(np.diff(s)))) > 0.3 * length:
+        return None
+    x = s / length
+    columns = np.stack([x, x**2, x**3], axis=1)
+    fit, covariance = _fitted(columns, h - model.flight(number, s)[0], noise)
+    end, down = 1.0, math.nan
+    for _ in range(12):
+        gap, rate = model.flight(number, np.array([end * length]))
+        value = float(gap[0] + fit @ [end, end**2, end**3])
+        down = float(rate[0] * length + fit @ [1.0, 2 * end, 3 * end**2])
+        if not down < 0.0:
+            return None
+        end -= float(np.clip(value / down, -0.2, 0.2))
+    up = float(model.flight(number, np.zeros(1))[1][0]) + float(fit[0]) / length
+    if not (0.5 < end < 1.5 and up > 0.0):
+        return None
+    row = np.array([end, end**2, end**3])
+    return Hop(
+        length=end * length,
+        up=up,
+        down=down / length,
+        up_error=math.sqrt(float(covariance[0, 0])) / length,
+        length_error=math.sqrt(float(row @ covariance @ row)) / -down * length,
+    )
+
+
+def fitted_opening(
+    t: Vector, h: Vector, after: int, noise: float, model: GapModel
+) -> tuple[float, float]:
+    """Return when a gap begins to open, and the error of that; NaN where the samples do not tell.
+
+    Args:
+        t: Times of a cycle since the release before it, ``(n,)`` [s].
+        h: Gaps above the stop, ``(n,)``.
+        after: Number of the last sample at rest.
+        noise: Standard deviation of the gap.
+        model: The orbit's gap.
+    """
+    period = model.period
+    begin = int(np.searchsorted(t, float(t[after]) - 0.05 * period))
+    opened = np.flatnonzero(h[after:] > _OPENED * float(np.max(h)))
+    if not len(opened) or opened[0] < 3 or after + opened[0] - begin < 2 * LEAST:
+        return _UNKNOWN
+    stop = after + int(opened[0])
+    t, h, rising = t[begin:stop] - period, h[begin:stop], stop - after
+    if float(np.max(np.diff(t[-rising:]))) > 0.02 * period:
+        return _UNKNOWN
+    shift, size = 0.0, 1.0
+    columns = np.zeros((len(t), 2))
+    for _ in range(20):
+        gap, rate = model.opening(t - shift)
+        columns = np.stack([gap, -size * rate], axis=1)
+        step = np.linalg.lstsq(columns, h - size * gap, rcond=1e-12)[0]
+        size += float(np.clip(step[0], -0.5 * size, size))
+        shift += float(np.clip(step[1], -0.03 * period, 0.03 * period))
+        if not (0.05 < size < 20.0 and abs(shift) < 0.25 * period):
+            return _UNKNOWN
+    _, covariance = _fitted(columns, h - size * model.opening(t - shift)[0], noise)
+    return period + shift, math.sqrt(max(float(covariance[1, 1]), 0.0))
+
+
+def _square(t: Vector | float, origin: float, unit: float) -> Vector:
+    s = (np.asarray(t) - origin) / unit
+    return np.stack([np.ones_like(s), s, s**2], axis=-1)
+
+
+def _square_slope(t: float, origin: float, unit: float) -> Vector:
+    return np.array([0.0, 1.0, 2 * (t - origin) / unit]) / unit
+
+
+def _fitted(columns: Vector, values: Vector, noise: float) -> tuple[Vector, Vector]:
+    """Return the least-squares fit and its covariance, with the scatter that is seen."""
+    fit: Vector = np.asarray(np.linalg.lstsq(columns, values, rcond=1e-12)[0], dtype=np.float64)
+    rest = values - columns @ fit
+    spare = max(len(values) - columns.shape[1], 1)
+    variance = max(float(rest @ rest) / spare, noise**2)
+    normal = np.asarray(np.linalg.pinv(columns.T @ columns), dtype=np.float64)
+    return fit, variance * normal

@@ -1,0 +1,173 @@
+"""Another motion to lay beside that of the model: a virtual rig's, or a recording's.
+
+Values only: states over time, counted from a release, and a word for what they are. What a rig
+gave is always called simulated.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError
+from zeno_orbits.experiment.comparison.alignment import Alignment
+from zeno_orbits.experiment.comparison.overlay import laid_over
+from zeno_orbits.experiment.recordings.recording import Recording, cut
+from zeno_orbits.experiment.rig import rig_cycles
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.orbits.orbit import ZenoOrbit
+
+RIG = "virtual rig, simulated"
+"""What a rig's motion is called, wherever it is shown."""
+
+_BASE = 1.0 / 500.0
+"""Part of the period to either side over which missing velocities are differences."""
+_LATE = 2
+"""Times the cycles that are asked for, and one: so much of a recording's end tells its phase."""
+_SLACK = 0.01
+"""Part of a period that a recording may begin after a release, or end before one."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Counterpart:
+    """A motion beside the model's.
+
+    Attributes:
+        label: What it is, for a legend.
+        times: Since a release, increasing, ``(n,)`` [s].
+        states: States of the scene, ``(n, n_x)``; NaN where they are not known.
+        period: Its own [s].
+    """
+
+    label: str
+    times: Vector
+    states: Vector
+    period: float
+
+
+def counterpart_of(
+    label: str,
+    problem: Problem,
+    times: Vector,
+    signals: Mapping[str, Vector],
+    period: float,
+    *,
+    base: float = 0.0,
+) -> Counterpart:
+    """Return a motion from its signals; velocities that are missing are differences.
+
+    Args:
+        label: What it is.
+        problem: The scene.
+        times: Increasing, ``(n,)`` [s].
+        signals: State name to values, ``(n,)``; what is no state of the scene is left out.
+        period: Its own [s].
+        base: How far to either side a difference reaches, a sample at least [s]. Over a single
+            step an encoder's own steps are all that is seen.
+
+    Raises:
+        InputError: If a coordinate is missing.
+    """
+    names = problem.state_names
+    n_q = problem.model(problem.symbols()).n_q
+    missing = [name for name in names[:n_q] if name not in signals]
+    if missing:
+        wanted = f"must hold the coordinates {', '.join(names[:n_q])}"
+        raise InputError(f"Argument `data` {wanted}, but `{missing[0]}` is missing.")
+    states = np.full((len(times), len(names)), math.nan)
+    for k, name in enumerate(names):
+        if name in signals:
+            states[:, k] = signals[name]
+        elif n_q <= k < 2 * n_q:
+            states[:, k] = _differences(times, states[:, k - n_q], base)
+    return Counterpart(label=label, times=times, states=states, period=period)
+
+
+def rig_counterpart(
+    orbit: ZenoOrbit,
+    problem: Problem,
+    n_periods: int,
+    on_progress: Callable[[float], None] | None = None,
+) -> Counterpart:
+    """Return the cycles that the scene's virtual rig settles to, at the orbit's numbers.
+
+    Args:
+        orbit: The orbit.
+        problem: Its scene.
+        n_periods: How many cycles.
+        on_progress: Told of the part that is done, now and then.
+
+    Raises:
+        SimulationError: If the rig does not move in such cycles.
+    """
+    settled = rig_cycles(orbit, problem, cycles=n_periods, on_progress=on_progress)
+    run = settled.run
+    signals = {name: run.of(name) for name in problem.state_names if name in run.state_names}
+    # A contact is recorded at its first and last instant twice: once from either side.
+    kept = np.concatenate([[True], np.diff(run.times) > 0.0])
+    held = {name: values[kept] for name, values in signals.items()}
+    period = float(np.mean([cycle.period for cycle in settled.cycles]))
+    return counterpart_of(RIG, problem, run.times[kept], held, period)
+
+
+def recording_counterpart(
+    recording: Recording, orbit: ZenoOrbit, problem: Problem, n_periods: int
+) -> Counterpart:
+    """Return the last whole cycles of a recording, from the release that its alignment tells.
+
+    Its time is moved and not stretched. Only its end is looked at, for it may settle before.
+
+    Args:
+        recording: The recording.
+        orbit: The orbit that it is laid over.
+        problem: Its scene.
+        n_periods: How many cycles to keep at most.
+
+    Raises:
+        InputError: If it lacks a coordinate, is too short, or cannot be laid over the orbit.
+        SimulationError: If the orbit does not return.
+    """
+    whole = float(recording.time[-1] - recording.time[0])
+    if whole < 2 * orbit.period:
+        wanted = f"must last two periods, {2 * orbit.period:.4g} s, at least"
+        raise InputError(f"Argument `data` {wanted}, but it lasts {whole:.4g} s.")
+    late = recording.time[-1] - _LATE * (n_periods + 1) * orbit.period
+    end = cut(recording, late, None)
+    overlay = laid_over(orbit, problem, end)
+    if overlay is None:
+        # Time in another unit makes the end too short, and the whole tells so.
+        end, overlay = recording, laid_over(orbit, problem, recording)
+    if overlay is None or not overlay.holds:
+        why = overlay.reasons()[0] if overlay else "no period is seen in it"
+        raise InputError(f"Argument `data` must show such an orbit, but {why}; see `compare`.")
+    where = overlay.where
+    kept, start = _last_cycles(end.time, where, n_periods)
+    signals = {signal.name: signal.values for signal in end.signals}
+    base = where.period * _BASE
+    found = counterpart_of(end.label, problem, end.time, signals, where.period, base=base)
+    return replace(found, times=found.times[kept] - start, states=found.states[kept])
+
+
+def _last_cycles(time: Vector, where: Alignment, n_periods: int) -> tuple[slice, float]:
+    """Return the samples of the last whole cycles at most so many, and when the first begins."""
+    phases = where.phases(time)
+    first, last = math.ceil(phases[0] - _SLACK), math.floor(phases[-1] + _SLACK)
+    first = max(first, last - n_periods)
+    if first >= last:
+        raise InputError(
+            "Argument `data` must hold a cycle from release to release, but it does not."
+        )
+    begin, after = np.searchsorted(phases, [first, last])
+    return slice(int(begin), int(after)), where.release + first * where.period
+
+
+def _differences(times: Vector, values: Vector, base: float) -> Vector:
+    """Return the slope from some samples before to as many after, fewer at the ends."""
+    reach = max(1, round(base / float(np.median(np.diff(times)))))
+    rows = np.arange(len(times))
+    before, after = np.maximum(rows - reach, 0), np.minimum(rows + reach, len(times) - 1)
+    return (values[after] - values[before]) / (times[after] - times[before])

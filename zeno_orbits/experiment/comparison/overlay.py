@@ -1,0 +1,154 @@
+"""An orbit laid over a recording: by its own period and the shift that fits best, or not at all.
+
+Whoever shows both together, in numbers or in pictures, lays them over each other here.
+
+Source: theory (54), (55).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError
+from zeno_orbits.experiment.comparison.alignment import Alignment, aligned
+from zeno_orbits.experiment.orbit_table import OrbitTable, measurable, table_of
+from zeno_orbits.experiment.recordings.periodicity import Periodicity, periodicity
+from zeno_orbits.experiment.recordings.recording import Recording
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.model.units import powers_of
+from zeno_orbits.orbits.orbit import ZenoOrbit
+
+_REPEATS = 0.4
+"""Part of the variance that repeats in a record that shows an orbit, at least."""
+_LIKE = 0.6
+"""Correlation of a signal with the orbit's, at least."""
+_ALTERNATES = 0.02
+"""Cycles that differ in turn by this part of the signals' size are of twice the period."""
+_SURE = 4.0
+"""So many standard errors are no accident."""
+_LARGEST = 1e100
+"""Squares of larger values, summed, are no numbers."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Overlay:
+    """An orbit laid over a recording.
+
+    Attributes:
+        names: Of the signals that both have.
+        time: Of the recording, ``(n_t,)`` [s].
+        values: Its signals, one row each, ``(n_s, n_t)``.
+        found: How they repeat.
+        table: The orbit; its first signals are those.
+        where: Where it is in the recording.
+    """
+
+    names: tuple[str, ...]
+    time: Vector
+    values: Vector
+    found: Periodicity
+    table: OrbitTable
+    where: Alignment
+
+    @property
+    def holds(self) -> bool:
+        """Whether its phases mean something: signals repeat, and none is mistaken for another."""
+        mistaken = any(one.suspicion for one in self.where.likeness)
+        return self.found.repeats >= _REPEATS and not (self.where.time_suspicion or mistaken)
+
+    def reasons(self) -> list[str]:
+        """Return why the recording shows no such orbit, the gravest first; none if it may."""
+        found, ratio = self.found, self.found.period / self.table.period
+        reasons: list[str] = []
+        if found.repeats < _REPEATS:
+            reasons.append(f"only {100 * found.repeats:.0f} % of the signals' variance repeat")
+        if self.where.time_suspicion:
+            asked = f"{self.where.time_suspicion}?"
+            reasons.append(f"the period is {ratio:.6g} times the orbit's: {asked}")
+        for one in self.where.likeness:
+            if one.suspicion:
+                numbers = f"correlation {one.correlation:.2f}, {abs(one.gain):.4g} times as large"
+                reasons.append(f"`{one.name}` looks like {one.suspicion} ({numbers})")
+            elif one.correlation < _LIKE:
+                reasons.append(
+                    f"`{one.name}` moves otherwise: its correlation with the orbit's is "
+                    f"{one.correlation:.2f}"
+                )
+        return reasons + self._multiples(ratio)
+
+    def _multiples(self, ratio: float) -> list[str]:
+        """Return why the motion is one of several of the orbit's periods, if it is."""
+        found = self.found
+        reasons: list[str] = []
+        if found.alternation > _ALTERNATES and found.alternation > _SURE * found.alternation_noise:
+            reasons.append(
+                f"cycles differ in turn by {100 * found.alternation:.2g} % of the signals: the "
+                f"period is doubled, {2 * found.period:.6g} s"
+            )
+        unlike = min((one.correlation for one in self.where.likeness), default=1.0) < _LIKE
+        reasons += [
+            f"the motion repeats after {multiple} of the orbit's periods only"
+            for multiple in (2, 3, 4)
+            if unlike and abs(ratio / multiple - 1.0) < 0.1
+        ]
+        return reasons
+
+
+def laid_over(
+    orbit: ZenoOrbit,
+    problem: Problem,
+    recording: Recording,
+    also: Sequence[str] = (),
+) -> Overlay | None:
+    """Return an orbit laid over a recording, or nothing if no period is seen in that.
+
+    Args:
+        orbit: The orbit.
+        problem: Its scene.
+        recording: The recording.
+        also: Names of other signals that the table of the orbit is to hold.
+
+    Raises:
+        InputError: As `shared_signals` does.
+        SimulationError: If the orbit does not return.
+    """
+    names = shared_signals(problem, recording)
+    time = recording.time
+    values = np.stack([recording.signal(name).values for name in names])
+    found = periodicity(time, values)
+    if found is None or found.n_cycles < 1.0:
+        return None
+    table = table_of(orbit, problem, (*names, *also))
+    where = aligned(table, time, values, found, names)
+    return Overlay(names=names, time=time, values=values, found=found, table=table, where=where)
+
+
+def shared_signals(problem: Problem, recording: Recording) -> tuple[str, ...]:
+    """Return the names of the recorded signals that a scene has.
+
+    Raises:
+        InputError: If there is none, or one has a unit of another kind, holds nothing or nonsense.
+    """
+    known = measurable(problem)
+    names = tuple(name for name in recording.names if name in known)
+    if not names:
+        has = ", ".join(recording.names) or "none"
+        wanted = f"must have a signal of the scene ({', '.join(known)})"
+        raise InputError(f"Argument `recording` {wanted}, but it has {has}.")
+    for name in names:
+        signal = recording.signal(name)
+        if powers_of(signal.unit) != powers_of(known[name]):
+            wanted = f"must have `{name}` in a unit like {known[name]}"
+            raise InputError(f"Argument `recording` {wanted}, but it has {signal.unit}.")
+        values = signal.values[np.isfinite(signal.values)]
+        if not len(values):
+            raise InputError(f"Argument `recording` must have values of `{name}`, but it has none.")
+        largest = float(np.max(np.abs(values)))
+        if largest > _LARGEST:
+            wanted = f"must have values of `{name}` up to {_LARGEST:g}"
+            raise InputError(f"Argument `recording` {wanted}, but it has {largest:g}.")
+    return names

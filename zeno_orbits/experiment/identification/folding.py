@@ -1,0 +1,165 @@
+"""A recording folded into one period: samples by phase, or few means of very many of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.experiment.comparison.alignment import Alignment
+from zeno_orbits.experiment.orbit_table import OrbitTable, near_jumps
+
+MOST = 40_000
+"""Samples that are kept as they are; more are gathered."""
+_GATHERED = 400
+"""Bins of the phase that more samples are gathered in, for each group of cycles."""
+_GROUPS = 60
+_NEAR = 0.012
+"""Part of a period on either side of an impact where a signal that jumps tells little."""
+_LAYER = 0.005
+"""How far a signal goes in a layer, in parts of its range, at least."""
+_POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(3)
+"""Where a mean over a stretch is taken: exact where the signal is a polynomial of degree five."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Fold:
+    """An orbit at the phases of samples.
+
+    Attributes:
+        times: Since its release, ``(n,)`` [s].
+        values: Its signals, ``(n, n_s)``.
+        slopes: Their time derivatives, ``(n, n_s)``.
+    """
+
+    times: Vector
+    values: Vector
+    slopes: Vector
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Folded:
+    """Samples by phase.
+
+    Attributes:
+        phases: In periods from the release, in [0, 1), ``(n,)``.
+        values: ``(n, n_s)``.
+        counts: How many samples each value is the mean of, ``(n, n_s)``.
+        seen: Where there are any that count, ``(n, n_s)``.
+        groups: Number of the cycle, or of the group of cycles, of each row, ``(n,)``.
+        span: How long the stretch is that a value is the mean over, in periods; 0 for a sample.
+    """
+
+    phases: Vector
+    values: Vector
+    counts: Vector
+    seen: NDArray[np.bool_]
+    groups: NDArray[np.int64]
+    span: float = 0.0
+
+    def without_jumps(self, table: OrbitTable) -> Folded:
+        """Return it without samples of signals that jump, near the impacts that make them jump.
+
+        A current that follows a jump through a layer of width `L/R` counts as one that jumps.
+        """
+        near = near_jumps(table, self.phases, _NEAR) | _in_layers(table, self.phases)
+        return replace(self, seen=self.seen & ~near)
+
+    def without(self, left_out: NDArray[np.bool_]) -> Folded:
+        """Return it without some of its values, ``(n, n_s)``."""
+        return replace(self, seen=self.seen & ~left_out)
+
+    def predicted(self, table: OrbitTable, shift: float) -> Fold:
+        """Return what an orbit says of the samples, or of their means.
+
+        Args:
+            table: The orbit.
+            shift: By how much it comes later, in periods.
+        """
+        phases = self.phases - shift
+        times = np.mod(phases, 1.0) * table.period
+        values, slopes = table.nodes.with_slopes(times)
+        if self.span:
+            values = self._mean(table, phases, 1)
+        return Fold(times=times, values=values, slopes=slopes)
+
+    def bends(self, table: OrbitTable, shift: float) -> Vector:
+        """Return by how much the predicted means are unsure, for a signal that bends inside."""
+        if not self.span:
+            return np.zeros_like(self.values)
+        phases = self.phases - shift
+        return np.abs(self._mean(table, phases, 2) - self._mean(table, phases, 1))
+
+    def _mean(self, table: OrbitTable, phases: Vector, parts: int) -> Vector:
+        """Return the mean of the signals over each stretch, cut into parts, ``(n, n_s)``."""
+        total = np.zeros_like(self.values)
+        for part in range(parts):
+            centre = (part + 0.5) / parts - 0.5
+            for point, weight in zip(_POINTS, _WEIGHTS, strict=True):
+                here = phases + self.span * (centre + 0.5 * point / parts)
+                total += weight / (2 * parts) * table.at(here)
+        return total
+
+
+def _in_layers(table: OrbitTable, phases: Vector) -> NDArray[np.bool_]:
+    """Return which signals pass through a layer at which phases, ``(n, n_s)``.
+
+    Behind an impact such a signal is not yet on the line that it follows a little later.
+    """
+    nodes, width = table.nodes, _NEAR * table.period
+    near = np.zeros((len(phases), nodes.values.shape[1]), dtype=np.bool_)
+    extent = np.ptp(nodes.values, axis=0)
+    for k in np.flatnonzero(np.diff(nodes.times) <= 0.0) + 1:
+        begin = nodes.times[k]
+        later, slope = nodes.with_slopes(np.array([(begin + width) % table.period]))
+        off = np.abs(later[0] - width * slope[0] - nodes.values[k]) > _LAYER * extent
+        near[np.abs(phases - begin / table.period) < _NEAR] |= off
+    return near
+
+
+def folded(time: Vector, values: Vector, where: Alignment) -> Folded:
+    """Return a recording folded by its own period.
+
+    Args:
+        time: Increasing, ``(n_t,)`` [s].
+        values: One row a signal, ``(n_s, n_t)``, NaN where one was not taken.
+        where: Its alignment.
+    """
+    whole = where.phases(time)
+    cycles = np.floor(whole).astype(np.int64)
+    first = int(cycles[0])
+    if len(time) <= MOST:
+        seen = np.isfinite(values.T)
+        return Folded(
+            phases=whole - cycles,
+            values=np.where(seen, values.T, 0.0),
+            counts=seen.astype(np.float64),
+            seen=seen,
+            groups=cycles - first,
+        )
+    n_cycles = int(cycles[-1]) - first + 1
+    n_groups = min(n_cycles, _GROUPS)
+    groups = (cycles - first) * n_groups // n_cycles
+    n_bins = max(_GATHERED, math.ceil(MOST / n_groups / 2))
+    places = groups * n_bins + np.minimum(((whole - cycles) * n_bins).astype(np.int64), n_bins - 1)
+    n = n_groups * n_bins
+    count = np.bincount(places, minlength=n)
+    phases = np.bincount(places, weights=whole - cycles, minlength=n) / np.maximum(count, 1)
+    means, counts = [np.zeros((n, len(values))) for _ in range(2)]
+    for k, row in enumerate(values):
+        known = np.isfinite(row)
+        counts[:, k] = np.bincount(places[known], minlength=n)
+        sums = np.bincount(places[known], weights=row[known], minlength=n)
+        means[:, k] = sums / np.maximum(counts[:, k], 1.0)
+    kept = count > 0
+    return Folded(
+        phases=phases[kept],
+        values=means[kept],
+        counts=counts[kept],
+        seen=counts[kept] > 0.5,
+        groups=np.arange(n)[kept] // n_bins,
+        span=1.0 / n_bins,
+    )

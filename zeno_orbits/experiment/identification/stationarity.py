@@ -1,0 +1,176 @@
+r"""Whether all cycles of a recording ask for the same numbers, as those of a settled machine do.
+
+Parts `A` and `B` of the cycles, with gradients :math:`g = \sum J^\top r` and information
+:math:`H = \sum J^\top J` of their own, would each move the fitted unknowns by
+:math:`\delta = -H^{-1} g`, and
+
+.. math:: T^2 = (\delta_A - \delta_B)^\top (\varphi^2 (H_A^{-1} + H_B^{-1}))^{-1}
+    (\delta_A - \delta_B)
+
+is distributed like chi-square, for noise that is :math:`\varphi^2` times that of independent
+samples (theory (59)). Held against each other are the first cycle and the later ones, both halves,
+and every other cycle: a transient, a drift, a doubled period.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.experiment.identification.folding import Folded
+from zeno_orbits.experiment.identification.least_squares import Fit
+
+_CHANCE = 1e-6
+"""Chance by which noise alone makes a recording unsteady, for each of the comparisons."""
+_REACH = 0.05
+"""Part of a period over which noise may be correlated."""
+_WHOLE = 0.5
+"""Part of the usual samples that a cycle has at least, to count as one."""
+_FEWEST = 3
+"""Pairs of cycles that tell how much cycles scatter by themselves."""
+_LOUD = 1.5
+"""Deviations of a first cycle that has settled, over those of later ones, at most."""
+_BINS = 120
+_RANK = 1e-10
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Unsteady:
+    """How cycles differ that should not.
+
+    Attributes:
+        reason: In words.
+        first: Whether it is the beginning that differs from the rest.
+        skip: Cycles to leave out then, those begun counted.
+        size: How far apart the numbers are that the parts ask for, relative; infinite if the
+            deviations themselves are of another size.
+    """
+
+    reason: str
+    first: bool
+    skip: int
+    size: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Cycles:
+    """What each cycle asks for.
+
+    Attributes:
+        numbers: Of the cycles that are long enough, ``(n_c,)``.
+        gradients: ``(n_c, k + 1)``.
+        information: ``(n_c, k + 1, k + 1)``.
+        sizes: Median square residuals, ``(n_c,)``.
+        noise: Factor of the variance over that of independent samples.
+    """
+
+    numbers: NDArray[np.int64]
+    gradients: Vector
+    information: Vector
+    sizes: Vector
+    noise: float
+
+    def apart(self, one: NDArray[np.bool_], other: NDArray[np.bool_]) -> tuple[float, float]:
+        """Return how far apart two parts of the cycles are, as chi-square and in numbers."""
+        moves: list[Vector] = []
+        spread = np.zeros(self.information.shape[1:])
+        for part in (one, other):
+            inverse = _inverse(self.information[part].sum(axis=0))
+            moves.append(-inverse @ self.gradients[part].sum(axis=0))
+            spread += self.noise * inverse
+        gap = moves[0] - moves[1]
+        return float(gap @ _inverse(spread) @ gap), float(np.max(np.abs(gap[:-1])))
+
+    def scatter(self, step: int) -> float:
+        """Return by how much more than noise cycles differ from those some steps later."""
+        n, freedom = len(self.numbers), self.gradients.shape[1]
+        # The first cycle is what is in question.
+        places = range(1, n - step)
+        if len(places) < _FEWEST:
+            return 1.0
+        own = np.arange(n)
+        found = [self.apart(own == k, own == k + step)[0] for k in places]
+        return max(float(np.median(found)) / freedom, 1.0)
+
+
+def unsteady(found: Fit) -> Unsteady | None:
+    """Return how the cycles of a recording differ, or nothing if they do as noise does."""
+    from scipy.stats import chi2
+
+    cycles = _cycles(found)
+    n = len(cycles.numbers)
+    if n < 2:
+        return None
+    least = float(chi2.isf(_CHANCE, cycles.gradients.shape[1]))
+    place = np.arange(n)
+    skip = int(cycles.numbers[0]) + 1
+    usual = math.sqrt(float(np.median(cycles.sizes[1:])))
+    loud = math.sqrt(float(cycles.sizes[0])) / usual if usual > 0.0 else 1.0
+    most = least * cycles.scatter(1)
+    begins, early = cycles.apart(place == 0, place > 0)
+    halves, later = cycles.apart(place < n // 2, place >= n // 2)
+    if loud > _LOUD or begins > max(most, halves if n > 3 else 0.0):
+        reason = "its first cycle is not like the later ones: the motion still settles"
+        size = math.inf if loud > _LOUD else early
+        return Unsteady(reason=reason, first=True, skip=skip, size=size)
+    if halves > most:
+        reason = "its first half asks for other numbers than its second: the motion still settles, "
+        skip = int(cycles.numbers[n // 2])
+        return Unsteady(reason=reason + "or the machine changes", first=True, skip=skip, size=later)
+    odd = cycles.numbers % 2 == 1
+    if n > 2 and not found.data.span and 0 < odd.sum() < n:
+        turns, size = cycles.apart(odd, ~odd)
+        if turns > least * cycles.scatter(2):
+            reason = "every other cycle asks for other numbers: the period is doubled"
+            return Unsteady(reason=reason, first=False, skip=0, size=size)
+    return None
+
+
+def _cycles(found: Fit) -> _Cycles:
+    data, k = found.data, found.jacobian.shape[1]
+    n, n_s = data.seen.shape
+    slopes = found.jacobian[:-1].reshape(n, n_s, k)
+    rest = found.residuals[:-1].reshape(n, n_s)
+    count = np.array([data.seen[data.groups == g].sum() for g in range(int(data.groups.max()) + 1)])
+    numbers = np.flatnonzero(count > _WHOLE * np.median(count))
+    parts = [data.groups == g for g in numbers]
+    gradients = [np.einsum("nsk,ns->k", slopes[own], rest[own]) for own in parts]
+    information = [np.einsum("nsk,nsl->kl", slopes[own], slopes[own]) for own in parts]
+    # The median: a single sample on the other side of a jump makes no cycle loud.
+    sizes = [float(np.median(rest[own][data.seen[own]] ** 2)) for own in parts]
+    return _Cycles(
+        numbers=numbers,
+        gradients=np.array(gradients),
+        information=np.array(information),
+        sizes=np.array(sizes),
+        noise=_correlated(data, rest, data.groups >= numbers[len(numbers) // 2]),
+    )
+
+
+def _correlated(data: Folded, rest: Vector, later: NDArray[np.bool_]) -> float:
+    """Return by which factor correlation of the noise lifts the variance of a sum.
+
+    Noise is what cycles do not have in common, of the later ones, which have settled best.
+    """
+    bins = np.minimum((data.phases * _BINS).astype(np.int64), _BINS - 1)
+    reach = max(round(_REACH * float(np.median(np.bincount(data.groups[later])[-2:]))), 1)
+    taper = 1.0 - np.arange(1, reach + 1) / (reach + 1)
+    sums = np.zeros(reach + 1)
+    for s in range(rest.shape[1]):
+        seen = data.seen[:, s]
+        count = np.maximum(np.bincount(bins[seen], minlength=_BINS), 1)
+        mean = np.bincount(bins[seen], weights=rest[seen, s], minlength=_BINS) / count
+        own = np.where(seen, rest[:, s] - mean[bins], 0.0)[later]
+        sums += [float(own[lag:] @ own[: len(own) - lag]) for lag in range(reach + 1)]
+    if not sums[0] > 0.0:
+        return 1.0
+    return max(1.0 + 2.0 * float(taper @ sums[1:]) / float(sums[0]), 1.0)
+
+
+def _inverse(matrix: Vector) -> Vector:
+    found = np.linalg.pinv(matrix, rcond=_RANK, hermitian=True)
+    return np.asarray(found, dtype=np.float64)

@@ -1,0 +1,321 @@
+r"""A period of an orbit as a table: signals at any of very many times, at once.
+
+Between the nodes of an arc a signal is the cubic with the values and slopes at both (Hermite); at
+an impact there are two nodes with one time. With nodes at most ``d`` apart a cubic errs by
+:math:`d^4 \max|y^{(4)}| / 384`; nodes stand where the integrator stepped and several in between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.model.numeric.compiled import CompiledSystem, bind, compiled_model
+from zeno_orbits.model.numeric.compiled_flow import dense_function
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.orbits.cycle import Cycle
+from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.search.closing import cycle_near
+from zeno_orbits.simulation.execution import Arc, Mode
+from zeno_orbits.simulation.signals import signal_names
+from zeno_orbits.simulation.simulator import SimulationSettings
+
+GAP = "gap"
+"""Name of the signal that every scene has beside its own."""
+
+_BETWEEN = 6
+"""Nodes between two steps of the integrator."""
+_AT_ONCE = 1 << 16
+"""States that are evaluated at a time: the interpreter of formulas copies them several times."""
+_JUMP = 0.02
+"""A step of this part of a signal's range is a jump."""
+_LEAST = 24
+"""Intervals of an arc at least."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Measurement:
+    """What instruments see of a state.
+
+    Attributes:
+        names: Of the signals.
+        units: Their units; the gap has none of its own.
+        function: ``(x, p) -> signals``, ``(n_s,)``.
+        slopes: ``(x, p) -> derivative of the signals by the state, then by p``, by columns.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    function: ca.Function
+    slopes: ca.Function
+
+    def values(self, states: Vector, p: Vector) -> Vector:
+        """Return the signals at states, ``(n, n_s)``.
+
+        Args:
+            states: ``(n, n_x)``.
+            p: Gains, then parameters.
+        """
+        found = np.empty((len(states), len(self.names)))
+        for at in range(0, len(states), _AT_ONCE):
+            piece = slice(at, at + _AT_ONCE)
+            found[piece] = np.asarray(self.function(states[piece].T, p), dtype=np.float64).T
+        return found
+
+    def derivatives(self, states: Vector, p: Vector) -> Vector:
+        """Return the derivatives by the state, then by `p`, ``(n, n_s, n_x + n_p)``."""
+        flat = np.asarray(self.slopes(states.T, p), dtype=np.float64)
+        n_s, n_in = len(self.names), states.shape[1] + len(p)
+        # The matrices of all states stand side by side.
+        return flat.reshape(n_s, len(states), n_in).transpose(1, 0, 2)
+
+
+def measurement(problem: Problem, names: Sequence[str]) -> Measurement:
+    """Return the signals of a scene with the given names, each one of `measurable`."""
+    compiled = compiled_model(problem)
+    x = ca.SX.sym("x", compiled.n_x)
+    p = ca.SX.sym("p", compiled.contact.numel_in(1))
+    known = measurable(problem)
+    formulas = [_formula(problem, compiled, name, x, p) for name in names]
+    outputs = ca.vertcat(*formulas)
+    slopes = ca.jacobian(outputs, ca.vertcat(x, p))
+    return Measurement(
+        names=tuple(names),
+        units=tuple(known.get(name, "") for name in names),
+        function=dense_function("signals", [x, p], [outputs]),
+        slopes=dense_function("signal_slopes", [x, p], [slopes]),
+    )
+
+
+def measurable(problem: Problem) -> dict[str, str]:
+    """Return name to unit of what may be measured of a scene: states, motors, outputs."""
+    compiled = compiled_model(problem)
+    units = dict(zip(problem.state_names, problem.state_units, strict=True))
+    for name in signal_names(compiled):
+        units.setdefault(name, "A" if name.startswith("current") else "V")
+    for output in problem.outputs:
+        units.setdefault(output.name, output.unit)
+    return units
+
+
+def gap_coordinates(problem: Problem) -> tuple[str, ...]:
+    """Return the names of the states that the gap depends on."""
+    system = problem.model(problem.symbols())
+    return tuple(
+        name
+        for k, name in enumerate(problem.state_names)
+        if any(ca.which_depends(system.gap, system.state[k], 1))
+    )
+
+
+def _formula(problem: Problem, compiled: CompiledSystem, name: str, x: ca.SX, p: ca.SX) -> ca.SX:
+    if name in problem.state_names:
+        return x[problem.state_names.index(name)]
+    if name == GAP:
+        return compiled.contact.call([x, p])[0][0]
+    for k, output in enumerate(problem.outputs):
+        if output.name == name:
+            symbols = problem.symbols()
+            system = problem.model(symbols)
+            formula = problem.output_formulas(system, symbols)[k]
+            return ca.substitute([formula], [system.state, ca.vertcat(*symbols.values())], [x, p])[
+                0
+            ]
+    motors = [one for one in signal_names(compiled) if one not in problem.state_names]
+    kind = "current" if name.startswith("current") else "voltage"
+    which = int(name.removeprefix(kind) or 1) - 1
+    if name not in motors:
+        raise ValueError(f"Argument `name` must be a signal of the scene, but it is `{name}`.")
+    return compiled.motors.call([x, p])[0 if kind == "current" else 1][which]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Nodes:
+    """Columns over time, cubic between the nodes.
+
+    Attributes:
+        times: Not decreasing; twice the same where the columns jump, ``(n,)`` [s].
+        values: ``(n, m)``.
+        slopes: Their time derivatives, ``(n, m)``.
+    """
+
+    times: Vector
+    values: Vector
+    slopes: Vector
+
+    def at(self, times: Vector) -> Vector:
+        """Return the columns at times, the later one where they jump, ``(n, m)``."""
+        return self._cubic(times)[0]
+
+    def with_slopes(self, times: Vector) -> tuple[Vector, Vector]:
+        """Return the columns and their time derivatives at times, each ``(n, m)``."""
+        return self._cubic(times)
+
+    def _cubic(self, times: Vector) -> tuple[Vector, Vector]:
+        last = len(self.times) - 2
+        k = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, last)
+        size = self.times[k + 1] - self.times[k]
+        size = np.where(size > 0.0, size, 1.0)
+        s = ((times - self.times[k]) / size)[:, None]
+        y0, y1 = self.values[k], self.values[k + 1]
+        d = size[:, None]
+        f0, f1 = self.slopes[k] * d, self.slopes[k + 1] * d
+        rise = y1 - y0
+        # y0 + s f0 + s^2 (3 rise - 2 f0 - f1) + s^3 (f0 + f1 - 2 rise)
+        second, third = 3 * rise - 2 * f0 - f1, f0 + f1 - 2 * rise
+        value = y0 + s * (f0 + s * (second + s * third))
+        slope = (f0 + s * (2 * second + 3 * s * third)) / d
+        return value, slope
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OrbitTable:
+    """A period of an orbit, from release to release; times count from the first.
+
+    Attributes:
+        cycle: The period.
+        measured: The signals.
+        nodes: Their values.
+        states: The states.
+        p: Gains, then parameters.
+    """
+
+    cycle: Cycle
+    measured: Measurement
+    nodes: Nodes
+    states: Nodes
+    p: Vector
+
+    @property
+    def period(self) -> float:
+        """[s]."""
+        return self.cycle.period
+
+    @property
+    def first_impact(self) -> float:
+        """Time of the first impact [s]."""
+        return self.cycle.impacts[0].time - self.cycle.start.time
+
+    @property
+    def zeno_time(self) -> float:
+        """[s]."""
+        return self.cycle.zeno.time - self.cycle.start.time
+
+    def at(self, phases: Vector) -> Vector:
+        """Return the signals at phases, ``(n, n_s)``.
+
+        Args:
+            phases: In periods from the release, any number of them, ``(n,)``.
+        """
+        return self.nodes.at(np.mod(phases, 1.0) * self.period)
+
+
+def near_jumps(table: OrbitTable, phases: Vector, width: float) -> NDArray[np.bool_]:
+    """Return which signals jump near which phases, ``(n, n_s)``.
+
+    Args:
+        table: The orbit.
+        phases: In [0, 1), ``(n,)``.
+        width: How near, in periods.
+    """
+    nodes = table.nodes
+    near = np.zeros((len(phases), nodes.values.shape[1]), dtype=np.bool_)
+    extent = np.ptp(nodes.values, axis=0)
+    for k in np.flatnonzero(np.diff(nodes.times) <= 0.0):
+        jumping = np.abs(nodes.values[k + 1] - nodes.values[k]) > _JUMP * extent
+        if jumping.any():
+            here = np.abs(phases - nodes.times[k] / table.period) < width
+            near[here] |= jumping
+    return near
+
+
+def table_of(orbit: ZenoOrbit, problem: Problem, names: Sequence[str]) -> OrbitTable:
+    """Return the period of an orbit, simulated from its release.
+
+    Args:
+        orbit: The orbit.
+        problem: Its scene.
+        names: Of the signals to tabulate.
+
+    Raises:
+        SimulationError: If its release does not return.
+    """
+    p = np.asarray(orbit.setting(problem).values(), dtype=np.float64)
+    dynamics = bind(compiled_model(problem), tuple(p.tolist()))
+    release = dynamics.on_stop(np.array(problem.state_vector(orbit.release_state)))
+    settings = SimulationSettings()
+    cycle = cycle_near(dynamics, release, period=orbit.period, settings=settings)
+    return tabulated(dynamics, cycle, measurement(problem, names), p)
+
+
+def tabulated(
+    dynamics: HybridDynamics, cycle: Cycle, measured: Measurement, p: Vector
+) -> OrbitTable:
+    """Return the signals of a period."""
+    whole = state_nodes(dynamics, arcs_of(cycle))
+    whole = replace(whole, times=whole.times - cycle.start.time)
+    slopes = measured.derivatives(whole.values, p)[:, :, : whole.values.shape[1]]
+    signals = Nodes(
+        times=whole.times,
+        values=measured.values(whole.values, p),
+        slopes=np.einsum("nsx,nx->ns", slopes, whole.slopes),
+    )
+    return OrbitTable(cycle=cycle, measured=measured, nodes=signals, states=whole, p=p)
+
+
+def state_nodes(dynamics: HybridDynamics, arcs: Sequence[Arc]) -> Nodes:
+    """Return the states along arcs in order, those that take no time left out."""
+    times, states, rates = [list[Vector]() for _ in range(3)]
+    for arc in arcs:
+        if arc.end_time <= arc.start_time:
+            continue
+        own = _node_times(arc)
+        x = np.array([arc.state_at(time) for time in own])
+        flow = dynamics.locked if arc.mode is Mode.LOCKED else dynamics.free
+        along = np.array([flow.rate(one).copy() for one in x])
+        if arc.trajectory is None:
+            # The tail of the impacts is passed on a straight line.
+            along[:] = (x[-1] - x[0]) / (own[-1] - own[0])
+        times.append(own)
+        states.append(x)
+        rates.append(along)
+    return Nodes(
+        times=np.concatenate(times), values=np.concatenate(states), slopes=np.concatenate(rates)
+    )
+
+
+def arcs_of(cycle: Cycle) -> list[Arc]:
+    """Return the arcs of a period in order."""
+    arcs = [cycle.flight, *cycle.hops]
+    gap = cycle.zeno.time - arcs[-1].end_time
+    if gap > 0.0:
+        tail = Arc(
+            mode=Mode.FREE,
+            start_time=arcs[-1].end_time,
+            end_time=cycle.zeno.time,
+            start_state=cycle.impacts[-1].state_plus,
+            end_state=cycle.zeno.state,
+            ending=arcs[-1].ending,
+            impact_index=len(cycle.impacts),
+            time_unit=1.0,
+            trajectory=None,
+        )
+        arcs.append(tail)
+    return [*arcs, cycle.locked]
+
+
+def _node_times(arc: Arc) -> Vector:
+    if arc.trajectory is None:
+        return np.array([arc.start_time, arc.end_time])
+    steps = arc.flow_times * arc.time_unit
+    parts = [steps[:-1] + part / _BETWEEN * np.diff(steps) for part in range(_BETWEEN)]
+    even = np.linspace(0.0, arc.end_time - arc.start_time, _LEAST + 1)
+    inside = np.union1d(np.concatenate(parts), even)
+    times = arc.start_time + inside
+    return np.append(times[times < arc.end_time], arc.end_time)

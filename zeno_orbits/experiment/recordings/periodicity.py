@@ -1,0 +1,332 @@
+r"""The period of recorded signals, from the signals alone, and how well they repeat.
+
+A first value is where the autocorrelation of all signals together has its first great peak. Then
+harmonics are fitted, :math:`y(t) \approx \sum_{k \le K} a_k \cos k\omega t + b_k \sin k\omega t`,
+by least squares in the period, too, over ever longer stretches, so that no cycle is miscounted;
+and each cycle's own delay against that average tells how sure the period is (theory (54)).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zeno_orbits.arrays import Vector
+
+_MOST_BINS = 1 << 15
+_LEAST_BINS = 1 << 8
+_PEAK = 0.9
+"""A peak of the autocorrelation counts from this part of the greatest on."""
+_OVERLAP = 0.15
+"""Part of a record that must overlap with itself, shifted, for the autocorrelation to count."""
+_HARMONICS = 16
+_GROWTH = 2.5
+"""Each stretch that a period is fitted over is longer by this factor."""
+_STEPS = 3
+_SHARP = 24.0
+"""Bins that a period needs, for its harmonics to be seen."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Periodicity:
+    """How recorded signals repeat.
+
+    Attributes:
+        period: [s].
+        error: Standard error of the period [s]; infinite if there are not two periods.
+        n_cycles: Length of the record in periods.
+        repeats: Part of the variance of the signals that repeats, at most 1.
+        alternation: Size of what has twice the period, and not the period itself, in standard
+            deviations of the signals.
+        alternation_noise: The same as noise alone would give it.
+        delays: How much later than the average each cycle came, those that tell [s].
+        template: Complex amplitudes of the harmonics of each signal, ``(n_s, K + 1)``, in phases
+            that count from the first time of the record.
+    """
+
+    period: float
+    error: float
+    n_cycles: float
+    repeats: float
+    alternation: float
+    alternation_noise: float
+    delays: Vector
+    template: NDArray[np.complex128]
+
+    def average(self, phases: Vector) -> Vector:
+        """Return what repeats of the signals, ``(n, n_s)``.
+
+        Args:
+            phases: In periods from the first time of the record, ``(n,)``.
+        """
+        order = np.arange(self.template.shape[1], dtype=np.float64)
+        waves = np.exp(2j * np.pi * np.outer(phases, order))
+        return np.real(waves @ self.template.T)
+
+
+def periodicity(time: Vector, values: Vector) -> Periodicity | None:
+    """Return how signals repeat, or nothing if the record is too short or they do not.
+
+    Args:
+        time: Increasing, ``(n_t,)`` [s].
+        values: One row a signal, ``(n_s, n_t)``; NaN where one was not taken.
+    """
+    grid = _gathered(time, values)
+    period = _first_period(grid)
+    if period is None:
+        return None
+    longest = grid.times[-1]
+    stretch = 2.5 * period
+    while True:
+        period = _refined(grid, min(stretch, longest), period)
+        if period is None:
+            return None
+        if stretch >= longest:
+            break
+        stretch *= _GROWTH
+    return _described(grid, period)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Grid:
+    """A record gathered in bins of one length.
+
+    Attributes:
+        step: Length of a bin [s].
+        times: Mean time of the samples in each bin, from the first time of the record [s].
+        values: Mean of each signal less its mean, in standard deviations, ``(n_s, n)``; 0 where
+            there is none.
+        mask: Where there are any.
+        centre: Mean of each signal.
+        scale: Its standard deviation.
+    """
+
+    step: float
+    times: Vector
+    values: Vector
+    mask: NDArray[np.bool_]
+    centre: Vector
+    scale: Vector
+
+
+def _gathered(time: Vector, values: Vector) -> _Grid:
+    n = int(np.clip(2 ** math.ceil(math.log2(len(time))), _LEAST_BINS, _MOST_BINS))
+    since = time - time[0]
+    step = since[-1] / (n - 1) if since[-1] > 0.0 else 1.0
+    places = np.minimum(np.rint(since / step).astype(np.int64), n - 1)
+    counts = np.bincount(places, minlength=n)
+    times = np.where(
+        counts > 0,
+        np.bincount(places, weights=since, minlength=n) / np.maximum(counts, 1),
+        step * np.arange(n),
+    )
+    means, masks = list[Vector](), list[NDArray[np.bool_]]()
+    centres, scales = list[float](), list[float]()
+    for row in values:
+        seen = np.isfinite(row)
+        here = places[seen]
+        count = np.bincount(here, minlength=n)
+        # One far value must not drown all others in the sums.
+        centre = float(np.median(row[seen])) if seen.any() else 0.0
+        mean = np.bincount(here, weights=row[seen] - centre, minlength=n) / np.maximum(count, 1)
+        mask = count > 0
+        shift = float(np.mean(mean[mask])) if mask.any() else 0.0
+        scale = float(np.std(mean[mask])) if mask.any() else 0.0
+        scale = scale if scale > 0.0 else 1.0
+        means.append(np.where(mask, (mean - shift) / scale, 0.0))
+        masks.append(mask)
+        centres.append(centre + shift)
+        scales.append(scale)
+    return _Grid(
+        step=step,
+        times=times,
+        values=np.array(means),
+        mask=np.array(masks),
+        centre=np.array(centres),
+        scale=np.array(scales),
+    )
+
+
+def _autocorrelation(grid: _Grid) -> tuple[Vector, NDArray[np.bool_]]:
+    """Return the correlation of a record with itself, shifted by bins, and where it is known.
+
+    The sum over what overlaps, over the geometric mean of the two energies there: at most one, and
+    one for a whole number of periods however little overlaps.
+    """
+    n = grid.values.shape[1]
+    size = 2 * n
+    products, before, after, seen = (np.zeros(n + 1, dtype=np.complex128) for _ in range(4))
+    for row, mask in zip(grid.values, grid.mask, strict=True):
+        wave, there = np.fft.rfft(row, size), np.fft.rfft(mask.astype(np.float64), size)
+        energy = np.fft.rfft(row**2, size)
+        products += np.abs(wave) ** 2
+        seen += np.abs(there) ** 2
+        before += np.conj(energy) * there
+        after += np.conj(there) * energy
+    overlap, energies = np.fft.irfft(seen, size)[:n], np.ones(n)
+    for one in (before, after):
+        energies *= np.maximum(np.fft.irfft(one, size)[:n], 0.0)
+    known = (overlap > _OVERLAP * overlap[0]) & (energies > 1e-18 * energies[0])
+    size_of = np.sqrt(np.where(known, energies, 1.0))
+    return np.where(known, np.fft.irfft(products, size)[:n] / size_of, -1.0), known
+
+
+def _first_period(grid: _Grid) -> float | None:
+    """Return the first great peak of the autocorrelation, or nothing if it has none."""
+    correlation, known = _autocorrelation(grid)
+    below = np.flatnonzero(known & (correlation < 0.0))
+    if not len(below) or not known[below[0] + 1 :].any():
+        return None
+    inside = correlation[below[0] :].copy()
+    greatest = float(np.max(inside))
+    if greatest <= 0.0:
+        return None
+    peaks = np.flatnonzero(
+        (inside[1:-1] >= _PEAK * greatest)
+        & (inside[1:-1] >= inside[:-2])
+        & (inside[1:-1] >= inside[2:])
+    )
+    if not len(peaks):
+        return None
+    # A peak at the edge of what is known is a slope that is cut off; it is no peak in between.
+    first = int(peaks[0]) + 1
+    crest = first + int(np.argmax(inside[first : first + max(first // 20, 1)]))
+    return float(crest + below[0]) * grid.step
+
+
+def _waves(phases: Vector, n_harmonics: int) -> Vector:
+    """Return a constant, cosines and sines of phases, ``(n, 2 n_harmonics + 1)``."""
+    first = np.exp(2j * np.pi * phases)
+    columns, power = [np.ones(len(phases))], np.ones(len(phases), dtype=np.complex128)
+    sines: list[Vector] = []
+    for _ in range(n_harmonics):
+        power = power * first
+        columns.append(power.real)
+        sines.append(power.imag)
+    return np.stack([*columns, *sines], axis=1)
+
+
+def _wave_slopes(waves: Vector, found: Vector) -> Vector:
+    """Return the derivative by the phase of what is made of waves, ``(n,)``."""
+    n_harmonics = waves.shape[1] // 2
+    order = 2 * np.pi * np.arange(1, n_harmonics + 1, dtype=np.float64)
+    cosines, sines = found[1 : n_harmonics + 1], found[n_harmonics + 1 :]
+    return waves[:, 1:] @ np.concatenate([order * sines, -order * cosines])
+
+
+def _projected(waves: Vector, row: Vector) -> Vector:
+    """Return the least-squares amplitudes of waves; the normal equations are well conditioned."""
+    found = np.linalg.lstsq(waves.T @ waves, waves.T @ row, rcond=1e-9)[0]
+    return np.asarray(found, dtype=np.float64)
+
+
+def _harmonics(grid: _Grid, period: float) -> int:
+    """Return how many harmonics the bins can tell apart."""
+    return int(np.clip(0.25 * period / grid.step, 1, _HARMONICS))
+
+
+def _refined(grid: _Grid, length: float, period: float) -> float | None:
+    """Return the period that fits the beginning of a record best, near a first value."""
+    inside = grid.times <= length
+    n_harmonics = _harmonics(grid, period)
+    for _ in range(_STEPS):
+        above, below = 0.0, 0.0
+        for row, mask in zip(grid.values, grid.mask, strict=True):
+            here = mask & inside
+            if int(here.sum()) < 4 * n_harmonics + 4:
+                continue
+            phases = grid.times[here] / period
+            waves = _waves(phases, n_harmonics)
+            found = _projected(waves, row[here])
+            slope = _wave_slopes(waves, found)
+            # A longer period moves what is late by more: d(phase)/dT = -phase / T.
+            moved = -slope * phases / period
+            moved = moved - waves @ _projected(waves, moved)
+            above += float(moved @ (row[here] - waves @ found))
+            below += float(moved @ moved)
+        if not below > 0.0:
+            return None
+        change = above / below
+        if not abs(change) < 0.2 * period:
+            return None
+        period += change
+    return period
+
+
+def _described(grid: _Grid, period: float) -> Periodicity:
+    """Return how a record repeats with a period."""
+    n_harmonics = _harmonics(grid, period)
+    n_s = len(grid.values)
+    template = np.zeros((n_s, n_harmonics + 1), dtype=np.complex128)
+    total, left, odd, noise = 0.0, 0.0, 0.0, 0.0
+    cycles = np.floor(grid.times / period).astype(np.int64)
+    n_whole = int(cycles[-1]) + 1
+    above, below = np.zeros(n_whole), np.zeros(n_whole)
+    count = 0
+    for k, (row, mask) in enumerate(zip(grid.values, grid.mask, strict=True)):
+        phases = grid.times[mask] / period
+        waves = _waves(phases, n_harmonics)
+        found = _projected(waves, row[mask])
+        cosines, sines = found[1 : n_harmonics + 1], found[n_harmonics + 1 :]
+        template[k, 0] = grid.centre[k] + grid.scale[k] * found[0]
+        template[k, 1:] = grid.scale[k] * (cosines - 1j * sines)
+        rest = row[mask] - waves @ found
+        total += float(row[mask] @ row[mask])
+        left += float(rest @ rest)
+        count += int(mask.sum())
+        slope = -_wave_slopes(waves, found) / period
+        above += np.bincount(cycles[mask], weights=slope * rest, minlength=n_whole)
+        below += np.bincount(cycles[mask], weights=slope * slope, minlength=n_whole)
+        own_odd, own_noise = _alternation(phases, rest, n_harmonics)
+        odd, noise = odd + own_odd / n_s, noise + own_noise / n_s
+    told = below > 0.5 * np.median(below)
+    delays = above[told] / below[told]
+    numbers = np.flatnonzero(told).astype(np.float64)
+    length = float(grid.times[-1])
+    white = left / max(count, 1)
+    return Periodicity(
+        period=period,
+        error=_period_error(numbers, delays, white, below[told]),
+        n_cycles=length / period,
+        repeats=1.0 - left / total if total > 0.0 else 0.0,
+        alternation=math.sqrt(max(odd, 0.0)),
+        alternation_noise=math.sqrt(max(noise, 0.0)),
+        delays=delays,
+        template=template,
+    )
+
+
+def _alternation(phases: Vector, rest: Vector, n_harmonics: int) -> tuple[float, float]:
+    """Return the mean square of half-integer harmonics in a rest, and that of noise alone."""
+    if phases[-1] - phases[0] < 3.0:
+        return 0.0, math.inf
+    doubled = _waves(phases / 2, 2 * n_harmonics)
+    odd = np.arange(1, 4 * n_harmonics + 1, 2)
+    waves = doubled[:, odd]
+    found = _projected(waves, rest)
+    unexplained = rest - waves @ found
+    white = float(np.mean(unexplained**2)) * 2 * n_harmonics / len(rest)
+    return float(np.sum(found**2)) / 2, white
+
+
+def _period_error(numbers: Vector, delays: Vector, white: float, weights: Vector) -> float:
+    """Return the standard error of the slope of the cycles' delays over their numbers.
+
+    With few cycles their scatter tells little, and what noise alone does counts, if it is more.
+    """
+    n = len(numbers)
+    if n < 2:
+        return math.inf
+    centred = numbers - numbers.mean()
+    spread = float(centred @ centred)
+    mean_weight = float(np.mean(weights))
+    from_noise = math.sqrt(white / (mean_weight * spread)) if mean_weight > 0.0 else math.inf
+    if n < 4:
+        return from_noise
+    slope = float(centred @ delays) / spread
+    rest = delays - delays.mean() - slope * centred
+    from_scatter = math.sqrt(float(rest @ rest) / (n - 2) / spread)
+    return max(from_scatter, from_noise)

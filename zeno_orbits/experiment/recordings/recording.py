@@ -1,0 +1,323 @@
+"""Recordings: named signals over time, from a machine or from a simulation, and their files.
+
+The file is a table, by commas or otherwise, with a line of titles ``name [unit]`` and above it, if
+they are known, lines ``# key: value`` (docs/measured_data.md)::
+
+    # zeno-orbits data 1
+    # source: measured
+    # scene: some_scene
+    time [ms],angle [deg],current [mA]
+    0.0,12.5,-310
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import DataFileError, InputError
+from zeno_orbits.experiment.recordings.table import Head, Table, read_head, read_table
+from zeno_orbits.model.units import in_si
+from zeno_orbits.work.files import write_pieces
+
+FORMAT = 1
+"""Version of the file format that this code writes, and the newest that it reads."""
+
+_TIME = ("time", "t")
+_TITLE = re.compile(r"(.*?)\s*(?:\[(.*)\]|\((.*)\))\s*")
+_MAGIC = re.compile(r"zeno-orbits data (\d+)")
+_ROWS = 1 << 16
+"""Rows that are written at a time."""
+_GAP = 5.0
+"""A pause of so many usual steps counts as a gap."""
+
+
+class Source(Enum):
+    """Where a recording comes from; the value is the word in its file."""
+
+    MEASURED = "measured"
+    SIMULATED = "simulated"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Signal:
+    """One quantity over time.
+
+    Attributes:
+        name: Its name.
+        unit: An SI unit.
+        values: ``(n_t,)``, NaN where it was not taken.
+    """
+
+    name: str
+    unit: str
+    values: Vector
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Recording:
+    """Signals that were taken together.
+
+    Attributes:
+        source: Where they come from; nothing if it is not known.
+        scene: Name of the scene that they belong to; empty if it is not known.
+        time: Increasing, ``(n_t,)`` [s].
+        signals: The signals, with different names.
+        notes: What else is known of it, as texts without line ends.
+        remarks: What a reader left out or found odd, as sentences without full stops.
+    """
+
+    source: Source | None
+    scene: str
+    time: Vector
+    signals: tuple[Signal, ...]
+    notes: Mapping[str, str] = field(default_factory=dict[str, str])
+    remarks: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse times that do not increase, and signals that do not belong together."""
+        if self.time.ndim != 1 or len(self.time) < 2 or not np.all(np.diff(self.time) > 0.0):
+            raise ValueError("Argument `time` must hold two or more times that increase.")
+        names = [signal.name for signal in self.signals]
+        if len(set(names)) != len(names):
+            raise ValueError(f"Argument `signals` must have different names, but they are {names}.")
+        for signal in self.signals:
+            if signal.values.shape != self.time.shape:
+                wanted = f"must have {len(self.time)} values each"
+                has = f"`{signal.name}` has {len(signal.values)}"
+                raise ValueError(f"Argument `signals` {wanted}, but {has}.")
+
+    @property
+    def label(self) -> str:
+        """What it is called beside an orbit: what was simulated says so."""
+        return "recording" if self.source is None else f"recording, {self.source.value}"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the signals."""
+        return tuple(signal.name for signal in self.signals)
+
+    def signal(self, name: str) -> Signal:
+        """Return a signal by its name.
+
+        Raises:
+            InputError: If there is none.
+        """
+        for signal in self.signals:
+            if signal.name == name:
+                return signal
+        known = ", ".join(self.names)
+        raise InputError(f"Argument `signal` must be one of {known}, but it is `{name}`.")
+
+
+def cut(recording: Recording, since: float | None, until: float | None) -> Recording:
+    """Return the part of a recording between two times.
+
+    Args:
+        recording: The whole.
+        since: Its first time at least; the beginning without it [s].
+        until: Its last time at most; the end without it [s].
+
+    Raises:
+        InputError: If fewer than two rows are left.
+    """
+    if since is None and until is None:
+        return recording
+    low = -np.inf if since is None else since
+    high = np.inf if until is None else until
+    first = int(np.searchsorted(recording.time, low, side="left"))
+    last = int(np.searchsorted(recording.time, high, side="right"))
+    if last - first < 2:
+        whole = f"[{recording.time[0]:.6g}, {recording.time[-1]:.6g}] s"
+        wanted = f"must leave two rows of the recording, which covers {whole}"
+        raise InputError(f"Argument `from` {wanted}, but [{low:g}, {high:g}] s leaves fewer.")
+    part = slice(first, last)
+    signals = tuple(replace(one, values=one.values[part]) for one in recording.signals)
+    return replace(recording, time=recording.time[part], signals=signals)
+
+
+def write_recording(recording: Recording, path: Path) -> None:
+    """Write a recording, whole or not at all, in digits that give back every bit.
+
+    Raises:
+        InputError: If the folder cannot be written.
+    """
+    write_pieces(path, _written(recording))
+
+
+def _written(recording: Recording) -> Iterator[bytes]:
+    lines = [f"# zeno-orbits data {FORMAT}"]
+    if recording.source is not None:
+        lines.append(f"# source: {recording.source.value}")
+    if recording.scene:
+        lines.append(f"# scene: {recording.scene}")
+    lines += [f"# {key}: {value}" for key, value in recording.notes.items()]
+    titles = (f"{signal.name} [{signal.unit}]" for signal in recording.signals)
+    lines.append(",".join(("time [s]", *titles)))
+    yield ("\n".join(lines) + "\n").encode()
+    columns = (recording.time, *(signal.values for signal in recording.signals))
+    for at in range(0, len(recording.time), _ROWS):
+        rows = np.stack([column[at : at + _ROWS] for column in columns], axis=1).tolist()
+        yield "".join(",".join(map(repr, row)) + "\n" for row in rows).encode()
+
+
+def read_recording(path: Path, *, only: Collection[str] = ()) -> Recording:
+    """Read a recording in SI units.
+
+    Rows without a time, or with that of the row before, are left out, infinite values are taken
+    for missing ones, and ``remarks`` says so.
+
+    Args:
+        path: The file.
+        only: Names of the signals to read, as far as there are such; all of them if empty. What
+            stands in other columns does not matter then.
+
+    Raises:
+        DataFileError: If it cannot be read or understood; the text names the line.
+    """
+    head = read_head(path)
+    notes = _notes(path, head)
+    titles = [_split(title) for title in head.columns]
+    names = [name for name, _ in titles]
+    time = _time_column(path, names)
+    chosen = [k for k, name in enumerate(names) if k != time and name and _is_wanted(name, only)]
+    for k in chosen:
+        if names.count(names[k]) > 1:
+            raise DataFileError(path, f"two of its columns are named `{names[k]}`")
+    units = [_unit(path, *titles[k]) for k in (time, *chosen)]
+    if units[0][0] != "s":
+        raise DataFileError(path, f"column `{head.columns[time]}` is no time")
+    table = read_table(path, head, (time, *chosen))
+    kept, remarks = _sound_rows(path, table)
+    # Whole columns are scaled in place: a second copy of a long recording may not fit.
+    for row, (_, factor) in zip(table.values, units, strict=True):
+        if factor != 1.0:
+            row *= factor
+    values = table.values if kept is None else table.values[:, kept]
+    remarks += _missing(values[1:], [names[k] for k in chosen]) + _gaps(values[0])
+    return Recording(
+        source=_source(path, notes),
+        scene=notes.pop("scene", ""),
+        time=values[0],
+        signals=tuple(
+            Signal(name=names[k], unit=unit, values=row)
+            for k, (unit, _), row in zip(chosen, units[1:], values[1:], strict=True)
+        ),
+        notes=notes,
+        remarks=(*table.remarks, *remarks),
+    )
+
+
+def _is_wanted(name: str, only: Collection[str]) -> bool:
+    return not only or name in only
+
+
+def _notes(path: Path, head: Head) -> dict[str, str]:
+    notes: dict[str, str] = {}
+    for comment in head.comments:
+        magic = _MAGIC.fullmatch(comment)
+        if magic is not None and int(magic[1]) > FORMAT:
+            newest = f"its format {magic[1]} is newer than {FORMAT}, the newest this version reads"
+            raise DataFileError(path, newest)
+        key, colon, value = comment.partition(":")
+        if magic is None and colon:
+            notes[key.strip()] = value.strip()
+    return notes
+
+
+def _source(path: Path, notes: dict[str, str]) -> Source | None:
+    word = notes.pop("source", None)
+    known = {source.value: source for source in Source}
+    if word is None:
+        return None
+    if word not in known:
+        raise DataFileError(path, f"its source must be one of {', '.join(known)}, not `{word}`")
+    return known[word]
+
+
+def _split(title: str) -> tuple[str, str | None]:
+    found = _TITLE.fullmatch(title)
+    return (found[1], found[2] or found[3] or "") if found else (title, None)
+
+
+def _time_column(path: Path, names: list[str]) -> int:
+    found = [k for k, name in enumerate(names) if name.lower() in _TIME]
+    if len(found) == 1:
+        return found[0]
+    titled = ", ".join(names)
+    count = "no" if not found else "more than one"
+    raise DataFileError(path, f"it has {count} column named `time` (its columns: {titled})")
+
+
+def _unit(path: Path, name: str, unit: str | None) -> tuple[str, float]:
+    if unit is None:
+        likely = "s" if name.lower() in _TIME else "rad"
+        reason = f"column `{name}` has no unit; write for instance `{name} [{likely}]`"
+        raise DataFileError(path, reason)
+    try:
+        return in_si(unit)
+    except ValueError as error:
+        raise DataFileError(path, f"the unit of column `{name}` is not clear: {error}") from error
+
+
+def _sound_rows(path: Path, table: Table) -> tuple[NDArray[np.int64] | None, tuple[str, ...]]:
+    """Return the numbers of the rows to keep, or nothing for all of them, and what was odd."""
+    time, lines = table.values[0], table.lines
+    remarks: list[str] = []
+    timed = np.isfinite(time)
+    if not timed.all():
+        at = int(lines[np.argmin(timed)])
+        remarks.append(f"{_rows(int((~timed).sum()))} without a time left out, first line {at}")
+    rows = np.flatnonzero(timed)
+    steps = np.diff(time[rows])
+    if np.any(steps < 0.0):
+        k = int(np.argmax(steps < 0.0))
+        earlier, later = time[rows[k]], time[rows[k + 1]]
+        back = f"the time goes back from {earlier:.9g} to {later:.9g} in line {lines[rows[k + 1]]}"
+        raise DataFileError(path, f"{back}; sort the lines, or split the file there")
+    repeated = np.concatenate([[False], steps == 0.0]) if len(rows) else np.zeros(0, dtype=bool)
+    if 2 * int(repeated.sum()) > len(rows):
+        at = int(lines[rows[np.argmax(repeated)]])
+        reason = f"most of its times repeat the one before, first in line {at}"
+        raise DataFileError(path, f"{reason}; write the time with more digits")
+    if repeated.any():
+        at = int(lines[rows[np.argmax(repeated)]])
+        what = f"{_rows(int(repeated.sum()))} with the time of the row before left out"
+        remarks.append(f"{what}, first line {at}")
+        rows = rows[~repeated]
+    if len(rows) < 2:
+        raise DataFileError(path, f"it has {_rows(len(rows))} of numbers, and two are the least")
+    return (None if len(rows) == len(time) else rows), tuple(remarks)
+
+
+def _missing(values: Vector, names: list[str]) -> tuple[str, ...]:
+    remarks: list[str] = []
+    for name, row in zip(names, values, strict=True):
+        infinite = np.isinf(row)
+        if infinite.any():
+            row[infinite] = np.nan
+        missing = int(np.isnan(row).sum())
+        if missing:
+            remarks.append(f"`{name}` is missing in {missing} of {_rows(len(row))}")
+    return tuple(remarks)
+
+
+def _gaps(time: Vector) -> tuple[str, ...]:
+    steps = np.diff(time)
+    gaps = np.flatnonzero(steps > _GAP * np.median(steps))
+    if not len(gaps):
+        return ()
+    longest = gaps[np.argmax(steps[gaps])]
+    what = f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} in time, the longest"
+    return (f"{what} {steps[longest]:.4g} s after t = {time[longest]:.9g} s",)
+
+
+def _rows(count: int) -> str:
+    return f"{count} row" if count == 1 else f"{count} rows"

@@ -1,0 +1,95 @@
+"""An execution as instruments would record it: samples of its states, with noise if wanted."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from zeno_orbits.errors import InputError
+from zeno_orbits.experiment.orbit_table import state_nodes
+from zeno_orbits.experiment.recordings.recording import Recording, Signal, Source
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.simulation.execution import Execution
+
+MOST_SAMPLES = 10_000_000
+"""Samples of a recording at most; ten of each state take a gigabyte."""
+_MOST_NOISE = 1e6
+"""Noise in parts of a state's range beyond which nothing is left of the state."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sampling:
+    """How a motion is recorded.
+
+    Attributes:
+        rate: Samples a second [Hz].
+        noise: Standard deviation of the noise on each state, in parts of the range of that.
+        seed: Of the noise.
+    """
+
+    rate: float
+    noise: float = 0.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Refuse rates, noise and seeds that mean nothing."""
+        if not (math.isfinite(self.rate) and self.rate > 0.0):
+            wanted = "must be a positive number of Hz"
+            raise InputError(f"Argument `rate` {wanted}, but it is {self.rate:g}.")
+        if not 0.0 <= self.noise <= _MOST_NOISE:
+            wanted = f"must be a number from 0 on, up to {_MOST_NOISE:g}"
+            raise InputError(f"Argument `noise` {wanted}, but it is {self.noise:g}.")
+        if self.seed < 0:
+            raise InputError(f"Argument `seed` must be at least 0, but it is {self.seed}.")
+
+    def count(self, time: float) -> int:
+        """Return how many samples there are in a time.
+
+        Args:
+            time: How long [s].
+
+        Raises:
+            InputError: If there are fewer than two, or too many to write.
+        """
+        samples = self.rate * time * (1 + 1e-12)
+        if not 1.0 <= samples < MOST_SAMPLES:
+            wanted = f"must give two to {MOST_SAMPLES} samples in {time:g} s"
+            raise InputError(f"Argument `rate` {wanted}, but it is {self.rate:g} Hz.")
+        return math.floor(samples) + 1
+
+
+def sampled(
+    problem: Problem, dynamics: HybridDynamics, execution: Execution, sampling: Sampling
+) -> Recording:
+    """Return the states of an execution at even times.
+
+    Args:
+        problem: The scene.
+        dynamics: The system that was simulated.
+        execution: What to record.
+        sampling: How.
+
+    Raises:
+        InputError: If there are fewer than two samples, or too many.
+    """
+    time = np.arange(sampling.count(execution.end_time)) / sampling.rate
+    values = state_nodes(dynamics, execution.arcs).at(np.minimum(time, execution.end_time))
+    values = values[:, : len(problem.state_names)]
+    extent = np.ptp(values, axis=0)
+    random = np.random.default_rng(sampling.seed)
+    values = values + sampling.noise * extent * random.normal(size=values.shape)
+    signals = tuple(
+        Signal(name=name, unit=unit, values=values[:, k].copy())
+        for k, (name, unit) in enumerate(zip(problem.state_names, problem.state_units, strict=True))
+    )
+    noisy = {"noise": f"{sampling.noise:g}", "seed": str(sampling.seed)}
+    return Recording(
+        source=Source.SIMULATED,
+        scene=problem.name,
+        time=time,
+        signals=signals,
+        notes=noisy if sampling.noise else {},
+    )

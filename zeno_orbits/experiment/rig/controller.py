@@ -1,0 +1,222 @@
+"""When a machine's voltages change, and to what: readings, delays and pulses in order of time.
+
+What a controller reads: coordinates rounded by encoders, rates from their differences.
+
+The pulses of a bridge, edge by edge (theory (51)).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from enum import Enum
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.model.rig_parts import Bridge, Controller, Rig, Sensors, Switching
+
+
+class Pilot:
+    """Reads, computes and switches; between two of its edges every voltage is constant.
+
+    Args:
+        rig: The parts of the machine.
+        command: From a measured state to the voltages of the feedback.
+        currents: From a true state to the motors' currents.
+        n_x: Number of the scene's states.
+        n_q: Number of coordinates.
+        random: Where noise comes from.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        command: Callable[[Vector], Vector],
+        currents: Callable[[Vector], Vector],
+        n_x: int,
+        n_q: int,
+        random: np.random.Generator,
+    ) -> None:
+        self._command, self._currents, self._n_x = command, currents, n_x
+        exact = rig.bridge is not None and rig.bridge.switching is Switching.EXACT
+        self._bridge: Bridge | None = rig.bridge if exact else None
+        self._controller = rig.controller or _as_fast_as(rig.bridge)
+        self._reader = Reader(rig.sensors, self._controller, n_q, random)
+        self._readings, self._periods = 0, 0
+        self._waiting: deque[tuple[float, Vector]] = deque()
+        self._edges: deque[tuple[float, int, Leg, float]] = deque()
+        self._asked: Vector | None = None
+        self.log: list[tuple[float, Vector, Vector]] = []
+        self.held: Vector = np.zeros(0)
+
+    @property
+    def next_edge(self) -> float:
+        """When something happens next [s]."""
+        times = [self._readings * self._controller.period]
+        times += [self._waiting[0][0]] if self._waiting else []
+        if self._bridge is not None:
+            times.append(self._periods / self._bridge.frequency)
+            times += [self._edges[0][0]] if self._edges else []
+        return min(times)
+
+    def act(self, time: float, y: Vector) -> None:
+        """Do what is due at a time: read, take over an earlier command, start pulses, switch."""
+        if time >= self._readings * self._controller.period:
+            self._read(time, y)
+        while self._waiting and self._waiting[0][0] <= time:
+            self._asked = self._waiting.popleft()[1]
+        if self._asked is None:
+            # Before the first command arrives the motors get nothing.
+            self._asked = np.zeros_like(self._waiting[0][1])
+        if self._bridge is None:
+            self.held = self._asked
+        else:
+            self._switch(time, y, self._bridge, self._asked)
+
+    def _read(self, time: float, y: Vector) -> None:
+        measured = self._reader.read(y[: self._n_x])
+        self.log.append((time, measured, self._reader.currents(self._currents(y))))
+        self._waiting.append((time + self._controller.delay, self._command(measured)))
+        self._readings += 1
+
+    def _switch(self, time: float, y: Vector, bridge: Bridge, asked: Vector) -> None:
+        if self.held.size != asked.size:
+            self.held = np.zeros_like(asked)
+        if time >= self._periods / bridge.frequency:
+            edges: list[tuple[float, int, Leg, float]] = []
+            for motor, voltage in enumerate(asked.tolist()):
+                share = min(abs(voltage) / bridge.supply, 1.0)
+                sign = math.copysign(1.0, voltage)
+                edges += [(time + at, motor, leg, sign) for at, leg in pulse(bridge, share)]
+            self._edges = deque(sorted(edges, key=lambda edge: edge[0]))
+            self._periods += 1
+        held = self.held.copy()
+        while self._edges and self._edges[0][0] <= time:
+            _, motor, leg, sign = self._edges.popleft()
+            held[motor] = level(bridge, leg, sign, float(self._currents(y)[motor]))
+        self.held = held
+
+
+def _as_fast_as(bridge: Bridge | None) -> Controller:
+    """Return the controller of a bridge without one: it knows the state at the start of a pulse."""
+    if bridge is None:
+        raise ValueError("Argument `rig` must have a controller or switch exactly, but it has not.")
+    return Controller(period=1.0 / bridge.frequency)
+
+
+class Reader:
+    r"""Turns true states into measured ones, reading by reading (theory (52)).
+
+    .. math:: q_k = r\,\mathrm{round}\!\left(\frac{q(t_k) + \nu_k}{r}\right),\qquad
+        v_k = a\,v_{k-1} + (1 - a)\,\frac{q_k - q_{k-1}}{T_s},\qquad a = e^{-T_s/\tau}
+
+    Args:
+        sensors: What it reads with; ``None`` for the states themselves.
+        controller: How often.
+        n_q: Number of coordinates.
+        random: Where the noise comes from.
+    """
+
+    def __init__(
+        self,
+        sensors: Sensors | None,
+        controller: Controller,
+        n_q: int,
+        random: np.random.Generator,
+    ) -> None:
+        self._sensors, self._period, self._n_q, self._random = (
+            sensors,
+            controller.period,
+            n_q,
+            random,
+        )
+        tau = 0.0 if sensors is None else sensors.filter_time
+        self._kept = math.exp(-controller.period / tau) if tau > 0.0 else 0.0
+        self._last: Vector | None = None
+        self._rates: Vector = np.zeros(n_q)
+
+    def read(self, x: Vector) -> Vector:
+        """Return what is known of a state, ``(n_x,)``; the next reading is a period later."""
+        sensors, n_q = self._sensors, self._n_q
+        if sensors is None:
+            return x
+        known = x.copy()
+        q = x[:n_q]
+        if sensors.noise > 0.0:
+            q = q + self._random.normal(0.0, sensors.noise, n_q)
+        if sensors.resolution > 0.0:
+            # Adding zero turns -0.0 into 0.0.
+            q = sensors.resolution * np.round(q / sensors.resolution) + 0.0
+        if self._last is None:
+            # The first reading has no difference yet; a machine would have run before.
+            self._rates = x[n_q : 2 * n_q].copy()
+        else:
+            slope = (q - self._last) / self._period
+            self._rates = self._kept * self._rates + (1.0 - self._kept) * slope
+        self._last = q
+        known[:n_q], known[n_q : 2 * n_q] = q, self._rates
+        return known
+
+    def currents(self, exact: Vector) -> Vector:
+        """Return motor currents as they are read, ``(n_M,)`` [A]."""
+        if self._sensors is None or self._sensors.current_noise == 0.0:
+            return exact.copy()
+        return exact + self._random.normal(0.0, self._sensors.current_noise, exact.size)
+
+
+class Leg(Enum):
+    """Which transistors of the switching leg are on."""
+
+    HIGH = "high"
+    LOW = "low"
+    NONE = "none"
+
+
+def pulse(bridge: Bridge, share: float) -> tuple[tuple[float, Leg], ...]:
+    """Return when in a period the switching leg changes, and to what, from the start of the period.
+
+    Every edge that turns a transistor on waits for the dead time.
+
+    Args:
+        bridge: Its numbers.
+        share: Part of the period for which the voltage is asked for, in [0, 1].
+    """
+    period, dead = 1.0 / bridge.frequency, bridge.dead_time
+    on = share * period
+    if share <= 0.0:
+        return ((0.0, Leg.LOW),)
+    if share >= 1.0:
+        return ((0.0, Leg.HIGH),)
+    edges: list[tuple[float, Leg]] = []
+    if dead > 0.0:
+        edges.append((0.0, Leg.NONE))
+    if on > dead:
+        edges.append((dead, Leg.HIGH))
+    if dead > 0.0 and on > dead:
+        edges.append((on, Leg.NONE))
+    if on + dead < period:
+        edges.append((on + dead, Leg.LOW))
+    return tuple(edges)
+
+
+def level(bridge: Bridge, leg: Leg, sign: float, current: float) -> float:
+    """Return the voltage over a motor and its transistors while a leg is in a state [V].
+
+    Args:
+        bridge: Its numbers.
+        leg: The state of the switching leg; the other leg stays low.
+        sign: Sign of the voltage that is asked for.
+        current: Of the motor, which a diode carries while no transistor does [A].
+    """
+    if leg is Leg.HIGH:
+        return sign * bridge.supply
+    if leg is Leg.LOW:
+        return 0.0
+    along = sign * current
+    if along > 0.0:
+        return -sign * bridge.diode_drop
+    if along < 0.0:
+        return sign * (bridge.supply + bridge.diode_drop)
+    return 0.0

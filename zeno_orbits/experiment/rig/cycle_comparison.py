@@ -1,0 +1,124 @@
+"""Cycles of a machine beside the orbit of its model, number by number."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.experiment.rig.convergence import (
+    CycleNumbers,
+    numbers_of_cycle,
+    numbers_of_orbit,
+    orbit_curve,
+)
+from zeno_orbits.experiment.rig.cycles import SettledRig
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.orbits.orbit import ZenoOrbit
+
+_POINTS = 400
+"""Points on every arc of the orbit; the chords between them miss it by 1e-5 of its size."""
+_FEWEST = 4
+"""Cycles from which on a trend can be told from chance."""
+_CHANCE = 1e-4
+"""How often a number without a trend is mistaken for one that has it."""
+_WORTH = 1e-2
+"""A trend over all the cycles is worth telling from this part of the orbit's number on."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RigComparison:
+    """A machine's cycles against an orbit.
+
+    Attributes:
+        problem: Name of the scene.
+        cycles: How many.
+        orbit: Numbers of the orbit.
+        mean: The same of the machine, over its cycles.
+        spread: Their standard deviation; 0 for one cycle.
+        drifting: Names of the numbers that still move one way; nothing if the cycles are too few to
+            tell.
+        portrait: Largest distance of the machine from the curve of the orbit, in states over their
+            ranges.
+        portrait_at: When, as a part of the cycle from release on.
+        units: Unit of every number.
+    """
+
+    problem: str
+    cycles: int
+    orbit: CycleNumbers
+    mean: CycleNumbers
+    spread: CycleNumbers
+    drifting: tuple[str, ...] | None
+    portrait: float
+    portrait_at: float
+    units: Mapping[str, str]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it as plain data, labelled as simulated."""
+        return {"source": "simulated", **asdict(self)}
+
+
+def compare_cycles(orbit: ZenoOrbit, problem: Problem, settled: SettledRig) -> RigComparison:
+    """Compare the cycles of a settled machine with an orbit.
+
+    Args:
+        orbit: The orbit.
+        problem: Its scene.
+        settled: The machine.
+    """
+    rows = [asdict(numbers_of_cycle(cycle, problem)) for cycle in settled.cycles]
+    table = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    wanted = numbers_of_orbit(orbit, problem)
+    curve = orbit_curve(orbit, problem, n_per_arc=_POINTS)
+    last = settled.cycles[-1]
+    part = settled.run.between(last.release, last.end)
+    away = curve.distances(part.states[:, : len(problem.state_names)])
+    farthest = int(np.argmax(away))
+    angle = problem.state_units[problem.state_names.index(problem.amplitude_of)]
+    return RigComparison(
+        problem=problem.name,
+        cycles=len(rows),
+        orbit=wanted,
+        mean=CycleNumbers(**{name: float(np.mean(column)) for name, column in table.items()}),
+        spread=CycleNumbers(**{name: float(np.std(column)) for name, column in table.items()}),
+        drifting=_drifting(table, asdict(wanted)) if len(rows) >= _FEWEST else None,
+        portrait=float(away[farthest]),
+        portrait_at=float((part.times[farthest] - last.release) / last.period),
+        units={
+            **dict.fromkeys(("impact_time", "lock_time", "period"), "s"),
+            "impact_rate": f"{problem.gap_unit}/s",
+            "lock_angle": angle,
+        },
+    )
+
+
+def drift(values: Vector) -> tuple[float, float]:
+    """Return the change over a row of numbers by their straight line, and what chance may make it.
+
+    The second is the quantile of Student's law that independent numbers without a trend exceed once
+    in 10 000 times.
+
+    Args:
+        values: Three or more, ``(n,)``.
+    """
+    from scipy.special import stdtrit
+
+    n = len(values)
+    k = np.arange(n) - (n - 1) / 2
+    slope = float(k @ values / (k @ k))
+    left = values - np.mean(values) - slope * k
+    error = float(np.sqrt(left @ left / (n - 2) / (k @ k)))
+    return slope * (n - 1), error * (n - 1) * float(stdtrit(n - 2, 1 - _CHANCE / 2))
+
+
+def _drifting(table: Mapping[str, Vector], orbit: Mapping[str, float]) -> tuple[str, ...]:
+    found: list[str] = []
+    for name, column in table.items():
+        change, chance = drift(column)
+        if abs(change) > max(chance, _WORTH * abs(orbit[name])):
+            found.append(name)
+    return tuple(found)

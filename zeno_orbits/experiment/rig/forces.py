@@ -1,0 +1,78 @@
+"""The forces and voltages of a rig's parts, in symbols (theory (48), (50), (51))."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from zeno_orbits.model.rig_parts import Bridge, Contact, Friction, Gear
+
+_SMALL_VOLTAGE = 0.01
+"""Voltage over which an averaged bridge changes its direction [V]."""
+_SMALL_CURRENT = 0.01
+"""Current over which the diodes of an averaged dead time change theirs [A]."""
+
+
+def contact_force(contact: Contact, damping: ca.SX, depth: ca.SX, rate: ca.SX) -> ca.SX:
+    r"""Return the force of a stop: :math:`k\,\delta^n \max(0, 1 + \alpha\dot\delta)`.
+
+    Args:
+        contact: Stiffness and exponent.
+        damping: :math:`\alpha`.
+        depth: :math:`\delta`. Below zero the force is continued as an odd function, for trial steps
+            that end a little outside.
+        rate: Its time derivative.
+
+    Source: [HuntCrossley1975]_, theory (48).
+    """
+    spring = depth if contact.exponent == 1.0 else depth * ca.fabs(depth) ** (contact.exponent - 1)
+    return contact.stiffness * spring * ca.fmax(0, 1 + damping * rate)
+
+
+def friction_force(friction: Friction, rate: ca.SX) -> ca.SX:
+    r"""Return the force of friction, :math:`-c \tanh(v / v_c) - b v`.
+
+    The step of dry friction is rounded off, so what should stick creeps, at less than ``creep``.
+    """
+    return -friction.coulomb * ca.tanh(rate / friction.creep) - friction.viscous * rate
+
+
+def teeth_torque(gear: Gear, twist: ca.SX, rate: ca.SX) -> ca.SX:
+    """Return the torque from a rotor to its joint: none inside the play, a lossy spring beyond.
+
+    Args:
+        gear: Play, stiffness and loss.
+        twist: Angle of the rotor less that of the joint.
+        rate: Its time derivative.
+    """
+
+    def flank(depth: ca.SX, closing: ca.SX) -> ca.SX:
+        return gear.stiffness * ca.fmax(0, depth) * ca.fmax(0, 1 + gear.loss * closing)
+
+    half = gear.play / 2
+    return flank(twist - half, rate) - flank(-twist - half, -rate)
+
+
+def averaged_voltage(bridge: Bridge, asked: ca.SX, current: ca.SX, inductance: ca.SX) -> ca.SX:
+    r"""Return the mean voltage of bridges over a period of their pulses.
+
+    .. math:: \bar V = s \max(0, |V| - \sigma s V_d),\qquad V_d = (V_s + 2 V_f)\, t_d f
+
+    `s` is the sign of the voltage that is asked for, cut at the supply; :math:`\sigma` that of the
+    current, zero while the ripple takes it through zero in every period.
+
+    Args:
+        bridge: Its numbers.
+        asked: Voltages asked for, ``(n_M,)`` [V].
+        current: Of every motor [A].
+        inductance: Of every motor, for the ripple [H].
+    """
+    voltage = ca.fmax(-bridge.supply, ca.fmin(bridge.supply, asked))
+    if bridge.dead_time == 0.0:
+        return voltage
+    lost = (bridge.supply + 2 * bridge.diode_drop) * bridge.dead_time * bridge.frequency
+    size = ca.fabs(voltage)
+    ripple = size * (1 - size / bridge.supply) / (2 * bridge.frequency * inductance)
+    above = ca.tanh((current - ripple) / _SMALL_CURRENT)
+    below = ca.tanh((current + ripple) / _SMALL_CURRENT)
+    sign = ca.tanh(voltage / _SMALL_VOLTAGE)
+    return sign * ca.fmax(0, size - (above + below) / 2 * sign * lost)

@@ -1,0 +1,163 @@
+"""What a run of a machine gives: states, forces and voltages over time, contacts, and a record.
+
+What a machine's computer wrote down, as a recording: simulated, and labelled so.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.experiment.recordings.recording import Recording, Signal, Source
+from zeno_orbits.integrators import Automatic, Engine
+from zeno_orbits.integrators.flow import Tolerance
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.model.rig_parts import Rig
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RigSettings:
+    """How accurately to follow a machine, and what to keep of it.
+
+    Attributes:
+        engine: The integrator.
+        tolerance: Its local error.
+        spacing: Between two records [s]; contacts are recorded at every step as well.
+        keep_from: Nothing earlier is recorded, but contacts are [s].
+    """
+
+    engine: Engine = field(default_factory=Automatic)
+    tolerance: Tolerance = field(default_factory=lambda: Tolerance(relative=1e-10, absolute=1e-12))
+    spacing: float = 1e-3
+    keep_from: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Touch:
+    """A contact, from its first instant to its last.
+
+    Attributes:
+        start: When it begins [s].
+        state: State there, ``(n_y,)``.
+        approach_rate: Gap rate there, negative unless the run started in contact.
+        end: When it ends [s]; infinite if the run ended in it.
+        end_state: State there.
+        depart_rate: Gap rate there.
+    """
+
+    start: float
+    state: Vector
+    approach_rate: float
+    end: float
+    end_state: Vector
+    depart_rate: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Record:
+    """What the machine's own computer wrote down, reading by reading: simulated, not measured.
+
+    Attributes:
+        times: ``(n,)`` [s].
+        coordinates: As the encoders gave them, ``(n, n_q)``.
+        currents: As they were read, ``(n, n_motors)`` [A].
+    """
+
+    times: Vector
+    coordinates: Vector
+    currents: Vector
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RigRun:
+    """A simulated run of a machine.
+
+    Attributes:
+        problem: Name of the scene.
+        rig: The parts of the machine.
+        state_names: Name of each state; those of the scene first, then rotors behind gears.
+        times: ``(n,)``, not falling [s].
+        states: True states, ``(n, n_y)``.
+        in_contact: Whether the stop is touched, ``(n,)``.
+        contact_force: Force of the stop along the gradient of the gap, ``(n,)``.
+        gap: ``(n,)``.
+        gap_rate: ``(n,)``.
+        current: Of every motor, ``(n, n_motors)`` [A].
+        voltage: Over the terminals of every motor, ``(n, n_motors)`` [V].
+        touches: Its contacts in order, those before the first record included.
+        record: What its computer wrote down, from the first record on.
+    """
+
+    problem: str
+    rig: Rig
+    state_names: tuple[str, ...]
+    times: Vector
+    states: Vector
+    in_contact: Vector
+    contact_force: Vector
+    gap: Vector
+    gap_rate: Vector
+    current: Vector
+    voltage: Vector
+    touches: tuple[Touch, ...]
+    record: Record
+
+    def of(self, name: str) -> Vector:
+        """Return a state over time by its name, ``(n,)``."""
+        return self.states[:, self.state_names.index(name)]
+
+    def between(self, start: float, end: float) -> RigRun:
+        """Return the records of a stretch of time; its contacts are those that begin in it."""
+        first, last = bisect_left(self.times, start), bisect_left(self.times, end)
+        kept = {
+            name: getattr(self, name)[first:last]
+            for name in (
+                *("times", "states", "in_contact", "contact_force", "gap", "gap_rate"),
+                *("current", "voltage"),
+            )
+        }
+        touches = tuple(touch for touch in self.touches if start <= touch.start < end)
+        a, b = bisect_left(self.record.times, start), bisect_left(self.record.times, end)
+        record = Record(
+            times=self.record.times[a:b],
+            coordinates=self.record.coordinates[a:b],
+            currents=self.record.currents[a:b],
+        )
+        return replace(self, **kept, touches=touches, record=record)
+
+
+def recording_of(
+    run: RigRun, problem: Problem, notes: Mapping[str, str] | None = None
+) -> Recording:
+    """Return the record of a run: coordinates and currents as they were read, with their units.
+
+    Args:
+        run: The run.
+        problem: Its scene.
+        notes: What else to say of it.
+
+    Raises:
+        ValueError: If the record holds less than two readings.
+    """
+    n_q, record = run.record.coordinates.shape[1], run.record
+    n_motors = record.currents.shape[1]
+    ends = [""] if n_motors == 1 else [str(k + 1) for k in range(n_motors)]
+    signals = [
+        Signal(name=name, unit=unit, values=values)
+        for name, unit, values in zip(
+            problem.state_names[:n_q], problem.state_units[:n_q], record.coordinates.T, strict=True
+        )
+    ]
+    signals += [
+        Signal(name=f"current{end}", unit="A", values=values)
+        for end, values in zip(ends, record.currents.T, strict=True)
+    ]
+    return Recording(
+        source=Source.SIMULATED,
+        scene=problem.name,
+        time=record.times,
+        signals=tuple(signals),
+        notes={"made by": "the virtual rig; nothing here was measured", **(notes or {})},
+    )

@@ -1,0 +1,275 @@
+"""A machine's run: legs off the stop and in contact, between the edges of its voltages.
+
+There is no reset, no multiplier and no Zeno point here: a contact is a stretch of motion with a
+stiff force. Contacts begin and end at roots of the gap, voltages change at times that are known,
+and the legs between are smooth, so that an engine follows them at its full order.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import NoReturn
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError, RunawayError, SimulationError
+from zeno_orbits.experiment.rig.contact_damping import damping_number
+from zeno_orbits.experiment.rig.controller import Pilot
+from zeno_orbits.experiment.rig.machine import Machine, machine
+from zeno_orbits.experiment.rig.run import Record, RigRun, RigSettings, Touch
+from zeno_orbits.integrators import Leg, Outcome, Passage
+from zeno_orbits.model.numeric.calls import Call
+from zeno_orbits.model.numeric.compiled_flow import CompiledFlow, FlowMemory
+from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.rig_parts import Rig
+from zeno_orbits.simulation.batch.model import Columns
+
+_MOST_AT_ONCE = 1000
+"""Contacts that may begin and end without time going on."""
+_IN_CONTACT = 257
+"""Records of a contact at least, where nothing else divides it."""
+
+
+def simulate_rig(
+    problem: Problem,
+    setting: Setting,
+    rig: Rig,
+    start: Sequence[float],
+    until: float,
+    *,
+    seed: int = 0,
+    settings: RigSettings | None = None,
+    on_progress: Callable[[float], None] | None = None,
+) -> RigRun:
+    """Follow a machine.
+
+    Args:
+        problem: The scene.
+        setting: Its numbers; the restitution is what the contact is damped for.
+        rig: The parts of the machine.
+        start: State of the scene, ``(n_x,)``; rotors behind gears begin in the middle of the play.
+        until: How long [s].
+        seed: Of the noise.
+        settings: How accurately.
+        on_progress: Told of the time, now and then.
+
+    Raises:
+        InputError: If the rig does not fit the scene, or its restitution is 0: no contact that
+            gives way is plastic.
+        RunawayError: If a coordinate runs away.
+        SimulationError: If the integration cannot go on.
+    """
+    number = damping_number(setting.number("restitution"))
+    if math.isinf(number):
+        wanted = "must be greater than 0 for a contact that gives way"
+        raise InputError(f"Argument `restitution` {wanted}, but it is 0.")
+    if not (math.isfinite(until) and until > 0.0):
+        raise InputError(f"Argument `until` must be a positive number, but it is {until:g}.")
+    follower = _Follower(problem, setting, rig, number, settings or RigSettings(), seed)
+    follower.begin(start)
+    follower.follow(until, on_progress or _unheard)
+    return follower.result()
+
+
+def _unheard(_time: float) -> None:
+    """Let nobody know."""
+
+
+@lru_cache(maxsize=16)
+def machine_of(problem: Problem, rig: Rig) -> Machine:
+    """Return the functions of a machine, built once for the same scene and parts."""
+    return machine(problem, rig)
+
+
+class _Follower:
+    """Carries a machine forward, and keeps what is worth keeping."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        setting: Setting,
+        rig: Rig,
+        number: float,
+        settings: RigSettings,
+        seed: int,
+    ) -> None:
+        built = machine_of(problem, rig)
+        self._machine, self._problem, self._rig, self._settings = built, problem, rig, settings
+        self._number = number
+        self._p = np.asarray(setting.values(), dtype=np.float64)
+        self._numbers = np.concatenate([self._p, np.zeros(built.n_motors), [0.0]])
+        self._memories = {False: FlowMemory(built.free), True: FlowMemory(built.contact)}
+        self._observe = Call(built.observe, self._numbers)
+        self._motors = Call(built.motors, self._numbers)
+        self._pilot = self._hired(np.random.default_rng(seed)) if built.holds else None
+        self._time = 0.0
+        self._row = math.ceil(settings.keep_from / settings.spacing)
+        self._rows: list[tuple[float, Vector, Vector, bool]] = []
+        self._touches: list[Touch] = []
+        self._began: tuple[float, Vector, float] | None = None
+
+    def _hired(self, random: np.random.Generator) -> Pilot:
+        command = Call(self._machine.command, self._p)
+        return Pilot(
+            self._rig,
+            lambda x: command(x).copy(),
+            lambda y: self._motors(y, 0).copy(),
+            self._machine.n_x,
+            self._machine.n_q,
+            random,
+        )
+
+    def begin(self, start: Sequence[float]) -> None:
+        """Set the state, every rotor in the middle of its play, off the stop or in contact."""
+        x = np.asarray(start, dtype=np.float64)
+        if x.shape != (self._machine.n_x,):
+            wanted = f"must be of shape ({self._machine.n_x},)"
+            raise InputError(f"Argument `start` {wanted}, but it is {x.shape}.")
+        self._require_inertia(x)
+        self._y = Call(self._machine.rest, self._p)(x).copy()
+        gap, rate = self._gap()
+        self._touching = gap < 0.0 or (gap == 0.0 and rate < 0.0)
+        if self._touching:
+            self._enter(rate)
+
+    def _require_inertia(self, x: Vector) -> None:
+        n_q = self._machine.n_q
+        mass = Call(self._machine.inertia, self._p)(x).reshape(n_q, n_q)
+        if self._rig.gears and float(np.min(np.linalg.eigvalsh(mass))) <= 0.0:
+            wanted = "must leave the joints some of the scene's inertia"
+            raise InputError(f"Argument `rotor_inertia` {wanted}, but it is more than all of it.")
+
+    def follow(self, until: float, tell: Callable[[float], None]) -> None:
+        """Carry the machine forward to a time, from edge to edge."""
+        at_once = 0
+        while self._time < until:
+            edge = until
+            if self._pilot is not None:
+                while self._pilot.next_edge <= self._time:
+                    self._pilot.act(self._time, self._y)
+                self._numbers[self._p.size : -1] = self._pilot.held
+                edge = min(until, self._pilot.next_edge)
+            before = self._time
+            self._leg(edge)
+            at_once = at_once + 1 if self._time == before else 0
+            if at_once > _MOST_AT_ONCE:
+                self._stop(SimulationError, "Contacts begin and end without time going on")
+            escaped = self._problem.escaped(self._y[: self._machine.n_x].tolist())
+            if escaped:
+                self._stop(RunawayError, f"`{escaped}` ran away")
+            tell(self._time)
+
+    def _stop(self, kind: type[SimulationError], reason: str) -> NoReturn:
+        raise kind(reason, time=self._time, state=tuple(self._y.tolist()))
+
+    def _leg(self, edge: float) -> None:
+        """Follow one mode to an edge, or to where the contact begins or ends."""
+        gap, rate = self._gap()
+        inside = -gap if self._touching else gap
+        mode = self._machine.contact if self._touching else self._machine.free
+        numbers = self._numbers.copy()
+        leg = Leg(
+            flow=CompiledFlow(mode, numbers, self._memories[self._touching]),
+            y=self._y,
+            horizon=edge - self._time,
+            tolerance=self._settings.tolerance,
+            on_guard=inside <= 0.0,
+        )
+        passage = self._settings.engine.follow(leg)
+        over = passage.outcome is Outcome.HORIZON
+        end = edge if over else self._time + passage.duration
+        self._keep(passage, end, numbers)
+        self._time, self._y = end, passage.state
+        if not over:
+            self._touching = not self._touching
+            _, rate = self._gap()
+            if self._touching:
+                self._enter(rate)
+            else:
+                self._leave(rate)
+
+    def _gap(self) -> tuple[float, float]:
+        _, gap, rate, _ = self._observe(self._y).tolist()
+        return gap, rate
+
+    def _enter(self, rate: float) -> None:
+        self._began = (self._time, self._y, rate)
+        self._numbers[-1] = self._number / max(-rate, self._rig.contact.slowest)
+
+    def _leave(self, rate: float, *, forever: bool = False) -> None:
+        if self._began is None:
+            return
+        start, state, approach = self._began
+        self._began = None
+        touch = Touch(
+            start=start,
+            state=state,
+            approach_rate=approach,
+            end=math.inf if forever else self._time,
+            end_state=self._y,
+            depart_rate=rate,
+        )
+        self._touches.append(touch)
+
+    def _keep(self, passage: Passage, end: float, numbers: Vector) -> None:
+        """Keep the grid points inside a leg, and in a contact every step."""
+        settings, start = self._settings, self._time
+        times: list[float] = []
+        while self._row * settings.spacing < end:
+            times.append(self._row * settings.spacing)
+            self._row += 1
+        if self._touching and end >= settings.keep_from:
+            own = start + passage.trajectory.times
+            if self._pilot is None:
+                # A curve through an impact wants more points than its smooth flow has steps.
+                own = np.concatenate([own, np.linspace(start, end, _IN_CONTACT)])
+            kept = own[own >= settings.keep_from]
+            times = sorted({*times, *kept.tolist()})
+        for time in times:
+            if start <= time < end:
+                state = passage.trajectory.state_at(time - start)
+                self._rows.append((time, state, numbers, self._touching))
+
+    def result(self) -> RigRun:
+        """Return the run."""
+        self._leave(self._gap()[1], forever=True)
+        self._rows.append((self._time, self._y, self._numbers.copy(), self._touching))
+        times, states, numbers, touching = zip(*self._rows, strict=True)
+        y, held = np.array(states), np.array(numbers)
+        seen = Columns(self._machine.observe)(y, held)[0]
+        current, voltage = Columns(self._machine.motors)(y, held)
+        in_contact = np.array(touching, dtype=bool)
+        return RigRun(
+            problem=self._problem.name,
+            rig=self._rig,
+            state_names=self._machine.state_names,
+            times=np.array(times),
+            states=y,
+            in_contact=in_contact,
+            # A root of the gap is rounded to either side; the force of the outside is none.
+            contact_force=np.where(in_contact, np.maximum(seen[:, 0], 0.0), 0.0),
+            gap=seen[:, 1],
+            gap_rate=seen[:, 2],
+            current=current,
+            voltage=voltage,
+            touches=tuple(self._touches),
+            record=self._record(np.array(times), y, current),
+        )
+
+    def _record(self, times: Vector, states: Vector, current: Vector) -> Record:
+        """Return what the computer wrote down; without one, the states at even times."""
+        n_q = self._machine.n_q
+        if self._pilot is None:
+            spacing = self._settings.spacing
+            even = times == np.round(times / spacing) * spacing
+            return Record(times=times[even], coordinates=states[even, :n_q], currents=current[even])
+        read = [entry for entry in self._pilot.log if entry[0] >= self._settings.keep_from]
+        width = (len(read), -1)
+        return Record(
+            times=np.array([entry[0] for entry in read]),
+            coordinates=np.array([entry[1][:n_q] for entry in read]).reshape(*width),
+            currents=np.array([entry[2] for entry in read]).reshape(*width),
+        )

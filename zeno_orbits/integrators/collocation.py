@@ -1,0 +1,241 @@
+r"""Radau IIA collocation: the scheme, and what its Newton iteration needs.
+
+The stages of an implicit step solve :math:`Z = h (A \otimes I) F(y + Z)`. The eigenvectors of
+:math:`A^{-1}` split the linear systems of Newton's iteration into one of the size of the state for
+every real eigenvalue and one complex one for every pair. Source: [HairerWanner1996]_, IV.8.
+
+Polynomials through Radau nodes: their values, integrals and means as matrices.
+
+A polynomial on :math:`[0, 1]` is held by its values at the nodes. Everything is computed in
+Legendre's basis, which keeps its condition at any number of nodes. Source: [HairerWanner1996]_,
+section IV.5.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache, cached_property
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+
+from zeno_orbits.arrays import Array, Vector
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Collocation:
+    """An implicit Runge-Kutta scheme whose last stage is the end of its interval.
+
+    Attributes:
+        nodes: Stage positions in the unit interval, ``(n_stages,)``; the last is 1.
+        matrix: Runge-Kutta matrix, ``(n_stages, n_stages)``; its last row holds the weights.
+    """
+
+    nodes: Array
+    matrix: Array
+
+    @property
+    def n_stages(self) -> int:
+        """Number of stages."""
+        return len(self.nodes)
+
+    @property
+    def weights(self) -> Array:
+        """Quadrature weights, ``(n_stages,)``."""
+        return self.matrix[-1]
+
+    @cached_property
+    def inverse(self) -> Array:
+        """:math:`A^{-1}`, ``(n_stages, n_stages)``."""
+        return np.asarray(np.linalg.inv(self.matrix), dtype=np.float64)
+
+    @cached_property
+    def spectrum(self) -> Spectrum:
+        """The eigenvalues of :math:`A^{-1}` and their vectors."""
+        values, vectors = np.linalg.eig(self.inverse.astype(np.complex128))
+        rows = np.asarray(np.linalg.inv(vectors), dtype=np.complex128)
+        order = np.argsort(np.abs(np.imag(values)))
+        kept = [int(k) for k in order if np.imag(values[k]) > -_REAL]
+        return Spectrum(
+            values=tuple(_tidy(complex(values[k])) for k in kept),
+            columns=tuple(vectors[:, k] for k in kept),
+            rows=tuple(rows[k, :] for k in kept),
+        )
+
+    @cached_property
+    def embedded(self) -> tuple[float, Array]:
+        r"""The part :math:`\gamma` of the slope at the start, and weights of the stages.
+
+        :math:`\gamma h f(y) + \sum_i e_i Z_i` is the difference from an embedded quadrature of
+        order ``n_stages`` that also uses the start; :math:`1/\gamma` is the real eigenvalue, so
+        that the matrix of Newton's iteration filters it.
+        """
+        gamma = 1.0 / self.spectrum.values[0].real
+        powers = np.arange(self.n_stages)
+        moments = 1.0 / (powers + 1.0)
+        moments[0] -= gamma
+        embedded = np.linalg.solve((self.nodes[:, None] ** powers).T, moments)
+        return gamma, np.asarray((embedded - self.weights) @ self.inverse, dtype=np.float64)
+
+    @cached_property
+    def monomials(self) -> Array:
+        """Weights of the stage increments in the polynomial through them, a row each power.
+
+        The polynomial is zero at the start of the interval: the powers are 1 to ``n_stages``.
+        """
+        return np.asarray(np.linalg.inv(self.nodes[:, None] ** self.powers), dtype=np.float64)
+
+    @cached_property
+    def powers(self) -> Array:
+        """The powers 1 to ``n_stages``, ``(n_stages,)``."""
+        return np.arange(1.0, self.n_stages + 1.0)
+
+    def coefficients(self, stages: Array) -> Array:
+        """Return the coefficients of the collocation polynomial, powers 1 up, ``(n_stages, n_y)``.
+
+        Args:
+            stages: Stage increments, ``(n_stages, n_y)``.
+        """
+        return self.monomials @ stages
+
+    def increment(self, coefficients: Array, position: float) -> Array:
+        """Return the increment of the polynomial at a position in [0, 1], ``(n_y,)``."""
+        return position**self.powers @ coefficients
+
+    def continued(self, coefficients: Array, start: float, ratio: float) -> Array:
+        """Return the stage increments of a step as the polynomial of another one continues them.
+
+        Args:
+            coefficients: Of the other step's polynomial.
+            start: Where the step starts, in units of the other one: 1 for the next step, 0 for
+                another one from the same start.
+            ratio: Its size in units of the other one.
+        """
+        at = start + ratio * self.nodes
+        values = at[:, None] ** self.powers @ coefficients
+        return values if start == 0.0 else values - self.increment(coefficients, start)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Spectrum:
+    """Eigenvalues of :math:`A^{-1}`, the real one first, then one of each conjugate pair.
+
+    Attributes:
+        values: The eigenvalues.
+        columns: Right eigenvectors, each ``(n_stages,)``.
+        rows: Left eigenvectors, each ``(n_stages,)``, inverse to the columns.
+    """
+
+    values: tuple[complex, ...]
+    columns: tuple[NDArray[np.complex128], ...]
+    rows: tuple[NDArray[np.complex128], ...]
+
+
+_REAL = 1e-9
+"""An imaginary part below this is rounding."""
+
+
+def _tidy(value: complex) -> complex:
+    return complex(value.real) if abs(value.imag) < _REAL else value
+
+
+@cache
+def radau(n_stages: int) -> Collocation:
+    """Return Radau IIA, of order ``2 n_stages - 1``: stiffly accurate, so layers decay."""
+    powers = np.arange(1, n_stages + 1)
+    nodes = radau_abscissae(n_stages)
+    # Stage i integrates the polynomials exactly: sum_j a_ij c_j^(k-1) = c_i^k / k.
+    vandermonde = nodes[:, None] ** (powers - 1)
+    moments = nodes[:, None] ** powers / powers
+    matrix = np.asarray(np.linalg.solve(vandermonde.T, moments.T).T, dtype=np.float64)
+    return Collocation(nodes=nodes, matrix=matrix)
+
+
+def radau_abscissae(n_stages: int) -> Array:
+    """Return the zeros of :math:`P_{s-1} - P_s` on [0, 1], P the Legendre polynomials."""
+    legendre = np.polynomial.legendre
+    series = np.zeros(n_stages + 1)
+    series[-2:] = (1.0, -1.0)
+    slope = legendre.legder(series)
+    nodes = np.sort(legendre.legroots(series).real)
+    for _ in range(3):
+        nodes = nodes - legendre.legval(nodes, series) / legendre.legval(nodes, slope)
+    nodes[-1] = 1.0
+    return (nodes + 1.0) / 2.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Nodes:
+    """Nodes of a polynomial on ``[0, 1]``.
+
+    Attributes:
+        places: The nodes, ``(s,)``.
+        coefficients: From values at the nodes to Legendre coefficients, ``(s, s)``.
+        integral: From values at the nodes to integrals from 0 to the nodes, ``(s, s)``.
+        whole: From values at the nodes to the integral over ``[0, 1]``, ``(s,)``.
+    """
+
+    places: Vector
+    coefficients: Vector
+    integral: Vector
+    whole: Vector
+
+    def values(self, at: Vector) -> Vector:
+        """Return the matrix from values at the nodes to values at other places, ``(m, s)``."""
+        return _basis(at, len(self.places)) @ self.coefficients
+
+    def integrals(self, at: Vector) -> Vector:
+        """Return the matrix to integrals from 0 to other places, ``(m, s)``."""
+        return _integrated_basis(at, len(self.places)) @ self.coefficients
+
+    def means(self, start: Vector, width: Vector) -> Vector:
+        r"""Return the matrix to the means over ``[start, start + width]``, ``(m, s)``.
+
+        .. math:: \frac1d \int_a^{a+d} q(u)\,du
+
+        by a Gauss rule that is exact: the difference of two integrals would lose
+        what `width` is smaller than one. At zero width the mean is the value.
+        """
+        n = len(self.places)
+        points, weights = legendre.leggauss(n // 2 + 1)
+        places = start[:, None] + width[:, None] * (points + 1) / 2
+        basis = _basis(places.ravel(), n).reshape(len(start), len(points), n)
+        return np.tensordot(weights / 2, basis, axes=(0, 1)) @ self.coefficients
+
+
+@cache
+def radau_nodes(n: int) -> Nodes:
+    """Return the nodes of the Radau IIA method with `n` stages; the last is 1."""
+    return _nodes(radau_abscissae(n))
+
+
+@cache
+def doubled_nodes(n: int) -> Nodes:
+    """Return the Radau nodes, then as many places between them and 0 where they are checked."""
+    own = radau_nodes(n).places
+    angles = np.concatenate([[0.0], np.arccos(1 - 2 * own)])
+    return _nodes(np.concatenate([own, (1 - np.cos((angles[1:] + angles[:-1]) / 2)) / 2]))
+
+
+def _nodes(places: Vector) -> Nodes:
+    n = len(places)
+    coefficients = np.asarray(np.linalg.inv(_basis(places, n)), dtype=np.float64)
+    return Nodes(
+        places=places,
+        coefficients=coefficients,
+        integral=_integrated_basis(places, n) @ coefficients,
+        whole=coefficients[0],
+    )
+
+
+def _basis(at: Vector, n: int) -> Vector:
+    return np.asarray(legendre.legvander(2 * at - 1, n - 1), dtype=np.float64)
+
+
+def _integrated_basis(at: Vector, n: int) -> Vector:
+    r"""Return :math:`\int_0^u P_k(2v-1)dv = (P_{k+1} - P_{k-1})(2u-1) / (4k+2)`, ``(m, n)``."""
+    values = np.asarray(legendre.legvander(2 * at - 1, n))
+    degrees = np.arange(1, n)
+    rest = (values[:, 2:] - values[:, :-2]) / (4 * degrees + 2)
+    return np.concatenate([at[:, None], rest], axis=1)

@@ -1,0 +1,148 @@
+"""The small protocol behind which every integrator stands: follow a flow until its guard falls."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.integrators.flow import GuardedFlow, Tolerance
+
+FAR = 1e300
+"""A horizon that no flow reaches; steps that grow without bound end in NaN."""
+
+Watch = Callable[[int, float, Vector], None]
+"""Told of every few steps: how many, the time at their end, the state there. It may raise."""
+
+
+def unwatched(_steps: int, _time: float, _state: Vector) -> None:
+    """Let the engine go on, whatever comes."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Leg:
+    """What an engine is asked: a flow, where to start, and when to stop.
+
+    Attributes:
+        flow: The flow, autonomous.
+        y: State at its start, ``(n_y,)``.
+        horizon: Longest time, in the flow's own.
+        tolerance: Local error of a step.
+        on_guard: The start is a root of the guard that does not count.
+        contact: A guard that was never positive and falls below minus this has been left.
+        watch: Told of the progress; it ends a leg that takes too long or goes too far.
+    """
+
+    flow: GuardedFlow
+    y: Vector
+    horizon: float
+    tolerance: Tolerance
+    on_guard: bool
+    contact: float = 0.0
+    watch: Watch = unwatched
+
+
+class Outcome(Enum):
+    """How a leg ended. The value is the phrase shown to the user."""
+
+    FALL = "the guard fell through zero"
+    HORIZON = "the time was over"
+    LEFT = "the flow left the guard on the wrong side"
+
+
+class Trajectory(Protocol):
+    """The flow along a leg."""
+
+    @property
+    def duration(self) -> float:
+        """Where the leg ends, in the flow's own time from the start."""
+        ...
+
+    @property
+    def times(self) -> Vector:
+        """Where the steps start, and the end, in the flow's own time from the start, ``(m,)``."""
+        ...
+
+    @property
+    def states(self) -> Vector:
+        """State at each of these times, ``(m, n_y)``."""
+        ...
+
+    def state_at(self, offset: float) -> Vector:
+        """Return the state at a time from the start, ``(n_y,)``, as accurate as the steps."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Passage:
+    """What came of a leg.
+
+    Attributes:
+        outcome: How it ended.
+        duration: Time that it took, in the flow's own.
+        state: State at its end, ``(n_y,)``.
+        trajectory: The flow on the way.
+    """
+
+    outcome: Outcome
+    duration: float
+    state: Vector
+    trajectory: Trajectory
+
+
+class Engine(Protocol):
+    """An integrator."""
+
+    def follow(self, leg: Leg) -> Passage:
+        """Follow a flow until its guard falls through zero or the time is over.
+
+        Raises:
+            StepSizeError: If the step size falls to rounding level.
+        """
+        ...
+
+
+class Step(Protocol):
+    """One accepted step of an engine that steps."""
+
+    @property
+    def start(self) -> float:
+        """Time at its start, from the start of the flow."""
+        ...
+
+    @property
+    def size(self) -> float:
+        """Its length in time."""
+        ...
+
+    @property
+    def before(self) -> Vector:
+        """State at its start."""
+        ...
+
+    @property
+    def after(self) -> Vector:
+        """State at its end."""
+        ...
+
+    def state_at(self, offset: float) -> Vector:
+        """Return the state ``offset`` after the start of the step, as dense output gives it."""
+        ...
+
+    def end_at(self, offset: float) -> Vector:
+        """Return the state after a step that ends ``offset`` after the start: a true end."""
+        ...
+
+
+class Stepper(Protocol):
+    """An engine that steps, and lets others watch."""
+
+    def steps(self, flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> Iterator[Step]:
+        """Yield steps from ``y`` on, without end.
+
+        Raises:
+            StepSizeError: If the step size falls to rounding level.
+        """
+        ...

@@ -1,0 +1,298 @@
+"""Where the guard of a flow falls through zero inside a step.
+
+Ends of steps alone would miss a fall and return between them, and a root finder that starts on
+the guard would report its own start. So the guard is looked at through its cubic Hermite
+interpolant first, then on the dense output, and every root is finished on true steps.
+
+What all engines that step share: watch the guard over their steps, and keep them.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import StepSizeError
+from zeno_orbits.integrators.engine import Leg, Outcome, Passage, Step
+from zeno_orbits.integrators.flow import GuardedFlow
+
+Guard = tuple[float, float]
+"""A guard and its time derivative."""
+
+_FRACTIONS = tuple(k / 8 for k in range(1, 8))
+_HALVINGS = 50
+"""A rise shorter than the step by more than this power of two is no rise."""
+
+_TINY = 4 * float(np.finfo(np.float64).eps)
+
+
+def first_fall(
+    flow: GuardedFlow, step: Step, before: Guard, after: Guard, *, on_guard: bool
+) -> float | None:
+    """Return the offset in the step at which the guard first falls through zero, if it does.
+
+    Args:
+        flow: The flow, for its guard.
+        step: The step.
+        before: Guard and its rate at the start of the step.
+        after: Guard and its rate at the end.
+        on_guard: The step starts on the guard itself: the root there does not count.
+
+    Returns:
+        The offset, in ``(0, size]``, or ``None``.
+    """
+    size = step.size
+    # The cubic interpolant lies in the hull of its four Bernstein coefficients, and has no more
+    # roots than they have changes of sign.
+    second, third = before[0] + size / 3 * before[1], after[0] - size / 3 * after[1]
+    started = before[0] > 0.0 or (on_guard and before[0] == 0.0 and before[1] > 0.0)
+    # A rate that changes sign may hide a dip, but not one to zero where the cubic falls by less
+    # than half.
+    dips = before[1] < 0.0 < after[1] and not (
+        second > before[0] / 2 > 0.0 and third > after[0] / 2 > 0.0
+    )
+    if started and second > 0.0 and third > 0.0 and after[0] > 0.0 and not dips:
+        return None
+
+    def dense(offset: float) -> Guard:
+        return after if offset == size else flow.guard(step.state_at(offset))
+
+    falls_once = before[0] > 0.0 > after[0] and (second > 0.0 or third < 0.0)
+    if not on_guard and falls_once:
+        middle = dense(size / 2)
+        if _is_cubic(middle[0], size, before, after):
+            return _polished(flow, step, _halved_root(dense, size, before, middle, after))
+    left, left_pair = 0.0, before
+    armed = not on_guard
+    for offset in (*(size * fraction for fraction in _FRACTIONS), size):
+        pair = dense(offset)
+        if armed and pair[0] < 0.0:
+            return _polished(flow, step, _root(dense, left, offset, left_pair, pair))
+        if armed and left_pair[1] < 0.0 < pair[1]:
+            falling, rising = (left_pair[1], None), (pair[1], None)
+            lowest = _root(lambda at: (dense(at)[1], None), left, offset, falling, rising)
+            low_pair = dense(lowest)
+            if low_pair[0] < 0.0:
+                return _polished(flow, step, _root(dense, left, lowest, left_pair, low_pair))
+        armed = armed or pair[0] > 0.0
+        left, left_pair = offset, pair
+    if armed or after[0] >= 0.0:
+        return None
+    return _short_rise(flow, step, dense)
+
+
+def _is_cubic(middle: float, size: float, before: Guard, after: Guard) -> bool:
+    """Tell whether the cubic interpolant of a guard tells its value in the middle of a step."""
+    expected = (before[0] + after[0]) / 2 + size * (before[1] - after[1]) / 8
+    return abs(middle - expected) < _CUBIC * (abs(before[0]) + abs(after[0]))
+
+
+_CUBIC = 0.1
+"""Part of a guard's size by which the middle of a step may differ from its cubic interpolant."""
+
+
+def _short_rise(flow: GuardedFlow, step: Step, dense: Callable[[float], Guard]) -> float | None:
+    """Return the fall after a rise from the guard that is far shorter than the step, if any."""
+    right, right_pair = step.size, dense(step.size)
+    for _ in range(_HALVINGS):
+        left = right / 2
+        left_pair = dense(left)
+        if left_pair[0] > 0.0:
+            return _polished(flow, step, _root(dense, left, right, left_pair, right_pair))
+        right, right_pair = left, left_pair
+    return None
+
+
+def _polished(flow: GuardedFlow, step: Step, offset: float) -> float:
+    """Return a root of the dense output, moved to the root of true steps by Newton's method."""
+    for _ in range(4):
+        value, rate = flow.guard(step.end_at(offset))
+        change = -value / rate if rate < 0.0 else 0.0
+        moved = min(max(offset + change, 0.0), step.size)
+        if abs(moved - offset) > _POLISH * step.size:
+            # A guard that falls so slowly that dense output and steps disagree: graze, not fall.
+            return _slow_root(flow, step, offset)
+        if abs(moved - offset) <= _DOUBLES * step.size:
+            # Newton's method squares what is left.
+            return moved
+        offset = moved
+    return offset
+
+
+_DOUBLES = 1e-9
+"""After a last change below this part of the step, Newton's method leaves less than rounding."""
+
+_POLISH = 1e-3
+"""Newton's method moves a root of the dense output by no more than this part of the step."""
+
+
+def _slow_root(flow: GuardedFlow, step: Step, offset: float) -> float:
+    """Return the root of true steps near one of the dense output, if they differ in sign there."""
+
+    def true(at: float) -> Guard:
+        return flow.guard(step.end_at(at))
+
+    width = _POLISH * step.size
+    while width < step.size:
+        left, right = max(offset - width, 0.0), min(offset + width, step.size)
+        low, high = true(left), true(right)
+        if low[0] > 0.0 > high[0]:
+            return _root(true, left, right, low, high)
+        width *= 4
+    return offset
+
+
+def _halved_root(
+    dense: Callable[[float], Guard], size: float, before: Guard, middle: Guard, after: Guard
+) -> float:
+    """Return the root of a step in which the guard falls once, in the half that has it."""
+    if middle[0] > 0.0:
+        return _root(dense, size / 2, size, middle, after)
+    return _root(dense, 0.0, size / 2, before, middle)
+
+
+Pair = tuple[float, float | None]
+"""A function and its derivative, where it is known."""
+
+
+def _root(
+    function: Callable[[float], Pair], left: float, right: float, low: Pair, high: Pair
+) -> float:
+    """Return a root between two offsets at which a function differs in sign, to rounding.
+
+    Newton's method where the rate is known, while it stays in the bracket and its steps at least
+    halve; bisection elsewhere.
+
+    Args:
+        function: The function.
+        left: One offset.
+        right: The other.
+        low: The function at the left one.
+        high: The function at the right one.
+    """
+    if low[0] == 0.0 or left == right:
+        return left
+    if high[0] == 0.0:
+        return right
+    accuracy = _TINY * (right - left)
+    close = _DOUBLES * (right - left)
+    at, last = _cubic_root(left, right, low, high), right - left
+    while right - left > accuracy:
+        value, rate = function(at)
+        if value == 0.0:
+            return at
+        if (value > 0.0) == (low[0] > 0.0):
+            left = at
+        else:
+            right = at
+        change = -value / rate if rate else math.inf
+        if abs(change) <= close:
+            return min(max(at + change, left), right)
+        if left < at + change < right and abs(change) < last / 2:
+            at, last = at + change, abs(change)
+        else:
+            at, last = (left + right) / 2, (right - left) / 2
+            if at in {left, right}:
+                break
+    return (left + right) / 2
+
+
+def _cubic_root(left: float, right: float, low: Pair, high: Pair) -> float:
+    """Return where to look for a root first: where the cubic interpolant has one, or the chord."""
+    # The quotient first: scaled gaps of a flight that goes far reach 1e300.
+    drop = 1.0 - high[0] / low[0]
+    at = 1.0 / drop
+    if low[1] is not None and high[1] is not None:
+        # In units of the value at the left, on [0, 1]: 1 + b x + c x^2 + d x^3.
+        b, end = low[1] / low[0] * (right - left), high[1] / low[0] * (right - left)
+        c, d = -3.0 * drop - 2.0 * b - end, 2.0 * drop + b + end
+        for _ in range(_CUBIC_STEPS):
+            rate = b + at * (2.0 * c + at * 3.0 * d)
+            moved = at - (1.0 + at * (b + at * (c + at * d))) / rate if rate < 0.0 else math.nan
+            if not 0.0 < moved < 1.0:
+                break
+            at = moved
+    return left + at * (right - left)
+
+
+_CUBIC_STEPS = 4
+
+
+def end_state(step: Step, offset: float) -> Vector:
+    """Return the state at an offset to the accuracy of the step's end."""
+    return step.after if offset == step.size else step.end_at(offset)
+
+
+_LEAVES = 1e-6
+"""A guard that was never positive and is below minus this part of its change has been left."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SteppedTrajectory:
+    """The steps of a leg; the last may reach beyond its end.
+
+    Attributes:
+        steps: The steps, at least one.
+        duration: Where the leg ends.
+        end: State there, ``(n_y,)``.
+    """
+
+    steps: tuple[Step, ...]
+    duration: float
+    end: Vector
+
+    @property
+    def times(self) -> Vector:
+        """Where the steps start, and the end, ``(m,)``."""
+        return np.array([*(step.start for step in self.steps), self.duration])
+
+    @property
+    def states(self) -> Vector:
+        """State at each of these times, ``(m, n_y)``."""
+        return np.array([*(step.before for step in self.steps), self.end])
+
+    def state_at(self, offset: float) -> Vector:
+        """Return the state at a time from the start."""
+        if offset >= self.duration:
+            return self.end
+        at = bisect_right(self.steps, offset, key=lambda step: step.start)
+        step = self.steps[max(at - 1, 0)]
+        return step.state_at(min(max(offset - step.start, 0.0), step.size))
+
+
+def follow_steps(steps: Iterator[Step], leg: Leg) -> Passage:
+    """Take steps until the guard of a leg falls or its time is over."""
+    flow, on_guard = leg.flow, leg.on_guard
+    before = flow.guard(leg.y)
+    largest = 0.0
+    taken: list[Step] = []
+    for step in steps:
+        taken.append(step)
+        leg.watch(1, step.start, step.after)
+        after = flow.guard(step.after)
+        fall = first_fall(flow, step, before, after, on_guard=on_guard)
+        end = step.size if fall is None else fall
+        if step.start + end >= leg.horizon:
+            state = end_state(step, leg.horizon - step.start)
+            return _passage(Outcome.HORIZON, taken, leg.horizon, state)
+        if fall is not None:
+            return _passage(Outcome.FALL, taken, step.start + fall, end_state(step, fall))
+        if on_guard:
+            largest = max(largest, abs(before[1]) * step.size, abs(after[1]) * step.size)
+            if after[0] < -max(_LEAVES * largest, leg.contact):
+                return _passage(Outcome.LEFT, taken, step.start, step.before)
+            on_guard = after[0] <= 0.0
+        before = after
+    raise StepSizeError(
+        "The engine stopped before the guard", time=before[0], state=tuple(leg.y.tolist())
+    )
+
+
+def _passage(outcome: Outcome, steps: list[Step], duration: float, state: Vector) -> Passage:
+    trajectory = SteppedTrajectory(steps=tuple(steps), duration=duration, end=state)
+    return Passage(outcome=outcome, duration=duration, state=state, trajectory=trajectory)

@@ -1,0 +1,241 @@
+"""Flows with a guard: what an integrator is given, and how a plain function becomes one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from zeno_orbits.arrays import Scalar, Vector
+from zeno_orbits.integrators.collocation import Collocation
+from zeno_orbits.integrators.dop853_step import error_norm, explicit_attempt, overflow
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tolerance:
+    """Local error allowed in one step: ``absolute + relative * |y|``, entry by entry.
+
+    Attributes:
+        relative: Part of an entry.
+        absolute: In the entry's own unit.
+    """
+
+    relative: float = 1e-12
+    absolute: float = 1e-13
+
+
+class StageGuess(NamedTuple):
+    """Where the stages of a step may start from: the polynomial of another step, continued.
+
+    Attributes:
+        coefficients: Of that polynomial, powers 1 up, ``(n_stages, n_y)``.
+        start: Where the step starts, in units of the other one.
+        ratio: Its size in these units.
+    """
+
+    coefficients: Vector
+    start: float
+    ratio: float
+
+
+FIRST_ITERATIONS = 3
+"""Newton's iterations that every implicit step begins with; few steps need another."""
+
+
+class Corrected(NamedTuple):
+    """An implicit step after its first iterations of Newton's method.
+
+    Attributes:
+        stages: Stage increments, ``(n_stages, n_y)``.
+        coefficients: Of the polynomial through them, powers 1 up, ``(n_stages, n_y)``.
+        after: State at the end, ``(n_y,)``.
+        before: Size of the last correction but one, in units of the tolerance.
+        last: Size of the last.
+        error: Error of the step, in units of the tolerance.
+    """
+
+    stages: Vector
+    coefficients: Vector
+    after: Vector
+    before: float
+    last: float
+    error: float
+
+
+class NewtonPieces(Protocol):
+    """Newton's iteration for one implicit step of a flow."""
+
+    @property
+    def scheme(self) -> Collocation:
+        """The collocation scheme."""
+        ...
+
+    def begin(
+        self, y: Vector, size: float, tolerance: Tolerance, guess: StageGuess | None
+    ) -> Corrected:
+        """Factorize for a step and return what its first iterations give.
+
+        Args:
+            y: State before the step, ``(n_y,)``.
+            size: Its size.
+            tolerance: Unit of corrections and error.
+            guess: What the stage increments start from; zero by default.
+        """
+        ...
+
+    def correct(self, stages: Vector) -> tuple[Vector, float]:
+        """Return the stage increments after one more iteration and the size of its correction."""
+        ...
+
+    def error(self, stages: Vector) -> float:
+        """Return the error of the step, in units of the tolerance."""
+        ...
+
+
+class GuardedFlow(Protocol):
+    """One mode: a vector field and the guard whose fall through zero ends it."""
+
+    def rate(self, y: Vector) -> Vector:
+        """Return ``dy/dt``."""
+        ...
+
+    def guard(self, y: Vector) -> tuple[float, float]:
+        """Return the guard and its time derivative along the flow."""
+        ...
+
+    def attempt(self, y: Vector, size: float, tolerance: Tolerance) -> tuple[Vector, float]:
+        """Return the state after one step of DOP853 and its error, in units of the tolerance."""
+        ...
+
+    def jacobian(self, y: Vector) -> Vector:
+        """Return the derivative of the rate, ``(n_y, n_y)``."""
+        ...
+
+    def newton(self, scheme: Collocation) -> NewtonPieces:
+        """Return the iteration for an implicit step of a collocation scheme."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlainFlow:
+    """A guarded flow made of two plain functions.
+
+    Attributes:
+        field: From a state ``y`` to ``dy/dt``.
+        guard_and_rate: From ``y`` to the guard and its time derivative along the flow.
+    """
+
+    field: Callable[[Vector], Vector]
+    guard_and_rate: Callable[[Vector], tuple[float, float]]
+
+    def rate(self, y: Vector) -> Vector:
+        """Return ``dy/dt``."""
+        return self.field(y)
+
+    def guard(self, y: Vector) -> tuple[float, float]:
+        """Return the guard and its time derivative along the flow."""
+        return self.guard_and_rate(y)
+
+    def attempt(self, y: Vector, size: float, tolerance: Tolerance) -> tuple[Vector, float]:
+        """Return the state after one step of DOP853 and its error, in units of the tolerance."""
+        after, fifth, third = explicit_attempt(self.field, y, size)
+        scale = tolerance.absolute + tolerance.relative * np.maximum(np.abs(y), np.abs(after))
+        fifth_squared = float(np.sum((fifth / scale) ** 2))
+        third_squared = float(np.sum((third / scale) ** 2))
+        error = error_norm(fifth_squared, third_squared, abs(size), len(y), np)
+        return after, float(error + overflow(np.sum(after), np))
+
+    def jacobian(self, y: Vector) -> Vector:
+        """Return the derivative of the rate by central differences, ``(n_y, n_y)``."""
+        columns: list[Vector] = []
+        for k in range(len(y)):
+            shift = np.zeros(len(y))
+            shift[k] = _DIFFERENCE * max(1.0, abs(y[k]))
+            rise = self.field(y + shift) - self.field(y - shift)
+            columns.append(rise / (2 * shift[k]))
+        return np.stack(columns, axis=1)
+
+    def newton(self, scheme: Collocation) -> PlainNewton:
+        """Return the iteration for an implicit step of a collocation scheme."""
+        return PlainNewton(self, scheme)
+
+
+_DIFFERENCE = 6e-6
+"""Relative displacement of a central difference: its square and rounding balance."""
+
+
+class PlainNewton:
+    """Newton's iteration in NumPy, for flows that have no symbols."""
+
+    def __init__(self, flow: PlainFlow, scheme: Collocation) -> None:
+        self._field = flow.field
+        self._jacobian = flow.jacobian
+        self.scheme = scheme
+
+    def begin(
+        self, y: Vector, size: float, tolerance: Tolerance, guess: StageGuess | None
+    ) -> Corrected:
+        """Factorize for a step and return what its first iterations give."""
+        self._y, self._size, self._tolerance = y, size, tolerance
+        with np.errstate(all="ignore"):
+            # What overflows is refused by its NaN.
+            self._slope = self._field(y)
+            jacobian, eye = self._jacobian(y), np.eye(len(y))
+            self._inverses = [
+                np.linalg.inv(mu / size * eye - jacobian) for mu in self.scheme.spectrum.values
+            ]
+            stages, before = np.zeros((self.scheme.n_stages, len(y))), 0.0
+            if guess is not None:
+                stages = self.scheme.continued(*guess)
+            for _ in range(FIRST_ITERATIONS - 1):
+                stages, before = self.correct(stages)
+            stages, last = self.correct(stages)
+            coefficients, error = self.scheme.coefficients(stages), self.error(stages)
+            return Corrected(stages, coefficients, y + stages[-1], before, last, error)
+
+    def correct(self, stages: Vector) -> tuple[Vector, float]:
+        """Return the stage increments after one more iteration and the size of its correction."""
+        with np.errstate(all="ignore"):
+            rates = np.array([self._field(self._y + stage) for stage in stages])
+            residual = rates - self.scheme.inverse @ stages / self._size
+            correction = np.zeros_like(stages)
+            for mu, column, row, inverse in zip(
+                self.scheme.spectrum.values,
+                self.scheme.spectrum.columns,
+                self.scheme.spectrum.rows,
+                self._inverses,
+                strict=True,
+            ):
+                part = np.outer(column, inverse @ (row @ residual))
+                correction += part.real if mu.imag == 0.0 else 2 * part.real
+            return stages + correction, self._norm(correction)
+
+    def error(self, stages: Vector) -> float:
+        """Return the error of the step, in units of the tolerance."""
+        gamma, weights = self.scheme.embedded
+        with np.errstate(all="ignore"):
+            raw = self._slope + weights @ stages / (gamma * self._size)
+            error = self._norm((self._inverses[0] @ raw).real)
+            return error + float(overflow(np.sum(self._y + stages[-1]), np))
+
+    def _norm(self, change: Vector) -> float:
+        tolerance = self._tolerance
+        scale = tolerance.absolute + tolerance.relative * np.abs(self._y)
+        return float(np.sqrt(np.mean((change / scale) ** 2)))
+
+
+def plain_flight(
+    free_flow: Callable[[Vector], Vector], gap_acceleration: Scalar
+) -> Callable[[float], GuardedFlow]:
+    """Return the rescaled flights of a system given by plain functions."""
+
+    def flight(speed: float) -> GuardedFlow:
+        def field(y: Vector) -> Vector:
+            x = y[:-2]
+            return np.concatenate([speed * free_flow(x), [y[-1], gap_acceleration(x)]])
+
+        return PlainFlow(field=field, guard_and_rate=lambda y: (float(y[-2]), float(y[-1])))
+
+    return flight

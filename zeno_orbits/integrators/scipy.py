@@ -1,0 +1,117 @@
+"""The reference engine: SciPy's integrators, slow and independent of ours."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import StepSizeError
+from zeno_orbits.integrators.engine import Leg, Passage
+from zeno_orbits.integrators.events import follow_steps
+from zeno_orbits.integrators.flow import GuardedFlow, Tolerance
+
+if TYPE_CHECKING:
+    from scipy.integrate import DOP853, LSODA, OdeSolver, Radau
+
+_FAR = 1e300
+"""A time bound that no flow reaches; SciPy's solvers want one."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SciPy:
+    """A method of ``scipy.integrate``, stepped by hand.
+
+    Attributes:
+        method: ``DOP853``, ``Radau`` (stiff) or ``LSODA`` of ``scipy.integrate``, the class itself.
+        largest_step: No step is longer than this, in the time of the flow.
+    """
+
+    method: type[DOP853] | type[Radau] | type[LSODA]
+    largest_step: float = np.inf
+
+    def follow(self, leg: Leg) -> Passage:
+        """Follow a flow until its guard falls through zero or the time is over.
+
+        Raises:
+            StepSizeError: If the integrator gives up.
+        """
+        return follow_steps(self.steps(leg.flow, leg.y, leg.tolerance), leg)
+
+    def steps(self, flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> Iterator[SciPyStep]:
+        """Yield steps from ``y`` on, without end.
+
+        Raises:
+            StepSizeError: If the integrator gives up.
+        """
+        solver: OdeSolver = self.method(
+            lambda _, state: flow.rate(np.asarray(state, dtype=np.float64)),
+            0.0,
+            y,
+            _FAR,
+            max_step=self.largest_step,
+            rtol=tolerance.relative,
+            atol=tolerance.absolute,
+        )
+        before = y
+        while True:
+            start = float(solver.t)
+            with np.errstate(all="ignore"):
+                # A step that overflows is refused by its NaN; the user need not hear of it.
+                message = solver.step()
+            if solver.status == "failed":
+                raise StepSizeError(
+                    f"SciPy's {self.method.__name__} stopped: {message}",
+                    time=start,
+                    state=tuple(before.tolist()),
+                )
+            after = np.array(solver.y, dtype=np.float64)
+            yield SciPyStep(
+                engine=self,
+                flow=flow,
+                tolerance=tolerance,
+                start=start,
+                size=float(solver.t) - start,
+                before=before,
+                after=after,
+            )
+            before = after
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SciPyStep:
+    """A step of SciPy's; the state inside is integrated again, as dense output is less accurate."""
+
+    engine: SciPy
+    flow: GuardedFlow
+    tolerance: Tolerance
+    start: float
+    size: float
+    before: Vector
+    after: Vector
+
+    def state_at(self, offset: float) -> Vector:
+        """Return the state ``offset`` after the start of the step."""
+        if offset == 0.0:
+            return self.before
+        if offset == self.size:
+            return self.after
+        from scipy.integrate import solve_ivp
+
+        solution = solve_ivp(
+            lambda _, state: self.flow.rate(np.asarray(state, dtype=np.float64)),
+            (0.0, offset),
+            self.before,
+            method=self.engine.method,
+            t_eval=[offset],
+            rtol=self.tolerance.relative,
+            atol=self.tolerance.absolute,
+        )
+        return np.asarray(solution.y[:, -1], dtype=np.float64)
+
+    def end_at(self, offset: float) -> Vector:
+        """Return the same: nothing is interpolated."""
+        return self.state_at(offset)

@@ -1,0 +1,183 @@
+"""What motions settle to, for many settings of a scene at once: one chunk of a map."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError
+from zeno_orbits.maps.newton_request import Accuracy, Request
+from zeno_orbits.maps.point import Point
+from zeno_orbits.model.numeric.compiled import bind, compiled_model
+from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.quantities import RUNAWAY
+from zeno_orbits.simulation.attractor import Attractor
+from zeno_orbits.simulation.batch.batch import Batch
+from zeno_orbits.simulation.batch.model import model_in_rows
+
+_LANES = 2048
+"""Lanes in a batch. More share the cost of a round better, until they leave the cache."""
+
+
+def attractors_at(
+    problem: Problem,
+    settings: Sequence[Setting],
+    *,
+    start: Mapping[str, float] | None = None,
+    until: float = 100.0,
+    bounds: Mapping[str, float] | None = None,
+    accuracy: Accuracy | None = None,
+    on_progress: Callable[[int], None] | None = None,
+) -> tuple[Attractor, ...]:
+    """Return what the motion from one state settles to, at every setting.
+
+    The result at a setting does not depend on the others in the batch.
+
+    Args:
+        problem: The scene.
+        settings: Numbers for its gains and parameters, one a point.
+        start: Where motions start; the scene's first start by default.
+        until: Longest simulated time [s].
+        bounds: Largest modulus of coordinates by name; beyond it a motion has escaped. By default
+            what the scene declares, and 20 pi for the others.
+        accuracy: How accurately motions are followed.
+        on_progress: Called with the number of points done, whenever it has grown.
+
+    Raises:
+        InputError: If a name is unknown or a number out of its range.
+    """
+    if not (math.isfinite(until) and until > 0.0):
+        raise InputError(
+            f"Argument `until` must be a positive number of seconds, but it is {until}."
+        )
+    if not settings:
+        return ()
+    state = np.array(problem.state_vector(problem.starts[0] if start is None else start))
+    run = _Run(problem, settings, state, until, _limits(problem, bounds), accuracy or Accuracy())
+    done = 0
+    while run.is_going:
+        run.advance()
+        if on_progress is not None and run.n_done > done:
+            on_progress(run.n_done)
+        done = run.n_done
+    return tuple(_in_words(problem, run.found[k]) for k in range(len(settings)))
+
+
+def _in_words(problem: Problem, found: Attractor) -> Attractor:
+    """Return an attractor with what the scene calls its escape."""
+    if found.escaped not in problem.escapes:
+        return found
+    return replace(found, detail=problem.escapes[found.escaped].phrase)
+
+
+def _limits(problem: Problem, bounds: Mapping[str, float] | None) -> Vector:
+    model = model_in_rows(problem)
+    chosen = dict.fromkeys(model.state_names[: model.n_q], RUNAWAY)
+    chosen |= {name: escape.beyond for name, escape in problem.escapes.items()}
+    chosen |= dict(bounds or {})
+    problem.state_vector(chosen)
+    for name, bound in chosen.items():
+        if not bound > 0.0:
+            raise InputError(f"Argument `bounds` must be positive, but `{name}` has {bound:g}.")
+    return np.array([chosen.get(name, np.inf) for name in model.state_names])
+
+
+class _Run:
+    """The points of a call, and the lanes that they have."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        settings: Sequence[Setting],
+        start: Vector,
+        until: float,
+        limits: Vector,
+        accuracy: Accuracy,
+    ) -> None:
+        self._numbers = np.array([setting.values() for setting in settings])
+        self._compiled = compiled_model(problem)
+        self._accuracy = accuracy
+        self._start, self._until = start, until
+        self._batch = Batch(model_in_rows(problem), _LANES, bounds=limits)
+        self._waiting = deque(range(len(settings)))
+        self._points: dict[int, Point] = {}
+        self._lanes: dict[int, list[int]] = {}
+        self._owner: dict[int, tuple[int, int]] = {}
+        self._asked: deque[tuple[int, Request]] = deque()
+        self.found: dict[int, Attractor] = {}
+
+    @property
+    def is_going(self) -> bool:
+        """Whether a point has not come to its conclusion."""
+        return bool(self._waiting or self._points)
+
+    @property
+    def n_done(self) -> int:
+        """Points that have."""
+        return len(self.found)
+
+    def advance(self) -> None:
+        """Give points their lanes, advance these, and tell the points of it."""
+        self._admit()
+        for event in self._batch.round():
+            if event.lane not in self._owner:
+                continue
+            index, rank = self._owner[event.lane]
+            answer = self._points[index].hear(rank, event)
+            if answer is None:
+                continue
+            self._leave(index)
+            if isinstance(answer, Attractor):
+                self.found[index] = answer
+                del self._points[index]
+            else:
+                self._asked.append((index, answer))
+
+    def _admit(self) -> None:
+        """Start the lanes that were asked for, then new points, while there is room."""
+        room = self._batch.n_free
+        granted: list[tuple[int, Request]] = []
+        while self._asked and len(self._asked[0][1].states) <= room:
+            room -= len(self._asked[0][1].states)
+            granted.append(self._asked.popleft())
+        while self._waiting and room > 0 and not self._asked:
+            index = self._waiting.popleft()
+            dynamics = bind(self._compiled, self._numbers[index])
+            point = Point(dynamics, self._start, self._until, self._accuracy)
+            self._points[index] = point
+            granted.append((index, point.begin()))
+            room -= 1
+        kinds = sorted({(r.released, len(r.states), r.tolerance) for _, r in granted})
+        for kind in kinds:
+            alike = [
+                (index, request)
+                for index, request in granted
+                if (request.released, len(request.states), request.tolerance) == kind
+            ]
+            self._start_lanes(alike, *kind)
+
+    def _start_lanes(
+        self, asked: list[tuple[int, Request]], released: bool, n: int, tolerance: float
+    ) -> None:
+        states = np.concatenate([request.states for _, request in asked])
+        numbers = np.repeat(self._numbers[[index for index, _ in asked]], n, axis=0)
+        until = np.repeat([request.until for _, request in asked], n)
+        if released:
+            lanes = self._batch.start_released(numbers, states, tolerance, until, n_followers=n - 1)
+        else:
+            lanes = self._batch.start(numbers, states, tolerance, until)
+        for (index, _), own in zip(asked, lanes.reshape(-1, n).tolist(), strict=True):
+            self._lanes[index] = own
+            for rank, lane in enumerate(own):
+                self._owner[lane] = (index, rank)
+
+    def _leave(self, index: int) -> None:
+        own = self._lanes.pop(index, [])
+        self._batch.stop(own)
+        for lane in own:
+            del self._owner[lane]

@@ -1,0 +1,197 @@
+"""An attempt at the orbit that a motion goes to, by Newton's method (theory (29))."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.maps.newton import (
+    MARGINS,
+    Bundle,
+    FixedPoint,
+    bundle_at,
+    cycle_of,
+    newton_step,
+)
+from zeno_orbits.maps.newton_request import AT_ONCE, Accuracy, Request
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.simulation.attractor import Attractor, Fate
+from zeno_orbits.simulation.batch.outcomes import Ended, Event, Released
+
+_MOST_ITERATIONS = 12
+_SHRINKS = 0.9
+"""Newton's steps shrink at least by this, or the orbit is not near."""
+_STRAIGHT = 0.05
+"""Step over the distance of the multipliers from 1 up to which the derivative serves again."""
+_AGREES = 0.5
+"""Part by which the motion's last step may differ from what the derivative at the orbit says."""
+_NEAR, _REPELS = 0.05, 1.2
+"""An orbit this near with multipliers beyond this is not one that the motion goes to."""
+_VANISHED = 0.02
+"""Part of its amplitude that an orbit would have that is none: the motion dies out."""
+_COARSE = 3e-4
+"""Newton's steps above this are repeated at the accuracy of the motion first."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lost:
+    """There is no orbit that the motion goes to, as far as this attempt tells."""
+
+
+@dataclass(slots=True, kw_only=True)
+class Attempt:
+    """Newton's method under way for orbits of a period.
+
+    Attributes:
+        dynamics: The system.
+        accuracy: How accurately.
+        span: Time of a period, about [s].
+        period: Returns a period.
+        bundle: Where its lanes started.
+        final: Whether they run at the accuracy of the orbit.
+        origin: The release of the motion from which it started, ``(n_x,)``.
+        earlier: That a period before, ``(n_x,)``.
+        before: Length of the step before; the first is allowed anything.
+        jacobian: Derivative from the bundle before, for a lane without neighbours.
+        returns: Releases of each lane so far.
+        iterations: Steps made.
+        contracts: Whether the return map contracts wherever a step began, and none turned back.
+        last_step: The last step, in scaled states, ``(n_x,)``.
+    """
+
+    dynamics: HybridDynamics
+    accuracy: Accuracy
+    span: float
+    period: int
+    bundle: Bundle
+    final: bool = False
+    origin: Vector
+    earlier: Vector
+    before: float = np.inf
+    jacobian: Vector | None = None
+    returns: dict[int, list[Released]] = field(default_factory=dict[int, list[Released]])
+    iterations: int = 0
+    contracts: bool = True
+    last_step: Vector | None = None
+
+    def request(self, *, neighbours: bool) -> Request:
+        """Return the lanes of the next step: the bundle, or its leader where `A` is known."""
+        accuracy = self.accuracy
+        states = self.bundle.states if neighbours else self.bundle.states[:1]
+        self.returns = {rank: [] for rank in range(len(states))}
+        tolerance = accuracy.orbit if self.final else accuracy.motion
+        return Request(states, tolerance, True, 2 * self.span)
+
+    def hear(self, rank: int, event: Event) -> Request | Attractor | Lost | None:
+        """Take an event of one of the lanes; once all have returned, make a step."""
+        if isinstance(event, Ended):
+            return Lost()
+        if not isinstance(event, Released):
+            return None
+        returns = self.returns[rank]
+        if len(returns) < self.period and event.time > AT_ONCE:
+            returns.append(event)
+        if any(len(events) < self.period for events in self.returns.values()):
+            return None
+        cycles = [cycle_of(self.dynamics, self.returns[k]) for k in sorted(self.returns)]
+        try:
+            point = newton_step(self.dynamics, self.bundle.section, cycles, self.jacobian)
+        except (np.linalg.LinAlgError, ZenoOrbitsError):
+            return Lost()
+        return self._stepped(point)
+
+    def _stepped(self, point: FixedPoint) -> Request | Attractor | Lost | None:
+        """Go on from a step of Newton's method: again, more accurately, or to a conclusion."""
+        accuracy = self.accuracy
+        self.iterations += 1
+        if not (np.all(np.isfinite(point.jacobian)) and np.isfinite(point.distance)):
+            return Lost()
+        shrinks = point.distance <= max(_SHRINKS * self.before, accuracy.exact)
+        near = point.distance < accuracy.far and self.iterations <= _MOST_ITERATIONS
+        if not (shrinks and near):
+            return Lost()
+        if point.distance < _NEAR and point.spectral_radius > _REPELS:
+            return Lost()
+        if self.final and point.distance <= accuracy.exact:
+            return self._accepted(point)
+        self._look_along(point)
+        if self.contracts and self._vanishes(point):
+            return Attractor(fate=Fate.REST, trend=point.spectral_radius)
+        coarse = not self.final and point.distance > _COARSE
+        least = min((abs(1 - value) for value in point.multipliers), default=1.0)
+        straight = coarse and point.distance < _STRAIGHT * least
+        scale = self.bundle.section.scale
+        self.bundle = bundle_at(self.dynamics, point.state, scale)
+        # The fixed point moves with the accuracy: the first step at another one says nothing.
+        self.before = point.distance if self.final != coarse else np.inf
+        self.final = not coarse
+        self.jacobian = point.jacobian if straight else None
+        return self.request(neighbours=not straight)
+
+    def _look_along(self, point: FixedPoint) -> None:
+        """Note whether the way to the orbit so far is one that the motion takes as well.
+
+        Where the return map contracts all along a straight way, the motion follows it to its end.
+        """
+        section = self.bundle.section
+        step = (point.state - section.centre) / section.scale
+        before = self.last_step
+        turns = before is not None and float(step @ before) < 0.0 and point.distance > _COARSE
+        self.contracts &= point.spectral_radius < 1.0 and not turns
+        self.last_step = step
+
+    def _vanishes(self, point: FixedPoint) -> bool:
+        """Tell whether the way leads to an amplitude of zero."""
+        scale = self.bundle.section.scale
+        left = float(np.max(np.abs(point.state) / scale))
+        return left < _VANISHED * float(np.max(np.abs(self.origin) / scale))
+
+    def _accepted(self, point: FixedPoint) -> Request | Attractor | Lost:
+        """Return the orbit if it attracts and the motion is on its way to it."""
+        shorter = self._shorter_period()
+        leads_there = self.contracts or self._is_approached(point)
+        if not (point.spectral_radius < 1.0 and leads_there):
+            return Lost()
+        if shorter < self.period:
+            self.period, self.before = shorter, np.inf
+            self.earlier = self.origin
+            return self.request(neighbours=True)
+        return self._orbit(point)
+
+    def _shorter_period(self) -> int:
+        """Return after how many returns the orbit repeats already."""
+        state, scale = self.bundle.section.centre, self.bundle.section.scale
+        for period, event in enumerate(self.returns[0], start=1):
+            away = float(np.max(np.abs(event.state - state) / scale))
+            if self.period % period == 0 and away < self.accuracy.repeats:
+                return period
+        return self.period
+
+    def _is_approached(self, point: FixedPoint) -> bool:
+        """Tell whether the last step of the motion was the one that leads to the orbit."""
+        section = self.bundle.section
+        centre = section.coordinates(point.state)
+        before = section.coordinates(self.earlier) - centre
+        after = section.coordinates(self.origin) - centre
+        expected = point.jacobian @ before
+        miss = float(np.max(np.abs(after - expected), initial=0.0))
+        step = float(np.max(np.abs(before - expected), initial=0.0))
+        return miss <= max(_AGREES * step, self.accuracy.repeats)
+
+    def _orbit(self, point: FixedPoint) -> Attractor:
+        period, *margins = point.numbers.tolist()
+        fate = Fate.ZENO if self.dynamics.restitution > 0.0 else Fate.SIMPLE
+        if not np.all(np.isfinite(margins)):
+            fate = Fate.NO_ZENO
+        named = dict(zip(MARGINS, margins, strict=True))
+        return Attractor(
+            fate=fate,
+            returns=self.period,
+            period=period,
+            multipliers=point.multipliers,
+            margins={name: value for name, value in named.items() if np.isfinite(value)},
+            state=dict(zip(self.dynamics.state_names, point.state.tolist(), strict=True)),
+        )

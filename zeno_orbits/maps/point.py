@@ -1,0 +1,221 @@
+"""One point of a map as it follows its motion: what it asks of the batch, what it concludes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.maps.newton import bundle_at
+from zeno_orbits.maps.newton_attempt import Attempt, Lost
+from zeno_orbits.maps.newton_impacts import ImpactBundle, bundle_around
+from zeno_orbits.maps.newton_request import AT_ONCE, Accuracy, Request
+from zeno_orbits.maps.return_sequence import Growth, changes, growth_of, scale_of
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.simulation.attractor import Attractor, Fate
+from zeno_orbits.simulation.batch.outcomes import Ended, Event, Reason, Struck
+
+_REMEMBERED = 40
+"""Returns that are looked back on."""
+_RECENT = 8
+"""Returns that tell the size of each state."""
+_CLOSE = 1e-4
+"""Change of an impact that is a period later below which Newton's method is tried."""
+_DISTINCT = 1e-3
+"""States nearer than this are taken for one another, relative."""
+_MUCH_NEARER, _LATER = 0.3, 8
+"""Newton's method is tried again if a motion is this much nearer, or this many returns later."""
+_PATIENCE = 4
+"""Failures of Newton's method after which a motion that has come nearer has to wait like others."""
+_APART = 0.2
+"""A motion repeats after more returns only if it is that much nearer after them than before."""
+
+
+class Point:
+    """A motion that settles; it is told events and answers with requests or a conclusion."""
+
+    def __init__(
+        self, dynamics: HybridDynamics, start: Vector, until: float, accuracy: Accuracy
+    ) -> None:
+        self._dynamics = dynamics
+        self._start = start
+        self._until = until
+        self._accuracy = accuracy
+        self._origin = 0.0
+        self._tolerance = accuracy.motion
+        self._returns: list[tuple[float, Vector]] = []
+        self._strikes: list[tuple[float, Vector, float]] = []
+        self._amplitudes: list[float] = []
+        self._unit: Vector | None = None
+        self._failures = 0
+        self._tried: dict[int, tuple[float, int]] = {}
+        self._looked: dict[int, float] = {}
+        self._attempt: Attempt | ImpactBundle | None = None
+
+    def begin(self) -> Request:
+        """Return the first lane to run."""
+        return Request(self._start[None, :], self._tolerance, False, self._until)
+
+    def hear(self, rank: int, event: Event) -> Request | Attractor | None:
+        """Take an event of one of the point's lanes.
+
+        Args:
+            rank: Which of the lanes it asked for last.
+            event: What happened to it.
+
+        Returns:
+            Other lanes to run in place of these, or the conclusion, or nothing to go on.
+        """
+        if isinstance(self._attempt, ImpactBundle):
+            return self._between_impacts(self._attempt.hear(rank, event))
+        if self._attempt is not None:
+            answer = self._attempt.hear(rank, event)
+            return self._give_up() if isinstance(answer, Lost) else answer
+        time = self._origin + event.time
+        if isinstance(event, Ended):
+            return self._ended(event)
+        if isinstance(event, Struck):
+            return self._struck(event, time)
+        if self._returns and time - self._returns[-1][0] < AT_ONCE:
+            return None
+        return self._returned(time, event.state)
+
+    def _returned(self, time: float, state: Vector) -> Request | Attractor | None:
+        """Look back from a new release."""
+        self._strikes.clear()
+        self._returns.append((time, state))
+        del self._returns[:-_REMEMBERED]
+        if self._unit is None:
+            self._unit = scale_of([state], self._dynamics.n_q)
+        self._amplitudes.append(float(np.max(np.abs(state) / self._unit)))
+        if len(self._returns) < 2:
+            return None
+        states = [x for _, x in self._returns]
+        growth = growth_of(self._amplitudes)
+        if growth.dies_out:
+            return Attractor(fate=Fate.REST, trend=growth.factor)
+        scale = scale_of(states[-_RECENT:], self._dynamics.n_q)
+        nearest = np.inf
+        for period, change in changes(states, scale).items():
+            if change < _APART * nearest and self._is_worth_it(period, change):
+                return self._begin_attempt(period, change, scale)
+            nearest = min(nearest, change)
+        return None
+
+    def _is_worth_it(self, period: int, change: float) -> bool:
+        """Tell whether Newton's method may reach an orbit, if it did not the last time."""
+        if change >= self._accuracy.near:
+            return False
+        before, at = self._tried.get(period, (np.inf, -np.inf))
+        # A motion that never settles comes near many orbits: it is looked at ever less often.
+        later = len(self._amplitudes) >= at + _LATER * 2 ** max(self._failures - 1, 0)
+        return later or (change < _MUCH_NEARER * before and self._failures < _PATIENCE)
+
+    def _begin_attempt(self, period: int, change: float, scale: Vector) -> Request | None:
+        self._tried[period] = change, len(self._amplitudes)
+        _, state = self._returns[-1]
+        bundle = bundle_at(self._dynamics, state, scale)
+        if not np.all(np.isfinite(bundle.states)):
+            return None
+        self._attempt = Attempt(
+            dynamics=self._dynamics,
+            accuracy=self._accuracy,
+            span=self._returns[-1][0] - self._returns[-1 - period][0],
+            period=period,
+            bundle=bundle,
+            origin=state,
+            earlier=self._returns[-1 - period][1],
+        )
+        return self._attempt.request(neighbours=True)
+
+    def _give_up(self) -> Request:
+        """Return to the motion, from its last release on."""
+        self._attempt = None
+        self._failures += 1
+        time, state = self._returns[-1]
+        self._origin = time
+        return Request(state[None, :], self._tolerance, True, self._until - time)
+
+    def _named(self, state: Vector) -> dict[str, float]:
+        return dict(zip(self._dynamics.state_names, state.tolist(), strict=True))
+
+    def _struck(self, event: Struck, time: float) -> Request | Attractor | None:
+        """Look back from the first impact of a sequence, where no release comes."""
+        self._strikes.append((time, event.state, event.rate))
+        del self._strikes[:-_REMEMBERED]
+        if len(self._strikes) < _RECENT:
+            return None
+        states = [x for _, x, _ in self._strikes]
+        scale = scale_of(states[-_RECENT:], self._dynamics.n_q)
+        for period, change in changes(states, scale).items():
+            earlier = changes(states[:-period], scale).get(period, np.inf)
+            if change < _CLOSE and earlier < 10 * _CLOSE:
+                answer = self._look_around(period, change, scale)
+                if answer is not None:
+                    return answer
+            repeats = self._accuracy.repeats
+            if change < repeats and earlier < 10 * repeats:
+                return self._repeated(period)
+            if change < _DISTINCT:
+                # It is on its way to repeat after so many; more would repeat that.
+                return None
+        return None
+
+    def _repeated(self, period: int) -> Request | Attractor:
+        """Go on more accurately from impacts that repeat, then conclude."""
+        if self._tolerance == self._accuracy.orbit:
+            return self._without_zeno(period)
+        time, state, _ = self._strikes[-1]
+        self._tolerance, self._origin = self._accuracy.orbit, time
+        self._strikes.clear()
+        # The state is on the stop and leaves it, as after a release.
+        return Request(state[None, :], self._tolerance, True, self._until - time)
+
+    def _look_around(self, period: int, change: float, scale: Vector) -> Request | None:
+        """Begin Newton's method from impacts that nearly repeat, if it has not failed there."""
+        if not change < _MUCH_NEARER * self._looked.get(period, np.inf):
+            return None
+        self._looked[period] = change
+        time, state, _ = self._strikes[-1]
+        span = time - self._strikes[-1 - period][0]
+        bundle = bundle_around(self._dynamics, self._accuracy, state, scale, period, span)
+        self._attempt = bundle
+        return None if bundle is None else bundle.request()
+
+    def _between_impacts(
+        self, answer: ImpactBundle | Attractor | Lost | None
+    ) -> Request | Attractor | None:
+        """Go on from a step of Newton's method, or from the motion where that failed."""
+        if isinstance(answer, ImpactBundle):
+            self._attempt = answer
+            return answer.request()
+        if not isinstance(answer, Lost):
+            return answer
+        self._attempt = None
+        time, state, _ = self._strikes[-1]
+        self._origin = time
+        return Request(state[None, :], self._tolerance, True, self._until - time)
+
+    def _without_zeno(self, period: int) -> Attractor:
+        last, first = self._strikes[-1], self._strikes[-1 - period]
+        rates = [rate for _, _, rate in self._strikes[-period:]]
+        return Attractor(
+            fate=Fate.NO_ZENO,
+            period=last[0] - first[0],
+            margins={"first_impact_speed": min(-rate for rate in rates)},
+            state=self._named(last[1]),
+        )
+
+    def _ended(self, event: Ended) -> Attractor:
+        if event.reason is Reason.FAILURE:
+            return Attractor(fate=Fate.FAILED, detail=event.detail, state=self._named(event.state))
+        if event.reason is Reason.ESCAPE:
+            return Attractor(fate=Fate.ESCAPE, escaped=event.detail)
+        if event.reason is Reason.REST:
+            return Attractor(fate=Fate.REST)
+        growth = (
+            growth_of(self._amplitudes)
+            if self._amplitudes
+            else Growth(factor=float("nan"), dies_out=False)
+        )
+        reason = "" if self._amplitudes else "no release comes"
+        return Attractor(fate=Fate.UNSETTLED, trend=growth.factor, detail=reason)

@@ -1,0 +1,235 @@
+"""Lagrangian mechanics in symbols: from energies to `M`, `C v + N`, the gap and its Jacobian.
+
+Source: [MurrayLiSastry1994]_ for the Lagrangian form, theory (1) and (6).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+
+from zeno_orbits.model.clock import Clock
+
+_ROUNDING = 1e-10
+"""What is left of a formula that vanishes, at numbers of about 1."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HybridLagrangian:
+    r"""A mechanism with one stop: the tuple (Q, L, h) of [Ames2006]_, before any drive acts.
+
+    The law is :math:`M(q)\,\dot v + \mathrm{bias}(q, v) = F`, with `F` the generalized force of the
+    drives, on the admissible set :math:`h(q) \ge 0` (theory (1)).
+
+    Attributes:
+        q: Configuration symbols, ``(n_q,)``.
+        v: Velocity symbols, ``(n_q,)``.
+        mass_matrix: :math:`M(q)`, ``(n_q, n_q)``.
+        bias: :math:`C(q, v)\,v + N(q)` less the passive forces, ``(n_q,)``.
+        gap: :math:`h(q)`, scalar; the stop is :math:`h = 0`.
+        potential: :math:`U(q)`, scalar [J].
+        passive_force: Forces that depend on ``(q, v)`` alone, friction for instance, ``(n_q,)``.
+        holonomic: :math:`\eta(q)`, ``(n_eta,)``; the motion keeps :math:`\eta = 0` (paper eq. 6).
+        applied_force: Forces from outside, of ``(q, v)`` and the clock, ``(n_q,)``.
+        clock: What tells them the time; ``None`` where nothing is forced.
+    """
+
+    q: ca.SX
+    v: ca.SX
+    mass_matrix: ca.SX
+    bias: ca.SX
+    gap: ca.SX
+    potential: ca.SX
+    passive_force: ca.SX
+    holonomic: ca.SX
+    applied_force: ca.SX
+    clock: Clock | None = None
+
+    @classmethod
+    def from_energies(
+        cls,
+        *,
+        q: ca.SX,
+        v: ca.SX,
+        kinetic: ca.SX,
+        potential: ca.SX,
+        gap: ca.SX,
+        passive_force: ca.SX | None = None,
+        holonomic: ca.SX | None = None,
+        applied_force: ca.SX | None = None,
+        clock: Clock | None = None,
+    ) -> HybridLagrangian:
+        r"""Derive the equations of motion of :math:`L = T - U`.
+
+        .. math:: M = \partial^2 T / \partial v^2,\qquad
+            \mathrm{bias} = \partial_q (M v)\,v - \partial_q T + \partial_q U
+            - F_\mathrm{passive} - F_\mathrm{applied}
+
+        Args:
+            q: Configuration symbols, ``(n_q,)``.
+            v: Velocity symbols, ``(n_q,)``.
+            kinetic: :math:`T(q, v)` [J], quadratic in ``v``.
+            potential: :math:`U(q)` [J].
+            gap: :math:`h(q)`.
+            passive_force: Friction and other forces of ``(q, v)``, ``(n_q,)``; none by default.
+            holonomic: :math:`\eta(q)`, ``(n_eta,)``; none by default.
+            applied_force: Forces from outside, ``(n_q,)``, of ``(q, v)`` and the clock; their work
+                counts as input. None by default.
+            clock: The clock whose states the forces hold, if they change with time.
+
+        Returns:
+            The mechanism.
+
+        Raises:
+            ValueError: If an energy, the gap or a constraint depends on what it must not.
+        """
+        friction = ca.SX.zeros(q.numel()) if passive_force is None else ca.vec(passive_force)
+        applied = ca.SX.zeros(q.numel()) if applied_force is None else ca.vec(applied_force)
+        eta = ca.SX(0, 1) if holonomic is None else ca.vec(holonomic)
+        mass_matrix = ca.hessian(kinetic, v)[0]
+        _require_shapes(q, v=v, passive_force=friction, applied_force=applied)
+        if clock is not None:
+            _require_timeless(clock, kinetic=kinetic, potential=potential, gap=gap, holonomic=eta)
+        for name, expression in (("gap", gap), ("potential", potential), ("holonomic", eta)):
+            if ca.depends_on(expression, v):
+                wanted = "must depend on the configuration only, but it depends on the velocity"
+                raise ValueError(f"Argument `{name}` {wanted}.")
+        if not ca.depends_on(gap, q):
+            raise ValueError("Argument `gap` must depend on the configuration, but it is constant.")
+        still = ca.SX.zeros(*v.shape)
+        rest = ca.substitute(ca.vertcat(kinetic, ca.gradient(kinetic, v)), v, still)
+        if ca.depends_on(mass_matrix, v) or not rest.is_zero():
+            raise ValueError("Argument `kinetic` must be quadratic in the velocity, but it is not.")
+        _require_inertia("kinetic", mass_matrix)
+        momentum = ca.mtimes(mass_matrix, v)
+        bias = (
+            ca.jtimes(momentum, q, v)
+            - ca.gradient(kinetic, q)
+            + ca.gradient(potential, q)
+            - friction
+            - applied
+        )
+        return cls(
+            q=q,
+            v=v,
+            mass_matrix=mass_matrix,
+            bias=bias,
+            gap=gap,
+            potential=potential,
+            passive_force=friction,
+            holonomic=eta,
+            applied_force=applied,
+            clock=clock,
+        )
+
+    @classmethod
+    def from_matrices(
+        cls,
+        *,
+        q: ca.SX,
+        v: ca.SX,
+        mass_matrix: ca.SX,
+        coriolis: ca.SX,
+        gravity: ca.SX,
+        gap: ca.SX,
+        potential: ca.SX | None = None,
+        holonomic: ca.SX | None = None,
+        applied_force: ca.SX | None = None,
+        clock: Clock | None = None,
+    ) -> HybridLagrangian:
+        r"""Take the matrices of :math:`M(q)\,\dot v + C(q, v)\,v + N(q, v) = F` as they are.
+
+        What of `N` is not the gradient of the potential counts as a passive force, so the energy
+        balance is right with and without a potential.
+
+        Args:
+            q: Configuration symbols, ``(n_q,)``.
+            v: Velocity symbols, ``(n_q,)``.
+            mass_matrix: :math:`M(q)`, symmetric, ``(n_q, n_q)``.
+            coriolis: :math:`C(q, v)`, ``(n_q, n_q)``, with :math:`v^\top(\dot M - 2C)v = 0`.
+            gravity: :math:`N(q, v)`: weights, springs and friction, on the left side, ``(n_q,)``.
+            gap: :math:`h(q)`.
+            potential: :math:`U(q)` [J], for the energy balance; zero by default.
+            holonomic: As for `from_energies`.
+            applied_force: As for `from_energies`.
+            clock: As for `from_energies`.
+
+        Returns:
+            The mechanism.
+
+        Raises:
+            ValueError: If a shape does not fit, the mass matrix is not symmetric, or the Coriolis
+                matrix is that of another mass matrix.
+        """
+        n_q = q.numel()
+        for name, matrix in (("mass_matrix", mass_matrix), ("coriolis", coriolis)):
+            if matrix.shape != (n_q, n_q):
+                wanted = f"must be of shape ({n_q}, {n_q})"
+                raise ValueError(f"Argument `{name}` {wanted}, but it is {matrix.shape}.")
+        if ca.depends_on(mass_matrix, v):
+            wanted = "must depend on the configuration only, but it depends on the velocity"
+            raise ValueError(f"Argument `mass_matrix` {wanted}.")
+        energy = ca.SX(0) if potential is None else potential
+        _require_shapes(q, v=v, gravity=gravity)
+        _require_inertia("mass_matrix", mass_matrix)
+        _require_zero("mass_matrix", "symmetric", mass_matrix - mass_matrix.T)
+        momentum_rate = ca.jtimes(ca.mtimes(mass_matrix, v), q, v)
+        power = ca.dot(v, momentum_rate - 2 * ca.mtimes(coriolis, v))
+        _require_zero("coriolis", "that of the mass matrix, v'(dM/dt - 2C)v = 0", power)
+        derived = cls.from_energies(
+            q=q,
+            v=v,
+            kinetic=ca.dot(v, ca.mtimes(mass_matrix, v)) / 2,
+            potential=energy,
+            gap=gap,
+            passive_force=ca.gradient(energy, q) - ca.vec(gravity),
+            holonomic=holonomic,
+            applied_force=applied_force,
+            clock=clock,
+        )
+        bias = ca.mtimes(coriolis, v) + ca.vec(gravity) - derived.applied_force
+        return replace(derived, mass_matrix=mass_matrix, bias=bias)
+
+    @property
+    def kinetic(self) -> ca.SX:
+        r"""Kinetic energy :math:`\tfrac12 v^\top M v` [J]."""
+        return ca.dot(self.v, ca.mtimes(self.mass_matrix, self.v)) / 2
+
+
+def _require_shapes(q: ca.SX, **vectors: ca.SX) -> None:
+    for name, vector in vectors.items():
+        if vector.numel() != q.numel():
+            message = (
+                f"Argument `{name}` must have {q.numel()} entries, one a coordinate, "
+                f"but it has {vector.numel()}."
+            )
+            raise ValueError(message)
+
+
+def _require_timeless(clock: Clock, **expressions: ca.SX) -> None:
+    """Refuse time in what the equations are derived from as if it stood still."""
+    for name, expression in expressions.items():
+        if ca.depends_on(expression, clock.state):
+            wanted = "must not depend on the clock, but it does: take coordinates relative to what"
+            raise ValueError(f"Argument `{name}` {wanted} moves, and an `applied_force`.")
+
+
+def _require_inertia(name: str, mass_matrix: ca.SX) -> None:
+    """Refuse a coordinate that no mass moves with."""
+    for k in range(mass_matrix.shape[0]):
+        if mass_matrix[k, :].is_zero():
+            wanted = "must give every coordinate an inertia (a mass matrix that is not singular)"
+            raise ValueError(f"Argument `{name}` {wanted}, but coordinate {k + 1} has none.")
+
+
+def _require_zero(name: str, wanted: str, expression: ca.SX) -> None:
+    """Refuse an expression that does not vanish at random numbers for its symbols."""
+    symbols = ca.veccat(*ca.symvar(expression))
+    values = ca.Function("zero", [symbols], [ca.densify(expression)])
+    random = np.random.default_rng(0)
+    for _ in range(4):
+        trial = np.array(values(random.uniform(0.5, 1.5, symbols.numel())).full())
+        if float(np.max(np.abs(trial))) > _ROUNDING:
+            raise ValueError(f"Argument `{name}` must be {wanted}, but it is not.")

@@ -1,0 +1,200 @@
+"""A scene as words that another process can follow: its file, and what the file must hold."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import sys
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.machinery import SourceFileLoader
+from pathlib import Path
+from types import ModuleType
+
+from zeno_orbits.errors import InputError, ProblemFileError
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.model.quantities import unknown
+
+_MOST = 16
+"""Scenes that a process remembers; their compiled models hang on them."""
+
+
+def bundled_problems() -> dict[str, Path]:
+    """Return name to path of every scene that comes with the package."""
+    folder = _problems_folder()
+    return {
+        path.stem: path
+        for path in sorted(folder.iterdir())
+        if (path.is_dir() and (path / "model.py").is_file())
+        or (path.suffix == ".py" and not path.stem.startswith("_"))
+    }
+
+
+def load_problem(name_or_path: str | Path) -> Problem:
+    """Return a scene by its name, or from the Python file (or scene folder) at a path.
+
+    Either may end in ``@fidelity``, for a reduced model that the scene declares.
+
+    A file's model is checked; those of the bundled scenes the tests have checked.
+
+    Args:
+        name_or_path: A bundled scene's name, or the path of a file or folder.
+
+    Raises:
+        InputError: If there is no such scene or fidelity.
+        ProblemFileError: If the file raises, defines no ``PROBLEM`` or one that cannot be.
+    """
+    bundled = bundled_problems()
+    scene, fidelity = split_fidelity(name_or_path)
+    if scene in bundled:
+        path = bundled[scene]
+    else:
+        path = Path(scene)
+        if not _is_there(path):
+            raise InputError(unknown("problem", scene, tuple(bundled)))
+    problem = _declared(path)
+    if scene not in bundled:
+        _require_sound(path, problem)
+    return problem.at_fidelity(fidelity) if fidelity is not None else problem
+
+
+def _is_there(path: Path) -> bool:
+    """Tell whether there is a file or folder; a name that no file can have has none."""
+    try:
+        return path.exists()
+    except (OSError, ValueError):
+        return False
+
+
+def split_fidelity(name_or_path: str | Path) -> tuple[str, str | None]:
+    """Return the scene's name or path, and the word after its ``@`` if there is one.
+
+    A path that exists as it stands keeps its ``@``; a bundled name goes before any path.
+    """
+    whole = str(name_or_path)
+    scene, at, word = whole.rpartition("@")
+    if not at or (scene not in bundled_problems() and _is_there(Path(whole))):
+        return whole, None
+    return scene, word
+
+
+def _declared(path: Path) -> Problem:
+    file = path / "model.py" if path.is_dir() else path
+    problem = getattr(_execute(file), "PROBLEM", None)
+    if not isinstance(problem, Problem):
+        raise ProblemFileError(file, "it has no `PROBLEM` of type `Problem`")
+    return problem
+
+
+def _require_sound(path: Path, problem: Problem) -> None:
+    try:
+        problem.checked()
+    except Exception as error:
+        file = path / "model.py" if path.is_dir() else path
+        raise ProblemFileError(file, _reason(error)) from error
+
+
+def load_reference(problem: Problem) -> ModuleType:
+    """Return the module of a scene's hand-written model.
+
+    Raises:
+        InputError: If the scene has none.
+    """
+    if problem.reference is None:
+        raise InputError(
+            f"Argument `problem` must have a hand-written reference, but `{problem.name}` has none."
+        )
+    return _execute(problem.reference)
+
+
+def _problems_folder() -> Path:
+    package = Path(__file__).resolve().parents[1]
+    installed = package / "problems"
+    return installed if installed.is_dir() else package.parent / "problems"
+
+
+class _NoCache(SourceFileLoader):
+    """Leaves no compiled file beside the user's own."""
+
+    def set_data(self, path: str, data: object, *, _mode: int = 0o666) -> None:
+        """Write nothing."""
+
+
+def _execute(file: Path) -> ModuleType:
+    if file.suffix != ".py" or not file.is_file():
+        raise ProblemFileError(file, "it is not a Python file")
+    name = f"zeno_orbits_scene_{file.parent.name}_{file.stem}".replace("-", "_")
+    spec = importlib.util.spec_from_file_location(name, file, loader=_NoCache(name, str(file)))
+    if spec is None or spec.loader is None:
+        raise ProblemFileError(file, "Python cannot load it")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:
+        del sys.modules[name]
+        raise ProblemFileError(file, _reason(error)) from error
+    return module
+
+
+def _reason(error: BaseException) -> str:
+    """Return an error of a scene's code in one line."""
+    text = " ".join(str(error).split())
+    return f"it raises {type(error).__name__}: {text}".removesuffix(".")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SceneFile:
+    """Where a scene comes from. A scene itself holds functions, which cannot be sent.
+
+    Attributes:
+        word: Its name, or the absolute path of its file, with ``@fidelity`` if it has one.
+        digest: Of the source.
+    """
+
+    word: str
+    digest: str
+
+    def load(self) -> Problem:
+        """Return the scene, the same object every time in one process.
+
+        Raises:
+            InputError: If its file is missing here, or is another one.
+        """
+        return _loaded(self)
+
+
+def scene_file(name_or_path: str | Path) -> SceneFile:
+    """Return where a scene comes from.
+
+    Raises:
+        InputError: If there is no such scene.
+        ProblemFileError: If its file does not define one.
+    """
+    load_problem(name_or_path)
+    scene, fidelity = split_fidelity(name_or_path)
+    word = scene if scene in bundled_problems() else str(Path(scene).resolve())
+    whole = word if fidelity is None else f"{word}@{fidelity}"
+    return SceneFile(word=whole, digest=_digest(whole))
+
+
+def _digest(word: str) -> str:
+    """Return a digest of the Python files that a scene may be made of."""
+    scene, _ = split_fidelity(word)
+    path = bundled_problems().get(scene, Path(scene))
+    files = sorted(path.glob("*.py")) if path.is_dir() else [path]
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(f"{file.name}\n".encode() + file.read_bytes())
+    return digest.hexdigest()
+
+
+@lru_cache(maxsize=_MOST)
+def _loaded(scene: SceneFile) -> Problem:
+    problem = load_problem(scene.word)
+    if _digest(scene.word) != scene.digest:
+        raise InputError(
+            f"Argument `problem` must be the same file for everybody who works on it, but "
+            f"`{scene.word}` is another one here."
+        )
+    return problem

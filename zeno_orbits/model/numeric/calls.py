@@ -1,0 +1,115 @@
+"""CasADi functions called through memory that is allocated once: a microsecond, not thirty."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.integrators.flow import Tolerance
+from zeno_orbits.model.numeric.hybrid_dynamics import Resting
+
+
+class Call:
+    """A function of ``(x, p)`` at fixed ``p``, called through preallocated memory."""
+
+    def __init__(self, function: ca.Function, p: Vector) -> None:
+        self._x = np.zeros(function.size1_in(0))
+        self._results = [np.zeros(function.numel_out(k)) for k in range(function.n_out())]
+        self._evaluate = caller(function, (self._x, p), self._results)
+
+    def __call__(self, x: Vector, output: int = 0) -> Vector:
+        """Return one output at a state, valid until the next call."""
+        self._x[:] = x
+        self._evaluate()
+        return self._results[output]
+
+
+class StepCall:
+    """A step of a flow at fixed ``p``, called through preallocated memory."""
+
+    def __init__(self, function: ca.Function, p: Vector) -> None:
+        self._y = np.zeros(function.size1_in(0))
+        self._numbers = np.zeros(3)
+        self._after = np.zeros_like(self._y)
+        self._told = np.zeros(3)
+        results = (self._after, self._told[:1], self._told[1:])
+        self._evaluate = caller(function, (self._y, p, self._numbers), results)
+        self._tolerance: Tolerance | None = None
+
+    def __call__(
+        self, y: Vector, size: float, tolerance: Tolerance
+    ) -> tuple[Vector, float, tuple[float, float]]:
+        """Return the state after a step of a size, its error, and guard and guard rate there.
+
+        The error is in units of the tolerance.
+        """
+        if tolerance is not self._tolerance:
+            self._numbers[1:] = (tolerance.relative, tolerance.absolute)
+            self._tolerance = tolerance
+        self._y[:] = y
+        self._numbers[0] = size
+        self._evaluate()
+        error, value, rate = self._told.tolist()
+        return self._after.copy(), error, (value, rate)
+
+
+class ResetCall:
+    """The reset map at fixed ``p``, called through preallocated memory."""
+
+    def __init__(self, function: ca.Function, p: Vector) -> None:
+        self._x = np.zeros(function.size1_in(0))
+        self._rate = np.zeros(1)
+        self._after = np.zeros_like(self._x)
+        self._evaluate = caller(function, (self._x, p, self._rate), (self._after,))
+
+    def __call__(self, x: Vector, approach_rate: float) -> Vector:
+        """Return the state after an impact, from the one before it and its gap rate."""
+        self._x[:] = x
+        self._rate[0] = approach_rate
+        self._evaluate()
+        return self._after.copy()
+
+
+class RestingCall:
+    """The rest of a state on the stop at fixed ``p``, called through preallocated memory."""
+
+    def __init__(self, function: ca.Function, p: Vector) -> None:
+        self._x = np.zeros(function.size1_in(0))
+        self._state = np.zeros_like(self._x)
+        self._acceleration = np.zeros(1)
+        self._rate = np.zeros_like(self._x)
+        results = (self._state, self._acceleration, self._rate)
+        self._evaluate = caller(function, (self._x, p), results)
+
+    def __call__(self, x: Vector) -> Resting:
+        """Return the state moved onto the stop, and its rates there."""
+        self._x[:] = x
+        self._evaluate()
+        return Resting(
+            state=self._state.copy(),
+            gap_acceleration=self._acceleration.item(),
+            rate=self._rate.copy(),
+        )
+
+
+def caller(
+    function: ca.Function, arguments: Sequence[Vector], results: Sequence[Vector]
+) -> Callable[[], None]:
+    """Return a call without arguments that reads and writes the given arrays in place."""
+    # CasADi's stubs ask for a size that the call takes from the memory itself.
+    buffer: Any
+    buffer, evaluate = function.buffer()
+    for k, argument in enumerate(arguments):
+        buffer.set_arg(k, memoryview(argument.data))
+    for k, result in enumerate(results):
+        buffer.set_res(k, memoryview(result.data))
+
+    def call(_kept: Any = (buffer, *arguments, *results)) -> None:
+        # The default keeps buffer and arrays alive: the trigger knows their bare addresses only.
+        evaluate()
+
+    return call

@@ -1,0 +1,310 @@
+"""From expressions to numbers: here and in `flows` a model becomes CasADi functions.
+
+Compiled scenes, built once: to build one takes as long as to simulate a period of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import casadi as ca
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.integrators.flow import GuardedFlow
+from zeno_orbits.model.hybrid import CompletedSystem
+from zeno_orbits.model.library import load_reference
+from zeno_orbits.model.numeric.calls import Call, ResetCall, RestingCall
+from zeno_orbits.model.numeric.compiled_derivatives import CompiledDifferentials, PointFunctions
+from zeno_orbits.model.numeric.compiled_flow import (
+    CompiledFlow,
+    FlowMemory,
+    ModeFunctions,
+    dense_function,
+    mode_functions,
+)
+from zeno_orbits.model.numeric.derivatives import Differentiation
+from zeno_orbits.model.numeric.hybrid_dynamics import FusedResting, HybridDynamics
+from zeno_orbits.model.problem import Problem, Setting
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompiledSystem:
+    """The functions of a completed system in ``(x, p)``; ``p`` holds gains, then parameters.
+
+    Attributes:
+        state_names: Name of each state.
+        n_q: Number of coordinates.
+        clock: Places of the clock in the state.
+        free: The mode off the stop, in ``(x, p)``.
+        locked: The mode on the stop, in ``(x, p)``.
+        flight: The rescaled flight, in ``((x, h / w^2, (dh/dt) / w), (p, w))`` (theory (14)).
+        contact: ``(x, p) -> (gap, gap_rate, gap_acceleration, multiplier, multiplier_rate)``.
+        impulse: ``(x, p) -> (impulse_direction, normal_inertia, restitution)``.
+        reset: ``(x, p, approach rate) -> x after the impact``.
+        resting: ``(x, p) -> (x on the stop, its gap_acceleration, its locked flow)``.
+        powers: ``(x, p) -> (input_power, copper_loss, other_loss)`` [W].
+        energy: ``(x, p) -> energy`` [J].
+        holonomic: ``(x, p) -> (eta, eta_rate)``.
+        motors: ``(x, p) -> (current, voltage)`` of every motor, each ``(n_M,)``.
+    """
+
+    state_names: tuple[str, ...]
+    n_q: int
+    clock: tuple[int, ...]
+    free: ModeFunctions
+    locked: ModeFunctions
+    flight: ModeFunctions
+    contact: ca.Function
+    impulse: ca.Function
+    reset: ca.Function
+    resting: ca.Function
+    powers: ca.Function
+    energy: ca.Function
+    holonomic: ca.Function
+    motors: ca.Function
+
+    @cached_property
+    def points(self) -> PointFunctions:
+        """What is differentiated at a point."""
+        return PointFunctions(
+            contact=self.contact,
+            holonomic=self.holonomic,
+            impulse=self.impulse,
+            reset=self.reset,
+            resting=self.resting,
+        )
+
+    @property
+    def n_x(self) -> int:
+        """Number of states."""
+        return len(self.state_names)
+
+
+def compile_problem(
+    problem: Problem, transform: Callable[[CompletedSystem], CompletedSystem] | None = None
+) -> CompiledSystem:
+    """Build the functions of a scene.
+
+    Args:
+        problem: The scene.
+        transform: A change of the completed system first, ``hybrid.audited`` for instance, which
+            may append states.
+    """
+    symbols = problem.symbols()
+    system = problem.model(symbols)
+    names = problem.state_names
+    if transform is not None:
+        system = transform(system)
+        extra = system.state.numel() - len(names)
+        names = (*names, *(f"ledger{k}" for k in range(extra)))
+    return compile_system(system, symbols, names)
+
+
+def compile_system(
+    system: CompletedSystem, symbols: Mapping[str, ca.SX], state_names: Sequence[str]
+) -> CompiledSystem:
+    """Build the functions of a completed system.
+
+    Args:
+        system: The completed system.
+        symbols: Its named parameters, in the order of ``p``.
+        state_names: One name a state.
+
+    Raises:
+        ValueError: If the names do not fit the states, or an expression holds another symbol.
+    """
+    if system.state.numel() != len(state_names):
+        message = (
+            f"Argument `state_names` must name {system.state.numel()} states, "
+            f"but it names {len(state_names)}."
+        )
+        raise ValueError(message)
+    parameters = ca.vertcat(*symbols.values())
+    contact = ca.vertcat(
+        system.gap,
+        system.gap_rate,
+        system.gap_acceleration,
+        system.multiplier,
+        system.multiplier_rate,
+    )
+    powers = ca.vertcat(system.input_power, system.copper_loss, system.other_loss)
+
+    def function(name: str, *outputs: ca.SX) -> ca.Function:
+        return dense_function(name, [system.state, parameters], list(outputs))
+
+    scaled_gap, speed = ca.SX.sym("eta", 2), ca.SX.sym("w")
+    flight_rate = ca.vertcat(speed * system.free_flow, scaled_gap[1], system.gap_acceleration)
+    return CompiledSystem(
+        state_names=tuple(state_names),
+        n_q=system.n_q,
+        clock=system.clock,
+        free=mode_functions("free", system.state, parameters, system.free_flow, contact[0:2]),
+        locked=mode_functions("locked", system.state, parameters, system.locked_flow, contact[3:5]),
+        flight=mode_functions(
+            "flight",
+            ca.vertcat(system.state, scaled_gap),
+            ca.vertcat(parameters, speed),
+            flight_rate,
+            scaled_gap,
+        ),
+        contact=function("contact", contact),
+        impulse=function(
+            "impulse", system.impulse_direction, system.normal_inertia, system.restitution
+        ),
+        reset=dense_function("reset", [system.state, parameters, speed], [_reset(system, speed)]),
+        resting=function("resting", *_resting(system)),
+        powers=function("powers", powers),
+        energy=function("energy", system.energy),
+        holonomic=function("holonomic", system.holonomic),
+        motors=function("motors", system.motor_current, system.motor_voltage),
+    )
+
+
+def output_values(problem: Problem, setting: Setting, states: Vector) -> Vector:
+    """Return the outputs of a scene at states.
+
+    Args:
+        problem: The scene.
+        setting: Its numbers.
+        states: ``(n, n_x)``.
+
+    Returns:
+        One column an output, ``(n, n_outputs)``.
+    """
+    symbols = problem.symbols()
+    system = problem.model(symbols)
+    formulas = ca.vertcat(*problem.output_formulas(system, symbols))
+    inputs = [system.state, ca.vertcat(*symbols.values())]
+    function = dense_function("outputs", inputs, [formulas])
+    outputs = Call(function, np.asarray(setting.values(), dtype=np.float64))
+    return np.array([outputs(x).copy() for x in states])
+
+
+def drawn_lines(problem: Problem, setting: Setting, states: Vector) -> dict[str, Vector]:
+    """Return the lines of a scene's drawing at states.
+
+    Args:
+        problem: The scene; it has a drawing.
+        setting: Its numbers.
+        states: ``(n, n_x)``.
+
+    Returns:
+        Name of a line to its corners, ``(n, n_corners, 2)`` [m].
+    """
+    symbols = problem.symbols()
+    system = problem.model(symbols)
+    lines = problem.lines(system, symbols)
+    flat = ca.vertcat(*(ca.vec(corners.T) for corners in lines.values()))
+    inputs = [system.state, ca.vertcat(*symbols.values())]
+    call = Call(
+        dense_function("lines", inputs, [flat]), np.asarray(setting.values(), dtype=np.float64)
+    )
+    values = np.array([call(x).copy() for x in states])
+    ends = np.cumsum([corners.numel() for corners in lines.values()])
+    parts = np.split(values, ends[:-1], axis=1)
+    return {name: part.reshape(len(states), -1, 2) for name, part in zip(lines, parts, strict=True)}
+
+
+def _reset(system: CompletedSystem, approach_rate: ca.SX) -> ca.SX:
+    """Return the state after an impact: Newton's law along the impulse, theory (7).
+
+    The rate is given, and exact where the state holds only rounding.
+    """
+    change = (1 + system.restitution) * approach_rate * system.impulse_direction
+    return system.state - change
+
+
+def _resting(system: CompletedSystem) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Return the state moved onto the stop as by ``HybridDynamics.on_stop``, and its rates."""
+    x, n_q, direction = system.state, system.n_q, system.impulse_direction
+    moved = ca.vertcat(x[:n_q] - system.gap * direction[n_q : 2 * n_q], x[n_q:])
+    rate, direction = ca.substitute([system.gap_rate, direction], [x], [moved])
+    resting = moved - rate * direction
+    flows = [system.gap_acceleration, system.locked_flow]
+    acceleration, locked = ca.substitute(flows, [x], [resting])
+    return resting, acceleration, locked
+
+
+def bind(compiled: CompiledSystem, values: Sequence[float]) -> HybridDynamics:
+    """Return the system at fixed numbers for gains and parameters.
+
+    Args:
+        compiled: The functions.
+        values: ``p``, gains then parameters.
+    """
+    p = np.asarray(values, dtype=np.float64)
+    contact = Call(compiled.contact, p)
+    impulse = Call(compiled.impulse, p)
+    energy = Call(compiled.energy, p)
+    holonomic = Call(compiled.holonomic, p)
+
+    flights = FlowMemory(compiled.flight)
+
+    def flight(speed: float) -> GuardedFlow:
+        numbers = np.empty(p.size + 1)
+        numbers[:-1], numbers[-1] = p, speed
+        return CompiledFlow(compiled.flight, numbers, flights)
+
+    plain = HybridDynamics(
+        state_names=compiled.state_names,
+        n_q=compiled.n_q,
+        restitution=float(impulse(np.zeros(compiled.n_x), 2)[0]),
+        free=CompiledFlow(compiled.free, p),
+        locked=CompiledFlow(compiled.locked, p),
+        flight=flight,
+        gap=lambda x: float(contact(x)[0]),
+        gap_rate=lambda x: float(contact(x)[1]),
+        gap_acceleration=lambda x: float(contact(x)[2]),
+        multiplier=lambda x: float(contact(x)[3]),
+        multiplier_rate=lambda x: float(contact(x)[4]),
+        reset_map=ResetCall(compiled.reset, p),
+        impulse_direction=lambda x: impulse(x, 0).copy(),
+        normal_inertia=lambda x: float(impulse(x, 1)[0]),
+        energy=lambda x: float(energy(x)[0]),
+        holonomic=lambda x: holonomic(x).copy(),
+    )
+    at_rest = FusedResting(evaluate=RestingCall(compiled.resting, p), parts=plain.resting_parts)
+
+    @lru_cache(maxsize=8)
+    def derivatives(chosen: tuple[int, ...]) -> CompiledDifferentials:
+        modes = (compiled.free, compiled.locked, compiled.flight)
+        return CompiledDifferentials(modes, compiled.points, p, chosen)
+
+    derivable = Differentiation(by=derivatives, parts=plain.derivable_parts)
+    return replace(plain, fused_resting=at_rest, differentiation=derivable)
+
+
+_MOST = 16
+"""Compiled scenes that are remembered; a session that makes thousands must not keep them all."""
+
+
+@lru_cache(maxsize=_MOST)
+def compiled_model(
+    problem: Problem, transform: Callable[[CompletedSystem], CompletedSystem] | None = None
+) -> CompiledSystem:
+    """Return the functions of a scene, the same ones for the same scene and transform.
+
+    A scene never changes and its functions hold symbols for all numbers, so they may be shared;
+    what is bound to numbers has memory of its own.
+
+    Args:
+        problem: The scene; another object is another scene, however alike.
+        transform: A change of the completed system first, a function of a module.
+    """
+    return compile_problem(problem, transform)
+
+
+@lru_cache(maxsize=_MOST)
+def reference_model(problem: Problem) -> Callable[[Setting], HybridDynamics]:
+    """Return the hand-written model of a scene as a function of its numbers.
+
+    Its file is read once for each scene, as the scene's own was.
+
+    Raises:
+        InputError: If the scene has none.
+        ProblemFileError: If its file does not load.
+    """
+    return load_reference(problem).dynamics

@@ -1,0 +1,305 @@
+"""A scene: a completed system with named parameters, a gain box and where to start.
+
+A scene is found by its name among the bundled ones, or by the path of a Python file (or of a
+folder with a ``model.py``) that defines ``PROBLEM``. ``scene@fidelity`` is a reduced model of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import casadi as ca
+
+from zeno_orbits.errors import InputError
+from zeno_orbits.model.drawing import Drawing, lines_of
+from zeno_orbits.model.hybrid import CompletedSystem
+from zeno_orbits.model.quantities import (
+    Escape,
+    Output,
+    Quantity,
+    Setting,
+    positive,
+    require_names,
+    require_ranges,
+    restitution,
+    unknown,
+)
+from zeno_orbits.model.rig_parts import Rig
+from zeno_orbits.model.validation import (
+    built,
+    require_known_symbols,
+    require_sound_numbers,
+    require_states,
+    unused_symbols,
+)
+
+__all__ = [
+    "Escape",
+    "Output",
+    "Problem",
+    "Quantity",
+    "Setting",
+    "positive",
+    "restitution",
+]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Problem:
+    """A scene; two are equal if they are the same object, as their functions cannot be compared.
+
+    Attributes:
+        name: Its name.
+        title: One line for the user.
+        source: Where it comes from.
+        state_names: Name of each state, ``(n_x,)``, configuration, velocity, currents.
+        state_units: Unit of each state.
+        parameters: Physical constants; one of them is ``restitution``.
+        gains: Feedback gains; their ranges are the default search box. May be empty.
+        model: From named symbols (gains and parameters) to the completed system.
+        starts: Initial states from which the scene may settle to an orbit, name to value; a state
+            that is not named is zero.
+        portraits: Pairs of state names to draw against each other.
+        amplitude_of: State whose amplitude a search may prescribe.
+        derive: From the given and default values to those that have no default.
+        reference: A hand-written numeric model of the same scene, if there is one: a function of a
+            ``Setting`` that returns a ``HybridDynamics``.
+        fidelities: Reduced models of the same scene, by the word after the ``@``. A parameter that
+            a reduced model does not have has no influence there.
+        escapes: Coordinates that may run away, by name. Others are followed as far as they go.
+        outputs: What else is to be drawn over time.
+        drawing: How the machine looks, if that is to be seen: its links as lines.
+        rig: The parts of a plausible machine, for the virtual rig; ``None`` for a stop alone.
+    """
+
+    name: str
+    title: str
+    source: str
+    state_names: tuple[str, ...]
+    state_units: tuple[str, ...]
+    parameters: tuple[Quantity, ...]
+    gains: tuple[Quantity, ...]
+    model: Callable[[Mapping[str, ca.SX]], CompletedSystem]
+    starts: tuple[Mapping[str, float], ...]
+    portraits: tuple[tuple[str, str], ...]
+    amplitude_of: str
+    derive: Callable[[Mapping[str, float]], Mapping[str, float]] | None = None
+    reference: Path | None = None
+    fidelities: Mapping[str, Problem] = field(default_factory=dict["str", "Problem"])
+    escapes: Mapping[str, Escape] = field(default_factory=dict[str, Escape])
+    outputs: tuple[Output, ...] = ()
+    drawing: Drawing | None = None
+    rig: Rig | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse names, units and ranges that cannot be; the model is looked at by `checked`."""
+        require_names(self.state_names, self.state_units, (*self.gains, *self.parameters))
+        require_ranges(self.gains, self.parameters, derives=self.derive is not None)
+        _require_states(self)
+        for name in self.escapes:
+            if name not in self.state_names:
+                raise InputError(unknown("escapes", name, self.state_names))
+
+    def escaped(self, state: Sequence[float]) -> str:
+        """Return the name of a coordinate that has run away, or an empty text.
+
+        Args:
+            state: A state, ``(n_x,)``.
+        """
+        for name, escape in self.escapes.items():
+            if abs(state[self.state_names.index(name)]) > escape.beyond:
+                return name
+        return ""
+
+    def checked(self) -> Problem:
+        """Return the scene itself, if its model holds together at its own numbers.
+
+        Raises:
+            ValueError: If it does not; the text names the thing at fault.
+        """
+        symbols = self.symbols()
+        system = built(self.model, symbols)
+        require_states(system, self.state_names, self.state_units)
+        require_known_symbols(system, symbols)
+        setting = self.setting()
+        looks = [*self.output_formulas(system, symbols), *self.lines(system, symbols).values()]
+        unused = unused_symbols(system, symbols, looks)
+        for name in unused:
+            if not self._derives_from(name, setting):
+                kind = "gains" if name in setting.gains else "parameters"
+                wanted = "must appear in the model or an output"
+                raise ValueError(f"Argument `{kind}` {wanted}, but `{name}` appears nowhere.")
+        starts = [self.state_vector(start) for start in self.starts]
+        require_sound_numbers(system, symbols, setting.values(), self.state_names, starts)
+        for word in self.fidelities:
+            self.at_fidelity(word).checked()
+        return self
+
+    def output_formulas(
+        self, system: CompletedSystem, symbols: Mapping[str, ca.SX]
+    ) -> tuple[ca.SX, ...]:
+        """Return the expressions of the outputs in the states of a system and named symbols."""
+        states = {name: system.state[k] for k, name in enumerate(self.state_names)}
+        return tuple(ca.SX(output.formula(states, symbols)) for output in self.outputs)
+
+    def lines(self, system: CompletedSystem, symbols: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
+        """Return the lines of the drawing, corners as rows ``(n, 2)`` [m]; none without one."""
+        if self.drawing is None:
+            return {}
+        states = {name: system.state[k] for k, name in enumerate(self.state_names)}
+        return lines_of(self.drawing, states, symbols)
+
+    def _derives_from(self, name: str, setting: Setting) -> bool:
+        """Tell whether derived parameters change with a parameter."""
+        if self.derive is None or name not in setting.parameters:
+            return False
+        given = {q.name for q in self.parameters if q.default is not None}
+        known = {key: value for key, value in setting.parameters.items() if key in given}
+        moved = {**known, name: known.get(name, 0.0) * 1.01 + 1e-6}
+        try:
+            return dict(self.derive(known)) != dict(self.derive(moved))
+        except ValueError:
+            return True
+
+    def at_fidelity(self, word: str) -> Problem:
+        """Return the reduced model of that name; its own name is ``scene@word``.
+
+        Raises:
+            InputError: If the scene declares no such model; it lists those that it does.
+        """
+        if word not in self.fidelities:
+            asked = f"{self.name}@{word}"
+            if not self.fidelities:
+                message = f"must have reduced models for `{asked}`, but `{self.name}` has none"
+                raise InputError(f"Argument `problem` {message}.")
+            known = (self.name, *(f"{self.name}@{one}" for one in self.fidelities))
+            raise InputError(unknown("problem", asked, known))
+        return replace(self.fidelities[word], name=f"{self.name}@{word}", fidelities={})
+
+    def ladder(self) -> tuple[Problem, ...]:
+        """Return the scene and its reduced models, as they are declared."""
+        return (self, *(self.at_fidelity(word) for word in self.fidelities))
+
+    def shared(self, setting: Setting) -> Setting:
+        """Return the numbers of another fidelity's setting for the names that this one has."""
+        known = {quantity.name for quantity in self.parameters}
+        parameters = {name: value for name, value in setting.parameters.items() if name in known}
+        return self.setting(gains=setting.gains, parameters=parameters)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of gains, then of parameters, in the order of the parameter vector."""
+        return tuple(quantity.name for quantity in (*self.gains, *self.parameters))
+
+    def setting(
+        self,
+        *,
+        gains: Mapping[str, float] | None = None,
+        parameters: Mapping[str, float] | None = None,
+    ) -> Setting:
+        """Return checked numbers for every name, defaults and derived values filled in.
+
+        Args:
+            gains: Gains that differ from their defaults.
+            parameters: Parameters that differ from their defaults.
+
+        Raises:
+            InputError: If a name is unknown or a value is out of its range.
+        """
+        chosen_gains = _chosen("gain", self.gains, gains or {}, bounded=False)
+        chosen = _chosen("parameter", self.parameters, parameters or {}, bounded=True)
+        if self.derive is not None:
+            derived = self._derived(chosen)
+            chosen = {
+                quantity.name: quantity.checked(
+                    chosen[quantity.name] if quantity.name in chosen else derived[quantity.name]
+                )
+                for quantity in self.parameters
+            }
+        return Setting(gains=chosen_gains, parameters=chosen)
+
+    def _derived(self, chosen: Mapping[str, float]) -> Mapping[str, float]:
+        """Return the derived parameters.
+
+        Raises:
+            InputError: If numbers so far from each other allow none in double precision.
+        """
+        if self.derive is None:
+            return {}
+        try:
+            return self.derive(chosen)
+        except ArithmeticError as error:
+            wanted = f"must be numbers from which `{self.name}` can derive the others"
+            raise InputError(
+                f"Argument `parameters` {wanted}, but they are not ({error})."
+            ) from error
+
+    def symbols(self) -> dict[str, ca.SX]:
+        """Return one symbol for every gain and parameter, in order."""
+        return {name: ca.SX.sym(name) for name in self.names}
+
+    @property
+    def gap_unit(self) -> str:
+        """Unit of the gap: of the coordinates whose sum or difference it is, else only ``SI``."""
+        system = self.model(self.symbols())
+        slopes = ca.jacobian(system.gap, system.state)
+        units = set[str]()
+        for k, unit in enumerate(self.state_units):
+            if not slopes[k].is_zero():
+                plain = slopes[k].is_constant() and abs(float(ca.DM(slopes[k]))) == 1.0
+                units.add(unit if plain else "SI")
+        return units.pop() if len(units) == 1 else "SI"
+
+    def state_vector(self, named: Mapping[str, float]) -> tuple[float, ...]:
+        """Return the state with the named entries, the others zero, ``(n_x,)``.
+
+        Args:
+            named: State name to value, as in ``starts`` or an orbit's ``release_state``.
+
+        Raises:
+            InputError: If a name is not a state of the scene or a value is not finite.
+        """
+        for name, value in named.items():
+            if name not in self.state_names:
+                raise InputError(unknown("state", name, self.state_names))
+            if not math.isfinite(value):
+                raise InputError(f"Argument `{name}` must be a finite number, but it is {value}.")
+        return tuple(float(named.get(name, 0.0)) for name in self.state_names)
+
+
+def _require_states(problem: Problem) -> None:
+    """Refuse starts, portraits and an amplitude that name no state."""
+    states = problem.state_names
+    if not problem.starts:
+        raise ValueError("Argument `starts` must hold a state to start from, but it is empty.")
+    for argument, named in (
+        *(("starts", name) for start in problem.starts for name in start),
+        *(("portraits", name) for pair in problem.portraits for name in pair),
+        ("amplitude_of", problem.amplitude_of),
+    ):
+        if named not in states:
+            known = ", ".join(states)
+            message = f"must name states ({known}), but it names `{named}`"
+            raise ValueError(f"Argument `{argument}` {message}.")
+
+
+def _chosen(
+    kind: str, quantities: tuple[Quantity, ...], given: Mapping[str, float], *, bounded: bool
+) -> dict[str, float]:
+    known = tuple(quantity.name for quantity in quantities)
+    for name in given:
+        if name not in known:
+            raise InputError(unknown(kind, name, known))
+    chosen: dict[str, float] = {}
+    for quantity in quantities:
+        value = given.get(quantity.name, quantity.default)
+        if value is None:
+            continue
+        if not math.isfinite(value):
+            message = f"Argument `{quantity.name}` must be a finite number, but it is {value}."
+            raise InputError(message)
+        chosen[quantity.name] = quantity.checked(value) if bounded else float(value)
+    return chosen

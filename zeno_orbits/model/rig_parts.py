@@ -1,0 +1,320 @@
+"""What a machine has and its model has not, part by part, each with units and checked ranges.
+
+Every part may be missing, so that the effect of each can be seen alone. A scene may declare the
+parts of its own machine (``Problem.rig``); what they do is in the package ``rig``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from typing import Any, ClassVar
+
+from zeno_orbits.errors import InputError
+from zeno_orbits.model.quantities import Quantity, positive
+
+
+def _nonnegative(name: str, default: float | None, unit: str, meaning: str) -> Quantity:
+    return Quantity(name=name, unit=unit, meaning=meaning, default=default, lower=0.0)
+
+
+def _require(part: object, quantities: tuple[Quantity, ...]) -> None:
+    for quantity in quantities:
+        quantity.checked(getattr(part, quantity.name))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Contact:
+    r"""A stop that gives way, and takes energy (theory (48)).
+
+    .. math:: F = k\,\delta^n\,\max(0, 1 + \alpha\dot\delta),\qquad \delta = -h
+
+    The damping factor follows from the scene's restitution and the speed at which a contact
+    begins (theory (49)); it is no number of its own.
+
+    Attributes:
+        stiffness: :math:`k`, force over penetration to the `n`.
+        exponent: :math:`n`; 1 for a spring, 1.5 for two spheres [Hertz1882]_.
+        slowest: Speed below which a contact is damped as if it had begun at that speed.
+    """
+
+    QUANTITIES: ClassVar[tuple[Quantity, ...]] = (
+        positive("stiffness", 1e5, "1", "force over penetration to the exponent, SI"),
+        Quantity(
+            name="exponent",
+            unit="1",
+            meaning="power of the penetration",
+            default=1.0,
+            lower=1.0,
+            upper=3.0,
+        ),
+        positive("slowest", 1e-6, "1", "speed below which damping grows no further, SI"),
+    )
+
+    stiffness: float = 1e5
+    exponent: float = 1.0
+    slowest: float = 1e-6
+
+    def __post_init__(self) -> None:
+        """Refuse numbers out of range."""
+        _require(self, self.QUANTITIES)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Friction:
+    r"""Friction of one coordinate: :math:`-c \tanh(v / v_c) - b v` (theory (50)).
+
+    Attributes:
+        coulomb: :math:`c`, dry friction [N m].
+        viscous: :math:`b` [N m s/rad].
+        creep: :math:`v_c`, rate over which dry friction changes its sign [rad/s].
+    """
+
+    QUANTITIES: ClassVar[tuple[Quantity, ...]] = (
+        _nonnegative("coulomb", 0.0, "N m", "dry friction"),
+        _nonnegative("viscous", 0.0, "N m s/rad", "viscous friction"),
+        positive("creep", 0.01, "rad/s", "rate over which dry friction changes its sign"),
+    )
+
+    coulomb: float = 0.0
+    viscous: float = 0.0
+    creep: float = 0.01
+
+    def __post_init__(self) -> None:
+        """Refuse numbers out of range."""
+        _require(self, self.QUANTITIES)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gear:
+    """A gear train with play between a rotor and the joint that it turns (theory (50)).
+
+    Attributes:
+        rotor_inertia: Inertia on the motor's side, as the joint feels it; the scene counts it in
+            its mass matrix [kg m^2].
+        play: Angle by which the rotor turns freely [rad].
+        stiffness: Of the teeth, once they touch [N m/rad].
+        loss: Damping factor of the teeth [s/rad].
+    """
+
+    QUANTITIES: ClassVar[tuple[Quantity, ...]] = (
+        positive("rotor_inertia", None, "kg m^2", "inertia on the motor's side of the teeth"),
+        _nonnegative("play", 0.0, "rad", "angle by which the rotor turns freely"),
+        positive("stiffness", 1000.0, "N m/rad", "stiffness of the teeth"),
+        _nonnegative("loss", 0.0, "s/rad", "damping factor of the teeth"),
+    )
+
+    rotor_inertia: float
+    play: float = 0.0
+    stiffness: float = 1000.0
+    loss: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse numbers out of range."""
+        _require(self, self.QUANTITIES)
+
+
+class Switching(Enum):
+    """How the transistors of a bridge are followed."""
+
+    AVERAGED = "averaged over a period"
+    EXACT = "edge by edge"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bridge:
+    """The H-bridges that feed the motors, one a motor, all alike (theory (51)).
+
+    Attributes:
+        supply: No voltage is larger [V].
+        resistance: Of the transistors in the current's path [ohm].
+        frequency: Of the pulses [Hz].
+        dead_time: For which both transistors of a leg are off at an edge [s].
+        diode_drop: Voltage over a diode that carries the current in a dead time [V].
+        switching: Whether the pulses are followed edge by edge, or their mean.
+    """
+
+    QUANTITIES: ClassVar[tuple[Quantity, ...]] = (
+        positive("supply", 12.0, "V", "no voltage is larger"),
+        _nonnegative("resistance", 0.0, "ohm", "transistors in the path of the current"),
+        positive("frequency", 20e3, "Hz", "pulses a second"),
+        _nonnegative("dead_time", 0.0, "s", "both transistors of a leg off at an edge"),
+        _nonnegative("diode_drop", 0.0, "V", "over a diode that carries the current"),
+    )
+
+    supply: float
+    resistance: float = 0.0
+    frequency: float = 20e3
+    dead_time: float = 0.0
+    diode_drop: float = 0.0
+    switching: Switching = Switching.AVERAGED
+
+    def __post_init__(self) -> None:
+        """Refuse numbers out of range, and dead times that leave no time to switch."""
+        _require(self, self.QUANTITIES)
+        if not 2 * self.dead_time * self.frequency < 1.0:
+            longest = 0.5 / self.frequency
+            wanted = f"must be less than half a period of the pulses, {longest:g} s"
+            raise InputError(f"Argument `dead_time` {wanted}, but it is {self.dead_time:g}.")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Controller:
+    """A computer that reads, and sets the voltages, at a fixed rate and holds them between.
+
+    Attributes:
+        period: Between two readings [s].
+        delay: From a reading to the voltages that follow from it [s].
+    """
+
+    QUANTITIES: ClassVar[tuple[Quantity, ...]] = (
+        positive("period", 1e-3, "s", "between two readings"),
+        _nonnegative("delay", 0.0, "s", "from a reading to its voltage"),
+    )
+
+    period: float
+    delay: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse numbers out of range."""
+        _require(self, self.QUANTITIES)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sensors:
+    """What a controller knows of the state: rounded coordinates, and rates made of them.
+
+    Attributes:
+        resolution: Step of the encoders of all coordinates; 0 for none [rad].
+        noise: Standard deviation of a coordinate before it is rounded [rad].
+        filter_time: Time constant of the low pass behind the difference of two readings [s].
+        current_noise: Standard deviation of a current in a record [A].
+    """
+
+    QUANTITIES: ClassVar[tuple[Quantity, ...]] = (
+        _nonnegative("resolution", 0.0, "rad", "step of the encoders"),
+        _nonnegative("noise", 0.0, "rad", "standard deviation of a coordinate"),
+        _nonnegative("filter_time", 0.0, "s", "low pass behind the difference of two readings"),
+        _nonnegative("current_noise", 0.0, "A", "standard deviation of a current in a record"),
+    )
+
+    resolution: float = 0.0
+    noise: float = 0.0
+    filter_time: float = 0.0
+    current_noise: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse numbers out of range."""
+        _require(self, self.QUANTITIES)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rig:
+    """A machine: a stop that gives way, and whatever else it has.
+
+    Attributes:
+        contact: Its stop.
+        friction: By the name of the coordinate.
+        gears: By the number of the motor, from 1 on.
+        bridge: Between controller and motors; without one they get any voltage.
+        controller: Without one the feedback is that of the model, at every instant.
+        sensors: What the controller reads; without them the states.
+    """
+
+    contact: Contact = field(default_factory=Contact)
+    friction: Mapping[str, Friction] = field(default_factory=dict[str, Friction])
+    gears: Mapping[int, Gear] = field(default_factory=dict[int, Gear])
+    bridge: Bridge | None = None
+    controller: Controller | None = None
+    sensors: Sensors | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse sensors that nothing reads."""
+        if self.sensors is not None and self.controller is None:
+            wanted = "must be there for `sensors`, which it reads"
+            raise InputError(f"Argument `controller` {wanted}, but there is none.")
+
+    def __hash__(self) -> int:
+        """Hash by value, so that what is built for a rig can be found again."""
+        parts = (self.contact, self.bridge, self.controller, self.sensors)
+        named = frozenset((*self.friction.items(), *self.gears.items()))
+        return hash((*parts, named))
+
+
+PART_NAMES = ("friction", "gears", "bridge", "controller", "sensors")
+"""What a rig may have beside its contact."""
+_ONE = {"contact": Contact, "bridge": Bridge, "controller": Controller, "sensors": Sensors}
+_MANY = {"friction": Friction, "gears": Gear}
+
+
+def without_parts(rig: Rig, names: Sequence[str]) -> Rig:
+    """Return a rig without some of its parts, and without sensors that nothing would read.
+
+    Args:
+        rig: The rig.
+        names: Of ``PART_NAMES``.
+    """
+    gone = {*names, *(["sensors"] if "controller" in names else [])}
+    changes: dict[str, Any] = {name: {} if name in _MANY else None for name in gone}
+    return replace(rig, **changes)
+
+
+def with_numbers(rig: Rig, numbers: Mapping[str, float]) -> Rig:
+    """Return a rig with other numbers; a part that is not there yet is added.
+
+    Args:
+        rig: The rig.
+        numbers: By names like ``contact.stiffness``, ``friction.COORDINATE.coulomb`` and
+            ``gears.MOTOR.play``.
+
+    Raises:
+        InputError: If there is no such number, or it is out of its range, or a part that is added
+            needs another one.
+    """
+    given: dict[tuple[str, str], dict[str, float]] = {}
+    for name, value in numbers.items():
+        part, _, rest = name.partition(".")
+        owner, dot, field_name = rest.rpartition(".")
+        kind = _ONE.get(part) or _MANY.get(part)
+        known = [quantity.name for quantity in kind.QUANTITIES] if kind is not None else []
+        if kind is None or field_name not in known or bool(dot) is not (part in _MANY):
+            raise InputError(_unknown_number(name, part, known))
+        given.setdefault((part, owner), {})[field_name] = value
+    for (part, owner), changes in given.items():
+        rig = _with_part(rig, part, owner, changes)
+    return rig
+
+
+def _with_part(rig: Rig, part: str, owner: str, changes: Mapping[str, float]) -> Rig:
+    values: dict[str, Any] = dict(changes)
+    held: Any = getattr(rig, part)
+    if part in _ONE:
+        made = replace(held, **values) if held is not None else _made(_ONE[part], part, values)
+        return replace(rig, **{part: made})
+    if part == "gears" and not owner.isdigit():
+        wanted = "must be a number in `gears.MOTOR.NAME`"
+        raise InputError(f"Argument `motor` {wanted}, but it is `{owner}`.")
+    key: Any = int(owner) if part == "gears" else owner
+    one = held.get(key)
+    made = replace(one, **values) if one is not None else _made(_MANY[part], part, values)
+    return replace(rig, **{part: {**held, key: made}})
+
+
+def _made(kind: Any, part: str, values: dict[str, Any]) -> Any:
+    """Return a new part, its defaults filled in."""
+    full = {q.name: q.default for q in kind.QUANTITIES if q.default is not None} | values
+    for quantity in kind.QUANTITIES:
+        if quantity.name not in full:
+            wanted = f"must be given for a part that is added: `{part}` has none yet"
+            raise InputError(f"Argument `{quantity.name}` {wanted}.")
+    return kind(**full)
+
+
+def _unknown_number(name: str, part: str, known: Sequence[str]) -> str:
+    if not known:
+        parts = ", ".join((*_ONE, *_MANY))
+        return f"Argument `part` must begin with one of {parts}, but it is `{name}`."
+    owner = {"friction": "COORDINATE.", "gears": "MOTOR."}.get(part, "")
+    forms = ", ".join(f"{part}.{owner}{field_name}" for field_name in known)
+    return f"Argument `part` must be one of {forms}, but it is `{name}`."

@@ -1,0 +1,81 @@
+"""Bounds on what an orbit does, and whether it keeps them: plain numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from zeno_orbits.errors import InputError
+from zeno_orbits.simulation.signals import Extent
+
+KEPT = 1e-9
+"""Part of its size by which a quantity may pass its bound: the accuracy of a simulation."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bound:
+    """What a quantity must not leave.
+
+    Attributes:
+        name: The quantity: a signal, bounded at all times, or a number of the whole orbit.
+        lower: Smallest allowed value.
+        upper: Largest allowed value.
+    """
+
+    name: str
+    lower: float = -math.inf
+    upper: float = math.inf
+
+    def __post_init__(self) -> None:
+        """Refuse bounds that bound nothing or leave nothing."""
+        if math.isnan(self.lower) or math.isnan(self.upper) or not self.lower <= self.upper:
+            wanted = "must have bounds LOWER <= UPPER"
+            raise InputError(f"Argument `{self.name}` {wanted}, but they are {self.text}.")
+        if not (math.isfinite(self.lower) or math.isfinite(self.upper)):
+            wanted = "must have a finite bound"
+            raise InputError(f"Argument `{self.name}` {wanted}, but it has {self.text}.")
+
+    @property
+    def text(self) -> str:
+        """The bounds as they are typed, a colon between them, an open end empty."""
+        ends = ("" if math.isinf(end) else f"{end:g}" for end in (self.lower, self.upper))
+        return ":".join(ends)
+
+
+def excess(bound: Bound, extent: Extent) -> float:
+    """Return by how much a quantity passes its bounds; negative inside them."""
+    return max(bound.lower - extent.lowest, extent.highest - bound.upper)
+
+
+def is_kept(bound: Bound, extent: Extent) -> bool:
+    """Tell whether a quantity stays within its bounds, to the accuracy of its measurement."""
+    return excess(bound, extent) <= max(KEPT * max(extent.largest, 1.0), extent.error)
+
+
+def objection_to(bounds: Sequence[Bound], extents: Mapping[str, Extent]) -> str:
+    """Return which bounds are not kept and by how much, or nothing if all are."""
+    broken = [
+        f"`{bound.name}` leaves {bound.text} by {excess(bound, extents[bound.name]):.3g}"
+        for bound in bounds
+        if not is_kept(bound, extents[bound.name])
+    ]
+    return f"{'; '.join(broken)}." if broken else ""
+
+
+def asked_and_reached(
+    bounds: Sequence[Bound], extents: Mapping[str, Extent]
+) -> list[dict[str, Any]]:
+    """Return what was asked of an orbit and what it reaches, as plain data."""
+    return [
+        {
+            "quantity": bound.name,
+            "lower": bound.lower if math.isfinite(bound.lower) else None,
+            "upper": bound.upper if math.isfinite(bound.upper) else None,
+            "lowest": extents[bound.name].lowest,
+            "highest": extents[bound.name].highest,
+            "kept": is_kept(bound, extents[bound.name]),
+        }
+        for bound in bounds
+    ]

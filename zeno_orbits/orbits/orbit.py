@@ -1,0 +1,222 @@
+"""A periodic orbit as numbers, and its JSON file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+from zeno_orbits.errors import InputError
+from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.orbits.shape import OrbitShape, PhaseKind
+
+FORMAT = 2
+"""Version of the file format, the newest that this code reads."""
+ONE_RELEASE = 1
+"""Version that holds orbits with one Zeno point and one release, and no others."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OrbitImpact:
+    """One resolved impact of an orbit.
+
+    Attributes:
+        time: Since the start of the period [s].
+        state_minus: State name to value just before it.
+    """
+
+    time: float
+    state_minus: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OrbitPhase:
+    """A flight of an orbit and what ends it.
+
+    Attributes:
+        kind: What ends it.
+        start_time: Since the start of the period [s].
+        start_state: State name to value at the release, or just after the impact, before it.
+        impacts: The impacts that were resolved one by one.
+        zeno_time: Where they accumulate, if the stop holds, since the start of the period [s].
+        zeno_state: State name to value there.
+    """
+
+    kind: PhaseKind
+    start_time: float
+    start_state: Mapping[str, float]
+    impacts: tuple[OrbitImpact, ...]
+    zeno_time: float | None = None
+    zeno_state: Mapping[str, float] | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ZenoOrbit:
+    """Enough numbers to rebuild and recheck a periodic orbit; times count from its start.
+
+    Attributes:
+        problem: Name of the scene.
+        parameters: Name to value, all of the scene's.
+        gains: Name to value, all of the scene's.
+        period: [s].
+        phases: What happens in a period; the first starts at time 0.
+        floquet_multipliers: Of the return map where the period starts; empty while unknown.
+        certificate: What a verification said, as plain data; empty while unverified.
+        versions: Name to version of what computed it.
+    """
+
+    problem: str
+    parameters: Mapping[str, float]
+    gains: Mapping[str, float]
+    period: float
+    phases: tuple[OrbitPhase, ...]
+    floquet_multipliers: tuple[complex, ...] = ()
+    certificate: Mapping[str, Any]
+    versions: Mapping[str, str]
+
+    @property
+    def shape(self) -> OrbitShape:
+        """Kinds of its phases."""
+        return OrbitShape(phases=tuple(phase.kind for phase in self.phases))
+
+    @property
+    def start_state(self) -> Mapping[str, float]:
+        """State name to value where the period starts: at a release, or just after an impact."""
+        return self.phases[0].start_state
+
+    @property
+    def impacts(self) -> tuple[OrbitImpact, ...]:
+        """The resolved impacts of all phases."""
+        return tuple(impact for phase in self.phases for impact in phase.impacts)
+
+    @property
+    def release_state(self) -> Mapping[str, float]:
+        """State name to value at the release of an orbit that has one a period.
+
+        Raises:
+            InputError: If it has another shape.
+        """
+        self.shape.require_one_release()
+        return self.start_state
+
+    @property
+    def zeno_time(self) -> float:
+        """Zeno time of an orbit that has one Zeno point a period [s].
+
+        Raises:
+            InputError: If it has another shape.
+        """
+        return self._held()[0]
+
+    @property
+    def zeno_state(self) -> Mapping[str, float]:
+        """State name to value at the Zeno point of an orbit that has one a period.
+
+        Raises:
+            InputError: If it has another shape.
+        """
+        return self._held()[1]
+
+    def _held(self) -> tuple[float, Mapping[str, float]]:
+        self.shape.require_one_release()
+        phase = self.phases[0]
+        if phase.zeno_time is None or phase.zeno_state is None:
+            raise InputError("Argument `orbit` must have a Zeno point, but it has none.")
+        return phase.zeno_time, phase.zeno_state
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the orbit as the plain data of its file.
+
+        With one Zeno point and one release it is of format 1, which older readers know. Of another
+        shape it is of format 2, which they refuse, and has none of the entries that they read.
+        """
+        one = self.shape.has_one_release
+        return {
+            "format": ONE_RELEASE if one else FORMAT,
+            "problem": self.problem,
+            "parameters": dict(self.parameters),
+            "gains": dict(self.gains),
+            "shape": self.shape.text,
+            "period": self.period,
+            **(self._one_release() if one else {"phases": [_plain(p) for p in self.phases]}),
+            "floquet_multipliers": [[mu.real, mu.imag] for mu in self.floquet_multipliers],
+            "certificate": dict(self.certificate),
+            "versions": dict(self.versions),
+        }
+
+    def _one_release(self) -> dict[str, Any]:
+        return {
+            "release_state": dict(self.release_state),
+            "impacts": _plain_impacts(self.impacts),
+            "zeno_time": self.zeno_time,
+            "zeno_state": dict(self.zeno_state),
+        }
+
+    def setting(self, problem: Problem) -> Setting:
+        """Return the orbit's numbers for its scene.
+
+        Raises:
+            InputError: If the names or values do not fit the scene.
+        """
+        return problem.setting(gains=self.gains, parameters=self.parameters)
+
+
+def one_release_phase(
+    *,
+    release_state: Mapping[str, float],
+    impacts: Sequence[OrbitImpact],
+    zeno_time: float,
+    zeno_state: Mapping[str, float],
+) -> OrbitPhase:
+    """Return the one phase of an orbit from release to release, of the kind that its impacts show.
+
+    A single impact at the Zeno time itself is a plastic one.
+    """
+    at_once = len(impacts) == 1 and impacts[0].time == zeno_time
+    return OrbitPhase(
+        kind=PhaseKind.PLASTIC if at_once else PhaseKind.ZENO,
+        start_time=0.0,
+        start_state=release_state,
+        impacts=tuple(impacts),
+        zeno_time=zeno_time,
+        zeno_state=zeno_state,
+    )
+
+
+def _plain(phase: OrbitPhase) -> dict[str, Any]:
+    zeno = {}
+    if phase.zeno_state is not None:
+        zeno = {"zeno_time": phase.zeno_time, "zeno_state": dict(phase.zeno_state)}
+    return {
+        "kind": phase.kind.value,
+        "start_time": phase.start_time,
+        "start_state": dict(phase.start_state),
+        "impacts": _plain_impacts(phase.impacts),
+        **zeno,
+    }
+
+
+def _plain_impacts(impacts: Sequence[OrbitImpact]) -> list[dict[str, Any]]:
+    return [{"time": one.time, "state_minus": dict(one.state_minus)} for one in impacts]
+
+
+def versions() -> dict[str, str]:
+    """Return name to version of what computes an orbit."""
+    return dict(_versions())
+
+
+@cache
+def _versions() -> tuple[tuple[str, str], ...]:
+    """Ask the installation once: it takes longer than a period of simulation."""
+    # Both take as long to import as a small module of ours, and a reader needs neither.
+    import platform
+    from importlib.metadata import PackageNotFoundError, version
+
+    found = {"python": platform.python_version()}
+    for name in ("zeno_orbits", "casadi", "numpy", "scipy"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return tuple(found.items())

@@ -1,0 +1,182 @@
+"""The phases of an execution: flights and what ends them, one after the other (theory (44))."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.orbits.shape import PhaseKind
+from zeno_orbits.simulation.execution import Arc, Ending, Execution, Impact, Mode, ZenoPoint
+
+_AT_ONCE = 1e-6
+"""A release earlier than this part of an execution belongs to its start."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Moment:
+    """Where a phase starts or ends.
+
+    Attributes:
+        time: When [s].
+        state: A release state, or the state just after an impact, ``(n_x,)``.
+    """
+
+    time: float
+    state: Vector
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Phase:
+    """A flight and what ends it.
+
+    Attributes:
+        kind: What ends it.
+        start: Where it starts.
+        flight: The free arc to the first impact.
+        hops: The rescaled flights from impact to impact; none but in an accumulation.
+        impacts: The resolved impacts, one more than hops that ended in one.
+        zeno: The Zeno point, if the stop holds.
+        locked: The locked arc, likewise.
+        end: Where it ends.
+    """
+
+    kind: PhaseKind
+    start: Moment
+    flight: Arc
+    hops: tuple[Arc, ...]
+    impacts: tuple[Impact, ...]
+    zeno: ZenoPoint | None
+    locked: Arc | None
+    end: Moment
+
+    @property
+    def flights(self) -> tuple[Arc, ...]:
+        """All flights."""
+        return (self.flight, *self.hops)
+
+    @property
+    def arcs(self) -> tuple[Arc, ...]:
+        """All arcs that have a flow: without the tail of an accumulation."""
+        return self.flights if self.locked is None else (*self.flights, self.locked)
+
+
+def phases_of(
+    execution: Execution, start: Vector | None = None, *, held: bool = True
+) -> tuple[Phase, ...]:
+    """Return the phases of an execution, from the first whole one on.
+
+    A phase in which the stop is touched without an impact is none: it is left out, and the next one
+    does not start where the last one ends.
+
+    Args:
+        execution: The execution.
+        start: Its initial state, if it starts where a phase does: at a release or after an impact.
+        held: Whether phases end at releases, as do the impacts that lead to one; else every impact
+            ends one, up to the first locked arc.
+    """
+    begin = None if start is None else Moment(time=0.0, state=start)
+    if held:
+        return tuple(_held(execution, begin))
+    return tuple(_struck(execution, begin))
+
+
+def follow_each_other(phases: Sequence[Phase]) -> bool:
+    """Tell whether every phase starts where the one before it ends."""
+    return all(one.end.time == two.start.time for one, two in pairwise(phases))
+
+
+def _struck(execution: Execution, begin: Moment | None) -> list[Phase]:
+    """Return one phase an impact, until the stop holds."""
+    impacts = {impact.time: impact for impact in execution.impacts}
+    phases: list[Phase] = []
+    here, flown = begin, False
+    for arc in execution.arcs:
+        if arc.mode is Mode.LOCKED and not flown:
+            # A start that is locked by a rounding error is released at once.
+            continue
+        if arc.mode is Mode.LOCKED or arc.ending is not Ending.IMPACT:
+            break
+        flown, impact = True, impacts.get(arc.end_time)
+        if impact is not None and here is not None:
+            phases.append(_of_impact(here, arc, impact))
+        here = None if impact is None else _after(impact)
+    return phases
+
+
+def _held(execution: Execution, begin: Moment | None) -> list[Phase]:
+    """Return the phases up to each release; with a plastic stop there may be several to one."""
+    impacts = {impact.time: impact for impact in execution.impacts}
+    releases = {release.time: release for release in execution.releases}
+    phases: list[Phase] = []
+    flights: list[tuple[Arc, Impact | None]] = []
+    here = begin
+    for arc in execution.arcs:
+        if arc.mode is Mode.FREE and arc.ending is Ending.IMPACT:
+            flights.append((arc, impacts.get(arc.end_time)))
+        if arc.mode is Mode.FREE:
+            continue
+        if arc.ending is not Ending.RELEASE:
+            break
+        release = releases[arc.end_time]
+        if not flights and begin is here and release.time <= _AT_ONCE * execution.end_time:
+            # A start that is locked by a rounding error is released at once.
+            continue
+        end = Moment(time=release.time, state=release.state)
+        whole = [(flight, impact) for flight, impact in flights if impact is not None]
+        since = -1.0 if here is None else here.time
+        zenos = [z for z in execution.zeno_points if since < z.time <= arc.start_time]
+        if here is not None and whole and len(whole) == len(flights) and len(zenos) == 1:
+            phases += _to_release(here, whole, zenos[0], arc, end)
+        here, flights = end, []
+    return phases
+
+
+def _to_release(
+    here: Moment, flights: Sequence[tuple[Arc, Impact]], zeno: ZenoPoint, locked: Arc, end: Moment
+) -> list[Phase]:
+    """Return the phases from one release to the next."""
+    before: list[Phase] = []
+    kind = PhaseKind.ZENO
+    if zeno.tail == 0.0 and zeno.last_speed == 0.0:
+        # Whoever falls on a plastic stop either stays or is let go.
+        kind = PhaseKind.PLASTIC
+        for arc, impact in flights[:-1]:
+            before.append(_of_impact(here, arc, impact))
+            here = _after(impact)
+        flights = flights[-1:]
+    arcs = [arc for arc, _ in flights]
+    whole = Phase(
+        kind=kind,
+        start=here,
+        flight=arcs[0],
+        hops=tuple(arcs[1:]),
+        impacts=tuple(impact for _, impact in flights),
+        zeno=zeno,
+        locked=locked,
+        end=end,
+    )
+    return [*before, whole]
+
+
+def _of_impact(start: Moment, arc: Arc, impact: Impact) -> Phase:
+    return Phase(
+        kind=PhaseKind.IMPACT,
+        start=start,
+        flight=arc,
+        hops=(),
+        impacts=(impact,),
+        zeno=None,
+        locked=None,
+        end=_after(impact),
+    )
+
+
+def _after(impact: Impact) -> Moment:
+    return Moment(time=impact.time, state=impact.state_plus)
+
+
+def kinds_of(phases: Sequence[Phase]) -> tuple[PhaseKind, ...]:
+    """Return the kinds of phases, as a shape holds them."""
+    return tuple(phase.kind for phase in phases)

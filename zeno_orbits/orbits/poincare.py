@@ -1,0 +1,256 @@
+r"""The return map of a completed system on a section, and its multipliers.
+
+The section is the set of release states, :math:`h = \dot h = \lambda = 0`, of dimension
+:math:`n_x - 3` without holonomic constraints, or of states just after an impact, where an orbit has
+no release. Source: [OrAmes2009]_, theory (18), (45).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector, eigenvalues
+from zeno_orbits.errors import SimulationError
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.orbits.monodromy import (
+    ReturnDerivative,
+    Sensitivity,
+    loosened,
+    period_derivative,
+)
+from zeno_orbits.orbits.period import first_return, placed, round_trip, to_next_release
+from zeno_orbits.orbits.section import (
+    RELEASE_ROWS,
+    conditions_gradient,
+    release_section,
+    rows_of,
+    section_around,
+)
+from zeno_orbits.orbits.shape import ONE_ZENO, OrbitShape
+from zeno_orbits.simulation.simulator import SimulationSettings
+
+_DIFFERENCE = 2e-5
+"""Displacement in scaled section coordinates: its cube and the integration error balance."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Multipliers:
+    """Floquet multipliers of the return map.
+
+    Attributes:
+        values: The multipliers, the largest first.
+        error: Estimated error of the largest.
+        jacobian: Derivative of the return map in section coordinates.
+    """
+
+    values: tuple[complex, ...]
+    error: float
+    jacobian: Vector
+
+    @property
+    def spectral_radius(self) -> float:
+        """Largest modulus; below one the orbit attracts."""
+        return max((abs(value) for value in self.values), default=0.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SectionDerivative:
+    r"""The derivative of the return map in section coordinates `y`.
+
+    The chart moves with the parameters, as the section does: a release state at fixed coordinates
+    stays a release state.
+
+    Attributes:
+        jacobian: By the coordinates, ``(d, d)``.
+        by_parameters: By the chosen parameters at fixed coordinates, ``(d, k)``.
+        lift: Derivative of the release state by coordinates, then parameters, ``(n_x, d + k)``.
+    """
+
+    jacobian: Vector
+    by_parameters: Vector
+    lift: Vector
+
+    def of(self, number: Sensitivity) -> Vector:
+        """Return the derivative of a number by coordinates, then parameters, ``(d + k,)``."""
+        gradient = number.by_state @ self.lift
+        d = len(self.jacobian)
+        return np.concatenate([gradient[:d], gradient[d:] + number.by_parameters])
+
+
+def section_derivative(
+    dynamics: HybridDynamics, derivative: ReturnDerivative, scale: Vector
+) -> SectionDerivative:
+    r"""Return the derivative of the return map in a chart around the start of a return.
+
+    .. math:: \frac{\partial (\phi \circ P \circ \phi^{-1})}{\partial y} =
+        Z^\top S^{-1} \frac{\partial P}{\partial x} S Z
+
+    with the tangent `Z` and the scale `S` (theory (27)).
+
+    Args:
+        dynamics: The system.
+        derivative: Of the return, by the state.
+        scale: Size of each state, ``(n_x,)``.
+    """
+    section = release_section(dynamics, derivative.start, scale)
+    tangent = scale[:, None] * section.tangent
+    start = derivative.start
+    gradient = conditions_gradient(dynamics, derivative.parameters, RELEASE_ROWS, start)
+    shift = gradient[:, start.size :]
+    lift = np.concatenate([tangent, -scale[:, None] * (section.normal @ shift)], axis=1)
+    d = section.dimension
+    moved = derivative.by_state @ lift
+    moved[:, d:] += derivative.by_parameters
+    coordinates = section.tangent.T @ (moved / scale[:, None])
+    return SectionDerivative(
+        jacobian=coordinates[:, :d], by_parameters=coordinates[:, d:], lift=lift
+    )
+
+
+def poincare_map(
+    dynamics: HybridDynamics, x: Vector, *, horizon: float, settings: SimulationSettings
+) -> tuple[float, Vector]:
+    """Return the time and state of the next release after a release.
+
+    Args:
+        dynamics: The system.
+        x: A release state, ``(n_x,)``.
+        horizon: Longest time to wait [s].
+        settings: Accuracy.
+
+    Raises:
+        SimulationError: If there is no release within the horizon.
+    """
+    execution = to_next_release(dynamics, dynamics.on_stop(x), horizon=horizon, settings=settings)
+    later = first_return(execution)
+    if later is None:
+        raise SimulationError("There is no next release", time=horizon, state=tuple(x.tolist()))
+    return later.time, later.state
+
+
+def floquet_multipliers(
+    dynamics: HybridDynamics,
+    x: Vector,
+    *,
+    scale: Vector,
+    period: float,
+    settings: SimulationSettings,
+    noise: float = 0.0,
+    shape: OrbitShape = ONE_ZENO,
+) -> Multipliers:
+    """Return the multipliers of an orbit.
+
+    A system with formulas is differentiated exactly, and once more at looser tolerances: what they
+    change is the error estimate. Of one without, differences of the return map are taken.
+
+    Args:
+        dynamics: The system.
+        x: Where the orbit's period starts, ``(n_x,)``.
+        scale: Size of each state, ``(n_x,)``.
+        period: Period of the orbit [s].
+        settings: Accuracy.
+        noise: Error of a returned state, relative to ``scale``, if it is known; it matters to
+            differences.
+        shape: The orbit's shape.
+
+    Raises:
+        SimulationError: If the state, or one displaced by little, does not return.
+    """
+    if dynamics.differentiation is None:
+        near, far = _differences(dynamics, x, shape, scale=scale, period=period, settings=settings)
+        return _multipliers((4 * near - far) / 3, near, noise / _DIFFERENCE)
+
+    def slope(accuracy: SimulationSettings) -> Vector:
+        return return_slope(dynamics, x, scale=scale, period=period, settings=accuracy, shape=shape)
+
+    jacobian = slope(settings)
+    try:
+        rough = slope(loosened(settings, _LOOSER, resolved=_FEWER))
+    except SimulationError:
+        return _multipliers(jacobian, jacobian, math.inf)
+    return _multipliers(jacobian, rough, _LEAST * settings.tolerance.relative)
+
+
+def return_slope(
+    dynamics: HybridDynamics,
+    x: Vector,
+    *,
+    scale: Vector,
+    period: float,
+    settings: SimulationSettings,
+    shape: OrbitShape = ONE_ZENO,
+) -> Vector:
+    r"""Return the derivative of the return map in section coordinates around a state, ``(d, d)``.
+
+    Args:
+        dynamics: The system; without formulas, differences are taken.
+        x: A state of the section, ``(n_x,)``.
+        scale: Size of each state, ``(n_x,)``.
+        period: Time of the return, roughly [s].
+        settings: Accuracy.
+        shape: What a return consists of.
+
+    Raises:
+        SimulationError: If the state, or one displaced by little, does not return.
+    """
+    if dynamics.differentiation is None:
+        near, far = _differences(dynamics, x, shape, scale=scale, period=period, settings=settings)
+        return (4 * near - far) / 3
+    derivative = period_derivative(dynamics, x, shape, horizon=2 * period, settings=settings)
+    section = section_around(
+        dynamics, rows_of(shape, dynamics.restitution), derivative.start, scale
+    )
+    moved = derivative.by_state @ (scale[:, None] * section.tangent)
+    return section.tangent.T @ (moved / scale[:, None])
+
+
+def _multipliers(jacobian: Vector, rough: Vector, noise: float) -> Multipliers:
+    """Return the eigenvalues of a slope; how a rougher one differs, and noise, are the error."""
+    values = eigenvalues(jacobian)
+    others = np.array(eigenvalues(rough))
+    change = max((float(np.min(np.abs(others - value))) for value in values), default=0.0)
+    return Multipliers(values=values, error=change + noise, jacobian=jacobian)
+
+
+_LOOSER = 100.0
+"""Factor of the tolerances at which the multipliers are taken a second time."""
+_FEWER = 10.0
+"""Factor of the speed at which the impacts may then be left."""
+
+_LEAST = 10.0
+"""Error that is claimed at least, in units of the tolerance: two runs may agree by chance."""
+
+
+def _differences(
+    dynamics: HybridDynamics,
+    x: Vector,
+    shape: OrbitShape,
+    *,
+    scale: Vector,
+    period: float,
+    settings: SimulationSettings,
+) -> tuple[Vector, Vector]:
+    """Return the slope of the return map by central differences, at one displacement and at two.
+
+    Extrapolated, they are right to fourth order.
+    """
+    section = section_around(dynamics, rows_of(shape, dynamics.restitution), x, scale)
+
+    def image(direction: int, distance: float) -> Vector:
+        coordinates = np.zeros(section.dimension)
+        coordinates[direction] = distance
+        start = placed(dynamics, shape, section.state(dynamics, coordinates))
+        trip = round_trip(dynamics, start, shape, horizon=2 * period, settings=settings)
+        return section.coordinates(trip.phases[-1].end.state)
+
+    def differences(distance: float) -> Vector:
+        columns = [
+            (image(k, distance) - image(k, -distance)) / (2 * distance)
+            for k in range(section.dimension)
+        ]
+        return np.stack(columns, axis=1) if columns else np.zeros((0, 0))
+
+    return differences(_DIFFERENCE), differences(2 * _DIFFERENCE)

@@ -1,0 +1,277 @@
+"""A wanted accuracy into settings, and the error that an execution was made with.
+
+The settings are the cheapest that `zeno-orbits trade` measured to reach an accuracy, and nobody has
+to believe them: an execution is computed twice, some times apart in tolerance, and the difference
+is reported.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import zip_longest
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError, PenetrationError, SimulationError
+from zeno_orbits.integrators.automatic import PAYS, eigenvalues, rates_of, staying_rate
+from zeno_orbits.integrators.flow import Tolerance
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.precision.landmarks import (
+    Kind,
+    Landmark,
+    apart,
+    difference,
+    landmarks,
+    sizes,
+    sizes_of,
+)
+from zeno_orbits.simulation.completion import ZenoPassage
+from zeno_orbits.simulation.execution import Execution, Impact, Release, ZenoPoint
+from zeno_orbits.simulation.simulator import SimulationSettings, simulate
+
+__all__ = [
+    "COARSEST",
+    "FINEST",
+    "ROUNDING",
+    "Assured",
+    "Kind",
+    "Landmark",
+    "apart",
+    "at_tolerance",
+    "difference",
+    "landmarks",
+    "settings_for",
+    "simulate_to",
+    "simulate_with_error",
+    "sizes",
+    "sizes_of",
+    "why_engine",
+]
+
+FINEST, COARSEST = 1e-12, 1e-2
+"""Accuracies that can be asked for."""
+
+ROUNDING = 4e-15
+"""Differences below this, times the number of events, are rounding: two runs may share it."""
+
+_SHARE = 0.1
+"""Tolerance in units of the accuracy: errors over ten periods stay below ten tolerances."""
+
+_TIGHTEST = 1e-14
+_STEP = 10.0
+
+_LOOSER = 100.0
+"""Tolerance of the run beside one that is not to reach an accuracy: with a tenth of this the error
+has been seen three times the difference, with this never above 0.6 of it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Assured:
+    """An execution with an estimate of its error.
+
+    Attributes:
+        execution: The execution.
+        settings: What it was computed with.
+        error: Its ``difference`` from one of a looser tolerance, the error of that and so more than
+            its own; what its Zeno limits expect, rounding, or the tolerance itself where that is
+            more. Infinite if the looser one goes another way or does not come through.
+        zeno_errors: The same of every Zeno point alone, flights before it and limit together: of
+            time and state, relative to ``1 + |t|`` and ``1 + |x|``.
+    """
+
+    execution: Execution
+    settings: SimulationSettings
+    error: float
+    zeno_errors: tuple[float, ...]
+
+
+def settings_for(accuracy: float, settings: SimulationSettings | None = None) -> SimulationSettings:
+    """Return the cheapest settings that were measured to reach an accuracy.
+
+    Args:
+        accuracy: Largest relative error over some ten periods.
+        settings: Everything else: engine, limits.
+
+    Raises:
+        InputError: If double precision cannot give it, or it is no accuracy at all.
+    """
+    if not FINEST <= accuracy <= COARSEST:
+        wanted = f"must lie in [{FINEST:g}, {COARSEST:g}]"
+        raise InputError(f"Argument `accuracy` {wanted}, but it is {accuracy:g}.")
+    return at_tolerance(_SHARE * accuracy, settings)
+
+
+def at_tolerance(
+    tolerance: float, settings: SimulationSettings | None = None
+) -> SimulationSettings:
+    """Return settings at a tolerance, the Zeno limit's included.
+
+    Args:
+        tolerance: Relative error of a step.
+        settings: Everything else: engine, limits.
+    """
+    return replace(
+        settings or SimulationSettings(),
+        tolerance=Tolerance(relative=tolerance, absolute=_SHARE * tolerance),
+        completion=ZenoPassage(tolerance=max(tolerance, 1e-12)),
+    )
+
+
+def simulate_to(
+    dynamics: HybridDynamics,
+    state: Sequence[float] | Vector,
+    *,
+    until: float,
+    accuracy: float,
+    settings: SimulationSettings | None = None,
+    on_progress: Callable[[float], None] | None = None,
+) -> Assured:
+    """Return the completed execution to a wanted accuracy, with an estimate of its error.
+
+    Args:
+        dynamics: The system at fixed numbers.
+        state: Initial state, ``(n_x,)``.
+        until: When to stop [s].
+        accuracy: Largest relative error of every event and of the end (see ``difference``).
+        settings: Engine and limits; tolerance and completion follow the accuracy.
+        on_progress: Called with the time reached.
+
+    Raises:
+        InputError: If the accuracy is out of reach from the start.
+        SimulationError: If the estimate stays above it: the motion magnifies rounding.
+    """
+    chosen = settings_for(accuracy, settings)
+    tolerances = [_STEP * chosen.tolerance.relative]
+    while tolerances[-1] > 2 * _TIGHTEST:
+        tolerances.append(tolerances[-1] / _STEP)
+    previous: Execution | None = None
+    best = math.inf
+    for tolerance in tolerances:
+        tried = at_tolerance(tolerance, chosen)
+        try:
+            found = simulate(dynamics, state, until=until, settings=tried, on_progress=on_progress)
+        except PenetrationError:
+            # So coarse a run may go through the stop; the finest one may not.
+            if tolerance == tolerances[-1]:
+                raise
+            continue
+        if previous is not None:
+            assured = _beside(previous, found, tried)
+            if assured.error <= accuracy:
+                return assured
+            best = min(best, assured.error)
+        previous = found
+    reached = f"the best estimate is {best:.1e}" if best < math.inf else "no two runs go one way"
+    raise SimulationError(
+        f"The accuracy {accuracy:.0e} is out of reach: {reached}",
+        time=until,
+        state=tuple(float(value) for value in state),
+    )
+
+
+def simulate_with_error(
+    dynamics: HybridDynamics,
+    state: Sequence[float] | Vector,
+    *,
+    until: float,
+    settings: SimulationSettings | None = None,
+    on_progress: Callable[[float], None] | None = None,
+) -> Assured:
+    """Return the completed execution with given settings, and an estimate of its error.
+
+    Args:
+        dynamics: The system at fixed numbers.
+        state: Initial state, ``(n_x,)``.
+        until: When to stop [s].
+        settings: Accuracy; a second run has a hundred times its tolerance.
+        on_progress: Called with the time reached, by one run after the other.
+
+    Raises:
+        InputError: If the state is not admissible or the horizon is not a positive number.
+        SimulationError: If the execution cannot be continued; that of the second run may end early.
+    """
+    fine = settings or SimulationSettings()
+    found = simulate(dynamics, state, until=until, settings=fine, on_progress=on_progress)
+    loose = Tolerance(
+        relative=_LOOSER * fine.tolerance.relative, absolute=_LOOSER * fine.tolerance.absolute
+    )
+    try:
+        looser = simulate(
+            dynamics,
+            state,
+            until=until,
+            settings=replace(fine, tolerance=loose),
+            on_progress=on_progress,
+        )
+    except SimulationError:
+        looser = None
+    return _beside(looser, found, fine)
+
+
+def _beside(looser: Execution | None, found: Execution, settings: SimulationSettings) -> Assured:
+    """Return an execution with the error that a looser one shows."""
+    # Two runs that take the same steps share their errors, so no run is better than its tolerance.
+    least = max(ROUNDING * (1 + len(found.events)), settings.tolerance.relative)
+    error = math.inf if looser is None else difference(looser, found)
+    return Assured(
+        execution=found,
+        settings=settings,
+        error=max(error, _limit_error(found), least),
+        zeno_errors=tuple(max(error, least) for error in errors_of_zeno_points(looser, found)),
+    )
+
+
+def errors_of_zeno_points(looser: Execution | None, found: Execution) -> Iterator[float]:
+    """Yield the error of every Zeno point; infinity from where a looser run goes another way on."""
+    others = () if looser is None else _holds(looser)
+    alike = True
+    for own, other in zip_longest(_holds(found), others):
+        alike = alike and type(own) is type(other)
+        if not isinstance(own, ZenoPoint):
+            continue
+        if alike and isinstance(other, ZenoPoint):
+            times = abs(own.time - other.time) / (1 + abs(own.time))
+            states = np.abs(own.state - other.state) / (1 + np.abs(own.state))
+            yield max(times, float(np.max(states))) + own.limit_error
+        else:
+            yield math.inf
+
+
+def _holds(execution: Execution) -> tuple[ZenoPoint | Release, ...]:
+    """Return the events but for the impacts, of which a looser run may resolve fewer."""
+    return tuple(event for event in execution.events if not isinstance(event, Impact))
+
+
+def why_engine(dynamics: HybridDynamics, state: Sequence[float] | Vector, leg: float) -> str:
+    """Return in one sentence how the default engine will go about a scene, and why.
+
+    Args:
+        dynamics: The system at fixed numbers.
+        state: Where it starts, ``(n_x,)``.
+        leg: How long it goes without an event [s]; what decays much sooner does not last.
+    """
+    values = eigenvalues(dynamics.free, np.array(state, dtype=np.float64))
+    fastest, _ = rates_of(values)
+    if fastest <= 0.0:
+        return "explicit steps (DOP853): nothing decays."
+    lasting = staying_rate(values, leg)
+    rates = f"the fastest decay is {fastest:.3g} 1/s, what lasts changes at {lasting:.3g} 1/s"
+    if fastest > PAYS * lasting:
+        return f"explicit steps (DOP853) in layers, then implicit (Radau IIA, order 13): {rates}."
+    return f"explicit steps (DOP853): {rates}."
+
+
+def _limit_error(execution: Execution) -> float:
+    """Return the largest error that the Zeno points themselves expect, relative to the states.
+
+    Two runs that complete after the same impact share most of it, and so do not show it.
+    """
+    scale = sizes(execution)
+    shares = [
+        point.limit_error * float(np.max((1.0 + np.abs(point.state)) / scale))
+        for point in execution.zeno_points
+    ]
+    return max(shares, default=0.0)

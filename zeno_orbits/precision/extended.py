@@ -1,0 +1,207 @@
+r"""Completed executions in many digits: truth for everything that is computed in doubles.
+
+Gains and parameters enter exactly as the doubles that a ``Setting`` holds, calibrated ones too, and
+so do the constants of the model: ``0.1`` means the double next to it.
+
+An execution is run in two lengths of numbers, with their own orders, steps and Zeno limits; what
+they differ by is the error of the shorter one. The longer one is returned.
+"""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from decimal import Decimal
+from itertools import chain
+
+from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.model.numeric.compiled import compile_problem
+from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.precision.extended_run import ExtendedRun, Trace
+from zeno_orbits.precision.extended_system import ExtendedSystem
+from zeno_orbits.precision.multiprecision import Arithmetic, Real, decimal
+
+SPARE_DIGITS = (8, 18)
+"""Digits of the two runs beyond the wanted ones."""
+
+_FEWEST_DIGITS, _MOST_DIGITS = 10, 1000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExtendedImpact:
+    """An impact.
+
+    Attributes:
+        time: When [s].
+        approach_rate: Gap rate just before it.
+    """
+
+    time: Decimal
+    approach_rate: Decimal
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExtendedPoint:
+    """A state at a time.
+
+    Attributes:
+        time: When [s].
+        state: Where, ``(n_x,)``.
+    """
+
+    time: Decimal
+    state: tuple[Decimal, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExtendedExecution:
+    """A completed execution in many digits; the last ten or so are not certain.
+
+    Attributes:
+        state_names: Name of each state.
+        samples: The states at the times that were asked for, rising; the later one where an
+            impact gives two.
+        impacts: The impacts that were resolved one by one.
+        zeno_points: Where impacts accumulated.
+        releases: Where the stop let go.
+        error: Estimate: the largest difference between the two runs in any time, rate or state,
+            relative to one plus its size.
+        wall_time: What it took [s].
+    """
+
+    state_names: tuple[str, ...]
+    samples: tuple[ExtendedPoint, ...]
+    impacts: tuple[ExtendedImpact, ...]
+    zeno_points: tuple[ExtendedPoint, ...]
+    releases: tuple[ExtendedPoint, ...]
+    error: float
+    wall_time: float
+
+
+def extended_execution(
+    problem: Problem,
+    setting: Setting,
+    state: Sequence[float | Decimal],
+    *,
+    until: float,
+    times: Sequence[float | Decimal] = (),
+    digits: int = 20,
+) -> ExtendedExecution:
+    """Return the completed execution from an admissible state, to the wanted digits.
+
+    Takes 2 s to compile and, for a double pendulum with a motor at 20 digits, about 1 s a period.
+
+    Args:
+        problem: The scene.
+        setting: Its numbers, taken exactly as they are.
+        state: Initial state, ``(n_x,)``, taken exactly as it is; within 1e-12 of the stop it is
+            moved onto it along the impulse.
+        until: When to stop [s].
+        times: Where the state is wanted, in ``[0, until]`` [s].
+        digits: Wanted digits.
+
+    Raises:
+        InputError: If heyoka is missing, an argument is out of range or the state not admissible.
+        TranslationError: If the model is not analytic.
+        SimulationError: If the execution cannot be continued, or misses the wanted digits.
+    """
+    started = clock.perf_counter()
+    check_digits(digits)
+    if not 0.0 < until < math.inf:
+        message = f"Argument `until` must be a positive number of seconds, but it is {until}."
+        raise InputError(message)
+    if not all(0 <= time <= until for time in times):
+        raise InputError(f"Argument `times` must lie in [0, {until:g}], but one does not.")
+    compiled = compile_problem(problem)
+    check_state(state, compiled.n_x)
+    traces: list[Trace] = []
+    for spare in SPARE_DIGITS:
+        arithmetic = Arithmetic(digits=digits + spare)
+        system = ExtendedSystem(arithmetic, compiled, setting.values())
+        run = ExtendedRun(
+            system,
+            until=arithmetic.number(until),
+            times=arithmetic.numbers(sorted(times)),
+        )
+        traces.append(run.follow(state))
+    error = difference(*traces)
+    if not error < 10.0**-digits:
+        message = f"The execution is certain to {error:.1g} only, not to {digits} digits"
+        start = tuple(float(value) for value in state)
+        raise SimulationError(message, time=until, state=start)
+    trace = traces[-1]
+    return ExtendedExecution(
+        state_names=compiled.state_names,
+        samples=_points(zip(sorted(times), trace.samples, strict=True)),
+        impacts=impacts(trace),
+        zeno_points=_points(trace.zeno_points),
+        releases=_points(trace.releases),
+        error=error,
+        wall_time=clock.perf_counter() - started,
+    )
+
+
+def difference(shorter: Trace, longer: Trace) -> float:
+    """Return how far two runs are apart: the largest difference, relative to one plus the value.
+
+    Impacts near a Zeno point that only one of them resolved do not count.
+    """
+    for name in ("zeno_points", "releases", "samples"):
+        if len(getattr(shorter, name)) != len(getattr(longer, name)):
+            return math.inf
+    pairs = zip(_numbers(shorter, longer), _numbers(longer, shorter), strict=True)
+    return max((float(abs(a - b) / (1 + abs(b))) for a, b in pairs), default=0.0)
+
+
+def _numbers(trace: Trace, other: Trace) -> Iterator[Real]:
+    """Return all numbers of a trace, impact sequences cut to what the other has too."""
+    for own, others in zip(_sequences(trace), _sequences(other), strict=True):
+        yield from chain.from_iterable(own[: len(others)])
+    for time, state in chain(trace.zeno_points, trace.releases):
+        yield from (time, *state)
+    yield from chain.from_iterable(trace.samples)
+
+
+def _sequences(trace: Trace) -> list[list[tuple[Real, Real]]]:
+    """Return the impacts in sequences that the Zeno points part."""
+    sequences: list[list[tuple[Real, Real]]] = []
+    left = list(trace.impacts)
+    for time, _ in trace.zeno_points:
+        sequences.append([impact for impact in left if impact[0] <= time])
+        left = left[len(sequences[-1]) :]
+    return [*sequences, left]
+
+
+def impacts(trace: Trace) -> tuple[ExtendedImpact, ...]:
+    """Return the impacts of a run as decimals."""
+    return tuple(
+        ExtendedImpact(time=decimal(time), approach_rate=decimal(rate))
+        for time, rate in trace.impacts
+    )
+
+
+def point(time: Real, state: Sequence[Real]) -> ExtendedPoint:
+    """Return a state at a time as decimals."""
+    exact = Decimal(time) if isinstance(time, float | int | Decimal) else decimal(time)
+    return ExtendedPoint(time=exact, state=tuple(decimal(value) for value in state))
+
+
+def _points(pairs: Iterable[tuple[Real, Sequence[Real]]]) -> tuple[ExtendedPoint, ...]:
+    return tuple(point(time, state) for time, state in pairs)
+
+
+def check_digits(digits: int) -> None:
+    """Raise ``InputError`` if the wanted digits are out of range."""
+    if not _FEWEST_DIGITS <= digits <= _MOST_DIGITS:
+        wanted = f"lie in [{_FEWEST_DIGITS}, {_MOST_DIGITS}]"
+        raise InputError(f"Argument `digits` must {wanted}, but it is {digits}.")
+
+
+def check_state(state: Sequence[float | Decimal], n_x: int) -> None:
+    """Raise ``InputError`` if a state has the wrong length or is not finite."""
+    if len(state) != n_x:
+        raise InputError(f"Argument `state` must have {n_x} entries, but it has {len(state)}.")
+    if not all(math.isfinite(value) for value in state):
+        raise InputError("Argument `state` must be finite, but it holds NaN or infinity.")

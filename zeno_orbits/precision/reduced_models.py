@@ -1,0 +1,243 @@
+r"""What a reduced model of a scene costs in accuracy: estimated before it is taken, and measured.
+
+The quasi-static drive is wrong by :math:`O(L/R)`, the corrected one by :math:`O((L/R)^2)`
+(theory (20)). So their difference is the error of the first, to first order, and neither has the
+thin layers that make the full scene slow. Source: theory (20), (21).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.model.numeric.compiled import bind, compile_problem
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.orbits.cycle import Cycle
+from zeno_orbits.orbits.poincare import return_slope
+from zeno_orbits.orbits.section import release_section
+from zeno_orbits.orbits.shape import ONE_ZENO
+from zeno_orbits.search.closing import close_cycle, cycle_near
+from zeno_orbits.search.search import find_orbit
+from zeno_orbits.simulation.simulator import SimulationSettings
+
+QUASI_STATIC, CORRECTED = "quasi_static", "corrected"
+"""The words by which a scene declares the two reduced models."""
+
+LANDMARKS = ("period", "first_impact", "zeno_time", "release", "zeno_state")
+"""What two orbits are compared by."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReductionCost:
+    """The error that a reduced model makes in an orbit.
+
+    Errors are relative as in a certificate: times to the period, states to their size over it.
+
+    Attributes:
+        problem: The reduced scene.
+        n_states: Its states.
+        n_full_states: Those of the full scene.
+        layer: Longest time constant of the currents, `L/R` for a single motor [s].
+        rate: Fastest relative change of a velocity along the reduced orbit [1/s]; ``layer * rate``
+            is the small number of the expansion.
+        estimate: Landmark to error, from reduced models alone. For the quasi-static model it tends
+            to the error itself; for the corrected one it is an order of magnitude.
+        measured: Landmark to error against the full scene; empty if that was not asked for.
+    """
+
+    problem: str
+    n_states: int
+    n_full_states: int
+    layer: float
+    rate: float
+    estimate: Mapping[str, float]
+    measured: Mapping[str, float]
+
+
+def reduction_cost(
+    problem: Problem, setting: Setting, *, fidelity: str = QUASI_STATIC, measure: bool = False
+) -> ReductionCost:
+    """Return what one reduced model costs in accuracy at a setting of the full scene.
+
+    Args:
+        problem: The full scene; it declares both reduced models, ``quasi_static`` and
+            ``corrected``.
+        setting: Its numbers.
+        fidelity: Which of the two is asked about.
+        measure: Find the full scene's orbit too, which is the work that the reduction saves.
+
+    Raises:
+        InputError: If the scene does not declare both models, or ``fidelity`` is neither.
+        OrbitNotFoundError: If the quasi-static scene has no orbit at these numbers.
+        SimulationError: If another one has none near it: the reduction is not allowed there.
+    """
+    if fidelity not in (QUASI_STATIC, CORRECTED):
+        known = f"{QUASI_STATIC} or {CORRECTED}"
+        raise InputError(f"Argument `fidelity` must be {known}, but it is `{fidelity}`.")
+    return reduction_costs(problem, setting, measure=measure)[fidelity]
+
+
+def reduction_costs(
+    problem: Problem, setting: Setting, *, measure: bool = False
+) -> dict[str, ReductionCost]:
+    """Return fidelity to what it costs, for both reduced models (theory (21)).
+
+    The difference of their orbits is the error of the quasi-static one, to first order. Times
+    ``layer * rate``, it tells the size of the corrected one's.
+
+    Args:
+        problem: The full scene; it declares both reduced models.
+        setting: Its numbers.
+        measure: Find the full scene's orbit, too.
+
+    Raises:
+        InputError, OrbitNotFoundError, SimulationError: As `reduction_cost` does.
+    """
+    reduced = {word: problem.at_fidelity(word) for word in (QUASI_STATIC, CORRECTED)}
+    quasi_static = reduced[QUASI_STATIC]
+    orbit = find_orbit(quasi_static, quasi_static.shared(setting), shape=ONE_ZENO).unwrap()
+    period = orbit.period
+    release = np.array(quasi_static.state_vector(orbit.release_state))
+    machine, full = _dynamics(quasi_static, setting), _dynamics(problem, setting)
+    static = orbit_near(machine, release, period)
+    better = orbit_near(_dynamics(reduced[CORRECTED], setting), static.start.state, period)
+    truth = orbit_near(full, better.start.state, period) if measure else None
+    layer, rate = layer_time(full, release), _rate(machine, static)
+    first = landmark_errors(static, better)
+    second = {name: error * layer * rate for name, error in first.items()}
+    return {
+        word: ReductionCost(
+            problem=reduced[word].name,
+            n_states=len(release),
+            n_full_states=len(problem.state_names),
+            layer=layer,
+            rate=rate,
+            estimate=estimate,
+            measured={} if truth is None else landmark_errors(cycle, truth),
+        )
+        for word, cycle, estimate in (
+            (QUASI_STATIC, static, first),
+            (CORRECTED, better, second),
+        )
+    }
+
+
+def orbit_near(dynamics: HybridDynamics, release: Vector, period: float) -> Cycle:
+    """Return the periodic orbit of a system near a release state of another fidelity.
+
+    Newton's method on the return map, whose derivative is taken once. Currents that the other
+    state does not have start at rest, where their rate vanishes.
+
+    Args:
+        dynamics: The system.
+        release: Release state of the other, the first entries of ``x``.
+        period: Its period [s].
+
+    Raises:
+        SimulationError: If there is no orbit there.
+    """
+    settings = SimulationSettings()
+    x = dynamics.on_stop(np.concatenate([release, _resting_current(dynamics, release)]))
+    try:
+        scale = cycle_near(dynamics, x, period=period, settings=settings).scale()
+        section = release_section(dynamics, x, scale)
+        x = section.state(dynamics, np.zeros(section.dimension))
+        # Far from the orbit returns alone may wander: the slope keeps to what is near.
+        slope = return_slope(dynamics, x, scale=scale, period=period, settings=settings)
+        return close_cycle(
+            dynamics, x, scale=scale, period=period, settings=settings, slope=slope
+        ).cycle
+    except SimulationError as error:
+        raise SimulationError(
+            "No orbit of this fidelity is near that of the other, the reduction is too coarse: "
+            f"{error.reason}",
+            time=period,
+            state=tuple(x.tolist()),
+        ) from error
+
+
+def landmark_errors(reduced: Cycle, other: Cycle) -> dict[str, float]:
+    """Return landmark to relative difference, over the states that the reduced model has.
+
+    After a plastic impact, `e = 0`, the Zeno point stands at the start of the current's layer,
+    which a reduced model has behind it: ``zeno_state`` is left out.
+    """
+    n, period = len(reduced.start.state), other.period
+    scale = other.scale()[:n]
+
+    def apart(a: Vector, b: Vector) -> float:
+        return float(np.max(np.abs(a - b[:n]) / scale))
+
+    errors = {
+        "period": abs(reduced.period - period) / period,
+        "first_impact": abs(_first_impact(reduced) - _first_impact(other)) / period,
+        "zeno_time": abs(_zeno_time(reduced) - _zeno_time(other)) / period,
+        "release": apart(reduced.start.state, other.start.state),
+        "zeno_state": apart(reduced.zeno.state, other.zeno.state),
+    }
+    if min(reduced.zeno.last_speed, other.zeno.last_speed) == 0.0:
+        del errors["zeno_state"]
+    return errors
+
+
+def layer_time(dynamics: HybridDynamics, release: Vector) -> float:
+    """Return the longest time constant of a scene's currents [s]; 0 if it has none.
+
+    Args:
+        dynamics: The full scene.
+        release: Any state of it, or its first entries.
+    """
+    rates, block = _current_rates(dynamics, release)
+    return 0.0 if rates.size == 0 else float(1 / np.min(np.abs(np.linalg.eigvals(block))))
+
+
+def _resting_current(dynamics: HybridDynamics, release: Vector) -> Vector:
+    rates, block = _current_rates(dynamics, release)
+    if rates.size == 0:
+        return rates
+    return np.asarray(np.linalg.solve(block, -rates), dtype=np.float64)
+
+
+def _current_rates(dynamics: HybridDynamics, release: Vector) -> tuple[Vector, Vector]:
+    """Return the rates of the currents at zero current, and their derivative by the currents.
+
+    The law is linear in the currents (theory (2)), so unit currents give the derivative exactly.
+    """
+    n_x, first = len(dynamics.state_names), 2 * dynamics.n_q
+    bare = np.concatenate([release[:first], np.zeros(n_x - first)])
+    rates = dynamics.free.rate(bare)[first:]
+    columns: list[Vector] = []
+    for k in range(first, n_x):
+        unit = bare.copy()
+        unit[k] = 1.0
+        columns.append(dynamics.free.rate(unit)[first:] - rates)
+    return rates, np.stack(columns, axis=1) if columns else np.zeros((0, 0))
+
+
+def _rate(dynamics: HybridDynamics, cycle: Cycle) -> float:
+    """Return the largest acceleration of a coordinate over its largest speed [1/s]."""
+    n_q = dynamics.n_q
+    speeds, accelerations = np.zeros(n_q), np.zeros(n_q)
+    for arc, flow in ((cycle.flight, dynamics.free), (cycle.locked, dynamics.locked)):
+        for time in np.linspace(arc.start_time, arc.end_time, 65):
+            x = arc.state_at(float(time))
+            speeds = np.maximum(speeds, np.abs(x[n_q : 2 * n_q]))
+            accelerations = np.maximum(accelerations, np.abs(flow.rate(x)[n_q : 2 * n_q]))
+    return float(np.max(accelerations / np.where(speeds > 0.0, speeds, np.inf)))
+
+
+def _dynamics(problem: Problem, setting: Setting) -> HybridDynamics:
+    return bind(compile_problem(problem), problem.shared(setting).values())
+
+
+def _first_impact(cycle: Cycle) -> float:
+    return cycle.impacts[0].time - cycle.start.time
+
+
+def _zeno_time(cycle: Cycle) -> float:
+    return cycle.zeno.time - cycle.start.time

@@ -1,0 +1,143 @@
+"""The truth that trials are held against: an execution in extended precision, and its error."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError, TranslationError, ZenoOrbitsError
+from zeno_orbits.integrators import Radau
+from zeno_orbits.integrators.automatic import decay_rates
+from zeno_orbits.integrators.casadi_to_heyoka import heyoka_is_installed
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.precision.accuracy import (
+    ROUNDING,
+    Kind,
+    Landmark,
+    apart,
+    at_tolerance,
+    landmarks,
+    sizes,
+    sizes_of,
+)
+from zeno_orbits.simulation.simulator import SimulationSettings, simulate
+
+if TYPE_CHECKING:
+    from zeno_orbits.precision.extended import ExtendedExecution
+
+TRUTH_DIGITS = 20
+
+_SAMPLES = 64
+"""Times at which the truth is looked at for the size of its states."""
+
+_MOST_DECAYS = 1e5
+"""Fastest decay times horizon up to which a series takes less than a minute or so."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Truth:
+    """What trials are held against.
+
+    Attributes:
+        marks: The landmarks.
+        scale: Size of each state, ``(n_x,)``.
+        how: How they were had, as a phrase.
+        error: How certain they are.
+    """
+
+    marks: tuple[Landmark, ...]
+    scale: Vector
+    how: str
+    error: float
+
+
+def true_landmarks(
+    problem: Problem,
+    setting: Setting,
+    dynamics: HybridDynamics,
+    state: Sequence[float],
+    until: float,
+) -> Truth:
+    """Return the truth in extended precision, or in doubles where that cannot be had.
+
+    Args:
+        problem: The scene.
+        setting: Its numbers.
+        dynamics: The system at these numbers.
+        state: Initial state, ``(n_x,)``.
+        until: When to stop [s].
+
+    Raises:
+        InputError: If the state is not admissible or the horizon not a positive number.
+        ZenoOrbitsError: If nothing happens that a motion could be judged by, or it cannot be
+            followed.
+    """
+    if not 0.0 < until < math.inf:
+        message = f"Argument `until` must be a positive number of seconds, but it is {until}."
+        raise InputError(message)
+    if not heyoka_is_installed():
+        return _truth_in_doubles(dynamics, state, until, "install the extra `taylor` for a better")
+    if is_too_stiff(dynamics, state, until):
+        return _truth_in_doubles(dynamics, state, until, "the scene is too stiff for a better")
+    from zeno_orbits.precision.extended import extended_execution
+
+    try:
+        exact = extended_execution(
+            problem,
+            setting,
+            state,
+            until=until,
+            times=np.linspace(0.0, until, _SAMPLES).tolist(),
+            digits=TRUTH_DIGITS,
+        )
+    except TranslationError:
+        return _truth_in_doubles(
+            dynamics, state, until, "not all of the scene is analytic, for a better"
+        )
+    return Truth(
+        marks=_exact_landmarks(exact),
+        scale=sizes_of([[float(value) for value in sample.state] for sample in exact.samples]),
+        how="extended precision",
+        error=exact.error,
+    )
+
+
+def is_too_stiff(dynamics: HybridDynamics, state: Sequence[float], until: float) -> bool:
+    """Tell whether Taylor series, explicit as they are, would take minutes over a horizon [s]."""
+    fastest, _ = decay_rates(dynamics.free, np.array(state, dtype=np.float64))
+    return fastest * until > _MOST_DECAYS
+
+
+def _truth_in_doubles(
+    dynamics: HybridDynamics, state: Sequence[float], until: float, why: str
+) -> Truth:
+    """Return the truth of the tightest tolerances, of an engine that the default one is not."""
+    implicit = SimulationSettings(engine=Radau())
+    finest, next_finest = (
+        simulate(dynamics, state, until=until, settings=at_tolerance(tolerance, implicit))
+        for tolerance in (1e-14, 1e-13)
+    )
+    marks, scale = landmarks(finest), sizes(finest)
+    return Truth(
+        marks=marks,
+        scale=scale,
+        how=f"double precision at 1e-14 ({why} truth)",
+        error=max(apart(landmarks(next_finest), marks, scale), ROUNDING),
+    )
+
+
+def _exact_landmarks(exact: ExtendedExecution) -> tuple[Landmark, ...]:
+    points = exact.releases or exact.zeno_points
+    if not points:
+        raise ZenoOrbitsError("There is nothing to compare: no release and no Zeno point so soon.")
+    kind = Kind.RELEASE if exact.releases else Kind.ZENO
+    return tuple(
+        Landmark(kind=kind, time=float(p.time), state=np.array([float(v) for v in p.state]))
+        for p in points
+    )

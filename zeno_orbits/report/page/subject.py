@@ -1,0 +1,89 @@
+"""What a report is about: an orbit, what a check said of it, and the motion to draw."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.orbits.period import placed
+from zeno_orbits.precision.work_precision import Trade
+from zeno_orbits.simulation.execution import Execution
+from zeno_orbits.simulation.simulator import simulate
+from zeno_orbits.verification.certificate import OrbitCertificate
+
+_LONGER = 1e-6
+"""Part of the period to follow a motion longer, so that rounding cuts off no release."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Subject:
+    """What a report is about.
+
+    Attributes:
+        orbit: The orbit, as its file has it.
+        problem: Its scene.
+        dynamics: The scene at the orbit's numbers.
+        certificate: What a forward integration said of it, just now.
+        execution: One period, simulated from the orbit's release; none if that failed.
+        trouble: Why it failed; empty if it did not.
+        trade: What accuracy costs in this scene, if that was measured.
+        file: Name of the orbit's file.
+        scene_file: Path of the scene's file; empty for a bundled scene.
+        content: The orbit's file itself.
+        command: The words of the command that made the report.
+    """
+
+    orbit: ZenoOrbit
+    problem: Problem
+    dynamics: HybridDynamics
+    certificate: OrbitCertificate
+    execution: Execution | None
+    trouble: str
+    trade: Trade | None
+    file: str
+    scene_file: str
+    content: str
+    command: tuple[str, ...]
+
+
+def subject_of(
+    orbit: ZenoOrbit,
+    problem: Problem,
+    dynamics: HybridDynamics,
+    certificate: OrbitCertificate,
+    *,
+    trade: Trade | None = None,
+    file: str = "orbit.json",
+    scene_file: str = "",
+    content: str = "",
+    command: tuple[str, ...] = (),
+) -> Subject:
+    """Return what a report is about, one period simulated; see `Subject` for the arguments."""
+    execution, trouble = None, ""
+    try:
+        start = np.array(problem.state_vector(orbit.start_state))
+        shape = orbit.shape.at_restitution(dynamics.restitution)
+        # As the check does: what is off the section is refused there, and not by the simulator.
+        start = placed(dynamics, shape, start)
+        execution = simulate(dynamics, start, until=orbit.period * (1 + _LONGER))
+    except ZenoOrbitsError as error:
+        # A false orbit may run anywhere; the page says so and does without its pictures.
+        trouble = str(error)
+    return Subject(
+        orbit=orbit,
+        problem=problem,
+        dynamics=dynamics,
+        certificate=certificate,
+        execution=execution,
+        trouble=trouble,
+        trade=trade,
+        file=file,
+        scene_file=scene_file,
+        content=content,
+        command=command,
+    )

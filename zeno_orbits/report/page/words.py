@@ -1,0 +1,129 @@
+"""The words of a report: what a certificate says, for a reader who knows no hybrid systems."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.simulation.execution import Execution
+from zeno_orbits.verification.certificate import OrbitCertificate
+
+CHECKS: Mapping[str, str] = {
+    "release": "The motion starts exactly where the stop lets go.",
+    "start": "The motion starts just after a hit.",
+    "first_impact": "The first hit comes when and where the file says.",
+    "impact_sequence": "So do the hits after it.",
+    "restitution": "Every hit throws back the same part of its speed.",
+    "impact_energy": "Every hit costs as much energy as it must.",
+    "zeno_point": "The hits pile up when and where the file says.",
+    "phases": "Later flights start when and where the file says.",
+    "delta_sweep": "Ending the hits early matters the less, the later it is done.",
+    "penetration": "Nothing passes through the stop.",
+    "adhesion": "The stop pushes and never pulls.",
+    "closure": "After one period everything is as it was.",
+    "period": "The period is as long as the file says.",
+    "drift": "The later periods are like the first.",
+    "energy_balance": "No energy comes from nowhere, and none vanishes.",
+    "holonomic": "The other constraints of the mechanism hold.",
+    "second_model": "Equations derived a second time, by another way, say the same.",
+    "integration": "A rougher calculation gives the same answer.",
+}
+"""Name of a residual to what its check asks, in plain words."""
+
+MARGINS: Mapping[str, tuple[str, str]] = {
+    "gap_acceleration": (
+        "how hard the moving part is drawn to the stop where the hits pile up; at zero it would "
+        "lift off there",
+        "{gap}/s^2",
+    ),
+    "first_impact_speed": (
+        "how fast the first hit is; at zero the part would only graze the stop",
+        "{gap}/s",
+    ),
+    "release_transversality": (
+        "how fast the contact force falls as the stop lets go; at zero it would not let go cleanly",
+        "force per s, SI",
+    ),
+    "lets_go": ("how fast the part leaves a stop that does not hold it", "{gap}/s^2"),
+    "phases_apart": ("how much the flights of a period differ; at zero it is a shorter one", "1"),
+    "locked_time": ("how long the part rests on its stop; at zero it would never rest", "s"),
+}
+"""Name of a margin to its meaning and its unit, in which ``{gap}`` is that of the gap."""
+
+ENERGIES: Mapping[str, str] = {
+    "input_work": "put in by the source",
+    "copper_loss": "lost as heat in the windings",
+    "other_loss": "lost to friction and the like",
+    "impact_loss": "lost in the hits",
+    "energy_gain": "left over after the period",
+}
+"""Name of an energy to its meaning."""
+
+
+def headline(certificate: OrbitCertificate) -> str:
+    """Return the answer in a few words."""
+    if not certificate.passed:
+        return "Not verified: do not rely on these numbers."
+    if certificate.stable:
+        return "Verified: the machine settles into this motion and keeps it."
+    if certificate.unstable:
+        return "Verified, but unstable: the machine leaves this motion at the least push."
+    return "Verified; whether small pushes die out could not be told."
+
+
+def story(orbit: ZenoOrbit, certificate: OrbitCertificate, execution: Execution | None) -> str:
+    """Return what happens in one period, in the words for one Zeno point or for another number."""
+    said = "" if certificate.passed else "So the file says; the check below does not confirm it. "
+    repeats = f"The same motion repeats every {orbit.period:.4g} s."
+    if execution is None:
+        return f"{said}{repeats}"
+    if len(execution.zeno_points) == 1:
+        return f"{said}{repeats} {_one_zeno_point(orbit, execution.zeno_points[0].time)}"
+    count, points = len(execution.impacts), len(execution.zeno_points)
+    if not points:
+        return (
+            f"{said}{repeats} The moving part hits its stop and flies on, {count} times a period."
+        )
+    return (
+        f"{said}{repeats} The moving part hits its stop {count} times that could be followed one "
+        f"by one; {points} times infinitely many hits pile up, and it comes to rest for a while."
+    )
+
+
+def _one_zeno_point(orbit: ZenoOrbit, zeno: float) -> str:
+    e, first = orbit.parameters.get("restitution", 0.0), orbit.impacts[0].time
+    flight = f"The moving part leaves its stop, flies for {first:.4g} s and hits it."
+    if len(orbit.impacts) > 1 and e > 0.0:
+        hits = (
+            f"It bounces and hits again and again, in the end each time {1 / e:.3g} times slower: "
+            f"infinitely many hits fit into {zeno - first:.4g} s. The moment at which they "
+            "have all happened is the Zeno point."
+        )
+    else:
+        hits = "That one hit takes all of its speed: the Zeno point is there at once."
+    rest = (
+        f"Then the part rests on the stop for {orbit.period - zeno:.4g} s and is carried along, "
+        "until the stop lets go of it, and all begins anew."
+    )
+    return f"{flight} {hits} {rest}"
+
+
+def stability(certificate: OrbitCertificate) -> str:
+    """Return what becomes of a small push."""
+    radius = certificate.spectral_radius
+    if certificate.stable and not certificate.multipliers:
+        return (
+            "The release leaves nothing to choose: whatever a small push does, the next release "
+            "is the same."
+        )
+    if certificate.stable:
+        return (
+            f"A small push dies out: from period to period at most {100 * radius:.3g} % of it is "
+            "left in the end. All multipliers lie inside the unit circle."
+        )
+    if certificate.unstable:
+        return (
+            f"A small push grows, in the end {radius:.3g} times from period to period. A "
+            "multiplier lies outside the unit circle."
+        )
+    return "The multipliers could not be told well enough to say whether a small push dies out."

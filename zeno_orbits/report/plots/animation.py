@@ -1,0 +1,245 @@
+# pyright: reportUnknownMemberType=false
+# The stubs of matplotlib leave most keyword arguments untyped.
+"""A machine in motion, phase portraits running beside it: GIF, and MP4 where ffmpeg is found."""
+
+from __future__ import annotations
+
+import io
+import math
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from PIL import Image
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError, ZenoOrbitsError
+from zeno_orbits.model.numeric.compiled import drawn_lines
+from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.report.plots.style import (
+    ARCS,
+    FULL_WIDTH,
+    INK,
+    JUMP,
+    TEXT,
+    add_legend,
+    label_of,
+    mark_completion,
+    paths_of,
+)
+from zeno_orbits.simulation.execution import Execution, Mode
+
+_RATE = 25
+"""Pictures a second of what is shown [1/s]."""
+_FEWEST, _MOST = 40, 250
+"""Pictures of one animation: two to ten seconds, whatever the period is."""
+_DOTS = 100
+"""Of the animation, an inch."""
+_COLOURS = 63
+_KEPT = 63
+"""In the place of a colour: what the picture before shows there."""
+STOP = "stop"
+"""The line of a drawing that is the stop itself, and is drawn as such."""
+_TRAIL = 0.12
+"""Part of the period that the moving points drag behind them."""
+_PORTRAITS = 2
+"""So many portraits are legible beside a machine."""
+_TALL = 3.8
+"""Height of the picture [in]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Film:
+    """The pictures of an animation.
+
+    Attributes:
+        frames: In order, all of one size.
+        rate: Pictures a second [1/s].
+    """
+
+    frames: tuple[Image.Image, ...]
+    rate: int
+
+
+def film_of(problem: Problem, setting: Setting, execution: Execution, period: float) -> Film:
+    """Return one period of a machine in motion with its first two phase portraits beside it.
+
+    Args:
+        problem: The scene; it has a drawing.
+        setting: Its numbers.
+        execution: One period from the release on.
+        period: [s].
+
+    Raises:
+        InputError: If the scene has no drawing.
+    """
+    if problem.drawing is None:
+        raise InputError(f"Argument `problem` must have a drawing, but `{problem.name}` has none.")
+    count = int(np.clip(round(period * _RATE), _FEWEST, _MOST))
+    times = np.linspace(0.0, period, count, endpoint=False)
+    states = np.array([execution.state_at(time) for time in times])
+    lines = drawn_lines(problem, setting, states[:, : len(problem.state_names)])
+    figure = Figure(figsize=(FULL_WIDTH, _TALL), layout="constrained", dpi=_DOTS)
+    canvas = FigureCanvasAgg(figure)
+    pairs = [
+        [problem.state_names.index(name) for name in pair]
+        for pair in problem.portraits[:_PORTRAITS]
+    ]
+    grid = figure.add_gridspec(len(pairs), 2)
+    machine = figure.add_subplot(grid[:, 0])
+    portraits = [figure.add_subplot(grid[k, 1]) for k in range(len(pairs))]
+    parts = _draw_machine(machine, lines)
+    points = [
+        _draw_portrait(ax, problem, execution, pair)
+        for ax, pair in zip(portraits, pairs, strict=True)
+    ]
+    slower = count / _RATE / period
+    if abs(slower - 1.0) > 0.1:
+        words = "slower" if slower > 1.0 else "faster"
+        portraits[0].set_title(f"shown {max(slower, 1 / slower):.2g} times {words}", size=TEXT)
+    add_legend(figure, FULL_WIDTH)
+    figure.align_ylabels(portraits)
+    machine.set_title("Zeno model", size=TEXT)
+    # Laid out once, twice for what depends on the first: nothing but the machine is to move.
+    canvas.draw()
+    canvas.draw()
+    figure.set_layout_engine("none")
+    digits = max(0, 2 - math.floor(math.log10(period)))
+    frames: list[Image.Image] = []
+    for k, time in enumerate(times.tolist()):
+        mode = _mode_at(execution, time)
+        for name, part in parts.items():
+            part.set_data(*lines[name][k].T)
+            part.set_color(INK if name == STOP else ARCS[mode]["color"])
+        start = _trail_start(execution, times, k)
+        for (dot, trail), pair in zip(points, pairs, strict=True):
+            dot.set_data(*states[[k]][:, pair].T)
+            dot.set_markerfacecolor(ARCS[mode]["color"])
+            trail.set_data(*states[start : k + 1, pair].T)
+        word = "off the stop" if mode is Mode.FREE else "on the stop"
+        machine.set_title(f"Zeno model at {time:.{digits}f} s: {word}", size=TEXT)
+        canvas.draw()
+        frames.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[:, :, :3].copy()))
+    return Film(frames=tuple(frames), rate=_RATE)
+
+
+def gif_of(film: Film) -> bytes:
+    """Return a film as a GIF that runs round and round, all pictures in the same colours."""
+    wide, high = film.frames[0].size
+    # Colours of all parts of the film: a palette of the first picture alone may lack some.
+    sheet = Image.new("RGB", (wide, 4 * high))
+    for k in range(4):
+        sheet.paste(film.frames[k * len(film.frames) // 4], (0, k * high))
+    # By coverage: a small mark keeps its colour beside large areas, and white stays white.
+    palette = sheet.quantize(_COLOURS, method=Image.Quantize.MAXCOVERAGE)
+    shown = [
+        np.asarray(frame.quantize(palette=palette, dither=Image.Dither.NONE))
+        for frame in film.frames
+    ]
+    frames = [Image.fromarray(shown[0], mode="P")]
+    # What has not moved is left as it is, which packs well.
+    for before, after in pairwise(shown):
+        frames.append(Image.fromarray(np.where(after == before, _KEPT, after).astype(np.uint8)))
+    for frame in frames:
+        frame.putpalette(palette.getpalette() or [])
+    found = io.BytesIO()
+    frames[0].save(
+        found,
+        format="GIF",
+        save_all=True,
+        append_images=frames[1:],
+        duration=1000 // film.rate,
+        loop=0,
+        optimize=False,
+        transparency=_KEPT,
+        disposal=1,
+    )
+    return found.getvalue()
+
+
+def has_ffmpeg() -> bool:
+    """Tell whether ffmpeg is there to make an MP4."""
+    return shutil.which("ffmpeg") is not None
+
+
+def mp4_of(film: Film) -> bytes:
+    """Return a film as MP4 (H.264), made by ffmpeg.
+
+    Raises:
+        ZenoOrbitsError: If ffmpeg fails; with the last line of what it says.
+    """
+    wide, high = film.frames[0].size
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "film.mp4"
+        command = ["ffmpeg", "-loglevel", "error", "-y"]
+        command += ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{wide}x{high}"]
+        command += ["-r", str(film.rate), "-i", "-", "-an", "-c:v", "libx264"]
+        # Sides must be even for the widest-read pixel format.
+        command += ["-vf", "crop=trunc(iw/2)*2:trunc(ih/2)*2", "-pix_fmt", "yuv420p"]
+        command += ["-fflags", "+bitexact", "-movflags", "+faststart", str(path)]
+        try:
+            subprocess.run(
+                command,
+                input=b"".join(frame.tobytes() for frame in film.frames),
+                check=True,
+                capture_output=True,
+            )
+        except (OSError, subprocess.CalledProcessError) as error:
+            said: bytes = getattr(error, "stderr", b"") or b""
+            why = said.decode(errors="replace").strip().splitlines()[-1:] or [str(error)]
+            raise ZenoOrbitsError(f"ffmpeg made no film ({why[0]})") from error
+        return path.read_bytes()
+
+
+def _draw_machine(ax: Axes, lines: dict[str, Vector]) -> dict[str, Any]:
+    """Prepare the axes of the machine and return its lines, to be moved."""
+    corners = np.concatenate([points.reshape(-1, 2) for points in lines.values()])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    centre, reach = (low + high) / 2, 0.56 * float(np.max(high - low)) or 1.0
+    ax.set(xlim=(centre[0] - reach, centre[0] + reach), ylim=(centre[1] - reach, centre[1] + reach))
+    ax.set_aspect("equal")
+    ax.set(xlabel="across [m]", ylabel="upwards [m]")
+    ax.grid(visible=True, lw=0.4, alpha=0.5)
+    looks: dict[str, dict[str, Any]] = {name: {"lw": 3.5} for name in lines}
+    looks |= {STOP: {"lw": 2.0}} if STOP in lines else {}
+    points = [name for name, corners in lines.items() if corners.shape[1] == 1]
+    looks |= {name: {"marker": "o", "ms": 6, "mec": INK, "mfc": "white"} for name in points}
+    # The stop behind everything, points before it.
+    order = sorted(lines, key=lambda name: (name in points, name != STOP))
+    return {name: ax.plot([], [], solid_capstyle="round", **looks[name])[0] for name in order}
+
+
+def _draw_portrait(
+    ax: Axes, problem: Problem, execution: Execution, pair: Sequence[int]
+) -> tuple[Any, Any]:
+    """Draw the whole orbit, and return the moving point and its trail."""
+    for _, states, look in paths_of(execution):
+        thin: dict[str, Any] = look | {"lw": 1.0}
+        ax.plot(*states[:, list(pair)].T, **thin)
+    for impact in execution.impacts:
+        ends = np.array([impact.state_minus, impact.state_plus])[:, list(pair)]
+        ax.plot(*ends.T, **JUMP)
+    mark_completion(ax, execution, pair)
+    ax.set(xlabel=label_of(problem, pair[0]), ylabel=label_of(problem, pair[1]))
+    trail = ax.plot([], [], color=INK, lw=2.2, alpha=0.45)[0]
+    dot = ax.plot([], [], ls="", marker="o", ms=7, mec=INK, mew=1.0, zorder=6)[0]
+    return dot, trail
+
+
+def _trail_start(execution: Execution, times: Vector, k: int) -> int:
+    """Return the first picture of the moving point's trail: no earlier than its last jump."""
+    jumped = max((i.time for i in execution.impacts if i.time <= times[k]), default=0.0)
+    return max(k - round(_TRAIL * len(times)), int(np.searchsorted(times, jumped)))
+
+
+def _mode_at(execution: Execution, time: float) -> Mode:
+    return next((arc.mode for arc in execution.arcs if arc.end_time > time), Mode.FREE)

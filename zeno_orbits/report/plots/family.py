@@ -1,0 +1,192 @@
+# pyright: reportUnknownMemberType=false
+# The stubs of matplotlib leave most keyword arguments untyped.
+"""Families over their parameter: period, amplitude and spectral radius, and boundaries in two."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import groupby
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from zeno_orbits.continuation.families import (
+    Boundary,
+    Continuation,
+    Family,
+    FamilyPoint,
+    Kind,
+)
+from zeno_orbits.continuation.return_maps import Loss
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.report.plots.style import COLUMN_WIDTH, FULL_WIDTH, INK, add_legend, panels_of
+
+_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
+_SPOT: dict[str, Any] = {"ls": "", "ms": 6.5, "mew": 1.0, "mec": INK, "zorder": 5}
+_MARKS: dict[Kind, dict[str, Any]] = {
+    Kind.FOLD: {"marker": "o", "mfc": "#F0E442"},
+    Kind.FLIP: {"marker": "D", "mfc": "#CC79A7", "ms": 5.5},
+    Kind.TORUS: {"marker": "h", "mfc": "#56B4E9"},
+    Kind.BRANCHING: {"marker": "P", "mfc": "#E69F00"},
+    Kind.LOCK_VANISHES: {"marker": "*", "mfc": "#F0E442", "ms": 10.0},
+    Kind.THEOREM_LOST: {"marker": "X", "mfc": "#56B4E9"},
+    Kind.GRAZING: {"marker": "v", "mfc": "#E69F00"},
+    Kind.EARLIER_GRAZING: {"marker": "^", "mfc": "#E69F00"},
+    Kind.RELEASE_LOST: {"marker": "s", "mfc": "#009E73", "ms": 5.5},
+    Kind.EARLIER_RELEASE: {"marker": "p", "mfc": "#009E73"},
+    Kind.AMPLITUDE_ZERO: {"marker": "o", "mfc": "white"},
+    Kind.REJOINS: {"marker": ".", "mfc": INK},
+    Kind.GAVE_UP: {"marker": "x", "mfc": INK},
+}
+
+
+def plot_families(found: Continuation, problem: Problem, *, width: float = FULL_WIDTH) -> Figure:
+    """Return families over their parameter, stable ones solid, unstable ones dashed.
+
+    Args:
+        found: What was found.
+        problem: The scene, for units.
+        width: Width of the picture [in].
+    """
+    main = found.families[0]
+    amplitudes = any(Loss.AMPLITUDE.value in name for name in main.points[0].margins)
+    size: tuple[str, Callable[[FamilyPoint], float]] = (
+        ("amplitude [SI]", _amplitude) if amplitudes else ("impact speed [SI]", _impact_speed)
+    )
+    quantities: list[tuple[str, Callable[[FamilyPoint], float]]] = [
+        ("period [s]", lambda point: point.period),
+        size,
+        ("spectral radius [1]", lambda point: point.spectral_radius),
+    ]
+    figure, panels = panels_of(width, len(quantities), height=2.3)
+    for ax, (label, value) in zip(panels, quantities, strict=True):
+        for family in found.families:
+            doublings = family.n_returns.bit_length() - 1
+            _draw(ax, family, value, _COLOURS[doublings % len(_COLOURS)])
+        ax.set(xlabel=_named(problem, main.parameter), ylabel=label)
+        ax.margins(0.06)
+    _show_radii(panels[-1], found)
+    _show_period(panels[0], found)
+    for ax in panels:
+        _mark_all(ax, found, quantities[panels.index(ax)][1])
+    add_legend(figure, width)
+    return figure
+
+
+def plot_boundaries(
+    found: Continuation, problem: Problem, *, width: float = COLUMN_WIDTH
+) -> Figure:
+    """Return the boundaries in the plane of two parameters.
+
+    Args:
+        found: What was found; it must have a boundary.
+        problem: The scene, for units.
+        width: Width of the picture [in].
+    """
+    figure, (ax,) = panels_of(width, 1, height=0.75 * width)
+    draw_boundaries(ax, found.boundaries)
+    names = found.boundaries[0].names
+    ax.set(xlabel=_named(problem, names[0]), ylabel=_named(problem, names[1]))
+    add_legend(figure, width)
+    return figure
+
+
+_BOUNDARIES: dict[Kind, tuple[str, Any]] = {
+    Kind.FOLD: ("#0072B2", "-"),
+    Kind.FLIP: ("#CC79A7", "-"),
+    Kind.TORUS: ("#56B4E9", "-"),
+    Kind.LOCK_VANISHES: ("#D55E00", "--"),
+    Kind.AMPLITUDE_ZERO: ("#009E73", ":"),
+    Kind.GRAZING: ("#E69F00", "-."),
+    Kind.EARLIER_GRAZING: ("#E69F00", (0, (1, 1))),
+    Kind.RELEASE_LOST: (INK, "-."),
+    Kind.EARLIER_RELEASE: (INK, ":"),
+}
+
+
+def draw_boundaries(ax: Axes, boundaries: tuple[Boundary, ...]) -> None:
+    """Draw boundaries into axes, a colour and a dash a kind."""
+    for boundary in boundaries:
+        colour, dash = _BOUNDARIES.get(boundary.kind, (INK, "--"))
+        ax.plot(boundary.x, boundary.y, color=colour, ls=dash, lw=1.4, label=boundary.kind.value)
+        for k in boundary.cusps:
+            ax.plot(
+                [boundary.x[k]],
+                [boundary.y[k]],
+                ls="",
+                marker="o",
+                ms=4.5,
+                color=colour,
+                label="cusp",
+            )
+
+
+_MOST_RADIUS = 3.0
+
+
+def _show_radii(ax: Axes, found: Continuation) -> None:
+    """Draw the circle's radius and keep it in sight where an end makes multipliers diverge."""
+    ax.axhline(1.0, color=INK, lw=0.6, ls=(0, (1, 2)), zorder=1)
+    largest = max(p.spectral_radius for family in found.families for p in family.points)
+    ax.set_ylim(-0.04 * min(largest, _MOST_RADIUS), min(1.08 * max(largest, 1.0), _MOST_RADIUS))
+
+
+def _show_period(ax: Axes, found: Continuation) -> None:
+    """Keep a period that never changes from being drawn as its rounding."""
+    periods = [point.period for family in found.families for point in family.points]
+    low, high = min(periods), max(periods)
+    if high - low < _CONSTANT * high:
+        ax.set_ylim(0.9 * low, 1.1 * high)
+    ax.ticklabel_format(useOffset=False)
+
+
+_CONSTANT = 1e-6
+
+
+def _draw(ax: Axes, family: Family, value: Callable[[FamilyPoint], float], colour: str) -> None:
+    """Draw a family piece by piece of one stability, ends included, neighbours joined."""
+    # A flip at which a family begins is an orbit of half its period, marked on the other family.
+    root = [] if family.first.kind is Kind.FLIP else [family.first.at]
+    points = [*root, *family.points, family.last.at]
+    returns = "" if family.n_returns == 1 else f", {family.n_returns} returns"
+    for stable, group in groupby(range(len(points)), key=lambda k: _is_stable(points[k])):
+        piece = list(group)
+        drawn = points[max(piece[0] - 1, 0) : piece[-1] + 1]
+        ax.plot(
+            [point.value for point in drawn],
+            [value(point) for point in drawn],
+            color=colour,
+            lw=1.4,
+            ls="-" if stable else (0, (3, 1.5)),
+            label=f"{'stable' if stable else 'unstable'}{returns}",
+        )
+
+
+def _is_stable(point: FamilyPoint) -> bool:
+    return point.stable
+
+
+def _mark_all(ax: Axes, found: Continuation, value: Callable[[FamilyPoint], float]) -> None:
+    low, high = ax.get_ylim()
+    for family in found.families:
+        for special in family.named:
+            rooted = special is family.first and special.kind is Kind.FLIP
+            if special.kind in _MARKS and not rooted:
+                place = min(max(value(special.at), low), high)
+                look = _SPOT | _MARKS[special.kind]
+                ax.plot(special.at.value, place, label=special.kind.value, clip_on=False, **look)
+    ax.set_ylim(low, high)
+
+
+def _amplitude(point: FamilyPoint) -> float:
+    return max(v for name, v in point.margins.items() if name.startswith(Loss.AMPLITUDE.value))
+
+
+def _impact_speed(point: FamilyPoint) -> float:
+    return max(v for name, v in point.margins.items() if name.startswith(Loss.FIRST_IMPACT.value))
+
+
+def _named(problem: Problem, name: str) -> str:
+    unit = next(q.unit for q in (*problem.gains, *problem.parameters) if q.name == name)
+    return f"{name} [{unit}]"

@@ -1,0 +1,109 @@
+"""The figures of the paper, by name and at the width of a column."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from matplotlib.figure import Figure
+
+from zeno_orbits.experiment.comparison.counterpart import Counterpart
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.report.plots.animation import film_of, gif_of, has_ffmpeg, mp4_of
+from zeno_orbits.report.plots.graph import plot_graph
+from zeno_orbits.report.plots.orbit import plot_portraits
+from zeno_orbits.report.plots.region import plot_zeno_region
+from zeno_orbits.report.plots.style import COLUMN_WIDTH, rendered
+from zeno_orbits.report.plots.two_motions import (
+    plot_beside_by_phase,
+    plot_beside_impacts,
+    plot_beside_over_time,
+    plot_beside_portraits,
+    plot_beside_zeno_point,
+)
+from zeno_orbits.simulation.execution import Execution
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Material:
+    """What the figures show.
+
+    Attributes:
+        problem: The scene.
+        setting: The orbit's numbers.
+        dynamics: The scene at these.
+        period: Of the orbit [s].
+        one: The motion over one period, from the release on.
+        several: The same over some periods.
+        other: What makes the motion to be shown beside the model's; called if it is needed.
+    """
+
+    problem: Problem
+    setting: Setting
+    dynamics: HybridDynamics
+    period: float
+    one: Execution
+    several: Execution
+    other: Callable[[], Counterpart]
+
+
+def graph_files(material: Material) -> dict[str, bytes]:
+    """Return the hybrid system and its completion as graphs."""
+    return _files({"fig2_systems": plot_graph(material.problem, material.setting)})
+
+
+def region_files(material: Material) -> dict[str, bytes]:
+    """Return the region of Theorem 1, the orbit's locked arc on it."""
+    problem, dynamics = material.problem, material.dynamics
+    return _files({"region": plot_zeno_region(problem, dynamics, material.one, width=COLUMN_WIDTH)})
+
+
+def portrait_files(material: Material) -> dict[str, bytes]:
+    """Return the phase portraits."""
+    drawn = plot_portraits(material.problem, material.one, width=COLUMN_WIDTH)
+    return _files({"fig4_portraits": drawn})
+
+
+def beside_files(material: Material) -> dict[str, bytes]:
+    """Return the model beside another motion: over time, by phase, impacts, portraits, zoom."""
+    problem, dynamics, one, other = (
+        material.problem,
+        material.dynamics,
+        material.one,
+        material.other(),
+    )
+    return _files(
+        {
+            "fig5a_over_time": plot_beside_over_time(problem, material.several, other),
+            "fig5a_by_phase": plot_beside_by_phase(problem, one, other),
+            "fig5b_impacts": plot_beside_impacts(problem, dynamics, one, other),
+            "fig5c_portraits": plot_beside_portraits(problem, one, other),
+            "fig5d_zeno_point": plot_beside_zeno_point(problem, dynamics, one, other),
+        }
+    )
+
+
+def animation_files(material: Material) -> dict[str, bytes]:
+    """Return the machine in motion: a GIF, and an MP4 where ffmpeg is found."""
+    film = film_of(material.problem, material.setting, material.one, material.period)
+    files = {"machine.gif": gif_of(film)}
+    return files | ({"machine.mp4": mp4_of(film)} if has_ffmpeg() else {})
+
+
+PAPER: dict[str, Callable[[Material], dict[str, bytes]]] = {
+    "graph": graph_files,
+    "region": region_files,
+    "portraits": portrait_files,
+    "beside": beside_files,
+    "animation": animation_files,
+}
+"""Kind of figure to what makes its files, by their names."""
+
+
+def _files(figures: Mapping[str, Figure]) -> dict[str, bytes]:
+    return {
+        f"{name}.{kind}": rendered(figure, kind)
+        for name, figure in figures.items()
+        for kind in ("pdf", "png")
+    }

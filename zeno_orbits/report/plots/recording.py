@@ -1,0 +1,121 @@
+# pyright: reportUnknownMemberType=false
+# The stubs of matplotlib leave most keyword arguments untyped.
+"""A recording over an orbit: signals, deviations by phase, and portraits."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.experiment.comparison.comparison import Comparison
+from zeno_orbits.experiment.comparison.deviations import Deviations
+from zeno_orbits.experiment.orbit_table import OrbitTable, measurable
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.report.plots.style import FULL_WIDTH, INK, TEXT, TINTS, add_legend, label_of
+from zeno_orbits.simulation.execution import Mode
+
+_ORBIT: dict[str, Any] = {"color": "#56B4E9", "lw": 2.4, "label": "orbit", "zorder": 2}
+_DATA: dict[str, Any] = {"color": "black", "lw": 0.8, "label": "mean over cycles", "zorder": 3}
+"""The orbit wide and light, so that the recording is seen on top of it."""
+_DOTS: dict[str, Any] = {"color": "#777777", "ls": "", "marker": "."}
+_SPREAD: dict[str, Any] = {"color": "#777777", "alpha": 0.4, "lw": 0, "label": "spread"}
+_MOST_DOTS = 4000
+
+
+def plot_comparison(problem: Problem, found: Comparison, *, width: float = FULL_WIDTH) -> Figure:
+    """Return a recording over an orbit, signal by signal, and its portraits.
+
+    Left: the samples folded into one period, their mean and the orbit. Right: the mean deviation
+    and the standard deviation of the samples around it. Phases are shaded, impacts dashed. Both run
+    in periods of their own, which stand above in numbers.
+
+    Args:
+        problem: The scene.
+        found: The comparison; it has an alignment.
+        width: Width of the picture [in].
+    """
+    deviations, where = found.deviations, found.where
+    if deviations is None or where is None:
+        raise ValueError("Argument `found` must have deviations to draw, but it has none.")
+    table = deviations.table
+    pairs = _pairs(problem, table, found.signals)
+    rows = len(found.signals) + math.ceil(len(pairs) / 2)
+    figure = Figure(figsize=(width, 1.25 * len(found.signals) + 2.2 * (rows - len(found.signals))))
+    figure.set_layout_engine("constrained")
+    heights = [1.25] * len(found.signals) + [2.2] * (rows - len(found.signals))
+    grid = figure.add_gridspec(rows, 2, height_ratios=heights)
+    time = found.recording.time
+    chosen = np.unique(np.linspace(0, len(time) - 1, min(len(time), _MOST_DOTS)).astype(np.int64))
+    phases = np.mod(where.phases(time[chosen]), 1.0)
+    for k, name in enumerate(found.signals):
+        left, right = figure.add_subplot(grid[k, 0]), figure.add_subplot(grid[k, 1])
+        last = k == len(found.signals) - 1
+        samples = found.recording.signal(name).values[chosen]
+        left.plot(phases, samples, ms=1.2, zorder=1, **_DOTS)
+        left.plot([], [], ms=5.0, label=found.recording.label, **_DOTS)
+        left.plot(table.nodes.times / table.period, table.nodes.values[:, k], **_ORBIT)
+        mean = deviations.orbit[:, k] + deviations.average[:, k]
+        left.plot(deviations.phases, mean, **_DATA)
+        _draw_deviation(right, deviations, k)
+        left.set_ylabel(_label(problem, name))
+        right.set_ylabel(f"deviation [{measurable(problem)[name]}]")
+        for ax in (left, right):
+            _shade(ax, table)
+            ax.tick_params(labelbottom=last)
+            if last:
+                ax.set_xlabel("phase from release [own periods]")
+    periods = f"period: orbit {table.period:.6g} s, recording {where.period:.6g} s"
+    figure.axes[0].set_title(periods, size=TEXT)
+    figure.axes[1].set_title("recording less orbit", size=TEXT)
+    for k, pair in enumerate(pairs):
+        ax = figure.add_subplot(grid[len(found.signals) + k // 2, k % 2])
+        _draw_portrait(ax, problem, found, deviations, pair)
+    add_legend(figure, width)
+    return figure
+
+
+def _draw_deviation(ax: Axes, found: Deviations, k: int) -> None:
+    mean, spread = found.average[:, k], found.spread[:, k]
+    ax.fill_between(found.phases, mean - spread, mean + spread, **_SPREAD)
+    ax.plot(found.phases, mean, **_DATA)
+    ax.axhline(0.0, color=_ORBIT["color"], lw=_ORBIT["lw"], zorder=1)
+
+
+def _shade(ax: Axes, table: OrbitTable) -> None:
+    """Shade the locked phase and mark the impacts."""
+    zeno = table.zeno_time / table.period
+    ax.axvspan(0.0, zeno, color=TINTS[Mode.FREE], lw=0, zorder=0)
+    ax.axvspan(zeno, 1.0, color=TINTS[Mode.LOCKED], lw=0, zorder=0)
+    start = table.cycle.start.time
+    for impact in table.cycle.impacts:
+        at = (impact.time - start) / table.period
+        ax.axvline(at, color=INK, lw=0.5, ls=(0, (3, 2)), zorder=1)
+    ax.set_xlim(0.0, 1.0)
+
+
+def _pairs(problem: Problem, table: OrbitTable, signals: tuple[str, ...]) -> list[tuple[str, str]]:
+    columns = table.measured.names
+    return [pair for pair in problem.portraits if pair[0] in signals and pair[1] in columns]
+
+
+def _draw_portrait(
+    ax: Axes, problem: Problem, found: Comparison, deviations: Deviations, pair: tuple[str, str]
+) -> None:
+    table = deviations.table
+    columns = [table.measured.names.index(name) for name in pair]
+    ax.plot(*table.nodes.values[:, columns].T, **_ORBIT)
+    points = deviations.portrait(columns, None if pair[1] in found.signals else columns[0])
+    closed: Vector = np.concatenate([points, points[:1]])
+    ax.plot(*closed.T, **_DATA)
+    ax.set(xlabel=_label(problem, pair[0]), ylabel=_label(problem, pair[1]))
+
+
+def _label(problem: Problem, name: str) -> str:
+    if name in problem.state_names:
+        return label_of(problem, problem.state_names.index(name))
+    return f"{name.replace('_', ' ')} [{measurable(problem)[name]}]"

@@ -1,0 +1,126 @@
+# pyright: reportUnknownMemberType=false
+# The stubs of matplotlib leave most keyword arguments untyped.
+"""The neighbourhood of a Zeno point (the paper's Figs. 5b and 5d)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator
+
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.report.plots.style import (
+    ARCS,
+    BEFORE,
+    FULL_WIDTH,
+    JUMP,
+    LAW,
+    TEXT,
+    ZENO,
+    add_legend,
+    panels_of,
+)
+from zeno_orbits.report.zeno_neighbourhood import CloseUp, close_up
+from zeno_orbits.simulation.execution import Execution, Mode
+
+_REMAINING = r"time to Zeno point $t_\infty - t$ [s]"
+
+
+def plot_zeno_zoom(
+    problem: Problem, execution: Execution, dynamics: HybridDynamics, *, width: float = FULL_WIDTH
+) -> Figure:
+    """Return the neighbourhood of the last Zeno point.
+
+    The gap over time; the gap over the time left to the Zeno point, on logarithmic axes, on which
+    the flights repeat themselves; the impact speeds over that time, with the first-order law of
+    ``zeno.tail_time``. Where a single impact reaches the Zeno point there is no such sequence, and
+    the gap rate over the gap takes the place of the last two.
+
+    Args:
+        problem: The scene.
+        execution: It reaches a Zeno point.
+        dynamics: The system that was simulated.
+        width: Width of the picture [in].
+
+    Raises:
+        InputError: If the execution reaches no Zeno point.
+    """
+    zoom, unit = close_up(execution, dynamics), problem.gap_unit
+    draws: list[Callable[[Axes, CloseUp, str], None]] = [_draw_gap]
+    draws += [_draw_flights, _draw_speeds] if zoom.flights else [_draw_closing]
+    figure, panels = panels_of(width, len(draws), height=2.1)
+    for ax, draw in zip(panels, draws, strict=True):
+        draw(ax, zoom, unit)
+    add_legend(figure, width)
+    return figure
+
+
+def _draw_gap(ax: Axes, zoom: CloseUp, unit: str) -> None:
+    first, end = zoom.impacts[0].time, zoom.zeno.time
+    length = end - first if zoom.flights else 0.3 * (end - zoom.arcs[0].start_time)
+    start = first - (0.1 if zoom.flights else 1.0) * length
+    highest = 0.0
+    for arc in zoom.arcs:
+        times, gaps = zoom.gaps(arc)
+        ax.plot(times, gaps, **ARCS[arc.mode])
+        shown = times >= (first if zoom.flights else start)
+        highest = float(np.max(gaps[shown & (times <= end)], initial=highest))
+    for offsets, gaps in zoom.tail():
+        ax.plot(end + offsets, gaps, **LAW)
+    ax.plot(end, 0.0, label="Zeno point", **ZENO)
+    ax.set(xlim=(start, min(end + 0.25 * length, zoom.arcs[-1].end_time + 0.05 * length)))
+    ax.set(xlabel="time $t$ [s]", ylabel=f"gap $h$ [{unit}]")
+    ax.set_ylim(-0.05 * highest, 1.1 * highest)
+
+
+def _draw_flights(ax: Axes, zoom: CloseUp, unit: str) -> None:
+    end = zoom.zeno.time
+    resolved = [(times - end, gaps) for times, gaps in map(zoom.gaps, zoom.flights)]
+    law = zoom.tail()
+    peaks = [float(max(gaps)) for _, gaps in (*resolved, *law)]
+    lowest = 0.05 * min(peaks)
+    for flights, look in ((resolved, ARCS[Mode.FREE]), (law, LAW)):
+        for offsets, gaps in flights:
+            gaps[[0, -1]] = 0.0
+            seen = offsets < 0.0
+            ax.plot(-offsets[seen], np.maximum(gaps[seen], 0.1 * lowest), **look)
+    _logarithmic(ax)
+    ax.set_ylim(lowest, 4 * max(peaks))
+    ax.set(xlabel=_REMAINING, ylabel=f"gap $h$ [{unit}]")
+
+
+def _draw_speeds(ax: Axes, zoom: CloseUp, unit: str) -> None:
+    e, pull = zoom.dynamics.restitution, zoom.pull
+    seen = [impact for impact in zoom.impacts if impact.time < zoom.zeno.time]
+    remaining = np.array([zoom.zeno.time - impact.time for impact in seen])
+    ends = [-float(offsets[0]) for offsets, _ in zoom.tail()]
+    reach = np.array([remaining[0], min(ends, default=remaining[-1])])
+    ax.plot(reach, pull * (1 - e) / (2 * e) * reach, **LAW)
+    ax.plot(remaining, [-impact.approach_rate for impact in seen], **BEFORE)
+    ax.text(0.95, 0.92, f"$e$ = {e:g}", transform=ax.transAxes, ha="right", va="top", size=TEXT)
+    _logarithmic(ax)
+    ax.set(xlabel=_REMAINING, ylabel=rf"impact speed $|\dot h|$ [{unit}/s]")
+
+
+def _draw_closing(ax: Axes, zoom: CloseUp, unit: str) -> None:
+    impact = zoom.impacts[-1]
+    for arc in zoom.arcs:
+        rates = [zoom.dynamics.gap_rate(state) for state in arc.sampled(160)[1]]
+        ax.plot(zoom.gaps(arc)[1], rates, **ARCS[arc.mode])
+    ax.plot([0.0, 0.0], [impact.approach_rate, 0.0], **JUMP)
+    ax.plot(0.0, impact.approach_rate, **BEFORE)
+    ax.plot(0.0, 0.0, label="Zeno point", **ZENO)
+    ax.set(xlabel=f"gap $h$ [{unit}]", ylabel=rf"gap rate $\dot h$ [{unit}/s]")
+
+
+def _logarithmic(ax: Axes) -> None:
+    """Set both axes logarithmic, time running towards the Zeno point on the right."""
+    ax.set(xscale="log", yscale="log")
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.set_major_locator(LogLocator(numticks=5))
+        axis.set_minor_locator(NullLocator())
+    ax.invert_xaxis()

@@ -1,0 +1,89 @@
+"""The neighbourhood of a Zeno point: the flights that lead to it, and those left to its tail."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.simulation.execution import Arc, Ending, Execution, Impact, ZenoPoint
+
+SAMPLES = 160
+"""Points on a flight, at least."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CloseUp:
+    """The last Zeno point of an execution and what leads to it.
+
+    Attributes:
+        arcs: Arcs since the release before it, without the tail of the impact sequence.
+        dynamics: The system that was simulated.
+        zeno: The Zeno point.
+        impacts: The impacts that lead to it.
+        flights: The arcs between them; none where a single impact reaches the Zeno point.
+    """
+
+    arcs: tuple[Arc, ...]
+    dynamics: HybridDynamics
+    zeno: ZenoPoint
+    impacts: tuple[Impact, ...]
+    flights: tuple[Arc, ...]
+
+    @property
+    def pull(self) -> float:
+        """Minus d2h/dt2 at the Zeno point, positive."""
+        return -self.dynamics.gap_acceleration(self.zeno.state)
+
+    def gaps(self, arc: Arc) -> tuple[Vector, Vector]:
+        """Return times and gaps along an arc, the latter without negative rounding."""
+        times, states = arc.sampled(SAMPLES)
+        return times, np.array([max(self.dynamics.gap(state), 0.0) for state in states])
+
+    def tail(self, least: float = 0.02) -> list[tuple[Vector, Vector]]:
+        r"""Return times before the Zeno point and gaps of flights left out, by the first-order law.
+
+        A flight that starts at the speed :math:`w` under the acceleration :math:`-a` ends after
+        :math:`2 w / a` at the same speed, and the rest of the sequence takes
+        :math:`2 w / (a (1 - e))`.
+
+        Args:
+            least: Part of the first left-out flight's speed at which to stop.
+
+        Returns:
+            A pair a flight: times relative to the Zeno point, not positive [s], and gaps.
+        """
+        e = self.dynamics.restitution
+        n = math.ceil(math.log(least, e)) if self.zeno.tail > 0.0 else 0
+        fractions = np.linspace(0.0, 1.0, SAMPLES + 1)
+        flights: list[tuple[Vector, Vector]] = []
+        for speed in self.zeno.last_speed * e ** np.arange(n):
+            offsets = (2 * speed / self.pull) * (fractions - 1 / (1 - e))
+            flights.append((offsets, 2 * speed**2 / self.pull * fractions * (1 - fractions)))
+        return flights
+
+
+def close_up(execution: Execution, dynamics: HybridDynamics) -> CloseUp:
+    """Return the neighbourhood of the last Zeno point.
+
+    Raises:
+        InputError: If the execution reaches no Zeno point.
+    """
+    if not execution.zeno_points:
+        raise InputError("Argument `execution` must reach a Zeno point, but it reaches none.")
+    zeno = execution.zeno_points[-1]
+    begin = max((r.time for r in execution.releases if r.time < zeno.time), default=0.0)
+    impacts = tuple(event for event in execution.impacts if begin <= event.time <= zeno.time)
+    resolved = [arc for arc in execution.arcs if arc.ending is not Ending.ZENO]
+    arcs = tuple(arc for arc in resolved if arc.start_time >= begin)
+    return CloseUp(
+        arcs=arcs,
+        dynamics=dynamics,
+        zeno=zeno,
+        impacts=impacts,
+        flights=tuple(arc for arc in arcs if impacts[0].time <= arc.start_time < zeno.time),
+    )

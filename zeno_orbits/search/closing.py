@@ -1,0 +1,243 @@
+"""Orbits closed by simulation: from what a motion settles to, at given gains, to an orbit.
+
+It is faster than the collocation program by far, and less can be said of it: the orbit comes from
+the simulator, which the checker uses, too. Certify it with another engine than it was
+closed with, or with the model written by hand, or take `find_orbit`, which shares the model alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError, SimulationError, ZenoOrbitsError
+from zeno_orbits.integrators import Taylor
+from zeno_orbits.integrators.flow import Tolerance
+from zeno_orbits.model.numeric.compiled import bind, compiled_model
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.quantities import RUNAWAY
+from zeno_orbits.orbits.cycle import Cycle, round_again
+from zeno_orbits.orbits.orbit import OrbitImpact, OrbitPhase, ZenoOrbit, versions
+from zeno_orbits.orbits.period import placed
+from zeno_orbits.orbits.phases import Phase
+from zeno_orbits.orbits.shape import OrbitShape
+from zeno_orbits.search.fixed_point import ClosedCycle, close_cycle, cycle_near
+from zeno_orbits.search.guess import SettlingSettings, settle
+from zeno_orbits.simulation.completion import ZenoExtrapolation
+from zeno_orbits.simulation.simulator import SimulationSettings
+
+__all__ = [
+    "ClosedCycle",
+    "Closing",
+    "OrbitNotClosedError",
+    "close_cycle",
+    "close_orbit",
+    "cycle_near",
+    "orbit_of",
+]
+
+_NEAR = (1e-2, 1e-4)
+"""How far a motion has settled when it is closed: early, and if that fails, late."""
+_ROUGH = 1e-6
+"""Accuracy of the motion on its way there."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Closing:
+    """Outcome of closing an orbit by simulation, successful or not.
+
+    Attributes:
+        orbit: The orbit, not verified, if there is one.
+        miss: Change of its release over a period, relative; infinite without an orbit.
+        returns: Returns that it took.
+        detail: The reason in words, if there is no orbit.
+    """
+
+    orbit: ZenoOrbit | None
+    miss: float = np.inf
+    returns: int = 0
+    detail: str = ""
+
+    def unwrap(self) -> ZenoOrbit:
+        """Return the orbit.
+
+        Raises:
+            OrbitNotClosedError: If there is none; the error carries this result.
+        """
+        if self.orbit is None:
+            raise OrbitNotClosedError(self)
+        return self.orbit
+
+
+class OrbitNotClosedError(ZenoOrbitsError):
+    """No simulation was closed to an orbit.
+
+    Attributes:
+        result: How it ended.
+    """
+
+    def __init__(self, result: Closing) -> None:
+        super().__init__(result.detail)
+        self.result = result
+
+
+def close_orbit(
+    problem: Problem,
+    setting: Setting,
+    *,
+    near: ZenoOrbit | None = None,
+    simulation: SimulationSettings | None = None,
+    on_progress: Callable[[str], None] | None = None,
+    shape: OrbitShape | None = None,
+) -> Closing:
+    """Return the orbit at given gains to which a simulation settles, or one near another orbit.
+
+    The simulator makes the orbit here and checks it in `verify`: an error of the simulator that is
+    the same in both is not seen. Verify with another engine, or `use_reference`, or both.
+
+    Args:
+        problem: The scene.
+        setting: Its numbers.
+        near: An orbit of the scene to start from, at these numbers or near them; else the scene's
+            starts are followed until the motion nearly repeats.
+        simulation: Engine and accuracy; by default Taylor's method at full accuracy where heyoka is
+            installed and the scene analytic, else the default engine.
+        on_progress: Called with the name of each stage as it begins.
+        shape: The orbit's shape; by default that of ``near``, or what the motion settles to.
+
+    Raises:
+        InputError: If ``near`` is of another scene or shape, or ``simulation`` asks for what is
+            missing.
+    """
+    if near is not None and near.problem != problem.name:
+        message = f"must be of scene `{problem.name}`, but it is of `{near.problem}`"
+        raise InputError(f"Argument `near` {message}.")
+    if near is not None:
+        shape = near.shape.agreed(shape)
+
+    def tell(stage: str) -> None:
+        if on_progress is not None:
+            on_progress(stage)
+
+    if simulation is not None:
+        return _closed(problem, setting, near, shape, simulation, tell)
+    try:
+        return _closed(problem, setting, near, shape, SimulationSettings(engine=Taylor()), tell)
+    except InputError:
+        # No heyoka or no formulas for it; what else is wrong is wrong for every engine.
+        return _closed(problem, setting, near, shape, SimulationSettings(), tell)
+
+
+def _closed(
+    problem: Problem,
+    setting: Setting,
+    near: ZenoOrbit | None,
+    wanted: OrbitShape | None,
+    simulation: SimulationSettings,
+    tell: Callable[[str], None],
+) -> Closing:
+    dynamics = bind(compiled_model(problem), setting.values())
+    detail = ""
+    for settled in _NEAR if near is None else (np.inf,):
+        try:
+            tell("simulating")
+            if near is None:
+                cycle = _settled(dynamics, problem, settled, wanted, simulation)
+            else:
+                x = placed(dynamics, near.shape, np.array(problem.state_vector(near.start_state)))
+                cycle = cycle_near(
+                    dynamics, x, period=near.period, settings=simulation, shape=near.shape
+                )
+            tell("closing the orbit")
+            closed = close_cycle(
+                dynamics,
+                # What repels leads away from what is near.
+                cycle.end.state if near is None else cycle.start.state,
+                scale=cycle.scale_at_events(),
+                period=cycle.period,
+                settings=simulation,
+                shape=cycle.shape,
+            )
+        except _NoGuessError as error:
+            return Closing(orbit=None, detail=str(error))
+        except SimulationError as error:
+            detail = str(error)
+            continue
+        detail = round_again(closed.cycle)
+        if detail:
+            continue
+        orbit = orbit_of(closed.cycle, problem, setting)
+        return Closing(orbit=orbit, miss=closed.miss, returns=closed.returns)
+    return Closing(orbit=None, detail=detail)
+
+
+class _NoGuessError(ZenoOrbitsError):
+    """No start settled."""
+
+
+def _settled(
+    dynamics: HybridDynamics,
+    problem: Problem,
+    settled: float,
+    wanted: OrbitShape | None,
+    simulation: SimulationSettings,
+) -> Cycle:
+    starts: Sequence[tuple[float, ...]] = [problem.state_vector(x) for x in problem.starts]
+    tolerance = Tolerance(
+        relative=max(simulation.tolerance.relative, _ROUGH),
+        absolute=max(simulation.tolerance.absolute, _ROUGH),
+    )
+    rough = replace(
+        simulation,
+        tolerance=tolerance,
+        completion=ZenoExtrapolation(tolerance=_ROUGH),
+        far=RUNAWAY,
+    )
+    settings = SettlingSettings(settled=settled, simulation=rough)
+    settling = settle(dynamics, starts, settings, wanted)
+    if settling.cycle is None:
+        raise _NoGuessError(f"{settling.reason[0].upper()}{settling.reason[1:]}.")
+    return settling.cycle
+
+
+def orbit_of(cycle: Cycle, problem: Problem, setting: Setting) -> ZenoOrbit:
+    """Return a period that repeats as an orbit without a certificate.
+
+    Args:
+        cycle: The period.
+        problem: Its scene.
+        setting: The scene's numbers.
+    """
+
+    def named(state: Vector) -> Mapping[str, float]:
+        return dict(zip(problem.state_names, state.tolist(), strict=True))
+
+    return ZenoOrbit(
+        problem=problem.name,
+        parameters=dict(setting.parameters),
+        gains=dict(setting.gains),
+        period=cycle.period,
+        phases=tuple(_phase_of(phase, cycle.start.time, named) for phase in cycle.phases),
+        certificate={},
+        versions=versions(),
+    )
+
+
+def _phase_of(
+    phase: Phase, start: float, named: Callable[[Vector], Mapping[str, float]]
+) -> OrbitPhase:
+    return OrbitPhase(
+        kind=phase.kind,
+        start_time=phase.start.time - start,
+        start_state=named(phase.start.state),
+        impacts=tuple(
+            OrbitImpact(time=impact.time - start, state_minus=named(impact.state_minus))
+            for impact in phase.impacts
+        ),
+        zeno_time=None if phase.zeno is None else phase.zeno.time - start,
+        zeno_state=None if phase.zeno is None else named(phase.zeno.state),
+    )

@@ -1,0 +1,200 @@
+"""Bounds and peaks as rows of a program.
+
+A signal is held at all stages and at the extremes of the guess between them; what then still
+passes its bound between these places is seen by a simulation, which draws the places anew.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import casadi as ca
+import numpy as np
+
+from zeno_orbits.arrays import Array
+from zeno_orbits.errors import InputError
+from zeno_orbits.orbits.bounds import Bound
+from zeno_orbits.search.spectral_radius import keep_radius_below
+from zeno_orbits.search.transcription.arc import Stretch
+from zeno_orbits.search.transcription.transcribe import OrbitTerms
+from zeno_orbits.simulation.signals import Signal, peaks, signal, signal_names
+
+RADIUS_SLACK = 1e-7
+"""By how much less a spectral radius is asked of the program: what its mesh may be wrong by."""
+
+
+def numbers(terms: OrbitTerms, name: str) -> list[ca.MX]:
+    """Return a number of the whole orbit by its name in `measures.NUMBERS`: one a phase, if so.
+
+    What is measured of an orbit of several phases is the least of them.
+
+    Raises:
+        InputError: If orbits of this shape have no such number.
+    """
+    if name == "period":
+        return [terms.period]
+    if name == "energy":
+        return [terms.electrical_work]
+    if name == "margin":
+        return [smallest_share(terms)]
+    if name == "first_impact_speed":
+        return [-phase.approach_rate for phase in terms.phases]
+    found: list[ca.MX] = []
+    for place, phase in enumerate(terms.phases):
+        if phase.locked is None or phase.zeno is None:
+            continue
+        if name == "locked_time":
+            found.append(phase.locked.duration)
+        elif name == "gap_acceleration":
+            found.append(-terms.compiled.contact(phase.zeno, terms.p)[2])
+        else:
+            # Where the next phase starts the stop lets go.
+            release = terms.phases[(place + 1) % len(terms.phases)].start
+            found.append(-terms.compiled.contact(release, terms.p)[4])
+    if not found:
+        wanted = f"must bound what an orbit of shape `{terms.shape.text}` has"
+        raise InputError(f"Argument `keep` {wanted}, but it names `{name}`.")
+    return found
+
+
+def smallest_share(terms: OrbitTerms) -> ca.MX:
+    r"""Declare the smallest margin as a share of the most that it could be, and return it.
+
+    :math:`t \le` each share; a largest value is an unknown that no stage exceeds (theory (32)).
+    """
+    program = terms.program
+    share = program.variable("smallest margin", 0.1, lower=-1.0, upper=1.0)[0, 0]
+    for phase in terms.phases:
+        speed = (f"{phase.label}speed of the first impact", 1, phase.flights[0])
+        quantities: list[tuple[str, int, Stretch, ca.MX]] = [(*speed, -phase.approach_rate)]
+        if phase.locked is not None and phase.zeno is not None:
+            push = -terms.compiled.contact(phase.zeno, terms.p)[2]
+            quantities.append((f"{phase.label}d2h/dt2 at the Zeno point", 2, phase.locked, push))
+        for name, index, stretch, value in quantities:
+            quantity = _contact(terms, name, index)
+            most = largest(terms, quantity, (stretch,), f"largest value beside the {name}")
+            program.at_least_zero(f"margin: {name}", value / most - share)
+        if phase.locked is not None:
+            row = phase.locked.duration / terms.period - share
+            program.at_least_zero(f"margin: {phase.label}locked arc", row)
+    return share
+
+
+def largest(terms: OrbitTerms, quantity: Signal, stretches: Sequence[Stretch], label: str) -> ca.MX:
+    """Declare an unknown that a signal does not exceed in size anywhere, and return it."""
+    columns, at_guess = _places(terms, quantity, stretches)
+    size = max(float(np.max(np.abs(at_guess))), 1e-9)
+    most = terms.program.variable(label, 1.001 * size, scale=size, lower=0.0)[0, 0]
+    for sign, word in ((1.0, "above"), (-1.0, "below minus")):
+        _hold(terms, f"{label}: not {word} it", quantity, columns, -sign, most, size)
+    return most
+
+
+def keep(terms: OrbitTerms, bound: Bound, slack: ca.MX | float = 0.0) -> float:
+    """Require a quantity to stay within bounds; return the size that it is measured in.
+
+    Args:
+        terms: The orbit.
+        bound: The quantity and its bounds.
+        slack: By how much it may pass them, in units of its size.
+    """
+    if bound.name == "spectral_radius":
+        if terms.return_slope is None:
+            raise ValueError("Argument `terms` must carry the return map, but it has none.")
+        radius = bound.upper - RADIUS_SLACK + slack
+        keep_radius_below(terms.program, terms.return_slope, radius)
+        return 1.0
+    if bound.name in signal_names(terms.compiled):
+        quantity = signal(terms.compiled, bound.name)
+        columns, at_guess = _places(terms, quantity, terms.stretches)
+        size = size_of(bound, float(np.max(np.abs(at_guess))))
+        for sign, end in ((1.0, bound.lower), (-1.0, bound.upper)):
+            if math.isfinite(end):
+                offset = -sign * end + slack * size
+                _hold(terms, _label(bound, sign), quantity, columns, sign, offset, size)
+        return size
+    values = numbers(terms, bound.name)
+    if len(values) > 1 and math.isfinite(bound.upper):
+        wanted = f"must bound `{bound.name}` from below only for the shape `{terms.shape.text}`"
+        raise InputError(f"Argument `keep` {wanted}, but it has {bound.text}.")
+    size = size_of(bound, 0.0)
+    for value in values:
+        for sign, end in ((1.0, bound.lower), (-1.0, bound.upper)):
+            if math.isfinite(end):
+                row = sign * (value - end) + slack * size
+                terms.program.at_least_zero(_label(bound, sign), row, scale=size)
+    return size
+
+
+def size_of(bound: Bound, largest_value: float) -> float:
+    """Return what a bounded quantity is measured in."""
+    ends = [abs(end) for end in (bound.lower, bound.upper) if math.isfinite(end)]
+    return max(*ends, largest_value, 1e-6)
+
+
+def _label(bound: Bound, sign: float) -> str:
+    relation, end = (">=", bound.lower) if sign > 0 else ("<=", bound.upper)
+    return f"{bound.name} {relation} {end:g}"
+
+
+def _contact(terms: OrbitTerms, name: str, index: int) -> Signal:
+    x = ca.SX.sym("x", terms.compiled.n_x)
+    p = ca.SX.sym("p", terms.p.numel())
+    function = ca.Function("contact_part", [x, p], [terms.compiled.contact(x, p)[index]])
+    return Signal(name=name, function=function)
+
+
+def _hold(
+    terms: OrbitTerms,
+    label: str,
+    quantity: Signal,
+    columns: ca.MX,
+    sign: float,
+    offset: ca.MX | float,
+    size: float,
+) -> None:
+    """Require ``sign * signal + offset >= 0`` at many states."""
+    x, p = ca.SX.sym("x", terms.compiled.n_x), ca.SX.sym("p", terms.p.numel())
+    room = ca.SX.sym("room")
+    value = sign * quantity.function(x, p) + room
+    n = columns.shape[1]
+    terms.program.at_least_zero_along(
+        label,
+        ca.Function("room", [x, p, room], [value]),
+        (columns, ca.repmat(terms.p, 1, n), ca.repmat(ca.MX(offset), 1, n)),
+        scale=size,
+    )
+
+
+def _places(
+    terms: OrbitTerms, quantity: Signal, stretches: Sequence[Stretch]
+) -> tuple[ca.MX, Array]:
+    """Return the states at which a signal is held, ``(n_x, n)``, and its values in the guess."""
+    n_x, value = terms.compiled.n_x, quantity.at(terms.numbers)
+    columns: list[ca.MX] = []
+    values: list[float] = []
+    for stretch in stretches:
+        columns += [stretch.start[:n_x], stretch.stages[:n_x, :]]
+        for sign in (1.0, -1.0):
+            for peak in peaks(value, stretch.arc, sign):
+                values.append(peak.value)
+                if 0.0 < peak.fraction < 1.0:
+                    columns.append(inside(terms, stretch, peak.fraction)[:n_x])
+    return ca.horzcat(*columns), np.array(values)
+
+
+def inside(terms: OrbitTerms, stretch: Stretch, fraction: float) -> ca.MX:
+    """Return the state of a stretch's flow at a fraction of its duration, by its polynomial."""
+    mesh, n = stretch.mesh, terms.scheme.n_stages
+    interval = int(np.clip(np.searchsorted(mesh, fraction) - 1, 0, len(mesh) - 2))
+    place = (fraction - mesh[interval]) / (mesh[interval + 1] - mesh[interval])
+    first = interval * n
+    start = stretch.start if first == 0 else stretch.stages[:, first - 1]
+    points = np.concatenate([[0.0], terms.scheme.nodes])
+    weights = [
+        math.prod(float((place - q) / (point - q)) for q in points if q != point)
+        for point in points
+    ]
+    states = ca.horzcat(start, stretch.stages[:, first : first + n])
+    return ca.mtimes(states, ca.DM(weights))

@@ -1,0 +1,150 @@
+"""Orbits followed along a straight line of settings, from one that has an orbit (theory (33))."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.model.numeric.compiled import bind
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model.problem import Setting
+from zeno_orbits.orbits.cycle import Cycle
+from zeno_orbits.orbits.period import placed
+from zeno_orbits.orbits.shape import OrbitShape
+from zeno_orbits.search.closing import ClosedCycle, close_cycle
+from zeno_orbits.search.refinement import Hunt
+from zeno_orbits.simulation.simulator import SimulationSettings
+
+_FIRST_STEP, _LAST_STEP = 0.25, 1e-4
+"""Parts of the way that are tried first, and before it is given up."""
+
+_LOST = {
+    "locked_time": "the locked arc shrinks to nothing",
+    "gap_acceleration": "the stop stops attracting at the Zeno point: d2h/dt2 comes to zero",
+    "first_impact_speed": "the first impact comes to graze",
+}
+
+_GONE = 0.02
+"""A margin that has fallen to this part of what it was names the end of a family."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Path:
+    """How far orbits could be followed.
+
+    Attributes:
+        cycle: The last orbit; ``None`` if there was none to start from.
+        setting: Its numbers.
+        arrived: Whether they are the ones that were wanted.
+        ending: Where and why the path ends, as a sentence, if it did not arrive.
+    """
+
+    cycle: Cycle | None
+    setting: Setting
+    arrived: bool
+    ending: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Point:
+    part: float
+    setting: Setting
+    closed: ClosedCycle
+    margins: Mapping[str, float]
+
+    @property
+    def start(self) -> Vector:
+        """Where the period starts, ``(n_x,)``."""
+        return self.closed.cycle.start.state
+
+
+def follow(hunt: Hunt, easy: Setting, start: Vector, wanted: Setting, shape: OrbitShape) -> Path:
+    r"""Follow an orbit from one setting to another: :math:`p(s) = (1 - s)\,p_0 + s\,p_1`.
+
+    The next release is predicted by the secant of the last two and closed by simulation.
+
+    Args:
+        hunt: The search.
+        easy: Numbers of an orbit, exactly or nearly.
+        start: Where its period starts, ``(n_x,)``.
+        wanted: Where to go.
+        shape: Its shape.
+    """
+    period = hunt.settings.settling.chunk
+    here = _closed(hunt, 0.0, easy, wanted, start, period, shape)
+    if here is None:
+        return Path(cycle=None, setting=easy, arrived=False)
+    before, first, step = here, here, 1.0 if easy == wanted else _FIRST_STEP
+    while here.part < 1.0 and easy != wanted and step >= _LAST_STEP:
+        part = min(1.0, here.part + step)
+        guess = here.start
+        if before.part < here.part:
+            ratio = (part - here.part) / (here.part - before.part)
+            guess = guess + ratio * (here.start - before.start)
+        hunt.tell(f"following orbits: {100 * part:.0f} % of the way")
+        there = _closed(hunt, part, easy, wanted, guess, here.closed.cycle.period, shape)
+        if there is None:
+            step /= 2
+            continue
+        before, here, step = here, there, 1.5 * step
+    if here.part >= 1.0 or easy == wanted:
+        return Path(cycle=here.closed.cycle, setting=wanted, arrived=True)
+    return Path(
+        cycle=here.closed.cycle,
+        setting=here.setting,
+        arrived=False,
+        ending=_ending(first, here, easy, wanted),
+    )
+
+
+def _closed(
+    hunt: Hunt,
+    part: float,
+    easy: Setting,
+    wanted: Setting,
+    guess: Vector,
+    period: float,
+    shape: OrbitShape,
+) -> _Point | None:
+    """Return the orbit at a part of the way, if one closes near a guess."""
+    names = (*easy.gains, *easy.parameters)
+    numbers = {n: (1 - part) * easy.number(n) + part * wanted.number(n) for n in names}
+    setting = wanted if part == 1.0 else easy.replaced(numbers)
+    try:
+        dynamics = bind(hunt.compiled, setting.values())
+        start = placed(dynamics, shape, guess)
+        closed = close_cycle(
+            dynamics,
+            start,
+            scale=np.maximum(np.abs(start), 1.0),
+            period=period,
+            settings=SimulationSettings(),
+            shape=shape,
+        )
+    except (ZenoOrbitsError, ValueError):
+        return None
+    margins = _margins(dynamics, closed.cycle)
+    return _Point(part=part, setting=setting, closed=closed, margins=margins)
+
+
+def _margins(dynamics: HybridDynamics, cycle: Cycle) -> dict[str, float]:
+    held = [(phase.zeno, phase.end) for phase in cycle.phases if phase.zeno is not None]
+    margins = {"first_impact_speed": min(-p.impacts[0].approach_rate for p in cycle.phases)}
+    if held:
+        margins["locked_time"] = min(end.time - zeno.time for zeno, end in held)
+        margins["gap_acceleration"] = min(-dynamics.gap_acceleration(z.state) for z, _ in held)
+    return margins
+
+
+def _ending(first: _Point, last: _Point, easy: Setting, wanted: Setting) -> str:
+    """Return where a path ends and which margin is lost there."""
+    names = [n for n in (*easy.gains, *easy.parameters) if easy.number(n) != wanted.number(n)]
+    numbers = ", ".join(f"{name} = {last.setting.number(name):.5g}" for name in names)
+    where = f"Orbits could be followed to {numbers}, not beyond"
+    shares = {name: last.margins[name] / first.margins[name] for name in last.margins}
+    name = min(shares, key=lambda one: shares[one])
+    return f"{where}: there {_LOST[name]}." if shares[name] < _GONE else f"{where}."

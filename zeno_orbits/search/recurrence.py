@@ -1,0 +1,193 @@
+"""Whether a motion repeats, after how many returns or impacts, and so of which shape it is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.orbits.cycle import Cycle
+from zeno_orbits.orbits.shape import OrbitShape, PhaseKind
+from zeno_orbits.simulation.execution import Execution, Impact
+
+MOST_RETURNS = 8
+"""Longest period that is looked for, in returns."""
+MOST_IMPACTS = 12
+"""The same of a motion without releases, in impacts."""
+
+_APART, _NOISE = 100.0, 1e-7
+"""Returns that differ by less than this, in units of what is still changing, may be the same.
+
+They may be if a motion throws over from one return to the next and settles, by a hundredth each.
+"""
+_ANY = 1.0
+"""Change of the start over a period up to which one of a shape that was asked for is a guess."""
+_BETTER = 0.1
+"""Part of the change over a period that a longer one must have to be the better guess."""
+_KEPT = 4 * max(MOST_RETURNS, MOST_IMPACTS)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recurring:
+    """A period that repeats, or nearly.
+
+    Attributes:
+        shape: Its shape.
+        start: Where the next one starts, ``(n_x,)``.
+        period: [s].
+        change: Change of the start over it, relative.
+        cycle: The period itself, if it was followed in one piece.
+    """
+
+    shape: OrbitShape
+    start: Vector
+    period: float
+    change: float
+    cycle: Cycle | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Struck:
+    """An impact of a motion without releases, and when it was."""
+
+    time: float
+    impact: Impact
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recurrence:
+    """What has been seen of a motion, as far as it tells whether it repeats.
+
+    Attributes:
+        settled: Change that counts as none, relative.
+        wanted: The shape that is looked for; any by default.
+        returns: Its last returns, each from a release to the next, without a break.
+        struck: Its last impacts since the stop held.
+        best: The period of the wanted shape that came nearest to repeating.
+    """
+
+    settled: float
+    wanted: OrbitShape | None
+    returns: tuple[Cycle, ...] = ()
+    struck: tuple[Struck, ...] = ()
+    best: Recurring | None = None
+
+    def after(self, run: Execution, found: Sequence[Cycle], *, since: float) -> Recurrence:
+        """Return what has been seen after another piece of the motion.
+
+        Args:
+            run: The piece.
+            found: The returns in it.
+            since: When it starts [s].
+        """
+        struck = [*self.struck, *(Struck(time=since + i.time, impact=i) for i in run.impacts)]
+        if run.releases or run.zeno_points:
+            struck = []
+        returns = [*(() if run.releases and not found else self.returns), *found]
+        seen = replace(self, returns=tuple(returns[-_KEPT:]), struck=tuple(struck[-_KEPT:]))
+        nearest = [*seen.of_wanted_shape(), *(() if self.best is None else (self.best,))]
+        return replace(seen, best=min(nearest, key=lambda one: one.change, default=None))
+
+    def settled_to(self) -> Recurring | None:
+        """Return the shortest period that repeats, if one does."""
+        for n in range(1, MOST_RETURNS + 1):
+            last, before = self._after_returns(n), self._after_returns(n, back=1)
+            if last is None or not last.change < self.settled:
+                continue
+            if n == 1 or (
+                before is not None
+                and before.change < self.settled
+                and self._apart(n) > _APART * max(last.change, before.change, _NOISE)
+            ):
+                return last
+        for n in range(1, MOST_IMPACTS + 1):
+            last = self._after_impacts(n)
+            if last is not None and last.change < self.settled:
+                return last
+        return None
+
+    def nearest(self, usable: float) -> Recurring | None:
+        """Return the period that may do for a guess, if one does.
+
+        Args:
+            usable: Largest change of the start over it, if no shape is wanted.
+        """
+        if self.wanted is not None:
+            best = self.best
+            return best if best is not None and best.change < _ANY else None
+        found = [self._after_returns(n) for n in range(1, MOST_RETURNS + 1)]
+        if not self.returns:
+            found = [self._after_impacts(n) for n in range(1, MOST_IMPACTS + 1)]
+        usual = [one for one in found if one is not None and one.change < usable]
+        if not usual:
+            return None
+        # One that throws over, settling slowly, is told apart once it is closed.
+        return next((one for one in usual if one.change < _BETTER * usual[0].change), usual[0])
+
+    def reason(self, horizon: float) -> str:
+        """Return why there is no guess, as a clause."""
+        settled = self.settled_to()
+        if settled is not None:
+            return f"the motion settles to an orbit of shape `{settled.shape.text}`"
+        if self.wanted is not None:
+            return f"no period of shape `{self.wanted.text}` comes near to repeating"
+        what = "no release is followed by a Zeno point"
+        if self.returns:
+            what = "its periods differ"
+        elif self.struck:
+            what = f"{what}, and its impacts do not repeat,"
+        return f"{what} after {horizon:g} s"
+
+    def of_wanted_shape(self) -> list[Recurring]:
+        """Return what the last event tells of the shape that is wanted."""
+        if self.wanted is None:
+            return []
+        if self.wanted.starts_at_release:
+            numbers = range(1, MOST_RETURNS + 1)
+            found = [self._after_returns(n) for n in numbers]
+        else:
+            found = [self._after_impacts(self.wanted.n_phases)]
+        return [one for one in found if one is not None and one.shape == self.wanted]
+
+    def _after_returns(self, n: int, *, back: int = 0) -> Recurring | None:
+        """Return the last returns as one period, some returns back."""
+        end = len(self.returns) - back
+        if end < n:
+            return None
+        laps = self.returns[end - n : end]
+        scale = np.max([lap.scale_at_events() for lap in laps], axis=0)
+        first, last = laps[0].start.state, laps[-1].end.state
+        return Recurring(
+            shape=OrbitShape(phases=tuple(p.kind for lap in laps for p in lap.phases)),
+            start=last,
+            period=sum(lap.period for lap in laps),
+            change=float(np.max(np.abs(last - first) / scale)),
+            cycle=laps[0] if n == 1 else None,
+        )
+
+    def _apart(self, n: int) -> float:
+        """Return how far the last returns are from each other."""
+        laps = self.returns[-n:]
+        return min(lap.drift(lap.scale_at_events()) for lap in laps)
+
+    def _after_impacts(self, n: int) -> Recurring | None:
+        """Return the last impacts as one period; it has to have repeated as long once."""
+        if len(self.struck) < 2 * n:
+            return None
+        last, before = self.struck[-n:], self.struck[-2 * n : -n]
+        states = [x for one in last for x in (one.impact.state_minus, one.impact.state_plus)]
+        sizes = np.max(np.abs(states), axis=0)
+        scale = np.where(sizes > 1e-9 * np.max(sizes), sizes, max(float(np.max(sizes)), 1e-300))
+        change = 0.0
+        for one, other in zip(last, before, strict=True):
+            apart = np.abs(one.impact.state_plus - other.impact.state_plus) / scale
+            slower = abs(other.impact.approach_rate / one.impact.approach_rate - 1.0)
+            change = max(change, float(np.max(apart)), slower)
+        return Recurring(
+            shape=OrbitShape(phases=n * (PhaseKind.IMPACT,)),
+            start=last[-1].impact.state_plus,
+            period=last[-1].time - before[-1].time,
+            change=change,
+        )

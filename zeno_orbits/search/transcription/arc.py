@@ -1,0 +1,147 @@
+"""A transcribed arc: its mesh, its stages, and one collocation step an interval."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import casadi as ca
+import numpy as np
+
+from zeno_orbits.arrays import Array, Vector
+from zeno_orbits.integrators.collocation import Collocation, radau
+from zeno_orbits.model.numeric.compiled import CompiledSystem
+from zeno_orbits.model.numeric.compiled_flow import ModeFunctions
+from zeno_orbits.search.transcription.mesh import graded_mesh, stage_fractions
+from zeno_orbits.search.transcription.program import ProgramBuilder
+from zeno_orbits.simulation.execution import Arc
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TranscriptionSettings:
+    """How finely an orbit is transcribed.
+
+    Attributes:
+        scheme: The collocation scheme of every interval.
+        mesh_tolerance: Largest deviation of an interval's polynomial from the guess between its
+            stages, in units of the size of each state. Ends of intervals are more accurate.
+        closure_tolerance: Largest estimated error of the Zeno closure.
+    """
+
+    scheme: Collocation = field(default_factory=lambda: radau(7))
+    mesh_tolerance: float = 3e-8
+    closure_tolerance: float = 1e-11
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stretch:
+    """A transcribed arc.
+
+    Attributes:
+        name: ``flight 0``, ``flight 1``, ... or ``locked``.
+        arc: The simulated arc that is its guess.
+        mesh: Ends of its intervals, fractions of its duration, ``(n_intervals + 1,)``.
+        start: State of its flow at its start, ``(n_y, 1)``.
+        stages: States at its stages, ``(n_y, n_intervals * n_stages)``.
+        duration: Its length [s].
+        work: Electrical work over it [J].
+    """
+
+    name: str
+    arc: Arc
+    mesh: Array
+    start: ca.MX
+    stages: ca.MX
+    duration: ca.MX
+    work: ca.MX
+
+    @property
+    def end(self) -> ca.MX:
+        """State of its flow at its end, ``(n_y, 1)``."""
+        return self.stages[:, -1]
+
+
+class StretchWriter:
+    """Writes arcs into one program.
+
+    Args:
+        program: The program.
+        compiled: The functions of the scene.
+        settings: Scheme and mesh.
+        p: Gains and parameters, numbers or unknowns.
+        scale: Size of each state, ``(n_x,)``.
+    """
+
+    def __init__(
+        self,
+        program: ProgramBuilder,
+        compiled: CompiledSystem,
+        settings: TranscriptionSettings,
+        p: ca.MX,
+        scale: Vector,
+    ) -> None:
+        self.program = program
+        self.compiled = compiled
+        self.settings = settings
+        self.p = p
+        self.scale = scale
+        self._intervals: dict[str, ca.Function] = {}
+
+    def stretch(self, name: str, arc: Arc, mode: ModeFunctions, p: ca.MX, start: ca.MX) -> Stretch:
+        """Declare the stages of an arc and its continuity."""
+        scheme, n_stages = self.settings.scheme, self.settings.scheme.n_stages
+        length = arc.duration
+        scale = flow_scale(arc, self.scale)
+
+        def trajectory(fraction: float) -> Vector:
+            return arc.flow_state_at(fraction * length)
+
+        mesh = graded_mesh(trajectory, scheme, scale=scale, tolerance=self.settings.mesh_tolerance)
+        fractions = stage_fractions(mesh, scheme)
+        guess = np.array([trajectory(float(fraction)) for fraction in fractions]).T
+        stages = self.program.variable(f"{name} stages", guess, scale=scale)
+        duration = self.program.variable(f"{name} duration", length, scale=length)
+        n_intervals = len(mesh) - 1
+        starts = ca.horzcat(start, stages[:, n_stages - 1 : -1 : n_stages])
+        sizes = duration * ca.DM(np.diff(mesh)).T
+        (works,) = self.program.equal_along(
+            [f"continuity[{name}, interval {k}]" for k in range(n_intervals)],
+            self._interval(mode),
+            (starts, stages, sizes, ca.repmat(p, 1, n_intervals)),
+            scale=np.repeat(scale[:, None], n_stages, axis=1),
+        )
+        unit = p[-1] if mode is self.compiled.flight else ca.MX(1)
+        return Stretch(
+            name=name,
+            arc=arc,
+            mesh=mesh,
+            start=start,
+            stages=stages,
+            duration=unit * duration,
+            work=unit * ca.sum2(works),
+        )
+
+    def _interval(self, mode: ModeFunctions) -> ca.Function:
+        """Return one collocation step: defects of its stages, work over it (theory (17))."""
+        name = mode.rate.name()
+        if name not in self._intervals:
+            scheme = self.settings.scheme
+            n_y, n_p = mode.rate.size1_in(0), mode.rate.size1_in(1)
+            n_x, n_values = self.compiled.n_x, self.p.numel()
+            y, size, p = ca.SX.sym("y", n_y), ca.SX.sym("size"), ca.SX.sym("p", n_p)
+            stages = ca.SX.sym("stages", n_y, scheme.n_stages)
+            columns = ca.horzsplit(stages)
+            rates = ca.horzcat(*(mode.rate(stage, p) for stage in columns))
+            defects = stages - y - size * ca.mtimes(rates, ca.DM(scheme.matrix).T)
+            powers = [self.compiled.powers(stage[:n_x], p[:n_values])[0] for stage in columns]
+            work = size * ca.dot(ca.DM(scheme.weights), ca.vertcat(*powers))
+            self._intervals[name] = ca.Function(
+                f"{name}_interval", [y, stages, size, p], [defects, work], {"cse": True}
+            )
+        return self._intervals[name]
+
+
+def flow_scale(arc: Arc, scale: Vector) -> Vector:
+    """Return the size of the states of an arc's flow: in a rescaled flight, gap and rate too."""
+    states = [arc.flow_state_at(float(s)) for s in np.linspace(0.0, arc.duration, 9)]
+    scaled = np.max(np.abs(np.array(states)), axis=0)[len(scale) :]
+    return np.concatenate([scale, scaled])

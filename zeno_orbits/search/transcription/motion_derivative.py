@@ -1,0 +1,150 @@
+r"""The derivative of a program's motion by its start, as more unknowns and rows of the program.
+
+The equations :math:`G(z) = 0` of a transcribed motion hold for its neighbours, too, so a direction
+:math:`\delta z` in which the motion may move solves :math:`G'(z)\,\delta z = 0`: the variational
+equation of the discretised motion, impacts and Zeno limit included (theory (30)).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from zeno_orbits.arrays import Array
+from zeno_orbits.search.transcription.jacobian import MappedRows, rows_jacobian
+from zeno_orbits.search.transcription.program import (
+    Along,
+    Block,
+    Derived,
+    Equation,
+    ProgramBuilder,
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Motion:
+    """A motion in a program: which unknowns move with it and which equations it meets.
+
+    Attributes:
+        blocks: Its blocks of unknowns.
+        equations: Its equations; as many as its unknowns, less the dimension of its start.
+    """
+
+    blocks: tuple[Block, ...]
+    equations: tuple[Equation, ...]
+
+
+def carried(
+    program: ProgramBuilder, motion: Motion, start: ca.MX, targets: Array, end: ca.MX
+) -> Derived:
+    r"""Return how the end of a motion moves with its start, and how that changes.
+
+    .. math:: A = C\,\delta z, \quad \begin{pmatrix} G' \\ s' \end{pmatrix} \delta z
+        = \begin{pmatrix} 0 \\ E \end{pmatrix}, \qquad
+        \frac{dA_{jk}}{du} = \frac{\partial}{\partial u} \Bigl( c_j\,\delta z_k
+        - w_j^\top \begin{pmatrix} G' \\ s' \end{pmatrix} \delta z_k \Bigr), \quad
+        w_j^\top \begin{pmatrix} G' \\ s' \end{pmatrix} = c_j
+
+    Args:
+        program: The program of the motion.
+        motion: The motion.
+        start: Expressions :math:`s` whose derivatives along a direction are prescribed, ``(m,)``.
+        targets: These derivatives :math:`E`, ``(m, n_directions)``.
+        end: Expressions whose derivatives :math:`C` are wanted, ``(n_end,)``.
+
+    Returns:
+        :math:`A`, ``(n_end, n_directions)``, and its derivative by all unknowns declared so far.
+    """
+    moving = ca.vertcat(*(block.symbol for block in motion.blocks))
+    unknowns = ca.vertcat(*(block.symbol for block in program.blocks))
+    matrix = _jacobian(motion, start, moving)
+    by_end = ca.jacobian(end, moving)
+    right = ca.DM(matrix.shape[0], targets.shape[1])
+    right[-targets.shape[0] :, :] = targets
+    directions = ca.solve(matrix, ca.MX(right), _LINEAR)
+    weights = ca.solve(matrix.T, ca.densify(by_end.T), _LINEAR)
+    bend = _bend(motion, start, end, moving, unknowns)
+    rows = [
+        bend(unknowns, directions[:, k], weights[:, j], ca.DM.eye(end.numel())[:, j]).T
+        for k in range(targets.shape[1])
+        for j in range(end.numel())
+    ]
+    return Derived(value=ca.mtimes(by_end, directions), slope=ca.vertcat(*rows))
+
+
+_LINEAR = "qr"
+"""CasADi's sparse QR; its sparse LU, unpivoted, missed such equations by 1e-7 and more."""
+
+
+def _bend(motion: Motion, start: ca.MX, end: ca.MX, moving: ca.MX, unknowns: ca.MX) -> ca.Function:
+    """Return the gradient by the unknowns of ``c end' v - w (G', start') v``, of u, v, w and c."""
+    along = ca.MX.sym("v", moving.numel())
+    weights = ca.MX.sym("w", moving.numel())
+    chosen = ca.MX.sym("c", end.numel())
+    total = ca.dot(chosen, ca.jtimes(end, moving, along))
+    derivatives: dict[int, ca.Function] = {}
+    place = 0
+    for equation in motion.equations:
+        rows = _moved(equation, moving, along, derivatives)
+        total -= ca.dot(weights[place : place + rows.numel()], rows)
+        place += rows.numel()
+    total -= ca.dot(weights[place:], ca.jtimes(start, moving, along))
+    inputs = [unknowns, along, weights, chosen]
+    return ca.Function("bend", inputs, [ca.densify(ca.gradient(total, unknowns))])
+
+
+def _moved(
+    equation: Equation, moving: ca.MX, along: ca.MX, derivatives: dict[int, ca.Function]
+) -> ca.MX:
+    """Return the derivative of scaled rows along a direction, ``(n,)``."""
+    origin = equation.origin
+    if not isinstance(origin, Along):
+        scaled: ca.MX = origin / equation.scale
+        return ca.vec(ca.jtimes(ca.vec(scaled), moving, along))
+    key = hash(origin.function)
+    if key not in derivatives:
+        derivatives[key] = _directional(origin.function)
+    n = origin.parts[0].numel() // origin.function.numel_in(0)
+    moves = [
+        ca.densify(ca.reshape(ca.jtimes(part, moving, along), *part.shape)) for part in origin.parts
+    ]
+    rows = derivatives[key].map(n)(*origin.parts, *moves)
+    return ca.vec(rows) / _scales(origin, equation.scale, n)
+
+
+def _jacobian(motion: Motion, extra: ca.MX, unknowns: ca.MX) -> ca.MX:
+    rows: list[ca.MX | MappedRows] = []
+    for equation in motion.equations:
+        origin = equation.origin
+        if isinstance(origin, Along):
+            n = origin.parts[0].numel() // origin.function.numel_in(0)
+            scales = _scales(origin, equation.scale, n)
+            rows.append(
+                MappedRows(function=origin.function, parts=origin.parts, n_columns=n, scale=scales)
+            )
+        else:
+            scaled: ca.MX = origin / equation.scale
+            rows.append(ca.vec(scaled))
+    return rows_jacobian([*rows, extra], unknowns)
+
+
+def _scales(origin: Along, scale: Any, n: int) -> ca.DM:
+    column = np.broadcast_to(np.asarray(scale, dtype=np.float64), origin.function.size_out(0))
+    return ca.DM(np.tile(column.flatten(order="F"), n))
+
+
+def _directional(function: ca.Function) -> ca.Function:
+    """Return the derivative of a function's first output along a move of its inputs."""
+    parts = [ca.SX.sym(f"part{k}", *function.size_in(k)) for k in range(function.n_in())]
+    moves = [ca.SX.sym(f"move{k}", *function.size_in(k)) for k in range(function.n_in())]
+    rows = function.call(parts)[0]
+    moved = ca.jtimes(rows, ca.veccat(*parts), ca.veccat(*moves))
+    return ca.Function(
+        f"{function.name()}_along",
+        [*parts, *moves],
+        [ca.reshape(moved, *rows.shape)],
+        {"cse": True},
+    )

@@ -1,0 +1,332 @@
+"""The rows of one phase of an orbit: where it starts, flights, impacts, and what ends it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from zeno_orbits.arrays import Array, Vector, null_space
+from zeno_orbits.model.numeric.compiled import CompiledSystem
+from zeno_orbits.model.numeric.derivatives import GAP, GAP_RATE, MULTIPLIER
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.orbits.cycle import Closure, Cycle
+from zeno_orbits.orbits.phases import Phase
+from zeno_orbits.orbits.section import RELEASE_ROWS, REST_ROWS, rows_of
+from zeno_orbits.orbits.shape import OrbitShape
+from zeno_orbits.search.transcription.arc import (
+    Stretch,
+    StretchWriter,
+    TranscriptionSettings,
+    flow_scale,
+)
+from zeno_orbits.search.transcription.program import ProgramBuilder
+from zeno_orbits.simulation.execution import Arc
+from zeno_orbits.simulation.zeno_limit import limit_weights, tail_time
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PhaseTerms:
+    """The expressions of one phase.
+
+    Attributes:
+        label: What goes before the names of its blocks and rows; empty if it is the only phase.
+        start: Where it starts, ``(n_x,)``.
+        flights: The transcribed flights.
+        approach_rate: Gap rate before its first impact, negative.
+        zeno: Zeno state, ``(n_x,)``, if the stop holds.
+        locked: The transcribed locked arc, likewise.
+    """
+
+    label: str
+    start: ca.MX
+    flights: tuple[Stretch, ...]
+    approach_rate: ca.MX
+    zeno: ca.MX | None
+    locked: Stretch | None
+
+    @property
+    def stretches(self) -> tuple[Stretch, ...]:
+        """The transcribed arcs, in order."""
+        return self.flights if self.locked is None else (*self.flights, self.locked)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WrittenPhase:
+    """A phase in the program, with what only its neighbours need.
+
+    Attributes:
+        terms: Its terms.
+        end: Where it ends, ``(n_x,)``.
+        rows: Rows of the contact that vanish where it ends by themselves.
+        limit_time: Time from its start to its Zeno point, or to its impact [s].
+        duration: Its length [s].
+        work: Electrical work over it [J].
+    """
+
+    terms: PhaseTerms
+    end: ca.MX
+    rows: tuple[int, ...]
+    limit_time: ca.MX
+    duration: ca.MX
+    work: ca.MX
+
+
+class PhaseWriter:
+    """Writes the conditions of an orbit into one program."""
+
+    def __init__(
+        self,
+        program: ProgramBuilder,
+        compiled: CompiledSystem,
+        settings: TranscriptionSettings,
+        p: ca.MX,
+        restitution: ca.MX,
+        values: tuple[float, ...],
+        dynamics: HybridDynamics,
+        cycle: Cycle,
+    ) -> None:
+        self.program = program
+        self.compiled = compiled
+        self.p = p
+        self.values = values
+        self.rebound = dynamics.restitution
+        self.restitution = restitution
+        self.scale = cycle.scale()
+        self.stretches = StretchWriter(program, compiled, settings, p, self.scale)
+        self.cycle = cycle
+        self.plastic = dynamics.restitution == 0.0
+        self.dynamics = dynamics
+
+    def rows_before(self, place: int) -> tuple[int, ...]:
+        """Return the rows of the contact that vanish where a phase starts."""
+        before = OrbitShape(phases=(self.cycle.phases[place - 1].kind,))
+        return rows_of(before, self.dynamics.restitution)
+
+    def phase(
+        self, label: str, phase: Phase, closure: Closure, rows: tuple[int, ...]
+    ) -> WrittenPhase:
+        """Declare a phase: its start, its flights and impacts, and what ends it."""
+        program, n_x = self.program, self.compiled.n_x
+        released = rows == RELEASE_ROWS
+        word = "release" if released else "start"
+        start = program.variable(f"{label}{word} state", phase.start.state, scale=self.scale)[:, 0]
+        gap_scale = _largest(phase.flight, self.dynamics.gap, n_x)
+        flight = self.first_flight(label, phase, start)
+        hops, limit, after = self.impacts(label, flight, phase, closure, gap_scale)
+        flights = (flight, *hops)
+        program.report(f"{label}impact states", ca.horzcat(*(s.end[:n_x] for s in flights)))
+        program.report(f"{label}flight times", ca.vertcat(*(s.duration for s in flights)))
+        approach_rate = self.arrival(flight, start)[1]
+        if phase.zeno is None or phase.locked is None:
+            terms = PhaseTerms(
+                label=label,
+                start=start,
+                flights=flights,
+                approach_rate=approach_rate,
+                zeno=None,
+                locked=None,
+            )
+            self.keep_apart(label, flights, gap_scale)
+            self.start(label, start, rows, gap_scale)
+            return WrittenPhase(
+                terms=terms,
+                end=after,
+                rows=REST_ROWS if self.plastic else (GAP,),
+                limit_time=flight.duration,
+                duration=flight.duration,
+                work=flight.work,
+            )
+        zeno = program.variable(f"{label}Zeno state", phase.zeno.state, scale=self.scale)[:, 0]
+        program.equal(f"{label}Zeno point", zeno - limit[2:], scale=ca.DM(self.scale))
+        locked = self.stretches.stretch(
+            f"{label}locked", phase.locked, self.compiled.locked, self.p, zeno
+        )
+        force_scale = _largest(phase.locked, self.dynamics.multiplier, n_x)
+        self.keep_apart(label, flights, gap_scale)
+        self._never_negative(f"{label}multiplier >= 0 on the stop", 3, locked, force_scale)
+        self.start(label, start, rows, gap_scale)
+        attracted = -self.compiled.contact(zeno, self.p)[2]
+        program.at_least_zero(f"{label}Zeno point: d2h/dt2 < 0", attracted)
+        return WrittenPhase(
+            terms=PhaseTerms(
+                label=label,
+                start=start,
+                flights=flights,
+                approach_rate=approach_rate,
+                zeno=zeno,
+                locked=locked,
+            ),
+            end=locked.end,
+            rows=REST_ROWS,
+            limit_time=limit[0],
+            duration=limit[0] + locked.duration,
+            work=limit[1] + locked.work,
+        )
+
+    def first_flight(self, label: str, phase: Phase, start: ca.MX) -> Stretch:
+        """Declare the first flight: in its own variables, if an impact threw the state off."""
+        name, arc, compiled = f"{label}flight 0", phase.flight, self.compiled
+        if not is_rescaled(arc, compiled.n_x):
+            return self.stretches.stretch(name, arc, compiled.free, self.p, start)
+        speed = compiled.contact(start, self.p)[1]
+        return self.stretches.stretch(
+            name, arc, compiled.flight, ca.vertcat(self.p, speed), ca.vertcat(start, 0, 1)
+        )
+
+    def arrival(self, flight: Stretch, start: ca.MX) -> tuple[ca.MX, ca.MX]:
+        """Return the gap that has to close at the end of a first flight, and the gap rate there."""
+        if not is_rescaled(flight.arc, self.compiled.n_x):
+            contact = self.compiled.contact(flight.end, self.p)
+            return contact[0], contact[1]
+        return flight.end[-2], self.compiled.contact(start, self.p)[1] * flight.end[-1]
+
+    def impacts(
+        self, label: str, flight: Stretch, phase: Phase, closure: Closure, gap_scale: float
+    ) -> tuple[list[Stretch], ca.MX, ca.MX]:
+        """Declare the flights between impacts; return them, the Zeno limit, and the last reset.
+
+        The limit is ``(time, electrical work, state)``, theory (15), or nothing if the stop does
+        not hold.
+        """
+        program, n_x = self.program, self.compiled.n_x
+        hops: list[Stretch] = []
+        speeds: list[ca.MX] = []
+        tails: list[ca.MX] = []
+        here, time, work = flight.end[:n_x], flight.duration, flight.work
+        gap, approach_rate = self.arrival(flight, flight.start[:n_x])
+        if is_rescaled(flight.arc, n_x):
+            gap_scale = float(flow_scale(flight.arc, self.scale)[-2])
+        program.equal(f"{label}gap closes at impact 1", gap, scale=gap_scale)
+        after = here
+        for k in range(closure.n_impacts):
+            program.at_least_zero(f"{label}impact {k + 1} closes the gap", -approach_rate)
+            direction = self.compiled.impulse(here, self.p)[0]
+            after = here - (1 + self.restitution) * approach_rate * direction
+            if k in closure.nodes:
+                speeds.append(-self.restitution * approach_rate)
+                tails.append(self._tail(here, approach_rate, direction, time, work))
+            if k + 1 == closure.n_impacts:
+                break
+            size = -self.rebound * phase.impacts[k].approach_rate
+            speed = program.variable(f"{label}speed after impact {k + 1}", size, scale=size)
+            program.equal(
+                f"{label}restitution at impact {k + 1}",
+                speed + self.restitution * approach_rate,
+                scale=size,
+            )
+            hop = self.stretches.stretch(
+                f"{label}flight {k + 1}",
+                phase.hops[k],
+                self.compiled.flight,
+                ca.vertcat(self.p, speed),
+                ca.vertcat(after, 0, 1),
+            )
+            hops.append(hop)
+            size = float(flow_scale(phase.hops[k], self.scale)[-2])
+            program.equal(f"{label}gap closes at impact {k + 2}", hop.end[-2], scale=size)
+            here, approach_rate = hop.end[:-2], speed * hop.end[-1]
+            time, work = time + hop.duration, work + hop.work
+        weights = limit_weights(speeds) if speeds else []
+        limit = ca.MX.zeros(tails[0].numel() if tails else 0)
+        for weight, tail in zip(weights, tails, strict=True):
+            limit += weight * tail
+        return hops, limit, after
+
+    def keep_apart(self, label: str, flights: tuple[Stretch, ...], gap_scale: float) -> None:
+        """Require a non-negative gap in every flight."""
+        for k, flight in enumerate(flights):
+            if not is_rescaled(flight.arc, self.compiled.n_x):
+                self._never_negative(f"{label}gap >= 0 in flight {k}", 0, flight, gap_scale)
+                continue
+            size = float(flow_scale(flight.arc, self.scale)[-2])
+            name = f"{label}gap >= 0 in flight {k}"
+            self.program.at_least_zero(name, flight.stages[-2, :-1], scale=size)
+
+    def start(self, label: str, state: ca.MX, rows: tuple[int, ...], gap_scale: float) -> None:
+        """Require that a phase starts at a release, or just after an impact."""
+        contact = self.compiled.contact(state, self.p)
+        eta = self.compiled.holonomic(state, self.p)
+        word = f"{label}release" if rows == RELEASE_ROWS else f"{label}start"
+        self.program.equal(f"{word}: gap = 0", contact[0], scale=gap_scale)
+        if GAP_RATE in rows:
+            self.program.equal(f"{word}: gap rate = 0", contact[1])
+        if MULTIPLIER in rows:
+            self.program.equal(f"{word}: multiplier = 0", contact[3], scale=self.force_scale)
+        self.program.equal(f"{word}: holonomic constraints", eta)
+        if MULTIPLIER in rows:
+            self.program.at_least_zero(f"{word}: multiplier falls", -contact[4])
+        else:
+            leaves = contact[2] if GAP_RATE in rows else contact[1]
+            self.program.at_least_zero(f"{word}: the stop is left", leaves)
+
+    @property
+    def force_scale(self) -> float:
+        """Largest multiplier of the period."""
+        sizes = [
+            _largest(phase.locked, self.dynamics.multiplier, self.compiled.n_x)
+            for phase in self.cycle.phases
+            if phase.locked is not None
+        ]
+        return max(sizes, default=1.0)
+
+    def join(
+        self, label: str, phase: Phase, end: ca.MX, start: ca.MX, rows: tuple[int, ...]
+    ) -> None:
+        """Require that a phase starts where the one before it ends."""
+        tangent = self._stop_tangent(phase.start.state, rows)
+        change = (start - end) / ca.DM(self.scale)
+        name = f"{label}it starts where the last one ends"
+        self.program.equal(name, ca.mtimes(ca.DM(tangent).T, change))
+
+    def close(self, at: Vector, start: ca.MX, end: ca.MX, rows: tuple[int, ...]) -> Array:
+        """Require that the period ends where it starts; return the directions that compares."""
+        tangent = self._stop_tangent(at, rows)
+        change = (end - start) / ca.DM(self.scale)
+        self.program.equal("the orbit closes", ca.mtimes(ca.DM(tangent).T, change))
+        return tangent
+
+    def _tail(
+        self, minus: ca.MX, approach_rate: ca.MX, direction: ca.MX, time: ca.MX, work: ca.MX
+    ) -> ca.MX:
+        """Return ``(time, work, state)`` at the end of the tail, to first order (theory (15))."""
+        resting = minus - approach_rate * direction
+        acceleration = self.compiled.contact(resting, self.p)[2]
+        remaining: ca.MX = tail_time(
+            -self.restitution * approach_rate, acceleration, self.restitution
+        )
+        return ca.vertcat(
+            time + remaining,
+            work + remaining * self.compiled.powers(resting, self.p)[0],
+            resting + remaining * self.compiled.locked.rate(resting, self.p),
+        )
+
+    def _never_negative(self, name: str, index: int, stretch: Stretch, scale: float) -> None:
+        """Require a contact quantity to be non-negative at all stages of a stretch but its end."""
+        x, p = ca.SX.sym("x", self.compiled.n_x), ca.SX.sym("p", self.p.numel())
+        # A function of its own: the derivatives of the other quantities are not asked for.
+        quantity = ca.Function("quantity", [x, p], [self.compiled.contact(x, p)[index]])
+        states = stretch.stages[:, :-1]
+        parameters = ca.repmat(self.p, 1, states.shape[1])
+        self.program.at_least_zero_along(name, quantity, (states, parameters), scale=scale)
+
+    def _stop_tangent(self, at: Vector, rows: tuple[int, ...]) -> Array:
+        """Return a basis of the scaled states near ``at`` in which rows of the contact vanish."""
+        x, p = ca.SX.sym("x", self.compiled.n_x), ca.SX.sym("p", len(self.values))
+        contact = self.compiled.contact(x, p)
+        held = ca.vertcat(*(contact[row] for row in rows), self.compiled.holonomic(x, p))
+        gradient = ca.Function("gradient", [x, p], [ca.jacobian(held, x)])(at, self.values)
+        return null_space(np.asarray(gradient.full(), dtype=np.float64) * self.scale)
+
+
+def is_rescaled(arc: Arc, n_x: int) -> bool:
+    """Tell whether an arc is a flight in its own variables (theory (14))."""
+    return arc.flow_state_at(0.0).size > n_x
+
+
+def _largest(arc: Arc, quantity: Callable[[Vector], float], n_x: int) -> float:
+    """Return the largest size of a quantity over an arc."""
+    times = np.linspace(arc.start_time, arc.end_time, 33)
+    return max(abs(quantity(arc.state_at(float(time))[:n_x])) for time in times)

@@ -1,0 +1,194 @@
+"""The conditions of a periodic orbit as a named nonlinear program.
+
+Multiple shooting over the phases of a period, mostly release, first flight, rescaled flights, Zeno
+point and locked arc; every interval is one collocation step whose last stage is the next node
+(theory (16), (17), (47)).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from zeno_orbits.arrays import Array, Vector
+from zeno_orbits.integrators.collocation import Collocation
+from zeno_orbits.model.numeric.compiled import CompiledSystem
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model.problem import Setting
+from zeno_orbits.orbits.cycle import Closure, Cycle
+from zeno_orbits.orbits.shape import OrbitShape
+from zeno_orbits.search.transcription.arc import Stretch, TranscriptionSettings
+from zeno_orbits.search.transcription.motion_derivative import Motion
+from zeno_orbits.search.transcription.phase import PhaseTerms, PhaseWriter, WrittenPhase
+from zeno_orbits.search.transcription.program import ProgramBuilder
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OrbitTerms:
+    """What an objective or a bound may speak of, as expressions in the unknowns of the program.
+
+    Attributes:
+        program: The program, open for more rows.
+        compiled: The functions of the scene.
+        p: Gains, then parameters, numbers or unknowns, ``(n_p,)``.
+        free: Name to unknown of what is free.
+        first: Name to value of what is free, where the search started.
+        shape: The shape of the orbit.
+        period: [s].
+        electrical_work: Work of the sources in one period [J].
+        phases: The terms of each phase.
+        end: Where the period ends, ``(n_x,)``; on an orbit, where it starts.
+        scale: Size of each state, ``(n_x,)``.
+        tangent: Basis of the scaled states near the start that the closure compares.
+        motion: From any start on its section to the end, not closed.
+        scheme: The collocation scheme of the arcs.
+        state_names: Name of each state.
+        numbers: Gains, then parameters, in the guess.
+        return_slope: Derivative of the return map, ``(d, d)``, if it was declared.
+    """
+
+    program: ProgramBuilder
+    compiled: CompiledSystem
+    p: ca.MX
+    free: Mapping[str, ca.MX]
+    first: Mapping[str, float]
+    shape: OrbitShape
+    period: ca.MX
+    electrical_work: ca.MX
+    phases: tuple[PhaseTerms, ...]
+    end: ca.MX
+    scale: Vector
+    tangent: Array
+    motion: Motion
+    scheme: Collocation
+    state_names: tuple[str, ...]
+    numbers: tuple[float, ...]
+    return_slope: ca.MX | None = None
+
+    @property
+    def start(self) -> ca.MX:
+        """Where the period starts, ``(n_x,)``."""
+        return self.phases[0].start
+
+    @property
+    def stretches(self) -> tuple[Stretch, ...]:
+        """The transcribed arcs of all phases, in order."""
+        return tuple(stretch for phase in self.phases for stretch in phase.stretches)
+
+    def guessed(self, expression: ca.MX) -> Array:
+        """Return the value of an expression in the guess."""
+        return np.array(self.program.at_guess(expression).full())
+
+
+def transcribe(
+    compiled: CompiledSystem,
+    setting: Setting,
+    *,
+    dynamics: HybridDynamics,
+    cycle: Cycle,
+    closures: Sequence[Closure],
+    free: Mapping[str, tuple[float, float]],
+    first: Mapping[str, float],
+    settings: TranscriptionSettings,
+) -> OrbitTerms:
+    """Declare the unknowns and the conditions of an orbit of the shape of its guess.
+
+    Args:
+        compiled: The functions of the scene.
+        setting: Its numbers; what is free starts at its value here.
+        dynamics: The system at these numbers.
+        cycle: One simulated period, the guess.
+        closures: Of each phase, which impacts are resolved and which tell the Zeno point.
+        free: Name to bounds of the gains and parameters that are unknown.
+        first: Numbers from which the search started, for the objective.
+        settings: Scheme, mesh and closure.
+
+    Returns:
+        The terms of an objective, with the program they belong to.
+    """
+    program = ProgramBuilder()
+    unknown = _declare_free(program, setting, free)
+    named = {**setting.gains, **setting.parameters}
+    p = ca.vertcat(*(unknown.get(name, ca.MX(value)) for name, value in named.items()))
+    places = [k for k, name in enumerate(named) if name in unknown]
+    restitution = _restitution(compiled, p, places, dynamics.restitution)
+    writer = PhaseWriter(
+        program, compiled, settings, p, restitution, setting.values(), dynamics, cycle
+    )
+
+    n_free, labels = len(program.blocks), labels_of(cycle.shape)
+    written: list[WrittenPhase] = []
+    for k, (phase, closure) in enumerate(zip(cycle.phases, closures, strict=True)):
+        here = writer.phase(labels[k], phase, closure, writer.rows_before(k))
+        if written:
+            writer.join(labels[k], phase, written[-1].end, here.terms.start, written[-1].rows)
+        written.append(here)
+    motion = Motion(blocks=program.blocks[n_free:], equations=program.equations)
+    last, start = written[-1], written[0].terms.start
+    tangent = writer.close(cycle.start.state, start, last.end, last.rows)
+
+    period, work = ca.MX(0), ca.MX(0)
+    for here in written:
+        label = here.terms.label
+        program.report(f"{label}start time", period)
+        program.report(f"{label}Zeno time", period + here.limit_time)
+        period, work = period + here.duration, work + here.work
+    program.report("period", period)
+    program.report("electrical work", work)
+    return OrbitTerms(
+        program=program,
+        compiled=compiled,
+        p=p,
+        free=unknown,
+        first=first,
+        shape=cycle.shape,
+        period=period,
+        electrical_work=work,
+        phases=tuple(here.terms for here in written),
+        end=last.end,
+        scale=writer.scale,
+        tangent=tangent,
+        motion=motion,
+        scheme=settings.scheme,
+        state_names=compiled.state_names,
+        numbers=setting.values(),
+    )
+
+
+def labels_of(shape: OrbitShape) -> tuple[str, ...]:
+    """Return what goes before the names of the blocks and rows of each phase."""
+    if shape.n_phases == 1:
+        return ("",)
+    return tuple(f"phase {k + 1}: " for k in range(shape.n_phases))
+
+
+def start_block(shape: OrbitShape, place: int) -> str:
+    """Return the name of the block where a phase starts."""
+    before = shape.phases[place - 1]
+    return f"{labels_of(shape)[place]}{'release' if before.holds else 'start'} state"
+
+
+def _declare_free(
+    program: ProgramBuilder, setting: Setting, free: Mapping[str, tuple[float, float]]
+) -> dict[str, ca.MX]:
+    unknown: dict[str, ca.MX] = {}
+    for name, (lower, upper) in free.items():
+        value = setting.number(name)
+        size = max(abs(value), 0.01 * (upper - lower))
+        unknown[name] = program.variable(
+            f"free {name}", value, scale=size, lower=lower, upper=upper
+        )[0, 0]
+    return unknown
+
+
+def _restitution(
+    compiled: CompiledSystem, p: ca.MX, free_places: Sequence[int], number: float
+) -> ca.MX:
+    """Return the restitution: a number, or a function of what is free if it depends on that."""
+    _, columns = compiled.impulse.jac_sparsity(2, 1).get_triplet()
+    if not set(columns) & set(free_places):
+        return ca.MX(number)
+    return compiled.impulse(ca.DM.zeros(compiled.n_x), p)[2]

@@ -1,0 +1,266 @@
+"""Many completed executions in lockstep: each lane with its own time, step, mode and numbers.
+
+The rules are those of `simulate`, in rows: flights rescaled after an impact (theory (14)), events
+on true steps, the Zeno limit by extrapolation (theory (15)), the locked arc to its release. A lane
+never sees another: all that couples them is that one call serves many.
+
+A lane may *follow* another, which then decides for both: step sizes, which steps hold, from which
+impacts the Zeno point is told. Followers that start a little beside their leader give derivatives
+of the leader's execution as it was computed, free of the noise of steps that are chosen afresh.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from zeno_orbits.arrays import Rows, Vector
+from zeno_orbits.simulation.batch.events import Mask, first_falls, may_fall
+from zeno_orbits.simulation.batch.lanes import FREE, LOCKED, empty_lanes
+from zeno_orbits.simulation.batch.model import BatchFlow, BatchModel
+from zeno_orbits.simulation.batch.outcomes import Event, Reason
+from zeno_orbits.simulation.batch.rules import BatchSettings, Transitions
+
+_SAFETY, _SHRINK, _GROW = 0.9, 0.2, 8.0
+_EXPONENT = -1 / 5
+_LEAVES = 1e-6
+"""A guard that was never positive and is below minus this part of its change has been left."""
+_STILL = 1e-6
+"""Speeds and accelerations below this are rest, in the scene's units."""
+_LOOK = 64
+"""Steps of a lane between two looks whether it is at rest."""
+_FOLLOWED = 1e-10
+_MOST_CORRECTIONS = 8
+
+
+class Batch:
+    """Lanes that advance by one step a round; between rounds lanes come and go."""
+
+    def __init__(
+        self,
+        model: BatchModel,
+        n_lanes: int,
+        *,
+        bounds: Vector | None = None,
+        settings: BatchSettings | None = None,
+    ) -> None:
+        """Make room for lanes.
+
+        Args:
+            model: The scene.
+            n_lanes: How many lanes there may be at a time.
+            bounds: Largest modulus of each state before a lane has escaped, ``(n_x,)``.
+            settings: How to advance them.
+        """
+        self.model = model
+        self.settings = settings or BatchSettings()
+        self.bounds = np.full(model.n_x, np.inf) if bounds is None else bounds
+        self._lanes = empty_lanes(n_lanes, model.n_x, model.n_p)
+        self._transitions = Transitions(model, self._lanes, self.settings)
+
+    @property
+    def n_free(self) -> int:
+        """Lanes for which there is room."""
+        return len(self._lanes.free_slots)
+
+    @property
+    def n_running(self) -> int:
+        """Lanes that run."""
+        return int(np.count_nonzero(self._lanes.alive))
+
+    def start(self, p: Vector, x: Vector, tolerance: float, until: Vector) -> Rows:
+        """Start lanes from admissible states at time 0 and return which they are.
+
+        Args:
+            p: Gains and parameters, ``(n, n_p)``.
+            x: States, ``(n, n_x)``.
+            tolerance: Local error allowed.
+            until: When they end [s], ``(n,)``.
+        """
+        rows = self._take(p, tolerance, until, None)
+        with np.errstate(all="ignore"):
+            self._transitions.admit(rows, x)
+        return rows
+
+    def start_released(
+        self, p: Vector, x: Vector, tolerance: float, until: Vector, *, n_followers: int
+    ) -> Rows:
+        """Start lanes from release states, the first of each `n_followers + 1` the leader.
+
+        Args:
+            p: Gains and parameters, ``(n, n_p)``.
+            x: Release states, ``(n, n_x)``.
+            tolerance: Local error allowed.
+            until: When they end [s], ``(n,)``.
+            n_followers: Lanes that follow each leader.
+        """
+        rows = self._take(p, tolerance, until, n_followers + 1)
+        with np.errstate(all="ignore"):
+            time, unit = np.zeros(len(rows)), np.ones(len(rows))
+            self._transitions.begin(rows, FREE, time, x, unit, on_guard=True)
+        return rows
+
+    def stop(self, lanes: Sequence[int]) -> None:
+        """End lanes and their followers."""
+        for lane in lanes:
+            self._transitions.leave(lane)
+
+    def round(self) -> list[Event]:
+        """Advance every lane by one step and return what happened."""
+        lanes = self._lanes
+        groups = [np.flatnonzero(lanes.alive & (lanes.mode == mode)) for mode in range(3)]
+        with np.errstate(all="ignore"):
+            for mode, rows in enumerate(groups):
+                if len(rows):
+                    self._advance(mode, rows)
+            self._look_for_rest()
+        events, self._transitions.events = self._transitions.events, []
+        return events
+
+    def _take(self, p: Vector, tolerance: float, until: Vector, bundle: int | None) -> Rows:
+        lanes = self._lanes
+        rows = np.array([lanes.free_slots.pop() for _ in range(len(p))], dtype=np.intp)
+        lanes.alive[rows] = True
+        lanes.leader[rows] = rows if bundle is None else np.repeat(rows[::bundle], bundle)
+        lanes.p[rows, :-1], lanes.p[rows, -1] = p, 0.0
+        lanes.tolerance[rows], lanes.until[rows] = tolerance, until
+        lanes.restitution[rows] = self.model.restitution(np.zeros((len(p), self.model.n_x)), p)[0].T
+        lanes.steps[rows] = 0
+        self._transitions.forget(rows)
+        return rows
+
+    def _advance(self, mode: int, rows: Rows) -> None:
+        """Take a step with every lane of a mode."""
+        lanes, transitions = self._lanes, self._transitions
+        flow = transitions.flows[mode]
+        lead = transitions.lead(rows)
+        start = _Start(
+            flow=flow,
+            y=lanes.y[rows, : flow.n_y],
+            p=transitions.numbers(mode, rows),
+            tolerance=lanes.tolerance[rows],
+        )
+        left = (lanes.until[rows] - lanes.leg_time[rows]) / lanes.unit[rows] - lanes.offset[rows]
+        size = np.minimum(lanes.size[rows], left)[lead]
+        after, error, guard = start.steps(slice(None), size)
+        good = self._control(rows, size, error[lead])
+        own = lanes.leader[rows] == rows
+        falls = self._falls(rows, start, size, guard, good & own)
+        fell = np.isfinite(falls)[lead]
+        follow = np.flatnonzero(fell & ~own)
+        if len(follow):
+            falls[follow] = _followed(start, follow, falls[lead[follow]])
+        on = np.flatnonzero(good & ~fell)
+        self._go_on(rows[on], after[on], guard[on], size[on])
+        at = np.flatnonzero(fell & lanes.alive[rows])
+        if len(at):
+            end, _, end_guard = start.steps(at, falls[at])
+            ended = rows[at]
+            time = lanes.leg_time[ended] + lanes.unit[ended] * (lanes.offset[ended] + falls[at])
+            transitions.arrive(mode, ended, time, end, end_guard)
+
+    def _control(self, rows: Rows, size: Vector, error: Vector) -> Mask:
+        """Choose the next sizes from the errors of steps and tell which of these hold."""
+        lanes, transitions = self._lanes, self._transitions
+        good = error <= 1.0
+        factor = np.maximum(_SAFETY * error**_EXPONENT, _SHRINK)
+        most = np.where(lanes.refused[rows], 1.0, _GROW)
+        factor = np.where(good, np.minimum(factor, most), factor)
+        # A flow that blows up returns NaN; a shorter step may still be finite.
+        lanes.size[rows] = size * np.where(np.isfinite(error), factor, _SHRINK)
+        lanes.refused[rows] = ~good
+        lanes.steps[rows] += good
+        tiny = ~good & ~(lanes.size[rows] > 4 * np.spacing(lanes.offset[rows]))
+        transitions.fail(rows[tiny], "The step size fell to rounding level")
+        long = lanes.steps[rows] > self.settings.most_steps
+        transitions.fail(rows[long], f"It takes more than {self.settings.most_steps} steps")
+        return good
+
+    def _falls(
+        self, rows: Rows, start: _Start, size: Vector, guard: Vector, wanted: Mask
+    ) -> Vector:
+        """Return where in their steps the guards of the wanted lanes fall, NaN elsewhere."""
+        before, on_guard = self._lanes.guard[rows], self._lanes.on_guard[rows]
+        looked = np.flatnonzero(wanted & may_fall(size, before, guard, on_guard))
+        falls = np.full(len(rows), np.nan)
+        if len(looked):
+            falls[looked] = first_falls(
+                lambda at, offset: start.steps(looked[at], offset)[2],
+                size[looked],
+                before[looked],
+                guard[looked],
+                on_guard[looked],
+            )
+        return falls
+
+    def _go_on(self, rows: Rows, after: Vector, guard: Vector, size: Vector) -> None:
+        """Accept steps in which no guard fell."""
+        if not len(rows):
+            return
+        lanes, model = self._lanes, self.model
+        change = np.maximum(np.abs(lanes.guard[rows, 1]), np.abs(guard[:, 1])) * size
+        lanes.largest[rows] = np.maximum(lanes.largest[rows], change)
+        small = np.maximum(_LEAVES * lanes.largest[rows], self.settings.contact)
+        left = lanes.on_guard[rows] & (guard[:, 0] < -small)
+        lanes.on_guard[rows] &= (guard[:, 0] <= 0.0)[self._transitions.lead(rows)]
+        lanes.y[rows, : after.shape[1]], lanes.guard[rows] = after, guard
+        lanes.offset[rows] += size
+        self._transitions.fail(rows[left], "The state leaves the admissible set from its boundary")
+        far = np.abs(after[:, : model.n_x]) > self.bounds
+        for k in np.flatnonzero(far.any(axis=1) & lanes.alive[rows]):
+            name = model.state_names[int(np.argmax(far[k]))]
+            self._transitions.end(int(rows[k]), Reason.ESCAPE, name)
+        horizon = (lanes.until[rows] - lanes.leg_time[rows]) / lanes.unit[rows]
+        over = rows[(lanes.offset[rows] >= horizon * (1 - 1e-14)) & lanes.alive[rows]]
+        for row in self._still(over).tolist():
+            self._transitions.end(row, Reason.REST, "")
+        for row in over.tolist():
+            self._transitions.end(row, Reason.HORIZON, "")
+
+    def _look_for_rest(self) -> None:
+        lanes = self._lanes
+        due = lanes.alive & (lanes.steps % _LOOK == _LOOK - 1)
+        for row in self._still(np.flatnonzero(due)).tolist():
+            self._transitions.end(row, Reason.REST, "")
+
+    def _still(self, rows: Rows) -> Rows:
+        """Return which of these lanes are at rest."""
+        lanes, n_q = self._lanes, self.model.n_q
+        slow = np.abs(lanes.y[rows, n_q : 2 * n_q]).max(axis=1, initial=0.0) < _STILL
+        found: list[int] = []
+        for mode in (FREE, LOCKED):
+            still = rows[slow & (lanes.mode[rows] == mode)]
+            if len(still):
+                x, p = lanes.y[still, : self.model.n_x], lanes.p[still, :-1]
+                motion = np.abs(self._transitions.flows[mode].rate(x, p)[:, : 2 * n_q])
+                found.extend(still[motion.max(axis=1) < _STILL].tolist())
+        return np.array(found, dtype=np.intp)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Start:
+    """Where the lanes of a mode stand, and steps of any size from there."""
+
+    flow: BatchFlow
+    y: Vector
+    p: Vector
+    tolerance: Vector
+
+    def steps(self, at: Rows | slice, size: Vector) -> tuple[Vector, Vector, Vector]:
+        """Return states, errors and guards after steps of some of the lanes."""
+        return self.flow.attempt(self.y[at], self.p[at], size, self.tolerance[at])
+
+
+def _followed(start: _Start, lanes: Rows, offset: Vector) -> Vector:
+    """Return the falls of followers by Newton's method from their leaders' falls."""
+    at, open_ = offset.copy(), np.arange(len(offset))
+    for _ in range(_MOST_CORRECTIONS):
+        guard = start.steps(lanes[open_], at[open_])[2]
+        change = -guard[:, 0] / guard[:, 1]
+        at[open_] += change
+        open_ = open_[np.abs(change) > _FOLLOWED * np.abs(offset[open_])]
+        if not len(open_):
+            break
+    return at

@@ -1,0 +1,193 @@
+"""A scene as functions of many rows: steps of its modes, resets, and the rest on the stop.
+
+A CasADi function for many rows at once: what each row gets does not depend on the others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.integrators.dop853_step import overflow
+from zeno_orbits.integrators.rosenbrock import rosenbrock_step
+from zeno_orbits.model.numeric.compiled import CompiledSystem, compiled_model
+from zeno_orbits.model.numeric.compiled_flow import ModeFunctions, dense_function
+from zeno_orbits.model.problem import Problem
+
+
+class BatchFlow:
+    """A mode for many rows ``(y, p)``."""
+
+    def __init__(self, mode: ModeFunctions) -> None:
+        self.n_y = mode.rate.size1_in(0)
+        self._rate = Columns(mode.rate)
+        self._guard = Columns(mode.guard)
+        self._step = Columns(_step_function(mode))
+
+    def rate(self, y: Vector, p: Vector) -> Vector:
+        """Return ``dy/dt``, ``(n, n_y)``."""
+        return self._rate(y, p)[0]
+
+    def guard(self, y: Vector, p: Vector) -> Vector:
+        """Return the guard and its time derivative, ``(n, 2)``."""
+        return self._guard(y, p)[0]
+
+    def attempt(
+        self, y: Vector, p: Vector, size: Vector, tolerance: Vector
+    ) -> tuple[Vector, Vector, Vector]:
+        """Return the states after a step, ``(n, n_y)``, errors, ``(n,)``, and guards, ``(n, 2)``.
+
+        Args:
+            y: States before it, ``(n, n_y)``.
+            p: Parameters, ``(n, n_p)``.
+            size: Step sizes, ``(n,)``.
+            tolerance: Local errors allowed relative to ``|y| + 0.1``, ``(n,)``.
+        """
+        after, error, guard = self._step(y, p, np.stack([size, tolerance], axis=1))
+        return after, error[:, 0], guard
+
+
+def _step_function(mode: ModeFunctions) -> ca.Function:
+    y = ca.SX.sym("y", mode.rate.size1_in(0))
+    p = ca.SX.sym("p", mode.rate.size1_in(1))
+    numbers = ca.SX.sym("numbers", 2)
+    size, tolerance = ca.vertsplit(numbers)
+    after, miss = rosenbrock_step(lambda state: mode.rate(state, p), mode.jacobian(y, p), y, size)
+    scale = tolerance * (ABSOLUTE + ca.fmax(ca.fabs(y), ca.fabs(after)))
+    error = ca.sqrt(ca.sumsqr(miss / scale) / y.numel()) + overflow(ca.sum1(after), ca)
+    name = f"{mode.rate.name()}_rosenbrock"
+    return dense_function(name, [y, p, numbers], [after, error, mode.guard(after, p)])
+
+
+ABSOLUTE = 0.1
+"""Absolute over relative local error, as `Tolerance` has it by default."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BatchModel:
+    """A scene for many rows.
+
+    Attributes:
+        state_names: Name of each state.
+        n_q: Number of coordinates.
+        n_p: Number of gains and parameters.
+        free: The mode off the stop.
+        locked: The mode on the stop.
+        flight: The rescaled flight; its last parameter is the speed (theory (14)).
+        contact: ``(x, p) -> (gap, gap_rate, gap_acceleration, multiplier, multiplier_rate)``.
+        restitution: ``(x, p) -> restitution``.
+        reset: ``(x, p, approach rate) -> x`` after the impact.
+        resting: ``(x, p) -> (x on the stop, its gap_acceleration, its locked flow)``.
+    """
+
+    state_names: tuple[str, ...]
+    n_q: int
+    n_p: int
+    free: BatchFlow
+    locked: BatchFlow
+    flight: BatchFlow
+    contact: Columns
+    restitution: Columns
+    reset: Columns
+    resting: Columns
+
+    @property
+    def n_x(self) -> int:
+        """Number of states."""
+        return len(self.state_names)
+
+
+def batch_model(compiled: CompiledSystem) -> BatchModel:
+    """Return the functions of a compiled scene for many rows."""
+    n_p = compiled.contact.size1_in(1)
+    x, p = ca.SX.sym("x", compiled.n_x), ca.SX.sym("p", n_p)
+    restitution = compiled.impulse(x, p)[2]
+    return BatchModel(
+        state_names=compiled.state_names,
+        n_q=compiled.n_q,
+        n_p=n_p,
+        free=BatchFlow(compiled.free),
+        locked=BatchFlow(compiled.locked),
+        flight=BatchFlow(compiled.flight),
+        contact=Columns(compiled.contact),
+        restitution=Columns(dense_function("restitution", [x, p], [restitution])),
+        reset=Columns(compiled.reset),
+        resting=Columns(compiled.resting),
+    )
+
+
+@lru_cache(maxsize=4)
+def model_in_rows(problem: Problem) -> BatchModel:
+    """Return the functions of a scene for many rows, built once."""
+    return batch_model(compiled_model(problem))
+
+
+_LARGEST = 8
+"""Rows of the widest mapped function, as a power of two; more take several calls."""
+_FEW = 16
+"""Rows of a block that costs hardly more than its call."""
+
+
+class Columns:
+    """A function called for `n` rows, through blocks of 256, 128, ... 1 rows.
+
+    Each row goes through the same compiled instructions, so its result is the same to the last bit
+    in whatever company.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        self._function = function
+        self._widths_in = [function.numel_in(k) for k in range(function.n_in())]
+        self._widths_out = [function.numel_out(k) for k in range(function.n_out())]
+        self._blocks: dict[int, Any] = {}
+
+    def __call__(self, *inputs: Vector) -> tuple[Vector, ...]:
+        """Return one array ``(n, n_out)`` an output.
+
+        Args:
+            inputs: One array ``(n, n_in)`` an input.
+        """
+        n = len(inputs[0])
+        padded = _padded(n)
+        given = [_filled(array, padded) for array in inputs]
+        results = [np.empty((padded, width)) for width in self._widths_out]
+        start, power = 0, _LARGEST
+        while start < padded:
+            while (1 << power) > padded - start:
+                power -= 1
+            stop = start + (1 << power)
+            buffer, evaluate = self._block(power)
+            for k, array in enumerate(given):
+                buffer.set_arg(k, memoryview(array[start:stop].reshape(-1).data))
+            for k, array in enumerate(results):
+                buffer.set_res(k, memoryview(array[start:stop].reshape(-1).data))
+            evaluate()
+            start = stop
+        return tuple(result[:n] for result in results)
+
+    def _block(self, power: int) -> tuple[Any, Any]:
+        if power not in self._blocks:
+            mapped = self._function if power == 0 else self._function.map(1 << power, "serial")
+            self._blocks[power] = mapped.buffer()
+        return self._blocks[power]
+
+
+def _padded(n: int) -> int:
+    """Return a number of rows not below `n` that takes few blocks: a block costs some rows."""
+    if n <= _FEW:
+        return 1 << max(n - 1, 0).bit_length() if n else 0
+    return -(-n // _FEW) * _FEW
+
+
+def _filled(array: Vector, n: int) -> Vector:
+    """Return the rows in one piece, the last one repeated up to `n`."""
+    if len(array) == n:
+        return np.ascontiguousarray(array)
+    filled = np.empty((n, *array.shape[1:]))
+    filled[: len(array)], filled[len(array) :] = array, array[-1]
+    return filled

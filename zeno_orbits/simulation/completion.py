@@ -1,0 +1,186 @@
+"""When a sequence of impacts is complete: at its limit, extrapolated or followed, or at a cut.
+
+Source: [OrAmes2011]_ for the cut, theory (11), (15) and (22).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from zeno_orbits.integrators import RungeKutta
+from zeno_orbits.integrators.engine import Stepper
+from zeno_orbits.integrators.flow import Tolerance
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.simulation.rescaled_flight import rescaled_hop
+from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit, combine, extrapolate
+from zeno_orbits.simulation.zeno_passage import is_settled, pass_through
+
+_MAY_BEND = 0.1
+"""Largest relative change of d2h/dt2 over a Zeno tail; beyond it the tail is not geometric yet."""
+
+_FIRST_TRY = 6
+"""Impacts that tell whether a sequence has settled on its curve.
+
+The curve is tried for when it has, and again whenever their number has grown fourfold.
+"""
+_TRIES = frozenset(_FIRST_TRY * 4**k for k in range(16))
+
+_WORTHWHILE = 100
+"""Flights that the curve costs at least when all else is counted; fewer are made one by one."""
+
+_STILL_HOLDS = 0.2
+"""The curve is tried for if, to first order, the stop holds with this part at the Zeno point."""
+
+_FINEST = Tolerance(relative=1e-14, absolute=1e-15)
+"""Local error of flights whose error is magnified by `1 / (1 - e)`."""
+
+
+class Completion(Protocol):
+    """A rule that says when, and where, a sequence of impacts ends."""
+
+    def limit(
+        self, dynamics: HybridDynamics, estimates: Sequence[TailEstimate]
+    ) -> ZenoLimit | None:
+        """Return the Zeno point, or nothing if more impacts are to be resolved.
+
+        Args:
+            dynamics: The system.
+            estimates: The Zeno point to first order from every impact of the sequence so far.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ZenoExtrapolation:
+    """Complete at the extrapolated Zeno limit (theory (15)).
+
+    Attributes:
+        tolerance: Largest estimated error of the limit, relative to ``1 + |x|``.
+        resolved: Impacts are resolved one by one at least until their speed has fallen to this
+            part of the first one's.
+    """
+
+    tolerance: float = 1e-12
+    resolved: float = 1e-3
+
+    def limit(
+        self, dynamics: HybridDynamics, estimates: Sequence[TailEstimate]
+    ) -> ZenoLimit | None:
+        """Return the Zeno point if the impacts so far tell it well enough."""
+        last = estimates[-1]
+        if last.speed > self.resolved * estimates[0].speed:
+            return None
+        raw = combine(estimates)
+        if raw.error > self.tolerance:
+            return None
+        limit = ZenoLimit(time=raw.time, state=dynamics.on_stop(raw.state), error=raw.error)
+        bend = abs(dynamics.gap_acceleration(limit.state) - last.gap_acceleration)
+        return limit if bend <= _MAY_BEND * abs(last.gap_acceleration) else None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ZenoPassage:
+    """Complete at the Zeno limit, and do not visit the impacts on the way if they are many.
+
+    Where more than a hundred flights are left to make, the curve of the impacts is followed to its
+    end by itself (theory (22)); the number of flights then does not grow as ``e`` nears 1. Where
+    fewer are left, or the curve cannot be followed, this is ``ZenoExtrapolation``. The tail of such
+    a Zeno point begins at the impact from which the curve was followed: ``tail`` and ``last_speed``
+    belong to that one, and need not be small.
+
+    Attributes:
+        tolerance: Largest estimated error of the limit, relative to ``1 + |x|``; along a curve, of
+            each piece of it, and ``1e-14 / (1 - e)`` if that is larger, which rounding leaves.
+        resolved: Part of the first speed at which an impact by impact sequence would end.
+        engine: The integrator of flights that are not recorded.
+    """
+
+    tolerance: float = 1e-12
+    resolved: float = 1e-3
+    engine: Stepper = field(default_factory=RungeKutta)
+
+    @property
+    def one_by_one(self) -> ZenoExtrapolation:
+        """The same limit with every impact on the way, for those who have to count them."""
+        return ZenoExtrapolation(tolerance=self.tolerance, resolved=self.resolved)
+
+    def limit(
+        self, dynamics: HybridDynamics, estimates: Sequence[TailEstimate]
+    ) -> ZenoLimit | None:
+        """Return the Zeno point if it is told by the impacts so far, or found by their curve."""
+        limit = self.one_by_one.limit(dynamics, estimates)
+        if limit is not None:
+            return limit
+        left = self._flights_left(dynamics.restitution, estimates)
+        if left < _WORTHWHILE or not _is_due(dynamics, estimates):
+            return None
+        last = estimates[-1]
+        return pass_through(
+            dynamics,
+            rescaled_hop(dynamics, self.engine, _FINEST),
+            last.impact_time,
+            last.resting,
+            last.speed,
+            self.tolerance,
+            most_hops=left,
+        )
+
+    def _flights_left(self, restitution: float, estimates: Sequence[TailEstimate]) -> int:
+        """Return how many flights an impact by impact sequence still needs, about."""
+        if restitution == 0.0 or estimates[-1].speed == 0.0:
+            return 0
+        ratio = self.resolved * estimates[0].speed / estimates[-1].speed
+        return max(0, round(math.log(ratio) / math.log(restitution)))
+
+
+def _is_due(dynamics: HybridDynamics, estimates: Sequence[TailEstimate]) -> bool:
+    """Tell whether the curve is worth a try after the last impact."""
+    last, e = estimates[-1], dynamics.restitution
+    again = len(estimates) in _TRIES
+    if not (is_settled(estimates, e) and (again or not is_settled(estimates[:-1], e))):
+        return False
+    holds = dynamics.gap_acceleration(dynamics.on_stop(last.state)) / last.gap_acceleration
+    return holds > _STILL_HOLDS
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Truncation:
+    """Complete by the paper's rule: the first impact slower than `delta` is made plastic.
+
+    Attributes:
+        delta: Impact speed below which the sequence is cut (paper, section III).
+    """
+
+    delta: float
+
+    def limit(
+        self, dynamics: HybridDynamics, estimates: Sequence[TailEstimate]
+    ) -> ZenoLimit | None:
+        """Return the cut, as if it were the Zeno point, if the last impact was slow enough."""
+        last = estimates[-1]
+        if last.speed >= dynamics.restitution * self.delta:
+            return None
+        error = last.time - last.impact_time
+        return ZenoLimit(time=last.impact_time, state=last.resting, error=error)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FixedImpacts:
+    """Complete after a number of impacts, at the limit that they tell, whatever its error.
+
+    Attributes:
+        n_impacts: Impacts resolved in a sequence.
+    """
+
+    n_impacts: int
+
+    def limit(
+        self, dynamics: HybridDynamics, estimates: Sequence[TailEstimate]
+    ) -> ZenoLimit | None:
+        """Return the extrapolated Zeno point at the last impact, or nothing before."""
+        if len(estimates) < self.n_impacts:
+            return None
+        return extrapolate(dynamics, estimates)

@@ -1,0 +1,249 @@
+"""A completed execution: its arcs, its events and the state at any time."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.integrators import Trajectory
+
+
+class Mode(Enum):
+    """Off the stop, or on it."""
+
+    FREE = "free"
+    LOCKED = "locked"
+
+
+class Ending(Enum):
+    """What ended an arc. The value is the word shown to the user."""
+
+    IMPACT = "impact"
+    ZENO = "Zeno point"
+    RELEASE = "release"
+    HORIZON = "end of the simulation"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Impact:
+    """One impact that was resolved.
+
+    Attributes:
+        time: When [s].
+        state_minus: State before it, ``(n_x,)``.
+        state_plus: State after it, ``(n_x,)``.
+        approach_rate: Gap rate before it, negative; exact where the state has only rounding.
+    """
+
+    time: float
+    state_minus: Vector
+    state_plus: Vector
+    approach_rate: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ZenoPoint:
+    """The limit of an impact sequence.
+
+    Attributes:
+        time: Zeno time [s].
+        state: Zeno state, ``(n_x,)``.
+        limit_error: Estimated error of both by the limit alone, relative to ``1 + |t|`` and
+            ``1 + |x|``: as if the impacts were exact that tell it. The error of the flights before
+            comes on top, and may be far more; ``accuracy.simulate_with_error`` estimates both.
+        tail: Time between the last resolved impact and the limit [s].
+        last_speed: Gap rate after the last resolved impact.
+    """
+
+    time: float
+    state: Vector
+    limit_error: float
+    tail: float
+    last_speed: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Release:
+    """The multiplier reached zero and the stop let go.
+
+    Attributes:
+        time: When [s].
+        state: State there, ``(n_x,)``.
+    """
+
+    time: float
+    state: Vector
+
+
+Event = Impact | ZenoPoint | Release
+
+_AT_ONCE = 1e-6
+"""A release earlier than this part of a period belongs to the start of the execution."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Arc:
+    """A stretch in one mode.
+
+    Attributes:
+        mode: Free or locked.
+        start_time: When it starts [s].
+        end_time: When it ends [s].
+        start_state: State at its start, ``(n_x,)``.
+        end_state: State at its end, before any reset.
+        ending: What ended it.
+        impact_index: Number of impacts resolved before it, the `j` of hybrid time ``(t, j)``.
+        time_unit: Length of one unit of the flow's own time [s]; the impact speed in a rescaled
+            flight (theory (14)), else 1.
+        trajectory: The flow along it. The tail of an impact sequence has the curve of its impacts
+            if that was followed, else none: then its state is interpolated.
+    """
+
+    mode: Mode
+    start_time: float
+    end_time: float
+    start_state: Vector
+    end_state: Vector
+    ending: Ending
+    impact_index: int
+    time_unit: float
+    trajectory: Trajectory | None
+
+    def state_at(self, time: float) -> Vector:
+        """Return the state at a time inside the arc, to the accuracy of the integration."""
+        if time <= self.start_time:
+            return self.start_state
+        if time >= self.end_time:
+            return self.end_state
+        if self.trajectory is None:
+            part = (time - self.start_time) / (self.end_time - self.start_time)
+            return self.start_state + part * (self.end_state - self.start_state)
+        state = self.flow_state_at((time - self.start_time) / self.time_unit)
+        return state[: len(self.start_state)]
+
+    def sampled(self, n: int = 150) -> tuple[Vector, Vector]:
+        """Return times ``(m,)`` and states ``(m, n_x)`` along the arc, for plots.
+
+        They stand close where the arc starts and ends and where the integrator slowed down, so
+        that no thin layer is missed.
+
+        Args:
+            n: Samples at least.
+        """
+        steps = self.time_unit * self.flow_times[:-1]
+        own = steps[:: max(len(steps) // (2 * n), 1)]
+        dense_ends = (1 - np.cos(np.linspace(0, np.pi, n))) / 2
+        offsets = np.union1d(dense_ends * (self.end_time - self.start_time), own)
+        times = (self.start_time + offsets).tolist()
+        inside = [time for time in times if time < self.end_time]
+        states = [*(self.state_at(time) for time in inside), self.end_state]
+        return np.array([*inside, self.end_time]), np.array(states)
+
+    @property
+    def duration(self) -> float:
+        """Length in the flow's own time; in a rescaled flight, time over impact speed."""
+        if self.trajectory is not None:
+            # Late and short as a flight may be, its own time is not rounded.
+            return self.trajectory.duration
+        return (self.end_time - self.start_time) / self.time_unit
+
+    def flow_state_at(self, offset: float) -> Vector:
+        """Return the state of the flow itself, scaled gap and gap rate included in a flight.
+
+        Args:
+            offset: The flow's own time since the start of the arc.
+
+        Raises:
+            ValueError: If the arc is the tail of an impact sequence: no flow was followed.
+        """
+        if self.trajectory is None:
+            raise ValueError("Argument `self` must be an arc with a flow, but it is a tail.")
+        return self.trajectory.state_at(offset)
+
+    @property
+    def flow_times(self) -> Vector:
+        """Where the engine stepped, in the flow's own time, both ends included, ``(m,)``."""
+        return np.array([0.0, self.duration]) if self.trajectory is None else self.trajectory.times
+
+    @property
+    def flow_states(self) -> Vector:
+        """States of the flow itself there, ``(m, n_y)``."""
+        if self.trajectory is None:
+            return np.array([self.start_state, self.end_state])
+        return self.trajectory.states
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Execution:
+    """A completed execution on the hybrid time domain ``(t, j)``.
+
+    Attributes:
+        state_names: Name of each state.
+        arcs: Arcs in order of time, without a break.
+        events: Impacts, Zeno points and releases in order of time.
+    """
+
+    state_names: tuple[str, ...]
+    arcs: tuple[Arc, ...]
+    events: tuple[Event, ...]
+
+    @property
+    def end_time(self) -> float:
+        """When it ends [s]."""
+        return self.arcs[-1].end_time
+
+    @property
+    def end_state(self) -> Vector:
+        """Where it ends, ``(n_x,)``."""
+        return self.arcs[-1].end_state
+
+    @property
+    def impacts(self) -> tuple[Impact, ...]:
+        """The resolved impacts."""
+        return tuple(event for event in self.events if isinstance(event, Impact))
+
+    @property
+    def zeno_points(self) -> tuple[ZenoPoint, ...]:
+        """The Zeno points."""
+        return tuple(event for event in self.events if isinstance(event, ZenoPoint))
+
+    @property
+    def releases(self) -> tuple[Release, ...]:
+        """The releases."""
+        return tuple(event for event in self.events if isinstance(event, Release))
+
+    def returns(self, period: float) -> tuple[Release, ...]:
+        """Return the releases of an execution that itself starts at one.
+
+        A start that is locked by a rounding error is released at once; that is no return.
+
+        Args:
+            period: Time of a return, roughly [s].
+        """
+        return tuple(release for release in self.releases if release.time > _AT_ONCE * period)
+
+    def state_at(self, time: float) -> Vector:
+        """Return the state at a time, the later one where an impact gives two.
+
+        Raises:
+            ValueError: If the time is outside the execution.
+        """
+        first, last = self.arcs[0].start_time, self.end_time
+        if not first <= time <= last:
+            message = f"Argument `time` must lie in [{first:g}, {last:g}], but it is {time:g}."
+            raise ValueError(message)
+        at = bisect_right(self.arcs, time, key=lambda arc: arc.start_time)
+        return self.arcs[max(at - 1, 0)].state_at(time)
+
+    def sampled(self, n_per_arc: int = 150) -> tuple[Vector, Vector]:
+        """Return times ``(n,)`` and states ``(n, n_x)`` of all arcs, for plots.
+
+        Args:
+            n_per_arc: Samples at least, of every arc.
+        """
+        times, states = zip(*(arc.sampled(n_per_arc) for arc in self.arcs), strict=True)
+        return np.concatenate(times), np.concatenate(states)

@@ -1,0 +1,178 @@
+"""Signals of an orbit, states and what the motors see, and their extremes along simulated arcs.
+
+The least value that a function takes inside an arc.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from zeno_orbits.arrays import Scalar, Vector
+from zeno_orbits.model.numeric.compiled import CompiledSystem
+from zeno_orbits.simulation.execution import Arc
+
+_SAMPLES = 65
+"""Samples of an arc beside the steps of its engine."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Extent:
+    """The range of a quantity over an orbit.
+
+    Attributes:
+        lowest: Smallest value.
+        highest: Largest value; the same for a number of the whole orbit.
+        error: Estimated error of both.
+    """
+
+    lowest: float
+    highest: float
+    error: float = 0.0
+
+    @property
+    def largest(self) -> float:
+        """Largest absolute value."""
+        return max(abs(self.lowest), abs(self.highest))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Signal:
+    """A number at every time of a motion.
+
+    Attributes:
+        name: Its name.
+        function: ``(x, p) -> value``.
+    """
+
+    name: str
+    function: ca.Function
+
+    def at(self, values: Sequence[float]) -> Callable[[Vector], float]:
+        """Return the signal as a function of the state, at numbers for ``p``."""
+        p = np.asarray(values, dtype=np.float64)
+        return lambda x: float(self.function(x, p))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Peak:
+    """An extreme of a signal over an arc.
+
+    Attributes:
+        fraction: Where, as a fraction of the arc's duration.
+        value: The signal there.
+    """
+
+    fraction: float
+    value: float
+
+
+def signal_names(compiled: CompiledSystem) -> tuple[str, ...]:
+    """Return the names of a scene's signals: states, then motors' currents and voltages."""
+    n_motors = compiled.motors.numel_out(0)
+    ends = [""] if n_motors == 1 else [str(k + 1) for k in range(n_motors)]
+    motors = [f"{word}{end}" for word in ("current", "voltage") for end in ends]
+    return tuple(dict.fromkeys((*compiled.state_names, *motors)))
+
+
+def signal(compiled: CompiledSystem, name: str) -> Signal:
+    """Return a signal of a scene by its name, one of `signal_names`."""
+    x = ca.SX.sym("x", compiled.n_x)
+    p = ca.SX.sym("p", compiled.motors.numel_in(1))
+    if name in compiled.state_names:
+        value = x[compiled.state_names.index(name)]
+    else:
+        end = name.removeprefix("current").removeprefix("voltage")
+        motor = int(end or 1) - 1
+        value = compiled.motors.call([x, p])[0 if name.startswith("current") else 1][motor]
+    return Signal(name=name, function=ca.Function(name, [x, p], [ca.densify(value)]))
+
+
+def extent_of(value: Callable[[Vector], float], arcs: Sequence[Arc]) -> Extent:
+    """Return the range of a signal over arcs, its peaks polished.
+
+    Args:
+        value: The signal of the state.
+        arcs: The arcs; where one ends and the next begins an impact may lie.
+    """
+    found = [peak.value for arc in arcs for sign in (1.0, -1.0) for peak in peaks(value, arc, sign)]
+    return Extent(lowest=min(found), highest=max(found))
+
+
+def peaks(value: Callable[[Vector], float], arc: Arc, sign: float) -> list[Peak]:
+    """Return the local extremes of a signal over an arc, its ends among them.
+
+    Args:
+        value: The signal of the state.
+        arc: The arc.
+        sign: 1 for the largest values, -1 for the smallest.
+    """
+    # SciPy's optimizers take longer to import than a peak to find, and few ask for one.
+    from scipy.optimize import minimize_scalar
+
+    length = arc.end_time - arc.start_time
+    if length <= 0.0:
+        return [Peak(fraction=0.0, value=value(arc.start_state))]
+
+    def here(fraction: float) -> float:
+        return value(arc.state_at(arc.start_time + fraction * length))
+
+    steps = arc.flow_times / arc.flow_times[-1] if arc.flow_times[-1] > 0.0 else [0.0]
+    grid = np.union1d(np.linspace(0.0, 1.0, _SAMPLES), steps)
+    values = [sign * value(arc.start_state), *(sign * here(float(f)) for f in grid[1:-1])]
+    values.append(sign * value(arc.end_state))
+    found = [
+        Peak(fraction=0.0, value=sign * values[0]),
+        Peak(fraction=1.0, value=sign * values[-1]),
+    ]
+    for k in range(1, len(grid) - 1):
+        if values[k] >= values[k - 1] and values[k] > values[k + 1]:
+            around = (float(grid[k - 1]), float(grid[k + 1]))
+            inside = minimize_scalar(
+                lambda f: -sign * here(float(f)),
+                bounds=around,
+                method="bounded",
+                options={"xatol": 1e-9},
+            )
+            best, at = max((values[k], float(grid[k])), (-float(inside.fun), float(inside.x)))
+            found.append(Peak(fraction=at, value=sign * best))
+    return found
+
+
+_LEAST_SAMPLES = 60
+_EDGE = 1e-3
+"""Part of an arc at its ends that is none of its inside: a flight starts with its rate at zero."""
+
+
+def least_inside(arc: Arc, value: Scalar, rate: Scalar) -> float | None:
+    """Return the least local minimum of a function inside an arc, or ``None`` without any.
+
+    Args:
+        arc: An arc with a flow.
+        value: The function of the state.
+        rate: Its time derivative along the arc.
+    """
+    from scipy.optimize import brentq
+
+    duration = arc.duration
+    if duration <= 0.0:
+        return None
+    inside = np.linspace(_EDGE * duration, (1 - _EDGE) * duration, _LEAST_SAMPLES)
+    own = arc.flow_times
+    inside = np.union1d(inside, own[(own > inside[0]) & (own < inside[-1])])
+    n_x = len(arc.start_state)
+
+    def state(t: float) -> Vector:
+        return arc.flow_state_at(t)[:n_x]
+
+    rates = [rate(state(float(t))) for t in inside]
+    found: list[float] = []
+    for k in range(len(inside) - 1):
+        if rates[k] < 0.0 <= rates[k + 1]:
+            left, right = float(inside[k]), float(inside[k + 1])
+            root = float(brentq(lambda t: rate(state(t)), left, right, xtol=1e-14))
+            found.append(value(state(root)))
+    return min(found) if found else None

@@ -1,0 +1,223 @@
+r"""The end of an impact sequence in closed form: tail, limit and its error. Pure numbers.
+
+Near a Zeno point the impact speeds fall by the factor :math:`e`, and the impact states lie on an
+analytic curve in the speed :math:`w` (theory (15)). Each is first carried to the end of its own
+tail by the locked flow, which is right to :math:`O(w^2)`; the limit is then the value at
+:math:`w = 0` of a polynomial without linear term through the last few of them.
+
+Everything here works on numbers and on CasADi symbols alike, so the transcription and the
+simulator close an orbit by the same formula. Source: [OrAmes2011]_ for the tail.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.integrators.engine import Step
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+
+N_NODES = 5
+"""Impacts that the extrapolation uses at most."""
+
+NODE_RATIO = 0.5
+"""Speeds of successive nodes differ at least by this factor; closer nodes amplify rounding."""
+
+
+def tail_time(speed: Any, gap_acceleration: Any, restitution: Any) -> Any:
+    r"""Return the time from an impact to the Zeno point, to first order in the speed [s].
+
+    .. math:: \sum_{k \ge 0} \frac{2 w e^k}{|\ddot h|} = \frac{2 w}{|\ddot h|\,(1 - e)}
+
+    Args:
+        speed: :math:`w`, gap rate just after the impact.
+        gap_acceleration: :math:`\ddot h < 0` at the impact.
+        restitution: :math:`e`.
+    """
+    return 2 * speed / (-gap_acceleration * (1 - restitution))
+
+
+def limit_weights(speeds: Sequence[Any]) -> list[Any]:
+    r"""Return the weights, at :math:`w = 0`, of the polynomial without linear term in the nodes.
+
+    .. math:: \alpha_k = \frac{1/w_k}{\sum_j 1/w_j} \prod_{j \ne k} \frac{w_j}{w_j - w_k}
+
+    The tail estimates of one orbit differ from their limit by :math:`O(w^2)`: no linear term.
+    """
+    if len(speeds) == 1:
+        return [1.0]
+    shares = [speeds[-1] / speed for speed in speeds]
+    total = sum(shares[1:], shares[0])
+    weights: list[Any] = []
+    for k, speed in enumerate(speeds):
+        product: Any = 1.0
+        for other in (*speeds[:k], *speeds[k + 1 :]):
+            product *= other / (other - speed)
+        weights.append(shares[k] / total * product)
+    return weights
+
+
+def limit_slopes(speeds: Sequence[float]) -> Vector:
+    r"""Return the derivatives of the weights, a row each, by logarithms of the speeds, ``(n, n)``.
+
+    .. math:: \frac{\partial \ln \alpha_k}{\partial \ln w_j} =
+        \frac{1/w_j}{\sum_i 1/w_i} - \begin{cases}
+            w_k / (w_j - w_k) & j \ne k\\
+            1 - \sum_{i \ne k} w_k / (w_i - w_k) & j = k
+        \end{cases}
+
+    Logarithms, as the speeds may be as small as numbers get.
+    """
+    w = np.array(speeds)
+    weights = np.array(limit_weights(speeds))
+    shares = w[-1] / w
+    apart = w[None, :] - w[:, None] + np.eye(len(w))
+    quotients = w[:, None] / apart * (1 - np.eye(len(w)))
+    diagonal = np.diag(1 - np.sum(quotients, axis=1))
+    return np.asarray(weights[:, None] * (shares / np.sum(shares) - quotients - diagonal))
+
+
+def spread_nodes(speeds: Sequence[float]) -> list[int]:
+    """Return which of the falling speeds to extrapolate from: the last, and faster ones before.
+
+    Args:
+        speeds: Impact speeds, falling, ``(n,)``.
+
+    Returns:
+        At most ``N_NODES`` indices, rising; speeds of neighbours differ by ``NODE_RATIO`` at least.
+    """
+    nodes = [len(speeds) - 1]
+    while len(nodes) < N_NODES:
+        wanted = speeds[nodes[-1]] / NODE_RATIO
+        before = nodes[-1] - 1
+        if before >= 0 and 0.0 < wanted <= speeds[before]:
+            # Mostly the speeds fall that fast at every impact.
+            nodes.append(before)
+            continue
+        earlier = bisect_right(speeds, -wanted, key=lambda speed: -speed) - 1
+        if earlier < 0 or wanted == 0.0:
+            break
+        nodes.append(earlier)
+    return nodes[::-1]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TailEstimate:
+    """First-order guess of the Zeno point from one impact; no two are the same.
+
+    Attributes:
+        impact_time: When the impact was [s].
+        resting: State just after it, had it been plastic, ``(n_x,)``.
+        speed: Gap rate just after it.
+        time: Zeno time, from the same origin [s].
+        state: Zeno state, ``(n_x,)``.
+        gap_acceleration: At the impact.
+    """
+
+    impact_time: float
+    resting: Vector
+    speed: float
+    time: float
+    state: Vector
+    gap_acceleration: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ZenoLimit:
+    """The Zeno point of an impact sequence.
+
+    Attributes:
+        time: Zeno time [s].
+        state: Zeno state, ``(n_x,)``, on the stop.
+        error: Estimate of the error of time and state, relative to ``1 + |t|`` and ``1 + |x|``,
+            had the impacts been exact: the difference from the limit that the impacts a node
+            earlier gave.
+        path: The states on the stop on the way from the last impact, where they are known, with
+            times from that impact; the hops that are left out lie above them.
+    """
+
+    time: float
+    state: Vector
+    error: float
+    path: tuple[Step, ...] = ()
+
+
+def estimate_tail(
+    dynamics: HybridDynamics, time: float, state_plus: Vector, speed: float
+) -> TailEstimate | None:
+    """Return the first-order Zeno point seen from an impact, or ``None`` if the stop repels there.
+
+    Args:
+        dynamics: The system.
+        time: Time of the impact [s].
+        state_plus: State just after it.
+        speed: Gap rate just after it, exactly; the state holds it only to rounding.
+    """
+    resting = dynamics.resting(state_plus)
+    if not resting.gap_acceleration < 0.0:
+        return None
+    remaining = tail_time(speed, resting.gap_acceleration, dynamics.restitution)
+    return TailEstimate(
+        impact_time=time,
+        resting=resting.state,
+        speed=speed,
+        time=time + remaining,
+        state=resting.state + remaining * resting.rate,
+        gap_acceleration=resting.gap_acceleration,
+    )
+
+
+def extrapolate(dynamics: HybridDynamics, estimates: Sequence[TailEstimate]) -> ZenoLimit:
+    """Return the Zeno point from the tail estimates of a sequence of impacts at falling speeds.
+
+    Args:
+        dynamics: The system.
+        estimates: One an impact, at least one. With a single one the error is unknown: infinite,
+            or zero if the impact was plastic.
+    """
+    limit = combine(estimates)
+    state = dynamics.on_stop(limit.state)
+    return ZenoLimit(time=limit.time, state=state, error=limit.error)
+
+
+def combine(estimates: Sequence[TailEstimate]) -> ZenoLimit:
+    """Return the extrapolated limit before it is moved onto the stop, which it misses by rounding.
+
+    The error estimate is the difference from what the impacts a node earlier gave: the error of
+    that, and so more than this one's. Leaving out the fastest node instead would not do: where the
+    current's layer is longer than the last flights it hardly has a weight.
+
+    Args:
+        estimates: As for `extrapolate`.
+    """
+    speeds = [estimate.speed for estimate in estimates]
+    chosen = spread_nodes(speeds)
+    time, state = _limit(tuple([estimates[k] for k in chosen]))
+    if len(chosen) == 1:
+        error = 0.0 if speeds[-1] == 0.0 else math.inf
+    else:
+        earlier = spread_nodes(speeds[: chosen[-2] + 1])
+        time_before, state_before = _limit(tuple([estimates[k] for k in earlier]))
+        change = np.abs(state - state_before) / (1 + np.abs(state))
+        error = max(abs(time - time_before) / (1 + abs(time)), float(change.max()))
+    return ZenoLimit(time=time, state=state, error=error)
+
+
+@lru_cache(maxsize=8)
+def _limit(nodes: tuple[TailEstimate, ...]) -> tuple[float, Vector]:
+    """Return time and state of the limit that a polynomial through these nodes has.
+
+    It is kept: what one impact gives is what the next one's limit is held against.
+    """
+    weights = limit_weights([node.speed for node in nodes])
+    time = sum(weight * node.time for weight, node in zip(weights, nodes, strict=True))
+    state = np.array(weights) @ np.array([node.state for node in nodes])
+    state.flags.writeable = False
+    return time, state

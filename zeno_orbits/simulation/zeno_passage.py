@@ -1,0 +1,343 @@
+r"""A Zeno passage at a cost that does not grow as :math:`e \to 1` (theory (22)).
+
+Impact by impact, a sequence takes some :math:`\ln 1000 / (1 - e)` flights to lose three decades of
+speed. But its impacts lie on an analytic curve, and that curve is found without visiting them: as
+a polynomial in the speed that keeps the law of one flight at its nodes, down to :math:`w = 0`.
+Wherever along the curve the nodes lie, the curve has one end: the Zeno point.
+
+One polynomial with 4, then 8, then 16 nodes is tried for the whole curve. Where that is not enough
+the curve is passed piece by piece. That is so just after a sequence has begun on an arbitrary
+current, which relaxes to the curve's own within a few `L/R`: a layer at its start.
+
+The impacts that are passed over are never known one by one, nor do intermediate ends of pieces
+belong to the sequence. If the end is not reached, because the stop lets go before the speed has
+fallen to zero for instance, there is no result, and the sequence must be followed flight by flight.
+
+Whether the impacts of a sequence have come onto their curve (theory (22)).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.simulation.impact_curve import (
+    CurveLostError,
+    ImpactCurve,
+    Piece,
+    Start,
+    converged,
+    correction,
+    differentiated,
+    iterated,
+    refined,
+    relative,
+    start_at,
+    straight_piece,
+)
+from zeno_orbits.simulation.rescaled_flight import Hop
+from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit
+
+_FEW, _SOME, _MANY = 4, 8, 16
+"""Nodes of a piece: to see its shape, usually enough, and most."""
+
+_FEWEST_IMPACTS = 16
+"""A piece that passes fewer impacts costs more than they."""
+
+_MOST_PIECES = 8
+"""Pieces before a curve is given up; they become ever shorter where it ends in a release."""
+
+_SHAPE = 1e-3
+"""Relative error of a piece with few nodes before more are tried."""
+_HOPELESS_FEW, _HOPELESS_SOME = 3e-3, 3e-5
+"""A larger error at few, and at some nodes, will not fall below 1e-12 at many."""
+
+_CAUTION = 2.0
+"""Claimed over estimated error: near a layer the estimate has been seen a fifth too small."""
+
+_LAYER = 20.0
+"""Decay along a piece, as a power of e, above which a layer at its start may be to blame."""
+_FIRST_DECAY, _NEXT_DECAY = 6.0, 5.4
+"""Decay along the first piece of a layer, and how much more of it for every decade behind."""
+_PASSED = 8.0
+"""Decades by which a layer must have decayed to be behind."""
+
+_ROUNDING = 16 * float(np.finfo(np.float64).eps)
+"""Rounding of the limit, for a unit of `1 / (1 - e)`; measured values stay four times below."""
+
+_LOST = 0.25
+"""Part of a length that diverged from which to go on."""
+_ORDER = 6
+"""Order at which errors are taken to fall with the length of a piece."""
+_MAY_BEND = 0.5
+"""A straight line along which d2h/dt2 changes by more than this factor is a bad first guess."""
+
+
+def pass_through(
+    dynamics: HybridDynamics,
+    hop: Hop,
+    time: float,
+    state: Vector,
+    speed: float,
+    tolerance: float,
+    *,
+    most_hops: int,
+) -> ZenoLimit | None:
+    """Return the Zeno point that an impact leads to, or ``None`` if it could not be found.
+
+    Args:
+        dynamics: The system.
+        hop: One rescaled flight. Its errors are magnified by ``1 / (1 - e)``, so it should be as
+            accurate as rounding lets it be.
+        time: Time of the impact [s].
+        state: State just after it; its gap rate may be there or not.
+        speed: Gap rate just after it, exactly.
+        tolerance: Largest estimated error of a piece, relative to ``1 + |x|``; the limit claims
+            twice the sum over its few pieces. It is ``1e-14 / (1 - e)`` if rounding leaves that.
+        most_hops: Flights before it is given up.
+    """
+    curve = ImpactCurve(dynamics, hop, most_hops)
+    rounding = _ROUNDING / (1 - dynamics.restitution)
+    allowed = max(tolerance, 2 * rounding)
+    z, w, error = np.append(dynamics.on_stop(state), 0.0), speed, rounding
+    layer = _Layer(decades=math.inf)
+    path: list[CurveStep] = []
+    try:
+        for _ in range(_MOST_PIECES):
+            passed = _longest_piece(curve, start_at(curve, z, w), layer, allowed)
+            z, layer = passed.step.end, passed.layer
+            error += _CAUTION * passed.error
+            path.append(passed.step)
+            length = passed.step.piece.length
+            w = 0.0 if length == w else w - length
+            if w == 0.0:
+                break
+    except CurveLostError:
+        return None
+    resting = dynamics.on_stop(z[:-1])
+    if w > 0.0 or not dynamics.gap_acceleration(resting) < 0.0:
+        return None
+    return ZenoLimit(time=time + float(z[-1]), state=resting, error=error, path=tuple(path))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Layer:
+    """A layer at the start of the curve.
+
+    Attributes:
+        decades: By how much it has decayed; infinite as long as none is suspected.
+    """
+
+    decades: float
+
+    def length(self, start: Start) -> float:
+        """Return how long a piece it allows."""
+        if self.decades > _PASSED or start.fastest == 0.0:
+            return start.w
+        return min(start.w, (_FIRST_DECAY + _NEXT_DECAY * self.decades) / start.fastest)
+
+    def behind(self, start: Start, length: float) -> _Layer:
+        """Return what is left of it after a piece."""
+        return _Layer(decades=self.decades + start.fastest * length / math.log(10))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CurveStep:
+    """A piece of the curve, read along time: the state on the stop without the hops above it.
+
+    Attributes:
+        piece: The polynomial.
+        missed: Correction of its end, ``(n_x + 1,)``; it grows evenly along the piece.
+    """
+
+    piece: Piece
+    missed: Vector
+
+    @property
+    def end(self) -> Vector:
+        """State and time at its end, ``(n_x + 1,)``."""
+        return self.piece.end + self.missed
+
+    @property
+    def start(self) -> float:
+        """Time at its start, from the impact at which the curve starts."""
+        return float(self.piece.start.z[-1])
+
+    @property
+    def size(self) -> float:
+        """Its length in time."""
+        return float(self.end[-1]) - self.start
+
+    @property
+    def before(self) -> Vector:
+        """State at its start, ``(n_x,)``."""
+        return self.piece.start.z[:-1]
+
+    @property
+    def after(self) -> Vector:
+        """State at its end, ``(n_x,)``."""
+        return self.end[:-1]
+
+    def state_at(self, offset: float) -> Vector:
+        """Return the state ``offset`` after its start, ``(n_x,)``."""
+        if offset <= 0.0:
+            return self.before
+        if offset >= self.size:
+            return self.after
+        from scipy.optimize import brentq
+
+        place = brentq(lambda at: self._point(at)[-1] - self.start - offset, 0.0, 1.0, xtol=1e-15)
+        return self._point(float(place))[:-1]
+
+    def end_at(self, offset: float) -> Vector:
+        """Return the same: the polynomial is as good everywhere."""
+        return self.state_at(offset)
+
+    def _point(self, place: float) -> Vector:
+        piece = self.piece
+        along = piece.nodes.integrals(np.array([place]))[0] @ piece.slopes
+        return piece.start.z + piece.length * along + place * self.missed
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Passed:
+    """A converged piece, its estimated relative error, and the layer after it."""
+
+    step: CurveStep
+    error: float
+    layer: _Layer
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _TooLong:
+    """A piece that failed.
+
+    Attributes:
+        part: Part of its length that may do.
+        rough: It failed with few nodes already: there may be a layer.
+    """
+
+    part: float
+    rough: bool
+
+
+def _longest_piece(curve: ImpactCurve, start: Start, layer: _Layer, tolerance: float) -> _Passed:
+    """Return a converged piece, as long as possible.
+
+    Raises:
+        CurveLostError: If it would have to be shorter than is worth its cost.
+    """
+    length = layer.length(start)
+    while length >= _FEWEST_IMPACTS * start.fall and curve.n_hops < curve.most_hops:
+        try:
+            outcome = _attempt(curve, start, length, layer, tolerance)
+        except CurveLostError:
+            outcome = _TooLong(part=_LOST, rough=True)
+        if isinstance(outcome, _Passed):
+            return outcome
+        in_layer = outcome.rough and start.fastest * length > _LAYER
+        if in_layer and layer.decades > _PASSED:
+            layer = _Layer(decades=0.0)
+        length = min(outcome.part * length, layer.length(start))
+    raise CurveLostError
+
+
+def _attempt(
+    curve: ImpactCurve, start: Start, length: float, layer: _Layer, tolerance: float
+) -> _Passed | _TooLong:
+    """Return a piece of a length, or a shorter length.
+
+    Raises:
+        CurveLostError: If an iteration diverges or leaves the curve.
+    """
+    piece = _shaped(curve, start, length)
+    piece = iterated(curve, refined(piece, _SOME))
+    shape = piece.changes[0]
+    if shape > _HOPELESS_FEW:
+        return _shorter(_HOPELESS_FEW / 3, shape, rough=True)
+    if shape**2 <= 100 * tolerance:
+        piece = converged(curve, piece, tolerance)
+        passed = _passed(curve, piece, layer)
+        if passed.error <= tolerance:
+            return passed
+    elif shape > _HOPELESS_SOME / 3:
+        piece = iterated(curve, piece)
+    piece = iterated(curve, refined(piece, _MANY))
+    if piece.changes[0] > _HOPELESS_SOME:
+        return _shorter(_HOPELESS_SOME / 10, piece.changes[0], rough=True)
+    passed = _passed(curve, converged(curve, piece, tolerance), layer)
+    if passed.error <= tolerance:
+        return passed
+    return _shorter(tolerance, passed.error, rough=False)
+
+
+def _shaped(curve: ImpactCurve, start: Start, length: float) -> Piece:
+    """Return a rough piece with few nodes and good derivatives."""
+    end = curve.dynamics.on_stop((start.z + length * start.slope)[:-1])
+    bend = curve.dynamics.gap_acceleration(end) / curve.dynamics.gap_acceleration(start.z[:-1])
+    slope = start.slope if _MAY_BEND < bend < 1 / _MAY_BEND else np.zeros_like(start.slope)
+    piece = iterated(curve, straight_piece(start, length, _FEW, slope))
+    piece = differentiated(curve, piece)
+    for _ in range(2):
+        if piece.rest <= _SHAPE:
+            return piece
+        piece = iterated(curve, piece)
+    if piece.rest > _SHAPE:
+        raise CurveLostError
+    return piece
+
+
+def _passed(curve: ImpactCurve, piece: Piece, layer: _Layer) -> _Passed:
+    missed = correction(curve, piece)
+    return _Passed(
+        step=CurveStep(piece=piece, missed=missed),
+        error=relative(missed, piece.end) + piece.rest,
+        layer=layer.behind(piece.start, piece.length),
+    )
+
+
+def _shorter(wanted: float, error: float, *, rough: bool) -> _TooLong:
+    """Return how much shorter a piece must be; errors of layers fall no faster than this."""
+    return _TooLong(part=min(max((wanted / error) ** (1 / _ORDER), 0.1), 0.6), rough=rough)
+
+
+_DIFFERENCES = 4
+"""Differences of successive impacts that tell a transient from the curve."""
+_SEEN = 3e-14
+"""A relative difference below this is rounding."""
+_SMOOTH = 0.01
+"""Fourth difference along a curve, for a unit of `(1 - e)^4`, at most about."""
+_DECAYED = 1e-12
+"""Amplitude of a transient that is over."""
+_WORTH_WAITING = 150
+"""Impacts that cost less than the pieces of a layer."""
+
+
+def is_settled(estimates: Sequence[TailEstimate], restitution: float) -> bool:
+    r"""Tell whether the curve of the impacts is worth a try, as far as the last six tell.
+
+    Along the curve a state changes smoothly over :math:`1 / (1 - e)` impacts, and the fourth
+    difference of successive ones is of the order :math:`(1 - e)^4`. A transient
+    :math:`a \mu^k` adds :math:`a (1 - \mu)^4 \mu^k`, and two such differences tell `a` and
+    :math:`\mu`. If it decays in a few impacts, they are better made. One that takes many is a layer
+    of the curve.
+
+    Args:
+        estimates: One an impact.
+        restitution: :math:`e`.
+    """
+    if len(estimates) < _DIFFERENCES + 2:
+        return False
+    states = np.array([estimate.resting for estimate in estimates[-_DIFFERENCES - 2 :]])
+    differences = np.diff(states, n=_DIFFERENCES, axis=0)
+    before, now = (relative(difference, states[-1]) for difference in differences)
+    if now <= _SEEN + _SMOOTH * (1 - restitution) ** _DIFFERENCES or now >= before:
+        return True
+    ratio = now / before
+    amplitude = now / (1 - ratio) ** _DIFFERENCES
+    return math.log(amplitude / _DECAYED) > -_WORTH_WAITING * math.log(ratio)

@@ -1,0 +1,224 @@
+"""The certificate of a periodic orbit: residuals, margins, stability, and a verdict."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from zeno_orbits.orbits.shape import ONE_ZENO, OrbitShape
+
+RESIDUALS: Mapping[str, str] = {
+    "release": "gap, gap rate and multiplier are zero at the release",
+    "start": "the period starts just after an impact",
+    "first_impact": "the first impact comes when and where the orbit says",
+    "impact_sequence": "the impacts after it come when and where the orbit says",
+    "restitution": "every impact turns the gap rate round by -e",
+    "impact_energy": "every impact loses (1 - e^2)/2 m w^2",
+    "zeno_point": "the impacts accumulate when and where the orbit says",
+    "phases": "the other phases start when and where the orbit says",
+    "delta_sweep": "cutting the sequence at ever slower impacts tends to the same motion",
+    "penetration": "the gap is never negative in flight",
+    "adhesion": "the multiplier is never negative on the stop",
+    "closure": "the period ends where it starts",
+    "period": "the period is the one that the orbit says",
+    "drift": "the later periods end where the first one does",
+    "energy_balance": "work in = energy gained + copper, friction and impact losses",
+    "holonomic": "the holonomic constraints hold",
+    "second_model": "a second derivation of the model gives the same flows and resets",
+    "integration": "a looser integration gives the same return",
+}
+"""Name to what is true where it is zero, in causal order: the first to fail explains the rest."""
+
+
+_MISSES = ("first_impact", "impact_sequence", "closure", "period")
+"""Residuals that compare the orbit's numbers with an integration's, for every shape."""
+_MISSES_IF_ANY = ("release", "start", "zeno_point", "phases")
+"""The same, for the shapes that have them; one of the first two there must be."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DeltaCut:
+    """One cut of the impact sequence by the paper's rule.
+
+    Attributes:
+        delta: Threshold of the impact speed.
+        speed: Speed of the impact at which it was cut.
+        error: Distance from the completed motion at an equal later time, relative.
+    """
+
+    delta: float
+    speed: float
+    error: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OrbitCertificate:
+    """What a forward integration says of an orbit.
+
+    Attributes:
+        tolerance: Largest residual that passes.
+        residuals: Name to relative size, zero for a true orbit; a name of ``RESIDUALS``. Infinite
+            where the integration never came so far.
+        margins: Name to the distance from losing the orbit: ``gap_acceleration`` (minus d2h/dt2 at
+            the Zeno point), ``first_impact_speed``, ``release_transversality`` (minus the rate of
+            the multiplier at the release), ``locked_time``, each the least over the phases that
+            have it; ``lets_go`` (d2h/dt2 after a plastic impact that does not hold);
+            ``phases_apart`` (how far the period is from several of a shorter one, relative).
+        energies: Name to energy over one period [J]: ``input_work``, ``copper_loss``,
+            ``other_loss``, ``impact_loss``, ``energy_gain``.
+        multipliers: Floquet multipliers; empty if they could not be had (their error is infinite
+            then) or if the section is a point.
+        multiplier_error: Estimated error of the largest.
+        delta_sweep: Cuts at falling thresholds.
+        delta_order: Observed order of the error in the speed of the cut; NaN without a sweep.
+        integration_error: Estimated error of the returned state, relative.
+        zeno_error: Estimated error of the Zeno limit, relative; that of the integration, which
+            gives the impacts, comes on top.
+        period: Period that the integration found [s].
+        n_periods: Periods that were integrated.
+        model: Which derivation was integrated.
+        trouble: Why the integration stopped early; empty if it did not.
+        shape: What the orbit says of its phases, as text.
+        asked: Bounds that a search was asked to keep, with what a simulation measured.
+    """
+
+    tolerance: float
+    residuals: Mapping[str, float]
+    margins: Mapping[str, float]
+    energies: Mapping[str, float]
+    multipliers: tuple[complex, ...]
+    multiplier_error: float
+    delta_sweep: tuple[DeltaCut, ...]
+    delta_order: float
+    integration_error: float
+    zeno_error: float
+    period: float
+    n_periods: int
+    model: str
+    trouble: str = ""
+    shape: str = ONE_ZENO.text
+    asked: tuple[Mapping[str, Any], ...] = ()
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """Names of the residuals above the tolerance, in causal order."""
+        return tuple(
+            name
+            for name in RESIDUALS
+            if name in self.residuals and not self.residuals[name] <= self.tolerance
+        )
+
+    @property
+    def passed(self) -> bool:
+        """Whether every residual is below the tolerance and every margin positive."""
+        return not self.failed and not self.lost and not self.trouble
+
+    @property
+    def lost(self) -> tuple[str, ...]:
+        """Names of the margins that are not positive."""
+        return tuple(name for name, margin in self.margins.items() if not margin > 0.0)
+
+    @property
+    def spectral_radius(self) -> float:
+        """Largest modulus of a multiplier; NaN if they could not be had.
+
+        Zero for a release section that is a point, as a locked mass without memory has it.
+        """
+        known = 0.0 if math.isfinite(self.multiplier_error) else math.nan
+        return max((abs(value) for value in self.multipliers), default=known)
+
+    @property
+    def stable(self) -> bool:
+        """Whether the multipliers, their error included, are inside the unit circle."""
+        return self.spectral_radius + self.multiplier_error < 1.0
+
+    @property
+    def unstable(self) -> bool:
+        """Whether a multiplier is outside the unit circle by more than its error."""
+        return self.spectral_radius - self.multiplier_error > 1.0
+
+    @property
+    def _kind(self) -> str:
+        what = "Zeno periodic orbit"
+        shape = OrbitShape.parsed(self.shape)
+        if not shape.starts_at_release:
+            what = "periodic orbit without a Zeno point"
+        if not shape.has_one_release:
+            what = f"{what} (shape {shape.text})"
+        if self.stable:
+            return f"a stable {what}"
+        if self.unstable:
+            return f"an unstable {what}"
+        return f"a {what} of unknown stability"
+
+    @property
+    def orbit_error(self) -> float:
+        r"""Estimated relative error of the orbit, of all its numbers against the true one's.
+
+        A return that misses by `d` comes from a fixed point :math:`d / |1 - \mu|` away, with the
+        multiplier :math:`\mu`; infinite where the return or the multipliers could not be had.
+        """
+        misses = [self.residuals.get(name, math.inf) for name in _MISSES]
+        known = [self.residuals[name] for name in _MISSES_IF_ANY if name in self.residuals]
+        misses += known or [math.inf]
+        if not all(map(math.isfinite, (*misses, self.integration_error, self.multiplier_error))):
+            return math.inf
+        # The Zeno point and the period miss by themselves, however strongly the orbit attracts.
+        least = min([1.0, *(abs(1.0 - mu) for mu in self.multipliers)])
+        miss = max(misses) + self.integration_error
+        return miss / least if least > 0.0 else math.inf
+
+    def verdict(self) -> str:
+        """Return yes or no in one sentence, with the residual that explains a no."""
+        if self.passed:
+            worst = max(self.residuals.values(), default=0.0)
+            return f"Verified: {self._kind}; largest residual {worst:.1e}."
+        if self.failed:
+            name = self.failed[0]
+            size = f"`{name}` is {self.residuals[name]:.2e}, above {self.tolerance:.0e}"
+            reason = f"{size}: it is not so that {RESIDUALS[name]}"
+        elif self.trouble:
+            reason = self.trouble
+        else:
+            name = self.lost[0]
+            reason = f"the margin `{name}` is {self.margins[name]:.2e}, not positive"
+        tail = f" ({self.trouble})" if self.trouble and self.failed else ""
+        return f"Refused: {reason}{tail}."
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the certificate as plain data; what is not finite becomes ``null``."""
+        return {
+            "passed": self.passed,
+            "stable": self.stable,
+            "verdict": self.verdict(),
+            "failed": list(self.failed),
+            "tolerance": self.tolerance,
+            "residuals": _finite(self.residuals),
+            "margins": _finite(self.margins),
+            "energies": _finite(self.energies),
+            "floquet_multipliers": [[mu.real, mu.imag] for mu in self.multipliers],
+            "multiplier_error": _number(self.multiplier_error),
+            "delta_sweep": [
+                {"delta": cut.delta, "speed": _number(cut.speed), "error": _number(cut.error)}
+                for cut in self.delta_sweep
+            ],
+            "delta_order": _number(self.delta_order),
+            "integration_error": _number(self.integration_error),
+            "zeno_error": _number(self.zeno_error),
+            "period": _number(self.period),
+            "n_periods": self.n_periods,
+            "shape": self.shape,
+            "model": self.model,
+            "trouble": self.trouble,
+            "asked": [dict(one) for one in self.asked],
+        }
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _finite(values: Mapping[str, float]) -> dict[str, float | None]:
+    return {name: _number(value) for name, value in values.items()}

@@ -1,0 +1,135 @@
+"""What an orbit does, measured on a simulation from its numbers alone: the checker's side.
+
+A search asks its program for these quantities; here nothing is known of the program.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.model.numeric.compiled import bind, compiled_model
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.orbits.period import placed
+from zeno_orbits.orbits.poincare import floquet_multipliers
+from zeno_orbits.simulation.signals import Extent, extent_of, signal, signal_names
+from zeno_orbits.simulation.simulator import SimulationSettings
+from zeno_orbits.verification.cross_checks import energies_of
+from zeno_orbits.verification.integration import Claim, FirstCycle, claim_of, observe
+from zeno_orbits.verification.residuals import margins_of
+
+MARGINS = ("gap_acceleration", "first_impact_speed", "release_transversality", "locked_time")
+"""Distances from losing an orbit, as in its certificate."""
+
+NUMBERS = ("period", "energy", "spectral_radius", "margin", *MARGINS)
+"""Quantities that are one number for a whole orbit."""
+
+
+def quantity_names(problem: Problem) -> tuple[str, ...]:
+    """Return the names of all that can be measured of an orbit of a scene."""
+    return (*signal_names(compiled_model(problem)), *NUMBERS)
+
+
+def require_quantities(names: Sequence[str], problem: Problem, argument: str) -> None:
+    """Refuse a name that is no quantity of the scene.
+
+    Raises:
+        InputError: It lists those that are.
+    """
+    known = quantity_names(problem)
+    for name in names:
+        if name not in known:
+            wanted = f"must name a quantity of the scene ({', '.join(known)})"
+            raise InputError(f"Argument `{argument}` {wanted}, but it names `{name}`.")
+
+
+def measure(
+    orbit: ZenoOrbit,
+    problem: Problem,
+    names: Sequence[str],
+    *,
+    simulation: SimulationSettings | None = None,
+) -> dict[str, Extent]:
+    """Return the range of quantities over one simulated period.
+
+    Args:
+        orbit: The orbit.
+        problem: Its scene.
+        names: What to measure, from `quantity_names`.
+        simulation: Accuracy.
+
+    Raises:
+        InputError: If a name is no quantity of the scene.
+        SimulationError: If the release does not come back.
+    """
+    require_quantities(names, problem, "names")
+    simulation = simulation or SimulationSettings()
+    claim = claim_of(orbit, problem)
+    setting = orbit.setting(problem)
+    compiled = compiled_model(problem)
+    dynamics = bind(compiled, setting.values())
+    seen = observe(dynamics, claim, simulation, 1)
+    if seen.cycle is None:
+        raise SimulationError(seen.trouble, time=0.0, state=tuple(claim.start.tolist()))
+    found: dict[str, Extent] = {}
+    for name in dict.fromkeys(names):
+        if name in NUMBERS:
+            found[name] = _number(name, orbit, problem, dynamics, claim, seen.cycle, simulation)
+        else:
+            value = signal(compiled, name).at(setting.values())
+            found[name] = extent_of(value, seen.cycle.arcs)
+    return found
+
+
+def _number(
+    name: str,
+    orbit: ZenoOrbit,
+    problem: Problem,
+    dynamics: HybridDynamics,
+    claim: Claim,
+    cycle: FirstCycle,
+    simulation: SimulationSettings,
+) -> Extent:
+    error = 0.0
+    if name == "period":
+        value = cycle.end.time
+    elif name == "energy":
+        value = energies_of(orbit, problem, claim, cycle, simulation)["input_work"]
+    elif name == "margin":
+        value = smallest_share(dynamics, cycle)
+    elif name == "spectral_radius":
+        multipliers = floquet_multipliers(
+            dynamics,
+            placed(dynamics, claim.shape, claim.start),
+            scale=cycle.scale,
+            period=cycle.end.time,
+            settings=simulation,
+            shape=claim.shape,
+        )
+        value, error = multipliers.spectral_radius, multipliers.error
+    else:
+        margins = margins_of(dynamics, cycle)
+        if name not in margins:
+            wanted = f"must name a quantity of the shape `{claim.shape.text}`"
+            raise InputError(f"Argument `names` {wanted}, but it names `{name}`.")
+        value = margins[name]
+    return Extent(lowest=value, highest=value, error=error)
+
+
+def smallest_share(dynamics: HybridDynamics, cycle: FirstCycle) -> float:
+    r"""Return the smallest margin of all phases as a share of the most it could be (theory (32)).
+
+    The locked arc in periods; :math:`-\ddot h` at the Zeno point and the speed of the first impact,
+    each over its largest value on the locked arc and in the first flight.
+    """
+    shares: list[float] = []
+    for phase in cycle.phases:
+        speed = extent_of(dynamics.gap_rate, [phase.flight])
+        shares.append(-phase.impacts[0].approach_rate / speed.largest)
+        if phase.zeno is not None and phase.locked is not None:
+            push = extent_of(dynamics.gap_acceleration, [phase.locked])
+            shares.append((phase.end.time - phase.zeno.time) / cycle.end.time)
+            shares.append(-dynamics.gap_acceleration(phase.zeno.state) / push.largest)
+    return min(shares)

@@ -1,0 +1,196 @@
+"""Check an orbit by forward integration from its numbers alone.
+
+Nothing here knows how the orbit was found: the scene is rebuilt from the orbit's parameters and
+gains, the completed system is simulated from where the period starts over several periods, and what
+happens is held against what the orbit says. Residuals are relative (theory (19), (46)).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.integrators.flow import Tolerance
+from zeno_orbits.model.numeric.compiled import bind, compiled_model, reference_model
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.orbits.period import placed
+from zeno_orbits.orbits.poincare import Multipliers, floquet_multipliers
+from zeno_orbits.simulation.simulator import SimulationSettings
+from zeno_orbits.verification.certificate import DeltaCut, OrbitCertificate
+from zeno_orbits.verification.cross_checks import (
+    cut_order,
+    delta_sweep,
+    energies_of,
+    imbalance,
+    second_model,
+)
+from zeno_orbits.verification.integration import Claim, FirstCycle, claim_of, observe
+from zeno_orbits.verification.residuals import margins_of, orbit_residuals
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VerificationSettings:
+    """How to check.
+
+    Attributes:
+        tolerance: Largest residual that passes.
+        n_periods: Periods to integrate.
+        simulation: Accuracy of the integration.
+        cuts: Thresholds of the delta sweep, in units of the first impact speed.
+        use_reference: Integrate the scene's hand-written model instead of the derived one.
+    """
+
+    tolerance: float = 1e-9
+    n_periods: int = 3
+    simulation: SimulationSettings = field(default_factory=SimulationSettings)
+    cuts: tuple[float, ...] = (3e-2, 3e-3, 3e-4, 3e-5)
+    use_reference: bool = False
+
+
+_SHARE = 0.1
+"""Part of the looser integration's error that the finer one may have, to be on the safe side."""
+
+
+_MULTIPLIERS = 1e-10
+"""Relative local error at which multipliers are taken; finer costs more and tells no more."""
+
+
+def verify(
+    orbit: ZenoOrbit,
+    problem: Problem,
+    *,
+    settings: VerificationSettings | None = None,
+    dynamics: HybridDynamics | None = None,
+    on_progress: Callable[[str], None] | None = None,
+) -> OrbitCertificate:
+    """Return the certificate of an orbit.
+
+    Args:
+        orbit: The orbit; its own certificate and multipliers are not looked at.
+        problem: Its scene.
+        settings: Tolerance, number of periods and accuracy.
+        dynamics: The system to integrate; by default the scene's, at the orbit's numbers.
+        on_progress: Called with the name of each stage as it begins.
+
+    Raises:
+        InputError: If the orbit does not fit the scene.
+    """
+    settings = settings or VerificationSettings()
+    claim = claim_of(orbit, problem)
+    if dynamics is None:
+        dynamics = problem_dynamics(orbit, problem, use_reference=settings.use_reference)
+
+    def tell(stage: str) -> None:
+        if on_progress is not None:
+            on_progress(stage)
+
+    tell("integrating the orbit")
+    seen = observe(dynamics, claim, settings.simulation, settings.n_periods)
+    residuals = orbit_residuals(dynamics, claim, seen)
+    multipliers: Multipliers | None = None
+    energies: dict[str, float] = {}
+    sweep: tuple[DeltaCut, ...] = ()
+    if seen.cycle is not None:
+        tell("cutting the impact sequence")
+        enough = settings.tolerance / 10.0
+        sweep = delta_sweep(dynamics, seen.cycle, settings.cuts, settings.simulation, enough)
+        if sweep:
+            residuals["delta_sweep"] = sweep[-1].error
+        tell("balancing the energy")
+        try:
+            energies = energies_of(orbit, problem, claim, seen.cycle, settings.simulation)
+            residuals["energy_balance"] = imbalance(energies)
+        except ZenoOrbitsError:
+            residuals["energy_balance"] = math.inf
+        residuals["integration"] = seen.integration_error
+        if problem.reference is not None:
+            tell("comparing two derivations of the model")
+            residuals["second_model"] = second_model(orbit, problem, seen.cycle)
+        tell("computing the multipliers")
+        multipliers = _multipliers(dynamics, claim, seen.cycle, settings, seen.integration_error)
+    stable = multipliers is not None and multipliers.spectral_radius < 1.0
+    trouble = seen.trouble
+    if not stable:
+        # Rounding grows along an unstable orbit: later returns say nothing of it.
+        residuals.pop("drift", None)
+        trouble = trouble if multipliers is None else ""
+    return OrbitCertificate(
+        tolerance=settings.tolerance,
+        residuals=residuals,
+        margins=margins_of(dynamics, seen.cycle),
+        energies=energies,
+        multipliers=() if multipliers is None else multipliers.values,
+        multiplier_error=math.inf if multipliers is None else multipliers.error,
+        delta_sweep=sweep,
+        delta_order=cut_order(sweep, seen.integration_error),
+        integration_error=seen.integration_error,
+        zeno_error=math.inf if seen.cycle is None else seen.cycle.zeno_error,
+        period=math.nan if seen.cycle is None else seen.cycle.end.time,
+        n_periods=settings.n_periods,
+        model="reference" if settings.use_reference else "derived",
+        trouble=trouble,
+        shape=claim.shape.text,
+    )
+
+
+def certified(orbit: ZenoOrbit, certificate: OrbitCertificate) -> ZenoOrbit:
+    """Return the orbit with a certificate and its multipliers in it."""
+    return replace(
+        orbit,
+        certificate=certificate.as_json(),
+        floquet_multipliers=certificate.multipliers,
+    )
+
+
+def problem_dynamics(
+    orbit: ZenoOrbit, problem: Problem, *, use_reference: bool = False
+) -> HybridDynamics:
+    """Return the system of an orbit, derived from energies or written by hand.
+
+    Args:
+        orbit: The orbit; its gains and parameters are the system's.
+        problem: Its scene.
+        use_reference: Take the scene's hand-written model.
+
+    Raises:
+        InputError: If the orbit's numbers do not fit the scene, or it has no hand-written model.
+    """
+    setting = orbit.setting(problem)
+    if use_reference:
+        return reference_model(problem)(setting)
+    return bind(compiled_model(problem), setting.values())
+
+
+def _multipliers(
+    dynamics: HybridDynamics,
+    claim: Claim,
+    cycle: FirstCycle,
+    settings: VerificationSettings,
+    integration_error: float,
+) -> Multipliers | None:
+    try:
+        return floquet_multipliers(
+            dynamics,
+            placed(dynamics, claim.shape, claim.start),
+            scale=cycle.scale,
+            period=cycle.end.time,
+            settings=replace(
+                settings.simulation, tolerance=_no_finer(settings.simulation.tolerance)
+            ),
+            noise=integration_error * _SHARE,
+            shape=claim.shape,
+        )
+    except ZenoOrbitsError:
+        return None
+
+
+def _no_finer(tolerance: Tolerance) -> Tolerance:
+    """Return a tolerance that multipliers, of which eight digits are read, can do with."""
+    return Tolerance(
+        relative=max(tolerance.relative, _MULTIPLIERS),
+        absolute=max(tolerance.absolute, _MULTIPLIERS / 10),
+    )

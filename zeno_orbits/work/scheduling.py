@@ -1,0 +1,215 @@
+"""Points to results, chunk by chunk, whatever happens to the workers."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter, deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from typing import Any
+
+from zeno_orbits.work.checkpoint import Checkpoint, open_checkpoint
+from zeno_orbits.work.plan import Lost, Plan, Workers
+from zeno_orbits.work.pools import Pool, open_pool
+from zeno_orbits.work.tasks import Task, code_digest, results_of
+
+Tell = Callable[[str, float], None]
+"""Told in a few words what is done, and the part of what was left at the start."""
+
+_TICK = 0.2
+"""Longest time without a word to ``Tell``, which may look for an interrupt [s]."""
+
+
+def claim(plan: Plan) -> None:
+    """Open the checkpoint of work in several stages, each of which keeps a folder in it.
+
+    Raises:
+        CheckpointError: If the folder holds something else; it is left as it is.
+    """
+    if plan.checkpoint is not None:
+        open_checkpoint(plan.checkpoint, {**plan.identity, "code": code_digest()}, ())
+
+
+def spread(
+    task: Task,
+    points: Sequence[Any],
+    plan: Plan,
+    *,
+    tell: Tell | None = None,
+    pool: Pool | None = None,
+) -> tuple[Any, ...]:
+    """Return the result of every point, in order, the same whoever computes them.
+
+    Args:
+        task: From a chunk of points to their results, one each. A pure function that can be
+            pickled: of a module, or a frozen dataclass with ``__call__``.
+        points: Plain data: numbers, texts, lists and mappings of them.
+        plan: Where, in which chunks, and where finished ones are kept.
+        tell: Told of progress; what it raises ends the work, and finished chunks stay kept.
+        pool: Workers of `open_pool` in place of the plan's own, for one stage after another.
+
+    Returns:
+        One result a point as it comes out of JSON, or ``Lost`` where the point kills its worker.
+
+    Raises:
+        InputError: If the place cannot be had, or the checkpoint is another's.
+        WorkError: If the task fails, or a cluster goes away.
+    """
+    return tuple(spread_in_order(task, points, plan, tell=tell, pool=pool))
+
+
+def spread_in_order(
+    task: Task,
+    points: Sequence[Any],
+    plan: Plan,
+    *,
+    here: Task | None = None,
+    tell: Tell | None = None,
+    pool: Pool | None = None,
+) -> Generator[Any]:
+    """Give the result of every point as soon as it and all before it are known.
+
+    Who has seen enough closes the iterator: what is under way is dropped, and the workers end. How
+    much was seen does not depend on the workers, as the order does not. Workers are started when
+    the first chunk needs them; a place other than the default is tried before any work is done.
+
+    Args:
+        task: As in ``spread``.
+        points: As in ``spread``.
+        plan: As in ``spread``.
+        here: The same task for this process, which does the first chunk before it asks for help;
+            by default it does none.
+        tell: As in ``spread``.
+        pool: As in ``spread``; it must be run to the end.
+
+    Yields:
+        As ``spread`` returns them.
+
+    Raises:
+        InputError: If the place cannot be had, or the checkpoint is another's.
+        WorkError: If the task fails, or a cluster goes away.
+    """
+    chunks = tuple(points[k : k + plan.chunk] for k in range(0, len(points), plan.chunk))
+    store = _checkpoint(plan, points, [len(chunk) for chunk in chunks])
+    found = store.finished() if store is not None else {}
+    told = _told(tell, plan.noun, chunks, found)
+
+    def keep(chunk: int, results: list[Any]) -> None:
+        if store is not None:
+            store.save(chunk, results)
+        found[chunk] = results
+
+    with ExitStack() as stack:
+        if pool is None and plan.place != Workers() and len(found) < len(chunks):
+            pool = stack.enter_context(open_pool(plan.place))
+        if here is not None and chunks and 0 not in found:
+            keep(0, json.loads(json.dumps(list(here(chunks[0])), allow_nan=False)))
+        arrivals: Iterator[tuple[int, list[Any]]] | None = None
+        for k in range(len(chunks)):
+            if k not in found and arrivals is None:
+                pool = pool or stack.enter_context(open_pool(plan.place))
+                run = _Run(pool=pool, task=task, chunks=chunks, tell=told)
+                arrivals = run.finish([j for j in range(len(chunks)) if j not in found])
+            while k not in found and arrivals is not None:
+                keep(*next(arrivals))
+                told()
+            yield from found[k]
+
+
+def _checkpoint(plan: Plan, points: Sequence[Any], sizes: Sequence[int]) -> Checkpoint | None:
+    if plan.checkpoint is None:
+        return None
+    digest = hashlib.sha256(json.dumps(list(points), allow_nan=False).encode()).hexdigest()
+    own = {"points": len(points), "points_digest": digest, "chunk": plan.chunk}
+    identity = {**plan.identity, **own, "code": code_digest()}
+    return open_checkpoint(plan.checkpoint, identity, sizes)
+
+
+def _told(
+    tell: Tell | None, noun: str, chunks: Sequence[Sequence[Any]], found: dict[int, list[Any]]
+) -> Callable[[], None]:
+    """Return what tells how far the work is; kept chunks take no time and do not count."""
+    total = sum(map(len, chunks))
+    before = sum(map(len, found.values()))
+
+    def say() -> None:
+        if tell is not None:
+            done = sum(map(len, found.values()))
+            tell(f"{done} of {total} {noun}", (done - before) / max(total - before, 1))
+
+    return say
+
+
+@dataclass(slots=True, kw_only=True)
+class _Run:
+    """Chunks under way.
+
+    A dead worker may take down every chunk under way, and does not say which one killed it. So
+    these are computed again, half as many at once, until the guilty one is alone.
+    """
+
+    pool: Pool
+    task: Task
+    chunks: Sequence[Sequence[Any]]
+    tell: Callable[[], None]
+    deaths: Counter[int] = field(default_factory=Counter[int])
+
+    def finish(self, todo: Sequence[int]) -> Iterator[tuple[int, list[Any]]]:
+        """Give every chunk with its results as it is finished."""
+        waiting, flying = deque(todo), dict[Future[str], int]()
+        doubtful, window = set[int](), self.pool.window
+        while waiting or flying:
+            while waiting and len(flying) < window:
+                chunk = waiting.popleft()
+                flying[self.pool.submit(self.task, self.chunks[chunk])] = chunk
+            crowd = len(flying)
+            landed = [(flying.pop(future), future) for future in self._landed(list(flying))]
+            fallen = [chunk for chunk, future in landed if self.pool.died(future)]
+            for chunk, future in landed:
+                if chunk not in fallen:
+                    doubtful.discard(chunk)
+                    yield chunk, results_of(future.result())
+            if fallen:
+                guilty = crowd == 1 and self._is_killer(fallen[0])
+                if guilty:
+                    doubtful.discard(fallen[0])
+                    yield fallen[0], self._one_by_one(self.chunks[fallen[0]])
+                else:
+                    waiting.extendleft(fallen)
+                    doubtful.update(fallen)
+                    window = max(crowd // 2, 1)
+            if not doubtful:
+                window = self.pool.window
+
+    def _landed(self, flying: Sequence[Future[str]]) -> list[Future[str]]:
+        """Wait a moment and return the futures that are done."""
+        done = wait(flying, timeout=_TICK, return_when=FIRST_COMPLETED).done
+        if self.pool.one_fate and any(future.exception() is not None for future in done):
+            done = wait(flying).done
+        self.pool.check()
+        self.tell()
+        return [future for future in flying if future in done]
+
+    def _is_killer(self, chunk: int) -> bool:
+        self.deaths[chunk] += 1
+        return self.deaths[chunk] >= self.pool.attempts
+
+    def _one_by_one(self, points: Sequence[Any]) -> list[Any]:
+        """Return the results of a chunk that always dies, each point computed by itself."""
+        results: list[Any] = []
+        for k in range(len(points)):
+            answer = self._alone(points[k : k + 1])
+            results.append(Lost() if answer is None else results_of(answer)[0])
+        return results
+
+    def _alone(self, points: Sequence[Any]) -> str | None:
+        for _ in range(self.pool.attempts):
+            future = self.pool.submit(self.task, points)
+            while not self._landed([future]):
+                pass
+            if not self.pool.died(future):
+                return future.result()
+        return None
