@@ -1,6 +1,6 @@
 """Time whole commands, from the start of Python to the last line.
 
-The search of the reference scene has a bound of 10 s.
+The search of the reference problem has a bound of 10 s.
 """
 
 from __future__ import annotations

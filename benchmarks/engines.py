@@ -197,7 +197,7 @@ def cell(timing: Timing | None) -> str:
 
 def over_tolerances(problem: Problem, n_runs: int, patience: float) -> None:
     """Print the table over tolerances."""
-    compiled, values = compile_problem(problem), problem.setting().values()
+    compiled, values = compile_problem(problem), problem.values().vector
     dynamics = bind(compiled, values)
     print("R/L = 1500 1/s     tol.     wall [ms]    cpu [ms]     steps    error")
     slow: set[str] = set()
@@ -220,12 +220,12 @@ def over_tolerances(problem: Problem, n_runs: int, patience: float) -> None:
 
 def over_ratios(problem: Problem, n_runs: int, patience: float) -> None:
     """Print the table over R/L, at 1e-10."""
-    compiled, setting = compile_problem(problem), problem.setting()
+    compiled, values = compile_problem(problem), problem.values()
     print("\ntol. = 1e-10       R/L      wall [ms]    cpu [ms]     steps    error")
     slow: set[str] = set()
-    resistance = setting.parameters["R"]
+    resistance = values.parameters["R"]
     for ratio in RATIOS:
-        at = problem.setting(parameters={"L": resistance / ratio})
+        at = problem.values(parameters={"L": resistance / ratio})
         dynamics = bind(compiled, at.values())
         tight = SimulationSettings(engine=Radau(), tolerance=Tolerance())
         exact = simulate(dynamics, RELEASE, until=UNTIL, settings=tight).end_state

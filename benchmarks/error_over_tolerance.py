@@ -103,8 +103,8 @@ def main() -> int:
     parser.add_argument("--starts", type=int, default=8, metavar="N", help="motions to follow")
     parser.add_argument("--json", action="store_true", help="print JSON for programs")
     options = parser.parse_args()
-    scene = load_problem("motor_pendulum")
-    dynamics = bind(compile_problem(scene), scene.setting().values())
+    problem = load_problem("motor_pendulum")
+    dynamics = bind(compile_problem(problem), problem.values().vector)
     motions = [(x, follow(dynamics, x, TRUE, ENGINES["Taylor"])) for x in starts(options.starts)]
     tolerances = {n: over_tolerance(dynamics, motions, e) for n, e in ENGINES.items()}
     promises = {n: over_promise(dynamics, motions, e) for n, e in ENGINES.items()}

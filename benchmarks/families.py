@@ -1,4 +1,4 @@
-"""Families of the reference scene, and where they change or end in the plane of its gains.
+"""Families of the reference problem, and where they change or end in the plane of its gains.
 
     python benchmarks/families.py [--quick] [--workers N] [--checkpoint FOLDER]
         [-o boundaries.json] [--pictures FOLDER]
@@ -29,7 +29,7 @@ from zeno_orbits.continuation.families import Boundary, Continuation, Kind
 from zeno_orbits.continuation.parallel import Crew
 from zeno_orbits.continuation.setup import ContinuationSettings
 from zeno_orbits.continuation.two_parameters.plane import CurveSteps
-from zeno_orbits.model.library import scene_file
+from zeno_orbits.model.library import locate_problem
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.report import plots
 from zeno_orbits.report.terminal.progress import Progress
@@ -44,7 +44,7 @@ KINDS = tuple(kind for kind in Kind if kind.located)
 SETTINGS = ContinuationSettings(curve=CurveSteps(most=120))
 """Beyond its hairpin the end of the locked arc takes ever shorter steps: the 63 points after these
 120 took six minutes for 0.023 of Kp."""
-SCENE = "motor_pendulum"
+PROBLEM = "motor_pendulum"
 
 
 def kept(crew: Crew, name: str) -> Crew:
@@ -60,7 +60,7 @@ def kept(crew: Crew, name: str) -> Crew:
 
 def families(problem: Problem, crew: Crew, *, curves: bool) -> dict[str, Continuation]:
     """Return the families by the parameter that they are in, printing their tables."""
-    orbit = start_orbit(problem, problem.setting())
+    orbit = start_orbit(problem, problem.values())
     found: dict[str, Continuation] = {}
     boxes = {"restitution": RESTITUTION, "Kd": KD, "Kp": KP}
     for name, box in boxes.items():
@@ -93,7 +93,7 @@ def inner_curves(problem: Problem, found: dict[str, Continuation], crew: Crew) -
     kp, kd = INNER
     inner = continue_orbit_in_two(
         problem,
-        start_orbit(problem, problem.setting(gains={"Kp": kp, "Kd": kd})),
+        start_orbit(problem, problem.values(gains={"Kp": kp, "Kd": kd})),
         ("Kd", "Kp"),
         (KD, KP),
         kinds=(Kind.FOLD, Kind.FLIP),
@@ -167,13 +167,13 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, help="write the curves here")
     parser.add_argument("--pictures", type=Path, help="draw into this folder")
     options = parser.parse_args()
-    scene, place = scene_file(SCENE), Workers(count=options.workers)
-    problem = scene.load()
+    problem_file, place = locate_problem(PROBLEM), Workers(count=options.workers)
+    problem = problem_file.load()
     if options.checkpoint is not None:
         options.checkpoint.mkdir(parents=True, exist_ok=True)
     with open_pool(place) as pool, Progress(lambda: None) as progress:
         plan = Plan(place=place, checkpoint=options.checkpoint)
-        crew = Crew(scene=scene, plan=plan, pool=pool, tell=progress.tell)
+        crew = Crew(problem_file=problem_file, plan=plan, pool=pool, tell=progress.tell)
         found = families(problem, crew, curves=not options.quick)
     curves = [in_gains(b) for one in found.values() for b in one.boundaries]
     if options.output is not None:

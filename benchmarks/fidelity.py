@@ -1,6 +1,6 @@
 """Measure what the reduced models of `motor_pendulum` cost in accuracy and save in time.
 
-At each inductance the orbits of the full scene, of the quasi-static and of the corrected one are
+At each inductance the orbits of the full problem, of the quasi-static and of the corrected one are
 found by Newton's method on the return map, and compared. A fourth model is built here only: the
 slow manifold without the impulse of the current's layer, which is what a correction is worth that
 leaves the impacts alone. `order` is the slope of an error against the row before.
@@ -55,8 +55,8 @@ class Row:
         model: Which.
         states: Its number of states.
         period_time: Wall time of one simulated period, a median [s].
-        errors: Landmark to relative error; empty for the full scene.
-        orders: Landmark to observed order; empty for the full scene and at the first inductance.
+        errors: Landmark to relative error; empty for the full problem.
+        orders: Landmark to observed order; empty for the full problem and at the first inductance.
         estimate: Landmark to the error that was estimated beforehand, where there is an estimate.
     """
 
@@ -69,9 +69,9 @@ class Row:
     estimate: Mapping[str, float]
 
 
-def manifold_only(scene: Problem) -> Problem:
-    """Return the corrected scene with the impacts of the quasi-static one."""
-    corrected, static = scene.at_fidelity(CORRECTED), scene.at_fidelity(QUASI_STATIC)
+def manifold_only(problem: Problem) -> Problem:
+    """Return the corrected problem with the impacts of the quasi-static one."""
+    corrected, static = problem.at_fidelity(CORRECTED), problem.at_fidelity(QUASI_STATIC)
 
     def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
         flowing, striking = corrected.model(p), static.model(p)
@@ -99,31 +99,31 @@ def orders(now: Row | None, errors: Mapping[str, float], inductance: float) -> d
     return {name: math.log(now.errors[name] / errors[name]) / step for name in errors}
 
 
-def measure(scene: Problem, inductances: Sequence[float], n_runs: int) -> list[Row]:
+def measure(problem: Problem, inductances: Sequence[float], n_runs: int) -> list[Row]:
     """Return the rows of all models, inductance by inductance."""
     models = {
-        QUASI_STATIC: scene.at_fidelity(QUASI_STATIC),
-        MANIFOLD: manifold_only(scene),
-        CORRECTED: scene.at_fidelity(CORRECTED),
+        QUASI_STATIC: problem.at_fidelity(QUASI_STATIC),
+        MANIFOLD: manifold_only(problem),
+        CORRECTED: problem.at_fidelity(CORRECTED),
     }
-    compiled = {name: compile_problem(one) for name, one in {"full": scene, **models}.items()}
+    compiled = {name: compile_problem(one) for name, one in {"full": problem, **models}.items()}
     static = models[QUASI_STATIC]
-    orbit = find_orbit(static, static.setting()).unwrap()
+    orbit = find_orbit(static, static.values()).unwrap()
     release = np.array(static.state_vector(orbit.release_state))
     rows: list[Row] = []
     last: dict[str, Row] = {}
     for inductance in inductances:
-        setting = scene.setting(parameters={"L": inductance})
+        values = problem.values(parameters={"L": inductance})
         found: dict[str, tuple[HybridDynamics, Cycle]] = {}
         near = release
         for name in (QUASI_STATIC, MANIFOLD, CORRECTED, "full"):
-            one = models.get(name, scene)
-            dynamics = bind(compiled[name], one.shared(setting).values())
+            one = models.get(name, problem)
+            dynamics = bind(compiled[name], one.shared(values).vector)
             cycle = orbit_near(dynamics, near, orbit.period)
             found[name] = (dynamics, cycle)
             near = cycle.start.state[: len(release)]
         truth = found["full"][1]
-        costs = reduction_costs(scene, setting)
+        costs = reduction_costs(problem, values)
         for name, (dynamics, cycle) in found.items():
             errors = {} if name == "full" else landmark_errors(cycle, truth)
             row = Row(

@@ -1,6 +1,6 @@
 """Time the solve of an orbit at given gains, and hold period and release against known figures.
 
-The figures of the scene `motor_pendulum` were measured outside this project, with a Taylor
+The figures of the problem `motor_pendulum` were measured outside this project, with a Taylor
 integrator and Newton's method on the return map, which closed to 6e-15:
 
     published gains, e = 0.2   period 1.81371293903044, release (theta1, dtheta1, current) =
@@ -8,7 +8,7 @@ integrator and Newton's method on the return map, which closed to 6e-15:
     e = 0, 0.1, 0.3            period 1.82033892548, 1.81767797277, 1.81128512357 (11 decimals)
 
 For R = 2, R = 4 and Kp = 4 there are none. "Published" are the gains Kp = 2.5, Kd = -1 and
-the two coefficients of Theorem 1; the masses and lengths are the scene's own.
+the two coefficients of Theorem 1; the masses and lengths are the problem's own.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ SOLVE_BOUND = 0.3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """Numbers that differ from the scene's own, and what is known of their orbit.
+    """Numbers that differ from the problem's own, and what is known of their orbit.
 
     Attributes:
         name: How the table calls it.
@@ -99,14 +99,14 @@ class Measurement:
 
 def measure(problem: Problem, case: Case, n_runs: int) -> Measurement:
     """Search and verify a case several times."""
-    setting = problem.setting(gains=case.gains, parameters=case.parameters)
+    values = problem.values(gains=case.gains, parameters=case.parameters)
     solve_times: list[float] = []
     search_times: list[float] = []
     verification_times: list[float] = []
-    result = find_orbit(problem, setting)
+    result = find_orbit(problem, values)
     certificate = verify(result.unwrap(), problem)
     for _ in range(n_runs):
-        result = find_orbit(problem, setting)
+        result = find_orbit(problem, values)
         solve_times.append(result.solve_time)
         search_times.append(result.wall_time)
         started = time.perf_counter()

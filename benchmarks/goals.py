@@ -24,8 +24,8 @@ class Question:
     """A search.
 
     Attributes:
-        problem: Name of the scene.
-        free: The gains that are free, in the scene's own ranges.
+        problem: Name of the problem.
+        free: The gains that are free, in the problem's own ranges.
         objective: What is asked.
         bounds: What must be kept.
         answered: Whether there is an orbit.
@@ -85,7 +85,7 @@ def asked(question: Question) -> tuple[float, str]:
     started = time.process_time()
     result = search_gains(
         problem,
-        problem.setting(),
+        problem.values(),
         free={name: ranges[name] for name in question.free},
         objective=question.objective,
         bounds=question.bounds,

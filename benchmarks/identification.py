@@ -2,8 +2,8 @@
 
     python benchmarks/identification.py [--seeds 60] [--noise 0.01] [--correlated]
 
-Every seed has its own truth, some per cent from the scene's numbers, its own unknown start and its
-own noise on angles and current; the fit begins at the scene's numbers. With ``--correlated`` the
+Every seed has its own truth, some per cent from the problem's numbers, its own unknown start and its
+own noise on angles and current; the fit begins at the problem's numbers. With ``--correlated`` the
 noise is that of a filtered sensor, which a fit that counts samples as independent gets wrong.
 A share of intervals that hold is given with the range in which it would be in 95 of 100 such
 benchmarks if it were 95 %. Small matrices gain nothing from threads: with OPENBLAS_NUM_THREADS=1
@@ -26,7 +26,7 @@ from zeno_orbits.experiment.recordings.recording import Recording, Signal, Sourc
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.search.closing import close_orbit
 
-SCENE = "motor_pendulum"
+PROBLEM = "motor_pendulum"
 SIGNALS = ("theta1", "theta2", "current")
 SOUGHT = (
     Sought(names=("R",), lower=2.0, upper=4.0),
@@ -34,7 +34,7 @@ SOUGHT = (
     Sought(names=("restitution",), lower=0.0, upper=0.4),
 )
 SPREAD = (0.03, 0.02, 0.05)
-"""How far the truth is from the scene's numbers: relative standard deviations."""
+"""How far the truth is from the problem's numbers: relative standard deviations."""
 CYCLES = 12
 RATE = 250.0
 MEMORY = 8
@@ -61,12 +61,12 @@ def recorded(
 ) -> tuple[Recording, dict[str, float]] | None:
     """Return a recording and its truth, or nothing if there is no orbit at that truth."""
     rng = np.random.default_rng(seed)
-    problem = load_problem(SCENE)
-    truth = dict(problem.setting().parameters)
+    problem = load_problem(PROBLEM)
+    truth = dict(problem.values().parameters)
     for one, spread in zip(SOUGHT, SPREAD, strict=True):
         factor = 1.0 + spread * rng.normal()
         truth |= {name: truth[name] * factor for name in one.names}
-    orbit = close_orbit(problem, problem.setting(parameters=truth)).orbit
+    orbit = close_orbit(problem, problem.values(parameters=truth)).orbit
     if orbit is None:
         return None
     table = table_of(orbit, problem, SIGNALS)
@@ -78,7 +78,7 @@ def recorded(
         Signal(name=name, unit=units[name], values=values[:, k].copy())
         for k, name in enumerate(SIGNALS)
     )
-    recording = Recording(source=Source.SIMULATED, scene=SCENE, time=times, signals=signals)
+    recording = Recording(source=Source.SIMULATED, problem=PROBLEM, time=times, signals=signals)
     return recording, truth
 
 
@@ -89,7 +89,7 @@ def main() -> None:
     parser.add_argument("--noise", type=float, default=0.01)
     parser.add_argument("--correlated", action="store_true")
     options = parser.parse_args()
-    problem = load_problem(SCENE)
+    problem = load_problem(PROBLEM)
     labels = [one.label for one in SOUGHT]
     inside, whole, tried = dict.fromkeys(labels, 0), 0, 0
     scores: dict[str, list[float]] = {label: [] for label in labels}
@@ -105,7 +105,7 @@ def main() -> None:
         began = time.process_time()
         tried += 1
         try:
-            found = identify(problem, problem.setting(), recording, SOUGHT)
+            found = identify(problem, problem.values(), recording, SOUGHT)
         except UnfittableError as error:
             print(f"{seed:4d}  {error}")
             continue

@@ -20,7 +20,7 @@ from scipy.stats import binom
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from identification import CYCLES, RATE, SCENE, SIGNALS, SOUGHT, noise_of
+from identification import CYCLES, PROBLEM, RATE, SIGNALS, SOUGHT, noise_of
 
 from zeno_orbits.experiment.comparison.alignment import aligned
 from zeno_orbits.experiment.identification.folding import folded
@@ -34,7 +34,7 @@ from zeno_orbits.model.library import load_problem
 from zeno_orbits.search.closing import close_orbit
 
 TRUTH = (3.06, 0.0303, 0.207)
-"""Of what is sought; not the scene's numbers, nor round ones."""
+"""Of what is sought; not the problem's numbers, nor round ones."""
 
 
 def main() -> None:
@@ -44,14 +44,14 @@ def main() -> None:
     parser.add_argument("--noise", type=float, default=0.01)
     parser.add_argument("--correlated", action="store_true")
     options = parser.parse_args()
-    problem = load_problem(SCENE)
+    problem = load_problem(PROBLEM)
     names = [name for one in SOUGHT for name in one.names]
     truth = {n: v for one, v in zip(SOUGHT, TRUTH, strict=True) for n in one.names}
-    setting = problem.setting(parameters=truth)
-    table = table_of(close_orbit(problem, setting).unwrap(), problem, SIGNALS)
+    values = problem.values(parameters=truth)
+    table = table_of(close_orbit(problem, values).unwrap(), problem, SIGNALS)
     start = np.array(TRUTH)
     unknowns = Unknowns(
-        base=np.array(setting.values()),
+        base=np.array(values.vector),
         places=tuple(problem.names.index(name) for name in names),
         ties=np.array([[float(name in one.names) for one in SOUGHT] for name in names]),
         start=start,
@@ -65,15 +65,15 @@ def main() -> None:
     for seed in range(options.seeds):
         rng = np.random.default_rng(10_000 + seed)
         times = np.arange(int(CYCLES * table.period * RATE)) / RATE
-        values = table.at(times / table.period + rng.random())
-        extent = np.ptp(values, axis=0)
-        noise = noise_of(rng, values.shape, correlated=options.correlated)
-        values = (values + options.noise * extent * noise).T
-        period = periodicity(times, values)
+        entries = table.at(times / table.period + rng.random())
+        extent = np.ptp(entries, axis=0)
+        noise = noise_of(rng, entries.shape, correlated=options.correlated)
+        entries = (entries + options.noise * extent * noise).T
+        period = periodicity(times, entries)
         if period is None:
             raise RuntimeError(f"No period is seen with seed {seed}.")
-        where = aligned(table, times, values, period, SIGNALS)
-        data = folded(times, values, where).without_jumps(orbits.table(x))
+        where = aligned(table, times, entries, period, SIGNALS)
+        data = folded(times, entries, where).without_jumps(orbits.table(x))
         stage = weighed(orbits, data, period, x)
         jacobian, residuals = stage.jacobian(x), stage.residuals(x)
         step = -np.linalg.lstsq(jacobian, residuals, rcond=None)[0]

@@ -1,4 +1,4 @@
-"""Time a map of the reference scene on one core, and compare it with single simulations.
+"""Time a map of the reference problem on one core, and compare it with single simulations.
 
 The bound is 24 ms a point: 100 x 100 points on two cores in two minutes. Agreement: period and
 release of settled points against one period of a single simulation, fates against a long one.
@@ -19,7 +19,7 @@ from zeno_orbits.errors import RunawayError
 from zeno_orbits.maps.classify import RUNAWAY, attractors_at
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.compiled import bind, compiled_model
-from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.simulation.attractor import Attractor, Fate
 from zeno_orbits.simulation.batch.model import Columns
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
@@ -49,27 +49,27 @@ class TimedColumns:
         Columns.__call__ = timed
 
 
-def settings_of(problem: Problem, size: int) -> list[Setting]:
+def settings_of(problem: Problem, size: int) -> list[ParameterValues]:
     """Return a square grid over the plane of the gains."""
     return [
-        problem.setting(gains={"Kp": float(kp), "Kd": float(kd)})
+        problem.values(gains={"Kp": float(kp), "Kd": float(kd)})
         for kd in np.linspace(-2.0, 0.0, size)
         for kp in np.linspace(1.0, 5.0, size)
     ]
 
 
-def misses(problem: Problem, setting: Setting, found: Attractor) -> tuple[float, float]:
+def misses(problem: Problem, values: ParameterValues, found: Attractor) -> tuple[float, float]:
     """Return by how much period and release state miss those of a single simulation."""
-    dynamics = bind(compiled_model(problem), setting.values())
+    dynamics = bind(compiled_model(problem), values.vector)
     state = np.array([found.state[name] for name in problem.state_names])
     run = simulate(dynamics, state, until=1.5 * found.period)
     back = run.returns(found.period)[found.returns - 1]
     return abs(back.time - found.period), float(np.max(np.abs(back.state - state)))
 
 
-def same_fate(problem: Problem, setting: Setting, found: Attractor) -> bool:
+def same_fate(problem: Problem, values: ParameterValues, found: Attractor) -> bool:
     """Tell whether a long single simulation from the same start ends alike."""
-    dynamics = bind(compiled_model(problem), setting.values())
+    dynamics = bind(compiled_model(problem), values.vector)
     start = problem.state_vector(problem.starts[0])
     try:
         run = simulate(dynamics, start, until=LONG, settings=SimulationSettings(far=RUNAWAY))

@@ -44,13 +44,13 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=15)
     repeats = parser.parse_args().repeats
     problem = load_problem("motor_pendulum")
-    setting = problem.setting()
-    orbit = close_orbit(problem, setting, simulation=SimulationSettings()).unwrap()
+    values = problem.values()
+    orbit = close_orbit(problem, values, simulation=SimulationSettings()).unwrap()
     x, period = np.array(list(orbit.release_state.values())), orbit.period
     scale, horizon = 1.0 + np.abs(x), 2 * period
-    dynamics = bind(compiled_model(problem), setting.values())
+    dynamics = bind(compiled_model(problem), values.vector)
     plain = replace(dynamics, differentiation=None)
-    truth = np.array(extended_orbit(problem, setting, x.tolist(), digits=20).multipliers)
+    truth = np.array(extended_orbit(problem, values, x.tolist(), digits=20).multipliers)
     print(
         f"{'tolerance':>9}  {'what':<34} {'ms':>7} {'ratio':>6}  {'true error':>10} {'claimed':>8}"
     )

@@ -1,7 +1,7 @@
-"""The Zeno periodic orbit of a scene to 25 digits, with an estimate of its own error.
+"""The Zeno periodic orbit of a problem to 25 digits, with an estimate of its own error.
 
 A search in doubles gives the guess; the rest is computed in multiple precision, from the formulas
-of the scene alone. Gains and parameters, calibrated ones too, are exactly the doubles of the
+of the problem alone. Gains and parameters, calibrated ones too, are exactly the doubles of the
 setting: `--set restitution=0.2` means the double next to 0.2.
 """
 
@@ -18,7 +18,7 @@ from decimal import Decimal
 from zeno_orbits.cli.parsing import read_numbers
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.precision.extended_orbit import ExtendedOrbit, extended_orbit
 from zeno_orbits.search.search import find_orbit
 
@@ -49,11 +49,11 @@ def print_orbit(orbit: ExtendedOrbit, digits: int) -> None:
     print(f"time             {orbit.wall_time:.1f} s")
 
 
-def as_data(orbit: ExtendedOrbit, problem: Problem, setting: Setting, digits: int) -> object:
+def as_data(orbit: ExtendedOrbit, problem: Problem, values: ParameterValues, digits: int) -> object:
     """Return the orbit for JSON: decimals as text, doubles exactly as hexadecimal text too."""
     data = asdict(orbit)
     data["multipliers"] = [[m.real, m.imag] for m in orbit.multipliers]
-    exact = {name: value.hex() for name, value in (setting.gains | setting.parameters).items()}
+    exact = {name: value.hex() for name, value in (values.gains | values.parameters).items()}
     return {"problem": problem.name, "digits": digits, "setting": exact, "orbit": data}
 
 
@@ -68,19 +68,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         problem = load_problem(options.problem)
-        setting = problem.setting(
+        values = problem.values(
             gains=read_numbers(options.gain, "gain"), parameters=read_numbers(options.set, "set")
         )
         started = time.process_time()
-        found = find_orbit(problem, setting).unwrap()
+        found = find_orbit(problem, values).unwrap()
         guess = problem.state_vector(found.release_state)
-        orbit = extended_orbit(problem, setting, guess, digits=options.digits)
+        orbit = extended_orbit(problem, values, guess, digits=options.digits)
         processor = time.process_time() - started
     except ZenoOrbitsError as error:
         print(error, file=sys.stderr)
         return 2 if isinstance(error, InputError) else 1
     if options.json:
-        print(json.dumps(as_data(orbit, problem, setting, options.digits), indent=2, default=str))
+        print(json.dumps(as_data(orbit, problem, values, options.digits), indent=2, default=str))
     else:
         print_orbit(orbit, options.digits)
         print(f"processor time   {processor:.1f} s, the search in doubles included")

@@ -2,7 +2,7 @@
 
 Run in the folder of the project, as ``PYTHONPATH=. python3 benchmarks/restitution_near_one.py``.
 
-Every scene starts on its stop with a speed whose tail, under a constant pull, would last equally
+Every problem starts on its stop with a speed whose tail, under a constant pull, would last equally
 long at every restitution. The truth of ball and bead is their closed form; that of the motor
 pendulum is the same sequence impact by impact at a tolerance of 1e-14, so far as it is followed.
 Flights are all that an engine is asked for, those along a curve included; times are medians.
@@ -66,7 +66,7 @@ class Counter:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scene:
+class Problem:
     """A system near a Zeno point, and what is known of it.
 
     Attributes:
@@ -110,32 +110,34 @@ def bead_truth(restitution: float, speed: float) -> Truth:
 def pendulum(restitution: float) -> HybridDynamics:
     """Return the motor pendulum."""
     problem = load_problem("motor_pendulum")
-    setting = problem.setting(parameters={"restitution": restitution})
-    return bind(compile_problem(problem), setting.values())
+    values = problem.values(parameters={"restitution": restitution})
+    return bind(compile_problem(problem), values.vector)
 
 
 ON_DISC = (math.sin(0.2), math.cos(0.2), 0.5 * math.cos(0.2), -0.5 * math.sin(0.2))
 NEAR_ZENO = (1.2, 0.0, 1.7, 0.0, -0.46)
-SCENES = (
-    Scene(
+PROBLEMS = (
+    Problem(
         name="ball of fading weight",
         tail=0.3,
         system=lambda e: fading_ball(10.0, 3.0, e),
         resting=(0.0, 0.0, 0.0, 1.0),
         truth=ball_truth,
     ),
-    Scene(name="bead on a disc", tail=0.1, system=bead_on_disc, resting=ON_DISC, truth=bead_truth),
-    Scene(name="pendulum, 12 L/R", tail=0.008, system=pendulum, resting=NEAR_ZENO),
-    Scene(name="pendulum, 75 L/R", tail=0.05, system=pendulum, resting=NEAR_ZENO),
-    Scene(name="pendulum, 300 L/R", tail=0.2, system=pendulum, resting=NEAR_ZENO),
+    Problem(
+        name="bead on a disc", tail=0.1, system=bead_on_disc, resting=ON_DISC, truth=bead_truth
+    ),
+    Problem(name="pendulum, 12 L/R", tail=0.008, system=pendulum, resting=NEAR_ZENO),
+    Problem(name="pendulum, 75 L/R", tail=0.05, system=pendulum, resting=NEAR_ZENO),
+    Problem(name="pendulum, 300 L/R", tail=0.2, system=pendulum, resting=NEAR_ZENO),
 )
 
 
-def start(scene: Scene, dynamics: HybridDynamics) -> tuple[float, Vector]:
+def start(problem: Problem, dynamics: HybridDynamics) -> tuple[float, Vector]:
     """Return the speed at which a passage starts, and its state."""
-    resting = np.array(scene.resting)
+    resting = np.array(problem.resting)
     pull = -dynamics.gap_acceleration(resting)
-    speed = scene.tail * (1 - dynamics.restitution) * pull / 2
+    speed = problem.tail * (1 - dynamics.restitution) * pull / 2
     return speed, resting + speed * dynamics.impulse_direction(resting)
 
 
@@ -152,16 +154,16 @@ def passage(
     return simulate(dynamics, state, until=until, settings=settings).zeno_points[0]
 
 
-def cost(scene: Scene, restitution: float, *, along: bool, truth: Truth | None, n: int) -> Cost:
+def cost(problem: Problem, restitution: float, *, along: bool, truth: Truth | None, n: int) -> Cost:
     """Measure one way of passing through, with the default tolerances."""
-    dynamics = scene.system(restitution)
-    _, state = start(scene, dynamics)
+    dynamics = problem.system(restitution)
+    _, state = start(problem, dynamics)
     walls: list[float] = []
     for _ in range(n):
         counter = Counter(n_x=len(state))
         rule = ZenoPassage(engine=counter) if along else ZenoExtrapolation()
         started = time.perf_counter()
-        point = passage(dynamics, state, 2 * scene.tail, rule, counter, Tolerance())
+        point = passage(dynamics, state, 2 * problem.tail, rule, counter, Tolerance())
         walls.append(time.perf_counter() - started)
     error = math.nan
     if truth is not None:
@@ -176,29 +178,29 @@ def cost(scene: Scene, restitution: float, *, along: bool, truth: Truth | None, 
     )
 
 
-def known(scene: Scene, restitution: float) -> Truth | None:
+def known(problem: Problem, restitution: float) -> Truth | None:
     """Return the truth, in closed form or impact by impact."""
-    dynamics = scene.system(restitution)
-    speed, state = start(scene, dynamics)
-    if scene.truth is not None:
-        return scene.truth(restitution, speed)
+    dynamics = problem.system(restitution)
+    speed, state = start(problem, dynamics)
+    if problem.truth is not None:
+        return problem.truth(restitution, speed)
     if restitution > MOST_BY_IMPACTS:
         return None
     rule = ZenoExtrapolation(tolerance=1e-13, resolved=1e-5)
-    point = passage(dynamics, state, 2 * scene.tail, rule, Counter(n_x=len(state)), FINE)
+    point = passage(dynamics, state, 2 * problem.tail, rule, Counter(n_x=len(state)), FINE)
     return point.time, point.state
 
 
-def measure(scene: Scene, n: int) -> Iterator[tuple[float, Cost | None, Cost]]:
+def measure(problem: Problem, n: int) -> Iterator[tuple[float, Cost | None, Cost]]:
     """Yield restitution, cost impact by impact, and cost along the curve."""
     for restitution in RESTITUTIONS:
-        sys.stderr.write(f"{scene.name}, e = {restitution}\n")
-        truth = known(scene, restitution)
+        sys.stderr.write(f"{problem.name}, e = {restitution}\n")
+        truth = known(problem, restitution)
         by_impacts = None
         if restitution <= MOST_BY_IMPACTS:
             repeats = n if restitution < 0.99 else 1
-            by_impacts = cost(scene, restitution, along=False, truth=truth, n=repeats)
-        yield restitution, by_impacts, cost(scene, restitution, along=True, truth=truth, n=n)
+            by_impacts = cost(problem, restitution, along=False, truth=truth, n=repeats)
+        yield restitution, by_impacts, cost(problem, restitution, along=True, truth=truth, n=n)
 
 
 def line(restitution: float, by_impacts: Cost | None, along: Cost, first: Cost) -> str:
@@ -220,25 +222,25 @@ def main() -> int:
     options = parser.parse_args()
     met: list[bool] = []
     table: dict[str, list[dict[str, object]]] = {}
-    for scene in SCENES:
-        rows = list(measure(scene, options.repeats))
+    for problem in PROBLEMS:
+        rows = list(measure(problem, options.repeats))
         first = rows[0][2]
         at = next(along for restitution, _, along in rows if restitution == AT)
         met.append(at.flights <= COST_GOAL * first.flights and at.error <= ERROR_GOAL)
-        table[scene.name] = [
+        table[problem.name] = [
             {"e": e, "by_impacts": by and asdict(by), "along": asdict(along)}
             for e, by, along in rows
         ]
         if options.json:
             continue
-        print(f"\n{scene.name}: {'met' if met[-1] else 'NOT met'} at e = {AT}")
+        print(f"\n{problem.name}: {'met' if met[-1] else 'NOT met'} at e = {AT}")
         print(
             f"{'e':>8} |{'flights':>8} {'time':>13} {'error':>8} |{'flights':>7} {'steps':>7} "
             f"{'time':>11} {'error':>9} {'claimed':>9} |  to e = 0.9 (flights, time)"
         )
         print(*(line(*row, first) for row in rows), sep="\n")
     if options.json:
-        print(json.dumps({"met": all(met), "scenes": table}, indent=2))
+        print(json.dumps({"met": all(met), "problems": table}, indent=2))
     return 0 if all(met) else 1
 
 

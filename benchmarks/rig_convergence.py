@@ -180,7 +180,7 @@ def show_portrait(orbit: ZenoOrbit, problem: Problem) -> None:
 
 
 def alone(problem: Problem) -> dict[str, Rig]:
-    """Return rigs with one part each, on a stiff stop, at the scene's numbers; and all of them."""
+    """Return rigs with one part each, on a stiff stop, at the problem's numbers; and all of them."""
     full = default_rig(problem)
     stiff = Rig(contact=Contact(stiffness=1e6))
     bridge, controller, sensors = full.bridge, full.controller, full.sensors
@@ -319,7 +319,7 @@ def main() -> int:
     orbit = (
         read_orbit(options.orbit)
         if options.orbit
-        else close_orbit(problem, problem.setting()).unwrap()
+        else close_orbit(problem, problem.values()).unwrap()
     )
     curve = orbit_curve(orbit, problem)
     sound = True
@@ -359,7 +359,7 @@ def orders(
 
 def normal_inertia(orbit: ZenoOrbit, problem: Problem) -> float:
     """Return the inertia that the impacts of an orbit feel, at its Zeno point."""
-    dynamics = bind(compiled_model(problem), orbit.setting(problem).values())
+    dynamics = bind(compiled_model(problem), orbit.values(problem).vector)
     return dynamics.normal_inertia(np.array(problem.state_vector(orbit.zeno_state)))
 
 

@@ -1,7 +1,7 @@
 """How often a search finds and verifies an orbit of which a simulation says that it exists.
 
 Random motor pendulums: masses and lengths within 40 % of the declared ones, `R` likewise, `L` over
-one and a half decades, `e` from 0 to 0.8, gains over the region where orbits live. A scene counts
+one and a half decades, `e` from 0 to 0.8, gains over the region where orbits live. A problem counts
 if a long simulation of it settles to one Zeno point a period, to 1e-6. Then
 
 * fixed: the search at these gains must find the orbit, and the verifier must pass it;
@@ -26,9 +26,9 @@ from typing import Any
 import numpy as np
 
 from zeno_orbits.errors import InputError, ZenoOrbitsError
-from zeno_orbits.model.library import scene_file
+from zeno_orbits.model.library import locate_problem
 from zeno_orbits.model.numeric.compiled import bind, compiled_model
-from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.orbit import versions
 from zeno_orbits.report.terminal import orbits as report
 from zeno_orbits.search.guess import settle
@@ -42,18 +42,18 @@ BOX = {"Kp": (0.3, 12.0), "Kd": (-2.2, -0.2)}
 
 
 MOST = 8
-"""Random scenes for one with an orbit, at most; about every other one has been found to do."""
+"""Random problems for one with an orbit, at most; about every other one has been found to do."""
 
 
 def pendulum() -> Problem:
-    """Return the scene, the same object every time in one process, and so are its functions."""
-    return scene_file("motor_pendulum").load()
+    """Return the problem, the same object every time in one process, and so are its functions."""
+    return locate_problem("motor_pendulum").load()
 
 
-def random_scenes(seed: int) -> Iterator[dict[str, Any]]:
-    """Yield the numbers of random scenes that the calibration admits, without end."""
+def random_problems(seed: int) -> Iterator[dict[str, Any]]:
+    """Yield the numbers of random problems that the calibration admits, without end."""
     problem = pendulum()
-    declared = problem.setting().parameters
+    declared = problem.values().parameters
     random = np.random.default_rng(seed)
     while True:
         chosen = {
@@ -65,18 +65,18 @@ def random_scenes(seed: int) -> Iterator[dict[str, Any]]:
         gains = {"Kp": random.uniform(0.5, 8.0), "Kd": random.uniform(-1.6, -0.3)}
         off = [float(random.choice([0.7, 1.3])) for _ in gains]
         try:
-            setting = problem.setting(gains=gains, parameters=chosen)
+            values = problem.values(gains=gains, parameters=chosen)
         except InputError:
             continue
         wrong = {name: value * k for (name, value), k in zip(gains.items(), off, strict=True)}
-        yield {"gains": gains, "wrong": wrong, "parameters": dict(setting.parameters)}
+        yield {"gains": gains, "wrong": wrong, "parameters": dict(values.parameters)}
 
 
-def has_orbit(setting: Setting) -> bool:
+def has_orbit(values: ParameterValues) -> bool:
     """Tell whether a long simulation settles to one Zeno point a period."""
     problem = pendulum()
     starts = [problem.state_vector(start) for start in problem.starts]
-    cycle = settle(bind(compiled_model(problem), setting.values()), starts).cycle
+    cycle = settle(bind(compiled_model(problem), values.vector), starts).cycle
     return cycle is not None and cycle.drift(cycle.scale()) < SETTLED
 
 
@@ -88,24 +88,24 @@ def complaint(result: SearchResult) -> str:
     return "" if certificate.passed else certificate.verdict()
 
 
-def judge(scenes: Sequence[dict[str, Any]]) -> list[list[str] | None]:
+def judge(problems: Sequence[dict[str, Any]]) -> list[list[str] | None]:
     """Return the complaints of the fixed and of the free search; ``None`` without an orbit."""
-    return [_judged(scene) for scene in scenes]
+    return [_judged(problem) for problem in problems]
 
 
-def _judged(scene: dict[str, Any]) -> list[str] | None:
+def _judged(problem_file: dict[str, Any]) -> list[str] | None:
     problem = pendulum()
-    setting = Setting(gains=scene["gains"], parameters=scene["parameters"])
-    wrong = Setting(gains=scene["wrong"], parameters=scene["parameters"])
-    if not has_orbit(setting):
+    values = ParameterValues(gains=problem_file["gains"], parameters=problem_file["parameters"])
+    wrong = ParameterValues(gains=problem_file["wrong"], parameters=problem_file["parameters"])
+    if not has_orbit(values):
         return None
-    fixed = complaint(find_orbit(problem, setting))
+    fixed = complaint(find_orbit(problem, values))
     return [fixed, complaint(search_gains(problem, wrong, free=BOX))]
 
 
 def study(options: argparse.Namespace) -> tuple[list[list[str]], int]:
-    """Return the complaints about the scenes with an orbit, and how many scenes were looked at."""
-    scenes = list(itertools.islice(random_scenes(options.seed), MOST * options.scenes))
+    """Return the complaints about the problems with an orbit, and how many problems were looked at."""
+    problems = list(itertools.islice(random_problems(options.seed), MOST * options.problems))
     place = Workers(count=options.workers)
     identity = {
         "work": "search_success",
@@ -122,24 +122,24 @@ def study(options: argparse.Namespace) -> tuple[list[list[str]], int]:
     tried = 0
     with (
         report.Progress(lambda: None) as progress,
-        closing(spread_in_order(judge, scenes, plan)) as found,
+        closing(spread_in_order(judge, problems, plan)) as found,
     ):
-        while len(results) < options.scenes and tried < len(scenes):
+        while len(results) < options.problems and tried < len(problems):
             result = next(found)
             tried += 1
             if isinstance(result, Lost):
                 results.append([result.reason] * 2)
             elif result is not None:
                 results.append(result)
-            done = len(results) / options.scenes
-            progress.tell(f"{len(results)} of {options.scenes} scenes with an orbit", done)
+            done = len(results) / options.problems
+            progress.tell(f"{len(results)} of {options.problems} problems with an orbit", done)
     return results, tried
 
 
 def main() -> int:
     """Run the study and return the exit code."""
     parser = argparse.ArgumentParser(description="How often a search finds and verifies an orbit.")
-    parser.add_argument("--scenes", type=int, default=200, help="scenes with an orbit")
+    parser.add_argument("--problems", type=int, default=200, help="problems with an orbit")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, help="processes; one a core by default")
     parser.add_argument("--scheduler", help="address of a Dask cluster to work on instead")
@@ -151,15 +151,17 @@ def main() -> int:
     except ZenoOrbitsError as error:
         report.print_error(str(error))
         return 2
-    if len(results) < options.scenes:
-        report.print_error(f"only {len(results)} of {tried} random scenes have an orbit")
+    if len(results) < options.problems:
+        report.print_error(f"only {len(results)} of {tried} random problems have an orbit")
         return 1
     failures = [[entry for entry in column if entry] for column in zip(*results, strict=True)]
     rates = [1 - len(column) / len(results) for column in failures]
     if options.json:
-        print(json.dumps({"scenes": len(results), "rates": rates, "failures": failures}, indent=2))
+        print(
+            json.dumps({"problems": len(results), "rates": rates, "failures": failures}, indent=2)
+        )
     else:
-        print(f"{len(results)} scenes with an orbit among {tried} random ones")
+        print(f"{len(results)} problems with an orbit among {tried} random ones")
         for name, rate, column in zip(("fixed", "free"), rates, failures, strict=True):
             print(f"{name:>6}: {100 * rate:5.1f} % found and verified")
             print(*(f"        {entry[:200]}" for entry in column), sep="\n", end="\n")

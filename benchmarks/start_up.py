@@ -18,7 +18,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 MODULES = (
-    *("zeno_orbits", "zeno_orbits.model.problem", "zeno_orbits.simulation.simulator", "zeno_orbits.verification.verifier"),
+    *(
+        "zeno_orbits",
+        "zeno_orbits.model.problem",
+        "zeno_orbits.simulation.simulator",
+        "zeno_orbits.verification.verifier",
+    ),
     *("zeno_orbits.search.search", "zeno_orbits.cli"),
 )
 SEARCH = ("search", "motor_pendulum", "--fix", "Kp=2.5", "--fix", "Kd=-1", "-o")

@@ -1,6 +1,6 @@
 """Time a verified orbit at given gains in a warm process: guess, closing, verification.
 
-Every repetition starts from the numbers of the scene, at gains that change from one to the next;
+Every repetition starts from the numbers of the problem, at gains that change from one to the next;
 nothing is kept but compiled code. A further table certifies the same orbits independently: with
 another engine than they were closed with, and on the model written by hand.
 """
@@ -72,8 +72,8 @@ def measure(
             marks.append((time.perf_counter(), time.process_time()))
 
         mark()
-        setting = problem.setting(gains=gains)
-        orbit = close_orbit(problem, setting, simulation=making, on_progress=mark).unwrap()
+        values = problem.values(gains=gains)
+        orbit = close_orbit(problem, values, simulation=making, on_progress=mark).unwrap()
         mark()
         certificate = verify(orbit, problem, settings=checking)
         mark()

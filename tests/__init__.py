@@ -1,1 +1,1 @@
-"""Tests: one file a module, and scenes whose answers are known in closed form."""
+"""Tests: one file a module, and problems whose answers are known in closed form."""

@@ -1,4 +1,4 @@
-"""What several test modules share: the reference scene, its orbit and the orbit's certificate."""
+"""What several test modules share: the reference problem, its orbit and the orbit's certificate."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ settings.load_profile(os.environ.get("ZENO_ORBITS_EXAMPLES", "repeatable"))
 
 
 @pytest.fixture(scope="session")
-def scene() -> Problem:
+def problem() -> Problem:
     """The motor pendulum."""
     return load_problem("motor_pendulum")
 
 
 @pytest.fixture(scope="session")
-def found(scene: Problem) -> SearchResult:
+def found(problem: Problem) -> SearchResult:
     """The search at the published gains."""
-    return find_orbit(scene, scene.setting())
+    return find_orbit(problem, problem.values())
 
 
 @pytest.fixture(scope="session")
@@ -46,15 +46,15 @@ def orbit(found: SearchResult) -> ZenoOrbit:
 
 
 @pytest.fixture(scope="session")
-def machine(orbit: ZenoOrbit, scene: Problem) -> HybridDynamics:
+def machine(orbit: ZenoOrbit, problem: Problem) -> HybridDynamics:
     """The motor pendulum at the published gains, as numeric functions."""
-    return problem_dynamics(orbit, scene)
+    return problem_dynamics(orbit, problem)
 
 
 @pytest.fixture(scope="session")
-def certificate(orbit: ZenoOrbit, scene: Problem) -> OrbitCertificate:
+def certificate(orbit: ZenoOrbit, problem: Problem) -> OrbitCertificate:
     """The certificate of the orbit at the published gains."""
-    return verify(orbit, scene)
+    return verify(orbit, problem)
 
 
 @pytest.fixture(autouse=True)

@@ -9,7 +9,7 @@ def main() -> int:
     # Matrices are small: threads of linear algebra would only wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
-        from ZZ_orbits import cli
+        from zeno_orbits import cli
 
         return cli.main()
     except KeyboardInterrupt:

@@ -14,14 +14,14 @@ class InputError(ZenoOrbitsError, ValueError):
 
 
 class ProblemFileError(InputError):
-    """A problem file could not be turned into a scene.
+    """A problem file could not be turned into a problem.
 
     Attributes:
         path: The file.
     """
 
     def __init__(self, path: Path, reason: str) -> None:
-        super().__init__(f"Problem file `{path}` must define a scene, but {reason}.")
+        super().__init__(f"Problem file `{path}` must define a problem, but {reason}.")
         self.path = path
 
 

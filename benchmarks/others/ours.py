@@ -1,4 +1,4 @@
-"""zeno_orbits: `simulate` on the compiled scene."""
+"""zeno_orbits: `simulate` on the compiled problem."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ def settings(accuracy: float, engine: Engine | None = None) -> SimulationSetting
 
 
 @cache
-def scene(name: str, rate: float | None = None) -> HybridDynamics:
-    """Return a scene at its numbers, compiled."""
+def problem(name: str, rate: float | None = None) -> HybridDynamics:
+    """Return a problem at its numbers, compiled."""
     problem = load_problem(name)
     parameters = {} if rate is None else work.declared(rate)
-    return bind(compile_problem(problem), problem.setting(parameters=parameters).values())
+    return bind(compile_problem(problem), problem.values(parameters=parameters).vector)
 
 
 def prepare(
     engine: Engine, rate: float, accuracy: float, start: Sequence[float], _locked: bool
 ) -> Callable[[], Motion]:
     """Return the whole motion as a function without arguments."""
-    machine = scene("motor_pendulum", rate)
+    machine = problem("motor_pendulum", rate)
 
     def follow() -> Motion:
         motion = simulate(machine, start, until=HORIZON, settings=settings(accuracy, engine))
@@ -56,7 +56,7 @@ def prepare(
 
 def prepare_ball(accuracy: float) -> Callable[[], float]:
     """Return a function that gives the Zeno time of the ball."""
-    ball = scene("bouncing_ball")
+    ball = problem("bouncing_ball")
 
     def zeno_time() -> float:
         motion = simulate(ball, (work.BALL_HEIGHT, 0.0), until=5.0, settings=settings(accuracy))

@@ -2,7 +2,7 @@
 
 Imports nothing but the standard library, because not every competitor lives in the same Python.
 
-The scene is ``motor_pendulum`` at its reference numbers, the two calibrated ones solved once more
+The problem is ``motor_pendulum`` at its reference numbers, the two calibrated ones solved once more
 (docs/theory.md (10)). Its laws are written here as a user would write them, lean and for plain
 floats; whoever brings another ``sin`` and ``cos`` gets the same laws for symbols.
 """
@@ -25,7 +25,7 @@ ZENO_POINT = (1.236168909791, 0.0, 1.749207992260, 0.0, -0.460250671559)
 """Its Zeno point. The stop holds here whatever the inductance, so the sweep starts here."""
 
 REFERENCE_RATE = 1500.0
-"""``R / L`` of the reference scene [1/s]."""
+"""``R / L`` of the reference problem [1/s]."""
 
 HORIZON = 20.0
 """How long every motion is followed [s]."""
@@ -100,7 +100,7 @@ class Pendulum:
 
 
 def declared(rate: float) -> dict[str, float]:
-    """Return all parameters of the scene at ``R / L = rate`` [1/s], the inductance adapted."""
+    """Return all parameters of the problem at ``R / L = rate`` [1/s], the inductance adapted."""
     p = {"L1": 0.20, "lc1": 0.06, "m1": 0.30, "I1": 0.001, "L2": 0.30, "lc2": 0.15, "m2": 0.10}
     p |= {"I2": 0.00075, "R": 3.0, "L": 3.0 / rate, "restitution": 0.2, "g": 9.81}
     b, c = p["I2"] + p["m2"] * p["lc2"] ** 2, p["m2"] * p["L1"] * p["lc2"]

@@ -1,7 +1,7 @@
 """A double pendulum with a stop at the knee and a DC motor at the shoulder (paper, section IV).
 
 The paper publishes two numbers of its machine, the coefficients of Theorem 1's acceleration
-``d2h/dt2 = -2.92437 i - 27.5697 sin(theta1)``, and no masses or lengths. This scene declares a
+``d2h/dt2 = -2.92437 i - 27.5697 sin(theta1)``, and no masses or lengths. This problem declares a
 set of plausible ones and solves the rotor inertia and the torque constant for the two numbers.
 """
 

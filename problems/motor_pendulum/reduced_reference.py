@@ -31,7 +31,7 @@ from zeno_orbits.integrators.flow import PlainFlow, plain_flight
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 
 if TYPE_CHECKING:
-    from zeno_orbits.model.problem import Setting
+    from zeno_orbits.model.problem import ParameterValues
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,9 +122,9 @@ class Pendulum:
         return kinetic - self.g * (self.D * math.cos(theta1) + self.E * math.cos(theta1 + theta2))
 
 
-def pendulum(setting: Setting) -> Pendulum:
+def pendulum(values: ParameterValues) -> Pendulum:
     """Return the reduced pendulum of a setting, its inductance folded in."""
-    p, kp, kd = setting.parameters, setting.gains["Kp"], setting.gains["Kd"]
+    p, kp, kd = values.parameters, values.gains["Kp"], values.gains["Kd"]
     inductance = p.get("L", 0.0)
     bare = p["I1"] + p["m1"] * p["lc1"] ** 2 + p["m2"] * p["L1"] ** 2 + p["J_rotor"]
     heavy = bare - p["K_torque"] * (kd + p["K_emf"]) * inductance / p["R"] ** 2
@@ -147,13 +147,13 @@ def pendulum(setting: Setting) -> Pendulum:
     )
 
 
-def dynamics(setting: Setting) -> HybridDynamics:
+def dynamics(values: ParameterValues) -> HybridDynamics:
     """Return the hand-written reduced pendulum as numeric functions of the state.
 
     Args:
-        setting: Numbers for every gain and parameter of the reduced scene.
+        setting: Numbers for every gain and parameter of the reduced problem.
     """
-    machine = pendulum(setting)
+    machine = pendulum(values)
     return HybridDynamics(
         state_names=("theta1", "theta2", "dtheta1", "dtheta2"),
         n_q=2,

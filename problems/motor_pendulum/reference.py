@@ -30,7 +30,7 @@ from zeno_orbits.integrators.flow import PlainFlow, plain_flight
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 
 if TYPE_CHECKING:
-    from zeno_orbits.model.problem import Setting
+    from zeno_orbits.model.problem import ParameterValues
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -189,9 +189,9 @@ class Pendulum:
         return kinetic - self.g * height + self.inductance * current**2 / 2
 
 
-def pendulum(setting: Setting) -> Pendulum:
+def pendulum(values: ParameterValues) -> Pendulum:
     """Return the pendulum of a setting: lengths and masses gathered into the letters."""
-    p, gains = setting.parameters, setting.gains
+    p, gains = values.parameters, values.gains
     return Pendulum(
         A=p["I1"] + p["m1"] * p["lc1"] ** 2 + p["m2"] * p["L1"] ** 2 + p["J_rotor"],
         B=p["I2"] + p["m2"] * p["lc2"] ** 2,
@@ -209,15 +209,15 @@ def pendulum(setting: Setting) -> Pendulum:
     )
 
 
-def dynamics(setting: Setting) -> HybridDynamics:
+def dynamics(values: ParameterValues) -> HybridDynamics:
     """Return the hand-written pendulum as numeric functions of the state.
 
     ``multiplier_rate`` holds on the stop only, which is where a simulator asks for it.
 
     Args:
-        setting: Numbers for every gain and parameter of the scene.
+        setting: Numbers for every gain and parameter of the problem.
     """
-    machine = pendulum(setting)
+    machine = pendulum(values)
     return HybridDynamics(
         state_names=("theta1", "theta2", "dtheta1", "dtheta2", "current"),
         n_q=2,

@@ -107,7 +107,7 @@ def _orbit(searched: tuple[Answer, Path], here: Path) -> Path:
 
 @pytest.fixture(name="formulas", scope="module", autouse=True)
 def _formulas() -> Any:
-    """Let SymPy simplify the acceleration of each scene once, not in every test."""
+    """Let SymPy simplify the acceleration of each problem once, not in every test."""
     known: dict[str, Any] = {}
     simplify = symbolic.equilibrium_acceleration
 
@@ -134,13 +134,13 @@ def raising(error: BaseException) -> Callable[..., NoReturn]:
 
 
 @pytest.mark.parametrize("name", sorted(bundled_problems()))
-def test_problems_lists_every_scene_with_its_gains(name: str) -> None:
+def test_problems_lists_every_problem_with_its_gains(name: str) -> None:
     assert name in ask("problems").out
     entry = next(entry for entry in ask("problems", "--json").data if entry["name"] == name)
-    scene = load_problem(name)
-    assert list(entry["gains"]) == [gain.name for gain in scene.gains]
-    assert list(entry["states"]) == list(scene.state_names)
-    assert entry["parameters"] == dict(scene.setting().parameters)
+    problem = load_problem(name)
+    assert list(entry["gains"]) == [gain.name for gain in problem.gains]
+    assert list(entry["states"]) == list(problem.state_names)
+    assert entry["parameters"] == dict(problem.values().parameters)
 
 
 def test_conditions_shows_the_two_published_coefficients() -> None:
@@ -223,7 +223,7 @@ def test_search_at_the_published_gains_finds_the_orbit_and_writes_what_it_prints
     assert {"python", "casadi", "numpy", "scipy"} <= set(answer.data["versions"])
 
 
-def test_search_with_free_gains_finds_the_orbit_nearest_to_the_scenes_own(here: Path) -> None:
+def test_search_with_free_gains_finds_the_orbit_nearest_to_the_problems_own(here: Path) -> None:
     answer = ask("search", "motor_pendulum", "-o", "found.json")
     assert answer.code == YES
     assert "The search found an orbit." in answer.out
@@ -434,8 +434,8 @@ def test_pictures_that_cannot_all_be_drawn_are_none(orbit_data: dict[str, Any], 
     assert not (here / "pictures").exists()
 
 
-def test_a_new_scene_may_not_take_the_name_of_another(here: Path) -> None:
-    """An orbit file tells its scene by this name."""
+def test_a_new_problem_may_not_take_the_name_of_another(here: Path) -> None:
+    """An orbit file tells its problem by this name."""
     assert_refused(ask("new", "motor_pendulum"), "`name`", "`motor_pendulum` is one")
     assert contents(here) == {}
 
@@ -459,8 +459,8 @@ def error_said(answer: Answer) -> float:
 def _exact() -> ExtendedOrbit:
     """The orbit at the published gains, to 25 digits."""
     pytest.importorskip("heyoka")
-    scene = load_problem("motor_pendulum")
-    return extended_orbit(scene, scene.setting(), RELEASE)
+    problem = load_problem("motor_pendulum")
+    return extended_orbit(problem, problem.values(), RELEASE)
 
 
 def orbit_miss(data: Mapping[str, Any], exact: ExtendedOrbit) -> float:
@@ -611,7 +611,7 @@ def test_numbers_that_no_parameter_can_be_derived_from_are_misuse() -> None:
 
 
 @pytest.mark.parametrize("name", ["a" * 5000, "a\0b"])
-def test_a_name_that_no_file_can_have_is_no_scene(name: str) -> None:
+def test_a_name_that_no_file_can_have_is_no_problem(name: str) -> None:
     answer = ask("simulate", name)
     assert_refused(answer, "`problem` must be one of")
     assert "internal" not in answer.err
@@ -681,10 +681,10 @@ def test_trade_writes_what_it_prints_and_draws_it(here: Path) -> None:
     assert sorted(contents(here)) == ["trade.json", "trade.png"]
 
 
-@pytest.mark.parametrize("scene", ["bouncing_ball", "motor_pendulum", "motor_pendulum@corrected"])
+@pytest.mark.parametrize("problem", ["bouncing_ball", "motor_pendulum", "motor_pendulum@corrected"])
 @pytest.mark.slow
-def test_trade_shows_the_cheapest_setting_of_each_accuracy(scene: str) -> None:
-    answer = ask("trade", scene, "--quick", "--until", "4.5")
+def test_trade_shows_the_cheapest_values_of_each_accuracy(problem: str) -> None:
+    answer = ask("trade", problem, "--quick", "--until", "4.5")
     assert answer.code == YES
     for words in ("cheapest setting", "SciPy LSODA", "plastic below", "Truth:", "Work: 4.5 s"):
         assert words in answer.out
@@ -711,7 +711,7 @@ def test_an_interrupted_trade_writes_nothing(
     assert contents(here) == {}
 
 
-# ------------------------------------------------------------------- scenes by their file
+# ------------------------------------------------------------------- problems by their file
 
 
 @pytest.fixture(name="machine")
@@ -728,13 +728,13 @@ def _machine(tmp_path: Path) -> Path:
     return Path("..") / "elsewhere" / "my_machine.py"
 
 
-def test_a_scene_of_ones_own_is_simulated_by_its_path(machine: Path) -> None:
+def test_a_problem_of_ones_own_is_simulated_by_its_path(machine: Path) -> None:
     answer = ask("simulate", machine, "--until", "1", "--json")
     assert answer.code == YES
     assert answer.data["problem"] == "my_machine"
 
 
-def test_a_scene_of_ones_own_is_searched_verified_and_drawn(machine: Path, here: Path) -> None:
+def test_a_problem_of_ones_own_is_searched_verified_and_drawn(machine: Path, here: Path) -> None:
     found = ask("search", machine, *PUBLISHED_GAINS, "-o", "mine.json", "--json")
     assert found.code == YES
     assert found.data["problem"] == "my_machine"
@@ -776,14 +776,14 @@ BAD_ARGUMENTS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "no command": ((), ("COMMAND",)),
     "unknown command": (("frobnicate",), ("frobnicate", "search")),
     "unknown option": (("problems", "--frobnicate"), ("--frobnicate",)),
-    "no scene": (("simulate",), ("PROBLEM",)),
-    "unknown scene": (("search", "pendulum"), ("`pendulum`", "motor_pendulum")),
-    "unknown scene, conditions": (("conditions", "pendulum"), ("`pendulum`", "motor_pendulum")),
+    "no problem": (("simulate",), ("PROBLEM",)),
+    "unknown problem": (("search", "pendulum"), ("`pendulum`", "motor_pendulum")),
+    "unknown problem, conditions": (("conditions", "pendulum"), ("`pendulum`", "motor_pendulum")),
     "unknown parameter": (simulating("--set", "m3=1"), ("`m3`", "m2")),
     "unknown gain": (simulating("--gain", "Ki=1"), ("`Ki`", "Kp")),
     "unknown gain to search": (searching("--gain", "Ki=1:2"), ("`Ki`", "Kp")),
     "unknown gain to fix": (searching("--fix", "Ki=1"), ("`Ki`", "Kp")),
-    "gain of a scene without gains": (("simulate", "bouncing_ball", "--gain", "Kp=1"), ("`Kp`",)),
+    "gain of a problem without gains": (("simulate", "bouncing_ball", "--gain", "Kp=1"), ("`Kp`",)),
     "gain fixed and searched": (searching("--fix", "Kp=2", "--gain", "Kp=1:3"), ("`gain`", "Kp")),
     "gain not a number": (searching("--fix", "Kp=abc"), ("`Kp`", "`abc`")),
     "gain not finite": (searching("--fix", "Kp=inf"), ("`Kp`", "finite")),
@@ -929,8 +929,8 @@ BAD_ARGUMENTS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "orbit file missing": (("verify", "none.json"), ("`none.json`", "read")),
     "orbit file missing, plot": (("plot", "none.json", "-o", "pictures"), ("`none.json`", "read")),
     "orbit file a folder": (("verify", "."), ("Orbit file", "read")),
-    "scene file missing": (("simulate", "none.py"), ("`none.py`",)),
-    "scene a folder without model": (("simulate", "."), ("model.py",)),
+    "problem file missing": (("simulate", "none.py"), ("`none.py`",)),
+    "problem a folder without model": (("simulate", "."), ("model.py",)),
 }
 
 
@@ -1051,11 +1051,11 @@ def _bad_restitution(data: dict[str, Any]) -> Any:
     return {**data, "parameters": {**data["parameters"], "restitution": 1.2}}
 
 
-def _other_scene(data: dict[str, Any]) -> Any:
+def _other_problem(data: dict[str, Any]) -> Any:
     return {**data, "problem": "bouncing_ball"}
 
 
-def _unknown_scene(data: dict[str, Any]) -> Any:
+def _unknown_problem(data: dict[str, Any]) -> Any:
     return {**data, "problem": "flying_machine"}
 
 
@@ -1082,8 +1082,8 @@ def _single_multiplier(data: dict[str, Any]) -> Any:
         (_missing_gain, ("Kd",)),
         (_unknown_parameter, ("m3",)),
         (_bad_restitution, ("`restitution`", "1.2")),
-        (_other_scene, ()),
-        (_unknown_scene, ("`flying_machine`",)),
+        (_other_problem, ()),
+        (_unknown_problem, ("`flying_machine`",)),
         (_single_multiplier, ("`floquet_multipliers`",)),
     ],
 )
@@ -1117,7 +1117,7 @@ def test_an_orbit_file_that_is_not_text_is_refused(here: Path) -> None:
     ids=["raises", "syntax", "import", "type", "empty", "exits"],
 )
 @pytest.mark.parametrize("command", ["simulate", "search", "conditions"])
-def test_a_scene_file_that_defines_no_scene_is_refused(
+def test_a_problem_file_that_defines_no_problem_is_refused(
     text: str, words: tuple[str, ...], command: str, here: Path
 ) -> None:
     (here / "scene.py").write_text(text)
@@ -1126,9 +1126,9 @@ def test_a_scene_file_that_defines_no_scene_is_refused(
     assert contents(here) == before
 
 
-def test_a_scene_file_that_is_no_python_is_refused(here: Path) -> None:
-    (here / "scene.txt").write_text("PROBLEM = None\n")
-    assert_refused(ask("simulate", "scene.txt"), "`scene.txt`", "Python")
+def test_a_problem_file_that_is_no_python_is_refused(here: Path) -> None:
+    (here / "problem.txt").write_text("PROBLEM = None\n")
+    assert_refused(ask("simulate", "problem.txt"), "`problem.txt`", "Python")
 
 
 @pytest.mark.parametrize(
@@ -1293,7 +1293,9 @@ def test_an_interrupted_search_says_so_and_writes_nothing(
 
 
 def test_an_unexpected_error_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("zeno_orbits.model.problem.load_problem", raising(RuntimeError("two\nlines")))
+    monkeypatch.setattr(
+        "zeno_orbits.model.library.load_problem", raising(RuntimeError("two\nlines"))
+    )
     answer = ask("simulate", "motor_pendulum")
     assert_refused(answer, "internal error", "RuntimeError: two lines", "--debug")
 
@@ -1301,7 +1303,9 @@ def test_an_unexpected_error_is_one_line(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_debug_shows_where_an_error_comes_from(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ValueError, match="pendulum"):
         main(["simulate", "pendulum", "--debug"])
-    monkeypatch.setattr("zeno_orbits.model.problem.load_problem", raising(RuntimeError("deep inside")))
+    monkeypatch.setattr(
+        "zeno_orbits.model.library.load_problem", raising(RuntimeError("deep inside"))
+    )
     with pytest.raises(RuntimeError, match="deep inside"):
         main(["simulate", "motor_pendulum", "--debug"])
 

@@ -70,7 +70,7 @@ def test_a_family_is_written_printed_and_drawn(
 def test_a_family_starts_at_an_orbit_file_and_prints_json(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    orbit = close_orbit(PENDULUM, PENDULUM.setting()).unwrap()
+    orbit = close_orbit(PENDULUM, PENDULUM.values()).unwrap()
     file = tmp_path / "orbit.json"
     write_orbit(orbit, file)
     words = ["continue", "motor_pendulum", "--from", str(file), "--in", "Kp=2.4:2.6", "--json"]
@@ -186,7 +186,9 @@ def test_giving_up_is_an_answer_of_no(
 ) -> None:
     lost = replace(family(Kind.GAVE_UP).last, detail="the tangent turns too fast")
     found = Continuation(families=(replace(family(Kind.BOUND), last=lost),))
-    monkeypatch.setattr("zeno_orbits.continuation.continuation.continue_impacts", lambda *_, **__: found)
+    monkeypatch.setattr(
+        "zeno_orbits.continuation.continuation.continue_impacts", lambda *_, **__: found
+    )
     assert main(["continue", *IMPACTS, "--in", "A=0.5:1.1"]) == 1
     told = capsys.readouterr().out
     assert "gave up: the tangent turns too fast" in told
@@ -198,7 +200,7 @@ def test_an_example_of_the_help_runs(
     number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    write_orbit(close_orbit(PENDULUM, PENDULUM.setting()).unwrap(), tmp_path / "orbit.json")
+    write_orbit(close_orbit(PENDULUM, PENDULUM.values()).unwrap(), tmp_path / "orbit.json")
     shown = examples("continue")
     assert len(shown) == 4
     answer = ask(*shown[number])

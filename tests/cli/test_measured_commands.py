@@ -39,7 +39,7 @@ def folder(
 def test_simulated_data_say_that_they_are(folder: Path) -> None:
     found = read_recording(folder / "data.csv")
     assert found.source is Source.SIMULATED
-    assert found.scene == "motor_pendulum"
+    assert found.problem == "motor_pendulum"
     assert dict(found.notes) == {"noise": "0.001", "seed": "0"}
     assert len(found.time) == 28 * 200 + 1
 

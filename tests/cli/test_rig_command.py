@@ -71,7 +71,7 @@ def test_what_the_computer_reads_is_written_as_a_recording(file: Path, tmp_path:
     assert f"Written: {written}" in answer.out.replace("\n", "")
     recording = read_recording(written)
     assert recording.source is Source.SIMULATED
-    assert recording.scene == "motor_pendulum"
+    assert recording.problem == "motor_pendulum"
     assert recording.notes["seed"] == "4"
     assert recording.names == ("theta1", "theta2", "current")
     # A cycle at 1 kHz.
@@ -82,7 +82,7 @@ def test_what_the_computer_reads_is_written_as_a_recording(file: Path, tmp_path:
     assert again.read_bytes() == written.read_bytes()
 
 
-def test_a_scene_runs_from_a_start_and_lists_its_contacts(tmp_path: Path) -> None:
+def test_a_problem_runs_from_a_start_and_lists_its_contacts(tmp_path: Path) -> None:
     written = tmp_path / "run.csv"
     answer = ask(
         *("rig", "bouncing_ball", "--set", "restitution=0.5", "--part", "contact.stiffness=1e6"),
@@ -154,7 +154,7 @@ def test_the_orbit_that_is_read_is_not_written_over(file: Path) -> None:
     assert file.read_bytes() == before
 
 
-def test_files_that_are_no_orbits_and_scenes_that_are_none_are_refused(tmp_path: Path) -> None:
+def test_files_that_are_no_orbits_and_problems_that_are_none_are_refused(tmp_path: Path) -> None:
     assert refused(ask("rig", tmp_path / "no.json"), "must hold a Zeno orbit")
     assert refused(ask("rig", "no_scene"), "`problem` must be one of")
     ball = ("rig", "bouncing_ball")

@@ -25,37 +25,37 @@ NOTHING = SearchResult(
 )
 
 
-def test_a_number_a_hundred_times_off_the_scenes_own_is_far_and_one_just_nearer_is_not(
-    scene: Problem,
+def test_a_number_a_hundred_times_off_the_problems_own_is_far_and_one_just_nearer_is_not(
+    problem: Problem,
 ) -> None:
-    own = scene.setting()
-    assert far_from_own(scene, own) == []
+    own = problem.values()
+    assert far_from_own(problem, own) == []
     for factor, far in ((1000.0, True), (100.0, True), (99.0, False), (0.011, False), (1e-3, True)):
         for name in ("R", "Kd"):
             given = own.number(name) * factor
-            told = far_from_own(scene, own.replaced({name: given}))
+            told = far_from_own(problem, own.replaced({name: given}))
             assert len(told) == far
             if far:
                 assert told[0].startswith(f"`{name}` is {given:g} ")
-                assert f"{factor:g} times the scene's own {own.number(name):g}" in told[0]
+                assert f"{factor:g} times the problem's own {own.number(name):g}" in told[0]
 
 
-def test_zero_is_not_taken_for_a_mistaken_unit(scene: Problem) -> None:
-    assert far_from_own(scene, scene.setting().replaced({"restitution": 0.0, "Kp": 0.0})) == []
+def test_zero_is_not_taken_for_a_mistaken_unit(problem: Problem) -> None:
+    assert far_from_own(problem, problem.values().replaced({"restitution": 0.0, "Kp": 0.0})) == []
 
 
 @pytest.mark.parametrize("as_json", [False, True])
 def test_a_search_that_fails_names_the_numbers_that_may_be_in_another_unit(
-    scene: Problem, capsys: pytest.CaptureFixture[str], *, as_json: bool
+    problem: Problem, capsys: pytest.CaptureFixture[str], *, as_json: bool
 ) -> None:
-    far = far_from_own(scene, scene.setting().replaced({"R": 3000.0}))
+    far = far_from_own(problem, problem.values().replaced({"R": 3000.0}))
     options = argparse.Namespace(json=as_json)
-    assert answer(options, scene, NOTHING, None, (), (), far) == 1
+    assert answer(options, problem, NOTHING, None, (), (), far) == 1
     said = capsys.readouterr().out
-    sentence = "`R` is 3000 ohm, 1000 times the scene's own 3 ohm: is that its unit?"
+    sentence = "`R` is 3000 ohm, 1000 times the problem's own 3 ohm: is that its unit?"
     if as_json:
         assert json.loads(said)["far"] == [sentence]
     else:
         assert sentence in said
-        assert answer(options, scene, NOTHING, None, (), ()) == 1
+        assert answer(options, problem, NOTHING, None, (), ()) == 1
         assert "unit" not in capsys.readouterr().out

@@ -42,20 +42,20 @@ SETTINGS = SimulationSettings()
 
 def pendulum(**numbers: float) -> HybridDynamics:
     gains = {name: numbers.pop(name) for name in ("Kp", "Kd") if name in numbers}
-    setting = PENDULUM.setting(gains=gains, parameters=numbers)
-    return bind(compiled_model(PENDULUM), setting.values())
+    values = PENDULUM.values(gains=gains, parameters=numbers)
+    return bind(compiled_model(PENDULUM), values.vector)
 
 
 @cache
 def pendulum_orbit(**numbers: float) -> ZenoOrbit:
     gains = {name: numbers[name] for name in ("Kp", "Kd") if name in numbers}
     rest = {name: value for name, value in numbers.items() if name not in gains}
-    return start_orbit(PENDULUM, PENDULUM.setting(gains=gains, parameters=rest))
+    return start_orbit(PENDULUM, PENDULUM.values(gains=gains, parameters=rest))
 
 
 @cache
 def oscillator_orbit(**numbers: float) -> ZenoOrbit:
-    return start_orbit(OSCILLATOR, OSCILLATOR.setting(parameters=numbers))
+    return start_orbit(OSCILLATOR, OSCILLATOR.values(parameters=numbers))
 
 
 def only(continuation_families: tuple[Family, ...]) -> Family:
@@ -146,8 +146,8 @@ def test_close_to_the_end_of_the_locked_arc_the_family_is_right_to_many_digits()
     orbit, value = pendulum_orbit(restitution=0.41), 0.41678
     point = only(continue_orbit(PENDULUM, orbit, "restitution", (0.4, value)).families).points[-1]
     assert point.margins["locked time"] < 2e-3
-    setting = PENDULUM.setting(parameters={"restitution": value})
-    exact = extended_orbit(PENDULUM, setting, list(point.state.values()), digits=15)
+    values = PENDULUM.values(parameters={"restitution": value})
+    exact = extended_orbit(PENDULUM, values, list(point.state.values()), digits=15)
     assert point.period == pytest.approx(float(exact.period), abs=1e-10)
     for one, other in zip(point.state.values(), exact.release_state, strict=True):
         assert one == pytest.approx(float(other), abs=1e-9)
@@ -190,8 +190,8 @@ def linear_growth(kd: float) -> float:
     The mechanism is written anew to second order about the hanging position: constant inertia,
     quadratic potential. Its return map is homogeneous, so one factor says it all.
     """
-    setting = PENDULUM.setting(gains={"Kd": kd})
-    n = {**setting.gains, **setting.parameters}
+    values = PENDULUM.values(gains={"Kd": kd})
+    n = {**values.gains, **values.parameters}
     q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
     rate1, rate2 = v[0], v[0] + v[1]
     inertia = n["I1"] + n["J_rotor"] + n["m1"] * n["lc1"] ** 2
@@ -294,15 +294,15 @@ def test_a_range_that_is_none_is_refused(
         continue_orbit(PENDULUM, pendulum_orbit(), parameter, box)
 
 
-def test_an_orbit_of_another_scene_and_one_that_does_not_close_are_refused() -> None:
-    with pytest.raises(InputError, match="must be of scene `motor_pendulum`"):
+def test_an_orbit_of_another_problem_and_one_that_does_not_close_are_refused() -> None:
+    with pytest.raises(InputError, match="must be of problem `motor_pendulum`"):
         continue_orbit(PENDULUM, oscillator_orbit(), "Kd", (-2.0, 0.0))
-    closing = close_orbit(PENDULUM, PENDULUM.setting())
+    closing = close_orbit(PENDULUM, PENDULUM.values())
     orbit = closing.unwrap()
     cycle = close_cycle(
         pendulum(), np.array(RELEASE), scale=SCALE, period=1.8, settings=SETTINGS
     ).cycle
-    again = orbit_of(cycle, PENDULUM, PENDULUM.setting())
+    again = orbit_of(cycle, PENDULUM, PENDULUM.values())
     assert again.period == pytest.approx(orbit.period, abs=1e-10)
 
 
@@ -311,8 +311,8 @@ def test_derived_numbers_are_held_when_another_one_changes() -> None:
     family = only(continue_orbit(PENDULUM, orbit, "L1", (0.198, 0.202)).families)
     assert family.parameters["J_rotor"] == orbit.parameters["J_rotor"]
     # Calibrated anew the pendulum would be another one, with another orbit.
-    follow = PENDULUM.setting(parameters={"L1": 0.202})
-    held = PENDULUM.setting(
+    follow = PENDULUM.values(parameters={"L1": 0.202})
+    held = PENDULUM.values(
         parameters={**orbit.parameters, "L1": 0.202},
     )
     assert follow.parameters["J_rotor"] != held.parameters["J_rotor"]

@@ -27,9 +27,9 @@ STATE = (0.0, -VELOCITY, math.cos(PHASE), math.sin(PHASE))
 
 
 def track_in(parameter: str, box: tuple[float, float], **numbers: float) -> Track:
-    setting = OSCILLATOR.setting(parameters={**COCO, **numbers})
+    values = OSCILLATOR.values(parameters={**COCO, **numbers})
     course = Course(
-        setting=setting,
+        values=values,
         parameter=parameter,
         box=box,
         section=ImpactReturns,
@@ -98,10 +98,10 @@ def test_longer_steps_find_the_same_points() -> None:
 
 
 def test_a_flip_throws_off_the_branch_of_twice_the_period() -> None:
-    setting = OSCILLATOR.setting(parameters={**COCO, "stop": 0.0, "omega": 2.5})
+    values = OSCILLATOR.values(parameters={**COCO, "stop": 0.0, "omega": 2.5})
     found = continue_impacts(
         OSCILLATOR,
-        setting,
+        values,
         OSCILLATOR.state_vector({"speed": 1.0, "cosine": 1.0}),
         "omega",
         (2.3, 2.75),
@@ -146,11 +146,11 @@ def test_numbers_of_steps_and_giving_up_are_named_results() -> None:
 
 
 def test_a_motion_that_rests_on_the_stop_has_no_family_of_impacts() -> None:
-    setting = OSCILLATOR.setting(parameters={"A": 0.5})
+    values = OSCILLATOR.values(parameters={"A": 0.5})
     with pytest.raises((SimulationError, InputError)):
         continue_impacts(
             OSCILLATOR,
-            setting,
+            values,
             OSCILLATOR.state_vector({"speed": 1.0, "cosine": 1.0}),
             "A",
             (0.4, 0.6),

@@ -35,7 +35,7 @@ LONG = Steps(first=0.1, longest=0.3)
 
 
 def family_in_the_force(box: tuple[float, float], steps: Steps, **numbers: float) -> Family:
-    orbit = start_orbit(OSCILLATOR, OSCILLATOR.setting(parameters=numbers))
+    orbit = start_orbit(OSCILLATOR, OSCILLATOR.values(parameters=numbers))
     settings = ContinuationSettings(steps=steps)
     (family,) = continue_orbit(OSCILLATOR, orbit, "A", box, settings=settings).families
     return family
@@ -191,7 +191,7 @@ def test_an_end_at_which_two_things_happen_says_both() -> None:
 @cache
 def plastic() -> tuple[Track, Branch]:
     """Return the oscillator's family with plastic impacts, down to its end in the force."""
-    orbit = start_orbit(OSCILLATOR, OSCILLATOR.setting(parameters={"restitution": 0.0}))
+    orbit = start_orbit(OSCILLATOR, OSCILLATOR.values(parameters={"restitution": 0.0}))
     track = track_of(OSCILLATOR, orbit, "A", (0.7, 1.5), ContinuationSettings())
     x = np.array(OSCILLATOR.state_vector(orbit.release_state))
     start = first_point(track.returns, track.metric, x, 1.0, rising=False)
@@ -275,7 +275,7 @@ def test_a_curve_of_ends_is_not_followed_along_ends_of_another_name() -> None:
         names=("A", "stop"),
         places=(names.index("A"), names.index("stop")),
         box=np.array([(0.7, 1.5), (-0.82, -0.78)]),
-        p=np.array(track.course.setting.values()),
+        p=np.array(track.course.values.vector),
         restitution=names.index("restitution"),
     )
 

@@ -32,7 +32,7 @@ from zeno_orbits.continuation.parallel import Crew, Direction, Dispatch, Half
 from zeno_orbits.continuation.setup import ContinuationSettings, track_of
 from zeno_orbits.continuation.two_parameters.plane import CurveSteps
 from zeno_orbits.errors import CheckpointError, InputError, SimulationError, WorkError
-from zeno_orbits.model.library import load_problem, scene_file
+from zeno_orbits.model.library import load_problem, locate_problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.report.terminal import orbits as report
 from zeno_orbits.work import Cluster, Lost, Plan, Workers, open_pool
@@ -41,9 +41,9 @@ from zeno_orbits.work.serialization import plain
 
 YES, MISUSE, INTERRUPTED = 0, 2, 130
 CORES = int(joblib.cpu_count())
-SCENE = "forced_oscillator"
+PROBLEM = "forced_oscillator"
 IMPACTS = (
-    *("continue", SCENE, "--section", "impact", "--set", "c=0.1", "--set", "stop=1"),
+    *("continue", PROBLEM, "--section", "impact", "--set", "c=0.1", "--set", "stop=1"),
     *("--set", "restitution=0.8", "--start", "speed=1", "--start", "cosine=1"),
 )
 NEAR = (*IMPACTS, "--in", "A=0.8:1.1", "--steps", "12")
@@ -67,8 +67,8 @@ def _kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any
 
 
 def oscillator() -> tuple[Any, ZenoOrbit]:
-    problem = scene_file(SCENE).load()
-    return problem, start_orbit(problem, problem.setting())
+    problem = locate_problem(PROBLEM).load()
+    return problem, start_orbit(problem, problem.values())
 
 
 def crewed(place: Workers | Cluster | None, folder: Path | None = None) -> Any:
@@ -85,7 +85,7 @@ def crewed(place: Workers | Cluster | None, folder: Path | None = None) -> Any:
         return continue_orbit_in_two(*asked, **told)
     with open_pool(place) as pool:
         crew = Crew(
-            scene=scene_file(SCENE),
+            problem_file=locate_problem(PROBLEM),
             plan=Plan(place=place, checkpoint=folder),
             pool=pool,
             tell=lambda *_: None,
@@ -139,7 +139,7 @@ def test_a_family_and_half_a_curve_pass_through_json_with_every_bit() -> None:
 
 def test_a_curve_that_closes_has_no_second_half() -> None:
     here = Dispatch(
-        problem=load_problem(SCENE), settings=ContinuationSettings(), tell=lambda *_: None
+        problem=load_problem(PROBLEM), settings=ContinuationSettings(), tell=lambda *_: None
     )
 
     class Loop:
@@ -315,16 +315,18 @@ def test_a_place_that_cannot_be_had_is_refused_and_the_checkpoint_left_untouched
     assert contents(folder) == before
 
 
-def test_a_scene_that_workers_would_not_see_is_refused(tmp_path: Path) -> None:
+def test_a_problem_that_workers_would_not_see_is_refused(tmp_path: Path) -> None:
     problem, orbit = oscillator()
     with open_pool(Workers(count=1)) as pool:
         crew = Crew(
-            scene=scene_file("bouncing_ball"),
+            problem_file=locate_problem("bouncing_ball"),
             plan=Plan(checkpoint=tmp_path / "kept"),
             pool=pool,
             tell=lambda *_: None,
         )
-        with pytest.raises(InputError, match="`problem` must be what the `scene` of `crew` loads"):
+        with pytest.raises(
+            InputError, match="`problem` must be what the `problem` of `crew` loads"
+        ):
             continue_orbit(problem, orbit, "A", (0.5, 1.2), crew=crew)
     assert not (tmp_path / "kept").exists()
 
@@ -343,7 +345,7 @@ def test_a_stage_of_another_work_in_the_folder_is_refused(tmp_path: Path) -> Non
 # ---------------------------------------------------------------------------- killed
 
 
-LONG = ("continue", SCENE, "--in", "A=0.5:1.2", "--second", "stop=-0.9:-0.7")
+LONG = ("continue", PROBLEM, "--in", "A=0.5:1.2", "--second", "stop=-0.9:-0.7")
 
 
 @needs_two

@@ -255,7 +255,7 @@ def test_the_folds_and_flips_of_the_pendulum_pass_their_cusp_and_end_where_a_fam
     problem, box = load_problem("motor_pendulum"), (-1.7, -1.3)
 
     def orbit(kp: float) -> ZenoOrbit:
-        return start_orbit(problem, problem.setting(gains={"Kp": kp, "Kd": -1.5}))
+        return start_orbit(problem, problem.values(gains={"Kp": kp, "Kd": -1.5}))
 
     def family(kp: float) -> Family:
         settings = ContinuationSettings(doublings=0)
@@ -293,7 +293,7 @@ def test_the_second_cusp_of_the_pendulum_is_where_two_folds_of_its_families_merg
     problem, cusp = load_problem("motor_pendulum"), 10.966659556
 
     def folds(kp: float) -> list[float]:
-        orbit = start_orbit(problem, problem.setting(gains={"Kp": kp, "Kd": -1.12}))
+        orbit = start_orbit(problem, problem.values(gains={"Kp": kp, "Kd": -1.12}))
         settings = ContinuationSettings(doublings=0)
         found = continue_orbit(problem, orbit, "Kd", (-1.15, -1.11), settings=settings)
         special = found.families[0].special
@@ -312,7 +312,7 @@ def test_the_grazing_of_the_pendulum_keeps_to_its_family_and_meets_an_earlier_re
     settings = ContinuationSettings(doublings=0)
 
     def orbit(kp: float) -> ZenoOrbit:
-        return start_orbit(problem, problem.setting(gains={"Kp": kp, "Kd": -1.0}))
+        return start_orbit(problem, problem.values(gains={"Kp": kp, "Kd": -1.0}))
 
     found = continue_orbit_in_two(
         problem,

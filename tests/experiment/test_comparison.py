@@ -32,8 +32,8 @@ SURE = 5.0
 
 
 @pytest.fixture(scope="module")
-def table(orbit: ZenoOrbit, scene: Problem) -> OrbitTable:
-    return table_of(orbit, scene, SIGNALS)
+def table(orbit: ZenoOrbit, problem: Problem) -> OrbitTable:
+    return table_of(orbit, problem, SIGNALS)
 
 
 def changed(recording: Recording, change: Callable[[np.ndarray, np.ndarray], Any]) -> Recording:
@@ -78,10 +78,10 @@ COPIES: dict[str, dict[str, float]] = {
 
 @pytest.mark.parametrize("name", COPIES)
 def test_the_numbers_of_a_copy_are_the_orbits_own(
-    name: str, orbit: ZenoOrbit, scene: Problem, table: OrbitTable
+    name: str, orbit: ZenoOrbit, problem: Problem, table: OrbitTable
 ) -> None:
     options: Any = COPIES[name]
-    found = compare(orbit, scene, recorded(table, scene, seed=3, **options))
+    found = compare(orbit, problem, recorded(table, problem, seed=3, **options))
     assert found.agrees, found.reasons
     for what, true in truth_of(orbit, options.get("stretch", 1.0)).items():
         metric = found.metric(what)
@@ -94,9 +94,9 @@ def test_the_numbers_of_a_copy_are_the_orbits_own(
 
 
 def test_the_numbers_of_a_copy_without_noise_are_near_the_orbits_own(
-    orbit: ZenoOrbit, scene: Problem, table: OrbitTable
+    orbit: ZenoOrbit, problem: Problem, table: OrbitTable
 ) -> None:
-    found = compare(orbit, scene, recorded(table, scene))
+    found = compare(orbit, problem, recorded(table, problem))
     # Times are as good as the period, which sixteen harmonics of a kinked signal give to 1e-5.
     for what, true in truth_of(orbit, 1.0).items():
         assert found.metric(what).data == pytest.approx(true, rel=3e-5, abs=3e-5), what
@@ -105,12 +105,14 @@ def test_the_numbers_of_a_copy_without_noise_are_near_the_orbits_own(
             assert abs(metric.data) < 1e-2, metric
 
 
-def test_a_known_deviation_is_measured(orbit: ZenoOrbit, scene: Problem, table: OrbitTable) -> None:
+def test_a_known_deviation_is_measured(
+    orbit: ZenoOrbit, problem: Problem, table: OrbitTable
+) -> None:
     def cut_off(time: np.ndarray, values: np.ndarray) -> Any:
         # Above 2.1 A the current is cut off; link 1 is off by 0.05 rad.
         return time, np.stack([values[0] + 0.05, values[1], np.minimum(values[2], 2.1)])
 
-    found = compare(orbit, scene, changed(recorded(table, scene, noise=1e-3), cut_off))
+    found = compare(orbit, problem, changed(recorded(table, problem, noise=1e-3), cut_off))
     assert found.agrees
     # Within a bin of 1/240 of a period the current changes by less than 0.03 A near its top.
     assert found.metric("highest of current").data == pytest.approx(2.1, abs=0.03)
@@ -123,21 +125,23 @@ def test_a_known_deviation_is_measured(orbit: ZenoOrbit, scene: Problem, table: 
 
 
 def test_a_signal_that_comes_late_is_told_by_how_much(
-    orbit: ZenoOrbit, scene: Problem, table: OrbitTable
+    orbit: ZenoOrbit, problem: Problem, table: OrbitTable
 ) -> None:
     def late(time: np.ndarray, values: np.ndarray) -> Any:
         values = values.copy()
         values[2] = table.at((time - 0.020) / table.period + 0.3)[:, 2]
         return time, values
 
-    found = compare(orbit, scene, changed(recorded(table, scene, noise=1e-3), late))
+    found = compare(orbit, problem, changed(recorded(table, problem, noise=1e-3), late))
     behind = found.metric("delay of current").data - found.metric("delay of theta1").data
     # Means over bins of 7.6 ms of a signal with a jump: a twentieth of a bin.
     assert behind == pytest.approx(0.020, abs=4e-4)
 
 
-def test_gaps_and_holes_are_lived_with(orbit: ZenoOrbit, scene: Problem, table: OrbitTable) -> None:
-    copy = recorded(table, scene, noise=2e-3)
+def test_gaps_and_holes_are_lived_with(
+    orbit: ZenoOrbit, problem: Problem, table: OrbitTable
+) -> None:
+    copy = recorded(table, problem, noise=2e-3)
     rng = np.random.default_rng(1)
 
     def holed(time: np.ndarray, values: np.ndarray) -> Any:
@@ -145,17 +149,17 @@ def test_gaps_and_holes_are_lived_with(orbit: ZenoOrbit, scene: Problem, table: 
         values = np.where(rng.random(values.shape) < 0.2, np.nan, values)
         return time[kept], values[:, kept]
 
-    found = compare(orbit, scene, changed(copy, holed))
+    found = compare(orbit, problem, changed(copy, holed))
     assert found.agrees, found.reasons
     for what, true in truth_of(orbit, 1.0).items():
         metric = found.metric(what)
         assert abs(metric.data - true) < SURE * metric.error, (what, metric)
 
 
-def test_angles_alone_give_portraits(orbit: ZenoOrbit, scene: Problem, table: OrbitTable) -> None:
-    whole = recorded(table, scene, noise=1e-3)
+def test_angles_alone_give_portraits(orbit: ZenoOrbit, problem: Problem, table: OrbitTable) -> None:
+    whole = recorded(table, problem, noise=1e-3)
     angles = replace(whole, signals=whole.signals[:2])
-    found = compare(orbit, scene, angles)
+    found = compare(orbit, problem, angles)
     assert found.agrees
     distance = found.metric("mean distance in the portrait of theta1 and dtheta1")
     # The floor of the noise of estimated velocities, as claimed.
@@ -213,18 +217,18 @@ FALSE: dict[str, tuple[Change, str]] = {
 
 @pytest.mark.parametrize("name", FALSE)
 def test_what_shows_no_such_orbit_is_told_with_the_reason(
-    name: str, orbit: ZenoOrbit, scene: Problem, table: OrbitTable
+    name: str, orbit: ZenoOrbit, problem: Problem, table: OrbitTable
 ) -> None:
     change, reason = FALSE[name]
-    found = compare(orbit, scene, changed(recorded(table, scene, noise=1e-3), change))
+    found = compare(orbit, problem, changed(recorded(table, problem, noise=1e-3), change))
     assert not found.agrees
     assert any(part in one for one in found.reasons for part in reason.split("|")), found.reasons
 
 
 def test_signals_that_jump_are_aligned_as_well() -> None:
-    # The speed of this scene jumps by two thirds of its range; its slope knows nothing of that.
+    # The speed of this problem jumps by two thirds of its range; its slope knows nothing of that.
     problem = load_problem("forced_oscillator")
-    orbit = close_orbit(problem, problem.setting()).unwrap()
+    orbit = close_orbit(problem, problem.values()).unwrap()
     table = table_of(orbit, problem, ("distance", "speed"))
     found = compare(orbit, problem, recorded(table, problem, noise=1e-3, rate=60.0))
     assert found.agrees, found.reasons
@@ -234,17 +238,17 @@ def test_signals_that_jump_are_aligned_as_well() -> None:
 
 
 def test_a_start_that_still_settles_is_named(
-    orbit: ZenoOrbit, scene: Problem, machine: HybridDynamics
+    orbit: ZenoOrbit, problem: Problem, machine: HybridDynamics
 ) -> None:
     execution = simulate(machine, [0.6, 0, 0, 0, 0], until=30.0)
     time = np.arange(0.0, 30.0, 2.5e-3)
     states = np.array([execution.state_at(t) for t in time])
-    recording = recording_of(scene, scene.state_names, time, states.T)
-    found = compare(orbit, scene, recording)
+    recording = recording_of(problem, problem.state_names, time, states.T)
+    found = compare(orbit, problem, recording)
     assert any("still settles" in remark and "--from" in remark for remark in found.remarks)
 
 
-def test_signals_of_another_kind_are_refused(orbit: ZenoOrbit, scene: Problem) -> None:
+def test_signals_of_another_kind_are_refused(orbit: ZenoOrbit, problem: Problem) -> None:
     time = np.arange(100) * 0.1
     metres = Signal(name="theta1", unit="m", values=np.sin(time))
     other = Signal(name="pressure", unit="Pa", values=np.sin(time))
@@ -253,18 +257,20 @@ def test_signals_of_another_kind_are_refused(orbit: ZenoOrbit, scene: Problem) -
     for signal, reason in (
         (huge, r"must have values of `theta1` up to 1e\+100, but it has"),
         (metres, "`theta1` in a unit like rad, but it has m"),
-        (other, "must have a signal of the scene"),
+        (other, "must have a signal of the problem"),
         (empty, "must have values of `theta1`"),
     ):
-        recording = Recording(source=None, scene="", time=time, signals=(signal,))
+        recording = Recording(source=None, problem="", time=time, signals=(signal,))
         with pytest.raises(InputError, match=reason):
-            compare(orbit, scene, recording)
+            compare(orbit, problem, recording)
 
 
-def test_the_data_are_plain_and_finite(orbit: ZenoOrbit, scene: Problem, table: OrbitTable) -> None:
+def test_the_data_are_plain_and_finite(
+    orbit: ZenoOrbit, problem: Problem, table: OrbitTable
+) -> None:
     import json
 
-    found: Comparison = compare(orbit, scene, recorded(table, scene, noise=1e-3))
+    found: Comparison = compare(orbit, problem, recorded(table, problem, noise=1e-3))
     data = json.loads(json.dumps(found.as_json(), allow_nan=False))
     assert data["agrees"] is True
     assert data["source"] == "simulated"
@@ -272,27 +278,27 @@ def test_the_data_are_plain_and_finite(orbit: ZenoOrbit, scene: Problem, table: 
 
 
 def test_a_table_of_the_orbit_is_the_orbit(
-    orbit: ZenoOrbit, scene: Problem, machine: HybridDynamics
+    orbit: ZenoOrbit, problem: Problem, machine: HybridDynamics
 ) -> None:
-    whole = table_of(orbit, scene, scene.state_names)
-    execution = simulate(machine, scene.state_vector(orbit.release_state), until=orbit.period)
+    whole = table_of(orbit, problem, problem.state_names)
+    execution = simulate(machine, problem.state_vector(orbit.release_state), until=orbit.period)
     phases = np.random.default_rng(0).random(500)
     true = np.array([execution.state_at(phase * orbit.period) for phase in phases])
     # Cubics between nodes a few ms apart, of motions that change within 0.1 s: (0.05)^4 / 384.
     assert whole.at(phases) == pytest.approx(true, abs=2e-7)
-    assert gap_coordinates(scene) == ("theta2",)
-    assert scene.gap_unit == "rad"
+    assert gap_coordinates(problem) == ("theta2",)
+    assert problem.gap_unit == "rad"
     assert load_problem("curved_surface").gap_unit == "SI"
 
 
 @pytest.mark.parametrize("n_cycles", [2.2, 3.7, 5.3, 7.27, 9.9])
 @pytest.mark.parametrize("start", [0.0, 0.35, 0.7])
 def test_the_period_is_none_of_its_multiples_wherever_a_record_is_cut_off(
-    n_cycles: float, start: float, orbit: ZenoOrbit, scene: Problem
+    n_cycles: float, start: float, orbit: ZenoOrbit, problem: Problem
 ) -> None:
     # What overlaps at the end of a record may hold more of the motion's energy than its share.
-    table = table_of(orbit, scene, ("theta1", "theta2"))
-    whole = recorded(table, scene, n_cycles=n_cycles, start=start, rate=200.0, noise=2e-3)
+    table = table_of(orbit, problem, ("theta1", "theta2"))
+    whole = recorded(table, problem, n_cycles=n_cycles, start=start, rate=200.0, noise=2e-3)
     found = periodicity(whole.time, np.stack([one.values for one in whole.signals]))
     assert found is not None
     # Two cycles at 200 Hz: some samples; a multiple would be off by a whole period.
@@ -300,8 +306,8 @@ def test_the_period_is_none_of_its_multiples_wherever_a_record_is_cut_off(
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_the_period_is_as_sure_as_is_said(seed: int, scene: Problem, table: OrbitTable) -> None:
-    copy = recorded(table, scene, noise=2e-2, rate=200.0, seed=seed, start=0.2 * seed)
+def test_the_period_is_as_sure_as_is_said(seed: int, problem: Problem, table: OrbitTable) -> None:
+    copy = recorded(table, problem, noise=2e-2, rate=200.0, seed=seed, start=0.2 * seed)
     found = periodicity(copy.time, np.stack([signal.values for signal in copy.signals]))
     assert found is not None
     assert abs(found.period - table.period) < SURE * found.error < 1e-3

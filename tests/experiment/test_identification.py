@@ -37,19 +37,19 @@ TRUTH = {"R": 3.12, "K_torque": 0.0303, "K_emf": 0.0303, "restitution": 0.215}
 
 
 @pytest.fixture(scope="module")
-def other(scene: Problem) -> ZenoOrbit:
-    """The orbit of a machine that is not quite the scene's."""
-    return close_orbit(scene, scene.setting(parameters=TRUTH)).unwrap()
+def other(problem: Problem) -> ZenoOrbit:
+    """The orbit of a machine that is not quite the problem's."""
+    return close_orbit(problem, problem.values(parameters=TRUTH)).unwrap()
 
 
-def record(other: ZenoOrbit, scene: Problem, seed: int, noise: float = 5e-3) -> Recording:
-    table = table_of(other, scene, ("theta1", "theta2", "current"))
-    return recorded(table, scene, n_cycles=8, rate=200.0, noise=noise, seed=seed, start=0.4)
+def record(other: ZenoOrbit, problem: Problem, seed: int, noise: float = 5e-3) -> Recording:
+    table = table_of(other, problem, ("theta1", "theta2", "current"))
+    return recorded(table, problem, n_cycles=8, rate=200.0, noise=noise, seed=seed, start=0.4)
 
 
 @pytest.fixture(scope="module")
-def fitted(other: ZenoOrbit, scene: Problem) -> Identification:
-    return identify(scene, scene.setting(), record(other, scene, 0), SOUGHT)
+def fitted(other: ZenoOrbit, problem: Problem) -> Identification:
+    return identify(problem, problem.values(), record(other, problem, 0), SOUGHT)
 
 
 def test_the_true_parameters_are_found(fitted: Identification) -> None:
@@ -66,42 +66,42 @@ def test_the_true_parameters_are_found(fitted: Identification) -> None:
     assert fitted.misfit < 1.5
 
 
-def test_what_is_fitted_can_be_passed_on(fitted: Identification, scene: Problem) -> None:
+def test_what_is_fitted_can_be_passed_on(fitted: Identification, problem: Problem) -> None:
     data = json.loads(json.dumps(fitted.as_json(), allow_nan=False))
-    again = scene.setting(gains=data["gains"], parameters=data["parameters"])
-    assert again == fitted.setting
-    assert fitted.orbit.parameters == dict(fitted.setting.parameters)
+    again = problem.values(gains=data["gains"], parameters=data["parameters"])
+    assert again == fitted.values
+    assert fitted.orbit.parameters == dict(fitted.values.parameters)
     assert data["parameters"]["K_torque"] == data["parameters"]["K_emf"]
 
 
 @pytest.mark.slow
-def test_intervals_hold_the_truth_as_often_as_they_say(other: ZenoOrbit, scene: Problem) -> None:
+def test_intervals_hold_the_truth_as_often_as_they_say(other: ZenoOrbit, problem: Problem) -> None:
     # Of 8 seeds and 3 numbers at 95 %, 19 or fewer inside has a chance below 1e-3.
     inside = 0
     for seed in range(1, 9):
-        found = identify(scene, scene.setting(), record(other, scene, seed), SOUGHT)
+        found = identify(problem, problem.values(), record(other, problem, seed), SOUGHT)
         inside += sum(one.low <= TRUTH[one.sought.names[0]] <= one.high for one in found.fitted)
     assert inside >= 20
 
 
 def test_the_orbits_derivatives_are_those_of_neighbouring_orbits(
-    orbit: ZenoOrbit, scene: Problem
+    orbit: ZenoOrbit, problem: Problem
 ) -> None:
     names = ("R", "K_torque", "restitution", "J_rotor")
-    places = tuple(scene.names.index(name) for name in names)
-    p = np.array(orbit.setting(scene).values())
-    table = table_of(orbit, scene, scene.state_names)
+    places = tuple(problem.names.index(name) for name in names)
+    p = np.array(orbit.values(problem).vector)
+    table = table_of(orbit, problem, problem.state_names)
     cycle, settings = table.cycle, SimulationSettings()
 
     def closed(values: np.ndarray):
-        dynamics = bind(compiled_model(scene), tuple(values.tolist()))
+        dynamics = bind(compiled_model(problem), tuple(values.tolist()))
         return close_cycle(
             dynamics, cycle.start.state, scale=cycle.scale(), period=cycle.period, settings=settings
         ).cycle
 
     here = closed(p)
     slope = orbit_slope(
-        bind(compiled_model(scene), tuple(p.tolist())),
+        bind(compiled_model(problem), tuple(p.tolist())),
         here.start.state,
         scale=here.scale(),
         period=here.period,
@@ -135,14 +135,14 @@ def _at(cycle, times: np.ndarray) -> np.ndarray:
     return np.array(found)
 
 
-def test_what_a_recording_cannot_tell_is_named(other: ZenoOrbit, scene: Problem) -> None:
+def test_what_a_recording_cannot_tell_is_named(other: ZenoOrbit, problem: Problem) -> None:
     # Only the ratio of both inertial terms I2 and m2 lc2^2 enters with lc2 as it does... I1 and
     # J_rotor enter as their sum alone, so a change of one is undone by the other.
     sought = (
         Sought(names=("I1",), lower=0.0005, upper=0.002),
         Sought(names=("J_rotor",), lower=0.01, upper=0.03),
     )
-    found = identify(scene, scene.setting(parameters=TRUTH), record(other, scene, 2), sought)
+    found = identify(problem, problem.values(parameters=TRUTH), record(other, problem, 2), sought)
     assert len(found.unseen) == 1
     assert set(found.unseen[0].direction) == {"I1", "J_rotor"}
     assert "I1" in found.unseen[0].text
@@ -173,37 +173,37 @@ def test_unseen_combinations_are_read_off_the_information() -> None:
     ],
 )
 def test_a_question_that_cannot_be_is_refused(
-    sought: tuple[Sought, ...], reason: str, scene: Problem
+    sought: tuple[Sought, ...], reason: str, problem: Problem
 ) -> None:
     time = np.arange(100) * 0.1
-    recording = recording_of(scene, ("theta1",), time, np.sin(time)[None])
+    recording = recording_of(problem, ("theta1",), time, np.sin(time)[None])
     with pytest.raises(InputError, match=reason):
-        identify(scene, scene.setting(), recording, sought)
+        identify(problem, problem.values(), recording, sought)
 
 
 def test_a_recording_that_shows_no_such_orbit_gives_no_parameters(
-    other: ZenoOrbit, scene: Problem
+    other: ZenoOrbit, problem: Problem
 ) -> None:
-    good = record(other, scene, 0)
+    good = record(other, problem, 0)
     degrees = replace(
         good, signals=tuple(replace(one, values=57.3 * one.values) for one in good.signals)
     )
     with pytest.raises(UnfittableError, match="degrees labelled as radians"):
-        identify(scene, scene.setting(), degrees, SOUGHT)
+        identify(problem, problem.values(), degrees, SOUGHT)
 
 
-def test_a_start_without_an_orbit_is_told(other: ZenoOrbit, scene: Problem) -> None:
-    nowhere = scene.setting(gains={"Kp": 2.5, "Kd": 5.0})
+def test_a_start_without_an_orbit_is_told(other: ZenoOrbit, problem: Problem) -> None:
+    nowhere = problem.values(gains={"Kp": 2.5, "Kd": 5.0})
     with pytest.raises(UnfittableError, match="at the start there is no orbit to fit"):
-        identify(scene, nowhere, record(other, scene, 0), SOUGHT)
+        identify(problem, nowhere, record(other, problem, 0), SOUGHT)
 
 
-def test_gathering_many_samples_changes_no_mean(other: ZenoOrbit, scene: Problem) -> None:
+def test_gathering_many_samples_changes_no_mean(other: ZenoOrbit, problem: Problem) -> None:
     from zeno_orbits.experiment.comparison.comparison import compare
 
-    table = table_of(other, scene, ("theta1",))
-    long = recorded(table, scene, n_cycles=20, rate=2000.0)
-    where = compare(other, scene, long).where
+    table = table_of(other, problem, ("theta1",))
+    long = recorded(table, problem, n_cycles=20, rate=2000.0)
+    where = compare(other, problem, long).where
     assert where is not None
     values = long.signal("theta1").values[None]
     gathered = folded(long.time, values, where)

@@ -22,30 +22,30 @@ NAMES = ("R", "restitution")
 
 
 @pytest.fixture(scope="module")
-def table(orbit: ZenoOrbit, scene: Problem) -> OrbitTable:
-    return table_of(orbit, scene, SIGNALS)
+def table(orbit: ZenoOrbit, problem: Problem) -> OrbitTable:
+    return table_of(orbit, problem, SIGNALS)
 
 
 @pytest.fixture(scope="module")
-def orbits(orbit: ZenoOrbit, scene: Problem, table: OrbitTable) -> Predictions:
-    values = scene.setting().parameters
+def orbits(orbit: ZenoOrbit, problem: Problem, table: OrbitTable) -> Predictions:
+    values = problem.values().parameters
     start = np.array([values[name] for name in NAMES])
     unknowns = Unknowns(
-        base=np.array(orbit.setting(scene).values()),
-        places=tuple(scene.names.index(name) for name in NAMES),
+        base=np.array(orbit.values(problem).vector),
+        places=tuple(problem.names.index(name) for name in NAMES),
         ties=np.eye(2),
         start=start,
         scale=start,
         lower=0.5 * start,
         upper=2.0 * start,
     )
-    return Predictions(scene, unknowns, measurement(scene, SIGNALS), table.cycle)
+    return Predictions(problem, unknowns, measurement(problem, SIGNALS), table.cycle)
 
 
 def samples(
-    table: OrbitTable, scene: Problem, cycles: float, rate: float, noise: float
+    table: OrbitTable, problem: Problem, cycles: float, rate: float, noise: float
 ) -> tuple[Folded, Periodicity]:
-    recording = recorded(table, scene, n_cycles=cycles, rate=rate, noise=noise, start=0.4)
+    recording = recorded(table, problem, n_cycles=cycles, rate=rate, noise=noise, start=0.4)
     values = np.stack([one.values for one in recording.signals])
     period = periodicity(recording.time, values)
     assert period is not None
@@ -54,9 +54,9 @@ def samples(
 
 
 @pytest.fixture(scope="module")
-def whole(table: OrbitTable, scene: Problem) -> tuple[Folded, Periodicity]:
+def whole(table: OrbitTable, problem: Problem) -> tuple[Folded, Periodicity]:
     # Several samples in each layer of width L/R = 0.7 ms.
-    return samples(table, scene, 4.2, 2000.0, 5e-3)
+    return samples(table, problem, 4.2, 2000.0, 5e-3)
 
 
 @pytest.fixture(scope="module")
@@ -113,8 +113,8 @@ def test_a_layer_is_left_out_as_a_jump_is(
     assert masked.seen[:, :2].all()
 
 
-def test_means_over_stretches_are_predicted_as_means(table: OrbitTable, scene: Problem) -> None:
-    data, _ = samples(table, scene, 30.2, 2000.0, 0.0)
+def test_means_over_stretches_are_predicted_as_means(table: OrbitTable, problem: Problem) -> None:
+    data, _ = samples(table, problem, 30.2, 2000.0, 0.0)
     assert data.counts.sum() / 3 > MOST
     assert data.span > 0.0
     full = (data.counts > 0.9 * np.median(data.counts)).all(axis=1)

@@ -23,7 +23,7 @@ from zeno_orbits.experiment.recordings.recording import (
 )
 from zeno_orbits.model.units import in_si
 
-HEAD = "# zeno-orbits data 1\n# source: measured\n# scene: some_scene\n"
+HEAD = "# zeno-orbits data 1\n# source: measured\n# problem: some_problem\n"
 TITLES = "time [s],angle [rad],current [A]\n"
 ROWS = "0.0,1.5,-2\n0.5,2.5,3e-1\n1.0,3.5,0\n"
 
@@ -47,7 +47,7 @@ def angles(recording: Recording) -> list[float]:
 def test_a_whole_file_is_read(write: Write) -> None:
     found = read_recording(write(HEAD + "# rig: the second one\n" + TITLES + ROWS))
     assert found.source is Source.MEASURED
-    assert found.scene == "some_scene"
+    assert found.problem == "some_problem"
     assert dict(found.notes) == {"rig": "the second one"}
     assert found.time.tolist() == [0.0, 0.5, 1.0]
     assert found.names == ("angle", "current")
@@ -58,7 +58,7 @@ def test_a_whole_file_is_read(write: Write) -> None:
 
 def test_the_lines_above_the_titles_may_be_missing(write: Write) -> None:
     found = read_recording(write(TITLES + ROWS))
-    assert (found.source, found.scene, found.names) == (None, "", ("angle", "current"))
+    assert (found.source, found.problem, found.names) == (None, "", ("angle", "current"))
 
 
 numbers = st.floats(allow_nan=True, allow_infinity=False)
@@ -75,12 +75,12 @@ def test_what_is_written_is_read_to_the_bit(rows: list[tuple[float, float]]) -> 
         Signal(name="b", unit="N m s/rad", values=second),
     )
     notes = {"seed": "4"}
-    whole = Recording(source=Source.SIMULATED, scene="x", time=time, signals=signals, notes=notes)
+    whole = Recording(source=Source.SIMULATED, problem="x", time=time, signals=signals, notes=notes)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "out.csv"
         write_recording(whole, path)
         found = read_recording(path)
-    assert (found.source, found.scene, found.notes) == (whole.source, "x", notes)
+    assert (found.source, found.problem, found.notes) == (whole.source, "x", notes)
     assert_array_equal(found.time, time)
     for here, there in zip(found.signals, signals, strict=True):
         assert (here.name, here.unit) == (there.name, there.unit)
@@ -325,10 +325,10 @@ def test_a_recording_refuses_signals_that_do_not_belong_together() -> None:
     short = Signal(name="b", unit="rad", values=np.zeros(1))
     for signals, reason in (((good, good), "different names"), ((short,), "must have 2 values")):
         with pytest.raises(ValueError, match=reason):
-            Recording(source=None, scene="", time=time, signals=signals)
+            Recording(source=None, problem="", time=time, signals=signals)
     for wrong in (time[::-1], time[:1], np.zeros(2), np.array([0.0, math.nan])):
         with pytest.raises(ValueError, match="`time` must hold two or more times that increase"):
-            Recording(source=None, scene="", time=wrong, signals=())
+            Recording(source=None, problem="", time=wrong, signals=())
 
 
 def test_an_unknown_signal_is_refused_by_name(write: Write) -> None:

@@ -141,7 +141,7 @@ def test_a_ball_leaves_the_floor_when_and_as_fast_as_scipy_says(e: float, expone
     ball, stiffness, speed = load_problem("bouncing_ball"), 2e7, 3.0
     run = simulate_rig(
         ball,
-        ball.setting(parameters={"restitution": e}),
+        ball.values(parameters={"restitution": e}),
         Rig(contact=Contact(stiffness=stiffness, exponent=exponent)),
         (0.0, -speed),
         0.1,
@@ -158,10 +158,10 @@ def test_a_ball_leaves_the_floor_when_and_as_fast_as_scipy_says(e: float, expone
 
 def test_the_restitution_does_not_depend_on_the_speed_of_the_impact() -> None:
     ball = load_problem("bouncing_ball")
-    setting = ball.setting(parameters={"restitution": 0.4, "g": 1e-9})
+    values = ball.values(parameters={"restitution": 0.4, "g": 1e-9})
     for speed in (0.01, 1.0, 100.0):
         run = simulate_rig(
-            ball, setting, Rig(contact=Contact(stiffness=1e6)), (1e-3 * speed, -speed), 0.1
+            ball, values, Rig(contact=Contact(stiffness=1e6)), (1e-3 * speed, -speed), 0.1
         )
         touch = run.touches[0]
         # Gravity changes the speed by g times 5 ms.
@@ -172,8 +172,8 @@ def test_a_ball_comes_to_rest_in_the_floor_after_a_finite_number_of_contacts() -
     """No Zeno point: where the weight bends the floor by as much as the impact, it stays in it."""
     ball = load_problem("bouncing_ball")
     stiffness, g = 1e6, 9.81
-    setting = ball.setting(parameters={"restitution": 0.2})
-    run = simulate_rig(ball, setting, Rig(contact=Contact(stiffness=stiffness)), (1.0, 0.0), 3.0)
+    values = ball.values(parameters={"restitution": 0.2})
+    run = simulate_rig(ball, values, Rig(contact=Contact(stiffness=stiffness)), (1.0, 0.0), 3.0)
     resting = run.touches[-1]
     slow = g / math.sqrt(stiffness)
     fall = math.sqrt(2 * g)
@@ -186,14 +186,14 @@ def test_a_ball_comes_to_rest_in_the_floor_after_a_finite_number_of_contacts() -
 
 
 def test_the_rig_of_the_pendulum_moves_as_scipy_moves_the_one_written_by_hand(
-    scene: Problem, orbit: ZenoOrbit
+    problem: Problem, orbit: ZenoOrbit
 ) -> None:
     """Contact force, normal inertia and feedback, through the first impact and into the second."""
     stiffness = 1e4
-    setting = orbit.setting(scene)
-    by_hand = reference_model(scene)(setting)
-    number = damping_number(setting.number("restitution"))
-    start = np.array(scene.state_vector(orbit.release_state))
+    values = orbit.values(problem)
+    by_hand = reference_model(problem)(values)
+    number = damping_number(values.number("restitution"))
+    start = np.array(problem.state_vector(orbit.release_state))
 
     def pushed(x: Vector, alpha: float) -> Vector:
         depth, closing = -by_hand.gap(x), -by_hand.gap_rate(x)
@@ -222,7 +222,7 @@ def test_the_rig_of_the_pendulum_moves_as_scipy_moves_the_one_written_by_hand(
         )
         time, x = float(arc.t_events[0][-1]), arc.y_events[0][-1]
     run = simulate_rig(
-        scene, setting, Rig(contact=Contact(stiffness=stiffness)), start, 1.3, settings=FINE
+        problem, values, Rig(contact=Contact(stiffness=stiffness)), start, 1.3, settings=FINE
     )
     touch = run.touches[1]
     # SciPy's events are located on dense output of order 7: some 1e-9 of a step of milliseconds.
@@ -233,11 +233,11 @@ def test_the_rig_of_the_pendulum_moves_as_scipy_moves_the_one_written_by_hand(
 def test_energy_that_a_contact_takes_is_that_of_newtons_law() -> None:
     """Two coordinates: the kinetic metric makes the inertia that the contact feels."""
     pendulum = load_problem("motor_pendulum")
-    setting = pendulum.setting()
-    hand = reference_model(pendulum)(setting)
+    values = pendulum.values()
+    hand = reference_model(pendulum)(values)
     run = simulate_rig(
         pendulum,
-        setting,
+        values,
         Rig(contact=Contact(stiffness=1e9)),
         pendulum.state_vector({"theta1": 0.5, "theta2": 1e-6, "dtheta2": -8.0}),
         0.01,
@@ -254,12 +254,12 @@ def test_energy_that_a_contact_takes_is_that_of_newtons_law() -> None:
 def test_a_curved_stop_gives_back_the_restitution_in_its_own_metric() -> None:
     """The gap is no coordinate and its gradient turns: the force acts along it, all the same."""
     bowl = load_problem("curved_surface")
-    e = bowl.setting().number("restitution")
+    e = bowl.values().number("restitution")
     start = bowl.state_vector({"x": 0.05, "y": 0.1, "dx": 0.5, "cosine": 1.0})
     ratios: list[float] = []
     for stiffness in (1e6, 1e8):
         rig = Rig(contact=Contact(stiffness=stiffness))
-        touch = simulate_rig(bowl, bowl.setting(), rig, start, 0.2, settings=FINE).touches[0]
+        touch = simulate_rig(bowl, bowl.values(), rig, start, 0.2, settings=FINE).touches[0]
         ratios.append(-touch.depart_rate / touch.approach_rate - e)
     # What acts beside the contact does so for its length, which falls with the square root.
     assert abs(ratios[0]) < 1e-2
@@ -269,13 +269,13 @@ def test_a_curved_stop_gives_back_the_restitution_in_its_own_metric() -> None:
 # -------------------------------------------------------------------- friction, gears, bridges
 
 
-def test_a_gear_of_very_stiff_teeth_is_none(scene: Problem) -> None:
+def test_a_gear_of_very_stiff_teeth_is_none(problem: Problem) -> None:
     """Taken out of the mass matrix and put back behind teeth, the rotor moves as it did."""
-    start = scene.state_vector({"theta1": 0.6, "theta2": 1.5})
+    start = problem.state_vector({"theta1": 0.6, "theta2": 1.5})
 
     def final(gears: Mapping[int, Gear]) -> Vector:
         rig = Rig(gears=dict(gears))
-        run = simulate_rig(scene, scene.setting(), rig, start, 0.2, settings=FINE)
+        run = simulate_rig(problem, problem.values(), rig, start, 0.2, settings=FINE)
         assert not run.touches
         return run.states[-1, :5]
 
@@ -291,11 +291,11 @@ def test_a_gear_of_very_stiff_teeth_is_none(scene: Problem) -> None:
 
 
 def test_dry_and_viscous_friction_let_a_disc_run_down_as_their_closed_forms_say() -> None:
-    setting = DISC.setting(parameters={"K": 1e-12})
+    values = DISC.values(parameters={"K": 1e-12})
     dry, creep, start = 0.004, 0.05, 2.0
     run = simulate_rig(
         DISC,
-        setting,
+        values,
         Rig(friction={"angle": Friction(coulomb=dry, creep=creep)}),
         (0.0, start, 0.0),
         12.0,
@@ -308,7 +308,7 @@ def test_dry_and_viscous_friction_let_a_disc_run_down_as_their_closed_forms_say(
     viscous = 0.01
     run = simulate_rig(
         DISC,
-        setting,
+        values,
         Rig(friction={"angle": Friction(viscous=viscous)}),
         (0.0, start, 0.0),
         2.0,
@@ -322,15 +322,15 @@ def test_dry_and_viscous_friction_let_a_disc_run_down_as_their_closed_forms_say(
 def test_a_rotor_crosses_its_play_freely_and_strikes_the_teeth_with_their_restitution() -> None:
     """Two free inertias: momentum stays, the play is crossed at the relative speed, teeth lose."""
     rotor, play, loss = 0.015, 0.02, 0.5
-    setting = DISC.setting(parameters={"K": 1e-12})
+    values = DISC.values(parameters={"K": 1e-12})
     gear = Gear(rotor_inertia=rotor, play=play, stiffness=4000.0, loss=loss)
     rig = Rig(gears={1: gear}, friction={})
     joint = INERTIA - rotor
-    run = simulate_rig(DISC, setting, rig, (0.0, 0.0, 0.0), 0.2, settings=FINE)
+    run = simulate_rig(DISC, values, rig, (0.0, 0.0, 0.0), 0.2, settings=FINE)
     assert run.state_names == ("angle", "rate", "current", "rotor1", "drotor1")
-    # A state of the scene starts rotor and joint together; a current sets the rotor going alone.
-    setting = DISC.setting(gains={"V0": 1.0}, parameters={"K": 0.05})
-    run = simulate_rig(DISC, setting, rig, (0.0, 0.0, 0.5), 0.3, settings=FINE)
+    # A state of the problem starts rotor and joint together; a current sets the rotor going alone.
+    values = DISC.values(gains={"V0": 1.0}, parameters={"K": 0.05})
+    run = simulate_rig(DISC, values, rig, (0.0, 0.0, 0.5), 0.3, settings=FINE)
     held = run.of("rotor1") - run.of("angle") < play / 2
     before = np.argmin(held)
     assert np.all(run.of("rate")[:before] == 0.0)
@@ -352,13 +352,13 @@ def test_teeth_give_back_what_their_loss_leaves() -> None:
     """Without a motor's torque the impact of the teeth is the contact law of the stop once more."""
     rotor, joint, loss, slip = 0.015, INERTIA - 0.015, 0.5, 1.5
     gear = Gear(rotor_inertia=rotor, play=0.02, stiffness=4000.0, loss=loss)
-    setting = DISC.setting(parameters={"K": 1e-12})
+    values = DISC.values(parameters={"K": 1e-12})
     # Dry friction holds nothing here: the joint is stopped by hand, by starting it at rest and the
     # rotor through a current that has gone before it touches.
     from zeno_orbits.experiment.rig.simulator import machine_of
 
     built = machine_of(DISC, Rig(gears={1: gear}))
-    p = np.array(setting.values())
+    p = np.array(values.vector)
     numbers = np.concatenate([p, [0.0], [0.0]])
 
     def rate(_t: float, y: Vector) -> Vector:
@@ -390,7 +390,7 @@ def test_a_current_ripples_between_its_two_closed_forms() -> None:
     bridge = Bridge(supply=supply, resistance=drop, frequency=frequency, switching=Switching.EXACT)
     run = simulate_rig(
         DISC,
-        DISC.setting(gains={"V0": asked}, parameters={"K": 1e-12}),
+        DISC.values(gains={"V0": asked}, parameters={"K": 1e-12}),
         Rig(bridge=bridge),
         (0.0, 0.0, valley),
         20 * period,
@@ -409,13 +409,13 @@ def test_a_current_ripples_between_its_two_closed_forms() -> None:
 @pytest.mark.parametrize("asked", [4.0, -4.0])
 def test_an_averaged_bridge_gives_the_mean_current_of_an_exact_one(asked: float) -> None:
     bridge = Bridge(supply=12.0, resistance=0.5, frequency=5e3, dead_time=2e-6, diode_drop=0.7)
-    setting = DISC.setting(gains={"V0": asked}, parameters={"K": 1e-12})
+    values = DISC.values(gains={"V0": asked}, parameters={"K": 1e-12})
 
     def current(switching: Switching) -> Vector:
         rig = Rig(bridge=replace(bridge, switching=switching))
         settings = replace(FINE, spacing=1e-6, keep_from=0.03)
         run = simulate_rig(
-            DISC, setting, rig, (0.0, 0.0, asked / 2.5), 0.03 + 2e-4, settings=settings
+            DISC, values, rig, (0.0, 0.0, asked / 2.5), 0.03 + 2e-4, settings=settings
         )
         return run.of("current")[:200]
 
@@ -432,7 +432,7 @@ def test_an_averaged_bridge_gives_the_mean_current_of_an_exact_one(asked: float)
 def test_a_sampled_disc_moves_as_matrix_exponentials_say(delay: float) -> None:
     period, gains = 2e-3, {"V0": 3.0, "Kp": 4.0, "Kd": 0.3}
     rig = Rig(controller=Controller(period=period, delay=delay))
-    run = simulate_rig(DISC, DISC.setting(gains=gains), rig, (0.1, 1.0, 0.0), 0.05, settings=FINE)
+    run = simulate_rig(DISC, DISC.values(gains=gains), rig, (0.1, 1.0, 0.0), 0.05, settings=FINE)
     matrix = disc_matrix(ELECTRIC["R"])
     y = np.array([0.1, 1.0, 0.0, 0.0])
     edges = sorted(
@@ -456,8 +456,8 @@ def test_fast_sampling_tends_to_the_feedback_of_the_model_at_first_order() -> No
     gains = {"V0": 3.0, "Kp": 4.0, "Kd": 0.3}
 
     def final(rig: Rig) -> Vector:
-        setting = DISC.setting(gains=gains)
-        return simulate_rig(DISC, setting, rig, (0.1, 1.0, 0.0), 0.1, settings=FINE).states[-1]
+        values = DISC.values(gains=gains)
+        return simulate_rig(DISC, values, rig, (0.1, 1.0, 0.0), 0.1, settings=FINE).states[-1]
 
     ideal = final(Rig())
     away = [
@@ -468,14 +468,16 @@ def test_fast_sampling_tends_to_the_feedback_of_the_model_at_first_order() -> No
     assert away[0] / away[1] == pytest.approx(10.0, rel=0.05)
 
 
-def test_a_run_is_the_same_for_the_same_seed_and_another_for_another(scene: Problem) -> None:
-    rig = replace(default_rig(scene), gears={})
+def test_a_run_is_the_same_for_the_same_seed_and_another_for_another(problem: Problem) -> None:
+    rig = replace(default_rig(problem), gears={})
     assert rig.sensors is not None
     assert rig.sensors.noise > 0.0
-    start = scene.state_vector(scene.starts[0])
+    start = problem.state_vector(problem.starts[0])
 
     def final(rig: Rig, seed: int) -> list[float]:
-        return simulate_rig(scene, scene.setting(), rig, start, 0.2, seed=seed).states[-1].tolist()
+        return (
+            simulate_rig(problem, problem.values(), rig, start, 0.2, seed=seed).states[-1].tolist()
+        )
 
     assert final(rig, 3) == final(rig, 3) != final(rig, 4)
     quiet = replace(rig, sensors=replace(rig.sensors, noise=0.0, current_noise=0.0))
@@ -485,16 +487,16 @@ def test_a_run_is_the_same_for_the_same_seed_and_another_for_another(scene: Prob
 # ---------------------------------------------------------------------- near an orbit of the model
 
 
-def period_error(orbit: ZenoOrbit, scene: Problem, contact: Contact) -> float:
+def period_error(orbit: ZenoOrbit, problem: Problem, contact: Contact) -> float:
     """Return how much longer a cycle of the rig is than the orbit."""
-    settled = rig_cycles(orbit, scene, Rig(contact=contact), cycles=1, settle=6, settings=FINE)
+    settled = rig_cycles(orbit, problem, Rig(contact=contact), cycles=1, settle=6, settings=FINE)
     return settled.cycles[-1].period - orbit.period
 
 
 def test_the_rig_tends_to_the_zeno_orbit_as_the_square_root_of_its_compliance(
-    scene: Problem, orbit: ZenoOrbit
+    problem: Problem, orbit: ZenoOrbit
 ) -> None:
-    errors = [period_error(orbit, scene, Contact(stiffness=k)) for k in (1e4, 1e6, 1e8)]
+    errors = [period_error(orbit, problem, Contact(stiffness=k)) for k in (1e4, 1e6, 1e8)]
     orders = [math.log(errors[k] / errors[k + 1]) / math.log(100) for k in range(2)]
     # Theory (53): 1/2, the next term smaller by the contact's length over the layer of the current.
     assert orders[0] == pytest.approx(0.5, abs=0.02)
@@ -503,20 +505,20 @@ def test_the_rig_tends_to_the_zeno_orbit_as_the_square_root_of_its_compliance(
 
 
 def test_each_further_contact_of_the_chatter_adds_its_length(
-    scene: Problem, orbit: ZenoOrbit
+    problem: Problem, orbit: ZenoOrbit
 ) -> None:
     """Theory (53), without a fitted number, between one stiffness and the next by 1/e^2."""
-    e, curve = 0.2, orbit_curve(orbit, scene, n_per_arc=50)
+    e, curve = 0.2, orbit_curve(orbit, problem, n_per_arc=50)
     scaled: list[float] = []
     for k in (1e7, 1e7 / e**2):
         rig = Rig(contact=Contact(stiffness=k))
-        settled = rig_cycles(orbit, scene, rig, cycles=1, settle=6, settings=FINE)
-        scaled.append(orbit_distance(orbit, scene, curve, settled).lock_time * math.sqrt(k))
+        settled = rig_cycles(orbit, problem, rig, cycles=1, settle=6, settings=FINE)
+        scaled.append(orbit_distance(orbit, problem, curve, settled).lock_time * math.sqrt(k))
     lasting, left = spring_contact(e, 0.0)
     load = 1e-4
     slower = (left - spring_contact(e, load)[1]) / (load * lasting)
-    hand = reference_model(scene)(orbit.setting(scene))
-    inertia = hand.normal_inertia(np.array(scene.state_vector(orbit.zeno_state)))
+    hand = reference_model(problem)(orbit.values(problem))
+    inertia = hand.normal_inertia(np.array(problem.state_vector(orbit.zeno_state)))
     expected = lasting * math.sqrt(inertia) * (1 - 2 * slower / (1 - e))
     # The next terms are smaller by the length of a contact over that of the first flights, 1e-3 at
     # the softer of the two; the bracket is a quarter of what it is the difference of.
@@ -524,9 +526,9 @@ def test_each_further_contact_of_the_chatter_adds_its_length(
 
 
 def test_settled_cycles_begin_and_end_at_releases_and_repeat(
-    scene: Problem, orbit: ZenoOrbit
+    problem: Problem, orbit: ZenoOrbit
 ) -> None:
-    settled = rig_cycles(orbit, scene, Rig(contact=Contact(stiffness=1e4)), cycles=2)
+    settled = rig_cycles(orbit, problem, Rig(contact=Contact(stiffness=1e4)), cycles=2)
     first, second = settled.cycles
     assert first.release == 0.0
     assert first.end == second.release
@@ -543,10 +545,10 @@ def test_settled_cycles_begin_and_end_at_releases_and_repeat(
     assert np.all(settled.run.contact_force >= 0.0)
 
 
-def test_a_machine_that_does_not_lock_is_told_so(scene: Problem, orbit: ZenoOrbit) -> None:
+def test_a_machine_that_does_not_lock_is_told_so(problem: Problem, orbit: ZenoOrbit) -> None:
     stuck = Rig(friction={"theta1": Friction(coulomb=0.5)})
     with pytest.raises(SimulationError, match=r"made \d cycles with a lock where 3 were expected"):
-        rig_cycles(orbit, scene, stuck, cycles=1, settle=2)
+        rig_cycles(orbit, problem, stuck, cycles=1, settle=2)
 
 
 def test_a_machine_gets_the_cycles_to_settle_that_the_multipliers_of_its_orbit_ask_for(
@@ -558,25 +560,25 @@ def test_a_machine_gets_the_cycles_to_settle_that_the_multipliers_of_its_orbit_a
         assert settling_cycles(known) == count
 
 
-def test_no_cycle_at_all_is_refused(scene: Problem, orbit: ZenoOrbit) -> None:
+def test_no_cycle_at_all_is_refused(problem: Problem, orbit: ZenoOrbit) -> None:
     for cycles, settle in ((0, 1), (1, -1)):
         with pytest.raises(InputError, match="`cycles` must be at least 1, and `settle`"):
-            rig_cycles(orbit, scene, Rig(), cycles=cycles, settle=settle)
+            rig_cycles(orbit, problem, Rig(), cycles=cycles, settle=settle)
 
 
-def test_touches_without_a_long_one_hold_no_cycle(orbit: ZenoOrbit, scene: Problem) -> None:
-    settled = rig_cycles(orbit, scene, Rig(contact=STIFF), cycles=2, settle=2)
+def test_touches_without_a_long_one_hold_no_cycle(orbit: ZenoOrbit, problem: Problem) -> None:
+    settled = rig_cycles(orbit, problem, Rig(contact=STIFF), cycles=2, settle=2)
     touches = settled.run.touches
     assert len(cut_cycles(touches, orbit)) >= 1
     assert cut_cycles([t for t in touches if t.end - t.start < 0.1], orbit) == ()
 
 
 def test_the_comparison_tells_means_spreads_and_where_the_machine_is_farthest(
-    scene: Problem, orbit: ZenoOrbit
+    problem: Problem, orbit: ZenoOrbit
 ) -> None:
-    settled = rig_cycles(orbit, scene, Rig(contact=Contact(stiffness=1e5)), cycles=2)
-    comparison = compare_cycles(orbit, scene, settled)
-    assert comparison.orbit == numbers_of_orbit(orbit, scene)
+    settled = rig_cycles(orbit, problem, Rig(contact=Contact(stiffness=1e5)), cycles=2)
+    comparison = compare_cycles(orbit, problem, settled)
+    assert comparison.orbit == numbers_of_orbit(orbit, problem)
     assert comparison.orbit.period == orbit.period
     assert comparison.mean.period == pytest.approx(orbit.period, abs=1e-4)
     assert comparison.spread.period < 1e-9
@@ -610,8 +612,8 @@ def test_distances_from_a_line_are_those_of_its_sides() -> None:
     assert stretched.distances(points)[1] == pytest.approx(0.15, abs=1e-15)
 
 
-def test_an_orbit_lies_on_its_own_line(scene: Problem, orbit: ZenoOrbit) -> None:
-    coarse, fine = (orbit_curve(orbit, scene, n_per_arc=n) for n in (1500, 2100))
+def test_an_orbit_lies_on_its_own_line(problem: Problem, orbit: ZenoOrbit) -> None:
+    coarse, fine = (orbit_curve(orbit, problem, n_per_arc=n) for n in (1500, 2100))
     # Chords of 3e-4 of the size, and what is left out of flights shorter than that.
     assert np.max(fine.distances(coarse.states)) < 3e-4
 
@@ -631,52 +633,68 @@ def test_a_power_law_is_fitted_with_its_order() -> None:
 # -------------------------------------------------------------------------------------- refusals
 
 
-def test_a_part_that_the_scene_has_no_place_for_is_refused_by_name(scene: Problem) -> None:
-    start = scene.state_vector({})
+def test_a_part_that_the_problem_has_no_place_for_is_refused_by_name(problem_file: Problem) -> None:
+    start = problem_file.state_vector({})
     ball = load_problem("bouncing_ball")
     cases = (
-        (scene, Rig(friction={"knee": Friction()}), "`friction` must name one of theta1, theta2"),
-        (scene, Rig(gears={2: Gear(rotor_inertia=0.01)}), "`gears` must number one of 1 motors"),
+        (
+            problem_file,
+            Rig(friction={"knee": Friction()}),
+            "`friction` must name one of theta1, theta2",
+        ),
+        (
+            problem_file,
+            Rig(gears={2: Gear(rotor_inertia=0.01)}),
+            "`gears` must number one of 1 motors",
+        ),
         (ball, Rig(controller=Controller(period=1e-3)), "must have motors for a bridge"),
-        (scene.at_fidelity("quasi_static"), Rig(bridge=Bridge(supply=12.0)), "states for a bridge"),
-        (scene.at_fidelity("corrected"), Rig(), "currents as states, or none at all, for a rig"),
-        (scene, Rig(gears={1: Gear(rotor_inertia=1.0)}), "`rotor_inertia` must leave"),
+        (
+            problem_file.at_fidelity("quasi_static"),
+            Rig(bridge=Bridge(supply=12.0)),
+            "states for a bridge",
+        ),
+        (
+            problem_file.at_fidelity("corrected"),
+            Rig(),
+            "currents as states, or none at all, for a rig",
+        ),
+        (problem_file, Rig(gears={1: Gear(rotor_inertia=1.0)}), "`rotor_inertia` must leave"),
     )
     for problem, rig, message in cases:
         given = start[: len(problem.state_names)]
         with pytest.raises(InputError, match=message):
-            simulate_rig(problem, problem.setting(), rig, given, 0.1)
+            simulate_rig(problem, problem.values(), rig, given, 0.1)
 
 
-def test_a_plastic_impact_a_wrong_state_and_a_wrong_time_are_refused(scene: Problem) -> None:
-    start, setting = scene.state_vector({}), scene.setting()
-    plastic = scene.setting(parameters={"restitution": 0.0})
+def test_a_plastic_impact_a_wrong_state_and_a_wrong_time_are_refused(problem: Problem) -> None:
+    start, values = problem.state_vector({}), problem.values()
+    plastic = problem.values(parameters={"restitution": 0.0})
     with pytest.raises(InputError, match="`restitution` must be greater than 0 for a contact"):
-        simulate_rig(scene, plastic, Rig(), start, 1.0)
+        simulate_rig(problem, plastic, Rig(), start, 1.0)
     with pytest.raises(InputError, match="`start` must be of shape"):
-        simulate_rig(scene, setting, Rig(), start[:4], 1.0)
+        simulate_rig(problem, values, Rig(), start[:4], 1.0)
     for wrong in (0.0, -1.0, math.nan, math.inf):
         with pytest.raises(InputError, match="`until` must be a positive number"):
-            simulate_rig(scene, setting, Rig(), start, wrong)
+            simulate_rig(problem, values, Rig(), start, wrong)
 
 
-def test_a_machine_that_runs_away_says_which_coordinate_did(scene: Problem) -> None:
-    wild = scene.setting(gains={"Kd": -6.0})
+def test_a_machine_that_runs_away_says_which_coordinate_did(problem: Problem) -> None:
+    wild = problem.values(gains={"Kd": -6.0})
     with pytest.raises(RunawayError, match=r"`theta[12]` ran away"):
-        simulate_rig(scene, wild, Rig(), scene.state_vector({"theta1": 1.0}), 20.0)
+        simulate_rig(problem, wild, Rig(), problem.state_vector({"theta1": 1.0}), 20.0)
 
 
-# ------------------------------------------------------------------------------- any other scene
+# ------------------------------------------------------------------------------- any other problem
 
 
 @pytest.mark.parametrize("name", ["two_motors", "motor_cart", "motor_valve", "forced_oscillator"])
-def test_other_scenes_have_a_rig_too(name: str) -> None:
+def test_other_problems_have_a_rig_too(name: str) -> None:
     problem = load_problem(name)
     rig = Rig(contact=Contact(stiffness=1e5))
     if problem.state_names[-1].startswith("current"):
         rig = replace(rig, controller=Controller(period=1e-3), bridge=Bridge(supply=24.0))
     start = problem.state_vector(problem.starts[0])
-    run = simulate_rig(problem, problem.setting(), rig, start, 1.0)
+    run = simulate_rig(problem, problem.values(), rig, start, 1.0)
     assert np.all(np.isfinite(run.states))
     assert float(np.min(run.gap)) > -0.1
     recording = recording_of(run, problem)
@@ -687,32 +705,32 @@ def test_other_scenes_have_a_rig_too(name: str) -> None:
     )
 
 
-def test_a_reduced_model_without_currents_has_a_rig_with_a_controller(scene: Problem) -> None:
-    reduced = scene.at_fidelity("quasi_static")
+def test_a_reduced_model_without_currents_has_a_rig_with_a_controller(problem: Problem) -> None:
+    reduced = problem.at_fidelity("quasi_static")
     rig = Rig(controller=Controller(period=1e-4))
     start = (0.6, 0.3, 0.0, 0.0)
     ideal, sampled = (
-        simulate_rig(reduced, reduced.setting(), r, start, 0.2).states[-1] for r in (Rig(), rig)
+        simulate_rig(reduced, reduced.values(), r, start, 0.2).states[-1] for r in (Rig(), rig)
     )
     # First order in the period: 1e-4 s at accelerations of some 30 rad/s^2 over 0.2 s.
     assert sampled == pytest.approx(ideal, abs=1e-2)
     assert not np.allclose(sampled, ideal, atol=1e-7)
 
 
-def test_a_run_is_recorded_with_names_and_units_as_simulated(scene: Problem) -> None:
-    start = scene.state_vector(scene.starts[0])
-    run = simulate_rig(scene, scene.setting(), default_rig(scene), start, 0.1)
-    recording = recording_of(run, scene, {"seed": "0"})
+def test_a_run_is_recorded_with_names_and_units_as_simulated(problem: Problem) -> None:
+    start = problem.state_vector(problem.starts[0])
+    run = simulate_rig(problem, problem.values(), default_rig(problem), start, 0.1)
+    recording = recording_of(run, problem, {"seed": "0"})
     assert recording.names == ("theta1", "theta2", "current")
     assert [signal.unit for signal in recording.signals] == ["rad", "rad", "A"]
-    assert recording.scene == scene.name
+    assert recording.problem == problem.name
     assert recording.notes["seed"] == "0"
     assert np.diff(recording.time) == pytest.approx(1e-3)
     step = 2 * math.pi / 8192
     steps = recording.signal("theta1").values / step
     assert steps == pytest.approx(np.round(steps), abs=1e-9)
-    ideal = simulate_rig(scene, scene.setting(), Rig(), start, 0.1)
-    exact = recording_of(ideal, scene)
+    ideal = simulate_rig(problem, problem.values(), Rig(), start, 0.1)
+    exact = recording_of(ideal, problem)
     assert exact.time == pytest.approx(np.arange(len(exact.time)) * 1e-3, abs=1e-12)
     assert len(exact.time) >= 100
     assert exact.signal("theta1").values == pytest.approx(

@@ -1,4 +1,4 @@
-"""Recordings that show no settled orbit of the scene end with the reason, not with numbers."""
+"""Recordings that show no settled orbit of the problem end with the reason, not with numbers."""
 
 from __future__ import annotations
 
@@ -28,45 +28,45 @@ SIGNALS = ("theta1", "theta2", "current")
 
 
 @pytest.fixture(scope="module")
-def settling(scene: Problem) -> Recording:
+def settling(problem: Problem) -> Recording:
     """A machine from its first start on."""
-    setting = scene.setting(parameters=TRUTH)
-    dynamics = bind(compiled_model(scene), tuple(setting.values()))
-    motion = simulate(dynamics, scene.state_vector(scene.starts[0]), until=13.0)
-    whole = sampled(scene, dynamics, motion, Sampling(rate=200.0, noise=5e-3))
+    values = problem.values(parameters=TRUTH)
+    dynamics = bind(compiled_model(problem), tuple(values.vector))
+    motion = simulate(dynamics, problem.state_vector(problem.starts[0]), until=13.0)
+    whole = sampled(problem, dynamics, motion, Sampling(rate=200.0, noise=5e-3))
     return replace(whole, signals=tuple(one for one in whole.signals if one.name in SIGNALS))
 
 
 @pytest.fixture(scope="module")
-def other(scene: Problem) -> ZenoOrbit:
+def other(problem: Problem) -> ZenoOrbit:
     """The orbit that it settles to."""
-    return close_orbit(scene, scene.setting(parameters=TRUTH)).unwrap()
+    return close_orbit(problem, problem.values(parameters=TRUTH)).unwrap()
 
 
 @pytest.mark.parametrize(
     ("since", "until"), [(0.0, 5.0), pytest.param(3.6, 11.0, marks=pytest.mark.slow)]
 )
 def test_a_transient_is_told_and_where_it_ends(
-    settling: Recording, scene: Problem, since: float, until: float
+    settling: Recording, problem: Problem, since: float, until: float
 ) -> None:
     with pytest.raises(UnfittableError, match=r"first cycle .* still settles; .* --from \d"):
-        identify(scene, scene.setting(), cut(settling, since, until), SOUGHT)
+        identify(problem, problem.values(), cut(settling, since, until), SOUGHT)
 
 
 @pytest.mark.slow
 def test_without_that_check_a_transient_gives_wrong_numbers(
-    settling: Recording, scene: Problem, monkeypatch: pytest.MonkeyPatch
+    settling: Recording, problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(identification, "unsteady", lambda _: None)
-    found = identify(scene, scene.setting(), cut(settling, 3.6, 11.0), SOUGHT)
+    found = identify(problem, problem.values(), cut(settling, 3.6, 11.0), SOUGHT)
     resistance = found.fitted[0]
     assert not resistance.low <= TRUTH["R"] <= resistance.high
 
 
-def test_a_drift_is_told(other: ZenoOrbit, scene: Problem) -> None:
-    # What is drawn from one current to the other over the cycles passes for no other scene.
-    last = close_orbit(scene, scene.setting(parameters={**TRUTH, "R": 3.24})).unwrap()
-    tables = [table_of(orbit, scene, SIGNALS) for orbit in (other, last)]
+def test_a_drift_is_told(other: ZenoOrbit, problem: Problem) -> None:
+    # What is drawn from one current to the other over the cycles passes for no other problem.
+    last = close_orbit(problem, problem.values(parameters={**TRUTH, "R": 3.24})).unwrap()
+    tables = [table_of(orbit, problem, SIGNALS) for orbit in (other, last)]
     period = other.period
     time = np.arange(int(8 * period * 200.0)) / 200.0
     share = (time / time[-1])[:, None]
@@ -75,52 +75,52 @@ def test_a_drift_is_told(other: ZenoOrbit, scene: Problem) -> None:
         for part, table in zip((1 - share, share), tables, strict=True)
     )
     noise = 2e-3 * np.ptp(values, axis=0) * np.random.default_rng(0).normal(size=values.shape)
-    drifting = recording_of(scene, SIGNALS, time, (values + noise).T)
+    drifting = recording_of(problem, SIGNALS, time, (values + noise).T)
     with pytest.raises(UnfittableError, match="first half asks for other numbers"):
-        identify(scene, scene.setting(parameters=TRUTH), drifting, SOUGHT)
+        identify(problem, problem.values(parameters=TRUTH), drifting, SOUGHT)
 
 
-def test_cycles_that_differ_in_turn_are_told(other: ZenoOrbit, scene: Problem) -> None:
-    second = close_orbit(scene, scene.setting(parameters={**TRUTH, "R": 3.16})).unwrap()
-    tables = [table_of(orbit, scene, SIGNALS) for orbit in (other, second)]
+def test_cycles_that_differ_in_turn_are_told(other: ZenoOrbit, problem: Problem) -> None:
+    second = close_orbit(problem, problem.values(parameters={**TRUTH, "R": 3.16})).unwrap()
+    tables = [table_of(orbit, problem, SIGNALS) for orbit in (other, second)]
     time = np.arange(int(8 * other.period * 200.0)) / 200.0
     phases = time / other.period
     odd = (np.floor(phases) % 2 == 1)[:, None]
     values = np.where(odd, tables[1].at(phases), tables[0].at(phases))
     noise = 2e-3 * np.ptp(values, axis=0) * np.random.default_rng(0).normal(size=values.shape)
-    doubled = recording_of(scene, SIGNALS, time, (values + noise).T)
+    doubled = recording_of(problem, SIGNALS, time, (values + noise).T)
     with pytest.raises(UnfittableError, match="the period is doubled"):
-        identify(scene, scene.setting(parameters=TRUTH), doubled, SOUGHT)
+        identify(problem, problem.values(parameters=TRUTH), doubled, SOUGHT)
 
 
-def test_a_settled_machine_is_not_refused(other: ZenoOrbit, scene: Problem) -> None:
-    table = table_of(other, scene, SIGNALS)
+def test_a_settled_machine_is_not_refused(other: ZenoOrbit, problem: Problem) -> None:
+    table = table_of(other, problem, SIGNALS)
     for cycles, start in ((2.3, 0.1), (3.5, 0.9)):
-        settled = recorded(table, scene, n_cycles=cycles, rate=200.0, noise=5e-3, start=start)
-        found = identify(scene, scene.setting(parameters=TRUTH), settled, SOUGHT)
+        settled = recorded(table, problem, n_cycles=cycles, rate=200.0, noise=5e-3, start=start)
+        found = identify(problem, problem.values(parameters=TRUTH), settled, SOUGHT)
         assert all(abs(one.value - TRUTH[one.sought.label]) < 5 * one.error for one in found.fitted)
 
 
 @pytest.mark.parametrize("names", [SIGNALS, ("theta1", "current")])
 @pytest.mark.slow
 def test_a_stop_that_is_never_touched_gives_no_parameters(
-    scene: Problem, names: tuple[str, ...]
+    problem: Problem, names: tuple[str, ...]
 ) -> None:
     # Arms that swing at the orbit's own period, the second far from its stop.
-    orbit = close_orbit(scene, scene.setting()).unwrap()
+    orbit = close_orbit(problem, problem.values()).unwrap()
     time = np.arange(int(9 * orbit.period * 200.0)) / 200.0
     angle = 2 * np.pi * time / orbit.period
     of = {"theta1": 1.4 * np.sin(angle), "theta2": -1.0 - 0.6 * np.cos(angle)}
     of["current"] = 2.0 * np.cos(angle)
     noise = 2e-2 * np.random.default_rng(0).normal(size=(len(names), len(time)))
-    free = recording_of(scene, names, time, np.array([of[name] for name in names]) + noise)
+    free = recording_of(problem, names, time, np.array([of[name] for name in names]) + noise)
     with pytest.raises(UnfittableError, match="No parameters were found"):
-        identify(scene, scene.setting(), free, SOUGHT)
+        identify(problem, problem.values(), free, SOUGHT)
 
 
-def test_another_machine_is_told_by_what_repeats(other: ZenoOrbit, scene: Problem) -> None:
-    table = table_of(other, scene, SIGNALS)
-    good = recorded(table, scene, n_cycles=8, rate=200.0, noise=5e-3)
+def test_another_machine_is_told_by_what_repeats(other: ZenoOrbit, problem: Problem) -> None:
+    table = table_of(other, problem, SIGNALS)
+    good = recorded(table, problem, n_cycles=8, rate=200.0, noise=5e-3)
     # Its first arm and its current have other shapes: of the same period, locked as long, and
     # like the orbit's enough to be compared with it.
     phase = 2 * np.pi * good.time / table.period
@@ -134,4 +134,4 @@ def test_another_machine_is_told_by_what_repeats(other: ZenoOrbit, scene: Proble
         ),
     )
     with pytest.raises(UnfittableError, match=r"of the signals' ranges off, in every cycle"):
-        identify(scene, scene.setting(), strange, SOUGHT)
+        identify(problem, problem.values(), strange, SOUGHT)

@@ -220,7 +220,7 @@ def test_a_power_of_two_variables_has_the_series_of_exp_and_log() -> None:
 def test_the_pendulum_moves_by_the_same_numbers(mode: str, part: str) -> None:
     problem = load_problem("motor_pendulum")
     function = getattr(getattr(compile_problem(problem), mode), part)
-    parameters = np.array(problem.setting().values())
+    parameters = np.array(problem.values().vector)
     if mode == "flight":
         parameters = np.append(parameters, 0.37)
     values = _evaluator(function)
@@ -237,7 +237,7 @@ def test_the_pendulum_moves_by_the_same_numbers(mode: str, part: str) -> None:
 def test_what_an_impact_needs_has_the_same_numbers(name: str) -> None:
     problem = load_problem("motor_pendulum")
     function = getattr(compile_problem(problem), name)
-    parameters = np.array(problem.setting().values())
+    parameters = np.array(problem.values().vector)
     state = np.array([0.4, 0.2, -1.0, 2.0, 0.5])
     own = _own(function, state, parameters)
     bound = 1e-14 * float(np.max(np.abs(own)))

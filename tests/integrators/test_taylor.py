@@ -44,13 +44,13 @@ LOCATED = 1e-14
 @pytest.fixture(name="pendulum", scope="module")
 def _pendulum() -> HybridDynamics:
     problem = load_problem("motor_pendulum")
-    return bind(compile_problem(problem), problem.setting().values())
+    return bind(compile_problem(problem), problem.values().vector)
 
 
 @pytest.fixture(name="ball", scope="module")
 def _ball() -> HybridDynamics:
-    scene = load_problem("bouncing_ball")
-    return bind(compile_problem(scene), scene.setting(parameters={"restitution": 0.5}).values())
+    problem = load_problem("bouncing_ball")
+    return bind(compile_problem(problem), problem.values(parameters={"restitution": 0.5}).vector)
 
 
 @pytest.fixture(name="walked")
@@ -129,9 +129,9 @@ def test_whole_executions_are_those_of_the_runge_kutta_engine(
 @pytest.mark.parametrize("name", ["torque_pendulum", "two_motors", "motor_valve"])
 def test_a_coarse_run_misses_no_impact(name: str, relative: float) -> None:
     """After a false root heyoka looks away for a while, the longer the coarser it is."""
-    scene = load_problem(name)
-    dynamics = bind(compiled_model(scene), tuple(scene.setting().values()))
-    start = scene.state_vector(scene.starts[0])
+    problem = load_problem(name)
+    dynamics = bind(compiled_model(problem), tuple(problem.values().vector))
+    start = problem.state_vector(problem.starts[0])
     rough = Tolerance(relative=relative, absolute=relative / 10)
     runs = [
         simulate(dynamics, start, until=4.0, settings=settings)
@@ -351,8 +351,8 @@ def test_new_gains_compile_nothing() -> None:
     functions = compile_problem(problem)
     counts: list[int] = []
     for stiffness in (2.5, 2.6, 3.0):
-        setting = problem.setting(gains={"Kp": stiffness})
-        simulate(bind(functions, setting.values()), RELEASE, until=3.0, settings=SETTINGS)
+        values = problem.values(gains={"Kp": stiffness})
+        simulate(bind(functions, values.vector), RELEASE, until=3.0, settings=SETTINGS)
         counts.append(series._carrier.cache_info().misses)
     assert len(set(counts)) == 1
 
@@ -402,7 +402,7 @@ def test_threads_do_not_share_an_integrator() -> None:
     functions = compile_problem(problem)
 
     def run(_: int) -> float:
-        own = bind(functions, problem.setting().values())
+        own = bind(functions, problem.values().vector)
         execution = simulate(own, RELEASE, until=5.0, releases=1, settings=SETTINGS)
         return execution.releases[0].time
 
@@ -412,7 +412,7 @@ def test_threads_do_not_share_an_integrator() -> None:
 
 def test_the_lean_formulas_of_a_mode_are_its_own() -> None:
     problem = load_problem("motor_pendulum")
-    dynamics = bind(compile_problem(problem), problem.setting().values())
+    dynamics = bind(compile_problem(problem), problem.values().vector)
     generator = np.random.default_rng(3)
     for flow in (dynamics.free, dynamics.locked, dynamics.flight(0.7)):
         mode, p = series.symbols_of(flow)
@@ -425,7 +425,7 @@ def test_the_lean_formulas_of_a_mode_are_its_own() -> None:
 
 def test_only_what_rests_is_left_out() -> None:
     problem = load_problem("motor_pendulum")
-    dynamics = bind(compile_problem(problem), problem.setting().values())
+    dynamics = bind(compile_problem(problem), problem.values().vector)
     (free, _), (locked, p) = (series.symbols_of(f) for f in (dynamics.free, dynamics.locked))
     # The gap and its rate rest on the stop; off it gravity sets the link in motion.
     assert series._resting(locked, (1, 3)) == (1, 3)
@@ -445,7 +445,7 @@ def test_only_what_rests_is_left_out() -> None:
 
 def test_a_gap_that_is_not_quite_zero_stays_in_the_series_of_a_locked_arc() -> None:
     problem = load_problem("motor_pendulum")
-    dynamics = bind(compile_problem(problem), problem.setting().values())
+    dynamics = bind(compile_problem(problem), problem.values().vector)
     ends: list[Passage] = []
     for gap in (0.0, 1e-14):
         start = np.array([1.236, gap, 1.749, 0.0, -0.46])

@@ -74,7 +74,7 @@ def test_the_table_promises_what_is_tested(row: Row) -> None:
 @pytest.mark.parametrize(("method", "relative"), [(DOP853, 3e-14), (Radau, 1e-11)])
 def test_the_second_simulator_finds_the_reference_orbit(method: Method, relative: float) -> None:
     problem = load_problem("motor_pendulum")
-    machine = load_reference(problem).pendulum(problem.setting(parameters=CALIBRATED))
+    machine = load_reference(problem).pendulum(problem.values(parameters=CALIBRATED))
     follower = Follower(machine=machine, method=method, relative=relative)
     # From its Zeno point over the release to the next Zeno point, one period later.
     followed = follower.follow(ZENO_STATE, PERIOD + 1e-9)
@@ -91,10 +91,10 @@ def test_the_sequence_that_ends_at_the_release_parts_those_that_do_from_those_th
 
 def test_a_machine_that_differs_in_the_ninth_digit_is_told_apart() -> None:
     problem = load_problem("motor_pendulum")
-    setting = problem.setting(parameters=CALIBRATED)
-    other = problem.setting(parameters={**CALIBRATED, "g": 9.81 * (1 + 1e-9)})
-    execution = simulate(load_reference(problem).dynamics(setting), FLYING, until=1.0)
-    for numbers, told in ((setting, False), (other, True)):
+    values = problem.values(parameters=CALIBRATED)
+    other = problem.values(parameters={**CALIBRATED, "g": 9.81 * (1 + 1e-9)})
+    execution = simulate(load_reference(problem).dynamics(values), FLYING, until=1.0)
+    for numbers, told in ((values, False), (other, True)):
         machine = load_reference(problem).pendulum(numbers)
         truth = Follower(machine=machine).follow(FLYING, 1.0)
         assert (difference(execution, truth, 1.0) > 1e-11) == told

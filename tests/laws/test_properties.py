@@ -1,6 +1,6 @@
 """Laws that hold for all numbers: reversal, energy, units, closed forms, symmetry, Zeno limits.
 
-Hypothesis draws the numbers, the same ones every time. Scenes are compiled once with symbols for
+Hypothesis draws the numbers, the same ones every time. Problems are compiled once with symbols for
 their parameters (`families.py`).
 """
 
@@ -166,7 +166,7 @@ def test_an_impact_of_the_pendulum_loses_what_the_law_says(
 ) -> None:
     angle, rate, approach, current = state
     problem, at = _pendulum()
-    dynamics = at(problem.setting(parameters=machine).values())
+    dynamics = at(problem.values(parameters=machine).vector)
     # The condition of the mass matrix multiplies rounding, and stays below 1e5 here.
     assert _loss_error(dynamics, np.array([angle, 0.0, rate, -approach, current])) < 1e-11
 
@@ -211,7 +211,7 @@ def test_an_impact_of_the_cart_loses_what_the_law_says(
 
 def test_an_impulse_along_the_wrong_direction_is_seen_in_the_energy() -> None:
     problem, at = _pendulum()
-    right = at(problem.setting().values())
+    right = at(problem.values().vector)
     # Newton's law for the gap alone, as if the links were not coupled.
     direction = np.array([0.0, 0.0, 0.0, 1.0, 0.0])
     wrong = replace(right, reset_map=lambda x, rate: x - (1 + right.restitution) * rate * direction)
@@ -286,12 +286,12 @@ def test_the_pendulum_moves_alike_in_all_units(
     units: Units, kp: float, kd: float, e: float, angle: float, knee: float
 ) -> None:
     problem, at = _pendulum()
-    setting = problem.setting(gains={"Kp": kp, "Kd": kd}, parameters={"restitution": e})
+    values = problem.values(gains={"Kp": kp, "Kd": kd}, parameters={"restitution": e})
     start = np.array([angle, knee, 0.0, 0.0, 0.0])
-    plain = simulate(at(setting.values()), start, until=1.0)
-    values = {**setting.gains, **setting.parameters}
+    plain = simulate(at(values.vector), start, until=1.0)
+    entries = {**values.gains, **values.parameters}
     other = simulate(
-        at(tuple(units.numbers(values, PENDULUM).values())),
+        at(tuple(units.numbers(entries, PENDULUM).values())),
         start * units.state(PENDULUM_STATE),
         until=units.time,
     )

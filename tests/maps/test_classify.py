@@ -29,19 +29,19 @@ START = PENDULUM.state_vector(PENDULUM.starts[0])
 
 
 def at(kp, kd, **parameters):
-    return PENDULUM.setting(gains={"Kp": kp, "Kd": kd}, parameters=parameters)
+    return PENDULUM.values(gains={"Kp": kp, "Kd": kd}, parameters=parameters)
 
 
-def dynamics_at(setting):
-    return bind(compiled_model(PENDULUM), setting.values())
+def dynamics_at(values):
+    return bind(compiled_model(PENDULUM), values.vector)
 
 
 def state_of(attractor):
     return np.array([attractor.state[name] for name in PENDULUM.state_names])
 
 
-def test_the_reference_setting_settles_to_the_reference_orbit():
-    (found,) = attractors_at(PENDULUM, [PENDULUM.setting()])
+def test_the_reference_values_settles_to_the_reference_orbit():
+    (found,) = attractors_at(PENDULUM, [PENDULUM.values()])
     assert (found.fate, found.returns) == (Fate.ZENO, 1)
     # 300 steps with a local error of 1e-8, most of which the layers damp.
     assert found.period == pytest.approx(PERIOD, abs=1e-8)
@@ -52,8 +52,8 @@ def test_the_reference_setting_settles_to_the_reference_orbit():
 
 def test_orbits_multipliers_and_margins_are_those_of_a_single_simulation():
     settings = [at(2.0, -0.9), at(4.2, -1.4), at(3.1, -0.42), at(3.0, -1.2, L1=0.22, R=2.5)]
-    for setting, found in zip(settings, attractors_at(PENDULUM, settings), strict=True):
-        dynamics = dynamics_at(setting)
+    for values, found in zip(settings, attractors_at(PENDULUM, settings), strict=True):
+        dynamics = dynamics_at(values)
         release = state_of(found)
         run = simulate(dynamics, release, until=3.0, releases=2)
         (back, *_) = run.returns(found.period)
@@ -88,17 +88,17 @@ def test_other_restitutions_have_their_periods_and_a_plastic_stop_a_simple_orbit
 
 
 def test_a_flipped_orbit_has_two_releases_a_period_as_a_long_simulation_has():
-    setting = at(4.37, -1.58)
-    (found,) = attractors_at(PENDULUM, [setting])
+    values = at(4.37, -1.58)
+    (found,) = attractors_at(PENDULUM, [values])
     assert (found.fate, found.returns) == (Fate.ZENO, 2)
-    run = simulate(dynamics_at(setting), state_of(found), until=1.2 * found.period)
+    run = simulate(dynamics_at(values), state_of(found), until=1.2 * found.period)
     first, second = run.returns(found.period)[:2]
     assert second.time == pytest.approx(found.period, abs=1e-7)
     assert second.state == pytest.approx(state_of(found), abs=1e-6)
     assert abs(first.state[0] - state_of(found)[0]) > 1e-3
 
 
-def test_an_escape_is_told_in_the_words_of_the_scene():
+def test_an_escape_is_told_in_the_words_of_the_problem():
     (found,) = attractors_at(PENDULUM, [at(1.2, -1.95)])
     assert found.fate is Fate.ESCAPE
     assert found.detail == PENDULUM.escapes[found.escaped].phrase
@@ -106,33 +106,33 @@ def test_an_escape_is_told_in_the_words_of_the_scene():
 
 def test_what_runs_away_is_named_as_a_single_simulation_names_it():
     bounds = dict.fromkeys(("theta1", "theta2"), RUNAWAY)
-    for setting in (at(1.2, -1.95), at(1.63, -2.0)):
-        (found,) = attractors_at(PENDULUM, [setting], bounds=bounds)
+    for values in (at(1.2, -1.95), at(1.63, -2.0)):
+        (found,) = attractors_at(PENDULUM, [values], bounds=bounds)
         assert found.fate is Fate.ESCAPE
         with pytest.raises(RunawayError) as error:
             simulate(
-                dynamics_at(setting), START, until=60.0, settings=SimulationSettings(far=RUNAWAY)
+                dynamics_at(values), START, until=60.0, settings=SimulationSettings(far=RUNAWAY)
             )
         assert error.value.reason.split()[0] == found.escaped
 
 
 def test_a_bound_of_the_users_is_kept():
-    (found,) = attractors_at(PENDULUM, [PENDULUM.setting()], bounds={"theta2": 0.01})
+    (found,) = attractors_at(PENDULUM, [PENDULUM.values()], bounds={"theta2": 0.01})
     assert (found.fate, found.escaped) == (Fate.ESCAPE, "theta2")
 
 
 def test_a_motion_that_dies_out_is_at_rest_long_before_it_stands_still():
-    setting = at(3.0, -0.02)
-    (found,) = attractors_at(PENDULUM, [setting])
+    values = at(3.0, -0.02)
+    (found,) = attractors_at(PENDULUM, [values])
     assert found.fate is Fate.REST
     assert found.trend < 1.0
-    first, *_, last = simulate(dynamics_at(setting), START, until=60.0).releases
+    first, *_, last = simulate(dynamics_at(values), START, until=60.0).releases
     assert abs(last.state[2]) < 0.3 * abs(first.state[2])
 
 
 def test_a_ball_comes_to_rest():
     ball = load_problem("bouncing_ball")
-    found = attractors_at(ball, [ball.setting()], start={"height": 1.0}, until=30.0)
+    found = attractors_at(ball, [ball.values()], start={"height": 1.0}, until=30.0)
     assert [one.fate for one in found] == [Fate.REST]
 
 
@@ -161,21 +161,21 @@ def test_the_answer_at_a_point_does_not_depend_on_the_other_points():
 
 
 def test_a_start_inside_the_stop_fails_by_name_and_others_do_not():
-    (found,) = attractors_at(PENDULUM, [PENDULUM.setting()], start={"theta2": -0.1})
+    (found,) = attractors_at(PENDULUM, [PENDULUM.values()], start={"theta2": -0.1})
     assert found.fate is Fate.FAILED
     assert "gap is negative" in found.detail
 
 
 def test_wrong_arguments_are_refused():
-    setting = PENDULUM.setting()
+    values = PENDULUM.values()
     with pytest.raises(InputError, match="theta9"):
-        attractors_at(PENDULUM, [setting], bounds={"theta9": 1.0})
+        attractors_at(PENDULUM, [values], bounds={"theta9": 1.0})
     with pytest.raises(InputError, match="bounds"):
-        attractors_at(PENDULUM, [setting], bounds={"theta1": 0.0})
+        attractors_at(PENDULUM, [values], bounds={"theta1": 0.0})
     with pytest.raises(InputError, match="until"):
-        attractors_at(PENDULUM, [setting], until=math.nan)
+        attractors_at(PENDULUM, [values], until=math.nan)
     with pytest.raises(InputError, match="theta9"):
-        attractors_at(PENDULUM, [setting], start={"theta9": 1.0})
+        attractors_at(PENDULUM, [values], start={"theta9": 1.0})
     assert attractors_at(PENDULUM, []) == ()
 
 
@@ -187,12 +187,12 @@ def test_progress_counts_the_points_up_to_all():
 
 
 def point():
-    return Point(dynamics_at(PENDULUM.setting()), np.array(START), 100.0, Accuracy())
+    return Point(dynamics_at(PENDULUM.values()), np.array(START), 100.0, Accuracy())
 
 
 def test_oscillators_with_a_stop_have_their_orbits_in_closed_form():
     zeno = clocked_oscillator(FORCED, attracting=True)
-    (found,) = attractors_at(zeno, [zeno.setting()], until=200.0)
+    (found,) = attractors_at(zeno, [zeno.values()], until=200.0)
     assert found.fate is Fate.ZENO
     assert found.period == pytest.approx(2 * math.pi, abs=1e-8)
     # It lets go where the forcing is that of the stop; y = cos t there.
@@ -200,7 +200,7 @@ def test_oscillators_with_a_stop_have_their_orbits_in_closed_form():
     # The clock forgets a displacement r of its circle by exp(-2 pi), its only multiplier.
     assert found.multipliers[0] == pytest.approx(math.exp(-2 * math.pi), rel=1e-4)
     struck = clocked_oscillator(COCO, attracting=True)
-    (found,) = attractors_at(struck, [struck.setting()], until=400.0)
+    (found,) = attractors_at(struck, [struck.values()], until=400.0)
     assert found.fate is Fate.NO_ZENO
     # Its two multipliers as COCO prints them, and those of the clock: it forgets its amplitude.
     published = -0.58429531434153 + 0.00560035149247j
@@ -217,7 +217,7 @@ def test_orbits_without_a_zeno_point_have_the_multipliers_of_their_closed_form()
     # The flow shrinks areas by exp(-c T), an impact by e squared; by COCO at A = 1.
     oscillator = load_problem("forced_oscillator")
     numbers = {"c": 0.1, "stop": 1.0, "restitution": 0.8}
-    settings = [oscillator.setting(parameters={**numbers, "A": a}) for a in (1.0, 0.5, 1.3)]
+    settings = [oscillator.values(parameters={**numbers, "A": a}) for a in (1.0, 0.5, 1.3)]
     start = {"speed": 1.0, "cosine": 1.0}
     found = attractors_at(oscillator, settings, start=start, until=400.0)
     assert [one.fate for one in found] == 3 * [Fate.NO_ZENO]
@@ -236,13 +236,11 @@ def test_orbits_without_a_zeno_point_have_the_multipliers_of_their_closed_form()
 def test_the_multipliers_between_impacts_are_those_of_the_exact_derivative():
     # Differences of shared steps here, the variational equation of a continuation there.
     oscillator = load_problem("forced_oscillator")
-    setting = oscillator.setting(
-        parameters={"c": 0.1, "stop": 0.0, "restitution": 0.8, "omega": 2.6}
-    )
+    values = oscillator.values(parameters={"c": 0.1, "stop": 0.0, "restitution": 0.8, "omega": 2.6})
     start = {"speed": 1.0, "cosine": 1.0}
-    (found,) = attractors_at(oscillator, [setting], start=start, until=600.0)
+    (found,) = attractors_at(oscillator, [values], start=start, until=600.0)
     assert found.fate is Fate.NO_ZENO
-    p = np.array(setting.values())
+    p = np.array(values.vector)
     returns = ImpactReturns(
         compiled=compiled_model(oscillator),
         line=Line(origin=p, direction=0 * p),
@@ -283,7 +281,7 @@ def test_impacts_that_repeat_without_a_release_are_an_orbit_without_a_zeno_point
 
 def test_an_orbit_that_repels_is_not_what_impacts_come_to():
     # One impact a second; the neighbours come back twice as far off.
-    motion = dynamics_at(PENDULUM.setting())
+    motion = dynamics_at(PENDULUM.values())
     x, scale = np.array([0.3, 0.0, 1.0, 2.0, 0.1]), np.ones(5)
 
     def heard(factor):

@@ -1,4 +1,4 @@
-"""What a long simulation calls the motions of scenes whose attractors are known."""
+"""What a long simulation calls the motions of problems whose attractors are known."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ QUICK = LongRun(
 )
 
 
-def at(scene: Problem, run: LongRun = QUICK, **numbers: float) -> Attractor:
-    gains = {gain.name for gain in scene.gains}
-    setting = scene.setting(
+def at(problem: Problem, run: LongRun = QUICK, **numbers: float) -> Attractor:
+    gains = {gain.name for gain in problem.gains}
+    values = problem.values(
         gains={name: value for name, value in numbers.items() if name in gains},
         parameters={name: value for name, value in numbers.items() if name not in gains},
     )
-    return attractor_of(scene, setting, run=run)
+    return attractor_of(problem, values, run=run)
 
 
 def oscillator(damping: float = 0.1, stiffness: float = 1.0) -> Problem:
@@ -83,9 +83,9 @@ def oscillator(damping: float = 0.1, stiffness: float = 1.0) -> Problem:
 
 
 def test_the_reference_orbit_is_a_zeno_orbit_of_period_one_with_its_multiplier(
-    scene: Problem,
+    problem: Problem,
 ) -> None:
-    found = at(scene)
+    found = at(problem)
     assert (found.fate, found.returns) == (Fate.ZENO, 1)
     # A return that repeats to 1e-6 has its time to the same.
     assert found.period == pytest.approx(PERIOD, rel=1e-6)
@@ -101,16 +101,16 @@ def test_the_reference_orbit_is_a_zeno_orbit_of_period_one_with_its_multiplier(
     assert found.margins["first_impact_speed"] == pytest.approx(16.909711305434, rel=1e-5)
 
 
-def test_a_plastic_stop_makes_the_orbit_simple(scene: Problem) -> None:
-    found = at(scene, restitution=0.0)
+def test_a_plastic_stop_makes_the_orbit_simple(problem: Problem) -> None:
+    found = at(problem, restitution=0.0)
     assert (found.fate, found.returns) == (Fate.SIMPLE, 1)
     assert found.period == pytest.approx(1.82033892548, rel=1e-6)
 
 
 def test_where_the_locked_arc_has_shrunk_to_nothing_the_orbit_has_no_zeno_point(
-    scene: Problem,
+    problem: Problem,
 ) -> None:
-    found = at(scene, replace(QUICK, until=100.0), restitution=0.43)
+    found = at(problem, replace(QUICK, until=100.0), restitution=0.43)
     assert (found.fate, found.returns) == (Fate.NO_ZENO, 0)
     assert found.period == pytest.approx(1.8141, abs=1e-3)
 
@@ -123,19 +123,19 @@ def test_where_the_locked_arc_has_shrunk_to_nothing_the_orbit_has_no_zeno_point(
     ],
 )
 def test_what_runs_away_is_named_by_what_it_means(
-    scene: Problem, gains: Mapping[str, float], name: str, phrase: str
+    problem: Problem, gains: Mapping[str, float], name: str, phrase: str
 ) -> None:
-    found = at(scene, **gains)
+    found = at(problem, **gains)
     assert (found.fate, found.escaped, found.detail) == (Fate.ESCAPE, name, phrase)
 
 
 def test_a_link_that_swings_past_half_a_turn_and_comes_back_does_not_run_away(
-    scene: Problem,
+    problem: Problem,
 ) -> None:
-    close = scene.escapes | {"theta2": Escape(beyond=2.0, phrase="nearly")}
+    close = problem.escapes | {"theta2": Escape(beyond=2.0, phrase="nearly")}
     numbers = {"Kp": 3.56, "Kd": -1.48}
-    assert at(scene, **numbers).fate is Fate.ZENO
-    assert at(replace(scene, escapes=close), **numbers).detail == "nearly"
+    assert at(problem, **numbers).fate is Fate.ZENO
+    assert at(replace(problem, escapes=close), **numbers).detail == "nearly"
 
 
 def test_a_ball_comes_to_rest_on_the_floor() -> None:
@@ -179,9 +179,9 @@ def test_free_oscillations_repeat_without_a_zeno_point() -> None:
     assert found.period == pytest.approx(2 * math.pi, rel=1e-6)
 
 
-def test_a_simulation_that_stops_is_a_failure_with_its_reason(scene: Problem) -> None:
+def test_a_simulation_that_stops_is_a_failure_with_its_reason(problem: Problem) -> None:
     few = replace(QUICK, simulation=replace(QUICK.simulation, most_steps=50))
-    found = at(scene, few)
+    found = at(problem, few)
     assert found.fate is Fate.FAILED
     assert "more than 50 steps" in found.detail
 
@@ -207,7 +207,7 @@ def test_an_attractor_comes_back_from_plain_data_to_the_last_bit(attractor: Attr
     assert repr(back) == repr(attractor)
 
 
-def test_numbers_of_an_attractor_are_plain(scene: Problem) -> None:
-    for value in attractor_json(at(scene))["state"].values():
+def test_numbers_of_an_attractor_are_plain(problem: Problem) -> None:
+    for value in attractor_json(at(problem))["state"].values():
         assert type(value) is float
     assert np.isnan(Attractor(fate=Fate.REST).spectral_radius)

@@ -16,7 +16,7 @@ from typing import Any
 import joblib
 import numpy as np
 import pytest
-from ZZ_orbits import work
+from zeno_orbits import work
 
 from tests.cli.test_cli import ask
 from tests.reference.long_simulation import attractor_of
@@ -24,7 +24,7 @@ from tests.support.processes import Commands, workers_of
 from zeno_orbits.errors import CheckpointError, InputError, MapFileError, ProblemFileError
 from zeno_orbits.maps.map_file import read_boundaries, read_map, write_map
 from zeno_orbits.maps.parameter_map import Axis, ParameterMap, Plane, parameter_map, require_plane
-from zeno_orbits.model.library import bundled_problems, load_problem, scene_file
+from zeno_orbits.model.library import bundled_problems, load_problem, locate_problem
 from zeno_orbits.model.problem import Escape
 from zeno_orbits.report.terminal import orbits as report
 from zeno_orbits.simulation.attractor import Attractor, Fate
@@ -38,9 +38,9 @@ BALL = ("map", "bouncing_ball", "--x", "m=1:2", "--y", "restitution=0:0.5", "--p
 needs_two = pytest.mark.skipif(CORES < 2, reason="needs two cores")
 
 
-def plane(scene: str | Path = "bouncing_ball", **changes: Any) -> Plane:
+def plane(problem: str | Path = "bouncing_ball", **changes: Any) -> Plane:
     whole = Plane(
-        scene=scene_file(scene),
+        problem_file=locate_problem(problem),
         x=Axis(name="m", lower=1.0, upper=2.0, count=3),
         y=Axis(name="restitution", lower=0.0, upper=0.5, count=2),
         start=(1.0, 0.0),
@@ -50,7 +50,7 @@ def plane(scene: str | Path = "bouncing_ball", **changes: Any) -> Plane:
 
 def pendulum(**changes: Any) -> Plane:
     whole = Plane(
-        scene=scene_file("motor_pendulum"),
+        problem_file=locate_problem("motor_pendulum"),
         x=Axis(name="Kp", lower=2.0, upper=3.0, count=2),
         y=Axis(name="Kd", lower=-3.0, upper=-2.0, count=2),
         start=(0.6, 0.0, 0.0, 0.0, 0.0),
@@ -69,21 +69,21 @@ def test_the_grid_runs_row_by_row_from_below_and_holds_both_ends() -> None:
 
 
 def test_every_point_of_a_map_is_the_long_run_at_its_numbers() -> None:
-    scene = load_problem("motor_pendulum")
+    problem = load_problem("motor_pendulum")
     found = parameter_map(pendulum(), ONE)
     for (kp, kd), attractor in zip(pendulum().points(), found.attractors, strict=True):
-        alone = attractor_of(scene, scene.setting(gains={"Kp": kp, "Kd": kd}), pendulum().start)
+        alone = attractor_of(problem, problem.values(gains={"Kp": kp, "Kd": kd}), pendulum().start)
         # A representation holds every bit, and NaN equals itself.
         assert repr(attractor) == repr(alone)
     assert {one.fate for one in found.attractors} == {Fate.ESCAPE}
 
 
 def test_parameters_that_others_are_derived_from_are_derived_anew_at_every_point() -> None:
-    scene = load_problem("motor_pendulum")
+    problem = load_problem("motor_pendulum")
     crossed = pendulum(x=Axis(name="m2", lower=0.1, upper=0.12, count=2))
-    setting = crossed.setting(scene, 0.12, -1.0)
-    assert setting == scene.setting(gains={"Kd": -1.0}, parameters={"m2": 0.12})
-    assert setting.parameters["J_rotor"] != scene.setting().parameters["J_rotor"]
+    values = crossed.values(problem, 0.12, -1.0)
+    assert values == problem.values(gains={"Kd": -1.0}, parameters={"m2": 0.12})
+    assert values.parameters["J_rotor"] != problem.values().parameters["J_rotor"]
 
 
 def test_a_point_whose_derived_numbers_do_not_exist_fails_by_itself() -> None:
@@ -163,56 +163,56 @@ def test_a_scheduler_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPat
     assert "`tcp://127.0.0.1:1` does not answer" in answer.err
 
 
-# ---------------------------------------------------------------------------- scenes by path
+# ---------------------------------------------------------------------------- problems by path
 
 
-def test_a_scene_from_a_file_is_loaded_by_the_workers_themselves(tmp_path: Path) -> None:
-    scene = tmp_path / "ball.py"
-    shutil.copy(bundled_problems()["bouncing_ball"], scene)
-    found = parameter_map(plane(scene), ONE)
+def test_a_problem_from_a_file_is_loaded_by_the_workers_themselves(tmp_path: Path) -> None:
+    problem = tmp_path / "ball.py"
+    shutil.copy(bundled_problems()["bouncing_ball"], problem)
+    found = parameter_map(plane(problem), ONE)
     assert {one.fate for one in found.attractors} == {Fate.REST}
     assert found.attractors == parameter_map(plane(), ONE).attractors
 
 
-def test_a_scene_whose_file_has_changed_meanwhile_is_refused(tmp_path: Path) -> None:
-    scene = tmp_path / "ball.py"
-    shutil.copy(bundled_problems()["bouncing_ball"], scene)
-    before = plane(scene)
-    scene.write_text(scene.read_text() + "\n# another thought\n")
+def test_a_problem_whose_file_has_changed_meanwhile_is_refused(tmp_path: Path) -> None:
+    problem = tmp_path / "ball.py"
+    shutil.copy(bundled_problems()["bouncing_ball"], problem)
+    before = plane(problem)
+    problem.write_text(problem.read_text() + "\n# another thought\n")
     with pytest.raises(InputError, match="must be the same file for everybody"):
-        before.scene.load()
-    scene.unlink()
+        before.problem.load()
+    problem.unlink()
     with pytest.raises(InputError):
-        before.scene.load()
+        before.problem.load()
 
 
-def test_a_scene_file_that_defines_none_is_refused(tmp_path: Path) -> None:
+def test_a_problem_file_that_defines_none_is_refused(tmp_path: Path) -> None:
     (tmp_path / "empty.py").write_text("")
     with pytest.raises(ProblemFileError):
-        scene_file(tmp_path / "empty.py")
+        locate_problem(tmp_path / "empty.py")
 
 
 def test_a_reduced_model_can_be_mapped() -> None:
-    scene = scene_file("motor_pendulum@quasi_static")
-    assert scene.load().name == "motor_pendulum@quasi_static"
-    assert scene.digest == scene_file("motor_pendulum").digest
-    assert set(scene.load().escapes) == {"theta1", "theta2"}
+    problem = locate_problem("motor_pendulum@quasi_static")
+    assert problem.load().name == "motor_pendulum@quasi_static"
+    assert problem.digest == locate_problem("motor_pendulum").digest
+    assert set(problem.load().escapes) == {"theta1", "theta2"}
 
 
-def test_a_scene_that_lets_an_unknown_state_escape_is_refused() -> None:
-    scene = load_problem("bouncing_ball")
+def test_a_problem_that_lets_an_unknown_state_escape_is_refused() -> None:
+    problem = load_problem("bouncing_ball")
     with pytest.raises(InputError, match=r"`escapes` must be one of height, speed, but it is `x`"):
-        replace(scene, escapes={"x": Escape(beyond=1.0, phrase="x leaves")})
+        replace(problem, escapes={"x": Escape(beyond=1.0, phrase="x leaves")})
 
 
-def test_a_checkpoint_of_another_scene_of_the_same_name_is_refused(tmp_path: Path) -> None:
-    scene, kept = tmp_path / "ball.py", tmp_path / "kept"
-    shutil.copy(bundled_problems()["bouncing_ball"], scene)
-    parameter_map(plane(scene), replace(ONE, checkpoint=kept))
+def test_a_checkpoint_of_another_problem_of_the_same_name_is_refused(tmp_path: Path) -> None:
+    problem, kept = tmp_path / "ball.py", tmp_path / "kept"
+    shutil.copy(bundled_problems()["bouncing_ball"], problem)
+    parameter_map(plane(problem), replace(ONE, checkpoint=kept))
     before = {path.name: path.read_bytes() for path in kept.iterdir()}
-    scene.write_text(scene.read_text().replace("9.81", "9.82"))
-    with pytest.raises(CheckpointError, match="`scene` is"):
-        parameter_map(plane(scene), replace(ONE, checkpoint=kept))
+    problem.write_text(problem.read_text().replace("9.81", "9.82"))
+    with pytest.raises(CheckpointError, match="`problem` is"):
+        parameter_map(plane(problem), replace(ONE, checkpoint=kept))
     other = plane(parameters={"g": 9.0})
     with pytest.raises(CheckpointError, match="its `"):
         parameter_map(other, replace(ONE, checkpoint=kept))

@@ -1,4 +1,4 @@
-"""Forced scenes: a clock in the state, and the closed forms of the oscillator with a stop."""
+"""Forced problems: a clock in the state, and the closed forms of the oscillator with a stop."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ PERIOD = 2 * math.pi
 
 @pytest.fixture(name="orbit", scope="module")
 def _orbit() -> ZenoOrbit:
-    return find_orbit(OSCILLATOR, OSCILLATOR.setting()).unwrap()
+    return find_orbit(OSCILLATOR, OSCILLATOR.values()).unwrap()
 
 
 def test_the_search_finds_the_orbit_of_the_closed_form(orbit: ZenoOrbit) -> None:
@@ -69,7 +69,7 @@ def test_the_work_of_the_force_pays_for_what_the_impacts_and_the_damper_lose(
 
 def test_the_same_machine_in_other_units_of_time_has_the_same_orbit() -> None:
     # With the time in units of 1/3 s: omega, c, k and A scale by 3, 3, 9 and 9.
-    faster = OSCILLATOR.setting(parameters={"omega": 3.0, "c": 5.7, "k": 9.0, "A": 9.0})
+    faster = OSCILLATOR.values(parameters={"omega": 3.0, "c": 5.7, "k": 9.0, "A": 9.0})
     orbit = find_orbit(OSCILLATOR, faster).unwrap()
     assert orbit.period == pytest.approx(PERIOD / 3, rel=1e-12)
     assert 3 * orbit.zeno_time + FORCED.release_time == pytest.approx(
@@ -78,8 +78,8 @@ def test_the_same_machine_in_other_units_of_time_has_the_same_orbit() -> None:
 
 
 def test_impacts_of_the_published_orbit_without_a_zeno_point_are_found() -> None:
-    setting = OSCILLATOR.setting(parameters={"c": 0.1, "stop": 1.0, "restitution": 0.8})
-    dynamics = bind(compiled_model(OSCILLATOR), setting.values())
+    values = OSCILLATOR.values(parameters={"c": 0.1, "stop": 1.0, "restitution": 0.8})
+    dynamics = bind(compiled_model(OSCILLATOR), values.vector)
     phase, velocity = 0.07595216493831239, -1.3565863500759056
     start = (0.0, -velocity, math.cos(phase), math.sin(phase))
     run = simulate(dynamics, start, until=2 * PERIOD + 0.1)
@@ -91,7 +91,7 @@ def test_impacts_of_the_published_orbit_without_a_zeno_point_are_found() -> None
 
 
 def test_the_clock_stays_on_its_circle_for_a_thousand_turns() -> None:
-    dynamics = bind(compiled_model(OSCILLATOR), OSCILLATOR.setting(parameters={"A": 0.5}).values())
+    dynamics = bind(compiled_model(OSCILLATOR), OSCILLATOR.values(parameters={"A": 0.5}).vector)
     until = 1000 * PERIOD
     run = simulate(dynamics, (0.0, 0.0, 1.0, 0.0), until=until)
     # Locked for good, as 0.5 < 0.8: some 1e4 steps of 1e-12 each drift by 1e-8 at worst.
@@ -100,13 +100,13 @@ def test_the_clock_stays_on_its_circle_for_a_thousand_turns() -> None:
 
 
 def test_a_start_off_the_circle_of_the_clock_is_refused() -> None:
-    dynamics = bind(compiled_model(OSCILLATOR), OSCILLATOR.setting().values())
+    dynamics = bind(compiled_model(OSCILLATOR), OSCILLATOR.values().vector)
     with pytest.raises(InputError, match=r"must keep the holonomic constraints"):
         simulate(dynamics, (0.1, 0.0, 0.0, 0.0), until=1.0)
 
 
 def test_the_radius_of_the_clock_is_no_section_coordinate() -> None:
-    dynamics = bind(compiled_model(OSCILLATOR), OSCILLATOR.setting().values())
+    dynamics = bind(compiled_model(OSCILLATOR), OSCILLATOR.values().vector)
     section = release_section(dynamics, np.array([0.0, 0.0, -0.8, 0.6]), np.ones(4))
     assert section.dimension == 0
 
@@ -151,7 +151,7 @@ def test_a_corrected_drive_refuses_a_voltage_that_changes_with_time() -> None:
         corrected_drive(mechanism, motors)
 
 
-def test_all_pictures_that_a_forced_scene_has_are_drawn(
+def test_all_pictures_that_a_forced_problem_has_are_drawn(
     orbit: ZenoOrbit, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "orbit.json"

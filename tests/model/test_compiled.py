@@ -57,9 +57,9 @@ def test_the_numbers_of_a_flow_outlive_their_maker() -> None:
 
 def test_the_fused_rest_is_that_of_the_pendulum_written_by_hand() -> None:
     problem = load_problem("motor_pendulum")
-    setting = problem.setting()
-    compiled = bind(compile_problem(problem), setting.values())
-    by_hand = reference.dynamics(setting)
+    values = problem.values()
+    compiled = bind(compile_problem(problem), values.vector)
+    by_hand = reference.dynamics(values)
     assert compiled.fused_resting is not None
     assert by_hand.fused_resting is None
     random = np.random.default_rng(0)
@@ -88,7 +88,7 @@ def test_the_fused_rest_gives_way_to_a_part_that_was_replaced() -> None:
 
 def test_a_compiled_step_is_the_plain_step() -> None:
     problem = load_problem("motor_pendulum")
-    dynamics = bind(compile_problem(problem), problem.setting().values())
+    dynamics = bind(compile_problem(problem), problem.values().vector)
     state = np.array([0.4, 0.2, -1.0, 2.0, 0.5])
     plain = PlainFlow(field=dynamics.free.rate, guard_and_rate=dynamics.free.guard)
     tolerance = Tolerance(relative=1e-9, absolute=1e-9)
@@ -121,7 +121,7 @@ def test_a_flow_that_blows_up_ends_in_a_named_error() -> None:
 
 def test_the_ledger_leaves_the_motion_alone() -> None:
     problem = load_problem("motor_pendulum")
-    values = problem.setting().values()
+    values = problem.values().vector
     plain = bind(compile_problem(problem), values)
     ledger = bind(compile_problem(problem, audited), values)
     state = np.array([0.4, 0.2, -1.0, 2.0, 0.5])
@@ -154,7 +154,7 @@ def test_a_loose_symbol_is_named() -> None:
 
 def test_a_step_that_overflows_is_never_accepted() -> None:
     problem = load_problem("motor_pendulum")
-    dynamics = bind(compile_problem(problem), problem.setting(gains={"Kd": 0.5}).values())
+    dynamics = bind(compile_problem(problem), problem.values(gains={"Kd": 0.5}).vector)
     plain = PlainFlow(field=dynamics.free.rate, guard_and_rate=dynamics.free.guard)
     state = np.array([-2.8e-7, 0.0, -1.4e-5, 0.0, 2.6e-6])
     tolerance = Tolerance(relative=1e-8, absolute=1e-10)

@@ -1,4 +1,4 @@
-"""Compiled scenes are shared where that is safe, and only there."""
+"""Compiled problems are shared where that is safe, and only there."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.compiled import bind, compile_problem, compiled_model
 
 
-def test_a_scene_is_compiled_once_for_each_transform() -> None:
+def test_a_problem_is_compiled_once_for_each_transform() -> None:
     problem = load_problem("motor_pendulum")
     assert compiled_model(problem) is compiled_model(problem)
     assert compiled_model(problem, audited) is compiled_model(problem, audited)
@@ -19,7 +19,7 @@ def test_a_scene_is_compiled_once_for_each_transform() -> None:
     assert compiled_model(problem, audited).n_x == compiled_model(problem).n_x + 3
 
 
-def test_a_changed_scene_is_not_mistaken_for_the_one_it_was_made_from() -> None:
+def test_a_changed_problem_is_not_mistaken_for_the_one_it_was_made_from() -> None:
     problem = load_problem("motor_pendulum")
     other = load_problem("bouncing_ball")
     changed = replace(other, name=problem.name, title=problem.title, source=problem.source)
@@ -32,8 +32,8 @@ def test_a_changed_scene_is_not_mistaken_for_the_one_it_was_made_from() -> None:
 
 def test_two_systems_bound_to_one_model_keep_their_own_numbers() -> None:
     problem = load_problem("motor_pendulum")
-    weak = problem.setting(gains={"Kp": 2.0}).values()
-    strong = problem.setting(gains={"Kp": 4.0}).values()
+    weak = problem.values(gains={"Kp": 2.0}).vector
+    strong = problem.values(gains={"Kp": 4.0}).vector
     shared = [bind(compiled_model(problem), values) for values in (weak, strong)]
     alone = [bind(compile_problem(problem), values) for values in (weak, strong)]
     x = np.array([0.3, 0.2, 1.0, -0.5, 0.1])

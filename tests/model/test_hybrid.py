@@ -32,8 +32,8 @@ ROUNDING = 1e-12
 
 def _motor_pendulum() -> HybridDynamics:
     problem = load_problem("motor_pendulum")
-    setting = problem.setting(parameters={"restitution": RESTITUTION})
-    return bind(compile_problem(problem), setting.values())
+    values = problem.values(parameters={"restitution": RESTITUTION})
+    return bind(compile_problem(problem), values.vector)
 
 
 @pytest.fixture(name="pendulum", scope="module")
@@ -82,7 +82,7 @@ def test_an_impact_takes_the_energy_of_the_lost_gap_rate(pendulum: HybridDynamic
 
 def test_an_impact_keeps_the_momentum_along_the_stop(pendulum: HybridDynamics) -> None:
     # The stop is theta2 = 0, so the momentum of theta1 is the one along it: dT / d(dtheta1).
-    p = load_problem("motor_pendulum").setting().parameters
+    p = load_problem("motor_pendulum").values().parameters
     b = p["I2"] + p["m2"] * p["lc2"] ** 2
     c = p["m2"] * p["L1"] * p["lc2"]
     a = p["I1"] + p["m1"] * p["lc1"] ** 2 + p["m2"] * p["L1"] ** 2 + p["J_rotor"]

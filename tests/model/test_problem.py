@@ -1,4 +1,4 @@
-"""Scenes by name and from files: what is refused, and in which words."""
+"""Problems by name and from files: what is refused, and in which words."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ def _pendulum() -> Problem:
     return load_problem("motor_pendulum")
 
 
-def test_the_bundled_scenes_are_found_by_name() -> None:
+def test_the_bundled_problems_are_found_by_name() -> None:
     assert {"bouncing_ball", "motor_pendulum"} <= set(bundled_problems())
     for name in bundled_problems():
         assert load_problem(name).name == name
 
 
 @pytest.mark.parametrize("name", sorted(bundled_problems()))
-def test_every_bundled_scene_is_consistent(name: str) -> None:
+def test_every_bundled_problem_is_consistent(name: str) -> None:
     problem = load_problem(name)
     system = problem.model(problem.symbols())
     assert system.state.numel() == len(problem.state_names) == len(problem.state_units)
     assert len(set(problem.names)) == len(problem.names)
     assert "restitution" in problem.names
-    assert len(problem.setting().values()) == len(problem.names)
+    assert len(problem.values().vector) == len(problem.names)
     assert problem.amplitude_of in problem.state_names
     for pair in problem.portraits:
         assert set(pair) <= set(problem.state_names)
@@ -38,14 +38,14 @@ def test_every_bundled_scene_is_consistent(name: str) -> None:
         assert len(problem.state_vector(start)) == len(problem.state_names)
 
 
-def test_a_scene_is_found_by_the_path_of_its_file_or_folder() -> None:
+def test_a_problem_is_found_by_the_path_of_its_file_or_folder() -> None:
     path = bundled_problems()["motor_pendulum"]
     assert load_problem(path).name == "motor_pendulum"
     assert load_problem(path / "model.py").name == "motor_pendulum"
     assert load_problem(str(path / "model.py")).name == "motor_pendulum"
 
 
-def test_an_unknown_scene_is_refused_with_the_known_names() -> None:
+def test_an_unknown_problem_is_refused_with_the_known_names() -> None:
     with pytest.raises(
         InputError, match=r"`problem` must be one of .*bouncing_ball.*`motor_pendul`"
     ):
@@ -70,13 +70,13 @@ def test_a_file_that_is_no_python_is_refused(tmp_path: Path) -> None:
     file.write_text("def :\n", encoding="utf-8")
     with pytest.raises(ProblemFileError, match="raises SyntaxError"):
         load_problem(file)
-    other = tmp_path / "scene.toml"
+    other = tmp_path / "problem.toml"
     other.write_text("", encoding="utf-8")
     with pytest.raises(ProblemFileError, match="it is not a Python file"):
         load_problem(other)
 
 
-def test_a_file_without_a_scene_is_refused(tmp_path: Path) -> None:
+def test_a_file_without_a_problem_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "empty.py"
     file.write_text("problem = 1\n", encoding="utf-8")
     with pytest.raises(ProblemFileError, match="it has no `PROBLEM`"):
@@ -95,23 +95,23 @@ def test_an_unknown_parameter_is_refused_with_the_known_names(pendulum: Problem)
     with pytest.raises(
         InputError, match=r"`parameter` must be one of L1, lc1, .* but it is `mass`"
     ):
-        pendulum.setting(parameters={"mass": 1.0})
+        pendulum.values(parameters={"mass": 1.0})
 
 
 def test_an_unknown_gain_is_refused_with_the_known_names(pendulum: Problem) -> None:
     with pytest.raises(InputError, match="`gain` must be one of Kp, Kd, but it is `Ki`"):
-        pendulum.setting(gains={"Ki": 1.0})
+        pendulum.values(gains={"Ki": 1.0})
 
 
-def test_a_gain_of_a_scene_without_gains_is_refused() -> None:
+def test_a_gain_of_a_problem_without_gains_is_refused() -> None:
     with pytest.raises(InputError, match="`gain` must be one of none, but it is `Kp`"):
-        load_problem("bouncing_ball").setting(gains={"Kp": 1.0})
+        load_problem("bouncing_ball").values(gains={"Kp": 1.0})
 
 
 @pytest.mark.parametrize("mass", [0.0, -0.3])
 def test_a_mass_that_is_not_positive_is_refused(pendulum: Problem, mass: float) -> None:
     with pytest.raises(InputError, match=f"`m1` must be greater than 0, but it is {mass:g}"):
-        pendulum.setting(parameters={"m1": mass})
+        pendulum.values(parameters={"m1": mass})
 
 
 @pytest.mark.parametrize("value", [-0.1, 1.0, 1.5])
@@ -119,21 +119,21 @@ def test_a_restitution_outside_its_range_is_refused(pendulum: Problem, value: fl
     with pytest.raises(
         InputError, match=rf"`restitution` must lie in \[0, 1\), but it is {value:g}"
     ):
-        pendulum.setting(parameters={"restitution": value})
+        pendulum.values(parameters={"restitution": value})
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_a_number_that_is_not_finite_is_refused(pendulum: Problem, value: float) -> None:
     with pytest.raises(InputError, match="`m1` must be a finite number"):
-        pendulum.setting(parameters={"m1": value})
+        pendulum.values(parameters={"m1": value})
     with pytest.raises(InputError, match="`Kp` must be a finite number"):
-        pendulum.setting(gains={"Kp": value})
+        pendulum.values(gains={"Kp": value})
     with pytest.raises(InputError, match="`theta1` must be a finite number"):
         pendulum.state_vector({"theta1": value})
 
 
 def test_gains_outside_the_search_box_are_allowed(pendulum: Problem) -> None:
-    assert pendulum.setting(gains={"Kp": 100.0}).gains["Kp"] == 100.0
+    assert pendulum.values(gains={"Kp": 100.0}).gains["Kp"] == 100.0
 
 
 def test_an_unknown_state_is_refused(pendulum: Problem) -> None:
@@ -146,13 +146,13 @@ def test_states_that_are_not_named_are_zero(pendulum: Problem) -> None:
 
 
 def test_values_come_gains_first_in_the_order_of_the_names(pendulum: Problem) -> None:
-    setting = pendulum.setting(gains={"Kd": -0.5})
-    named = dict(zip(pendulum.names, setting.values(), strict=True))
-    assert named == {**setting.gains, **setting.parameters}
+    values = pendulum.values(gains={"Kd": -0.5})
+    named = dict(zip(pendulum.names, values.vector, strict=True))
+    assert named == {**values.gains, **values.parameters}
     assert named["Kd"] == -0.5
 
 
-def test_a_scene_without_a_hand_written_model_says_so() -> None:
+def test_a_problem_without_a_hand_written_model_says_so() -> None:
     with pytest.raises(InputError, match="`bouncing_ball` has none"):
         load_reference(load_problem("bouncing_ball"))
 

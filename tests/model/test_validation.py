@@ -1,4 +1,4 @@
-"""Broken scenes: every mistake is one line that names the thing at fault, and no traceback."""
+"""Broken problems: every mistake is one line that names the thing at fault, and no traceback."""
 
 from __future__ import annotations
 
@@ -186,7 +186,7 @@ BROKEN: dict[str, tuple[str, str, str, str]] = {
         "mechanism",
         "`model` must return what `complete` makes, but it returns a `HybridLagrangian`",
     ),
-    "no scene": (*(FORCED, "PROBLEM =", "SCENE ="), "it has no `PROBLEM`"),
+    "no problem": (*(FORCED, "PROBLEM =", "SCENE ="), "it has no `PROBLEM`"),
     "no Python": (*(FORCED, "def model(p):", "def model(p)"), "raises SyntaxError"),
 }
 
@@ -196,7 +196,7 @@ def test_there_are_enough_of_them() -> None:
 
 
 @pytest.mark.parametrize("fault", BROKEN)
-def test_a_broken_scene_is_refused_in_one_line_that_names_the_fault(
+def test_a_broken_problem_is_refused_in_one_line_that_names_the_fault(
     fault: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     template, old, broken, words = BROKEN[fault]
@@ -226,13 +226,13 @@ def test_the_traceback_is_there_for_those_who_ask(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(bundled_problems()))
-def test_every_bundled_scene_holds_together(name: str) -> None:
+def test_every_bundled_problem_holds_together(name: str) -> None:
     problem = load_problem(name)
     assert problem.checked() is problem
 
 
 @pytest.mark.parametrize("flags", [[], ["--with-motor"]])
-def test_a_new_scene_works_as_it_is_written(
+def test_a_new_problem_works_as_it_is_written(
     flags: list[str],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -251,8 +251,8 @@ def test_a_new_scene_works_as_it_is_written(
     assert main(["verify", "orbit.json", "--problem", "mine.py"]) == 0
 
 
-@pytest.mark.parametrize("name", ["my-scene", "a/b", "", "2nd"])
-def test_a_new_scene_needs_a_name_that_is_a_word(
+@pytest.mark.parametrize("name", ["my-problem", "a/b", "", "2nd"])
+def test_a_new_problem_needs_a_name_that_is_a_word(
     name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["new", name]) == 2

@@ -88,7 +88,7 @@ def test_a_start_that_a_rounding_error_locks_is_one_release(oscillator: HybridDy
 
 def test_a_ball_that_rests_for_good_has_no_period() -> None:
     problem = load_problem("bouncing_ball")
-    ball = bind(compile_problem(problem), problem.setting().values())
+    ball = bind(compile_problem(problem), problem.values().vector)
     assert cycles(simulate(ball, (1.0, 0.0), until=20.0)) == []
 
 
@@ -150,9 +150,9 @@ def test_a_tolerance_that_nothing_reaches_takes_all_impacts(
     assert closure.n_impacts == len(turn.impacts)
 
 
-def test_a_plastic_impact_closes_alone(scene: Problem) -> None:
-    setting = scene.setting(parameters={"restitution": 0.0})
-    plastic = bind(compile_problem(scene), setting.values())
+def test_a_plastic_impact_closes_alone(problem: Problem) -> None:
+    values = problem.values(parameters={"restitution": 0.0})
+    plastic = bind(compile_problem(problem), values.vector)
     run = simulate(plastic, RELEASE, until=6.0)
     cycle = cycles(run)[-1]
     assert cycle.hops == ()

@@ -115,10 +115,10 @@ def test_a_return_and_its_special_quantities_move_as_differences_say(
 
 
 @pytest.mark.parametrize("name", ["Kp", "Kd", "restitution", "L", "m2", "g"])
-def test_parameters_move_a_return_as_differences_say(scene: Problem, name: str) -> None:
-    values = np.array(scene.setting().values())
-    place = scene.names.index(name)
-    machine = bind(compiled_model(scene), values)
+def test_parameters_move_a_return_as_differences_say(problem: Problem, name: str) -> None:
+    values = np.array(problem.values().vector)
+    place = problem.names.index(name)
+    machine = bind(compiled_model(problem), values)
     # Not on the orbit, and off the slow manifold: the start must fly whatever the parameters are.
     x = machine.on_stop(CENTRE + 1e-2 * (machine.free.rate(CENTRE)))
     x = x + np.array([0.0, 0.0, 0.0, 0.0, -1e-2])
@@ -129,7 +129,7 @@ def test_parameters_move_a_return_as_differences_say(scene: Problem, name: str) 
     def moved(part: float) -> Vector:
         p = values.copy()
         p[place] *= 1 + part
-        return simulated(bind(compiled_model(scene), p), x, 2 * PERIOD)
+        return simulated(bind(compiled_model(problem), p), x, 2 * PERIOD)
 
     _, by_parameters = slopes_of(derivative)
     measured = differences(moved, 1e-4) / values[place]
@@ -144,10 +144,10 @@ def test_the_values_are_those_of_the_simulation(
     assert numbers_of(derivative).tolist() == simulated(machine, CENTRE, 2 * PERIOD).tolist()
 
 
-def test_at_fixed_coordinates_a_release_stays_one_whatever_the_gains(scene: Problem) -> None:
-    values = np.array(scene.setting().values())
-    machine = bind(compiled_model(scene), values)
-    places = tuple(scene.names.index(name) for name in ("Kp", "m2"))
+def test_at_fixed_coordinates_a_release_stays_one_whatever_the_gains(problem: Problem) -> None:
+    values = np.array(problem.values().vector)
+    machine = bind(compiled_model(problem), values)
+    places = tuple(problem.names.index(name) for name in ("Kp", "m2"))
     derivative = return_derivative(
         machine, CENTRE, horizon=2 * PERIOD, settings=SETTINGS, parameters=places
     )
@@ -158,7 +158,7 @@ def test_at_fixed_coordinates_a_release_stays_one_whatever_the_gains(scene: Prob
         def moved(part: float, place: int = place) -> Vector:
             p = values.copy()
             p[place] += part
-            other = bind(compiled_model(scene), p)
+            other = bind(compiled_model(problem), p)
             start = section.state(other, np.zeros(2))
             numbers = simulated(other, start, 2 * PERIOD)
             return np.concatenate([section.coordinates(numbers[:5]), numbers[5:6], start])
@@ -170,9 +170,9 @@ def test_at_fixed_coordinates_a_release_stays_one_whatever_the_gains(scene: Prob
         assert on_section.lift[:, 2 + k] == pytest.approx(measured[3:], abs=1e-6)
 
 
-def test_a_plastic_impact_has_a_derivative_of_rank_one(scene: Problem) -> None:
-    setting = scene.setting(parameters={"restitution": 0.0})
-    machine = bind(compiled_model(scene), setting.values())
+def test_a_plastic_impact_has_a_derivative_of_rank_one(problem: Problem) -> None:
+    values = problem.values(parameters={"restitution": 0.0})
+    machine = bind(compiled_model(problem), values.vector)
     derivative = return_derivative(machine, CENTRE, horizon=2 * PERIOD, settings=SETTINGS)
     section = release_section(machine, CENTRE, SCALE)
     jacobian = section_derivative(machine, derivative, SCALE).jacobian
@@ -192,16 +192,16 @@ def test_a_plastic_impact_has_a_derivative_of_rank_one(scene: Problem) -> None:
     assert sizes[1] < 1e-12 < 1e-2 < sizes[0]
 
 
-def test_restitution_moves_a_plastic_return_to_one_side(scene: Problem) -> None:
-    place = scene.names.index("restitution")
-    values = np.array(scene.setting(parameters={"restitution": 0.0}).values())
+def test_restitution_moves_a_plastic_return_to_one_side(problem: Problem) -> None:
+    place = problem.names.index("restitution")
+    values = np.array(problem.values(parameters={"restitution": 0.0}).vector)
 
     def at(e: float) -> Vector:
         p = values.copy()
         p[place] = e
-        return simulated(bind(compiled_model(scene), p), CENTRE, 2 * PERIOD)
+        return simulated(bind(compiled_model(problem), p), CENTRE, 2 * PERIOD)
 
-    machine = bind(compiled_model(scene), values)
+    machine = bind(compiled_model(problem), values)
     derivative = return_derivative(
         machine, CENTRE, horizon=2 * PERIOD, settings=SETTINGS, parameters=(place,)
     )
@@ -230,9 +230,9 @@ def test_every_engine_has_the_same_derivative(
         assert mine == pytest.approx(theirs, rel=1e-9, abs=1e-9)
 
 
-def test_implicit_steps_have_the_derivative_of_explicit_ones(scene: Problem) -> None:
-    setting = scene.setting(parameters={"L": 1e-4})
-    machine = bind(compiled_model(scene), setting.values())
+def test_implicit_steps_have_the_derivative_of_explicit_ones(problem: Problem) -> None:
+    values = problem.values(parameters={"L": 1e-4})
+    machine = bind(compiled_model(problem), values.vector)
     x = CENTRE.copy()
     for _ in range(6):
         _, x = poincare_map(machine, x, horizon=2 * PERIOD, settings=SETTINGS)
@@ -306,7 +306,7 @@ def test_an_impact_on_an_oscillator_has_its_saltation_matrix_in_closed_form(
     oscillator: StoppedOscillator,
 ) -> None:
     problem = clocked_oscillator(oscillator, attracting=False)
-    machine = bind(compiled_model(problem), problem.setting().values())
+    machine = bind(compiled_model(problem), problem.values().vector)
     time, stop, e = 0.4, oscillator.stop, oscillator.restitution
     x_minus = np.array(oscillator_state(time, stop, 1.3))
     x_plus = np.array(oscillator_state(time, stop, -e * 1.3))
@@ -328,7 +328,7 @@ def test_the_impact_oscillator_of_coco_has_its_published_multipliers() -> None:
     # Recipes for Continuation, chapter 15: phase and velocity after the impact, multipliers.
     phase, velocity = 0.07595216493831239, -1.3565863500759056
     problem = clocked_oscillator(COCO, attracting=False)
-    machine = bind(compiled_model(problem), problem.setting().values())
+    machine = bind(compiled_model(problem), problem.values().vector)
     start = np.array(oscillator_state(phase, COCO.stop, velocity))
     run = simulate(machine, start, until=6.5)
     (arc, impact) = (run.arcs[0], run.impacts[0])
@@ -394,7 +394,7 @@ def test_the_zeno_time_of_a_ball_moves_as_its_closed_form(e: float) -> None:
 def test_a_clock_that_is_not_acted_on_has_its_multiplier_whatever_the_restitution(e: float) -> None:
     # Its circle attracts with exp(-2 pi) a turn, see tests/test_poincare.py.
     problem = clocked_oscillator(replace(FORCED, restitution=e), attracting=True)
-    machine = bind(compiled_model(problem), problem.setting().values())
+    machine = bind(compiled_model(problem), problem.values().vector)
     x = np.array(oscillator_state(FORCED.release_time, FORCED.stop, 0.0))
     found = floquet_multipliers(machine, x, scale=np.ones(4), period=2 * math.pi, settings=SETTINGS)
     assert found.values[0] == pytest.approx(math.exp(-2 * math.pi), abs=1e-11 / (1 - e))
@@ -456,7 +456,7 @@ def _clock_on_a_circle() -> Problem:
 
 def test_a_holonomic_constraint_takes_its_two_dimensions_from_the_section() -> None:
     problem = _clock_on_a_circle()
-    machine = bind(compiled_model(problem), problem.setting().values())
+    machine = bind(compiled_model(problem), problem.values().vector)
     t = FORCED.release_time
     x = np.array([FORCED.stop, math.cos(t), math.sin(t), 0.0, -math.sin(t), math.cos(t)])
     derivative = return_derivative(machine, x, horizon=9.0, settings=SETTINGS)

@@ -100,27 +100,27 @@ def test_a_found_orbit_comes_back_bit_for_bit(
 
 
 def test_the_file_has_every_entry_of_the_contract(
-    orbit: ZenoOrbit, certificate: OrbitCertificate, scene: Problem
+    orbit: ZenoOrbit, certificate: OrbitCertificate, problem: Problem
 ) -> None:
     data = json.loads(json.dumps(certified(orbit, certificate).as_json(), allow_nan=False))
     assert set(data) == ORBIT_KEYS
     assert data["format"] == ONE_RELEASE == 1
     assert data["shape"] == "zeno"
-    assert data["problem"] == scene.name
+    assert data["problem"] == problem.name
     assert data["gains"] == {"Kp": 2.5, "Kd": -1.0}
-    assert list(data["parameters"]) == [quantity.name for quantity in scene.parameters]
+    assert list(data["parameters"]) == [quantity.name for quantity in problem.parameters]
     for state in (data["release_state"], data["zeno_state"], data["impacts"][0]["state_minus"]):
-        assert tuple(state) == scene.state_names
+        assert tuple(state) == problem.state_names
     assert set(data["impacts"][0]) == {"time", "state_minus"}
     assert all(len(pair) == 2 for pair in data["floquet_multipliers"])
     assert {"passed", "residuals", "margins"} <= set(data["certificate"])
     assert {"zeno_orbits", "casadi", "numpy", "python"} <= set(data["versions"])
 
 
-def test_an_orbit_gives_the_numbers_of_its_scene(orbit: ZenoOrbit, scene: Problem) -> None:
-    assert orbit.setting(scene) == scene.setting()
+def test_an_orbit_gives_the_numbers_of_its_problem(orbit: ZenoOrbit, problem: Problem) -> None:
+    assert orbit.values(problem) == problem.values()
     with pytest.raises(InputError, match="but it is `Ki`"):
-        replace(orbit, gains={"Ki": 1.0}).setting(scene)
+        replace(orbit, gains={"Ki": 1.0}).values(problem)
 
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)

@@ -32,7 +32,7 @@ def _oscillator() -> HybridDynamics:
 @pytest.fixture(name="striker", scope="module")
 def _striker() -> HybridDynamics:
     problem = load_problem("impact_oscillator")
-    return bind(compiled_model(problem), problem.setting().values())
+    return bind(compiled_model(problem), problem.values().vector)
 
 
 def _strike() -> np.ndarray:
@@ -42,8 +42,8 @@ def _strike() -> np.ndarray:
 
 def _table(amplitude: float) -> HybridDynamics:
     problem = load_problem("vibrating_table")
-    setting = problem.setting(parameters={"A": amplitude, "restitution": 0.0})
-    return bind(compiled_model(problem), setting.values())
+    values = problem.values(parameters={"A": amplitude, "restitution": 0.0})
+    return bind(compiled_model(problem), values.vector)
 
 
 def test_an_accumulation_and_what_follows_it_are_one_phase(oscillator: HybridDynamics) -> None:

@@ -104,11 +104,11 @@ def test_a_small_change_shrinks_by_the_multiplier(
     assert section.coordinates(end) == pytest.approx(expected, abs=10 * distance**2)
 
 
-def test_a_locked_arc_forgets_the_current(scene: Problem) -> None:
+def test_a_locked_arc_forgets_the_current(problem: Problem) -> None:
     # With R / L = 1500 a second, the locked arc of half a second forgets it to exp(-700): one
     # multiplier is zero. At e = 0 this is the whole of the second one.
-    setting = scene.setting(parameters={"restitution": 0.0})
-    dynamics = bind(compile_problem(scene), setting.values())
+    values = problem.values(parameters={"restitution": 0.0})
+    dynamics = bind(compile_problem(problem), values.vector)
     settled = CENTRE
     for _ in range(8):
         _, settled = poincare_map(dynamics, settled, horizon=2 * PERIOD, settings=SETTINGS)
@@ -120,7 +120,7 @@ def test_a_locked_arc_forgets_the_current(scene: Problem) -> None:
 
 def _clocked(*, attracting: bool, by_differences: bool = False) -> Multipliers:
     problem = clocked_oscillator(FORCED, attracting=attracting)
-    dynamics = bind(compile_problem(problem), problem.setting().values())
+    dynamics = bind(compile_problem(problem), problem.values().vector)
     if by_differences:
         dynamics = replace(dynamics, differentiation=None)
     release = np.array(oscillator_state(FORCED.release_time, FORCED.stop, 0.0))

@@ -51,17 +51,17 @@ ZENO = FALL * (1 + BOUNCE) / (1 - BOUNCE)
 @pytest.fixture(name="ball", scope="module")
 def _ball() -> HybridDynamics:
     problem = load_problem("bouncing_ball")
-    setting = problem.setting(parameters={"restitution": BOUNCE})
-    return bind(compiled_model(problem), setting.values())
+    values = problem.values(parameters={"restitution": BOUNCE})
+    return bind(compiled_model(problem), values.vector)
 
 
 @pytest.fixture(name="truth", scope="module")
-def _truth(scene: Problem) -> dict[str, list[tuple[float, Vector]]]:
+def _truth(problem: Problem) -> dict[str, list[tuple[float, Vector]]]:
     """Two and a half periods in extended precision: three Zeno points, two releases, the end."""
     pytest.importorskip("heyoka")
     until = 2.5 * PERIOD
     state = (0.6, 0.0, 0.0, 0.0, 0.0)
-    exact = extended_execution(scene, scene.setting(), state, until=until, times=[until])
+    exact = extended_execution(problem, problem.values(), state, until=until, times=[until])
     return {
         name: [(float(p.time), np.array([float(v) for v in p.state])) for p in points]
         for name, points in (
@@ -235,10 +235,10 @@ class Motion:
 def motion(name: str) -> Motion:
     problem, until = load_problem(name), UNTIL[name]
     start = problem.state_vector(problem.starts[0]) if name != "bouncing_ball" else (1.0, 0.0)
-    exact = extended_execution(problem, problem.setting(), start, until=until)
+    exact = extended_execution(problem, problem.values(), start, until=until)
     points = [(float(p.time), np.array([float(v) for v in p.state])) for p in exact.zeno_points]
     assert points
-    dynamics = bind(compiled_model(problem), problem.setting().values())
+    dynamics = bind(compiled_model(problem), problem.values().vector)
     return Motion(dynamics=dynamics, start=start, until=until, points=points)
 
 
@@ -451,7 +451,7 @@ def test_the_reason_for_an_engine_names_the_rates(machine: HybridDynamics) -> No
     assert "1.5e+03 1/s" in why_engine(machine, RELEASE, 1.0)
     ball = bind(
         compiled_model(load_problem("bouncing_ball")),
-        load_problem("bouncing_ball").setting().values(),
+        load_problem("bouncing_ball").values().vector,
     )
     assert why_engine(ball, (1.0, 0.0), 1.0) == "explicit steps (DOP853): nothing decays."
 

@@ -1,4 +1,4 @@
-"""Executions in many digits, against scenes whose impacts are known in closed form."""
+"""Executions in many digits, against problems whose impacts are known in closed form."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -47,8 +47,8 @@ def _bounce(
     times: tuple[float, ...] = (),
     digits: int = 25,
 ) -> ExtendedExecution:
-    setting = BALL.setting(parameters={"restitution": restitution})
-    return extended_execution(BALL, setting, state, until=until, times=times, digits=digits)
+    values = BALL.values(parameters={"restitution": restitution})
+    return extended_execution(BALL, values, state, until=until, times=times, digits=digits)
 
 
 def _ball_state(restitution: float, time: float) -> tuple[mp.mpf, mp.mpf]:
@@ -92,7 +92,7 @@ def test_states_at_given_times_are_those_of_the_closed_form() -> None:
 
 
 def test_every_admissible_start_is_followed() -> None:
-    values = BALL.setting(parameters={"restitution": 0.2}).values()
+    values = BALL.values(parameters={"restitution": 0.2}).vector
     ball = ExtendedSystem(Arithmetic(digits=30), compile_problem(BALL), values)
 
     def rests(*state: float) -> list[mp.mpf]:
@@ -146,7 +146,7 @@ def test_the_forced_oscillator_strikes_and_rests_as_its_closed_form_says() -> No
     release = mp.acos(mp.mpf(FORCED.stop))
     phase = [Decimal(mp.nstr(value, 50)) for value in (mp.cos(release), -mp.sin(release))]
     start = (FORCED.stop, phase[0], 0.0, phase[1])
-    motion = extended_execution(problem, problem.setting(), start, until=7.0, digits=25)
+    motion = extended_execution(problem, problem.values(), start, until=7.0, digits=25)
     assert motion.error < 1e-25
     for impact, time in zip(motion.impacts, times, strict=False):
         assert abs(_mp(impact.time) + release - time) < mp.mpf(10) ** -26
@@ -157,7 +157,7 @@ def test_the_forced_oscillator_strikes_and_rests_as_its_closed_form_says() -> No
 
 def test_the_forced_oscillators_orbit_has_the_period_two_pi() -> None:
     problem = clocked_oscillator(FORCED, attracting=True)
-    orbit = extended_orbit(problem, problem.setting(), (-0.8, -0.8001, 0.0, -0.5999), digits=25)
+    orbit = extended_orbit(problem, problem.values(), (-0.8, -0.8001, 0.0, -0.5999), digits=25)
     assert abs(_mp(orbit.period) - 2 * mp.pi) < mp.mpf(10) ** -26
     assert max(orbit.error, 10 * orbit.closure) < 1e-25
     sine = mp.sqrt(1 - mp.mpf(-0.8) ** 2)
@@ -205,21 +205,21 @@ def test_a_holonomic_constraint_changes_no_digit() -> None:
             portraits=(),
             amplitude_of=names[0],
         )
-        setting = problem.setting(parameters={"restitution": 0.3})
-        swing = extended_execution(problem, setting, state, until=2.0, digits=25)
+        values = problem.values(parameters={"restitution": 0.3})
+        swing = extended_execution(problem, values, state, until=2.0, digits=25)
         ends.append(swing.zeno_points[0].time)
     assert abs(_mp(ends[0]) - _mp(ends[1])) < mp.mpf(10) ** -27
 
 
 def test_an_orbit_needs_a_guess_near_the_release_section() -> None:
     with pytest.raises(InputError, match=r"near a release state, .* stay off by 9\.81"):
-        extended_orbit(BALL, BALL.setting(), (0.0, 0.0))
+        extended_orbit(BALL, BALL.values(), (0.0, 0.0))
 
 
 def test_a_release_without_a_return_is_told() -> None:
     problem = clocked_oscillator(FORCED, attracting=True)
     with pytest.raises(SimulationError, match="There is no next release"):
-        extended_orbit(problem, problem.setting(), (-0.8, -0.8, 0.0, -0.6), horizon=6.0)
+        extended_orbit(problem, problem.values(), (-0.8, -0.8, 0.0, -0.6), horizon=6.0)
 
 
 def test_an_error_that_is_too_large_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -273,4 +273,4 @@ def test_a_model_that_is_not_analytic_is_refused_by_name() -> None:
 
     problem = replace(BALL, model=model)
     with pytest.raises(TranslationError, match="`sign`, which is not analytic"):
-        extended_execution(problem, problem.setting(), (1.0, 0.0), until=1.0)
+        extended_execution(problem, problem.values(), (1.0, 0.0), until=1.0)

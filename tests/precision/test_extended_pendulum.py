@@ -24,17 +24,17 @@ PENDULUM = load_problem("motor_pendulum")
 def orbit() -> ExtendedOrbit:
     """The reference orbit to 25 digits, from a guess of five."""
     guess = [float(f"{value:.5g}") for value in measured.RELEASE]
-    return extended_orbit(PENDULUM, PENDULUM.setting(), guess, digits=25)
+    return extended_orbit(PENDULUM, PENDULUM.values(), guess, digits=25)
 
 
 def test_a_period_is_the_simulated_one_to_the_simulators_digits() -> None:
-    setting = PENDULUM.setting()
+    values = PENDULUM.values()
     times = (0.3, 1.2, 1.3, 1.6, 1.9)
     truth = extended_execution(
-        PENDULUM, setting, measured.RELEASE, until=2.0, times=times, digits=12
+        PENDULUM, values, measured.RELEASE, until=2.0, times=times, digits=12
     )
     assert truth.error < 1e-12
-    dynamics = bind(compile_problem(PENDULUM), setting.values())
+    dynamics = bind(compile_problem(PENDULUM), values.vector)
     execution = simulate(dynamics, measured.RELEASE, until=2.0)
     # The simulator promises 1e-11 a period.
     for sample, time in zip(truth.samples, times, strict=True):
@@ -63,8 +63,8 @@ def test_the_orbit_is_the_measured_one(orbit: ExtendedOrbit) -> None:
 
 @pytest.mark.slow
 def test_exact_multipliers_are_those_of_differences_in_many_digits(orbit: ExtendedOrbit) -> None:
-    setting = PENDULUM.setting()
-    dynamics = bind(compile_problem(PENDULUM), setting.values())
+    values = PENDULUM.values()
+    dynamics = bind(compile_problem(PENDULUM), values.vector)
     release = np.array([float(value) for value in orbit.release_state])
     found = floquet_multipliers(
         dynamics,
@@ -80,7 +80,7 @@ def test_exact_multipliers_are_those_of_differences_in_many_digits(orbit: Extend
 
 @pytest.mark.slow
 def test_a_longer_computation_changes_no_certain_digit(orbit: ExtendedOrbit) -> None:
-    longer = extended_orbit(PENDULUM, PENDULUM.setting(), orbit.release_state, digits=36)
+    longer = extended_orbit(PENDULUM, PENDULUM.values(), orbit.release_state, digits=36)
     numbers = zip(
         (
             orbit.period,
@@ -102,9 +102,9 @@ def test_a_longer_computation_changes_no_certain_digit(orbit: ExtendedOrbit) -> 
 
 @pytest.mark.slow
 def test_the_first_two_flights_are_those_of_a_hand_written_pendulum(orbit: ExtendedOrbit) -> None:
-    setting = PENDULUM.setting()
+    values = PENDULUM.values()
     with mp.workdps(45):
-        hand = HandPendulum(numbers={**setting.parameters, **setting.gains})
+        hand = HandPendulum(numbers={**values.parameters, **values.gains})
         x = [mp.mpf(str(value)) for value in orbit.release_state]
         time = mp.mpf(0)
         for impact in orbit.impacts[:2]:

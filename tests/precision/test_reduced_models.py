@@ -1,4 +1,4 @@
-"""Reduced models of a scene: their names, their errors, and what says so beforehand."""
+"""Reduced models of a problem: their names, their errors, and what says so beforehand."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.compiled import bind, compile_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.orbit_file import read_orbit
 from zeno_orbits.precision.reduced_models import (
     CORRECTED,
@@ -247,37 +247,37 @@ def test_a_restitution_that_would_change_along_the_stop_is_refused() -> None:
 
 def test_a_correction_as_large_as_what_it_corrects_is_refused_in_one_line() -> None:
     problem = load_problem("motor_pendulum@corrected")
-    setting = problem.setting(gains={"Kd": 8.0}, parameters={"L": 1.0})
-    with pytest.raises(InputError, match="take the full scene"):
-        bind(compile_problem(problem), setting.values())
+    values = problem.values(gains={"Kd": 8.0}, parameters={"L": 1.0})
+    with pytest.raises(InputError, match="take the full problem"):
+        bind(compile_problem(problem), values.vector)
 
 
 # ---------------------------------------------------------------------- the pendulum's two rungs
 
 
-def _numbers(scene: Problem, fidelity: str) -> tuple[Problem, HybridDynamics]:
-    reduced = scene.at_fidelity(fidelity)
-    return reduced, bind(compile_problem(reduced), reduced.shared(scene.setting()).values())
+def _numbers(problem: Problem, fidelity: str) -> tuple[Problem, HybridDynamics]:
+    reduced = problem.at_fidelity(fidelity)
+    return reduced, bind(compile_problem(reduced), reduced.shared(problem.values()).vector)
 
 
 def test_the_corrected_pendulum_is_one_with_more_rotor_less_damping_and_less_bounce(
-    scene: Problem,
+    problem: Problem,
 ) -> None:
-    values = scene.setting().parameters
+    values = problem.values().parameters
     resistance, inductance, torque = values["R"], values["L"], values["K_torque"]
     gains = {"Kp": 2.5, "Kd": -1.0}
-    _, corrected = _numbers(scene, CORRECTED)
+    _, corrected = _numbers(problem, CORRECTED)
     # By hand: i = (V - K w)/R - L/R d/dt(...) turns Kd into Kd - Kp L/R and adds a rotor.
     added = torque * inductance * (-gains["Kd"] - values["K_emf"]) / resistance**2
-    static = scene.at_fidelity(QUASI_STATIC)
+    static = problem.at_fidelity(QUASI_STATIC)
     b = values["I2"] + values["m2"] * values["lc2"] ** 2
     known = {name: one for name, one in values.items() if name != "L"}
     by_hand = bind(
         compile_problem(static),
-        static.setting(
+        static.values(
             gains={"Kp": 2.5, "Kd": gains["Kd"] - gains["Kp"] * inductance / resistance},
             parameters={**known, "J_rotor": values["J_rotor"] + added},
-        ).values(),
+        ).vector,
     )
     rng = np.random.default_rng(1)
     for x in rng.normal(size=(20, 4)):
@@ -303,19 +303,19 @@ def test_the_corrected_pendulum_is_one_with_more_rotor_less_damping_and_less_bou
 
 
 @pytest.fixture(scope="module")
-def costs(scene: Problem) -> Mapping[tuple[str, float], ReductionCost]:
+def costs(problem: Problem) -> Mapping[tuple[str, float], ReductionCost]:
     """Both reduced models over two decades of inductance."""
     return {
         (word, inductance): cost
         for inductance in (2e-2, 2e-3, 2e-4)
         for word, cost in reduction_costs(
-            scene, _with_inductance(scene, inductance), measure=True
+            problem, _with_inductance(problem, inductance), measure=True
         ).items()
     }
 
 
-def _with_inductance(scene: Problem, inductance: float, **others: float) -> Setting:
-    return scene.setting(parameters={"L": inductance, **others})
+def _with_inductance(problem: Problem, inductance: float, **others: float) -> ParameterValues:
+    return problem.values(parameters={"L": inductance, **others})
 
 
 def test_the_orbit_shows_the_order_of_its_drive_over_two_decades(
@@ -361,29 +361,29 @@ def test_the_correction_pays_a_hundredfold_at_the_declared_inductance(
     assert all(fine[name] < crude[name] / 50 for name in LANDMARKS)
 
 
-def test_the_estimate_holds_on_another_machine(scene: Problem) -> None:
-    setting = _with_inductance(scene, 6e-3, restitution=0.35)
-    cost = reduction_cost(scene, setting, measure=True)
+def test_the_estimate_holds_on_another_machine(problem: Problem) -> None:
+    values = _with_inductance(problem, 6e-3, restitution=0.35)
+    cost = reduction_cost(problem, values, measure=True)
     for landmark in LANDMARKS:
         assert cost.estimate[landmark] == pytest.approx(cost.measured[landmark], rel=0.1)
 
 
-def test_a_plastic_impact_has_no_zeno_state_to_compare(scene: Problem) -> None:
-    cost = reduction_cost(scene, _with_inductance(scene, 2e-3, restitution=0.0), measure=True)
+def test_a_plastic_impact_has_no_zeno_state_to_compare(problem: Problem) -> None:
+    cost = reduction_cost(problem, _with_inductance(problem, 2e-3, restitution=0.0), measure=True)
     assert set(cost.measured) == set(LANDMARKS) - {"zeno_state"}
     for landmark, error in cost.measured.items():
         assert cost.estimate[landmark] == pytest.approx(error, rel=0.05)
 
 
-def test_the_layer_of_one_motor_is_its_inductance_over_its_resistance(scene: Problem) -> None:
-    full = bind(compile_problem(scene), scene.setting().values())
+def test_the_layer_of_one_motor_is_its_inductance_over_its_resistance(problem: Problem) -> None:
+    full = bind(compile_problem(problem), problem.values().vector)
     assert layer_time(full, np.array([0.3, 0.0, 1.0, 0.0])) == pytest.approx(0.002 / 3, rel=1e-12)
-    _, reduced = _numbers(scene, QUASI_STATIC)
+    _, reduced = _numbers(problem, QUASI_STATIC)
     assert layer_time(reduced, np.array([0.3, 0.0, 1.0, 0.0])) == 0.0
 
 
-def test_a_release_from_which_nothing_returns_is_refused(scene: Problem) -> None:
-    full = bind(compile_problem(scene), _with_inductance(scene, 10.0).values())
+def test_a_release_from_which_nothing_returns_is_refused(problem: Problem) -> None:
+    full = bind(compile_problem(problem), _with_inductance(problem, 10.0).vector)
     release = np.array([0.198, 0.0, -5.236, 0.0])
     with pytest.raises(SimulationError, match=r"No Zeno point|No orbit"):
         orbit_near(full, release, 1.81)
@@ -391,10 +391,10 @@ def test_a_release_from_which_nothing_returns_is_refused(scene: Problem) -> None
 
 @pytest.mark.parametrize("word", [QUASI_STATIC, CORRECTED])
 def test_a_reduced_orbit_balances_its_energy_and_is_that_of_a_hand_written_model(
-    word: str, scene: Problem
+    word: str, problem_file: Problem
 ) -> None:
-    problem = scene.at_fidelity(word)
-    orbit = find_orbit(problem, problem.setting()).unwrap()
+    problem = problem_file.at_fidelity(word)
+    orbit = find_orbit(problem, problem.values()).unwrap()
     certificate = verify(orbit, problem)
     assert certificate.passed, certificate.verdict()
     assert certificate.residuals["energy_balance"] < 1e-13
@@ -404,32 +404,32 @@ def test_a_reduced_orbit_balances_its_energy_and_is_that_of_a_hand_written_model
 
 
 def test_a_wrong_restitution_of_the_layer_is_noticed_by_the_hand_written_model(
-    scene: Problem,
+    problem_file: Problem,
 ) -> None:
-    problem = scene.at_fidelity(CORRECTED)
+    problem = problem_file.at_fidelity(CORRECTED)
 
     def careless(p: Mapping[str, ca.SX]) -> CompletedSystem:
         return replace(problem.model(p), restitution=ca.SX(p["restitution"]))
 
     # The manifold's inertia with the bare restitution: an orbit, and a consistent one.
     wrong = replace(problem, model=careless)
-    orbit = find_orbit(wrong, wrong.setting()).unwrap()
+    orbit = find_orbit(wrong, wrong.values()).unwrap()
     certificate = verify(orbit, wrong)
     assert not certificate.passed
     assert certificate.failed == ("second_model",)
 
 
-def test_an_unknown_reduction_has_no_cost(scene: Problem) -> None:
+def test_an_unknown_reduction_has_no_cost(problem: Problem) -> None:
     with pytest.raises(InputError, match="must be quasi_static or corrected"):
-        reduction_cost(scene, scene.setting(), fidelity="ideal")
+        reduction_cost(problem, problem.values(), fidelity="ideal")
 
 
-def test_gains_are_searched_with_the_restitution_that_they_change(scene: Problem) -> None:
-    problem = scene.at_fidelity(CORRECTED)
+def test_gains_are_searched_with_the_restitution_that_they_change(problem_file: Problem) -> None:
+    problem = problem_file.at_fidelity(CORRECTED)
     # So large an inductance that a program with the restitution of its start does not get there.
-    setting = problem.setting(parameters={"L": 0.1})
+    values = problem.values(parameters={"L": 0.1})
     boxes = {gain.name: (gain.lower, gain.upper) for gain in problem.gains}
-    result = search_gains(problem, setting, free=boxes, objective=WantedPeriod(target=1.83))
+    result = search_gains(problem, values, free=boxes, objective=WantedPeriod(target=1.83))
     assert result.unwrap().period == pytest.approx(1.83, abs=1e-9)
 
 
@@ -437,7 +437,7 @@ def test_gains_are_searched_with_the_restitution_that_they_change(scene: Problem
 
 
 @pytest.mark.parametrize("word", [QUASI_STATIC, CORRECTED])
-def test_a_reduced_scene_is_named_after_its_scene_and_has_no_current(word: str) -> None:
+def test_a_reduced_problem_is_named_after_its_problem_and_has_no_current(word: str) -> None:
     problem = load_problem(f"motor_pendulum@{word}")
     assert problem.name == f"motor_pendulum@{word}"
     assert problem.state_names == load_problem("motor_pendulum").state_names[:4]
@@ -452,7 +452,7 @@ def test_an_unknown_fidelity_is_refused_with_those_there_are() -> None:
 
 
 def test_a_path_that_holds_the_sign_is_a_path(tmp_path: Path) -> None:
-    folder = tmp_path / "my@scene"
+    folder = tmp_path / "my@problem"
     folder.mkdir()
     for file in PENDULUM.glob("*.py"):
         (folder / file.name).write_text(file.read_text())
@@ -460,23 +460,23 @@ def test_a_path_that_holds_the_sign_is_a_path(tmp_path: Path) -> None:
     assert load_problem(f"{folder}@quasi_static").name == "motor_pendulum@quasi_static"
 
 
-def test_no_inductance_is_refused_with_the_scene_to_take_instead(
+def test_no_inductance_is_refused_with_the_problem_to_take_instead(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert main(["simulate", "motor_pendulum", "--set", "L=0"]) == 2
     assert "take `motor_pendulum@quasi_static`" in capsys.readouterr().err
     assert main(["simulate", "motor_pendulum@quasi_static", "--until", "1"]) == 0
     # The corrected drive takes it as its limit.
-    scene = load_problem("motor_pendulum")
-    corrected = scene.at_fidelity(CORRECTED)
-    limit = bind(compile_problem(corrected), corrected.setting(parameters={"L": 0.0}).values())
-    _, static = _numbers(scene, QUASI_STATIC)
+    problem = load_problem("motor_pendulum")
+    corrected = problem.at_fidelity(CORRECTED)
+    limit = bind(compile_problem(corrected), corrected.values(parameters={"L": 0.0}).vector)
+    _, static = _numbers(problem, QUASI_STATIC)
     start = (0.6, 0.0, 0.0, 0.0)
     ends = [simulate(one, start, until=3.0).end_state for one in (limit, static)]
     assert ends[0] == pytest.approx(ends[1], rel=1e-11)
 
 
-def test_an_orbit_file_of_a_reduced_scene_is_found_drawn_and_verified(
+def test_an_orbit_file_of_a_reduced_problem_is_found_drawn_and_verified(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "orbit.json"
@@ -487,14 +487,14 @@ def test_an_orbit_file_of_a_reduced_scene_is_found_drawn_and_verified(
     assert main(["plot", str(path), "--kind", "region", "-o", str(tmp_path)]) == 0
     capsys.readouterr()
     assert main(["verify", str(path), "--problem", f"{PENDULUM}@corrected"]) == 2
-    assert "must be the scene `motor_pendulum@quasi_static`" in capsys.readouterr().err
+    assert "must be the problem `motor_pendulum@quasi_static`" in capsys.readouterr().err
 
 
 def test_an_orbit_file_that_names_an_unknown_fidelity_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     problem = load_problem("motor_pendulum@quasi_static")
-    orbit = find_orbit(problem, problem.setting()).unwrap()
+    orbit = find_orbit(problem, problem.values()).unwrap()
     path = tmp_path / "orbit.json"
     path.write_text(json.dumps({**orbit.as_json(), "problem": "motor_pendulum@coarse"}))
     assert main(["verify", str(path)]) == 2

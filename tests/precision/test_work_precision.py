@@ -41,10 +41,10 @@ TINY = TradeSettings(
 
 
 @pytest.fixture(name="measured", scope="module")
-def _measured(scene: Problem) -> Trade:
+def _measured(problem: Problem) -> Trade:
     """Two releases and a Zeno point, from rest."""
     return trade(
-        scene, scene.setting(), (0.6, 0.0, 0.0, 0.0, 0.0), settings=replace(TINY, until=3.0)
+        problem, problem.values(), (0.6, 0.0, 0.0, 0.0, 0.0), settings=replace(TINY, until=3.0)
     )
 
 
@@ -107,7 +107,7 @@ def test_a_reduced_model_errs_by_its_model_and_not_by_its_tolerance(measured: Tr
 
 
 def test_a_false_truth_makes_every_trial_err(
-    scene: Problem, monkeypatch: pytest.MonkeyPatch
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def false(*arguments: Any) -> Any:
         truth = true_landmarks(*arguments)
@@ -116,12 +116,12 @@ def test_a_false_truth_makes_every_trial_err(
 
     monkeypatch.setattr(trading, "true_landmarks", false)
     monkeypatch.setattr(trading, "engines", lambda: {"explicit": RungeKutta()})
-    found = trade(scene, scene.setting(), RELEASE, settings=replace(TINY, cuts=(), impacts=()))
+    found = trade(problem, problem.values(), RELEASE, settings=replace(TINY, cuts=(), impacts=()))
     assert min(t.error for t in found.trials) > 0.9e-3 / TINY.until
 
 
 def test_a_trial_that_fails_is_a_row_with_its_trouble(
-    scene: Problem, monkeypatch: pytest.MonkeyPatch
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Broken:
         def __init__(self, error: Exception) -> None:
@@ -137,7 +137,7 @@ def test_a_trial_that_fails_is_a_row_with_its_trouble(
     }
     sound = {"explicit": RungeKutta()}
     monkeypatch.setattr(trading, "engines", lambda: broken | sound)
-    found = trade(scene, scene.setting(), RELEASE, settings=replace(TINY, cuts=(), impacts=()))
+    found = trade(problem, problem.values(), RELEASE, settings=replace(TINY, cuts=(), impacts=()))
     rows = {t.name: t for t in found.trials}
     for name in broken:
         assert math.isinf(rows[name].error)
@@ -148,21 +148,21 @@ def test_a_trial_that_fails_is_a_row_with_its_trouble(
     assert all(t.name not in broken for t in found.front)
 
 
-def test_an_interrupt_ends_the_trials(scene: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupt_ends_the_trials(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_arguments: object, **_named: object) -> NoReturn:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(trading, "simulate", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        trade(scene, scene.setting(), RELEASE, settings=TINY)
+        trade(problem, problem.values(), RELEASE, settings=TINY)
 
 
-def test_progress_names_what_is_measured_and_rises(scene: Problem) -> None:
+def test_progress_names_what_is_measured_and_rises(problem: Problem) -> None:
     said: list[tuple[str, float]] = []
     few = replace(TINY, tolerances=(1e-4,), slow_from=1.0, cuts=(), impacts=())
     trade(
-        scene,
-        scene.setting(),
+        problem,
+        problem.values(),
         RELEASE,
         settings=few,
         tell=lambda what, part: said.append((what, part)),
@@ -175,17 +175,17 @@ def test_progress_names_what_is_measured_and_rises(scene: Problem) -> None:
 
 
 def test_meshes_are_solved_where_there_is_an_orbit_and_say_why_where_there_is_none(
-    scene: Problem,
+    problem: Problem,
 ) -> None:
     none = replace(
         TINY, tolerances=(1e-4,), slow_from=1.0, cuts=(), impacts=(), meshes=(1e-2, 1e-5)
     )
-    found = trade(scene, scene.setting(), RELEASE, settings=none)
+    found = trade(problem, problem.values(), RELEASE, settings=none)
     coarse, fine = (t for t in found.trials if t.sweep == "mesh")
     assert fine.error < 0.1 * coarse.error
     assert "mesh" not in {t.sweep for t in found.front}
     ball = load_problem("bouncing_ball")
-    missing = trade(ball, ball.setting(), (1.0, 0.0), settings=replace(none, until=5.0))
+    missing = trade(ball, ball.values(), (1.0, 0.0), settings=replace(none, until=5.0))
     (row,) = (t for t in missing.trials if t.sweep == "mesh")
     assert math.isinf(row.error)
     assert "No simulation settled" in row.trouble
@@ -195,46 +195,48 @@ def test_meshes_are_solved_where_there_is_an_orbit_and_say_why_where_there_is_no
 
 
 def test_without_heyoka_the_truth_is_in_doubles_and_says_so(
-    scene: Problem, monkeypatch: pytest.MonkeyPatch
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for module in (truths, trading):
         monkeypatch.setattr(module, "heyoka_is_installed", lambda: False)
     assert "taylor" not in engines()
-    dynamics = bind(compiled_model(scene), scene.setting().values())
-    truth = true_landmarks(scene, scene.setting(), dynamics, RELEASE, 1.02 * PERIOD)
+    dynamics = bind(compiled_model(problem), problem.values().vector)
+    truth = true_landmarks(problem, problem.values(), dynamics, RELEASE, 1.02 * PERIOD)
     assert "double precision" in truth.how
     assert "extra `taylor`" in truth.how
     assert 0.0 < truth.error < 1e-11
     assert abs(truth.marks[-1].time - PERIOD) < 1e-12
 
 
-def test_a_scene_that_is_not_all_analytic_is_measured_in_doubles() -> None:
-    scene = load_problem("motor_pendulum").at_fidelity("corrected")
-    dynamics = bind(compiled_model(scene), scene.setting().values())
-    truth = true_landmarks(scene, scene.setting(), dynamics, RELEASE[:4], PERIOD)
-    assert "not all of the scene is analytic" in truth.how
+def test_a_problem_that_is_not_all_analytic_is_measured_in_doubles() -> None:
+    problem = load_problem("motor_pendulum").at_fidelity("corrected")
+    dynamics = bind(compiled_model(problem), problem.values().vector)
+    truth = true_landmarks(problem, problem.values(), dynamics, RELEASE[:4], PERIOD)
+    assert "not all of the problem is analytic" in truth.how
 
 
-def test_the_truth_is_judged_by_the_largest_state_on_the_way(scene: Problem) -> None:
+def test_the_truth_is_judged_by_the_largest_state_on_the_way(problem: Problem) -> None:
     pytest.importorskip("heyoka")
-    dynamics = bind(compiled_model(scene), scene.setting().values())
-    truth = true_landmarks(scene, scene.setting(), dynamics, RELEASE, 1.02 * PERIOD)
+    dynamics = bind(compiled_model(problem), problem.values().vector)
+    truth = true_landmarks(problem, problem.values(), dynamics, RELEASE, 1.02 * PERIOD)
     assert {mark.kind for mark in truth.marks} == {Kind.RELEASE}
     assert abs(truth.marks[-1].time - PERIOD) < 1e-13
     # At its releases the second link does not turn; on the way it does.
     assert np.all(truth.scale > [1.0, 1.0, 5.0, 5.0, 1.0])
 
 
-def test_nothing_to_judge_by_is_said(scene: Problem) -> None:
+def test_nothing_to_judge_by_is_said(problem: Problem) -> None:
     pytest.importorskip("heyoka")
     with pytest.raises(ZenoOrbitsError, match="no release and no Zeno point so soon"):
-        trade(scene, scene.setting(), (0.6, 0.1, 0.0, 0.0, 0.0), settings=replace(TINY, until=1e-3))
+        trade(
+            problem, problem.values(), (0.6, 0.1, 0.0, 0.0, 0.0), settings=replace(TINY, until=1e-3)
+        )
 
 
 @pytest.mark.parametrize("until", [0.0, -1.0, math.nan, math.inf])
-def test_a_horizon_that_is_none_is_refused(until: float, scene: Problem) -> None:
+def test_a_horizon_that_is_none_is_refused(until: float, problem: Problem) -> None:
     with pytest.raises(InputError, match="`until`"):
-        trade(scene, scene.setting(), RELEASE, settings=replace(TINY, until=until))
+        trade(problem, problem.values(), RELEASE, settings=replace(TINY, until=until))
 
 
 # --------------------------------------------------------------------------------- the front

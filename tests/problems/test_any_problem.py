@@ -84,17 +84,19 @@ def _constrained(p: Symbols) -> CompletedSystem:
     return complete(links, full_drive(links, _motor(links, p)), p["restitution"])
 
 
-def _scene(model: Callable[[Symbols], CompletedSystem], **changes: object) -> Problem:
+def _problem(model: Callable[[Symbols], CompletedSystem], **changes: object) -> Problem:
     return replace(load_problem("motor_pendulum"), model=model, reference=None, **changes)
 
 
 def _without_current(model: Callable[[Symbols], CompletedSystem]) -> Problem:
     pendulum = load_problem("motor_pendulum")
-    return _scene(model, state_names=pendulum.state_names[:4], state_units=pendulum.state_units[:4])
+    return _problem(
+        model, state_names=pendulum.state_names[:4], state_units=pendulum.state_units[:4]
+    )
 
 
 def _found(problem: Problem, **parameters: float) -> tuple[ZenoOrbit, OrbitCertificate]:
-    orbit = find_orbit(problem, problem.setting(parameters=parameters)).unwrap()
+    orbit = find_orbit(problem, problem.values(parameters=parameters)).unwrap()
     return orbit, verify(orbit, problem)
 
 
@@ -102,7 +104,7 @@ def test_a_drive_without_current_states_has_an_orbit_of_its_own() -> None:
     orbit, certificate = _found(_without_current(_quasi_static))
     assert certificate.passed
     assert len(orbit.release_state) == 4
-    # The section of a four-state scene is a curve.
+    # The section of a four-state problem is a curve.
     assert len(certificate.multipliers) == 1
 
 
@@ -129,7 +131,7 @@ def test_an_ideal_torque_of_the_quasi_static_size_gives_the_same_orbit() -> None
 def test_a_holonomic_constraint_in_place_of_a_coordinate_gives_the_same_orbit() -> None:
     names = ("theta1", "theta2", "phi2", "dtheta1", "dtheta2", "dphi2", "current")
     units = ("rad", "rad", "rad", "rad/s", "rad/s", "rad/s", "A")
-    problem = _scene(
+    problem = _problem(
         _constrained,
         state_names=names,
         state_units=units,
@@ -142,7 +144,7 @@ def test_a_holonomic_constraint_in_place_of_a_coordinate_gives_the_same_orbit() 
     assert orbit.period == pytest.approx(PERIOD, rel=1e-9)
 
 
-def test_no_module_of_the_package_names_a_scene() -> None:
+def test_no_module_of_the_package_names_a_problem() -> None:
     package = Path(__file__).parents[2] / "zeno_orbits"
     # The command line shows examples; the loader's docstring may not need one.
     modules = [path for path in package.rglob("*.py") if path.parent.name != "cli"]

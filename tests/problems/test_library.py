@@ -1,4 +1,4 @@
-"""The bundled scenes: each goes all the way, and what is known of it comes out."""
+"""The bundled problems: each goes all the way, and what is known of it comes out."""
 
 from __future__ import annotations
 
@@ -30,16 +30,18 @@ NO_ORBIT = {"bouncing_ball", "falling_pendulum"}
 """Nothing drives these: they come to rest."""
 
 CLOSED_FORM = 1e-10
-"""What every published figure of a scene in closed form has to agree to, relative to its size."""
+"""What every published figure of a problem in closed form has to agree to, relative to its size."""
 
-SCENES = [fidelity.name for name in bundled_problems() for fidelity in load_problem(name).ladder()]
+PROBLEMS = [
+    fidelity.name for name in bundled_problems() for fidelity in load_problem(name).ladder()
+]
 
 
 @cache
 def _orbit(name: str) -> ZenoOrbit:
-    """Return a scene's orbit at its own numbers, found once."""
+    """Return a problem's orbit at its own numbers, found once."""
     problem = load_problem(name)
-    return find_orbit(problem, problem.setting()).unwrap()
+    return find_orbit(problem, problem.values()).unwrap()
 
 
 def _answer(capsys: pytest.CaptureFixture[str], *words: str) -> Any:
@@ -49,7 +51,7 @@ def _answer(capsys: pytest.CaptureFixture[str], *words: str) -> Any:
 
 
 def _parameters(name: str, **changes: float) -> Mapping[str, float]:
-    return load_problem(name).setting(parameters=changes).parameters
+    return load_problem(name).values(parameters=changes).parameters
 
 
 def _marked(name: str) -> Any:
@@ -57,12 +59,12 @@ def _marked(name: str) -> Any:
     return pytest.param(name, marks=[pytest.mark.slow] if slow else [])
 
 
-# Every scene, every command.
+# Every problem, every command.
 
 
-@pytest.mark.parametrize("name", [_marked(name) for name in SCENES])
+@pytest.mark.parametrize("name", [_marked(name) for name in PROBLEMS])
 @pytest.mark.slow
-def test_every_scene_goes_through_every_command(
+def test_every_problem_goes_through_every_command(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "orbit.json"
@@ -79,14 +81,14 @@ def test_every_scene_goes_through_every_command(
     assert main(["plot", str(file), "-o", str(tmp_path)]) == 0
     pictures = {"portraits", "time", "run"}
     problem = load_problem(name)
-    dynamics = bind(compiled_model(problem), problem.setting().values())
+    dynamics = bind(compiled_model(problem), problem.values().vector)
     if _orbit(name).shape.starts_at_release:
         pictures |= {"zeno", "region"} if has_zeno_region(dynamics) else {"zeno"}
     pictures |= {"outputs"} if problem.outputs else set()
     assert {path.stem for path in tmp_path.glob("*.png")} == pictures
 
 
-@pytest.mark.parametrize("name", sorted(set(SCENES) - NO_ORBIT))
+@pytest.mark.parametrize("name", sorted(set(PROBLEMS) - NO_ORBIT))
 def test_a_forced_orbit_has_the_period_of_its_forcing(name: str) -> None:
     orbit = _orbit(name)
     if "omega" in orbit.parameters:
@@ -226,7 +228,7 @@ def test_the_knee_of_two_motors_lets_go_where_the_law_by_hand_vanishes() -> None
 
 def test_two_motors_one_of_which_is_powerless_move_as_the_motor_pendulum() -> None:
     problem = load_problem("two_motors")
-    powerless = problem.setting(parameters={"K_torque2": 0.0, "K_emf2": 0.0})
+    powerless = problem.values(parameters={"K_torque2": 0.0, "K_emf2": 0.0})
     orbit = find_orbit(problem, powerless).unwrap()
     assert orbit.period == pytest.approx(PERIOD, rel=1e-9)
 
@@ -333,14 +335,14 @@ def _factor(unit: str) -> float:
     return math.prod(BASES.get(base, 1.0) ** power for base, power in powers_of(unit).items())
 
 
-@pytest.mark.parametrize("name", SCENES)
-def test_the_units_of_a_scene_are_those_of_its_equations(name: str) -> None:
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_the_units_of_a_problem_are_those_of_its_equations(name: str) -> None:
     # In other units every number changes by its unit's factor, and so must every rate; the joule
     # of the energy, too. A unit that is declared falsely breaks it.
     problem = load_problem(name)
-    setting = problem.setting()
+    values = problem.values()
     quantities = (*problem.gains, *problem.parameters)
-    numbers = np.array(setting.values())
+    numbers = np.array(values.vector)
     changed = numbers * [_factor(quantity.unit) for quantity in quantities]
     sizes = np.array([_factor(unit) for unit in problem.state_units])
     compiled = compiled_model(problem)
@@ -357,12 +359,12 @@ def test_the_units_of_a_scene_are_those_of_its_equations(name: str) -> None:
 
 def test_a_unit_that_is_declared_falsely_would_break_it() -> None:
     problem = load_problem("motor_valve")
-    numbers = dict(problem.setting().parameters)
+    numbers = dict(problem.values().parameters)
     changed = {q.name: numbers[q.name] * _factor(q.unit) for q in problem.parameters}
     changed["J"] = numbers["J"] * _factor("kg m")
     compiled = compiled_model(problem)
     gains = [10.0 * _factor("V/rad"), 0.0]
-    here = bind(compiled, problem.setting().values())
+    here = bind(compiled, problem.values().vector)
     there = bind(compiled, [*gains, *changed.values()])
     x, sizes = np.array([0.3, 0.4, 0.5]), np.array([_factor(u) for u in problem.state_units])
     expected = sizes / BASES["s"] * here.free.rate(x)
@@ -371,29 +373,29 @@ def test_a_unit_that_is_declared_falsely_would_break_it() -> None:
 
 def test_outputs_are_what_their_formulas_say() -> None:
     problem = load_problem("vibrating_table")
-    setting = problem.setting(parameters={"A": 0.02})
+    values = problem.values(parameters={"A": 0.02})
     states = np.array([[0.1, 0.0, 0.6, 0.8], [0.0, -1.0, 1.0, 0.0], [0.3, 0.0, 0.0, -1.0]])
-    seen = output_values(problem, setting, states)
+    seen = output_values(problem, values, states)
     assert seen == pytest.approx(np.array([[0.016, 0.116], [0.0, 0.0], [-0.02, 0.28]]))
 
 
 def test_outputs_are_drawn_over_the_whole_time_with_their_units() -> None:
     problem = load_problem("vibrating_table")
-    setting = problem.setting()
-    dynamics = bind(compiled_model(problem), setting.values())
+    values = problem.values()
+    dynamics = bind(compiled_model(problem), values.vector)
     run = simulate(dynamics, problem.state_vector(problem.starts[0]), until=0.5)
-    panels = plot_outputs(problem, setting, run).axes
+    panels = plot_outputs(problem, values, run).axes
     assert [ax.get_ylabel() for ax in panels] == ["table [m]", "ball [m]"]
     drawn = np.concatenate([line.get_xydata() for line in panels[0].lines if len(line.get_xdata())])
     assert drawn[:, 0].min() == 0.0
     assert drawn[:, 0].max() == pytest.approx(0.5)
-    p = setting.parameters
+    p = values.parameters
     known = p["A"] * np.sin(p["omega"] * drawn[:, 0])
     # Times of rescaled flights are rounded to 1e-15, and the integration has 1e-12.
     assert drawn[:, 1] == pytest.approx(known, abs=1e-10 * p["A"])
 
 
-def test_an_output_of_a_scene_without_any_cannot_be_drawn(
+def test_an_output_of_a_problem_without_any_cannot_be_drawn(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "orbit.json"

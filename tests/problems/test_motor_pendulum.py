@@ -1,4 +1,4 @@
-"""The reference scene: its published numbers, its calibration and its two derivations."""
+"""The reference problem: its published numbers, its calibration and its two derivations."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from zeno_orbits.integrators.flow import PlainFlow
 from zeno_orbits.model.library import load_problem, load_reference
 from zeno_orbits.model.numeric.compiled import bind, compile_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.problem import ParameterValues, Problem
 
 CURRENT_COEFFICIENT, GRAVITY_COEFFICIENT = 2.92437, 27.5697
 """Printed in the paper: d2h/dt2 = -2.92437 i - 27.5697 sin(theta1)."""
 AGREEMENT = 1e-10
 """Two derivations in floats; a few hundred operations, condition of M below 100, margin 1e3."""
-Model = Callable[[Setting], HybridDynamics]
+Model = Callable[[ParameterValues], HybridDynamics]
 NUMBERS = ("gap", "gap_rate", "gap_acceleration", "multiplier", "normal_inertia", "energy")
 
 
@@ -34,7 +34,7 @@ def _problem() -> Problem:
 @pytest.fixture(name="derived", scope="module")
 def _derived(problem: Problem) -> Model:
     compiled = compile_problem(problem)
-    return lambda setting: bind(compiled, setting.values())
+    return lambda values: bind(compiled, values.vector)
 
 
 @pytest.fixture(name="by_hand", scope="module")
@@ -59,7 +59,7 @@ def _random_parameters(generator: np.random.Generator) -> dict[str, float]:
     }
 
 
-def _random_setting(problem: Problem, generator: np.random.Generator) -> Setting:
+def _random_values(problem: Problem, generator: np.random.Generator) -> ParameterValues:
     electrical = {
         "R": generator.uniform(1, 5),
         "L": generator.uniform(1e-3, 1e-2),
@@ -68,7 +68,7 @@ def _random_setting(problem: Problem, generator: np.random.Generator) -> Setting
         "g": 9.81,
     }
     gains = {"Kp": generator.uniform(1, 6), "Kd": generator.uniform(-1.5, 1)}
-    return problem.setting(gains=gains, parameters={**_random_parameters(generator), **electrical})
+    return problem.values(gains=gains, parameters={**_random_parameters(generator), **electrical})
 
 
 def _random_state(generator: np.random.Generator) -> Vector:
@@ -114,10 +114,10 @@ def _coefficients(dynamics: HybridDynamics) -> tuple[float, float]:
     return -dynamics.gap_acceleration(with_current), -dynamics.gap_acceleration(sideways)
 
 
-def test_the_published_coefficients_come_back_from_the_default_scene(
+def test_the_published_coefficients_come_back_from_the_default_problem(
     problem: Problem, derived: Model
 ) -> None:
-    current, gravity = _coefficients(derived(problem.setting()))
+    current, gravity = _coefficients(derived(problem.values()))
     assert current == pytest.approx(CURRENT_COEFFICIENT, rel=1e-12)
     assert gravity == pytest.approx(GRAVITY_COEFFICIENT, rel=1e-12)
 
@@ -126,14 +126,14 @@ def test_the_published_coefficients_come_back_from_the_default_scene(
 def test_the_published_coefficients_come_back_from_other_masses_and_lengths(
     problem: Problem, derived: Model, seed: int
 ) -> None:
-    setting = problem.setting(parameters=_random_parameters(np.random.default_rng(seed)))
-    current, gravity = _coefficients(derived(setting))
+    values = problem.values(parameters=_random_parameters(np.random.default_rng(seed)))
+    current, gravity = _coefficients(derived(values))
     assert current == pytest.approx(CURRENT_COEFFICIENT, rel=1e-11)
     assert gravity == pytest.approx(GRAVITY_COEFFICIENT, rel=1e-11)
 
 
 def test_the_calibration_gives_the_declared_rotor_and_torque_constant(problem: Problem) -> None:
-    parameters = problem.setting().parameters
+    parameters = problem.values().parameters
     # Printed with 13 and 14 decimals.
     assert parameters["J_rotor"] == pytest.approx(0.01792808647924, abs=1e-14)
     assert parameters["K_torque"] == pytest.approx(0.03071770892865, abs=1e-14)
@@ -142,7 +142,7 @@ def test_the_calibration_gives_the_declared_rotor_and_torque_constant(problem: P
 
 def test_given_constants_are_not_calibrated_over(problem: Problem) -> None:
     given = {"J_rotor": 0.02, "K_torque": 0.05, "K_emf": 0.04}
-    parameters = problem.setting(parameters=given).parameters
+    parameters = problem.values(parameters=given).parameters
     assert {name: parameters[name] for name in given} == given
 
 
@@ -153,12 +153,12 @@ def test_a_second_link_too_long_for_the_published_number_is_refused(problem: Pro
         r"\(I2 \+ m2 lc2\^2\) / \(m2 lc2\) must be below g / 27.5697 = 0.35582\d m, but .* 0.4 m"
     )
     with pytest.raises(InputError, match=bound):
-        problem.setting(parameters=too_long)
+        problem.values(parameters=too_long)
 
 
 def test_a_first_link_too_heavy_for_the_published_number_is_refused(problem: Problem) -> None:
     with pytest.raises(InputError, match=r"J_rotor must not be negative, but it would be -0\.08"):
-        problem.setting(parameters={"I1": 0.1})
+        problem.values(parameters={"I1": 0.1})
 
 
 def test_the_hand_written_model_imports_no_symbolic_algebra(problem: Problem) -> None:
@@ -182,8 +182,8 @@ def test_the_hand_written_model_imports_no_symbolic_algebra(problem: Problem) ->
 def test_both_derivations_agree_in_every_map_at_random_states(
     problem: Problem, derived: Model, by_hand: Model
 ) -> None:
-    setting = problem.setting()
-    one, other = derived(setting), by_hand(setting)
+    values = problem.values()
+    one, other = derived(values), by_hand(values)
     for x in _states(50, seed=11):
         for name, difference in _disagreements(one, other, x).items():
             assert difference < AGREEMENT, f"{name} at {x}"
@@ -194,8 +194,8 @@ def test_both_derivations_agree_under_random_settings(
     problem: Problem, derived: Model, by_hand: Model, seed: int
 ) -> None:
     generator = np.random.default_rng(100 + seed)
-    setting = _random_setting(problem, generator)
-    one, other = derived(setting), by_hand(setting)
+    values = _random_values(problem, generator)
+    one, other = derived(values), by_hand(values)
     assert one.restitution == other.restitution
     for x in _states(50, seed):
         for name, difference in _disagreements(one, other, x).items():
@@ -208,8 +208,8 @@ def test_both_derivations_agree_under_random_settings(
 def test_a_wrong_sign_in_one_map_shows_as_a_disagreement_of_that_map(
     problem: Problem, derived: Model, by_hand: Model, name: str
 ) -> None:
-    setting = problem.setting()
-    right = by_hand(setting)
+    values = problem.values()
+    right = by_hand(values)
     if name == "reset_map":
         wrong = replace(right, reset_map=lambda x, rate: right.reset_map(x, -rate))
     elif name == "free flow":
@@ -218,7 +218,7 @@ def test_a_wrong_sign_in_one_map_shows_as_a_disagreement_of_that_map(
     else:
         wrong = replace(right, **{name: lambda x: -getattr(right, name)(x)})
     x = _states(1, seed=12)[0]
-    found = _disagreements(derived(setting), wrong, x)
+    found = _disagreements(derived(values), wrong, x)
     assert [key for key, difference in found.items() if difference > AGREEMENT] == [name]
 
 
@@ -226,7 +226,7 @@ def test_a_wrong_sign_in_one_map_shows_as_a_disagreement_of_that_map(
 def test_the_multiplier_rate_on_the_stop_is_the_derivative_along_the_locked_flow(
     problem: Problem, model: str, request: pytest.FixtureRequest
 ) -> None:
-    dynamics = request.getfixturevalue(model)(problem.setting())
+    dynamics = request.getfixturevalue(model)(problem.values())
     for x in map(_on_stop, _states(20, seed=13)):
         slope = dynamics.locked.rate(x)
         step = 1e-5 / (1 + float(np.max(np.abs(slope))))
@@ -241,9 +241,9 @@ def test_the_multiplier_rate_on_the_stop_is_the_derivative_along_the_locked_flow
 def test_energy_changes_by_what_the_source_gives_and_the_winding_loses(
     problem: Problem, model: str, request: pytest.FixtureRequest
 ) -> None:
-    setting = problem.setting()
-    p, gains = setting.parameters, setting.gains
-    dynamics = request.getfixturevalue(model)(setting)
+    values = problem.values()
+    p, gains = values.parameters, values.gains
+    dynamics = request.getfixturevalue(model)(values)
     for x in _states(20, seed=14):
         slope = dynamics.free.rate(x)
         step = 1e-5 / (1 + float(np.max(np.abs(slope))))

@@ -40,13 +40,13 @@ DOUBLED = {"Kp": 4.3, "Kd": -1.53}
 def found(
     name: str, numbers: tuple[tuple[str, float], ...] = (), shape: str | None = None
 ) -> ZenoOrbit:
-    """Return the orbit of a scene at some numbers, found once."""
+    """Return the orbit of a problem at some numbers, found once."""
     problem = load_problem(name)
     gains = {key: value for key, value in numbers if key in DOUBLED}
     parameters = {key: value for key, value in numbers if key not in DOUBLED}
     wanted = None if shape is None else OrbitShape.parsed(shape)
-    setting = problem.setting(gains=gains, parameters=parameters)
-    return find_orbit(problem, setting, shape=wanted).unwrap()
+    values = problem.values(gains=gains, parameters=parameters)
+    return find_orbit(problem, values, shape=wanted).unwrap()
 
 
 def checked(orbit: ZenoOrbit, settings: VerificationSettings = QUICK) -> OrbitCertificate:
@@ -123,8 +123,8 @@ def test_an_impact_oscillator_contracts_areas_by_its_damping_and_its_impacts(
 def test_beyond_a_flip_the_pendulum_comes_back_to_what_a_long_simulation_ends_on() -> None:
     problem, orbit = load_problem("motor_pendulum"), doubled()
     assert orbit.shape.text == "zeno*2"
-    dynamics = bind(compiled_model(problem), orbit.setting(problem).values())
-    # Another engine, from the scene's own start: what is left of it shrinks by 0.4 a period.
+    dynamics = bind(compiled_model(problem), orbit.values(problem).vector)
+    # Another engine, from the problem's own start: what is left of it shrinks by 0.4 a period.
     settings = SimulationSettings(engine=Radau())
     run = simulate(
         dynamics, problem.state_vector(problem.starts[0]), until=120.0, settings=settings
@@ -150,8 +150,8 @@ def test_beyond_the_end_of_its_zeno_orbits_the_pendulum_strikes_three_times_a_pe
     certificate = checked(orbit, VerificationSettings())
     assert certificate.passed, certificate.verdict()
     assert certificate.stable
-    # Another engine, from the scene's own start: what is left of it shrinks by 0.7 a period.
-    dynamics = bind(compiled_model(problem), orbit.setting(problem).values())
+    # Another engine, from the problem's own start: what is left of it shrinks by 0.7 a period.
+    dynamics = bind(compiled_model(problem), orbit.values(problem).vector)
     settings = SimulationSettings(engine=Radau())
     start = problem.state_vector(problem.starts[0])
     run = simulate(dynamics, start, until=150.0, settings=settings)
@@ -284,7 +284,7 @@ def test_an_impact_that_lets_go_at_once_has_its_multiplier_in_closed_form() -> N
 def test_closed_by_simulation_it_is_the_same_orbit(orbit: Callable[[], ZenoOrbit]) -> None:
     solved = orbit()
     problem = load_problem(solved.problem)
-    closing = close_orbit(problem, solved.setting(problem), near=solved)
+    closing = close_orbit(problem, solved.values(problem), near=solved)
     closed = closing.unwrap()
     assert closed.shape == solved.shape
     assert closed.period == pytest.approx(solved.period, rel=AGREES)
@@ -295,20 +295,20 @@ def test_closed_by_simulation_it_is_the_same_orbit(orbit: Callable[[], ZenoOrbit
 
 def test_a_motion_closed_by_simulation_may_have_any_shape() -> None:
     problem = load_problem("impact_oscillator")
-    closed = close_orbit(problem, problem.setting()).unwrap()
+    closed = close_orbit(problem, problem.values()).unwrap()
     assert closed.shape.text == "impact"
     assert dict(closed.start_state) == pytest.approx(dict(struck().start_state), abs=1e-10)
 
 
 def test_an_orbit_of_another_shape_is_searched_from_one_at_other_numbers() -> None:
     problem = load_problem("impact_oscillator")
-    setting = problem.setting(parameters={"A": 1.05})
-    result = search_gains(problem, setting, free={}, near=struck())
+    values = problem.values(parameters={"A": 1.05})
+    result = search_gains(problem, values, free={}, near=struck())
     orbit = result.unwrap()
     assert orbit.shape.text == "impact"
     assert checked(orbit).passed
     with pytest.raises(InputError, match="must be the shape `impact` of the orbit"):
-        search_gains(problem, setting, free={}, near=struck(), shape=OrbitShape.parsed("zeno"))
+        search_gains(problem, values, free={}, near=struck(), shape=OrbitShape.parsed("zeno"))
 
 
 def test_a_free_parameter_takes_an_orbit_of_impacts_to_a_wanted_bound() -> None:
@@ -319,7 +319,7 @@ def test_a_free_parameter_takes_an_orbit_of_impacts_to_a_wanted_bound() -> None:
     problem = load_problem("impact_oscillator")
     bound = Bound(name="first_impact_speed", lower=1.5)
     result = search_gains(
-        problem, problem.setting(), free={"A": (0.6, 1.5)}, objective=LeastEnergy(), bounds=(bound,)
+        problem, problem.values(), free={"A": (0.6, 1.5)}, objective=LeastEnergy(), bounds=(bound,)
     )
     orbit = result.unwrap()
     assert orbit.shape.text == "impact"
@@ -335,7 +335,7 @@ def test_free_gains_bring_a_doubled_orbit_to_a_wanted_period() -> None:
     problem = load_problem("motor_pendulum")
     result = search_gains(
         problem,
-        problem.setting(gains=DOUBLED),
+        problem.values(gains=DOUBLED),
         free={"Kp": (4.2, 4.4)},
         objective=WantedPeriod(target=4.05),
     )
@@ -347,10 +347,10 @@ def test_free_gains_bring_a_doubled_orbit_to_a_wanted_period() -> None:
 
 def test_a_shape_that_the_motion_does_not_settle_to_is_a_no_with_the_one_it_has() -> None:
     problem = load_problem("impact_oscillator")
-    result = find_orbit(problem, problem.setting(), shape=OrbitShape.parsed("zeno"))
+    result = find_orbit(problem, problem.values(), shape=OrbitShape.parsed("zeno"))
     assert result.status is SearchStatus.NO_GUESS
     assert "settles to an orbit of shape `impact`" in result.detail
-    twice = find_orbit(problem, problem.setting(), shape=OrbitShape.parsed("impact*2"))
+    twice = find_orbit(problem, problem.values(), shape=OrbitShape.parsed("impact*2"))
     assert twice.orbit is None
     assert "is one of shape `impact`, gone round 2 times" in twice.detail
 

@@ -1,4 +1,4 @@
-"""The comparison with others: its laws are the scene's, and its judgement does not flatter."""
+"""The comparison with others: its laws are the problem's, and its judgement does not flatter."""
 
 from __future__ import annotations
 
@@ -24,31 +24,31 @@ def _row(state: list[float], locks: int | None = 11) -> beside_others.Row:
 
 
 @pytest.mark.parametrize("rate", [1.5e3, 1e6])
-def test_the_lean_laws_are_those_of_the_scene(rate: float) -> None:
+def test_the_lean_laws_are_those_of_the_problem(rate: float) -> None:
     problem = load_problem("motor_pendulum")
     lean = work.pendulum(rate)
-    scene = load_reference(problem).dynamics(problem.setting(parameters=work.declared(rate)))
+    problem_file = load_reference(problem).dynamics(problem.values(parameters=work.declared(rate)))
     rng = np.random.default_rng(7)
     # Both evaluate a dozen terms in other orders; the current's rate carries the factor 1/L.
     close = {"rel": 1e-12, "abs": 1e-12 * rate}
     for _ in range(20):
         x = rng.normal(size=5)
-        assert lean.rates(x.tolist()) == pytest.approx(scene.free.rate(x).tolist(), **close)
-        on_stop = scene.on_stop(np.array([x[0], 0.0, x[2], 0.0, x[4]]))
+        assert lean.rates(x.tolist()) == pytest.approx(problem_file.free.rate(x).tolist(), **close)
+        on_stop = problem_file.on_stop(np.array([x[0], 0.0, x[2], 0.0, x[4]]))
         theta1, _, rate1, _, current = on_stop.tolist()
-        locked = scene.locked.rate(on_stop)[[0, 2, 4]].tolist()
+        locked = problem_file.locked.rate(on_stop)[[0, 2, 4]].tolist()
         assert lean.locked_rates((theta1, rate1, current)) == pytest.approx(locked, **close)
-        hold = -scene.gap_acceleration(on_stop)
+        hold = -problem_file.gap_acceleration(on_stop)
         assert lean.hold(theta1, current) == pytest.approx(hold, rel=1e-10, abs=1e-10)
         strike = np.array([x[0], 0.0, x[2], -abs(x[3]), x[4]])
-        after = scene.reset_map(strike, float(strike[3])).tolist()
+        after = problem_file.reset_map(strike, float(strike[3])).tolist()
         assert lean.impact(strike.tolist(), lean.restitution) == pytest.approx(after, rel=1e-12)
 
 
-def test_the_calibrated_numbers_are_those_of_the_scene() -> None:
+def test_the_calibrated_numbers_are_those_of_the_problem() -> None:
     problem = load_problem("motor_pendulum")
-    scene = problem.setting().parameters
-    assert work.declared(work.REFERENCE_RATE) == pytest.approx(dict(scene), rel=1e-12)
+    problem_file = problem.values().parameters
+    assert work.declared(work.REFERENCE_RATE) == pytest.approx(dict(problem_file), rel=1e-12)
 
 
 def test_a_time_between_two_runs_lies_on_the_power_law_through_them() -> None:

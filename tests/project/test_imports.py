@@ -16,10 +16,29 @@ RARE = (
 """No search, verification or simulation needs these to compute."""
 
 EVERY_MODULE = (
-    *("zeno_orbits", "zeno_orbits.model.problem", "zeno_orbits.model.numeric.compiled", "zeno_orbits.simulation.simulator"),
-    *("zeno_orbits.verification.verifier", "zeno_orbits.search.search", "zeno_orbits.search.objectives", "zeno_orbits.cli"),
-    *("zeno_orbits.orbits.orbit", "zeno_orbits.verification.certificate", "zeno_orbits.report.terminal.orbits"),
-    *("zeno_orbits.maps.parameter_map", "zeno_orbits.maps.map_file", "zeno_orbits.work", "zeno_orbits.report.page"),
+    *(
+        "zeno_orbits",
+        "zeno_orbits.model.problem",
+        "zeno_orbits.model.numeric.compiled",
+        "zeno_orbits.simulation.simulator",
+    ),
+    *(
+        "zeno_orbits.verification.verifier",
+        "zeno_orbits.search.search",
+        "zeno_orbits.search.objectives",
+        "zeno_orbits.cli",
+    ),
+    *(
+        "zeno_orbits.orbits.orbit",
+        "zeno_orbits.verification.certificate",
+        "zeno_orbits.report.terminal.orbits",
+    ),
+    *(
+        "zeno_orbits.maps.parameter_map",
+        "zeno_orbits.maps.map_file",
+        "zeno_orbits.work",
+        "zeno_orbits.report.page",
+    ),
 )
 WITHOUT_CASADI = (
     "zeno_orbits.work",
@@ -63,7 +82,7 @@ def test_what_needs_no_symbols_loads_no_casadi(module: str) -> None:
     assert loaded_by(f"import {module}", ("casadi", "numpy", *RARE)) == set()
 
 
-def test_a_scene_is_described_without_scipy() -> None:
+def test_a_problem_is_described_without_scipy() -> None:
     assert loaded_by("import zeno_orbits.model.problem", ("casadi", *SCIPY)) == {"casadi"}
 
 
@@ -72,7 +91,7 @@ def test_help_and_misuse_load_neither_casadi_nor_numpy(command: str) -> None:
     assert loaded_by(run(command), ("casadi", "numpy", *RARE)) == set()
 
 
-def test_the_scenes_are_listed_without_scipy() -> None:
+def test_the_problems_are_listed_without_scipy() -> None:
     heavy = ("casadi", "matplotlib", "sympy", *SCIPY)
     assert loaded_by(run("problems"), heavy) == {"casadi"}
 

@@ -39,7 +39,7 @@ LEFT_OUT = {
 """Blocks that no test runs, and why. The list may become shorter."""
 
 LEFT_BEHIND = {
-    "scenes.md": [f"cam/{kind}.png" for kind in ("portraits", "time", "outputs", "zeno")],
+    "problems.md": [f"cam/{kind}.png" for kind in ("portraits", "time", "outputs", "zeno")],
     "tutorial.md": [
         "motion.png",
         *(f"pictures/{kind}.png" for kind in ("portraits", "time", "zeno", "region")),

@@ -1,4 +1,4 @@
-"""The page on scenes lists what there is, and nothing in the package knows a scene."""
+"""The page on problems lists what there is, and nothing in the package knows a problem."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ import pytest
 from zeno_orbits.model.library import bundled_problems, load_problem
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "scenes.md").read_text()
+PAGE = (ROOT / "docs" / "problems.md").read_text()
 PACKAGE = ROOT / "zeno_orbits"
 
 
-def test_the_page_lists_every_bundled_scene_with_its_number_of_states() -> None:
+def test_the_page_lists_every_bundled_problem_with_its_number_of_states() -> None:
     rows = dict(re.findall(r"^\| `(\w+)` \| (\d+) \|", PAGE, re.MULTILINE))
     assert {name: int(n) for name, n in rows.items()} == {
         name: len(load_problem(name).state_names) for name in bundled_problems()
     }
 
 
-# Nothing in the package knows a scene.
+# Nothing in the package knows a problem.
 
 WORDS = re.compile(
     r"\b(d?theta\d|pendulum|knee|shoulder|elbow|link[12]|cart|bowl|valve|hammer|piston|"
     r"L1|L2|lc1|lc2|J_rotor|K[pd]\d?|oscillator|bouncing|vibrating|table_|motor_(?!current|voltage)\w+|two_motors|"
     r"forced_\w+|falling_\w+|curved_\w+|torque_pendulum)\b"
 )
-SCENES = {"new.py"}
-"""The command `new` holds scenes as texts, to be copied."""
+PROBLEMS = {"new.py"}
+"""The command `new` holds problems as texts, to be copied."""
 
 
 def _code_words(path: Path) -> set[str]:
@@ -58,7 +58,7 @@ def _code_words(path: Path) -> set[str]:
     return words
 
 
-def _named_scenes(path: Path) -> set[str]:
+def _named_problems(path: Path) -> set[str]:
     return {found[0] for word in _code_words(path) if (found := WORDS.search(word))}
 
 
@@ -66,21 +66,21 @@ MODULES = [path for path in sorted(PACKAGE.rglob("*.py")) if "problems" not in p
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: path.name)
-def test_no_code_of_the_package_names_a_part_of_a_scene(path: Path) -> None:
-    if path.name not in SCENES:
-        assert _named_scenes(path) == set()
+def test_no_code_of_the_package_names_a_part_of_a_problem(path: Path) -> None:
+    if path.name not in PROBLEMS:
+        assert _named_problems(path) == set()
 
 
-def test_a_module_that_names_a_part_of_a_scene_would_be_found(tmp_path: Path) -> None:
+def test_a_module_that_names_a_part_of_a_problem_would_be_found(tmp_path: Path) -> None:
     file = tmp_path / "module.py"
     for code in ('x = state["theta1"]', "Kp = 2.5", "def knee(): ...", "length = p.lc1"):
         file.write_text(code)
-        assert _named_scenes(file), code
+        assert _named_problems(file), code
     file.write_text('"""A pendulum."""\nexample = "zeno-orbits search motor_pendulum"\n')
-    assert not _named_scenes(file)
+    assert not _named_problems(file)
 
 
-def test_no_module_of_the_package_imports_a_scene() -> None:
+def test_no_module_of_the_package_imports_a_problem() -> None:
     contracts = (ROOT / "pyproject.toml").read_text()
     assert 'forbidden_modules = ["problems"]' in contracts
     for path in MODULES:

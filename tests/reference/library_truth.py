@@ -1,4 +1,4 @@
-"""Impacts of the bundled scenes in closed form, in 60 digits; `README.md` derives them."""
+"""Impacts of the bundled problems in closed form, in 60 digits; `README.md` derives them."""
 
 from __future__ import annotations
 

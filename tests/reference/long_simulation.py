@@ -26,7 +26,7 @@ from zeno_orbits.errors import InputError, RunawayError, SimulationError
 from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.section import release_section
 from zeno_orbits.simulation.attractor import Attractor, Fate
 from zeno_orbits.simulation.execution import Execution, Impact, Mode, Release
@@ -37,7 +37,7 @@ _PIECES = 6
 _DIFFERENCE = 1e-4
 """Displacement for multipliers, relative; its square and the error of a return balance."""
 _FAR = 1e4
-"""A coordinate of a scene that declares no escapes has run away beyond this."""
+"""A coordinate of a problem that declares no escapes has run away beyond this."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,7 +69,7 @@ class LongRun:
 
 def attractor_of(
     problem: Problem,
-    setting: Setting,
+    values: ParameterValues,
     state: Sequence[float] | None = None,
     *,
     run: LongRun | None = None,
@@ -77,13 +77,13 @@ def attractor_of(
     """Return what a motion settles to.
 
     Args:
-        problem: The scene.
-        setting: Its numbers.
-        state: Where the motion starts, ``(n_x,)``; the scene's first start by default.
+        problem: The problem.
+        values: Its numbers.
+        state: Where the motion starts, ``(n_x,)``; the problem's first start by default.
         run: How long and how accurately to simulate.
     """
     run = run or LongRun()
-    dynamics = bind(compiled_model(problem), setting.values())
+    dynamics = bind(compiled_model(problem), values.vector)
     x = np.array(problem.state_vector(problem.starts[0]) if state is None else state)
     stretches: list[Stretch] = []
     piece, settings = run.until / _PIECES, _bounded(problem, run.simulation)

@@ -31,7 +31,7 @@ class Table:
 
     @classmethod
     def of(cls, p: Mapping[str, float]) -> Table:
-        """Return the table of a scene's parameters."""
+        """Return the table of a problem's parameters."""
         tones = (mpf(p["A"]), *((mpf(p["B"]),) if "B" in p else ()))
         return cls(g=mpf(p["g"]), omega=mpf(p["omega"]), tones=tones)
 

@@ -69,11 +69,11 @@ def trade_of(problem: str) -> Trade:
 
 @pytest.fixture(scope="module")
 def subject(
-    orbit: ZenoOrbit, scene: Problem, machine: HybridDynamics, certificate: OrbitCertificate
+    orbit: ZenoOrbit, problem: Problem, machine: HybridDynamics, certificate: OrbitCertificate
 ) -> Subject:
     return subject_of(
         orbit,
-        scene,
+        problem,
         machine,
         certificate,
         trade=trade_of("motor_pendulum"),
@@ -225,7 +225,7 @@ def test_the_commands_on_the_page_find_the_orbit_again(
     assert again.period == pytest.approx(subject.orbit.period, rel=1e-9)
 
 
-def test_numbers_that_differ_from_the_scene_stand_in_the_command(subject: Subject) -> None:
+def test_numbers_that_differ_from_the_problem_stand_in_the_command(subject: Subject) -> None:
     other = {**subject.orbit.parameters, "R": 2.5, "K_emf": 0.02}
     moved = replace(subject, orbit=replace(subject.orbit, parameters=other))
     words_of = commands(moved)[0]
@@ -240,7 +240,7 @@ def test_numbers_that_differ_from_the_scene_stand_in_the_command(subject: Subjec
 
 @pytest.fixture(scope="module")
 def hostile(subject: Subject) -> Subject:
-    """The orbit with HTML in every text that a scene, a file or a person can put into a page."""
+    """The orbit with HTML in every text that a problem, a file or a person can put into a page."""
     problem = subject.problem
     orbit = replace(
         subject.orbit,
@@ -248,7 +248,7 @@ def hostile(subject: Subject) -> Subject:
         versions={EVIL: EVIL},
         certificate={"asked": [{"quantity": EVIL, "lower": None, "upper": 1.0}]},
     )
-    scene = replace(
+    problem_file = replace(
         problem,
         name=EVIL,
         title=EVIL,
@@ -262,11 +262,11 @@ def hostile(subject: Subject) -> Subject:
     return replace(
         subject,
         orbit=orbit,
-        problem=scene,
+        problem=problem_file,
         trade=replace(named, trials=trials),
         certificate=replace(subject.certificate, trouble=EVIL),
         file=EVIL,
-        scene_file=EVIL,
+        problem_file=EVIL,
         content=EVIL,
         command=(EVIL,),
     )
@@ -278,7 +278,7 @@ def test_texts_that_are_html_stay_texts(hostile: Subject) -> None:
     assert reader.scripts == 3
     assert reader.open == []
     assert "<img" not in page
-    # Title, heading, scene, source, meanings, bounds, versions, trade, file: all there, as text.
+    # Title, heading, problem, source, meanings, bounds, versions, trade, file: all there, as text.
     assert reader.words.count(EVIL) > 20
 
 
@@ -397,7 +397,7 @@ def test_an_unstable_orbit_is_not_called_one_that_the_machine_keeps(
         (("-o", "r.html", "--tolerance", "2"), "`tolerance` must lie in (0, 1)"),
         (("-o", "r.html", "--trade", "nowhere.json"), "must hold what `trade -o` wrote"),
         (("-o", "r.html", "--trade", "orbit.json"), "must hold what `trade -o` wrote"),
-        (("-o", "r.html", "--trade", "ball.json"), "must be of the scene `motor_pendulum`"),
+        (("-o", "r.html", "--trade", "ball.json"), "must be of the problem `motor_pendulum`"),
         ((), "required: -o/--output"),
     ],
 )
@@ -684,7 +684,7 @@ def test_pages_of_other_orbits_open_too(
     browser: Browser, tmp_path: Path, name: str, parameters: dict[str, float]
 ) -> None:
     problem = load_problem(name)
-    orbit = find_orbit(problem, problem.setting(parameters=parameters)).unwrap()
+    orbit = find_orbit(problem, problem.values(parameters=parameters)).unwrap()
     dynamics = problem_dynamics(orbit, problem)
     subject = subject_of(orbit, problem, dynamics, verify(orbit, problem))
     path = tmp_path / "report.html"
@@ -697,7 +697,7 @@ def test_pages_of_other_orbits_open_too(
     low, high = range_of(browser, "zeno")
     assert low < 0.0 < high
     # A single hit is no sequence: nothing to see on logarithmic axes.
-    alone = problem.setting(parameters=parameters).parameters["restitution"] == 0.0
+    alone = problem.values(parameters=parameters).parameters["restitution"] == 0.0
     logarithmic = browser.run("return document.querySelectorAll('#plot-gaps, #plot-speeds').length")
     assert logarithmic == (0 if alone else 2)
     assert browser.complaints() == []

@@ -69,16 +69,16 @@ def ask(*arguments: str | Path) -> tuple[int, str, str]:
 
 
 @pytest.fixture(scope="module")
-def one(orbit: ZenoOrbit, scene: Problem, machine: HybridDynamics) -> Execution:
+def one(orbit: ZenoOrbit, problem: Problem, machine: HybridDynamics) -> Execution:
     """One period of the pendulum from its release on."""
-    release = scene.state_vector(orbit.release_state)
+    release = problem.state_vector(orbit.release_state)
     return simulate(machine, release, until=orbit.period * (1 + 1e-6))
 
 
 @pytest.fixture(scope="module")
-def several(orbit: ZenoOrbit, scene: Problem, machine: HybridDynamics) -> Execution:
+def several(orbit: ZenoOrbit, problem: Problem, machine: HybridDynamics) -> Execution:
     """Three periods."""
-    release = scene.state_vector(orbit.release_state)
+    release = problem.state_vector(orbit.release_state)
     return simulate(machine, release, until=3 * orbit.period)
 
 
@@ -90,20 +90,20 @@ def signals_of(execution: Execution, problem: Problem) -> tuple[Vector, dict[str
 
 
 @pytest.fixture(scope="module")
-def other(several: Execution, scene: Problem) -> Counterpart:
+def other(several: Execution, problem: Problem) -> Counterpart:
     """A motion beside the model's: its own, every angle a hundredth smaller."""
-    times, signals = signals_of(several, scene)
+    times, signals = signals_of(several, problem)
     smaller = {name: 0.99 * values for name, values in signals.items()}
-    return counterpart_of(RIG, scene, times, smaller, times[-1] / 3)
+    return counterpart_of(RIG, problem, times, smaller, times[-1] / 3)
 
 
 @pytest.fixture
 def parts(
-    monkeypatch: pytest.MonkeyPatch, several: Execution, scene: Problem, orbit: ZenoOrbit
+    monkeypatch: pytest.MonkeyPatch, several: Execution, problem: Problem, orbit: ZenoOrbit
 ) -> None:
     """Stand-ins for the virtual rig and for the reader of recordings, with the model's motion."""
-    times, signals = signals_of(several, scene)
-    names = (*scene.state_names, "rotor")
+    times, signals = signals_of(several, problem)
+    names = (*problem.state_names, "rotor")
     run = SimpleNamespace(
         times=times, state_names=names, of=lambda name: signals.get(name, 0.0 * times)
     )
@@ -117,12 +117,14 @@ def parts(
     def read_recording(path: Path, *, only: Any) -> Any:
         if not path.exists():
             raise InputError(f"Data file `{path}` must hold a recording, but it is missing.")
-        assert set(only) > set(scene.state_names)
-        table = table_of(orbit, scene, ("theta1", "theta2"))
-        return replace(recorded(table, scene, n_cycles=8.0), source=Source.MEASURED)
+        assert set(only) > set(problem.state_names)
+        table = table_of(orbit, problem, ("theta1", "theta2"))
+        return replace(recorded(table, problem, n_cycles=8.0), source=Source.MEASURED)
 
     monkeypatch.setattr(counterparts, "rig_cycles", rig_cycles)
-    monkeypatch.setattr("zeno_orbits.experiment.recordings.recording.read_recording", read_recording)
+    monkeypatch.setattr(
+        "zeno_orbits.experiment.recordings.recording.read_recording", read_recording
+    )
 
 
 @pytest.fixture
@@ -136,7 +138,7 @@ def orbit_file(orbit: ZenoOrbit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 @pytest.fixture(scope="module", name="figures")
 def _figures(
-    scene: Problem,
+    problem: Problem,
     orbit: ZenoOrbit,
     machine: HybridDynamics,
     one: Execution,
@@ -144,14 +146,14 @@ def _figures(
     other: Counterpart,
 ) -> dict[str, Figure]:
     return {
-        "fig2_systems": plots.plot_graph(scene, orbit.setting(scene)),
-        "region": plots.plot_zeno_region(scene, machine, one, width=COLUMN_WIDTH),
-        "fig4_portraits": plots.plot_portraits(scene, one, width=COLUMN_WIDTH),
-        "fig5a_over_time": plots.plot_beside_over_time(scene, several, other),
-        "fig5a_by_phase": plots.plot_beside_by_phase(scene, one, other),
-        "fig5b_impacts": plots.plot_beside_impacts(scene, machine, one, other),
-        "fig5c_portraits": plots.plot_beside_portraits(scene, one, other),
-        "fig5d_zeno_point": plots.plot_beside_zeno_point(scene, machine, one, other),
+        "fig2_systems": plots.plot_graph(problem, orbit.values(problem)),
+        "region": plots.plot_zeno_region(problem, machine, one, width=COLUMN_WIDTH),
+        "fig4_portraits": plots.plot_portraits(problem, one, width=COLUMN_WIDTH),
+        "fig5a_over_time": plots.plot_beside_over_time(problem, several, other),
+        "fig5a_by_phase": plots.plot_beside_by_phase(problem, one, other),
+        "fig5b_impacts": plots.plot_beside_impacts(problem, machine, one, other),
+        "fig5c_portraits": plots.plot_beside_portraits(problem, one, other),
+        "fig5d_zeno_point": plots.plot_beside_zeno_point(problem, machine, one, other),
     }
 
 
@@ -287,9 +289,9 @@ def test_no_words_of_the_graphs_lie_on_each_other_or_on_an_arrow(
                     assert box.count_contains(ink) == 0, ax.texts[k]
 
 
-def test_a_scene_without_a_motor_is_no_electromechanical_one() -> None:
+def test_a_problem_without_a_motor_is_no_electromechanical_one() -> None:
     ball = load_problem("forced_oscillator")
-    words = [text.get_text() for text in plots.plot_graph(ball, ball.setting()).axes[0].texts]
+    words = [text.get_text() for text in plots.plot_graph(ball, ball.values()).axes[0].texts]
     assert "(a) simple hybrid system" in words
 
 
@@ -335,11 +337,11 @@ def test_the_impacts_are_seen_from_the_first_to_beyond_the_release(
 
 
 def test_gaps_where_a_coordinate_is_missing_stay_gaps(
-    scene: Problem, machine: HybridDynamics, one: Execution, other: Counterpart
+    problem: Problem, machine: HybridDynamics, one: Execution, other: Counterpart
 ) -> None:
     holed = other.states.copy()
     holed[100:200, 1] = math.nan
-    figure = plots.plot_beside_zeno_point(scene, machine, one, replace(other, states=holed))
+    figure = plots.plot_beside_zeno_point(problem, machine, one, replace(other, states=holed))
     (line,) = [x for x in figure.axes[0].get_lines() if x.get_label() == other.label]
     assert np.isnan(line.get_xdata()).sum() == 100
 
@@ -348,19 +350,19 @@ def test_gaps_where_a_coordinate_is_missing_stay_gaps(
 
 
 @pytest.fixture(scope="module")
-def table(orbit: ZenoOrbit, scene: Problem) -> OrbitTable:
-    return table_of(orbit, scene, ("theta1", "theta2"))
+def table(orbit: ZenoOrbit, problem: Problem) -> OrbitTable:
+    return table_of(orbit, problem, ("theta1", "theta2"))
 
 
 @pytest.mark.parametrize("stretch", [1.0, 1.1, 0.93])
 @pytest.mark.parametrize("start", [0.0, 0.3, 0.9])
 def test_a_recording_is_laid_over_the_orbit_by_its_phase_in_its_own_time(
-    scene: Problem, orbit: ZenoOrbit, table: OrbitTable, stretch: float, start: float
+    problem: Problem, orbit: ZenoOrbit, table: OrbitTable, stretch: float, start: float
 ) -> None:
     # What a search over the orbit's own period alone cannot do: the recording's is another.
     noise = {"noise": 2e-3, "seed": 7}
-    whole = recorded(table, scene, n_cycles=7.5, start=start, stretch=stretch, **noise)
-    found = recording_counterpart(whole, orbit, scene, 3)
+    whole = recorded(table, problem, n_cycles=7.5, start=start, stretch=stretch, **noise)
+    found = recording_counterpart(whole, orbit, problem, 3)
     assert found.label == "recording, simulated"
     # Some six cycles of 700 samples, two signals: 1e-4 s with noise of 2e-3, five times over.
     assert found.period == pytest.approx(stretch * orbit.period, abs=5e-4)
@@ -376,41 +378,41 @@ def test_a_recording_is_laid_over_the_orbit_by_its_phase_in_its_own_time(
 
 
 def test_the_figures_and_the_comparison_lay_a_recording_over_the_orbit_alike(
-    scene: Problem, orbit: ZenoOrbit, table: OrbitTable
+    problem: Problem, orbit: ZenoOrbit, table: OrbitTable
 ) -> None:
     from zeno_orbits.experiment.comparison.comparison import compare
 
     # No longer than what the figures look at.
-    whole = recorded(table, scene, n_cycles=7.5, stretch=1.02, noise=2e-3, seed=5)
-    where = compare(orbit, scene, whole).where
+    whole = recorded(table, problem, n_cycles=7.5, stretch=1.02, noise=2e-3, seed=5)
+    where = compare(orbit, problem, whole).where
     assert where is not None
-    found = recording_counterpart(whole, orbit, scene, 3)
+    found = recording_counterpart(whole, orbit, problem, 3)
     assert found.period == where.period
     # The first kept sample is the first one after a release.
     assert np.min(np.abs(np.mod(whole.time - where.release, where.period) - found.times[0])) < 1e-9
 
 
 def test_a_start_that_still_settles_does_not_move_the_overlay(
-    scene: Problem, orbit: ZenoOrbit, table: OrbitTable
+    problem: Problem, orbit: ZenoOrbit, table: OrbitTable
 ) -> None:
-    whole = recorded(table, scene, n_cycles=30.0)
+    whole = recorded(table, problem, n_cycles=30.0)
     early = whole.time < whole.time[-1] / 2
     strange = tuple(
         replace(one, values=np.where(early, np.sin(3.0 * whole.time), one.values))
         for one in whole.signals
     )
-    found = recording_counterpart(replace(whole, signals=strange), orbit, scene, 3)
+    found = recording_counterpart(replace(whole, signals=strange), orbit, problem, 3)
     assert found.period == pytest.approx(orbit.period, abs=1e-4)
     there = table.at(found.times / found.period)
     assert np.median(np.abs(found.states[:, :2] - there)) < 2e-3
 
 
 def test_over_the_phase_each_motion_has_its_own_period(
-    scene: Problem, orbit: ZenoOrbit, one: Execution, table: OrbitTable
+    problem: Problem, orbit: ZenoOrbit, one: Execution, table: OrbitTable
 ) -> None:
-    whole = recorded(table, scene, n_cycles=7.5, stretch=1.1)
-    found = recording_counterpart(whole, orbit, scene, 3)
-    figure = plots.plot_beside_by_phase(scene, one, found)
+    whole = recorded(table, problem, n_cycles=7.5, stretch=1.1)
+    found = recording_counterpart(whole, orbit, problem, 3)
+    figure = plots.plot_beside_by_phase(problem, one, found)
     assert figure.axes[-1].get_xlabel() == "phase from release [own periods]"
     title = figure.axes[0].get_title()
     assert f"model {orbit.period:.5g} s" in title
@@ -426,12 +428,12 @@ def test_over_the_phase_each_motion_has_its_own_period(
 
 
 def test_the_picture_of_a_comparison_is_by_phase_and_names_both_periods(
-    scene: Problem, orbit: ZenoOrbit, table: OrbitTable
+    problem: Problem, orbit: ZenoOrbit, table: OrbitTable
 ) -> None:
     from zeno_orbits.experiment.comparison.comparison import compare
 
-    found = compare(orbit, scene, recorded(table, scene, n_cycles=6.0, stretch=1.1, noise=1e-3))
-    figure = plots.plot_comparison(scene, found)
+    found = compare(orbit, problem, recorded(table, problem, n_cycles=6.0, stretch=1.1, noise=1e-3))
+    figure = plots.plot_comparison(problem, found)
     labels = [ax.get_xlabel() for ax in figure.axes]
     assert labels.count("phase from release [own periods]") == 2
     title = figure.axes[0].get_title()
@@ -441,12 +443,12 @@ def test_the_picture_of_a_comparison_is_by_phase_and_names_both_periods(
 
 
 def test_missing_velocities_are_differences_and_missing_currents_stay_missing(
-    scene: Problem, several: Execution
+    problem: Problem, several: Execution
 ) -> None:
     times = np.linspace(0.01, 0.9, 1000)
     states = np.array([several.state_at(float(t)) for t in times])
     signals = {"theta1": states[:, 0], "theta2": states[:, 1]}
-    found = counterpart_of("recording", scene, times, signals, 1.0)
+    found = counterpart_of("recording", problem, times, signals, 1.0)
     # Central differences: a step of 9e-4 squared over six, times a third derivative of some 1e4.
     assert np.max(np.abs(found.states[1:-1, 2:4] - states[1:-1, 2:4])) < 5e-3
     assert np.all(np.isnan(found.states[:, 4]))
@@ -484,21 +486,21 @@ def _holed(recording: Recording) -> Recording:
     ],
 )
 def test_a_recording_that_cannot_be_laid_over_is_refused(
-    scene: Problem, orbit: ZenoOrbit, table: OrbitTable, spoil: Any, said: str
+    problem: Problem, orbit: ZenoOrbit, table: OrbitTable, spoil: Any, said: str
 ) -> None:
-    whole = recorded(table, scene, n_cycles=8.0)
+    whole = recorded(table, problem, n_cycles=8.0)
     with pytest.raises(InputError, match=re.escape(said)):
-        recording_counterpart(spoil(whole), orbit, scene, 2)
+        recording_counterpart(spoil(whole), orbit, problem, 2)
 
 
 # ---------------------------------------------------------------------------- drawings
 
 
-def test_the_pendulum_is_drawn_as_it_hangs(scene: Problem, orbit: ZenoOrbit) -> None:
-    setting = orbit.setting(scene)
-    first, second = setting.parameters["L1"], setting.parameters["L2"]
+def test_the_pendulum_is_drawn_as_it_hangs(problem: Problem, orbit: ZenoOrbit) -> None:
+    values = orbit.values(problem)
+    first, second = values.parameters["L1"], values.parameters["L2"]
     states = np.array([[0.3, 0.5, 0.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0, 0.0]])
-    lines = drawn_lines(scene, setting, states)
+    lines = drawn_lines(problem, values, states)
     for k, (theta1, theta2) in enumerate(states[:, :2]):
         knee = first * np.array([math.sin(theta1), -math.cos(theta1)])
         hand = theta1 + theta2
@@ -512,7 +514,7 @@ def test_the_pendulum_is_drawn_as_it_hangs(scene: Problem, orbit: ZenoOrbit) -> 
 
 
 @pytest.mark.parametrize("name", ["motor_pendulum", "vibrating_table", "motor_cart"])
-def test_scenes_with_a_drawing_hold_together(name: str) -> None:
+def test_problems_with_a_drawing_hold_together(name: str) -> None:
     assert load_problem(name).checked().drawing is not None
 
 
@@ -528,26 +530,26 @@ def test_scenes_with_a_drawing_hold_together(name: str) -> None:
         (lambda _x, _p: {"link": [(ca.SX(2, 1), 0)]}, "two numbers"),
     ],
 )
-def test_a_drawing_that_cannot_be_is_refused_when_the_scene_is_checked(
-    scene: Problem, drawing: Any, said: str
+def test_a_drawing_that_cannot_be_is_refused_when_the_problem_is_checked(
+    problem: Problem, drawing: Any, said: str
 ) -> None:
     with pytest.raises(ValueError, match=said):
-        replace(scene, drawing=drawing).checked()
+        replace(problem, drawing=drawing).checked()
 
 
-def test_a_parameter_that_only_the_drawing_needs_is_used(scene: Problem) -> None:
+def test_a_parameter_that_only_the_drawing_needs_is_used(problem: Problem) -> None:
     # Link 2's length appears in an output and in the drawing: either is enough, none is not.
-    assert replace(scene, outputs=(), fidelities={}).checked()
+    assert replace(problem, outputs=(), fidelities={}).checked()
     with pytest.raises(ValueError, match="`L2` appears nowhere"):
-        replace(scene, outputs=(), drawing=None, fidelities={}).checked()
+        replace(problem, outputs=(), drawing=None, fidelities={}).checked()
 
 
 # ---------------------------------------------------------------------------- the machine in motion
 
 
 @pytest.fixture(scope="module")
-def film(scene: Problem, orbit: ZenoOrbit, one: Execution) -> plots.Film:
-    return plots.film_of(scene, orbit.setting(scene), one, orbit.period)
+def film(problem: Problem, orbit: ZenoOrbit, one: Execution) -> plots.Film:
+    return plots.film_of(problem, orbit.values(problem), one, orbit.period)
 
 
 def test_the_film_lasts_a_period_and_moves(film: plots.Film, orbit: ZenoOrbit) -> None:
@@ -576,11 +578,11 @@ def test_both_portraits_have_a_moving_point(film: plots.Film) -> None:
     assert np.sum(right[half:]) > 50
 
 
-def test_a_scene_with_one_portrait_has_a_film_with_one(
-    scene: Problem, orbit: ZenoOrbit, one: Execution
+def test_a_problem_with_one_portrait_has_a_film_with_one(
+    problem: Problem, orbit: ZenoOrbit, one: Execution
 ) -> None:
-    single = replace(scene, portraits=scene.portraits[:1])
-    film = plots.film_of(single, orbit.setting(scene), one, orbit.period)
+    single = replace(problem, portraits=problem.portraits[:1])
+    film = plots.film_of(single, orbit.values(problem), one, orbit.period)
     assert film.frames[0].size == (700, 380)
 
 
@@ -624,12 +626,12 @@ def test_the_colour_of_the_machine_tells_the_mode(film: plots.Film, orbit: ZenoO
     assert count(locked, blue) < 10
 
 
-def test_a_scene_without_a_drawing_has_no_film(
-    scene: Problem, orbit: ZenoOrbit, one: Execution
+def test_a_problem_without_a_drawing_has_no_film(
+    problem: Problem, orbit: ZenoOrbit, one: Execution
 ) -> None:
-    bare = replace(scene, drawing=None)
+    bare = replace(problem, drawing=None)
     with pytest.raises(InputError, match="must have a drawing, but `motor_pendulum` has none"):
-        plots.film_of(bare, orbit.setting(scene), one, orbit.period)
+        plots.film_of(bare, orbit.values(problem), one, orbit.period)
 
 
 @pytest.mark.skipif(not plots.has_ffmpeg(), reason="ffmpeg is not installed")
@@ -703,7 +705,7 @@ def test_a_recording_takes_the_place_of_the_rig(
     assert len(list(Path("f").iterdir())) == 10
 
 
-def test_what_a_scene_does_not_have_is_said_and_left_out(
+def test_what_a_problem_does_not_have_is_said_and_left_out(
     orbit_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def still(*_: Any, **__: Any) -> Any:
@@ -726,7 +728,7 @@ def test_what_a_scene_does_not_have_is_said_and_left_out(
     assert not Path("g").exists()
 
 
-def test_a_scene_is_searched_at_its_own_numbers(
+def test_a_problem_is_searched_at_its_own_numbers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -765,10 +767,10 @@ def test_bad_input_is_one_line_and_writes_nothing(
 
 
 def test_a_film_that_was_asked_for_needs_a_drawing(
-    orbit_file: Path, monkeypatch: pytest.MonkeyPatch, scene: Problem
+    orbit_file: Path, monkeypatch: pytest.MonkeyPatch, problem: Problem
 ) -> None:
-    bare = replace(scene, drawing=None)
-    monkeypatch.setattr("zeno_orbits.model.problem.load_problem", lambda _: bare)
+    bare = replace(problem, drawing=None)
+    monkeypatch.setattr("zeno_orbits.model.library.load_problem", lambda _: bare)
     code, _, err = ask("figures", orbit_file, "-o", "f", "--kind", "animation")
     assert code == MISUSE
     assert "must have a drawing" in err
@@ -803,8 +805,8 @@ def test_the_examples_of_the_help_run(orbit_file: Path, monkeypatch: pytest.Monk
         assert ask(*words[1:])[0] == YES
 
 
-def test_the_real_rig_lies_near_the_model(orbit: ZenoOrbit, scene: Problem) -> None:
-    found = counterparts.rig_counterpart(orbit, scene, 2)
+def test_the_real_rig_lies_near_the_model(orbit: ZenoOrbit, problem: Problem) -> None:
+    found = counterparts.rig_counterpart(orbit, problem, 2)
     assert found.label == "virtual rig, simulated"
     assert found.times[0] == pytest.approx(0.0, abs=1e-3)
     # Its period is within a per cent or so of the model's, and so two of them are.
@@ -907,9 +909,9 @@ def test_files_are_written_all_and_others_left_alone(tmp_path: Path) -> None:
     assert (folder / "a").stat().st_mode & 0o777 == 0o644
 
 
-def test_the_labels_of_page_and_pictures_name_the_same_states(scene: Problem) -> None:
+def test_the_labels_of_page_and_pictures_name_the_same_states(problem: Problem) -> None:
     from zeno_orbits.report.page import plot_data as curves
 
-    for k, unit in enumerate(scene.state_units):
-        assert label_of(scene, k).endswith(f"[{unit}]")
-        assert curves.label_of(scene.state_names, k, unit).endswith(f"[{unit}]")
+    for k, unit in enumerate(problem.state_units):
+        assert label_of(problem, k).endswith(f"[{unit}]")
+        assert curves.label_of(problem.state_names, k, unit).endswith(f"[{unit}]")

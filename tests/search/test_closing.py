@@ -69,10 +69,10 @@ def repelling_clock(pull: float = PULL) -> Problem:
 
 
 @pytest.mark.parametrize("engine", [Automatic(), Taylor()], ids=["Automatic", "Taylor"])
-def test_the_orbit_is_the_reference_orbit(scene: Problem, engine: Engine) -> None:
+def test_the_orbit_is_the_reference_orbit(problem: Problem, engine: Engine) -> None:
     if isinstance(engine, Taylor):
         pytest.importorskip("heyoka")
-    closed = close_orbit(scene, scene.setting(), simulation=simulated_by(engine))
+    closed = close_orbit(problem, problem.values(), simulation=simulated_by(engine))
     orbit = closed.unwrap()
     # The reference has 13 digits; integration adds its tolerance, 1e-12.
     assert orbit.period == pytest.approx(PERIOD, rel=2e-12)
@@ -83,18 +83,18 @@ def test_the_orbit_is_the_reference_orbit(scene: Problem, engine: Engine) -> Non
 
 
 @pytest.mark.parametrize("restitution", PERIODS)
-def test_other_restitutions_have_their_known_periods(scene: Problem, restitution: float) -> None:
-    setting = scene.setting(parameters={"restitution": restitution})
+def test_other_restitutions_have_their_known_periods(problem: Problem, restitution: float) -> None:
+    values = problem.values(parameters={"restitution": restitution})
     # Of eleven decimals the last is not sure: at 0.1 the 25 digits of benchmarks/reference_orbit.py
     # end in 2738 where these say 277; they confirm ours to 3e-14.
-    assert close_orbit(scene, setting).unwrap().period == pytest.approx(
+    assert close_orbit(problem, values).unwrap().period == pytest.approx(
         PERIODS[restitution], abs=5e-11
     )
 
 
-def test_simulation_and_collocation_find_the_same_orbit(scene: Problem) -> None:
-    setting = scene.setting(gains={"Kp": 4.0})
-    closed, found = close_orbit(scene, setting).unwrap(), find_orbit(scene, setting).unwrap()
+def test_simulation_and_collocation_find_the_same_orbit(problem: Problem) -> None:
+    values = problem.values(gains={"Kp": 4.0})
+    closed, found = close_orbit(problem, values).unwrap(), find_orbit(problem, values).unwrap()
     # The search promises agreement with a simulation to 3e-10.
     assert closed.period == pytest.approx(found.period, rel=1e-9)
     for name, value in closed.release_state.items():
@@ -102,25 +102,25 @@ def test_simulation_and_collocation_find_the_same_orbit(scene: Problem) -> None:
 
 
 def test_an_orbit_closed_by_one_engine_is_certified_on_the_hand_written_model(
-    scene: Problem,
+    problem: Problem,
 ) -> None:
-    orbit = close_orbit(scene, scene.setting(gains={"Kp": 3.0})).unwrap()
+    orbit = close_orbit(problem, problem.values(gains={"Kp": 3.0})).unwrap()
     settings = VerificationSettings(use_reference=True, n_periods=1)
-    certificate = verify(orbit, scene, settings=settings)
+    certificate = verify(orbit, problem, settings=settings)
     assert certificate.passed, certificate.verdict()
 
 
-def test_the_orbit_of_a_scene_without_gains_has_the_period_of_its_clock() -> None:
+def test_the_orbit_of_a_problem_without_gains_has_the_period_of_its_clock() -> None:
     problem = clocked_oscillator(FORCED, attracting=True)
-    orbit = close_orbit(problem, problem.setting()).unwrap()
+    orbit = close_orbit(problem, problem.values()).unwrap()
     assert orbit.period == pytest.approx(2 * math.pi, abs=1e-10)
 
 
-def test_an_orbit_at_other_gains_is_a_start(scene: Problem, orbit: ZenoOrbit) -> None:
-    setting = scene.setting(gains={"Kp": 2.6})
-    near = close_orbit(scene, setting, near=orbit, simulation=SETTINGS)
+def test_an_orbit_at_other_gains_is_a_start(problem: Problem, orbit: ZenoOrbit) -> None:
+    values = problem.values(gains={"Kp": 2.6})
+    near = close_orbit(problem, values, near=orbit, simulation=SETTINGS)
     assert near.unwrap().gains["Kp"] == 2.6
-    settled = close_orbit(scene, setting, simulation=SETTINGS).unwrap()
+    settled = close_orbit(problem, values, simulation=SETTINGS).unwrap()
     assert near.unwrap().period == pytest.approx(settled.period, rel=1e-11)
 
 
@@ -131,11 +131,11 @@ def test_a_repelling_orbit_is_closed_from_near_it() -> None:
     problem = repelling_clock()
     attracting = clocked_oscillator(FORCED, attracting=True)
     # Both clocks share the circle, and so the orbit on it.
-    known = close_orbit(attracting, attracting.setting(), simulation=SETTINGS).unwrap()
+    known = close_orbit(attracting, attracting.values(), simulation=SETTINGS).unwrap()
     off = {**known.release_state}
     off = {**off, "y": 1.003 * off["y"], "dy": 1.003 * off["dy"]}
     near = changed(known, release_state=off)
-    closed = close_orbit(problem, problem.setting(), near=near, simulation=SETTINGS).unwrap()
+    closed = close_orbit(problem, problem.values(), near=near, simulation=SETTINGS).unwrap()
     assert closed.period == pytest.approx(2 * math.pi, abs=1e-9)
     release = closed.release_state
     # Off the circle it would grow by exp(2 pi PULL) a period, 1.13.
@@ -145,11 +145,11 @@ def test_a_repelling_orbit_is_closed_from_near_it() -> None:
 def test_an_orbit_that_is_left_later_is_certified_by_its_first_period() -> None:
     pull = 0.5
     problem, attracting = repelling_clock(pull), clocked_oscillator(FORCED, attracting=True)
-    known = close_orbit(attracting, attracting.setting(), simulation=SETTINGS).unwrap()
+    known = close_orbit(attracting, attracting.values(), simulation=SETTINGS).unwrap()
     # Outside by 1e-11, the clock is off by exp(pi) more after every turn, and soon runs away.
     off = {name: known.release_state[name] * (1 + 1e-11) for name in ("y", "dy")}
     orbit = changed(known, release_state={**known.release_state, **off})
-    machine = bind(compiled_model(problem), orbit.setting(problem).values())
+    machine = bind(compiled_model(problem), orbit.values(problem).vector)
     with pytest.raises(SimulationError):
         simulate(machine, list(orbit.release_state.values()), until=12 * orbit.period)
     certificate = verify(orbit, problem, settings=VerificationSettings(n_periods=12))
@@ -164,23 +164,23 @@ FOLD = -1.6218
 
 
 @pytest.fixture(name="behind_the_fold", scope="module")
-def _behind_the_fold(scene: Problem) -> ZenoOrbit:
+def _behind_the_fold(problem: Problem) -> ZenoOrbit:
     """The repelling orbit of the pendulum at `Kd = -1.6`, which no simulation settles to.
 
     The family of orbits is followed round its fold: from release state and gain along the null
     vector of `(dP/dx - 1, dP/dp)`, and back onto it by Newton's method at right angles to that.
     """
-    place = scene.names.index("Kd")
-    values = np.array(scene.setting(gains={"Kd": -1.6}).values())
-    start = close_orbit(scene, scene.setting(gains={"Kd": -1.6}), simulation=SETTINGS).unwrap()
+    place = problem.names.index("Kd")
+    entries = np.array(problem.values(gains={"Kd": -1.6}).vector)
+    start = close_orbit(problem, problem.values(gains={"Kd": -1.6}), simulation=SETTINGS).unwrap()
     z = np.append(list(start.release_state.values()), -1.6)
     # The release state changes far more than the gain there.
     size = np.array([1.0, 1.0, 5.0, 5.0, 1.0, 2.0])
     ahead, period = np.array([0.0, 0.0, 0.0, 0.0, 0.0, -1.0]), start.period
 
     def looked_at(z: Vector) -> tuple[Vector, Vector, Vector, float]:
-        values[place] = z[-1]
-        machine = bind(compiled_model(scene), values)
+        entries[place] = z[-1]
+        machine = bind(compiled_model(problem), entries)
         x = release_section(machine, z[:-1], size[:-1]).state(machine, np.zeros(2))
         seen = return_derivative(
             machine, x, horizon=2 * period, settings=SETTINGS, parameters=(place,)
@@ -201,33 +201,33 @@ def _behind_the_fold(scene: Problem) -> ZenoOrbit:
             z = z - size * np.linalg.lstsq(np.vstack([matrix, ahead]), right, rcond=None)[0]
         if ahead[-1] > 0.0 and z[-1] > -1.6:
             break
-    names = scene.state_names
+    names = problem.state_names
     near = changed(
         start,
         release_state=dict(zip(names, z[:-1].tolist(), strict=True)),
         period=period,
         gains={**start.gains, "Kd": float(z[-1])},
     )
-    setting = scene.setting(gains={"Kd": -1.6})
-    return close_orbit(scene, setting, near=near, simulation=SETTINGS).unwrap()
+    values = problem.values(gains={"Kd": -1.6})
+    return close_orbit(problem, values, near=near, simulation=SETTINGS).unwrap()
 
 
 def test_beside_the_attracting_orbit_there_is_a_repelling_one(
-    scene: Problem, behind_the_fold: ZenoOrbit
+    problem: Problem, behind_the_fold: ZenoOrbit
 ) -> None:
-    setting = scene.setting(gains={"Kd": -1.6})
-    settled = close_orbit(scene, setting, simulation=SETTINGS).unwrap()
+    values = problem.values(gains={"Kd": -1.6})
+    settled = close_orbit(problem, values, simulation=SETTINGS).unwrap()
     # They are apart by 0.11 s, and meet at the fold.
     assert behind_the_fold.period - settled.period == pytest.approx(0.108, abs=2e-3)
     assert behind_the_fold.gains["Kd"] > FOLD
 
 
 def test_a_repelling_orbit_of_the_pendulum_is_verified_and_called_unstable(
-    scene: Problem, behind_the_fold: ZenoOrbit
+    problem: Problem, behind_the_fold: ZenoOrbit
 ) -> None:
     for by_hand in (False, True):
         settings = VerificationSettings(use_reference=by_hand)
-        certificate = verify(behind_the_fold, scene, settings=settings)
+        certificate = verify(behind_the_fold, problem, settings=settings)
         assert certificate.passed, certificate.verdict()
         assert certificate.unstable
         assert not certificate.stable
@@ -236,9 +236,9 @@ def test_a_repelling_orbit_of_the_pendulum_is_verified_and_called_unstable(
 
 
 def test_the_multiplier_of_a_repelling_orbit_is_that_of_differences(
-    scene: Problem, behind_the_fold: ZenoOrbit
+    problem: Problem, behind_the_fold: ZenoOrbit
 ) -> None:
-    machine = bind(compiled_model(scene), behind_the_fold.setting(scene).values())
+    machine = bind(compiled_model(problem), behind_the_fold.values(problem).vector)
     x = np.array(list(behind_the_fold.release_state.values()))
     scale, period = np.abs(x) + 1.0, behind_the_fold.period
     exact = floquet_multipliers(machine, x, scale=scale, period=period, settings=SETTINGS)
@@ -262,7 +262,7 @@ def test_the_multiplier_of_a_repelling_orbit_is_that_of_differences(
 
 
 def test_a_step_that_leads_nowhere_is_shortened(
-    scene: Problem, behind_the_fold: ZenoOrbit, monkeypatch: pytest.MonkeyPatch
+    problem: Problem, behind_the_fold: ZenoOrbit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls: list[Vector] = []
 
@@ -272,7 +272,7 @@ def test_a_step_that_leads_nowhere_is_shortened(
         return calls[-1] if len(calls) > 1 else np.eye(2) + 0.01 * (calls[-1] - np.eye(2))
 
     monkeypatch.setattr(closed_cycles, "return_slope", wrong_at_first)
-    machine = bind(compiled_model(scene), behind_the_fold.setting(scene).values())
+    machine = bind(compiled_model(problem), behind_the_fold.values(problem).vector)
     x = np.array(list(behind_the_fold.release_state.values()))
     x = x + 1e-4 * np.array([1.0, 0.0, 1.0, 0.0, -1.0])
     period = behind_the_fold.period
@@ -292,9 +292,9 @@ def test_a_false_slope_is_mended_by_the_returns(machine: HybridDynamics) -> None
 # No orbit.
 
 
-def test_a_scene_without_an_orbit_says_why() -> None:
+def test_a_problem_without_an_orbit_says_why() -> None:
     ball = load_problem("bouncing_ball")
-    closed = close_orbit(ball, ball.setting())
+    closed = close_orbit(ball, ball.values())
     assert closed.orbit is None
     assert closed.miss == math.inf
     assert closed.detail
@@ -304,18 +304,18 @@ def test_a_scene_without_an_orbit_says_why() -> None:
 
 
 def test_returns_that_never_repeat_are_no_orbit(
-    scene: Problem, monkeypatch: pytest.MonkeyPatch
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(closed_cycles, "_MOST_RETURNS", 1)
-    closed = close_orbit(scene, scene.setting(), simulation=SETTINGS)
+    closed = close_orbit(problem, problem.values(), simulation=SETTINGS)
     assert closed.orbit is None
     assert "No return repeats" in closed.detail
 
 
-def test_a_motion_that_shrinks_to_rest_is_no_orbit(scene: Problem) -> None:
+def test_a_motion_that_shrinks_to_rest_is_no_orbit(problem: Problem) -> None:
     # With so large an inductance all orbits have shrunk: the return map's fixed point is rest.
-    setting = scene.setting(parameters={"L": 10.0})
-    machine = bind(compiled_model(scene), setting.values())
+    values = problem.values(parameters={"L": 10.0})
+    machine = bind(compiled_model(problem), values.vector)
     x = machine.on_stop(np.array([0.198, 0.0, -5.236, 0.0, 0.0]))
     scale = cycle_near(machine, x, period=PERIOD, settings=SETTINGS).scale()
     with pytest.raises(SimulationError, match="its size goes to zero"):
@@ -328,37 +328,39 @@ def test_a_start_from_which_nothing_returns_is_refused(machine: HybridDynamics) 
         cycle_near(machine, x, period=0.3 * PERIOD, settings=SETTINGS)
 
 
-def test_an_orbit_of_another_scene_is_no_start(orbit: ZenoOrbit) -> None:
+def test_an_orbit_of_another_problem_is_no_start(orbit: ZenoOrbit) -> None:
     ball = load_problem("bouncing_ball")
-    with pytest.raises(InputError, match="must be of scene `bouncing_ball`"):
-        close_orbit(ball, ball.setting(), near=orbit)
+    with pytest.raises(InputError, match="must be of problem `bouncing_ball`"):
+        close_orbit(ball, ball.values(), near=orbit)
 
 
 def test_without_heyoka_the_default_engine_closes(
-    scene: Problem, monkeypatch: pytest.MonkeyPatch
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Missing:
         def follow(self, _leg: object) -> None:
             raise InputError("Argument `engine` must be installed, but it is not.")
 
     monkeypatch.setattr(closing, "Taylor", Missing)
-    assert close_orbit(scene, scene.setting()).unwrap().period == pytest.approx(PERIOD, rel=2e-12)
+    assert close_orbit(problem, problem.values()).unwrap().period == pytest.approx(
+        PERIOD, rel=2e-12
+    )
 
 
 # What the quick ways share with the long ones.
 
 
-def test_stages_are_told(scene: Problem) -> None:
+def test_stages_are_told(problem: Problem) -> None:
     told: list[str] = []
-    close_orbit(scene, scene.setting(), simulation=SETTINGS, on_progress=told.append)
+    close_orbit(problem, problem.values(), simulation=SETTINGS, on_progress=told.append)
     assert told == ["simulating", "closing the orbit"]
 
 
 def test_cuts_from_the_last_common_impact_are_the_cuts_from_the_release(
-    scene: Problem, orbit: ZenoOrbit
+    problem: Problem, orbit: ZenoOrbit
 ) -> None:
-    machine = bind(compiled_model(scene), orbit.setting(scene).values())
-    seen = verify(orbit, scene, settings=VerificationSettings(n_periods=1))
+    machine = bind(compiled_model(problem), orbit.values(problem).vector)
+    seen = verify(orbit, problem, settings=VerificationSettings(n_periods=1))
     release = machine.on_stop(np.array(RELEASE))
     whole = cycle_near(machine, release, period=PERIOD, settings=SETTINGS)
     when = (whole.zeno.time + whole.end.time) / 2

@@ -25,9 +25,9 @@ LOCKED = oscillator_state(0.0, FORCED.stop, 0.0)
 
 
 def test_the_pendulum_settles_to_the_declared_period(
-    machine: HybridDynamics, scene: Problem
+    machine: HybridDynamics, problem: Problem
 ) -> None:
-    settling = settle(machine, [scene.state_vector({"theta1": 0.6})])
+    settling = settle(machine, [problem.state_vector({"theta1": 0.6})])
     assert settling.reason == ""
     assert settling.cycle is not None
     # The motion repeats to 1e-6; what is left shrinks by 0.02 a period.
@@ -57,10 +57,10 @@ def test_a_mass_that_swings_without_impacts_has_no_zeno_point() -> None:
     assert settling.reason == "no release is followed by a Zeno point after 30 s"
 
 
-def test_a_mass_that_bounces_for_ever_has_no_zeno_point(scene: Problem) -> None:
-    setting = scene.setting(parameters={"restitution": 0.5})
-    bouncing = bind(compile_problem(scene), setting.values())
-    settling = settle(bouncing, [scene.state_vector({"theta1": 0.6})], SHORT)
+def test_a_mass_that_bounces_for_ever_has_no_zeno_point(problem: Problem) -> None:
+    values = problem.values(parameters={"restitution": 0.5})
+    bouncing = bind(compile_problem(problem), values.vector)
+    settling = settle(bouncing, [problem.state_vector({"theta1": 0.6})], SHORT)
     assert settling.cycle is None
     assert settling.reason.endswith("after 30 s")
 
@@ -108,10 +108,10 @@ def test_a_motion_is_not_followed_beyond_the_horizon(
 
 
 def test_a_motion_that_still_drifts_is_a_guess_if_it_drifts_little(
-    machine: HybridDynamics, scene: Problem
+    machine: HybridDynamics, problem: Problem
 ) -> None:
     # With a multiplier of 0.02 the third or fourth period repeats to 1e-3 but not to 1e-15.
-    start = scene.state_vector({"theta1": 0.6})
+    start = problem.state_vector({"theta1": 0.6})
     strict = SettlingSettings(horizon=10.0, settled=0.0)
     assert settle(machine, [start], strict).cycle is not None
     hopeless = settle(machine, [start], replace(strict, usable=0.0))
@@ -131,7 +131,7 @@ def test_a_long_loose_simulation_does_not_drift_off_what_a_start_has_to_keep(
 ) -> None:
     # Without being put back, the state leaves clock or stop by 1e-8, and no simulation admits it.
     problem = load_problem("curved_surface")
-    dynamics = bind(compiled_model(problem), problem.setting(parameters=numbers).values())
+    dynamics = bind(compiled_model(problem), problem.values(parameters=numbers).vector)
     settling = settle(dynamics, [problem.state_vector(start) for start in problem.starts])
     assert (settling.cycle is not None) == (what == "clock")
 

@@ -19,7 +19,7 @@ from tests.cli.test_cli import ask
 from tests.support.places import places_that_cannot_be_had, refuses
 from tests.support.processes import Commands
 from zeno_orbits.errors import CheckpointError, InputError
-from zeno_orbits.model.library import load_problem, scene_file
+from zeno_orbits.model.library import load_problem, locate_problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.report.terminal import orbits as report
 from zeno_orbits.search import multistart as starts
@@ -36,9 +36,9 @@ from zeno_orbits.work.serialization import plain
 
 YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
 CORES = int(joblib.cpu_count())
-SCENE = "vibrating_table"
+PROBLEM = "vibrating_table"
 FREE = {"restitution": (0.2, 0.5)}
-TABLE = ("search", SCENE, "--free", "restitution=0.2:0.5")
+TABLE = ("search", PROBLEM, "--free", "restitution=0.2:0.5")
 """A search whose every start finds an orbit."""
 BALL = ("search", "bouncing_ball", "--free", "m=1:2", "--starts", "3")
 """A search whose no start finds one."""
@@ -60,19 +60,19 @@ class Picky:
         """Return the objection, or the certificate."""
         if orbit.parameters["restitution"] == self.refused:
             return Judgement(objection="It is the usual one.")
-        return Judgement(certificate=verify(orbit, scene_file(SCENE).load()))
+        return Judgement(certificate=verify(orbit, locate_problem(PROBLEM).load()))
 
 
 def search(place: Workers | None, *, folder: Path | None = None, **changes: Any) -> SearchResult:
     """Search the table for several orbits; without a place, in this process alone."""
-    scene = scene_file(SCENE)
+    problem_file = locate_problem(PROBLEM)
     spread = None
     if place is not None:
-        spread = Spread(scene=scene, plan=Plan(place=place, checkpoint=folder))
+        spread = Spread(problem_file=problem_file, plan=Plan(place=place, checkpoint=folder))
     settings = SearchSettings(n_starts=2, candidates=4, seed=changes.pop("seed", 0))
     told: dict[str, Any] = {"accept": Picky(), "settings": settings, **changes}
-    problem = scene.load()
-    return search_gains(problem, problem.setting(), free=FREE, spread=spread, **told)
+    problem = problem_file.load()
+    return search_gains(problem, problem.values(), free=FREE, spread=spread, **told)
 
 
 def timeless(result: SearchResult) -> Any:
@@ -118,8 +118,8 @@ def _certificate() -> OrbitCertificate:
 
 
 def test_what_came_of_a_start_survives_json_to_the_last_bit() -> None:
-    problem = load_problem(SCENE)
-    orbit = find_orbit(problem, problem.setting()).unwrap()
+    problem = load_problem(PROBLEM)
+    orbit = find_orbit(problem, problem.values()).unwrap()
     candidate = Candidate(
         orbit=replace(orbit, floquet_multipliers=(complex(0.1, -0.0),)),
         score=1 / 3,
@@ -317,11 +317,13 @@ def test_a_place_that_cannot_be_had_is_refused_even_if_one_start_would_do(
     refuses(monkeypatch, (*TABLE, *place), told, work_of="zeno_orbits.search.multistart.tried")
 
 
-def test_a_scene_that_workers_would_not_see_is_refused() -> None:
-    scene = scene_file(SCENE)
-    other = replace(scene.load())
-    with pytest.raises(InputError, match="`problem` must be what the `scene` of `spread` loads"):
-        search_gains(other, other.setting(), free=FREE, spread=Spread(scene=scene, plan=Plan()))
+def test_a_problem_that_workers_would_not_see_is_refused() -> None:
+    problem = locate_problem(PROBLEM)
+    other = replace(problem.load())
+    with pytest.raises(InputError, match="`problem` must be what the `problem` of `spread` loads"):
+        search_gains(
+            other, other.values(), free=FREE, spread=Spread(problem_file=problem, plan=Plan())
+        )
 
 
 def test_a_judge_that_has_no_name_cannot_be_told_from_another_by_a_checkpoint(

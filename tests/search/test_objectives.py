@@ -40,15 +40,15 @@ OPTIMAL = 1e-5
 
 
 def _scan(
-    scene: Problem, name: str, values: Sequence[float], quantity: str, **fixed: float
+    problem: Problem, name: str, entries: Sequence[float], quantity: str, **fixed: float
 ) -> list[float]:
     """Return a quantity of the orbits on a line, each closed by simulation alone."""
     found: list[float] = []
     near: ZenoOrbit | None = None
-    for value in values:
-        setting = scene.setting().replaced({**fixed, name: value})
-        near = close_orbit(scene, setting, near=near).unwrap()
-        extent = measure(near, scene, [quantity])[quantity]
+    for value in entries:
+        values = problem.values().replaced({**fixed, name: value})
+        near = close_orbit(problem, values, near=near).unwrap()
+        extent = measure(near, problem, [quantity])[quantity]
         found.append(extent.largest if quantity != "margin" else extent.lowest)
     return found
 
@@ -58,11 +58,11 @@ def _scan(
 
 @pytest.mark.parametrize("quantity", ["current", "voltage"])
 @pytest.mark.slow
-def test_the_least_peak_is_that_of_a_scan(scene: Problem, quantity: str) -> None:
-    scan = _scan(scene, "Kp", np.linspace(2.0, 3.0, 11).tolist(), quantity)
+def test_the_least_peak_is_that_of_a_scan(problem: Problem, quantity: str) -> None:
+    scan = _scan(problem, "Kp", np.linspace(2.0, 3.0, 11).tolist(), quantity)
     result = search_gains(
-        scene,
-        scene.setting(),
+        problem,
+        problem.values(),
         free={"Kp": (2.0, 3.0)},
         objective=LeastPeak(signal=quantity),
         settings=ONCE,
@@ -73,30 +73,34 @@ def test_the_least_peak_is_that_of_a_scan(scene: Problem, quantity: str) -> None
 
 
 @pytest.mark.slow
-def test_the_widest_margin_is_that_of_a_scan(scene: Problem) -> None:
+def test_the_widest_margin_is_that_of_a_scan(problem: Problem) -> None:
     values = np.linspace(-1.2, -0.8, 9).tolist()
-    scan = _scan(scene, "Kd", values, "margin")
+    scan = _scan(problem, "Kd", values, "margin")
     result = search_gains(
-        scene, scene.setting(), free={"Kd": (-1.2, -0.8)}, objective=WidestMargin(), settings=ONCE
+        problem,
+        problem.values(),
+        free={"Kd": (-1.2, -0.8)},
+        objective=WidestMargin(),
+        settings=ONCE,
     )
     assert -result.candidates[0].score == pytest.approx(max(scan), rel=OPTIMAL)
     assert result.unwrap().gains["Kd"] == pytest.approx(values[int(np.argmax(scan))], abs=1e-4)
 
 
 @pytest.mark.slow
-def test_the_fastest_contraction_is_that_of_a_scan(scene: Problem) -> None:
+def test_the_fastest_contraction_is_that_of_a_scan(problem: Problem) -> None:
     # Along this line the larger multiplier does not cross zero, where anything would do.
-    scan = _scan(scene, "Kd", np.linspace(-1.2, -1.1, 5).tolist(), "spectral_radius")
+    scan = _scan(problem, "Kd", np.linspace(-1.2, -1.1, 5).tolist(), "spectral_radius")
     result = search_gains(
-        scene,
-        scene.setting(gains={"Kd": -1.15}),
+        problem,
+        problem.values(gains={"Kd": -1.15}),
         free={"Kd": (-1.2, -1.1)},
         objective=FastestContraction(),
         settings=ONCE,
     )
     assert result.candidates[0].score == pytest.approx(min(scan), rel=1e-3)
     orbit = result.unwrap()
-    dynamics = problem_dynamics(orbit, scene)
+    dynamics = problem_dynamics(orbit, problem)
     multipliers = floquet_multipliers(
         dynamics,
         dynamics.on_stop(np.array(list(orbit.release_state.values()))),
@@ -111,17 +115,17 @@ def test_the_fastest_contraction_is_that_of_a_scan(scene: Problem) -> None:
 # Bounds.
 
 
-def test_a_bound_on_an_angle_is_active_and_held_at_all_times(scene: Problem) -> None:
+def test_a_bound_on_an_angle_is_active_and_held_at_all_times(problem: Problem) -> None:
     highest = 1.9
     result = search_gains(
-        scene,
-        scene.setting(),
+        problem,
+        problem.values(),
         free={"Kd": (-1.1, -0.8)},
         bounds=[Bound(name="theta2", upper=highest)],
         settings=ONCE,
     )
     orbit = result.unwrap()
-    dynamics = problem_dynamics(orbit, scene, use_reference=True)
+    dynamics = problem_dynamics(orbit, problem, use_reference=True)
     start = dynamics.on_stop(np.array(list(orbit.release_state.values())))
     run = simulate(dynamics, start, until=1.2 * orbit.period)
     times = np.linspace(0.0, orbit.period, 20_001)
@@ -131,10 +135,10 @@ def test_a_bound_on_an_angle_is_active_and_held_at_all_times(scene: Problem) -> 
 
 
 @pytest.mark.slow
-def test_a_spectral_radius_is_kept(scene: Problem) -> None:
+def test_a_spectral_radius_is_kept(problem: Problem) -> None:
     result = search_gains(
-        scene,
-        scene.setting(gains={"Kd": -1.2}),
+        problem,
+        problem.values(gains={"Kd": -1.2}),
         free={"Kd": (-1.3, -0.9)},
         bounds=[Bound(name="spectral_radius", upper=0.1)],
         settings=ONCE,
@@ -145,20 +149,20 @@ def test_a_spectral_radius_is_kept(scene: Problem) -> None:
 
 
 def test_bounds_that_contradict_each_other_are_named_with_what_they_lack(
-    scene: Problem, monkeypatch: pytest.MonkeyPatch
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told: list[Trial] = []
 
     def and_one_that_is_worse(hunt: Hunt, *_: object) -> Generator[Trial]:
-        trial = tried(hunt, Start(setting=hunt.setting), None, 1)
+        trial = tried(hunt, Start(values=hunt.values), None, 1)
         told.append(trial)
         yield replace(trial, detail="Twice as far.", shortfall=2 * trial.shortfall)
         yield trial
 
     monkeypatch.setattr("zeno_orbits.search.search.trials_here", and_one_that_is_worse)
     result = search_gains(
-        scene,
-        scene.setting(),
+        problem,
+        problem.values(),
         free={"Kd": (-1.05, -0.95)},
         bounds=[Bound(name="theta2", upper=1.5), Bound(name="period", lower=1.7)],
     )
@@ -169,19 +173,19 @@ def test_bounds_that_contradict_each_other_are_named_with_what_they_lack(
     assert "`theta2` leaves :1.5 by 0." in result.detail
     assert "`period`" not in result.detail
     lacking = float(result.detail.split("`theta2` leaves :1.5 by ")[1].rstrip("."))
-    least = _scan(scene, "Kd", [-1.05, -0.95], "theta2")
+    least = _scan(problem, "Kd", [-1.05, -0.95], "theta2")
     assert lacking == pytest.approx(min(least) - 1.5, rel=1e-2)
     # In units of the largest value in the guess, which is one of an orbit in the box.
     assert lacking / (max(least) + 0.01) < told[0].shortfall < lacking / (min(least) - 0.01)
 
 
 @pytest.mark.slow
-def test_the_nearest_orbit_to_bounds_that_no_gains_keep_is_that_of_a_scan(scene: Problem) -> None:
+def test_the_nearest_orbit_to_bounds_that_no_gains_keep_is_that_of_a_scan(problem: Problem) -> None:
     radius, current = 0.2, 2.0
-    box = {gain.name: (gain.lower, gain.upper) for gain in scene.gains}
+    box = {gain.name: (gain.lower, gain.upper) for gain in problem.gains}
     result = search_gains(
-        scene,
-        scene.setting(),
+        problem,
+        problem.values(),
         free=box,
         objective=LeastEnergy(),
         bounds=[
@@ -198,13 +202,13 @@ def test_the_nearest_orbit_to_bounds_that_no_gains_keep_is_that_of_a_scan(scene:
     for proportional in (1.0, 1.2, 2.0, 3.0):
 
         def peak(derivative: float, Kp: float = proportional) -> float:
-            return _scan(scene, "Kd", [derivative], "current", Kp=Kp)[0] - current
+            return _scan(problem, "Kd", [derivative], "current", Kp=Kp)[0] - current
 
         there = float(brentq(peak, -1.0, -0.5, xtol=1e-6))
-        lacks += _scan(scene, "Kd", [there], "spectral_radius", Kp=proportional)
+        lacks += _scan(problem, "Kd", [there], "spectral_radius", Kp=proportional)
         # Less Kd against gravity, more current; more Kd, slower contraction.
         assert peak(there - 0.05) > 0.0
-        assert _scan(scene, "Kd", [there + 0.05], "spectral_radius", Kp=proportional) > lacks[-1:]
+        assert _scan(problem, "Kd", [there + 0.05], "spectral_radius", Kp=proportional) > lacks[-1:]
     assert lacks == sorted(lacks)
     lacking = float(result.detail.split("leaves :0.2 by ")[1].rstrip("."))
     assert lacking == pytest.approx(lacks[0] - radius, rel=1e-2)
@@ -212,11 +216,11 @@ def test_the_nearest_orbit_to_bounds_that_no_gains_keep_is_that_of_a_scan(scene:
 
 @pytest.mark.slow
 def test_a_spectral_radius_is_kept_where_the_section_has_three_coordinates() -> None:
-    scene = load_problem("two_motors")
-    here, asked = scene.setting().number("Kd"), 0.1
+    problem = load_problem("two_motors")
+    here, asked = problem.values().number("Kd"), 0.1
     result = search_gains(
-        scene,
-        scene.setting(),
+        problem,
+        problem.values(),
         free={"Kd": (-1.2, -0.8)},
         bounds=[Bound(name="spectral_radius", upper=asked)],
         settings=ONCE,
@@ -224,16 +228,16 @@ def test_a_spectral_radius_is_kept_where_the_section_has_three_coordinates() -> 
     assert result.candidates[0].extents["spectral_radius"].highest <= asked
 
     def radius(value: float) -> float:
-        return _scan(scene, "Kd", [value], "spectral_radius")[0] - asked
+        return _scan(problem, "Kd", [value], "spectral_radius")[0] - asked
 
     assert radius(here) > 0.0
     nearest = float(brentq(radius, here, here + 0.1, xtol=1e-9))
     assert result.unwrap().gains["Kd"] == pytest.approx(nearest, abs=1e-6)
 
 
-def test_an_orbit_at_fixed_numbers_that_passes_a_bound_is_refused(scene: Problem) -> None:
+def test_an_orbit_at_fixed_numbers_that_passes_a_bound_is_refused(problem: Problem) -> None:
     result = search_gains(
-        scene, scene.setting(), free={}, bounds=[Bound(name="theta2", upper=1.9)], settings=ONCE
+        problem, problem.values(), free={}, bounds=[Bound(name="theta2", upper=1.9)], settings=ONCE
     )
     assert result.status is SearchStatus.NOT_ACCEPTED
     assert result.orbit is None
@@ -243,32 +247,34 @@ def test_an_orbit_at_fixed_numbers_that_passes_a_bound_is_refused(scene: Problem
 # What is free.
 
 
-def test_a_free_parameter_is_found_and_what_is_derived_from_it_stays(scene: Problem) -> None:
-    start = scene.setting()
+def test_a_free_parameter_is_found_and_what_is_derived_from_it_stays(problem: Problem) -> None:
+    start = problem.values()
     box = {"R": (2.0, 4.0), "L1": (0.195, 0.205)}
-    result = search_gains(scene, start, free=box, objective=WantedPeriod(target=1.8), settings=ONCE)
+    result = search_gains(
+        problem, start, free=box, objective=WantedPeriod(target=1.8), settings=ONCE
+    )
     orbit = result.unwrap()
     assert orbit.period == pytest.approx(1.8, abs=1e-8)
     assert orbit.gains == start.gains
     moved = {n for n, value in orbit.parameters.items() if value != start.parameters[n]}
     assert moved == {"R", "L1"}
     # The calibration would have moved the rotor; the orbit says what it stands for.
-    other = scene.setting(parameters={"L1": orbit.parameters["L1"]})
+    other = problem.values(parameters={"L1": orbit.parameters["L1"]})
     assert other.parameters["J_rotor"] != orbit.parameters["J_rotor"]
-    closed = close_orbit(scene, orbit.setting(scene), near=orbit).unwrap()
+    closed = close_orbit(problem, orbit.values(problem), near=orbit).unwrap()
     assert closed.period == pytest.approx(1.8, abs=1e-8)
 
 
-def test_a_free_restitution_moves_the_impacts_and_the_zeno_point_with_it(scene: Problem) -> None:
+def test_a_free_restitution_moves_the_impacts_and_the_zeno_point_with_it(problem: Problem) -> None:
     result = search_gains(
-        scene,
-        scene.setting(),
+        problem,
+        problem.values(),
         free={"restitution": (0.1, 0.35)},
         objective=WantedPeriod(target=1.8126),
         settings=ONCE,
     )
     orbit = result.unwrap()
-    closed = close_orbit(scene, orbit.setting(scene)).unwrap()
+    closed = close_orbit(problem, orbit.values(problem)).unwrap()
     assert closed.period == pytest.approx(1.8126, abs=1e-8)
     assert 0.2 < orbit.parameters["restitution"] < 0.3
 
@@ -276,16 +282,16 @@ def test_a_free_restitution_moves_the_impacts_and_the_zeno_point_with_it(scene: 
 # Ways to an orbit.
 
 
-def test_a_known_orbit_is_followed_to_other_numbers(scene: Problem, orbit: ZenoOrbit) -> None:
-    setting = scene.setting(parameters={"restitution": 0.3, "R": 2.8})
-    result = search_gains(scene, setting, free={}, near=orbit, settings=ONCE)
-    alone = close_orbit(scene, setting).unwrap()
+def test_a_known_orbit_is_followed_to_other_numbers(problem: Problem, orbit: ZenoOrbit) -> None:
+    values = problem.values(parameters={"restitution": 0.3, "R": 2.8})
+    result = search_gains(problem, values, free={}, near=orbit, settings=ONCE)
+    alone = close_orbit(problem, values).unwrap()
     assert result.unwrap().period == pytest.approx(alone.period, abs=1e-8)
 
 
-def test_the_end_of_a_family_is_named(scene: Problem, orbit: ZenoOrbit) -> None:
-    setting = scene.setting(parameters={"restitution": 0.5})
-    result = search_gains(scene, setting, free={}, near=orbit, settings=ONCE)
+def test_the_end_of_a_family_is_named(problem: Problem, orbit: ZenoOrbit) -> None:
+    values = problem.values(parameters={"restitution": 0.5})
+    result = search_gains(problem, values, free={}, near=orbit, settings=ONCE)
     assert result.status is SearchStatus.NO_GUESS
     assert "the locked arc shrinks to nothing" in result.detail
     end = float(result.detail.split("restitution = ")[1].split(",")[0])
@@ -293,20 +299,20 @@ def test_the_end_of_a_family_is_named(scene: Problem, orbit: ZenoOrbit) -> None:
     assert end == pytest.approx(0.4168, abs=2e-4)
 
 
-def test_a_start_that_settles_to_nothing_is_reached_from_an_easier_one(scene: Problem) -> None:
-    # Too short a wait for the motion to settle at these gains, but not at the scene's own.
+def test_a_start_that_settles_to_nothing_is_reached_from_an_easier_one(problem: Problem) -> None:
+    # Too short a wait for the motion to settle at these gains, but not at the problem's own.
     brief = SearchSettings(n_starts=0, settling=SettlingSettings(horizon=12.0, usable=1e-5))
-    setting = scene.setting(gains={"Kp": 2.5, "Kd": -0.5})
-    result = find_orbit(scene, setting, settings=brief)
-    patient = find_orbit(scene, setting)
+    values = problem.values(gains={"Kp": 2.5, "Kd": -0.5})
+    result = find_orbit(problem, values, settings=brief)
+    patient = find_orbit(problem, values)
     assert result.unwrap().period == pytest.approx(patient.unwrap().period, abs=1e-8)
 
 
-def test_candidates_are_ranked_and_the_best_is_the_orbit(scene: Problem) -> None:
+def test_candidates_are_ranked_and_the_best_is_the_orbit(problem: Problem) -> None:
     settings = SearchSettings(n_starts=2, candidates=2)
     result = search_gains(
-        scene,
-        scene.setting(),
+        problem,
+        problem.values(),
         free={"Kd": (-1.1, -0.9)},
         objective=WantedPeriod(target=1.8),
         settings=replace(settings, candidates=2),
@@ -340,17 +346,17 @@ def test_candidates_are_ranked_and_the_best_is_the_orbit(scene: Problem) -> None
     ],
 )
 def test_a_question_that_makes_no_sense_is_refused(
-    scene: Problem,
+    problem: Problem,
     free: dict[str, tuple[float, float]],
     bounds: list[Bound],
     objective: Objective | None,
     said: str,
 ) -> None:
     with pytest.raises(InputError, match=said):
-        search_gains(scene, scene.setting(), free=free, bounds=bounds, objective=objective)
+        search_gains(problem, problem.values(), free=free, bounds=bounds, objective=objective)
 
 
-def test_an_orbit_of_another_scene_is_no_start(scene: Problem, orbit: ZenoOrbit) -> None:
-    other = scene.at_fidelity("quasi_static")
-    with pytest.raises(InputError, match="`near` must be of scene `motor_pendulum@quasi_static`"):
-        search_gains(other, other.setting(), free={}, near=orbit, objective=LeastEnergy())
+def test_an_orbit_of_another_problem_is_no_start(problem: Problem, orbit: ZenoOrbit) -> None:
+    other = problem.at_fidelity("quasi_static")
+    with pytest.raises(InputError, match="`near` must be of problem `motor_pendulum@quasi_static`"):
+        search_gains(other, other.values(), free={}, near=orbit, objective=LeastEnergy())

@@ -47,7 +47,7 @@ IMPATIENT = SearchSettings(settling=SettlingSettings(horizon=40.0))
 
 def _one_period(orbit: ZenoOrbit, problem: Problem) -> Execution:
     """Return the period after the release, on the model that was written by hand."""
-    by_hand = load_reference(problem).dynamics(orbit.setting(problem))
+    by_hand = load_reference(problem).dynamics(orbit.values(problem))
     start = by_hand.on_stop(np.array(list(orbit.release_state.values())))
     run = simulate(by_hand, start, until=1.3 * orbit.period)
     assert run.releases
@@ -63,12 +63,12 @@ def _box(problem: Problem) -> dict[str, tuple[float, float]]:
 
 @pytest.mark.parametrize("inductance", [1e-6, 1e-8])
 def test_a_current_that_decays_within_nanoseconds_leaves_the_orbit_of_the_reduced_model(
-    scene: Problem, inductance: float
+    problem: Problem, inductance: float
 ) -> None:
-    found = find_orbit(scene, scene.setting(parameters={"L": inductance}))
+    found = find_orbit(problem, problem.values(parameters={"L": inductance}))
     assert found.status is SearchStatus.FOUND
     reduced = load_problem("motor_pendulum@corrected")
-    without = find_orbit(reduced, reduced.setting(parameters={"L": inductance}))
+    without = find_orbit(reduced, reduced.values(parameters={"L": inductance}))
     # The reduced model errs by 4e-7 at 2 mH and by the square of L: by less than rounding here.
     # Each search agrees with its simulation to 3e-10.
     assert found.unwrap().period == pytest.approx(without.unwrap().period, rel=6e-10)
@@ -98,9 +98,9 @@ def test_a_search_reports_how_well_it_did(found: SearchResult) -> None:
 
 @pytest.mark.parametrize(("restitution", "period"), list(PERIODS.items()))
 def test_other_restitutions_have_their_declared_periods(
-    scene: Problem, restitution: float, period: float
+    problem: Problem, restitution: float, period: float
 ) -> None:
-    result = find_orbit(scene, scene.setting(parameters={"restitution": restitution}))
+    result = find_orbit(problem, problem.values(parameters={"restitution": restitution}))
     assert result.unwrap().period == pytest.approx(period, abs=ACCURACY)
     assert (result.closure_error == 0.0) == (restitution == 0.0)
 
@@ -109,18 +109,18 @@ def test_other_restitutions_have_their_declared_periods(
     ("parameters", "gains"), [({"R": 2.0}, {}), ({"R": 4.0}, {}), ({}, {"Kp": 4.0})]
 )
 def test_the_orbit_is_where_a_long_simulation_ends(
-    scene: Problem, parameters: dict[str, float], gains: dict[str, float]
+    problem: Problem, parameters: dict[str, float], gains: dict[str, float]
 ) -> None:
-    setting = scene.setting(parameters=parameters, gains=gains)
-    orbit = find_orbit(scene, setting).unwrap()
-    dynamics = bind(compile_problem(scene), setting.values())
+    values = problem.values(parameters=parameters, gains=gains)
+    orbit = find_orbit(problem, values).unwrap()
+    dynamics = bind(compile_problem(problem), values.vector)
     # The largest multiplier is 0.37 in size: 27 periods shrink any start to 1e-11.
-    run = simulate(dynamics, scene.state_vector({"theta1": 0.6}), until=50.0)
+    run = simulate(dynamics, problem.state_vector({"theta1": 0.6}), until=50.0)
     early, late = run.releases[-2:]
     assert late.time - early.time == pytest.approx(orbit.period, abs=ACCURACY)
     assert late.state == pytest.approx(np.array(list(orbit.release_state.values())), abs=ACCURACY)
     # What the search calls an orbit must pass the check that follows it.
-    certificate = verify(orbit, scene, settings=VerificationSettings(n_periods=1))
+    certificate = verify(orbit, problem, settings=VerificationSettings(n_periods=1))
     assert certificate.passed, certificate.verdict()
 
 
@@ -128,36 +128,36 @@ def test_the_orbit_is_where_a_long_simulation_ends(
 
 
 @pytest.mark.parametrize("period", [1.75, pytest.param(1.90, marks=pytest.mark.slow)])
-def test_a_wanted_period_is_reached(scene: Problem, period: float) -> None:
+def test_a_wanted_period_is_reached(problem: Problem, period: float) -> None:
     wanted = WantedPeriod(target=period)
-    result = search_gains(scene, scene.setting(), free=_box(scene), objective=wanted)
+    result = search_gains(problem, problem.values(), free=_box(problem), objective=wanted)
     orbit = result.unwrap()
-    run = _one_period(orbit, scene)
+    run = _one_period(orbit, problem)
     assert run.releases[-1].time == pytest.approx(period, abs=ACCURACY)
-    assert verify(orbit, scene, settings=VerificationSettings(n_periods=1)).passed
-    for name, (lower, upper) in _box(scene).items():
+    assert verify(orbit, problem, settings=VerificationSettings(n_periods=1)).passed
+    for name, (lower, upper) in _box(problem).items():
         assert lower <= orbit.gains[name] <= upper
 
 
-def test_one_free_gain_is_enough_for_a_period(scene: Problem) -> None:
+def test_one_free_gain_is_enough_for_a_period(problem: Problem) -> None:
     result = search_gains(
-        scene,
-        scene.setting(),
+        problem,
+        problem.values(),
         free={"Kd": (-1.5, -0.4)},
         objective=WantedPeriod(target=1.82),
     )
     orbit = result.unwrap()
     assert orbit.gains["Kp"] == 2.5
-    run = _one_period(orbit, scene)
+    run = _one_period(orbit, problem)
     assert run.releases[-1].time == pytest.approx(1.82, abs=ACCURACY)
 
 
 @pytest.mark.slow
-def test_a_wanted_amplitude_is_reached(scene: Problem) -> None:
+def test_a_wanted_amplitude_is_reached(problem: Problem) -> None:
     wanted = WantedAmplitude(state="theta1", target=1.2)
-    result = search_gains(scene, scene.setting(), free=_box(scene), objective=wanted)
+    result = search_gains(problem, problem.values(), free=_box(problem), objective=wanted)
     orbit = result.unwrap()
-    run = _one_period(orbit, scene)
+    run = _one_period(orbit, problem)
     times = np.linspace(0.0, orbit.period, 4001)
     angles = np.array([run.state_at(float(time))[0] for time in times])
     ends = []
@@ -171,29 +171,29 @@ def test_a_wanted_amplitude_is_reached(scene: Problem) -> None:
 
 
 def test_less_energy_is_found_where_gains_may_give(
-    scene: Problem, certificate: OrbitCertificate
+    problem: Problem, certificate: OrbitCertificate
 ) -> None:
     result = search_gains(
-        scene, scene.setting(), free={"Kd": (-1.1, -0.9)}, objective=LeastEnergy()
+        problem, problem.values(), free={"Kd": (-1.1, -0.9)}, objective=LeastEnergy()
     )
     orbit = result.unwrap()
-    spent = verify(orbit, scene, settings=VerificationSettings(n_periods=1)).energies
+    spent = verify(orbit, problem, settings=VerificationSettings(n_periods=1)).energies
     assert spent["input_work"] < 0.9 * certificate.energies["input_work"]
     assert -1.1 <= orbit.gains["Kd"] <= -0.9
 
 
-def test_gains_that_have_an_orbit_are_their_own_nearest(scene: Problem) -> None:
+def test_gains_that_have_an_orbit_are_their_own_nearest(problem: Problem) -> None:
     target = {"Kp": 3.0, "Kd": -0.9}
     result = search_gains(
-        scene, scene.setting(), free=_box(scene), objective=NearestGains(target=target)
+        problem, problem.values(), free=_box(problem), objective=NearestGains(target=target)
     )
     assert result.unwrap().gains == target
 
 
-def test_a_target_outside_the_box_is_met_at_its_edge(scene: Problem) -> None:
+def test_a_target_outside_the_box_is_met_at_its_edge(problem: Problem) -> None:
     result = search_gains(
-        scene,
-        scene.setting(),
+        problem,
+        problem.values(),
         free={"Kp": (2.0, 3.0)},
         objective=NearestGains(target={"Kp": 9.0}),
     )
@@ -203,9 +203,9 @@ def test_a_target_outside_the_box_is_met_at_its_edge(scene: Problem) -> None:
 # No orbit.
 
 
-def test_a_restitution_beyond_the_family_leaves_no_zeno_orbit(scene: Problem) -> None:
-    setting = scene.setting(parameters={"restitution": 0.5})
-    result = find_orbit(scene, setting, settings=IMPATIENT, shape=ONE_ZENO)
+def test_a_restitution_beyond_the_family_leaves_no_zeno_orbit(problem: Problem) -> None:
+    values = problem.values(parameters={"restitution": 0.5})
+    result = find_orbit(problem, values, settings=IMPATIENT, shape=ONE_ZENO)
     # A period on the way to its orbit without a Zeno point may pass for a guess.
     assert result.status in (SearchStatus.NO_GUESS, SearchStatus.NOT_SOLVED)
     assert result.orbit is None
@@ -214,8 +214,8 @@ def test_a_restitution_beyond_the_family_leaves_no_zeno_orbit(scene: Problem) ->
     assert "there the locked arc shrinks to nothing" in result.detail
 
 
-def test_motion_that_grows_or_dies_out_slowly_is_no_orbit(scene: Problem) -> None:
-    result = find_orbit(scene, scene.setting(gains={"Kd": -0.1}), settings=IMPATIENT)
+def test_motion_that_grows_or_dies_out_slowly_is_no_orbit(problem: Problem) -> None:
+    result = find_orbit(problem, problem.values(gains={"Kd": -0.1}), settings=IMPATIENT)
     # It changes so little a period that it may pass for a guess; the program then finds nothing.
     assert result.status in (SearchStatus.NO_GUESS, SearchStatus.NOT_SOLVED)
     assert result.orbit is None
@@ -224,7 +224,7 @@ def test_motion_that_grows_or_dies_out_slowly_is_no_orbit(scene: Problem) -> Non
 
 def test_a_ball_has_no_orbit() -> None:
     ball = load_problem("bouncing_ball")
-    result = find_orbit(ball, ball.setting(), settings=IMPATIENT)
+    result = find_orbit(ball, ball.values(), settings=IMPATIENT)
     assert result.status is SearchStatus.NO_GUESS
     assert result.detail == "The motion dies out."
     with pytest.raises(OrbitNotFoundError, match="No simulation settled") as caught:
@@ -232,7 +232,7 @@ def test_a_ball_has_no_orbit() -> None:
     assert caught.value.result is result
 
 
-def test_an_orbit_that_nobody_accepts_is_not_returned(scene: Problem) -> None:
+def test_an_orbit_that_nobody_accepts_is_not_returned(problem: Problem) -> None:
     seen: list[ZenoOrbit] = []
 
     def refuse(orbit: ZenoOrbit) -> Judgement:
@@ -240,8 +240,8 @@ def test_an_orbit_that_nobody_accepts_is_not_returned(scene: Problem) -> None:
         return Judgement(objection="it is too plain")
 
     result = search_gains(
-        scene,
-        scene.setting(),
+        problem,
+        problem.values(),
         free={"Kp": (2.4, 2.6)},
         accept=refuse,
         settings=replace(IMPATIENT, n_starts=1),
@@ -253,10 +253,10 @@ def test_an_orbit_that_nobody_accepts_is_not_returned(scene: Problem) -> None:
     assert {attempt.detail for attempt in result.attempts} == {"it is too plain"}
 
 
-def test_progress_is_told_in_order(scene: Problem) -> None:
+def test_progress_is_told_in_order(problem: Problem) -> None:
     told: list[str] = []
     result = search_gains(
-        scene, scene.setting(), free={}, accept=lambda _: Judgement(), on_progress=told.append
+        problem, problem.values(), free={}, accept=lambda _: Judgement(), on_progress=told.append
     )
     assert result.status is SearchStatus.FOUND
     assert told[0] == "start 1: simulating Kp = 2.5, Kd = -1"
@@ -268,22 +268,22 @@ def test_progress_is_told_in_order(scene: Problem) -> None:
 
 @pytest.mark.parametrize("bounds", [(2.0, 2.0), (3.0, 2.0), (2.0, np.inf), (np.nan, 2.0)])
 def test_a_box_that_is_empty_or_endless_is_refused(
-    scene: Problem, bounds: tuple[float, float]
+    problem: Problem, bounds: tuple[float, float]
 ) -> None:
     with pytest.raises(InputError, match=r"`Kp` must have .*bounds LOWER < UPPER"):
-        search_gains(scene, scene.setting(), free={"Kp": bounds})
+        search_gains(problem, problem.values(), free={"Kp": bounds})
 
 
-def test_a_gain_that_the_scene_does_not_have_is_refused(scene: Problem) -> None:
+def test_a_gain_that_the_problem_does_not_have_is_refused(problem: Problem) -> None:
     with pytest.raises(InputError, match=r"`free` must be one of Kp, Kd, .* but it is `Ki`"):
-        search_gains(scene, scene.setting(), free={"Ki": (1.0, 2.0)})
+        search_gains(problem, problem.values(), free={"Ki": (1.0, 2.0)})
 
 
-def test_a_target_of_a_gain_that_the_scene_does_not_have_is_refused(scene: Problem) -> None:
+def test_a_target_of_a_gain_that_the_problem_does_not_have_is_refused(problem: Problem) -> None:
     with pytest.raises(InputError, match="Ki"):
         search_gains(
-            scene,
-            scene.setting(),
+            problem,
+            problem.values(),
             free={"Kp": (1.0, 2.0)},
             objective=NearestGains(target={"Ki": 1.0}),
             settings=replace(IMPATIENT, n_starts=0),
@@ -296,7 +296,7 @@ def test_an_agreement_that_cannot_be_had_ends_the_search() -> None:
     pendulum = load_problem("motor_pendulum")
     result = search_gains(
         pendulum,
-        pendulum.setting(),
+        pendulum.values(),
         free={"Kd": (-1.2, -0.8)},
         objective=WantedPeriod(target=1.81),
         settings=settings,
@@ -321,7 +321,7 @@ def test_an_orbit_is_kept_where_the_way_to_the_nearest_gains_is_lost(
     # At Kd = 0.5 the motion dies out, so orbits are followed toward it, up to where they end.
     result = search_gains(
         pendulum,
-        pendulum.setting(gains={"Kd": 0.5}),
+        pendulum.values(gains={"Kd": 0.5}),
         free={"Kp": (2.0, 3.0), "Kd": (-1.2, 0.6)},
         settings=SearchSettings(n_starts=4),
     )

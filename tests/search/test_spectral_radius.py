@@ -31,21 +31,21 @@ def _terms(
     problem: Problem, free: dict[str, tuple[float, float]] | None = None, **numbers: float
 ) -> tuple[OrbitTerms, Vector]:
     """Return the terms of an orbit's program, and its multipliers by differences."""
-    setting = problem.setting().replaced(numbers)
-    orbit = close_orbit(problem, setting).unwrap()
+    values = problem.values().replaced(numbers)
+    orbit = close_orbit(problem, values).unwrap()
     compiled = compiled_model(problem)
-    dynamics = bind(compiled, setting.values())
+    dynamics = bind(compiled, values.vector)
     start = placed(dynamics, orbit.shape, np.array(list(orbit.start_state.values())))
     cycle = one_cycle(dynamics, start, 2 * orbit.period, orbit.shape)
     assert cycle is not None
     terms = transcribe(
         compiled,
-        setting,
+        values,
         dynamics=dynamics,
         cycle=cycle,
         closures=closures_of(cycle, dynamics, 1e-11),
         free=free or {},
-        first={name: setting.number(name) for name in free or {}},
+        first={name: values.number(name) for name in free or {}},
         settings=TranscriptionSettings(),
     )
     multipliers = floquet_multipliers(
@@ -122,9 +122,9 @@ def test_the_derivative_of_the_map_by_every_unknown_is_that_of_differences(
 
 
 def test_a_section_of_too_many_coordinates_is_refused(
-    scene: Problem, monkeypatch: pytest.MonkeyPatch
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    terms, _ = _terms(scene)
+    terms, _ = _terms(problem)
     monkeypatch.setattr("zeno_orbits.search.spectral_radius.MOST_COORDINATES", 1)
     with pytest.raises(InputError, match="where the section has 2 coordinates"):
         section_map(terms)

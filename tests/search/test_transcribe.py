@@ -14,7 +14,7 @@ from tests.support.mechanisms import clocked_oscillator
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model.numeric.compiled import bind, compile_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.cycle import Cycle, closures_of, cycles
 from zeno_orbits.search.search import SearchStatus, find_orbit
 from zeno_orbits.search.transcription.arc import TranscriptionSettings
@@ -37,31 +37,31 @@ def _cycle(machine: HybridDynamics) -> Cycle:
 
 def _program(
     problem: Problem,
-    setting: Setting,
+    values: ParameterValues,
     cycle: Cycle,
     *,
     mesh_tolerance: float = MESH,
     free: Mapping[str, tuple[float, float]] | None = None,
 ) -> Program:
     compiled = compile_problem(problem)
-    dynamics = bind(compiled, setting.values())
+    dynamics = bind(compiled, values.vector)
     settings = TranscriptionSettings(mesh_tolerance=mesh_tolerance)
     terms = transcribe(
         compiled,
-        setting,
+        values,
         dynamics=dynamics,
         cycle=cycle,
         closures=closures_of(cycle, dynamics, settings.closure_tolerance),
         free=free or {},
-        first={name: setting.number(name) for name in free or {}},
+        first={name: values.number(name) for name in free or {}},
         settings=settings,
     )
     return terms.program.build()
 
 
 @pytest.fixture(name="program", scope="module")
-def _made(scene: Problem, cycle: Cycle) -> Program:
-    return _program(scene, scene.setting(), cycle)
+def _made(problem: Problem, cycle: Cycle) -> Program:
+    return _program(problem, problem.values(), cycle)
 
 
 def _violations(program: Program, scaled: Vector) -> dict[str, float]:
@@ -90,17 +90,17 @@ def _violated(program: Program, block: str, entry: int, change: float = 1e-3) ->
 
 @pytest.mark.parametrize("tolerance", [1e-5, 1e-7, 1e-9])
 def test_a_simulated_period_meets_every_condition_to_the_accuracy_of_its_mesh(
-    scene: Problem, cycle: Cycle, tolerance: float
+    problem: Problem, cycle: Cycle, tolerance: float
 ) -> None:
-    program = _program(scene, scene.setting(), cycle, mesh_tolerance=tolerance)
+    program = _program(problem, problem.values(), cycle, mesh_tolerance=tolerance)
     assert max(_violations(program, program.guess).values()) < 2 * tolerance
 
 
 @pytest.mark.parametrize("free", [{}, {"Kp": (1.0, 6.0), "Kd": (-1.5, -0.4)}])
 def test_the_jacobian_by_the_chain_rule_is_that_of_the_whole_graph(
-    free: dict[str, tuple[float, float]], scene: Problem, cycle: Cycle
+    free: dict[str, tuple[float, float]], problem: Problem, cycle: Cycle
 ) -> None:
-    program = _program(scene, scene.setting(), cycle, free=free)
+    program = _program(problem, problem.values(), cycle, free=free)
     plain = ca.jacobian(program.rows, program.unknowns)
     both = ca.Function("both", [program.unknowns], [program.jacobian, plain])
     # Off the guess, so that no entry vanishes by the orbit's own symmetry.
@@ -118,17 +118,17 @@ def test_at_fixed_gains_there_are_as_many_equations_as_unknowns(program: Program
 
 
 def test_every_free_gain_is_one_unknown_more(
-    scene: Problem, cycle: Cycle, program: Program
+    problem: Problem, cycle: Cycle, program: Program
 ) -> None:
     box = {"Kp": (1.0, 6.0), "Kd": (-1.5, -0.4)}
-    wider = _program(scene, scene.setting(), cycle, free=box)
+    wider = _program(problem, problem.values(), cycle, free=box)
     assert len(wider.guess) == len(program.guess) + 2
     for name, (lower, upper) in box.items():
         (place, _) = wider.names[f"free {name}"]
         scale = wider.scales[place]
         assert wider.lower[place] * scale == pytest.approx(lower)
         assert wider.upper[place] * scale == pytest.approx(upper)
-        assert wider.guess[place] * scale == pytest.approx(scene.setting().gains[name])
+        assert wider.guess[place] * scale == pytest.approx(problem.values().gains[name])
 
 
 def test_rows_speak_of_flights_impacts_and_the_release(program: Program) -> None:
@@ -165,9 +165,9 @@ START = "continuity[flight 0, interval 0]"
     ],
 )
 def test_another_release_state_violates_the_conditions_that_it_enters(
-    program: Program, scene: Problem, state: str, rows: set[str]
+    program: Program, problem: Problem, state: str, rows: set[str]
 ) -> None:
-    assert _violated(program, "release state", scene.state_names.index(state)) == rows
+    assert _violated(program, "release state", problem.state_names.index(state)) == rows
 
 
 @pytest.mark.parametrize("entry", range(5))
@@ -220,7 +220,7 @@ def test_the_program_comes_back_to_the_declared_orbit(program: Program) -> None:
     assert max(solution.residuals.values()) < 1e-9
 
 
-# A scene without motors.
+# A problem without motors.
 
 
 @pytest.mark.parametrize("attracting", [True, False])
@@ -228,7 +228,7 @@ def test_the_orbit_of_the_forced_oscillator_is_found(attracting: bool) -> None:
     # Where the clock does not attract, every amplitude of it has its own orbit and the program is
     # singular; it is solved all the same, near its guess.
     problem = clocked_oscillator(FORCED, attracting=attracting)
-    result = find_orbit(problem, problem.setting())
+    result = find_orbit(problem, problem.values())
     assert result.status is SearchStatus.FOUND
     found = result.unwrap()
     # The loose settling drifts along the neutral amplitude, by 1e-8 a second for up to 200 s; the

@@ -39,7 +39,7 @@ def releases_of(events, lane):
 
 
 def values(**gains):
-    return PENDULUM.setting(gains=gains).values()
+    return PENDULUM.values(gains=gains).vector
 
 
 def random_gains(n, seed=4):
@@ -73,7 +73,7 @@ def test_a_fast_decay_is_damped_in_one_step_however_stiff():
 def test_many_balls_reach_their_zeno_times_in_closed_form():
     heights, restitutions = np.meshgrid([0.3, 1.0, 2.5], [0.0, 0.2, 0.5, 0.8, 0.9])
     heights, restitutions = heights.ravel(), restitutions.ravel()
-    settings = [BALL.setting(parameters={"restitution": e}) for e in restitutions]
+    settings = [BALL.values(parameters={"restitution": e}) for e in restitutions]
     names = BALL.state_names
     states = [[height if name == names[0] else 0.0 for name in names] for height in heights]
     batch = Batch(model_in_rows(BALL), len(heights))
@@ -183,9 +183,9 @@ def test_a_coordinate_beyond_its_bound_has_escaped_by_name():
 
 def test_a_stiff_lane_settles_at_the_same_period_for_any_inductance():
     # The orbit depends on L/R to first order: at 1e-6 of the declared layer it is the limit's.
-    small = [PENDULUM.setting(parameters={"L": value}).values() for value in (2e-8, 2e-9)]
+    small = [PENDULUM.values(parameters={"L": value}).vector for value in (2e-8, 2e-9)]
     quasi = load_problem("motor_pendulum@quasi_static")
-    limit = bind(compiled_model(quasi), quasi.setting().values())
+    limit = bind(compiled_model(quasi), quasi.values().vector)
     start = PENDULUM.state_vector(PENDULUM.starts[0])
     batch = Batch(model_in_rows(PENDULUM), 2)
     lanes = batch.start(np.array(small), np.tile(start, (2, 1)), 1e-8, np.full(2, 4.0))

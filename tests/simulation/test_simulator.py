@@ -64,19 +64,19 @@ def _pendulum(problem: Problem) -> Pendulum:
     compiled = compile_problem(problem)
 
     def at(**parameters: float) -> HybridDynamics:
-        return bind(compiled, problem.setting(parameters=parameters).values())
+        return bind(compiled, problem.values(parameters=parameters).vector)
 
     return at
 
 
 @pytest.fixture(name="ball", scope="module")
 def _ball() -> Pendulum:
-    scene = load_problem("bouncing_ball")
-    compiled = compile_problem(scene)
+    problem = load_problem("bouncing_ball")
+    compiled = compile_problem(problem)
 
     def at(restitution: float) -> HybridDynamics:
-        setting = scene.setting(parameters={"restitution": restitution})
-        return bind(compiled, setting.values())
+        values = problem.values(parameters={"restitution": restitution})
+        return bind(compiled, values.vector)
 
     return at
 
@@ -286,9 +286,9 @@ def test_a_lock_within_rounding_of_its_release_is_released(early: float) -> None
 
 
 def test_a_very_light_ball_rests_as_a_heavy_one_does() -> None:
-    scene = load_problem("bouncing_ball")
-    setting = scene.setting(parameters={"m": 1e-15})
-    light = bind(compile_problem(scene), setting.values())
+    problem = load_problem("bouncing_ball")
+    values = problem.values(parameters={"m": 1e-15})
+    light = bind(compile_problem(problem), values.vector)
     execution = simulate(light, (0.0, 0.0), until=0.1)
     assert [arc.mode for arc in execution.arcs] == [Mode.LOCKED]
 
@@ -345,7 +345,7 @@ def test_a_plastic_impact_on_a_stop_that_repels_leaves_at_once() -> None:
 # The reference orbit.
 
 
-def test_the_release_state_of_the_reference_scene_comes_back(one_period: Execution) -> None:
+def test_the_release_state_of_the_reference_problem_comes_back(one_period: Execution) -> None:
     assert one_period.end_time == pytest.approx(PERIOD, abs=1e-10)
     assert one_period.end_state == pytest.approx(np.array(RELEASE), abs=1e-10)
     assert one_period.impacts[0].time == pytest.approx(FIRST_IMPACT, abs=1e-10)
@@ -378,7 +378,7 @@ def test_the_late_impacts_of_the_pendulum_fall_by_the_restitution(one_period: Ex
 def test_the_hand_written_pendulum_runs_the_same_period(
     problem: Problem, one_period: Execution
 ) -> None:
-    by_hand = load_reference(problem).dynamics(problem.setting())
+    by_hand = load_reference(problem).dynamics(problem.values())
     execution = simulate(by_hand, RELEASE, until=5.0, releases=1)
     assert len(execution.impacts) == len(one_period.impacts)
     assert execution.end_time == pytest.approx(one_period.end_time, abs=1e-10)
@@ -671,7 +671,7 @@ def test_a_motion_that_dies_out_is_followed_to_rest() -> None:
     # Positive damping: the swing fades into the hanging equilibrium, where the stop neither holds
     # nor repels, and the contacts end in rounding.
     problem = load_problem("motor_pendulum")
-    dynamics = bind(compile_problem(problem), problem.setting(gains={"Kd": 2.0}).values())
+    dynamics = bind(compile_problem(problem), problem.values(gains={"Kd": 2.0}).vector)
     execution = simulate(dynamics, problem.state_vector(problem.starts[0]), until=60.0)
     assert execution.end_time == 60.0
     assert np.max(np.abs(execution.end_state)) < 1e-3
@@ -684,7 +684,7 @@ def test_a_motion_that_dies_out_is_followed_to_rest() -> None:
 def test_a_motion_that_speeds_up_without_end_is_told_in_a_tenth_of_the_steps(gain: float) -> None:
     # Feedback of the wrong sign: the shoulder whirls ever faster, and every turn takes its steps.
     problem = load_problem("motor_pendulum")
-    dynamics = bind(compile_problem(problem), problem.setting(gains={"Kd": gain}).values())
+    dynamics = bind(compile_problem(problem), problem.values(gains={"Kd": gain}).vector)
     with pytest.raises(RunawayError, match="dtheta1 grows without end") as caught:
         simulate(dynamics, problem.state_vector(problem.starts[0]), until=10.0)
     # Looks come at 25 000 steps and at every doubling: the fourth ends it, at 200 000 of 2 million.

@@ -37,8 +37,8 @@ ROUNDING = 1e-13
 
 def _ball(restitution: float) -> HybridDynamics:
     problem = load_problem("bouncing_ball")
-    setting = problem.setting(parameters={"restitution": restitution})
-    return bind(compile_problem(problem), setting.values())
+    values = problem.values(parameters={"restitution": restitution})
+    return bind(compile_problem(problem), values.vector)
 
 
 def _ball_estimates(dynamics: HybridDynamics, n: int) -> list[TailEstimate]:
@@ -237,8 +237,8 @@ def test_the_error_estimate_is_not_deceived_by_the_layer_of_the_current() -> Non
         "L": 0.0015425,
         "restitution": 0.1978,
     }
-    setting = problem.setting(gains={"Kp": 6.2946, "Kd": -0.61543}, parameters=machine)
-    dynamics = bind(compile_problem(problem), setting.values())
+    values = problem.values(gains={"Kp": 6.2946, "Kd": -0.61543}, parameters=machine)
+    dynamics = bind(compile_problem(problem), values.vector)
     start = simulate(dynamics, problem.state_vector(problem.starts[0]), until=30.0).releases[-1]
     deep = SimulationSettings(completion=ZenoExtrapolation(tolerance=1e-14, resolved=1e-8))
     period = simulate(dynamics, start.state, until=10.0, releases=1, settings=deep)

@@ -79,8 +79,8 @@ def _pass(
 
 def _pendulum(restitution: float) -> HybridDynamics:
     problem = load_problem("motor_pendulum")
-    setting = problem.setting(parameters={"restitution": restitution})
-    return bind(compile_problem(problem), setting.values())
+    values = problem.values(parameters={"restitution": restitution})
+    return bind(compile_problem(problem), values.vector)
 
 
 def _speed(passage_time: float, pull: float, restitution: float) -> float:

@@ -1,4 +1,4 @@
-"""A Dask cluster of this machine's own processes, and scenes that tell who computes with them."""
+"""A Dask cluster of this machine's own processes, and problems that tell who computes with them."""
 
 from __future__ import annotations
 
@@ -90,16 +90,16 @@ def dask_cluster(folder: Path) -> Iterator[DaskCluster]:
         cluster.end()
 
 
-def noted_scene(name: str, folder: Path) -> tuple[Path, Path]:
-    """Return a copy of a scene, and the folder in which every process that loads it leaves a file.
+def noted_problem(name: str, folder: Path) -> tuple[Path, Path]:
+    """Return a copy of a problem, and the folder in which every process that loads it leaves a file.
 
     Args:
-        name: Of a scene that is one file.
+        name: Of a problem that is one file.
         folder: Where to put both.
     """
-    scene, diary = folder / "noted.py", folder / "diary"
+    problem, diary = folder / "noted.py", folder / "diary"
     diary.mkdir()
-    shutil.copy(bundled_problems()[name], scene)
+    shutil.copy(bundled_problems()[name], problem)
     note = f"(__import__('pathlib').Path({str(diary)!r}) / str(__import__('os').getpid())).touch()"
-    scene.write_text(f"{scene.read_text()}\n{note}\n")
-    return scene, diary
+    problem.write_text(f"{problem.read_text()}\n{note}\n")
+    return problem, diary

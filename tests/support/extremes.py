@@ -83,7 +83,7 @@ def _compiled(name: str) -> tuple[Problem, CompiledSystem]:
 
 def _ball(**parameters: float) -> HybridDynamics:
     problem, compiled = _compiled("bouncing_ball")
-    return bind(compiled, problem.setting(parameters=parameters).values())
+    return bind(compiled, problem.values(parameters=parameters).vector)
 
 
 def _ball_error(
@@ -278,7 +278,7 @@ def _swing_error(horizon: float) -> float:
 def _orbit_error(periods: int) -> float:
     """Return the error of the pendulum's last Zeno point on its orbit, for each period."""
     problem, compiled = _compiled("motor_pendulum")
-    dynamics = bind(compiled, problem.setting(parameters=CALIBRATED).values())
+    dynamics = bind(compiled, problem.values(parameters=CALIBRATED).vector)
     execution = simulate(dynamics, ZENO_STATE, until=periods * PERIOD + 0.1)
     zeno = execution.zeno_points[periods - 1]
     errors = np.abs(zeno.state - np.array(ZENO_STATE))
@@ -464,9 +464,9 @@ def _pendulum_error(
     relative: float = 3e-14,
 ) -> float:
     problem, compiled = _compiled("motor_pendulum")
-    setting = problem.setting(parameters={**CALIBRATED, **parameters}, gains=gains)
-    execution = simulate(bind(compiled, setting.values()), state, until=until)
-    machine = load_reference(problem).pendulum(setting)
+    values = problem.values(parameters={**CALIBRATED, **parameters}, gains=gains)
+    execution = simulate(bind(compiled, values.vector), state, until=until)
+    machine = load_reference(problem).pendulum(values)
     truth = Follower(machine=machine, method=method, relative=relative).follow(state, until)
     return difference(execution, truth, until)
 
@@ -508,12 +508,12 @@ class _WithoutInductance:
 @cache
 def _quasi_static() -> tuple[Problem, CompiledSystem]:
     problem = load_problem("motor_pendulum")
-    scene = problem.model.__globals__
+    problem_file = problem.model.__globals__
 
     def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
-        links = scene["lagrangian"](p)
+        links = problem_file["lagrangian"](p)
         return complete(
-            links, quasi_static_drive(links, scene["motor"](links, p)), p["restitution"]
+            links, quasi_static_drive(links, problem_file["motor"](links, p)), p["restitution"]
         )
 
     without = replace(
@@ -528,9 +528,9 @@ def _quasi_static() -> tuple[Problem, CompiledSystem]:
 
 def _quasi_static_error(until: float) -> float:
     problem, compiled = _quasi_static()
-    setting = problem.setting(parameters=CALIBRATED)
-    execution = simulate(bind(compiled, setting.values()), FLYING[:4], until=until)
-    machine = load_reference(load_problem("motor_pendulum")).pendulum(setting)
+    values = problem.values(parameters=CALIBRATED)
+    execution = simulate(bind(compiled, values.vector), FLYING[:4], until=until)
+    machine = load_reference(load_problem("motor_pendulum")).pendulum(values)
     follower = Follower(machine=_WithoutInductance(machine=machine))
     return difference(execution, follower.follow(FLYING[:4], until), until)
 
@@ -538,9 +538,9 @@ def _quasi_static_error(until: float) -> float:
 def _feed_energy() -> float:
     """Follow a motion that a gain of the wrong sign feeds until it whirls beyond all bounds."""
     problem, compiled = _compiled("motor_pendulum")
-    setting = problem.setting(parameters=CALIBRATED, gains={"Kd": -1e6})
+    values = problem.values(parameters=CALIBRATED, gains={"Kd": -1e6})
     few = SimulationSettings(most_steps=20_000)
-    return simulate(bind(compiled, setting.values()), FLYING, until=1.0, settings=few).end_time
+    return simulate(bind(compiled, values.vector), FLYING, until=1.0, settings=few).end_time
 
 
 EVENTS = "events and end"
@@ -673,12 +673,12 @@ PENDULUM_ROWS = [
 def _units_error(units: Units) -> float:
     """Return the difference of a motion in SI units from the same one in other units."""
     problem, compiled = _compiled("motor_pendulum")
-    setting = problem.setting(parameters=CALIBRATED)
+    values = problem.values(parameters=CALIBRATED)
     until = 1.5
-    plain = simulate(bind(compiled, setting.values()), FLYING, until=until)
-    other = problem.setting(
-        parameters=units.numbers(setting.parameters, PENDULUM),
-        gains=units.numbers(setting.gains, PENDULUM),
+    plain = simulate(bind(compiled, values.vector), FLYING, until=until)
+    other = problem.values(
+        parameters=units.numbers(values.parameters, PENDULUM),
+        gains=units.numbers(values.gains, PENDULUM),
     )
     state = np.array(FLYING) * units.state(PENDULUM_STATE)
     scaled = simulate(bind(compiled, other.values()), state, until=until * units.time)
@@ -768,9 +768,9 @@ UNIT_ROWS += [
 def _search_error(restitution: float) -> float:
     """Return by how much a found orbit fails to close, followed from its Zeno point to the next."""
     problem = load_problem("motor_pendulum")
-    setting = problem.setting(parameters={"restitution": restitution})
-    orbit = find_orbit(problem, setting, shape=ONE_ZENO).unwrap()
-    machine = load_reference(problem).pendulum(setting)
+    values = problem.values(parameters={"restitution": restitution})
+    orbit = find_orbit(problem, values, shape=ONE_ZENO).unwrap()
+    machine = load_reference(problem).pendulum(values)
     state = tuple(
         0.0 if name in ("theta2", "dtheta2") else value for name, value in orbit.zeno_state.items()
     )

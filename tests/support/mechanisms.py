@@ -136,7 +136,7 @@ def _kept(q: ca.SX, v: ca.SX) -> ca.SX:
 
 
 def clocked_oscillator(oscillator: StoppedOscillator, *, attracting: bool) -> Problem:
-    """Return the forced oscillator as a scene: gap ``stop - x``, forced by a clock ``y = cos t``.
+    """Return the forced oscillator as a problem: gap ``stop - x``, forced by a clock ``y = cos t``.
 
     Args:
         oscillator: Its numbers.

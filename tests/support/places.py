@@ -7,7 +7,7 @@ from pathlib import Path
 
 import joblib
 import pytest
-from ZZ_orbits import work
+from zeno_orbits import work
 
 from tests.cli.test_cli import ask
 from zeno_orbits.work import Cluster

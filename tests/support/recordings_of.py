@@ -27,7 +27,7 @@ def recorded(
 
     Args:
         table: The orbit; all of its signals are recorded.
-        problem: Its scene.
+        problem: Its problem.
         n_cycles: How long, in periods.
         rate: Samples a second.
         noise: Standard deviation in parts of the range of each signal.
@@ -53,4 +53,4 @@ def recording_of(
         Signal(name=name, unit=units[name], values=row)
         for name, row in zip(names, values, strict=True)
     )
-    return Recording(source=Source.SIMULATED, scene=problem.name, time=time, signals=signals)
+    return Recording(source=Source.SIMULATED, problem=problem.name, time=time, signals=signals)

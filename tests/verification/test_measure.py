@@ -18,8 +18,10 @@ from zeno_orbits.verification.measure import measure, quantity_names
 SAMPLES = 20_001
 
 
-def test_the_quantities_of_a_scene_are_its_states_its_motors_and_numbers(scene: Problem) -> None:
-    names = quantity_names(scene)
+def test_the_quantities_of_a_problem_are_its_states_its_motors_and_numbers(
+    problem: Problem,
+) -> None:
+    names = quantity_names(problem)
     assert names[:6] == ("theta1", "theta2", "dtheta1", "dtheta2", "current", "voltage")
     assert {"period", "energy", "spectral_radius", "margin", "locked_time"} <= set(names)
     assert "current" in quantity_names(load_problem("motor_pendulum@quasi_static"))
@@ -27,9 +29,9 @@ def test_the_quantities_of_a_scene_are_its_states_its_motors_and_numbers(scene: 
 
 
 def test_peaks_are_those_of_a_dense_simulation(
-    scene: Problem, orbit: ZenoOrbit, machine: HybridDynamics
+    problem: Problem, orbit: ZenoOrbit, machine: HybridDynamics
 ) -> None:
-    found = measure(orbit, scene, ["theta2", "current", "voltage"])
+    found = measure(orbit, problem, ["theta2", "current", "voltage"])
     start = machine.on_stop(np.array(list(orbit.release_state.values())))
     run = simulate(machine, start, until=1.3 * orbit.period)
     times = np.linspace(0.0, orbit.period, SAMPLES)
@@ -51,10 +53,10 @@ def test_peaks_are_those_of_a_dense_simulation(
 
 
 def test_numbers_are_those_of_the_certificate(
-    scene: Problem, orbit: ZenoOrbit, certificate: OrbitCertificate
+    problem: Problem, orbit: ZenoOrbit, certificate: OrbitCertificate
 ) -> None:
     names = ["period", "energy", "spectral_radius", "margin", *certificate.margins]
-    found = measure(orbit, scene, names)
+    found = measure(orbit, problem, names)
     assert found["period"].highest == pytest.approx(PERIOD, abs=1e-8)
     assert found["energy"].highest == pytest.approx(certificate.energies["input_work"], rel=1e-9)
     assert found["spectral_radius"].highest == pytest.approx(abs(MULTIPLIER), abs=1e-6)
@@ -64,6 +66,6 @@ def test_numbers_are_those_of_the_certificate(
     assert found["margin"].lowest == pytest.approx(certificate.margins["locked_time"] / PERIOD)
 
 
-def test_what_is_no_quantity_of_the_scene_is_refused(scene: Problem, orbit: ZenoOrbit) -> None:
-    with pytest.raises(InputError, match=r"must name a quantity of the scene .*`theta3`"):
-        measure(orbit, scene, ["theta3"])
+def test_what_is_no_quantity_of_the_problem_is_refused(problem: Problem, orbit: ZenoOrbit) -> None:
+    with pytest.raises(InputError, match=r"must name a quantity of the problem .*`theta3`"):
+        measure(orbit, problem, ["theta3"])

@@ -35,9 +35,9 @@ Check = Callable[..., OrbitCertificate]
 
 
 @pytest.fixture(name="check", scope="module")
-def _check(scene: Problem) -> Check:
+def _check(problem: Problem) -> Check:
     def check(orbit: ZenoOrbit, dynamics: HybridDynamics | None = None) -> OrbitCertificate:
-        return verify(orbit, scene, settings=QUICK, dynamics=dynamics)
+        return verify(orbit, problem, settings=QUICK, dynamics=dynamics)
 
     return check
 
@@ -103,9 +103,9 @@ def test_every_residual_has_its_sentence(certificate: OrbitCertificate) -> None:
 
 
 def test_the_model_written_by_hand_gives_the_same_certificate(
-    orbit: ZenoOrbit, scene: Problem, certificate: OrbitCertificate
+    orbit: ZenoOrbit, problem: Problem, certificate: OrbitCertificate
 ) -> None:
-    by_hand = verify(orbit, scene, settings=replace(QUICK, use_reference=True))
+    by_hand = verify(orbit, problem, settings=replace(QUICK, use_reference=True))
     assert by_hand.passed, by_hand.verdict()
     assert by_hand.model == "reference"
     assert certificate.model == "derived"
@@ -113,17 +113,17 @@ def test_the_model_written_by_hand_gives_the_same_certificate(
     assert by_hand.multipliers[0] == pytest.approx(certificate.multipliers[0], abs=1e-6)
 
 
-def test_a_plastic_orbit_is_verified_without_a_sweep(scene: Problem) -> None:
-    setting = scene.setting(parameters={"restitution": 0.0})
-    seen = verify(find_orbit(scene, setting).unwrap(), scene, settings=QUICK)
+def test_a_plastic_orbit_is_verified_without_a_sweep(problem: Problem) -> None:
+    values = problem.values(parameters={"restitution": 0.0})
+    seen = verify(find_orbit(problem, values).unwrap(), problem, settings=QUICK)
     assert seen.passed, seen.verdict()
     assert seen.delta_sweep == ()
     assert "delta_sweep" not in seen.residuals
 
 
-def test_an_orbit_of_a_scene_without_motors_is_verified() -> None:
+def test_an_orbit_of_a_problem_without_motors_is_verified() -> None:
     problem = clocked_oscillator(FORCED, attracting=True)
-    seen = verify(find_orbit(problem, problem.setting()).unwrap(), problem, settings=QUICK)
+    seen = verify(find_orbit(problem, problem.values()).unwrap(), problem, settings=QUICK)
     assert seen.passed, seen.verdict()
     assert seen.stable
     assert "second_model" not in seen.residuals
@@ -131,7 +131,7 @@ def test_an_orbit_of_a_scene_without_motors_is_verified() -> None:
 
 def test_an_orbit_that_may_have_any_amplitude_is_not_called_stable() -> None:
     problem = clocked_oscillator(FORCED, attracting=False)
-    seen = verify(find_orbit(problem, problem.setting()).unwrap(), problem, settings=QUICK)
+    seen = verify(find_orbit(problem, problem.values()).unwrap(), problem, settings=QUICK)
     # Its multiplier is one; what is computed may fall below by its error only.
     assert seen.multipliers[0] == pytest.approx(1.0, abs=1e-7)
     assert not seen.stable
@@ -144,9 +144,9 @@ def test_the_orbit_carries_its_certificate(orbit: ZenoOrbit, certificate: OrbitC
     assert replace(whole, certificate={}, floquet_multipliers=()) == orbit
 
 
-def test_stages_are_told(orbit: ZenoOrbit, scene: Problem) -> None:
+def test_stages_are_told(orbit: ZenoOrbit, problem: Problem) -> None:
     told: list[str] = []
-    verify(orbit, scene, settings=QUICK, on_progress=told.append)
+    verify(orbit, problem, settings=QUICK, on_progress=told.append)
     assert told[0] == "integrating the orbit"
     assert "computing the multipliers" in told
 
@@ -369,14 +369,14 @@ def test_a_wrong_energy_fails_at_the_impacts(
     ids=["coriolis", "reset", "height"],
 )
 def test_a_second_model_with_a_wrong_sign_fails_alone(
-    orbit: ZenoOrbit, scene: Problem, tmp_path: Path, right: str, wrong: str
+    orbit: ZenoOrbit, problem: Problem, tmp_path: Path, right: str, wrong: str
 ) -> None:
-    assert scene.reference is not None
-    text = scene.reference.read_text(encoding="utf-8")
+    assert problem.reference is not None
+    text = problem.reference.read_text(encoding="utf-8")
     assert text.count(right) == 1
     file = tmp_path / "reference.py"
     file.write_text(text.replace(right, wrong), encoding="utf-8")
-    seen = verify(orbit, replace(scene, reference=file), settings=QUICK)
+    seen = verify(orbit, replace(problem, reference=file), settings=QUICK)
     assert seen.failed == ("second_model",)
 
 
@@ -393,55 +393,61 @@ class _Late:
         return None if limit is None else replace(limit, time=limit.time + self.delay)
 
 
-def test_a_wrong_zeno_limit_is_not_what_the_cuts_tend_to(orbit: ZenoOrbit, scene: Problem) -> None:
+def test_a_wrong_zeno_limit_is_not_what_the_cuts_tend_to(
+    orbit: ZenoOrbit, problem: Problem
+) -> None:
     late = SimulationSettings(completion=_Late(delay=1e-6))
-    seen = verify(orbit, scene, settings=replace(QUICK, simulation=late))
+    seen = verify(orbit, problem, settings=replace(QUICK, simulation=late))
     assert {"zeno_point", "delta_sweep", "period"} <= set(seen.failed)
 
 
-def test_the_cuts_go_on_where_the_locked_arc_is_about_to_vanish(scene: Problem) -> None:
+def test_the_cuts_go_on_where_the_locked_arc_is_about_to_vanish(problem: Problem) -> None:
     # The family in e ends at 0.41679; its cubic error there is seen at four cuts still.
-    near = close_orbit(scene, scene.setting(parameters={"restitution": 0.4167})).unwrap()
-    seen = verify(near, scene)
+    near = close_orbit(problem, problem.values(parameters={"restitution": 0.4167})).unwrap()
+    seen = verify(near, problem)
     assert seen.passed
     assert len(seen.delta_sweep) > len(VerificationSettings().cuts)
     assert seen.delta_sweep[-1].error < seen.tolerance / 10
     late = SimulationSettings(completion=_Late(delay=1e-6))
-    assert "delta_sweep" in verify(near, scene, settings=replace(QUICK, simulation=late)).failed
+    assert "delta_sweep" in verify(near, problem, settings=replace(QUICK, simulation=late)).failed
 
 
 # Orbits that do not fit.
 
 
-def test_an_orbit_of_another_scene_is_refused(orbit: ZenoOrbit, scene: Problem) -> None:
-    with pytest.raises(InputError, match="must be of scene `motor_pendulum`"):
-        verify(replace(orbit, problem="bouncing_ball"), scene)
+def test_an_orbit_of_another_problem_is_refused(orbit: ZenoOrbit, problem: Problem) -> None:
+    with pytest.raises(InputError, match="must be of problem `motor_pendulum`"):
+        verify(replace(orbit, problem="bouncing_ball"), problem)
 
 
-def test_an_orbit_without_impacts_is_refused(orbit: ZenoOrbit, scene: Problem) -> None:
+def test_an_orbit_without_impacts_is_refused(orbit: ZenoOrbit, problem: Problem) -> None:
     with pytest.raises(InputError, match="must have an impact"):
-        verify(changed(orbit, impacts=()), scene)
+        verify(changed(orbit, impacts=()), problem)
 
 
 @pytest.mark.parametrize("where", ["release_state", "zeno_state"])
-def test_a_state_that_is_not_named_is_refused(orbit: ZenoOrbit, scene: Problem, where: str) -> None:
+def test_a_state_that_is_not_named_is_refused(
+    orbit: ZenoOrbit, problem: Problem, where: str
+) -> None:
     state = {name: value for name, value in orbit.release_state.items() if name != "current"}
     with pytest.raises(InputError, match=f"`{where}`, but these differ: current"):
-        verify(changed(orbit, **{where: state}), scene)
+        verify(changed(orbit, **{where: state}), problem)
 
 
-def test_an_impact_with_unknown_states_is_refused(orbit: ZenoOrbit, scene: Problem) -> None:
+def test_an_impact_with_unknown_states_is_refused(orbit: ZenoOrbit, problem: Problem) -> None:
     state = {**orbit.release_state, "theta3": 0.0}
     with pytest.raises(InputError, match="`impacts`, but these differ: theta3"):
-        verify(changed(orbit, impacts=(OrbitImpact(time=1.0, state_minus=state),)), scene)
+        verify(changed(orbit, impacts=(OrbitImpact(time=1.0, state_minus=state),)), problem)
 
 
 @pytest.mark.parametrize("where", ["gains", "parameters"])
-def test_numbers_that_are_missing_are_refused(orbit: ZenoOrbit, scene: Problem, where: str) -> None:
+def test_numbers_that_are_missing_are_refused(
+    orbit: ZenoOrbit, problem: Problem, where: str
+) -> None:
     values = dict(getattr(orbit, where))
     name, _ = values.popitem()
     with pytest.raises(InputError, match=f"but these differ: {name}"):
-        verify(replace(orbit, **{where: values}), scene)
+        verify(replace(orbit, **{where: values}), problem)
 
 
 def test_a_period_too_short_for_a_return_is_refused(check: Check, orbit: ZenoOrbit) -> None:

@@ -16,11 +16,11 @@ import pytest
 from tests.cli.test_cli import ask
 from tests.support import chores
 from tests.support.chores import Deadly, Diary
-from tests.support.clusters import DaskCluster, dask_cluster, noted_scene, wait_until
+from tests.support.clusters import DaskCluster, dask_cluster, noted_problem, wait_until
 from zeno_orbits.errors import InputError, WorkError
 from zeno_orbits.maps.map_file import write_map
 from zeno_orbits.maps.parameter_map import Axis, Plane, parameter_map
-from zeno_orbits.model.library import bundled_problems, scene_file
+from zeno_orbits.model.library import bundled_problems, locate_problem
 from zeno_orbits.work import Cluster, Lost, Plan, Workers, spread
 
 pytest.importorskip("distributed", reason="needs the extra `cluster`")
@@ -83,12 +83,12 @@ def test_two_workers_of_a_cluster_one_killed_leave_the_checkpoint_of_a_single_pr
 def test_a_family_on_a_cluster_with_a_worker_killed_is_the_file_made_here(
     cluster: DaskCluster, tmp_path: Path, words: tuple[str, ...], n_finished: int
 ) -> None:
-    scene, diary = noted_scene("forced_oscillator", tmp_path)
+    problem, diary = noted_problem("forced_oscillator", tmp_path)
     workers = [cluster.start_worker("--no-nanny") for _ in range(2)]
     kept, there, here = (tmp_path / name for name in ("kept", "there.json", "here.json"))
 
     def kill_a_busy_one() -> int:
-        """Kill who has the scene, and so a piece in hand, when some others are finished."""
+        """Kill who has the problem, and so a piece in hand, when some others are finished."""
 
         def busy() -> list[int]:
             known = {int(path.name) for path in diary.iterdir()}
@@ -102,13 +102,13 @@ def test_a_family_on_a_cluster_with_a_worker_killed_is_the_file_made_here(
     with ThreadPoolExecutor(1) as thread:
         killing = thread.submit(kill_a_busy_one)
         place = ("--scheduler", cluster.address, "--checkpoint", kept)
-        answer = ask("continue", scene, *words, *place, "-o", there)
+        answer = ask("continue", problem, *words, *place, "-o", there)
         finished = killing.result()
     assert answer.code == 0
     n_pieces = len(list(kept.rglob("chunk-*.json")))
     assert n_finished <= finished < n_pieces
     assert sum(one.poll() is None for one in workers) == 1
-    assert ask("continue", scene, *words, "--workers", "1", "-o", here).code == 0
+    assert ask("continue", problem, *words, "--workers", "1", "-o", here).code == 0
     assert there.read_bytes() == here.read_bytes()
 
 
@@ -139,11 +139,11 @@ def test_failures_come_home_from_a_cluster_and_its_end_is_noticed(cluster: DaskC
 def test_a_map_made_on_a_cluster_is_the_file_made_here(
     cluster: DaskCluster, tmp_path: Path
 ) -> None:
-    scene = tmp_path / "ball.py"
-    shutil.copy(bundled_problems()["bouncing_ball"], scene)
+    problem = tmp_path / "ball.py"
+    shutil.copy(bundled_problems()["bouncing_ball"], problem)
     cluster.start_worker("--no-nanny")
     plane = Plane(
-        scene=scene_file(scene),
+        problem_file=locate_problem(problem),
         x=Axis(name="m", lower=1.0, upper=2.0, count=3),
         y=Axis(name="restitution", lower=0.1, upper=0.5, count=3),
         start=(1.0, 0.0),
@@ -156,12 +156,12 @@ def test_a_map_made_on_a_cluster_is_the_file_made_here(
 def test_a_search_on_a_cluster_prints_what_it_prints_here(
     cluster: DaskCluster, tmp_path: Path
 ) -> None:
-    scene = tmp_path / "table.py"
-    shutil.copy(bundled_problems()["vibrating_table"], scene)
+    problem = tmp_path / "table.py"
+    shutil.copy(bundled_problems()["vibrating_table"], problem)
     cluster.start_worker("--no-nanny")
     words = ("--free", "restitution=0.2:0.5", "--candidates", "9", "--starts", "2", "--json")
     there, here = (
-        ask("search", scene, *words, *place)
+        ask("search", problem, *words, *place)
         for place in (("--scheduler", cluster.address), ("--workers", "1"))
     )
     assert there.code == here.code == 0

@@ -66,7 +66,7 @@ def test_a_dataclass_is_told_from_another_with_the_same_fields() -> None:
     assert plain(Other(inside=Colour.RED)) != thing
 
 
-def test_every_bit_of_a_setting_counts() -> None:
+def test_every_bit_of_a_values_counts() -> None:
     least = math.nextafter(3e-10, 1.0)
     assert plain(SearchSettings()) == plain(SearchSettings())
     assert plain(SearchSettings()) != plain(SearchSettings(agreement=least))

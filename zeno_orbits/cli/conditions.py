@@ -11,16 +11,16 @@ from zeno_orbits.cli.options import (
     YES,
     add_command,
     add_gain_values,
-    add_scene,
+    add_problem,
     print_json,
     say_written,
-    setting_of,
+    values_of,
 )
 from zeno_orbits.report.terminal import orbits as report
 from zeno_orbits.work.files import require_picture
 
 if TYPE_CHECKING:
-    from zeno_orbits.model.problem import Problem, Setting
+    from zeno_orbits.model.problem import ParameterValues, Problem
 
 
 def add_conditions(commands: Any) -> None:
@@ -35,7 +35,7 @@ def add_conditions(commands: Any) -> None:
             "zeno-orbits conditions motor_pendulum --set m2=0.12 -o region.png",
         ],
     )
-    add_scene(parser)
+    add_problem(parser)
     add_gain_values(parser)
     parser.add_argument("-o", "--output", type=Path, help="draw the region d2h/dt2 < 0 here")
 
@@ -49,38 +49,38 @@ def _run_conditions(options: argparse.Namespace) -> int:
     from zeno_orbits.model.library import load_problem
 
     problem = load_problem(options.problem)
-    setting = setting_of(problem, options)
+    values = values_of(problem, options)
     # What cannot be drawn is refused before anything is printed.
     if options.output is not None:
-        _draw_region(problem, setting, options.output)
+        _draw_region(problem, values, options.output)
     formula = equilibrium_acceleration(problem)
-    numbers = with_numbers(formula, setting)
+    numbers = with_numbers(formula, values)
     always = bool(numbers < 0) if numbers.is_number else None
     if options.json:
         print_json(
             {
                 "problem": problem.name,
-                "restitution": setting.parameters["restitution"],
+                "restitution": values.parameters["restitution"],
                 "formula": str(formula),
                 "numbers": six_digits(numbers),
                 "coefficients": {
                     str(term): float(factor)
                     for term, factor in numbers.as_coefficients_dict().items()
                 },
-                "parameters": dict(setting.parameters),
+                "parameters": dict(values.parameters),
             }
         )
     else:
-        report.print_conditions(problem, setting, str(formula), six_digits(numbers), always=always)
+        report.print_conditions(problem, values, str(formula), six_digits(numbers), always=always)
     if options.output is not None:
         say_written(options, [options.output])
     return NO if always is False else YES
 
 
-def _draw_region(problem: Problem, setting: Setting, path: Path) -> None:
+def _draw_region(problem: Problem, values: ParameterValues, path: Path) -> None:
     from zeno_orbits.model.numeric.compiled import bind, compiled_model
     from zeno_orbits.report import plots
 
     require_picture(path)
-    dynamics = bind(compiled_model(problem), setting.values())
+    dynamics = bind(compiled_model(problem), values.vector)
     plots.save_figure(plots.plot_zeno_region(problem, dynamics), path)

@@ -12,7 +12,7 @@ from zeno_orbits.cli.options import (
     add_command,
     add_gain_values,
     add_place,
-    add_scene,
+    add_problem,
     checkpoint_of,
     interrupted,
     json_text,
@@ -20,8 +20,8 @@ from zeno_orbits.cli.options import (
     print_json,
     require_outputs,
     say_written,
-    setting_of,
     start_of,
+    values_of,
 )
 from zeno_orbits.cli.parsing import read_count, read_numbers, read_range
 from zeno_orbits.errors import InputError
@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from zeno_orbits.continuation.families import Continuation
     from zeno_orbits.continuation.parallel import Crew
     from zeno_orbits.continuation.setup import ContinuationSettings
-    from zeno_orbits.model.library import SceneFile
-    from zeno_orbits.model.problem import Problem, Setting
+    from zeno_orbits.model.library import ProblemFile
+    from zeno_orbits.model.problem import ParameterValues, Problem
     from zeno_orbits.orbits.orbit import ZenoOrbit
 
 
@@ -52,7 +52,7 @@ def add_continue(commands: Any) -> None:
             "--set c=0.1 --set stop=1 --set restitution=0.8 --start speed=1 --start cosine=1",
         ],
     )
-    add_scene(parser)
+    add_problem(parser)
     add_gain_values(parser)
     parser.add_argument(
         "--in",
@@ -103,16 +103,16 @@ def add_continue(commands: Any) -> None:
 
 def _run_continue(options: argparse.Namespace) -> int:
     from zeno_orbits.continuation.families import Kind
-    from zeno_orbits.model.library import scene_file
+    from zeno_orbits.model.library import locate_problem
     from zeno_orbits.work import remove_checkpoint
 
-    scene = scene_file(options.problem)
-    problem = scene.load()
+    problem_file = locate_problem(options.problem)
+    problem = problem_file.load()
     require_outputs(options)
     checkpoint = checkpoint_of(options)
     try:
         with report.Progress(options.interrupts.check) as progress:
-            found = _continued(options, scene, checkpoint, progress)
+            found = _continued(options, problem_file, checkpoint, progress)
     except KeyboardInterrupt:
         return interrupted(options, checkpoint)
     if options.picture is not None:
@@ -134,7 +134,7 @@ def _run_continue(options: argparse.Namespace) -> int:
 
 def _continued(
     options: argparse.Namespace,
-    scene: SceneFile,
+    problem_file: ProblemFile,
     checkpoint: Path | None,
     progress: report.Progress,
 ) -> Continuation:
@@ -150,8 +150,8 @@ def _continued(
     kinds = _kinds(options)
     _require_section(options)
     with open_pool(plan.place) as pool:
-        crew = Crew(scene=scene, plan=plan, pool=pool, tell=progress.tell)
-        return _asked(options, scene.load(), (name, box), kinds, settings, crew)
+        crew = Crew(problem_file=problem_file, plan=plan, pool=pool, tell=progress.tell)
+        return _asked(options, problem_file.load(), (name, box), kinds, settings, crew)
 
 
 def _require_section(options: argparse.Namespace) -> None:
@@ -181,7 +181,7 @@ def _asked(
     if options.section == "impact":
         return continue_impacts(
             problem,
-            setting_of(problem, options),
+            values_of(problem, options),
             start_of(problem, options),
             name,
             box,
@@ -225,24 +225,26 @@ def _orbit(options: argparse.Namespace, problem: Problem, crew: Crew) -> ZenoOrb
     from zeno_orbits.orbits.orbit_file import read_orbit
 
     if options.start_orbit is None:
-        setting = _inside(problem, setting_of(problem, options), options)
-        return start_orbit(problem, setting, tell=lambda stage: crew.tell(stage, None))
+        values = _inside(problem, values_of(problem, options), options)
+        return start_orbit(problem, values, tell=lambda stage: crew.tell(stage, None))
     if options.gain or options.set:
         message = "must come without --gain and --set, as the orbit has numbers"
         raise InputError(f"Argument `from` {message}, but it does not.")
     return read_orbit(options.start_orbit)
 
 
-def _inside(problem: Problem, setting: Setting, options: argparse.Namespace) -> Setting:
+def _inside(
+    problem: Problem, values: ParameterValues, options: argparse.Namespace
+) -> ParameterValues:
     """Return the setting to start at: mid-range for what nobody has set and lies outside."""
-    gains, parameters = dict(setting.gains), read_numbers(options.set, "set")
+    gains, parameters = dict(values.gains), read_numbers(options.set, "set")
     named = {*read_numbers(options.gain, "gain"), *parameters}
     for entry, option in ((options.range, "in"), (options.second, "second")):
         if entry is None:
             continue
         name, (low, high) = read_range(entry, option)
-        value = {**setting.parameters, **gains}.get(name)
+        value = {**values.parameters, **gains}.get(name)
         if value is None or name in named or low <= value <= high:
             continue
         (gains if name in gains else parameters)[name] = (low + high) / 2
-    return problem.setting(gains=gains, parameters=parameters)
+    return problem.values(gains=gains, parameters=parameters)

@@ -10,9 +10,9 @@ from zeno_orbits.cli.options import (
     YES,
     add_command,
     add_gain_values,
-    add_scene,
+    add_problem,
     print_json,
-    setting_of,
+    values_of,
 )
 from zeno_orbits.report.terminal import orbits as report
 
@@ -23,16 +23,16 @@ def add_fidelity(commands: Any) -> None:
         commands,
         "fidelity",
         _run_fidelity,
-        "what a scene's reduced models cost in accuracy, before one is taken",
+        "what a problem's reduced models cost in accuracy, before one is taken",
         [
             "zeno-orbits fidelity motor_pendulum",
             "zeno-orbits fidelity motor_pendulum --set L=0.02 --measure --json",
         ],
     )
-    add_scene(parser)
+    add_problem(parser)
     add_gain_values(parser)
     parser.add_argument(
-        "--measure", action="store_true", help="find the full scene's orbit, too, and compare"
+        "--measure", action="store_true", help="find the full problem's orbit, too, and compare"
     )
 
 
@@ -41,8 +41,8 @@ def _run_fidelity(options: argparse.Namespace) -> int:
     from zeno_orbits.precision.reduced_models import reduction_costs
 
     problem = load_problem(options.problem)
-    setting = setting_of(problem, options)
-    costs = list(reduction_costs(problem, setting, measure=options.measure).values())
+    values = values_of(problem, options)
+    costs = list(reduction_costs(problem, values, measure=options.measure).values())
     if options.json:
         print_json([asdict(cost) for cost in costs])
     else:

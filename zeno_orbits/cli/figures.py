@@ -38,10 +38,10 @@ def add_figures(commands: Any) -> None:
         "orbit",
         metavar="ORBIT.json|PROBLEM",
         type=Path,
-        help="an orbit file, or a scene, whose orbit at its own numbers is sought first",
+        help="an orbit file, or a problem, whose orbit at its own numbers is sought first",
     )
     parser.add_argument(
-        "--problem", metavar="FILE.py", help="the orbit's scene, where it is not a bundled one"
+        "--problem", metavar="FILE.py", help="the orbit's problem, where it is not a bundled one"
     )
     parser.add_argument(
         "--kind",
@@ -49,7 +49,7 @@ def add_figures(commands: Any) -> None:
         choices=_KINDS,
         help="which: the system and its completion as graphs, the region d2h/dt2 < 0, phase "
         "portraits, five figures of the model beside the virtual rig, the machine in motion; may "
-        "be repeated; by default all that the scene has",
+        "be repeated; by default all that the problem has",
     )
     parser.add_argument(
         "--data",
@@ -133,7 +133,7 @@ def _material(options: argparse.Namespace, progress: report.Progress) -> Materia
 
     return Material(
         problem=problem,
-        setting=orbit.setting(problem),
+        values=orbit.values(problem),
         dynamics=dynamics,
         period=orbit.period,
         one=one,
@@ -145,15 +145,15 @@ def _material(options: argparse.Namespace, progress: report.Progress) -> Materia
 def _orbit_and_problem(
     options: argparse.Namespace, progress: report.Progress
 ) -> tuple[ZenoOrbit, Problem]:
-    """Return the orbit of a file, or the one of a scene at its own numbers."""
+    """Return the orbit of a file, or the one of a problem at its own numbers."""
     if options.orbit.suffix == ".json":
         return orbit_and_problem(options)
     from zeno_orbits.model.library import load_problem
     from zeno_orbits.search.search import find_orbit
 
     if options.problem is not None:
-        message = "must come with an orbit file, but a scene is named already"
+        message = "must come with an orbit file, but a problem is named already"
         raise InputError(f"Argument `problem` {message}.")
     problem = load_problem(str(options.orbit))
     progress.tell("seeking the orbit")
-    return find_orbit(problem, problem.setting()).unwrap(), problem
+    return find_orbit(problem, problem.values()).unwrap(), problem

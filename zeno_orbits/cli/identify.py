@@ -11,13 +11,13 @@ from zeno_orbits.cli.options import (
     YES,
     add_command,
     add_gain_values,
+    add_problem,
     add_recording,
-    add_scene,
     json_text,
     print_json,
     require_outputs,
     say_written,
-    setting_of,
+    values_of,
 )
 from zeno_orbits.cli.parsing import read_fit
 from zeno_orbits.report.terminal import orbits as report
@@ -25,7 +25,7 @@ from zeno_orbits.work.files import write_whole
 
 if TYPE_CHECKING:
     from zeno_orbits.experiment.identification.identification import Sought
-    from zeno_orbits.model.problem import Problem, Setting
+    from zeno_orbits.model.problem import ParameterValues, Problem
 
 
 def add_identify(commands: Any) -> None:
@@ -35,7 +35,7 @@ def add_identify(commands: Any) -> None:
         "identify",
         _run_identify,
         "find parameters of a machine from a recording of it; the answer is no if the recording "
-        "shows no orbit like the scene's",
+        "shows no orbit like the problem's",
         [
             "zeno-orbits identify motor_pendulum data.csv --from 12 --fit R,restitution",
             "zeno-orbits identify motor_pendulum data.csv --from 12 --set R=3.2 --fit R=2:4 "
@@ -44,7 +44,7 @@ def add_identify(commands: Any) -> None:
             "--fit K_torque+K_emf=0.02:0.05 --json",
         ],
     )
-    add_scene(parser)
+    add_problem(parser)
     add_recording(parser)
     add_gain_values(parser)
     parser.add_argument(
@@ -66,14 +66,14 @@ def _run_identify(options: argparse.Namespace) -> int:
     from zeno_orbits.orbits.orbit_file import write_orbit
 
     problem = load_problem(options.problem)
-    setting = setting_of(problem, options)
-    sought = _sought(problem, setting, options.fit)
+    values = values_of(problem, options)
+    sought = _sought(problem, values, options.fit)
     require_outputs(options, files=("output", "orbit"), pictures=(), reads=[options.data])
     with report.Progress(options.interrupts.check) as progress:
         progress.tell("reading the recording")
         recording = read_recording(options.data, only=tuple(measurable(problem)))
         recording = cut(recording, options.since, options.to)
-        found = identify(problem, setting, recording, sought, on_progress=progress.tell)
+        found = identify(problem, values, recording, sought, on_progress=progress.tell)
     if options.output is not None:
         write_whole(options.output, json_text(found.as_json()) + "\n")
     if options.orbit is not None:
@@ -90,8 +90,8 @@ def _run_identify(options: argparse.Namespace) -> int:
 _DECADE = 10.0
 
 
-def _sought(problem: Problem, setting: Setting, text: str) -> tuple[Sought, ...]:
-    """Return what is to be found, in ranges that the scene allows."""
+def _sought(problem: Problem, values: ParameterValues, text: str) -> tuple[Sought, ...]:
+    """Return what is to be found, in ranges that the problem allows."""
     from zeno_orbits.experiment.identification.identification import Sought
 
     known = {quantity.name: quantity for quantity in problem.parameters}
@@ -101,7 +101,7 @@ def _sought(problem: Problem, setting: Setting, text: str) -> tuple[Sought, ...]
         for name in names:
             if name in known:
                 lower, upper = max(lower, known[name].lower), min(upper, known[name].upper)
-        value = setting.parameters.get(names[0], 0.0)
+        value = values.parameters.get(names[0], 0.0)
         around = sorted((value / _DECADE, value * _DECADE)) if value else (-1.0, 1.0)
         low, high = box if box is not None else (max(lower, around[0]), min(upper, around[1]))
         found.append(Sought(names=names, lower=max(low, lower), upper=min(high, upper)))

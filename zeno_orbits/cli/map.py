@@ -12,7 +12,7 @@ from zeno_orbits.cli.options import (
     add_command,
     add_gain_values,
     add_place,
-    add_scene,
+    add_problem,
     add_start,
     checkpoint_of,
     interrupted,
@@ -46,7 +46,7 @@ def add_map(commands: Any) -> None:
             "zeno-orbits map motor_pendulum --x Kp=1:5 --y R=2:4 --scheduler tcp://host:8786",
         ],
     )
-    add_scene(parser)
+    add_problem(parser)
     add_gain_values(parser)
     add_start(parser)
     for side, where in (("x", "across"), ("y", "upwards")):
@@ -124,16 +124,16 @@ def _show(options: argparse.Namespace, found: ParameterMap) -> int:
 
 def _plane(options: argparse.Namespace) -> Plane:
     from zeno_orbits.maps.parameter_map import Plane
-    from zeno_orbits.model.library import scene_file
+    from zeno_orbits.model.library import locate_problem
 
-    scene = scene_file(options.problem)
+    problem_file = locate_problem(options.problem)
     return Plane(
-        scene=scene,
+        problem_file=problem_file,
         x=_axis(options.x, options.points[0], "x"),
         y=_axis(options.y, options.points[1], "y"),
         gains=read_numbers(options.gain, "gain"),
         parameters=read_numbers(options.set, "set"),
-        start=start_of(scene.load(), options),
+        start=start_of(problem_file.load(), options),
         until=options.until,
     )
 

@@ -11,7 +11,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.work.files import write_whole
 
 _FORCED = '''\
-"""NAME: a mass on a spring, shaken against a stop. Change it line by line into your own scene."""
+"""NAME: a mass on a spring, shaken against a stop. Change it line by line into your own problem."""
 
 import casadi as ca
 
@@ -41,7 +41,7 @@ def model(p):  # p: name to symbol, of every gain and parameter below
 PROBLEM = Problem(
     name="NAME",
     title="a mass on a spring, shaken against a stop",
-    source="where the scene and its numbers come from",
+    source="where the problem and its numbers come from",
     state_names=("x", "dx", "cosine", "sine"),  # coordinates, velocities, currents, clock
     state_units=("m", "m/s", "1", "1"),
     parameters=(  # physical constants; `--set m=2` changes one
@@ -62,7 +62,7 @@ PROBLEM = Problem(
 '''
 
 _MOTOR = '''\
-"""NAME: a flap that a DC motor lifts off its stop. Change it line by line into your own scene."""
+"""NAME: a flap that a DC motor lifts off its stop. Change it line by line into your own problem."""
 
 import casadi as ca
 
@@ -96,7 +96,7 @@ def model(p):  # p: name to symbol, of every gain and parameter below
 PROBLEM = Problem(
     name="NAME",
     title="a flap that a DC motor lifts off its stop",
-    source="where the scene and its numbers come from",
+    source="where the problem and its numbers come from",
     state_names=("angle", "rate", "current"),  # coordinates, velocities, currents, clock
     state_units=("rad", "rad/s", "A"),
     parameters=(  # physical constants; `--set J=1e-3` changes one
@@ -128,14 +128,14 @@ def add_new(commands: Any) -> None:
         commands,
         "new",
         _run_new,
-        "write a scene that works, to change into your own",
+        "write a problem that works, to change into your own",
         [
-            "zeno-orbits new my_scene",
-            "zeno-orbits new my_scene --with-motor",
-            "zeno-orbits search ./my_scene.py",
+            "zeno-orbits new my_problem",
+            "zeno-orbits new my_problem --with-motor",
+            "zeno-orbits search ./my_problem.py",
         ],
     )
-    parser.add_argument("name", metavar="NAME", help="of the scene; the file is NAME.py")
+    parser.add_argument("name", metavar="NAME", help="of the problem; the file is NAME.py")
     parser.add_argument(
         "--with-motor",
         action="store_true",
@@ -150,7 +150,7 @@ def _run_new(options: argparse.Namespace) -> int:
         wanted = "must be a word of letters, digits and underscores"
         raise InputError(f"Argument `name` {wanted}, but it is `{options.name}`.")
     if options.name in bundled_problems():
-        wanted = "must not be that of a scene which comes with the package"
+        wanted = "must not be that of a problem which comes with the package"
         raise InputError(f"Argument `name` {wanted}, but `{options.name}` is one.")
     path = Path(f"{options.name}.py")
     if path.exists():
@@ -158,7 +158,7 @@ def _run_new(options: argparse.Namespace) -> int:
     template = _MOTOR if options.with_motor else _FORCED
     write_whole(path, template.replace("NAME", options.name))
     if options.json:
-        print_json({"scene": str(path)})
+        print_json({"problem": str(path)})
     else:
         say_written(options, [path])
     return YES

@@ -15,7 +15,7 @@ from zeno_orbits.work.files import require_picture, require_writable
 
 if TYPE_CHECKING:
     from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-    from zeno_orbits.model.problem import Problem, Setting
+    from zeno_orbits.model.problem import ParameterValues, Problem
     from zeno_orbits.orbits.orbit import ZenoOrbit
     from zeno_orbits.simulation.simulator import SimulationSettings
     from zeno_orbits.verification.verifier import VerificationSettings
@@ -54,22 +54,22 @@ def add_command(
     return parser
 
 
-def add_scene(parser: argparse.ArgumentParser) -> None:
-    """Add the scene and its parameters."""
+def add_problem(parser: argparse.ArgumentParser) -> None:
+    """Add the problem and its parameters."""
     parser.add_argument(
-        "problem", metavar="PROBLEM", help="a scene's name or Python file, or scene@fidelity"
+        "problem", metavar="PROBLEM", help="a problem's name or Python file, or problem@fidelity"
     )
     parser.add_argument(
         "--set",
         action="append",
         default=[],
         metavar="NAME=VALUE",
-        help="change a parameter of the scene; may be repeated",
+        help="change a parameter of the problem; may be repeated",
     )
 
 
 def add_gain_values(parser: argparse.ArgumentParser) -> None:
-    """Add the gains at which a scene is looked at."""
+    """Add the gains at which a problem is looked at."""
     parser.add_argument(
         "--gain",
         action="append",
@@ -86,7 +86,7 @@ def add_start(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="STATE=VALUE",
-        help="initial state; what is not named is zero; by default the scene's first start",
+        help="initial state; what is not named is zero; by default the problem's first start",
     )
 
 
@@ -103,7 +103,7 @@ def add_accuracy(parser: argparse.ArgumentParser) -> None:
         "--engine",
         choices=("automatic", "explicit", "implicit", "taylor"),
         default="automatic",
-        help="the integrator; automatic steps explicitly, and implicitly where the scene is stiff; "
+        help="the integrator; automatic steps explicitly, and implicitly where the problem is stiff; "
         "taylor needs the extra of that name",
     )
 
@@ -161,10 +161,10 @@ def interrupted(options: argparse.Namespace, checkpoint: Path | None) -> int:
 
 
 def add_orbit(parser: argparse.ArgumentParser) -> None:
-    """Add the orbit file and its scene."""
+    """Add the orbit file and its problem."""
     parser.add_argument("orbit", metavar="ORBIT.json", type=Path, help="an orbit file")
     parser.add_argument(
-        "--problem", metavar="FILE.py", help="the scene, where it is not a bundled one"
+        "--problem", metavar="FILE.py", help="the problem, where it is not a bundled one"
     )
 
 
@@ -182,9 +182,9 @@ def add_recording(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--to", type=float, metavar="T", help="leave out what is later [s]")
 
 
-def setting_of(problem: Problem, options: argparse.Namespace) -> Setting:
+def values_of(problem: Problem, options: argparse.Namespace) -> ParameterValues:
     """Return the numbers that were asked for."""
-    return problem.setting(
+    return problem.values(
         gains=read_numbers(options.gain, "gain"), parameters=read_numbers(options.set, "set")
     )
 
@@ -246,22 +246,22 @@ def require_engine(options: argparse.Namespace, dynamics: HybridDynamics) -> Non
 
 
 def orbit_and_problem(options: argparse.Namespace) -> tuple[ZenoOrbit, Problem]:
-    """Return the orbit of a file and its scene."""
+    """Return the orbit of a file and its problem."""
     from zeno_orbits.model.library import bundled_problems, load_problem, split_fidelity
     from zeno_orbits.orbits.orbit_file import read_orbit
 
     orbit = read_orbit(options.orbit)
-    scene, fidelity = split_fidelity(orbit.problem)
+    name, fidelity = split_fidelity(orbit.problem)
     if options.problem is not None:
         problem = load_problem(options.problem)
-        if fidelity is not None and problem.name == scene:
+        if fidelity is not None and problem.name == name:
             problem = problem.at_fidelity(fidelity)
         if problem.name != orbit.problem:
-            wanted = f"must be the scene `{orbit.problem}` of the orbit"
+            wanted = f"must be the problem `{orbit.problem}` of the orbit"
             raise InputError(f"Argument `problem` {wanted}, but it is `{problem.name}`.")
         return orbit, problem
-    if scene not in bundled_problems():
-        message = f"Argument `problem` must name the file of scene `{scene}`, but it is missing."
+    if name not in bundled_problems():
+        message = f"Argument `problem` must name the file of problem `{name}`, but it is missing."
         raise InputError(message)
     return orbit, load_problem(orbit.problem)
 

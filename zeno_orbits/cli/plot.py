@@ -39,7 +39,7 @@ def add_plot(commands: Any) -> None:
         action="append",
         choices=_PICTURES,
         help="which picture: phase portraits, states over time, outputs over time, zoom into the "
-        "Zeno point, region d2h/dt2 < 0; may be repeated; by default all that the scene has",
+        "Zeno point, region d2h/dt2 < 0; may be repeated; by default all that the problem has",
     )
     parser.add_argument("--format", choices=("png", "pdf", "svg"), default="png")
     parser.add_argument(
@@ -63,7 +63,7 @@ def _run_plot(options: argparse.Namespace) -> int:
     draw = {
         "portraits": lambda: plots.plot_portraits(problem, execution),
         "time": lambda: plots.plot_time_series(problem, execution),
-        "outputs": lambda: plots.plot_outputs(problem, orbit.setting(problem), execution),
+        "outputs": lambda: plots.plot_outputs(problem, orbit.values(problem), execution),
         "zeno": lambda: plots.plot_zeno_zoom(problem, execution, dynamics),
         "region": lambda: plots.plot_zeno_region(problem, dynamics, execution),
     }

@@ -18,7 +18,7 @@ def add_problems(commands: Any) -> None:
         commands,
         "problems",
         _run_problems,
-        "list the scenes",
+        "list the problems",
         ["zeno-orbits problems", "zeno-orbits problems --json"],
     )
 
@@ -44,5 +44,5 @@ def _problem_json(problem: Problem) -> dict[str, Any]:
             gain.name: {"default": gain.default, "lower": gain.lower, "upper": gain.upper}
             for gain in problem.gains
         },
-        "parameters": dict(problem.setting().parameters),
+        "parameters": dict(problem.values().parameters),
     }

@@ -90,7 +90,7 @@ def _run_report(options: argparse.Namespace) -> int:
             certificate,
             trade=trade,
             file=options.orbit.name,
-            scene_file=options.problem or "",
+            problem_file=options.problem or "",
             content=options.orbit.read_text(encoding="utf-8"),
             command=_command(options),
         )
@@ -111,7 +111,7 @@ def _trade(options: argparse.Namespace, orbit: ZenoOrbit) -> Trade | None:
         return None
     found = read_trade(options.trade)
     if found.problem != orbit.problem:
-        message = f"must be of the scene `{orbit.problem}`, but it is of `{found.problem}`"
+        message = f"must be of the problem `{orbit.problem}`, but it is of `{found.problem}`"
         raise InputError(f"Argument `trade` {message}.")
     return found
 

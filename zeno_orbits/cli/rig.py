@@ -17,8 +17,8 @@ from zeno_orbits.cli.options import (
     print_json,
     require_outputs,
     say_written,
-    setting_of,
     start_of,
+    values_of,
 )
 from zeno_orbits.cli.parsing import read_count, read_rig
 from zeno_orbits.errors import InputError
@@ -41,7 +41,7 @@ def add_rig(commands: Any) -> None:
         commands,
         "rig",
         _run_rig,
-        "simulate a scene as a machine, without a Zeno point, and compare it with an orbit",
+        "simulate a problem as a machine, without a Zeno point, and compare it with an orbit",
         [
             "zeno-orbits rig orbit.json -o run.csv",
             "zeno-orbits rig orbit.json --only friction --part contact.stiffness=1e5 --cycles 3",
@@ -52,10 +52,10 @@ def add_rig(commands: Any) -> None:
     parser.add_argument(
         "target",
         metavar="ORBIT.json|PROBLEM",
-        help="an orbit file, at whose numbers the machine settles; or a scene, from a start",
+        help="an orbit file, at whose numbers the machine settles; or a problem, from a start",
     )
     parser.add_argument(
-        "--problem", metavar="FILE.py", help="the scene of an orbit, if not bundled"
+        "--problem", metavar="FILE.py", help="the problem of an orbit, if not bundled"
     )
     add_gain_values(parser)
     parser.add_argument(
@@ -63,7 +63,7 @@ def add_rig(commands: Any) -> None:
         action="append",
         default=[],
         metavar="NAME=VALUE",
-        help="change a parameter of the scene; may be repeated",
+        help="change a parameter of the problem; may be repeated",
     )
     add_start(parser)
     parser.add_argument(
@@ -78,7 +78,7 @@ def add_rig(commands: Any) -> None:
         "--only",
         action="append",
         choices=(*_PARTS, "contact"),
-        help="the only part beside the contact; may be repeated; by default all that the scene has",
+        help="the only part beside the contact; may be repeated; by default all that the problem has",
     )
     parser.add_argument(
         "--without", action="append", default=[], choices=_PARTS, help="leave out a part"
@@ -156,7 +156,7 @@ def _from_start(options: argparse.Namespace) -> int:
     with report.Progress(options.interrupts.check) as progress:
         run = simulate_rig(
             problem,
-            setting_of(problem, options),
+            values_of(problem, options),
             rig,
             start_of(problem, options),
             until,

@@ -12,7 +12,7 @@ from zeno_orbits.cli.options import (
     add_accuracy,
     add_command,
     add_place,
-    add_scene,
+    add_problem,
     checkpoint_of,
     interrupted,
     place_of,
@@ -35,8 +35,8 @@ from zeno_orbits.report.terminal import orbits as report
 from zeno_orbits.work.files import require_writable
 
 if TYPE_CHECKING:
-    from zeno_orbits.model.library import SceneFile
-    from zeno_orbits.model.problem import Problem, Setting
+    from zeno_orbits.model.library import ProblemFile
+    from zeno_orbits.model.problem import ParameterValues, Problem
     from zeno_orbits.orbits.orbit import ZenoOrbit
     from zeno_orbits.search.search import Judgement
     from zeno_orbits.verification.verifier import VerificationSettings
@@ -62,20 +62,20 @@ def add_search(commands: Any) -> None:
             "zeno-orbits search motor_pendulum --objective energy --scheduler tcp://host:8786",
         ],
     )
-    add_scene(parser)
+    add_problem(parser)
     parser.add_argument(
         "--gain",
         action="append",
         default=[],
         metavar="NAME=LOW:HIGH",
-        help="search a gain in this range; one that is not named is searched in the scene's range",
+        help="search a gain in this range; one that is not named is searched in the problem's range",
     )
     parser.add_argument(
         "--free",
         action="append",
         default=[],
         metavar="NAME=LOW:HIGH",
-        help="search a physical parameter (or a gain) in this range, too; what the scene derives "
+        help="search a physical parameter (or a gain) in this range, too; what the problem derives "
         "from it stays as it is at the start",
     )
     parser.add_argument(
@@ -91,7 +91,7 @@ def add_search(commands: Any) -> None:
         default=[],
         metavar="WISH",
         help=(
-            "nearest (to the scene's gains), nearest:NAME=VALUE,..., period=SECONDS, "
+            "nearest (to the problem's gains), nearest:NAME=VALUE,..., period=SECONDS, "
             "amplitude=VALUE, energy, peak=SIGNAL (least peak of current, voltage or a state), "
             "contraction (least spectral radius), or margin (widest to losing the orbit)"
         ),
@@ -110,7 +110,7 @@ def add_search(commands: Any) -> None:
         dest="near",
         type=Path,
         metavar="ORBIT.json",
-        help="start from this orbit; its numbers are the scene's unless --set or --fix say else",
+        help="start from this orbit; its numbers are the problem's unless --set or --fix say else",
     )
     parser.add_argument(
         "--shape",
@@ -141,13 +141,13 @@ class _Judge:
     """Verifies an orbit and says why it will not do, if it will not.
 
     Attributes:
-        scene: Where the scene comes from; a worker loads it itself.
+        problem: Where the problem comes from; a worker loads it itself.
         settings: How to check.
         allow_unstable: Whether an orbit that does not attract will do.
         accuracy: Largest error of its numbers, if one was asked for.
     """
 
-    scene: SceneFile
+    problem_file: ProblemFile
     settings: VerificationSettings
     allow_unstable: bool
     accuracy: float | None
@@ -156,7 +156,7 @@ class _Judge:
         from zeno_orbits.search.search import Judgement
         from zeno_orbits.verification.verifier import verify
 
-        certificate = verify(orbit, self.scene.load(), settings=self.settings)
+        certificate = verify(orbit, self.problem_file.load(), settings=self.settings)
         objection = ""
         if not certificate.passed:
             objection = certificate.verdict()
@@ -169,15 +169,15 @@ class _Judge:
 
 
 def _run_search(options: argparse.Namespace) -> int:
-    from zeno_orbits.model.library import scene_file
+    from zeno_orbits.model.library import locate_problem
     from zeno_orbits.model.numeric.compiled import bind, compiled_model
     from zeno_orbits.search.search import SearchSettings, Spread, search_gains
     from zeno_orbits.work import Plan, remove_checkpoint
 
-    scene = scene_file(options.problem)
-    problem = scene.load()
+    problem_file = locate_problem(options.problem)
+    problem = problem_file.load()
     near = _known_orbit(options, problem)
-    setting, free = _numbers(options, problem, near)
+    values, free = _numbers(options, problem, near)
     objective = read_objective(read_once(options.objective, "objective", "nearest"), problem, free)
     bounds = read_bounds(options.keep)
     shape = read_shape(options.shape)
@@ -191,19 +191,19 @@ def _run_search(options: argparse.Namespace) -> int:
     if options.accuracy is not None:
         settings = settings.for_accuracy(options.accuracy)
     judge = _Judge(
-        scene=scene,
+        problem_file=problem_file,
         settings=verification_of(options, 1e-9),
         allow_unstable=options.allow_unstable,
         accuracy=options.accuracy,
     )
-    require_engine(options, bind(compiled_model(problem), setting.values()))
+    require_engine(options, bind(compiled_model(problem), values.vector))
     checkpoint = _checkpoint(options, several=bool(free))
     plan = Plan(place=place_of(options), checkpoint=checkpoint)
     try:
         with report.Progress(options.interrupts.check) as progress:
             result = search_gains(
                 problem,
-                setting,
+                values,
                 free=free,
                 objective=objective,
                 bounds=bounds,
@@ -211,13 +211,13 @@ def _run_search(options: argparse.Namespace) -> int:
                 settings=settings,
                 accept=judge,
                 on_progress=progress.tell,
-                spread=Spread(scene=scene, plan=plan, tell=progress.tell),
+                spread=Spread(problem_file=problem_file, plan=plan, tell=progress.tell),
                 shape=shape,
             )
     except KeyboardInterrupt:
         return interrupted(options, checkpoint)
-    held = kept_as_derived(problem, setting, free)
-    far = far_from_own(problem, setting)
+    held = kept_as_derived(problem, values, free)
+    far = far_from_own(problem, values)
     code = answer(options, problem, result, objective if free else None, bounds, held, far)
     if options.checkpoint is None and checkpoint is not None:
         remove_checkpoint(checkpoint)
@@ -245,7 +245,7 @@ def _known_orbit(options: argparse.Namespace, problem: Problem) -> ZenoOrbit | N
 
 def _numbers(
     options: argparse.Namespace, problem: Problem, near: ZenoOrbit | None
-) -> tuple[Setting, dict[str, tuple[float, float]]]:
+) -> tuple[ParameterValues, dict[str, tuple[float, float]]]:
     """Return the numbers to start from and what is free."""
     fixed = read_numbers(options.fix, "fix")
     boxes = read_boxes(options.gain, "gain")
@@ -272,10 +272,10 @@ def _numbers(
         fixed, known = {**near.gains, **fixed}, {**near.parameters, **given}
     else:
         known = given
-    setting = problem.setting(gains=fixed, parameters=known)
+    values = problem.values(gains=fixed, parameters=known)
     for name in given:
         low, high = free.get(name, (-math.inf, math.inf))
         if not low <= given[name] <= high:
             message = f"must start in its box [{low:g}, {high:g}], but it is set to {given[name]:g}"
             raise InputError(f"Argument `{name}` {message}.")
-    return setting, free
+    return values, free

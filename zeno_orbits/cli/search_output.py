@@ -12,7 +12,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.report.terminal import orbits as report
 
 if TYPE_CHECKING:
-    from zeno_orbits.model.problem import Problem, Setting
+    from zeno_orbits.model.problem import ParameterValues, Problem
     from zeno_orbits.orbits.bounds import Bound
     from zeno_orbits.search.objectives import Objective
     from zeno_orbits.search.search import SearchResult
@@ -31,12 +31,12 @@ def answer(
 
     Args:
         options: The command line.
-        problem: The scene.
+        problem: The problem.
         result: What the search returned.
         objective: What was asked, if anything was free.
         bounds: What had to be kept.
         held: What does not follow the free parameters that it is derived from.
-        far: Sentences that may explain a failure, one for each number far from the scene's own.
+        far: Sentences that may explain a failure, one for each number far from the problem's own.
     """
     from zeno_orbits.orbits.bounds import asked_and_reached
     from zeno_orbits.orbits.orbit_file import write_orbit
@@ -119,14 +119,12 @@ def _ranking(options: argparse.Namespace, result: SearchResult) -> dict[str, Any
 
 
 def kept_as_derived(
-    problem: Problem, setting: Setting, free: Mapping[str, tuple[float, float]]
+    problem: Problem, values: ParameterValues, free: Mapping[str, tuple[float, float]]
 ) -> list[str]:
-    """Return the parameters that the scene derives from free ones, which stay as they are."""
+    """Return the parameters that the problem derives from free ones, which stay as they are."""
     if problem.derive is None:
         return []
-    known = {
-        n.name: setting.parameters[n.name] for n in problem.parameters if n.default is not None
-    }
+    known = {n.name: values.parameters[n.name] for n in problem.parameters if n.default is not None}
     moved = dict(known)
     for name, box in free.items():
         if name in moved:
@@ -139,17 +137,17 @@ def kept_as_derived(
 
 
 _FAR = 100.0
-"""Factor by which a number differs from the scene's own when its unit may be mistaken."""
+"""Factor by which a number differs from the problem's own when its unit may be mistaken."""
 
 
-def far_from_own(problem: Problem, setting: Setting) -> list[str]:
-    """Return the numbers that are far from the scene's own, each as a sentence."""
+def far_from_own(problem: Problem, values: ParameterValues) -> list[str]:
+    """Return the numbers that are far from the problem's own, each as a sentence."""
     found: list[str] = []
     for quantity in (*problem.gains, *problem.parameters):
-        own, given = quantity.default, setting.number(quantity.name)
+        own, given = quantity.default, values.number(quantity.name)
         if not own or not given or 1 / _FAR < abs(given / own) < _FAR:
             continue
         unit = "" if quantity.unit == "1" else f" {quantity.unit}"
-        times = f"{abs(given / own):.4g} times the scene's own {own:g}{unit}"
+        times = f"{abs(given / own):.4g} times the problem's own {own:g}{unit}"
         found.append(f"`{quantity.name}` is {given:g}{unit}, {times}: is that its unit?")
     return found

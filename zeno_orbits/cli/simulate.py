@@ -13,14 +13,14 @@ from zeno_orbits.cli.options import (
     add_accuracy,
     add_command,
     add_gain_values,
-    add_scene,
+    add_problem,
     add_start,
     print_json,
     require_outputs,
     say_written,
-    setting_of,
     simulation_of,
     start_of,
+    values_of,
 )
 from zeno_orbits.cli.parsing import read_seed
 from zeno_orbits.report.terminal import orbits as report
@@ -47,7 +47,7 @@ def add_simulate(commands: Any) -> None:
             "zeno-orbits simulate motor_pendulum --until 40 --data data.csv --noise 1e-3",
         ],
     )
-    add_scene(parser)
+    add_problem(parser)
     add_gain_values(parser)
     add_accuracy(parser)
     parser.add_argument("--until", type=float, default=10.0, metavar="T", help="how long [s]")
@@ -77,11 +77,11 @@ def _run_simulate(options: argparse.Namespace) -> int:
     from zeno_orbits.precision.accuracy import why_engine
 
     problem = load_problem(options.problem)
-    setting = setting_of(problem, options)
+    values = values_of(problem, options)
     state = start_of(problem, options)
     require_outputs(options, files=("data",), pictures=("output",))
     sampling = None if options.data is None else _sampling_of(options)
-    dynamics = bind(compiled_model(problem), setting.values())
+    dynamics = bind(compiled_model(problem), values.vector)
     assured = _simulated(options, dynamics, state)
     execution = assured.execution
     if options.json:

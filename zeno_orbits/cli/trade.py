@@ -11,14 +11,14 @@ from zeno_orbits.cli.options import (
     YES,
     add_command,
     add_gain_values,
-    add_scene,
+    add_problem,
     add_start,
     json_text,
     print_json,
     require_outputs,
     say_written,
-    setting_of,
     start_of,
+    values_of,
 )
 from zeno_orbits.report.terminal import orbits as report
 from zeno_orbits.work.files import write_whole
@@ -37,7 +37,7 @@ def add_trade(commands: Any) -> None:
             "zeno-orbits trade bouncing_ball --until 5 -o trade.json --picture trade.png",
         ],
     )
-    add_scene(parser)
+    add_problem(parser)
     add_gain_values(parser)
     add_start(parser)
     parser.add_argument("--until", type=float, metavar="T", help="how long an execution [s]")
@@ -51,14 +51,14 @@ def _run_trade(options: argparse.Namespace) -> int:
     from zeno_orbits.precision.work_precision import QUICK, TradeSettings, trade
 
     problem = load_problem(options.problem)
-    setting = setting_of(problem, options)
+    values = values_of(problem, options)
     state = start_of(problem, options)
     require_outputs(options)
     settings = QUICK if options.quick else TradeSettings()
     if options.until is not None:
         settings = replace(settings, until=options.until)
     with report.Progress(options.interrupts.check) as progress:
-        found = trade(problem, setting, state, settings=settings, tell=progress.tell)
+        found = trade(problem, values, state, settings=settings, tell=progress.tell)
     # The file comes last: drawing takes long enough to be interrupted.
     if options.picture is not None:
         from zeno_orbits.report import plots

@@ -50,7 +50,7 @@ def add_verify(commands: Any) -> None:
         "--model",
         choices=("derived", "reference"),
         default="derived",
-        help="integrate the model derived from energies, or the scene's hand-written one",
+        help="integrate the model derived from energies, or the problem's hand-written one",
     )
 
 

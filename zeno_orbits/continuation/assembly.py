@@ -1,4 +1,4 @@
-"""Two directions of a family as one, in the names of its scene."""
+"""Two directions of a family as one, in the names of its problem."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ def as_family(track: Track, backward: Branch, forward: Branch) -> Grown:
         family=Family(
             problem=track.problem.name,
             parameter=track.course.parameter,
-            gains=track.course.setting.gains,
-            parameters=track.course.setting.parameters,
+            gains=track.course.values.gains,
+            parameters=track.course.values.parameters,
             n_returns=track.n_returns,
             points=tuple(family_point(track, point) for point in points),
             special=tuple(special),

@@ -1,7 +1,7 @@
 r"""Families of Zeno periodic orbits in a gain or a parameter, stable or not.
 
 From one orbit the family is followed both ways until it ends, and every point at which it changes
-its character is located and named. Numbers that the scene derives from others, as the motor
+its character is located and named. Numbers that the problem derives from others, as the motor
 pendulum's calibrated constants, are held at their values at the start: what is followed is one
 machine of which one number changes. Source: [Keller1977]_, theory (37) to (40).
 
@@ -35,7 +35,7 @@ from zeno_orbits.continuation.setup import (
 from zeno_orbits.continuation.two_parameters.boundary_set import curves_through
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model.numeric.compiled import compiled_model
-from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit, versions
 from zeno_orbits.orbits.shape import ONE_ZENO
 from zeno_orbits.search.closing import close_orbit
@@ -61,7 +61,7 @@ def continue_orbit(
     """Return the family of an orbit in a gain or a parameter, and what branches off it.
 
     Args:
-        problem: The scene.
+        problem: The problem.
         orbit: An orbit of it; its parameter must lie in the box.
         parameter: Name of a gain or a parameter.
         box: Range in which to follow it, lower end first.
@@ -70,7 +70,7 @@ def continue_orbit(
         crew: Workers; by default this process does it all.
 
     Raises:
-        InputError: If a name or a range does not fit, or the orbit is of another scene.
+        InputError: If a name or a range does not fit, or the orbit is of another problem.
         SimulationError: If the orbit does not close.
         WorkError: If the work cannot be finished.
     """
@@ -93,7 +93,7 @@ def continue_orbit_in_two(
     """Return the family of an orbit in the first of two parameters, and its points in both.
 
     Args:
-        problem: The scene.
+        problem: The problem.
         orbit: An orbit of it; both parameters must lie in their boxes.
         names: Names of two gains or parameters.
         boxes: Their ranges.
@@ -103,7 +103,7 @@ def continue_orbit_in_two(
         crew: Workers; by default this process does it all.
 
     Raises:
-        InputError: If a name or a range does not fit, or the orbit is of another scene.
+        InputError: If a name or a range does not fit, or the orbit is of another problem.
         SimulationError: If the orbit does not close.
         WorkError: If the work cannot be finished.
     """
@@ -136,7 +136,7 @@ def continuation_on(
         crew: Workers; by default this process does it all.
 
     Raises:
-        InputError: If the crew has another scene, or its checkpoint is another's.
+        InputError: If the crew has another problem, or its checkpoint is another's.
         SimulationError: If there is no fixed point near.
         WorkError: If the work cannot be finished.
     """
@@ -155,8 +155,8 @@ def _dispatch(
     course, problem = root.track.course, root.track.problem
     identity = {
         "problem": problem.name,
-        "gains": plain(course.setting.gains),
-        "parameters": plain(course.setting.parameters),
+        "gains": plain(course.values.gains),
+        "parameters": plain(course.values.parameters),
         "in": course.parameter,
         "range": list(course.box),
         "section": plain(course.section),
@@ -192,7 +192,7 @@ def _grown_from(root: Root, dispatch: Dispatch) -> list[Grown]:
 
 
 def start_orbit(
-    problem: Problem, setting: Setting, *, tell: Callable[[str], None] | None = None
+    problem: Problem, values: ParameterValues, *, tell: Callable[[str], None] | None = None
 ) -> ZenoOrbit:
     """Return the orbit at given numbers that a motion settles to.
 
@@ -202,13 +202,13 @@ def start_orbit(
         OrbitNotFoundError: If there is none.
     """
     try:
-        closing = close_orbit(problem, setting, on_progress=tell, shape=ONE_ZENO)
+        closing = close_orbit(problem, values, on_progress=tell, shape=ONE_ZENO)
     except InputError:
         # A rough simulation may drift off a holonomic row; the search is no worse for it.
         closing = None
     if closing is not None and closing.orbit is not None:
         return closing.orbit
-    return find_orbit(problem, setting, shape=ONE_ZENO).unwrap()
+    return find_orbit(problem, values, shape=ONE_ZENO).unwrap()
 
 
 def _both_ways(root: Root, dispatch: Dispatch) -> Grown:
@@ -234,7 +234,7 @@ _LONGER = 4.0
 
 def continue_impacts(
     problem: Problem,
-    setting: Setting,
+    values: ParameterValues,
     state: tuple[float, ...],
     parameter: str,
     box: tuple[float, float],
@@ -246,8 +246,8 @@ def continue_impacts(
     """Return the family of the orbit with one impact a turn that a motion settles to.
 
     Args:
-        problem: The scene.
-        setting: Its numbers at the start.
+        problem: The problem.
+        values: Its numbers at the start.
         state: Where the motion starts, ``(n_x,)``.
         parameter: Name of a gain or a parameter.
         box: Range in which to follow it, lower end first.
@@ -260,7 +260,7 @@ def continue_impacts(
         SimulationError: If the impacts do not settle.
         WorkError: If the work cannot be finished.
     """
-    p = np.array(setting.values())
+    p = np.array(values.vector)
     value = float(p[problem.names.index(parameter)]) if parameter in problem.names else 0.0
     line = line_in(problem, p, parameter)
     check_box(problem, parameter, box, value)
@@ -269,7 +269,7 @@ def continue_impacts(
     )
     x, flight, scale = _settled(returns, np.array(state), value)
     course = Course(
-        setting=setting,
+        values=values,
         parameter=parameter,
         box=box,
         section=ImpactReturns,

@@ -35,7 +35,7 @@ class Kind(Enum):
 
     @property
     def located(self) -> bool:
-        """Tell whether it is a point of the scene, none of the search."""
+        """Tell whether it is a point of the problem, none of the search."""
         return self not in _OF_THE_SEARCH
 
 
@@ -126,7 +126,7 @@ class Family:
     """A connected piece of a family, in order along it.
 
     Attributes:
-        problem: Name of the scene.
+        problem: Name of the problem.
         parameter: Name of the number that it is followed in.
         gains: Name to value; the parameter's own is that of the start.
         parameters: Name to value, derived ones included: those are held fixed.

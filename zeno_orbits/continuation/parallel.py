@@ -31,7 +31,7 @@ from zeno_orbits.continuation.special_points import Located
 from zeno_orbits.continuation.two_parameters.boundary import half_boundary
 from zeno_orbits.continuation.two_parameters.plane import Plane
 from zeno_orbits.errors import InputError, ZenoOrbitsError
-from zeno_orbits.model.library import SceneFile
+from zeno_orbits.model.library import ProblemFile
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.work import Lost, Plan, Pool, claim, spread
 from zeno_orbits.work.serialization import plain
@@ -243,13 +243,13 @@ class Crew:
     """Workers that follow pieces.
 
     Attributes:
-        scene: Where they find the scene; a continuation is told ``scene.load()``.
+        problem: Where they find the problem; a continuation is told ``problem.load()``.
         plan: Where finished pieces are kept. Its identity is filled in.
         pool: The workers, of `open_pool`.
         tell: Told how many pieces of a stage are done, and which part of the time it takes.
     """
 
-    scene: SceneFile
+    problem_file: ProblemFile
     plan: Plan
     pool: Pool
     tell: Tell
@@ -260,7 +260,7 @@ class Dispatch:
     """Has pieces done: by this process, or by a crew.
 
     Attributes:
-        problem: The scene.
+        problem: The problem.
         settings: How families and curves are followed.
         tell: Told what happens here.
         crew: The workers, if there are any.
@@ -278,14 +278,14 @@ class Dispatch:
             own: What tells the work from another, as plain data.
 
         Raises:
-            InputError: If the crew has another scene, or the checkpoint is another's.
+            InputError: If the crew has another problem, or the checkpoint is another's.
         """
         if self.crew is None:
             return self
-        if self.crew.scene.load() is not self.problem:
-            wanted = "must be what the `scene` of `crew` loads"
-            raise InputError(f"Argument `problem` {wanted}, but it is another scene.")
-        identity = {"work": "continuation", **own, "scene": self.crew.scene.digest}
+        if self.crew.problem_file.load() is not self.problem:
+            wanted = "must be what the `problem` of `crew` loads"
+            raise InputError(f"Argument `problem` {wanted}, but it is another problem.")
+        identity = {"work": "continuation", **own, "problem_digest": self.crew.problem_file.digest}
         plan = replace(self.crew.plan, chunk=1, identity={**identity, **self.crew.plan.identity})
         claim(plan)
         return replace(self, crew=replace(self.crew, plan=plan))
@@ -330,13 +330,13 @@ def _until_closed(results: list[R]) -> list[R]:
 class _Task(Generic[R]):
     """Does pieces by their numbers; it holds all that a worker has to know."""
 
-    scene: SceneFile
+    problem_file: ProblemFile
     settings: ContinuationSettings
     pieces: tuple[Piece[R], ...]
 
     def __call__(self, numbers: Sequence[int]) -> list[Any]:
         """Return what comes of pieces, as plain data."""
-        problem = self.scene.load()
+        problem = self.problem_file.load()
         chosen = [self.pieces[number] for number in numbers]
         results = [_attempted(piece, problem, self.settings, _nobody) for piece in chosen]
         return [piece.to_json(result) for piece, result in zip(chosen, results, strict=True)]
@@ -352,7 +352,7 @@ def _sent(
     """Return what comes of pieces that a crew does."""
     if not pieces:
         return []
-    task = _Task(scene=crew.scene, settings=settings, pieces=tuple(pieces))
+    task = _Task(problem_file=crew.problem_file, settings=settings, pieces=tuple(pieces))
     plan = replace(crew.plan, noun=noun)
     if plan.checkpoint is not None:
         words = json.dumps([plain(piece) for piece in pieces])

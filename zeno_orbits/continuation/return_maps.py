@@ -116,10 +116,10 @@ class ReturnMap(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class SectionReturns:
-    """What return maps of a scene share that live on a section of its contact.
+    """What return maps of a problem share that live on a section of its contact.
 
     Attributes:
-        compiled: The scene.
+        compiled: The problem.
         line: The parameters.
         settings: Accuracy.
         rows: Conditions of the section, of the class.

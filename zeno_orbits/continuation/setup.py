@@ -1,4 +1,4 @@
-r"""What a family is followed on: a scene, the number that changes, a return map and units."""
+r"""What a family is followed on: a problem, the number that changes, a return map and units."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from zeno_orbits.continuation.return_maps import Composed, ImpactReturns, Releas
 from zeno_orbits.continuation.two_parameters.plane import CurveSteps, Plane
 from zeno_orbits.errors import InputError
 from zeno_orbits.model.numeric.compiled import compiled_model
-from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.section import Line
 from zeno_orbits.simulation.simulator import SimulationSettings
@@ -43,10 +43,10 @@ class ContinuationSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class Course:
-    """What a family is followed on, but for the scene: that holds functions and cannot travel.
+    """What a family is followed on, but for the problem: that holds functions and cannot travel.
 
     Attributes:
-        setting: Its numbers at the start.
+        values: Its numbers at the start.
         parameter: The number that changes.
         box: Its range.
         section: From which kind of states to which its returns lead.
@@ -55,7 +55,7 @@ class Course:
         n_returns: Returns after which its orbits close.
     """
 
-    setting: Setting
+    values: ParameterValues
     parameter: str
     box: tuple[float, float]
     section: type[ReleaseReturns] | type[ImpactReturns]
@@ -69,7 +69,7 @@ class Track:
     """What a family is followed on: the map, the units, the box, and how to name things.
 
     Attributes:
-        problem: The scene.
+        problem: The problem.
         course: All else.
     """
 
@@ -82,7 +82,7 @@ class Track:
         course = self.course
         once = course.section(
             compiled=compiled_model(self.problem),
-            line=line_in(self.problem, np.array(course.setting.values()), course.parameter),
+            line=line_in(self.problem, np.array(course.values.vector), course.parameter),
             settings=course.simulation,
         )
         if course.n_returns == ONE_RETURN:
@@ -129,7 +129,7 @@ class Root:
 
 def numbers(problem: Problem, orbit: ZenoOrbit) -> Vector:
     """Return the parameter vector of an orbit, ``(n_p,)``."""
-    return np.array(orbit.setting(problem).values())
+    return np.array(orbit.values(problem).vector)
 
 
 def track_of(
@@ -142,21 +142,21 @@ def track_of(
     """Return what an orbit's family is followed on, from release to release.
 
     Raises:
-        InputError: If a name or a range does not fit, or the orbit is of another scene.
+        InputError: If a name or a range does not fit, or the orbit is of another problem.
     """
     if orbit.problem != problem.name:
-        message = f"must be of scene `{problem.name}`, but it is of `{orbit.problem}`"
+        message = f"must be of problem `{problem.name}`, but it is of `{orbit.problem}`"
         raise InputError(f"Argument `orbit` {message}.")
     orbit.shape.require_one_release()
-    setting = orbit.setting(problem)
-    p = np.array(setting.values())
+    values = orbit.values(problem)
+    p = np.array(values.vector)
     line_in(problem, p, parameter)
     check_box(problem, parameter, box, float(p[problem.names.index(parameter)]))
     metric = Metric(
         scale=scale_of(problem, orbit), unit=box[1] - box[0], horizon=_PATIENCE * orbit.period
     )
     course = Course(
-        setting=setting,
+        values=values,
         parameter=parameter,
         box=box,
         section=ReleaseReturns,
@@ -176,7 +176,7 @@ def root_of(
     """Return an orbit's release as where its family begins.
 
     Raises:
-        InputError: If a name or a range does not fit, or the orbit is of another scene.
+        InputError: If a name or a range does not fit, or the orbit is of another problem.
     """
     return Root(
         track=track_of(problem, orbit, parameter, box, settings),
@@ -224,7 +224,7 @@ def line_in(problem: Problem, p: Vector, parameter: str) -> Line:
     """Return the line along which one number changes.
 
     Raises:
-        InputError: If the scene has no such number.
+        InputError: If the problem has no such number.
     """
     if parameter not in problem.names:
         known = ", ".join(problem.names)

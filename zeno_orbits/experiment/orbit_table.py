@@ -27,7 +27,7 @@ from zeno_orbits.simulation.signals import signal_names
 from zeno_orbits.simulation.simulator import SimulationSettings
 
 GAP = "gap"
-"""Name of the signal that every scene has beside its own."""
+"""Name of the signal that every problem has beside its own."""
 
 _BETWEEN = 6
 """Nodes between two steps of the integrator."""
@@ -77,7 +77,7 @@ class Measurement:
 
 
 def measurement(problem: Problem, names: Sequence[str]) -> Measurement:
-    """Return the signals of a scene with the given names, each one of `measurable`."""
+    """Return the signals of a problem with the given names, each one of `measurable`."""
     compiled = compiled_model(problem)
     x = ca.SX.sym("x", compiled.n_x)
     p = ca.SX.sym("p", compiled.contact.numel_in(1))
@@ -94,7 +94,7 @@ def measurement(problem: Problem, names: Sequence[str]) -> Measurement:
 
 
 def measurable(problem: Problem) -> dict[str, str]:
-    """Return name to unit of what may be measured of a scene: states, motors, outputs."""
+    """Return name to unit of what may be measured of a problem: states, motors, outputs."""
     compiled = compiled_model(problem)
     units = dict(zip(problem.state_names, problem.state_units, strict=True))
     for name in signal_names(compiled):
@@ -131,7 +131,7 @@ def _formula(problem: Problem, compiled: CompiledSystem, name: str, x: ca.SX, p:
     kind = "current" if name.startswith("current") else "voltage"
     which = int(name.removeprefix(kind) or 1) - 1
     if name not in motors:
-        raise ValueError(f"Argument `name` must be a signal of the scene, but it is `{name}`.")
+        raise ValueError(f"Argument `name` must be a signal of the problem, but it is `{name}`.")
     return compiled.motors.call([x, p])[0 if kind == "current" else 1][which]
 
 
@@ -240,13 +240,13 @@ def table_of(orbit: ZenoOrbit, problem: Problem, names: Sequence[str]) -> OrbitT
 
     Args:
         orbit: The orbit.
-        problem: Its scene.
+        problem: Its problem.
         names: Of the signals to tabulate.
 
     Raises:
         SimulationError: If its release does not return.
     """
-    p = np.asarray(orbit.setting(problem).values(), dtype=np.float64)
+    p = np.asarray(orbit.values(problem).vector, dtype=np.float64)
     dynamics = bind(compiled_model(problem), tuple(p.tolist()))
     release = dynamics.on_stop(np.array(problem.state_vector(orbit.release_state)))
     settings = SimulationSettings()

@@ -24,7 +24,7 @@ NUDGE = 1e-30
 """Added to the guard: a constant term of exactly 0.0 makes heyoka find the start, and no fall."""
 
 _KEPT = 32
-"""Integrators kept of each kind; a scene at one tolerance needs three."""
+"""Integrators kept of each kind; a problem at one tolerance needs three."""
 
 _LARGE = 1000
 """Operations from which the code is compiled as calls, or compiling would take too long."""

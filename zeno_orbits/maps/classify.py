@@ -1,4 +1,4 @@
-"""What motions settle to, for many settings of a scene at once: one chunk of a map."""
+"""What motions settle to, for many settings of a problem at once: one chunk of a map."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.maps.newton_request import Accuracy, Request
 from zeno_orbits.maps.point import Point
 from zeno_orbits.model.numeric.compiled import bind, compiled_model
-from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.model.quantities import RUNAWAY
 from zeno_orbits.simulation.attractor import Attractor
 from zeno_orbits.simulation.batch.batch import Batch
@@ -26,7 +26,7 @@ _LANES = 2048
 
 def attractors_at(
     problem: Problem,
-    settings: Sequence[Setting],
+    settings: Sequence[ParameterValues],
     *,
     start: Mapping[str, float] | None = None,
     until: float = 100.0,
@@ -39,12 +39,12 @@ def attractors_at(
     The result at a setting does not depend on the others in the batch.
 
     Args:
-        problem: The scene.
+        problem: The problem.
         settings: Numbers for its gains and parameters, one a point.
-        start: Where motions start; the scene's first start by default.
+        start: Where motions start; the problem's first start by default.
         until: Longest simulated time [s].
         bounds: Largest modulus of coordinates by name; beyond it a motion has escaped. By default
-            what the scene declares, and 20 pi for the others.
+            what the problem declares, and 20 pi for the others.
         accuracy: How accurately motions are followed.
         on_progress: Called with the number of points done, whenever it has grown.
 
@@ -69,7 +69,7 @@ def attractors_at(
 
 
 def _in_words(problem: Problem, found: Attractor) -> Attractor:
-    """Return an attractor with what the scene calls its escape."""
+    """Return an attractor with what the problem calls its escape."""
     if found.escaped not in problem.escapes:
         return found
     return replace(found, detail=problem.escapes[found.escaped].phrase)
@@ -93,13 +93,13 @@ class _Run:
     def __init__(
         self,
         problem: Problem,
-        settings: Sequence[Setting],
+        settings: Sequence[ParameterValues],
         start: Vector,
         until: float,
         limits: Vector,
         accuracy: Accuracy,
     ) -> None:
-        self._numbers = np.array([setting.values() for setting in settings])
+        self._numbers = np.array([values.vector for values in settings])
         self._compiled = compiled_model(problem)
         self._accuracy = accuracy
         self._start, self._until = start, until

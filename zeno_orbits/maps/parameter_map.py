@@ -12,8 +12,8 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.maps.classify import attractors_at
-from zeno_orbits.model.library import SceneFile
-from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.library import ProblemFile
+from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.orbit import versions
 from zeno_orbits.simulation.attractor import Attractor, Fate, attractor_from_json, attractor_json
 from zeno_orbits.work import Lost, Plan, Tell, spread
@@ -54,10 +54,10 @@ class Axis:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plane:
-    """A plane through the numbers of a scene.
+    """A plane through the numbers of a problem.
 
     Attributes:
-        scene: The scene.
+        problem: The problem.
         x: The axis across.
         y: The axis upwards.
         gains: Gains elsewhere than at their defaults, but for those of the axes.
@@ -66,7 +66,7 @@ class Plane:
         until: How long a motion may take to settle [s].
     """
 
-    scene: SceneFile
+    problem_file: ProblemFile
     x: Axis
     y: Axis
     gains: Mapping[str, float] = field(default_factory=dict[str, float])
@@ -76,12 +76,12 @@ class Plane:
 
     def __call__(self, points: Sequence[Sequence[float]]) -> list[dict[str, Any]]:
         """Return the attractors at some points as plain data: the task of a worker."""
-        problem = self.scene.load()
-        settings: dict[int, Setting] = {}
+        problem = self.problem_file.load()
+        settings: dict[int, ParameterValues] = {}
         found: dict[int, Attractor] = {}
         for k, (x, y) in enumerate(points):
             try:
-                settings[k] = self.setting(problem, x, y)
+                settings[k] = self.values(problem, x, y)
             except InputError as error:
                 # An axis is inside its range, but what is derived from it need not be.
                 found[k] = Attractor(fate=Fate.FAILED, detail=str(error))
@@ -94,17 +94,17 @@ class Plane:
         """Return the points of the grid, row by row from below."""
         return tuple((x, y) for y in self.y.values() for x in self.x.values())
 
-    def setting(self, problem: Problem, x: float, y: float) -> Setting:
+    def values(self, problem: Problem, x: float, y: float) -> ParameterValues:
         """Return the numbers at a point.
 
         Raises:
-            InputError: If the scene refuses them.
+            InputError: If the problem refuses them.
         """
         point = {self.x.name: x, self.y.name: y}
         known = {gain.name for gain in problem.gains}
         gains = {name: value for name, value in point.items() if name in known}
         others = {name: value for name, value in point.items() if name not in known}
-        return problem.setting(
+        return problem.values(
             gains={**self.gains, **gains}, parameters={**self.parameters, **others}
         )
 
@@ -122,7 +122,7 @@ def require_plane(plane: Plane) -> Plane:
         InputError: If a name is unknown or given twice, bounds are the wrong way round or out of
             the parameter's range, there are too few points or too many, or no time.
     """
-    problem = plane.scene.load()
+    problem = plane.problem_file.load()
     if not (math.isfinite(plane.until) and plane.until > 0.0):
         wanted = "must be a positive number of seconds"
         raise InputError(f"Argument `until` {wanted}, but it is {plane.until:g}.")
@@ -133,7 +133,7 @@ def require_plane(plane: Plane) -> Plane:
     if count > _MOST:
         raise InputError(f"Argument `points` must ask for at most {_MOST} points, not {count}.")
     axes = {name: _checked(problem, plane, name) for name in ("x", "y")}
-    problem.setting(gains=plane.gains, parameters=plane.parameters)
+    problem.values(gains=plane.gains, parameters=plane.parameters)
     return replace(plane, x=axes["x"], y=axes["y"])
 
 
@@ -180,7 +180,7 @@ class ParameterMap:
     """What motions settle to over a plane.
 
     Attributes:
-        problem: Name of the scene.
+        problem: Name of the problem.
         x: The axis across.
         y: The axis upwards.
         gains: Gains elsewhere than at their defaults.
@@ -253,7 +253,7 @@ def parameter_map(plane: Plane, plan: Plan, *, tell: Tell | None = None) -> Para
         WorkError: If the work cannot be finished.
     """
     plane = require_plane(plane)
-    problem = plane.scene.load()
+    problem = plane.problem_file.load()
     whole = replace(plan, identity={**_identity(plane, problem), **plan.identity})
     results = spread(plane, plane.points(), whole, tell=tell)
     return ParameterMap(
@@ -273,7 +273,7 @@ def _identity(plane: Plane, problem: Problem) -> dict[str, Any]:
     return {
         "work": "map",
         "problem": problem.name,
-        "scene": plane.scene.digest,
+        "problem_digest": plane.problem_file.digest,
         "x": _axis_json(plane.x),
         "y": _axis_json(plane.y),
         "gains": dict(plane.gains),

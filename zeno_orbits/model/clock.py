@@ -1,6 +1,6 @@
 r"""Periodic forcing: time enters a mechanism as a point on the unit circle (theory (34)).
 
-A forced scene stays autonomous: its clock is the state :math:`(\cos\omega t, \sin\omega t)`. So
+A forced problem stays autonomous: its clock is the state :math:`(\cos\omega t, \sin\omega t)`. So
 an orbit closes when the clock does, after a whole number of turns, and no time has to be wrapped.
 """
 
@@ -32,7 +32,7 @@ class Clock:
         r"""Return a clock that turns at a constant rate, its states new symbols.
 
         Args:
-            frequency: :math:`\omega` [rad/s], a parameter of the scene.
+            frequency: :math:`\omega` [rad/s], a parameter of the problem.
         """
         return cls(cosine=ca.SX.sym("cosine"), sine=ca.SX.sym("sine"), frequency=ca.SX(frequency))
 

@@ -1,4 +1,4 @@
-"""How a machine is drawn: a scene says it itself, as lines in the plane of the picture."""
+"""How a machine is drawn: a problem says it itself, as lines in the plane of the picture."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def lines_of(
     """Return every line as a matrix of its corners, ``(n, 2)``.
 
     Args:
-        drawing: Of the scene.
+        drawing: Of the problem.
         states: Its states by name.
         symbols: Its gains and parameters by name.
 

@@ -1,7 +1,7 @@
 r"""Permanent-magnet DC drives: full, corrected, quasi-static, ideal torque.
 
 A drive turns a feedback law into a generalized force. It brings current states only where the
-fidelity asks for them, so a scene models what it requires and no more.
+fidelity asks for them, so a problem models what it requires and no more.
 
 Source: [HaasGahleitner2000]_, theory (2)-(4) and (20).
 """
@@ -18,7 +18,7 @@ from zeno_orbits.model.lagrangian import HybridLagrangian
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotorBank:
-    r"""The `n_M` motors of a scene: which joints they turn, their constants and their voltages.
+    r"""The `n_M` motors of a problem: which joints they turn, their constants and their voltages.
 
     Attributes:
         selection: :math:`S`, ``(n_q, n_M)``: motor `k` adds torque to the coordinates of column `k`

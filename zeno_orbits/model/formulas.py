@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 
 from zeno_orbits.model.hybrid import CompletedSystem
-from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.problem import ParameterValues, Problem
 
 sympy: Any = importlib.import_module("sympy")
 """SymPy has no types; it is imported as a value that has none."""
@@ -101,15 +101,15 @@ def equilibrium_acceleration(problem: Problem) -> Any:
     return _whole(sympy.simplify(to_sympy(at_rest, states)))
 
 
-def with_numbers(formula: Any, setting: Setting) -> Any:
+def with_numbers(formula: Any, values: ParameterValues) -> Any:
     """Return a formula with the numbers of a setting in it, expanded.
 
     Args:
         formula: In SymPy, of named symbols.
-        setting: Numbers for gains and parameters; what it does not name stays a symbol.
+        values: Numbers for gains and parameters; what it does not name stays a symbol.
     """
-    values = {**setting.gains, **setting.parameters}
-    numbers = {s: values[s.name] for s in formula.free_symbols if s.name in values}
+    entries = {**values.gains, **values.parameters}
+    numbers = {s: entries[s.name] for s in formula.free_symbols if s.name in entries}
     expanded = sympy.expand(sympy.expand_trig(formula.subs(numbers)))
     return sympy.collect(expanded, list(expanded.atoms(sympy.sin, sympy.cos)))
 

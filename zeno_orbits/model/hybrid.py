@@ -1,6 +1,6 @@
 r"""Complete a mechanism and its drive: guard, reset map, multiplier, locked flow, Theorem 1.
 
-Everything is an expression in the state ``x = (q, v, i)`` and the named parameters of the scene,
+Everything is an expression in the state ``x = (q, v, i)`` and the named parameters of the problem,
 gains and restitution among them. Source: [OrAmes2011]_, paper eqs (5)-(8), theory (5)-(12).
 """
 
@@ -21,7 +21,7 @@ class CompletedSystem:
 
     Attributes:
         n_q: Number of coordinates.
-        state: ``x = (q, v, i)``, the clock of a forced scene and any ledger states, ``(n_x,)``.
+        state: ``x = (q, v, i)``, the clock of a forced problem and any ledger states, ``(n_x,)``.
         free_flow: :math:`\dot x` off the stop, ``(n_x,)`` (theory (5)).
         locked_flow: :math:`\dot x` on the stop, ``(n_x,)`` (theory (8)).
         gap: :math:`h`.

@@ -1,4 +1,4 @@
-"""A scene as words that another process can follow: its file, and what the file must hold."""
+"""A problem as words that another process can follow: its file, and what the file must hold."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from zeno_orbits.model.problem import Problem
 from zeno_orbits.model.quantities import unknown
 
 _MOST = 16
-"""Scenes that a process remembers; their compiled models hang on them."""
+"""Problems that a process remembers; their compiled models hang on them."""
 
 
 def bundled_problems() -> dict[str, Path]:
-    """Return name to path of every scene that comes with the package."""
+    """Return name to path of every problem that comes with the package."""
     folder = _problems_folder()
     return {
         path.stem: path
@@ -31,29 +31,29 @@ def bundled_problems() -> dict[str, Path]:
 
 
 def load_problem(name_or_path: str | Path) -> Problem:
-    """Return a scene by its name, or from the Python file (or scene folder) at a path.
+    """Return a problem by its name, or from the Python file (or problem folder) at a path.
 
-    Either may end in ``@fidelity``, for a reduced model that the scene declares.
+    Either may end in ``@fidelity``, for a reduced model that the problem declares.
 
-    A file's model is checked; those of the bundled scenes the tests have checked.
+    A file's model is checked; those of the bundled problems the tests have checked.
 
     Args:
-        name_or_path: A bundled scene's name, or the path of a file or folder.
+        name_or_path: A bundled problem's name, or the path of a file or folder.
 
     Raises:
-        InputError: If there is no such scene or fidelity.
+        InputError: If there is no such problem or fidelity.
         ProblemFileError: If the file raises, defines no ``PROBLEM`` or one that cannot be.
     """
     bundled = bundled_problems()
-    scene, fidelity = split_fidelity(name_or_path)
-    if scene in bundled:
-        path = bundled[scene]
+    name, fidelity = split_fidelity(name_or_path)
+    if name in bundled:
+        path = bundled[name]
     else:
-        path = Path(scene)
+        path = Path(name)
         if not _is_there(path):
-            raise InputError(unknown("problem", scene, tuple(bundled)))
+            raise InputError(unknown("problem", name, tuple(bundled)))
     problem = _declared(path)
-    if scene not in bundled:
+    if name not in bundled:
         _require_sound(path, problem)
     return problem.at_fidelity(fidelity) if fidelity is not None else problem
 
@@ -67,15 +67,15 @@ def _is_there(path: Path) -> bool:
 
 
 def split_fidelity(name_or_path: str | Path) -> tuple[str, str | None]:
-    """Return the scene's name or path, and the word after its ``@`` if there is one.
+    """Return the problem's name or path, and the word after its ``@`` if there is one.
 
     A path that exists as it stands keeps its ``@``; a bundled name goes before any path.
     """
     whole = str(name_or_path)
-    scene, at, word = whole.rpartition("@")
-    if not at or (scene not in bundled_problems() and _is_there(Path(whole))):
+    name, at, word = whole.rpartition("@")
+    if not at or (name not in bundled_problems() and _is_there(Path(whole))):
         return whole, None
-    return scene, word
+    return name, word
 
 
 def _declared(path: Path) -> Problem:
@@ -95,10 +95,10 @@ def _require_sound(path: Path, problem: Problem) -> None:
 
 
 def load_reference(problem: Problem) -> ModuleType:
-    """Return the module of a scene's hand-written model.
+    """Return the module of a problem's hand-written model.
 
     Raises:
-        InputError: If the scene has none.
+        InputError: If the problem has none.
     """
     if problem.reference is None:
         raise InputError(
@@ -123,7 +123,7 @@ class _NoCache(SourceFileLoader):
 def _execute(file: Path) -> ModuleType:
     if file.suffix != ".py" or not file.is_file():
         raise ProblemFileError(file, "it is not a Python file")
-    name = f"zeno_orbits_scene_{file.parent.name}_{file.stem}".replace("-", "_")
+    name = f"zeno_orbits_problem_{file.parent.name}_{file.stem}".replace("-", "_")
     spec = importlib.util.spec_from_file_location(name, file, loader=_NoCache(name, str(file)))
     if spec is None or spec.loader is None:
         raise ProblemFileError(file, "Python cannot load it")
@@ -138,14 +138,14 @@ def _execute(file: Path) -> ModuleType:
 
 
 def _reason(error: BaseException) -> str:
-    """Return an error of a scene's code in one line."""
+    """Return an error of a problem's code in one line."""
     text = " ".join(str(error).split())
     return f"it raises {type(error).__name__}: {text}".removesuffix(".")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SceneFile:
-    """Where a scene comes from. A scene itself holds functions, which cannot be sent.
+class ProblemFile:
+    """Where a problem comes from. A problem itself holds functions, which cannot be sent.
 
     Attributes:
         word: Its name, or the absolute path of its file, with ``@fidelity`` if it has one.
@@ -156,7 +156,7 @@ class SceneFile:
     digest: str
 
     def load(self) -> Problem:
-        """Return the scene, the same object every time in one process.
+        """Return the problem, the same object every time in one process.
 
         Raises:
             InputError: If its file is missing here, or is another one.
@@ -164,24 +164,24 @@ class SceneFile:
         return _loaded(self)
 
 
-def scene_file(name_or_path: str | Path) -> SceneFile:
-    """Return where a scene comes from.
+def locate_problem(name_or_path: str | Path) -> ProblemFile:
+    """Return where a problem comes from.
 
     Raises:
-        InputError: If there is no such scene.
+        InputError: If there is no such problem.
         ProblemFileError: If its file does not define one.
     """
     load_problem(name_or_path)
-    scene, fidelity = split_fidelity(name_or_path)
-    word = scene if scene in bundled_problems() else str(Path(scene).resolve())
+    name, fidelity = split_fidelity(name_or_path)
+    word = name if name in bundled_problems() else str(Path(name).resolve())
     whole = word if fidelity is None else f"{word}@{fidelity}"
-    return SceneFile(word=whole, digest=_digest(whole))
+    return ProblemFile(word=whole, digest=_digest(whole))
 
 
 def _digest(word: str) -> str:
-    """Return a digest of the Python files that a scene may be made of."""
-    scene, _ = split_fidelity(word)
-    path = bundled_problems().get(scene, Path(scene))
+    """Return a digest of the Python files that a problem may be made of."""
+    name, _ = split_fidelity(word)
+    path = bundled_problems().get(name, Path(name))
     files = sorted(path.glob("*.py")) if path.is_dir() else [path]
     digest = hashlib.sha256()
     for file in files:
@@ -190,11 +190,11 @@ def _digest(word: str) -> str:
 
 
 @lru_cache(maxsize=_MOST)
-def _loaded(scene: SceneFile) -> Problem:
-    problem = load_problem(scene.word)
-    if _digest(scene.word) != scene.digest:
+def _loaded(problem_file: ProblemFile) -> Problem:
+    problem = load_problem(problem_file.word)
+    if _digest(problem_file.word) != problem_file.digest:
         raise InputError(
             f"Argument `problem` must be the same file for everybody who works on it, but "
-            f"`{scene.word}` is another one here."
+            f"`{problem_file.word}` is another one here."
         )
     return problem

@@ -1,7 +1,7 @@
-"""A scene: a completed system with named parameters, a gain box and where to start.
+"""A problem: a completed system with named parameters, a gain box and where to start.
 
-A scene is found by its name among the bundled ones, or by the path of a Python file (or of a
-folder with a ``model.py``) that defines ``PROBLEM``. ``scene@fidelity`` is a reduced model of it.
+A problem is found by its name among the bundled ones, or by the path of a Python file (or of a
+folder with a ``model.py``) that defines ``PROBLEM``. ``problem@fidelity`` is a reduced model of it.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from zeno_orbits.model.hybrid import CompletedSystem
 from zeno_orbits.model.quantities import (
     Escape,
     Output,
+    ParameterValues,
     Quantity,
-    Setting,
     positive,
     require_names,
     require_ranges,
@@ -39,9 +39,9 @@ from zeno_orbits.model.validation import (
 __all__ = [
     "Escape",
     "Output",
+    "ParameterValues",
     "Problem",
     "Quantity",
-    "Setting",
     "positive",
     "restitution",
 ]
@@ -49,7 +49,7 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Problem:
-    """A scene; two are equal if they are the same object, as their functions cannot be compared.
+    """A problem; two are equal if they are the same object, as their functions cannot be compared.
 
     Attributes:
         name: Its name.
@@ -60,14 +60,14 @@ class Problem:
         parameters: Physical constants; one of them is ``restitution``.
         gains: Feedback gains; their ranges are the default search box. May be empty.
         model: From named symbols (gains and parameters) to the completed system.
-        starts: Initial states from which the scene may settle to an orbit, name to value; a state
+        starts: Initial states from which the problem may settle to an orbit, name to value; a state
             that is not named is zero.
         portraits: Pairs of state names to draw against each other.
         amplitude_of: State whose amplitude a search may prescribe.
         derive: From the given and default values to those that have no default.
-        reference: A hand-written numeric model of the same scene, if there is one: a function of a
-            ``Setting`` that returns a ``HybridDynamics``.
-        fidelities: Reduced models of the same scene, by the word after the ``@``. A parameter that
+        reference: A hand-written numeric model of the same problem, if there is one: a function of a
+            ``ParameterValues`` that returns a ``HybridDynamics``.
+        fidelities: Reduced models of the same problem, by the word after the ``@``. A parameter that
             a reduced model does not have has no influence there.
         escapes: Coordinates that may run away, by name. Others are followed as far as they go.
         outputs: What else is to be drawn over time.
@@ -115,7 +115,7 @@ class Problem:
         return ""
 
     def checked(self) -> Problem:
-        """Return the scene itself, if its model holds together at its own numbers.
+        """Return the problem itself, if its model holds together at its own numbers.
 
         Raises:
             ValueError: If it does not; the text names the thing at fault.
@@ -124,16 +124,16 @@ class Problem:
         system = built(self.model, symbols)
         require_states(system, self.state_names, self.state_units)
         require_known_symbols(system, symbols)
-        setting = self.setting()
+        values = self.values()
         looks = [*self.output_formulas(system, symbols), *self.lines(system, symbols).values()]
         unused = unused_symbols(system, symbols, looks)
         for name in unused:
-            if not self._derives_from(name, setting):
-                kind = "gains" if name in setting.gains else "parameters"
+            if not self._derives_from(name, values):
+                kind = "gains" if name in values.gains else "parameters"
                 wanted = "must appear in the model or an output"
                 raise ValueError(f"Argument `{kind}` {wanted}, but `{name}` appears nowhere.")
         starts = [self.state_vector(start) for start in self.starts]
-        require_sound_numbers(system, symbols, setting.values(), self.state_names, starts)
+        require_sound_numbers(system, symbols, values.vector, self.state_names, starts)
         for word in self.fidelities:
             self.at_fidelity(word).checked()
         return self
@@ -152,12 +152,12 @@ class Problem:
         states = {name: system.state[k] for k, name in enumerate(self.state_names)}
         return lines_of(self.drawing, states, symbols)
 
-    def _derives_from(self, name: str, setting: Setting) -> bool:
+    def _derives_from(self, name: str, values: ParameterValues) -> bool:
         """Tell whether derived parameters change with a parameter."""
-        if self.derive is None or name not in setting.parameters:
+        if self.derive is None or name not in values.parameters:
             return False
         given = {q.name for q in self.parameters if q.default is not None}
-        known = {key: value for key, value in setting.parameters.items() if key in given}
+        known = {key: value for key, value in values.parameters.items() if key in given}
         moved = {**known, name: known.get(name, 0.0) * 1.01 + 1e-6}
         try:
             return dict(self.derive(known)) != dict(self.derive(moved))
@@ -165,10 +165,10 @@ class Problem:
             return True
 
     def at_fidelity(self, word: str) -> Problem:
-        """Return the reduced model of that name; its own name is ``scene@word``.
+        """Return the reduced model of that name; its own name is ``problem@word``.
 
         Raises:
-            InputError: If the scene declares no such model; it lists those that it does.
+            InputError: If the problem declares no such model; it lists those that it does.
         """
         if word not in self.fidelities:
             asked = f"{self.name}@{word}"
@@ -180,26 +180,26 @@ class Problem:
         return replace(self.fidelities[word], name=f"{self.name}@{word}", fidelities={})
 
     def ladder(self) -> tuple[Problem, ...]:
-        """Return the scene and its reduced models, as they are declared."""
+        """Return the problem and its reduced models, as they are declared."""
         return (self, *(self.at_fidelity(word) for word in self.fidelities))
 
-    def shared(self, setting: Setting) -> Setting:
+    def shared(self, values: ParameterValues) -> ParameterValues:
         """Return the numbers of another fidelity's setting for the names that this one has."""
         known = {quantity.name for quantity in self.parameters}
-        parameters = {name: value for name, value in setting.parameters.items() if name in known}
-        return self.setting(gains=setting.gains, parameters=parameters)
+        parameters = {name: value for name, value in values.parameters.items() if name in known}
+        return self.values(gains=values.gains, parameters=parameters)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of gains, then of parameters, in the order of the parameter vector."""
         return tuple(quantity.name for quantity in (*self.gains, *self.parameters))
 
-    def setting(
+    def values(
         self,
         *,
         gains: Mapping[str, float] | None = None,
         parameters: Mapping[str, float] | None = None,
-    ) -> Setting:
+    ) -> ParameterValues:
         """Return checked numbers for every name, defaults and derived values filled in.
 
         Args:
@@ -219,7 +219,7 @@ class Problem:
                 )
                 for quantity in self.parameters
             }
-        return Setting(gains=chosen_gains, parameters=chosen)
+        return ParameterValues(gains=chosen_gains, parameters=chosen)
 
     def _derived(self, chosen: Mapping[str, float]) -> Mapping[str, float]:
         """Return the derived parameters.
@@ -260,7 +260,7 @@ class Problem:
             named: State name to value, as in ``starts`` or an orbit's ``release_state``.
 
         Raises:
-            InputError: If a name is not a state of the scene or a value is not finite.
+            InputError: If a name is not a state of the problem or a value is not finite.
         """
         for name, value in named.items():
             if name not in self.state_names:

@@ -1,4 +1,4 @@
-"""The named numbers of a scene: quantities with units and ranges, outputs, and what must be said.
+"""The named numbers of a problem: quantities with units and ranges, outputs, and what must be said.
 
 Every refusal here is of a declaration alone; the model is looked at in ``soundness``.
 """
@@ -17,13 +17,13 @@ from zeno_orbits.model.units import powers_of
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Quantity:
-    """A named number of a scene, with its unit and the range in which it makes sense.
+    """A named number of a problem, with its unit and the range in which it makes sense.
 
     Attributes:
         name: How it is called on the command line and in files.
         unit: SI unit, in brackets in tables; ``1`` for a pure number.
         meaning: One line for the user.
-        default: Its value when nobody sets it; ``None`` if the scene derives it from the others.
+        default: Its value when nobody sets it; ``None`` if the problem derives it from the others.
         lower: Smallest sensible value. For a gain, the lower end of the search box.
         upper: Largest sensible value. For a gain, the upper end of the search box.
         excluded: Values at the ends that are themselves not allowed.
@@ -83,7 +83,7 @@ def positive(
 
     Args:
         name: How it is called in files and on the command line.
-        default: Its value; ``None`` if the scene derives it.
+        default: Its value; ``None`` if the problem derives it.
         unit: SI unit.
         meaning: What it is.
         instead: What to do instead of zero, as a sentence; it ends the refusal.
@@ -132,18 +132,19 @@ class Output:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Setting:
-    """Numbers for every name of a scene.
+class ParameterValues:
+    """Numbers for every name of a problem.
 
     Attributes:
-        gains: Name to value, in the scene's order.
-        parameters: Name to value, in the scene's order; derived ones included.
+        gains: Name to value, in the problem's order.
+        parameters: Name to value, in the problem's order; derived ones included.
     """
 
     gains: Mapping[str, float]
     parameters: Mapping[str, float]
 
-    def values(self) -> tuple[float, ...]:
+    @property
+    def vector(self) -> tuple[float, ...]:
         """Return gains, then parameters: the parameter vector of the compiled system."""
         return (*self.gains.values(), *self.parameters.values())
 
@@ -151,9 +152,9 @@ class Setting:
         """Return a gain or a parameter."""
         return self.gains[name] if name in self.gains else self.parameters[name]
 
-    def replaced(self, numbers: Mapping[str, float]) -> Setting:
+    def replaced(self, numbers: Mapping[str, float]) -> ParameterValues:
         """Return a setting with other numbers for some names; what is derived stays as it is."""
-        return Setting(
+        return ParameterValues(
             gains={name: numbers.get(name, value) for name, value in self.gains.items()},
             parameters={name: numbers.get(name, value) for name, value in self.parameters.items()},
         )
@@ -173,7 +174,7 @@ def _require_unit(name: str, unit: str) -> None:
 
 
 RUNAWAY = 20 * math.pi
-"""Where a scene says nothing: a coordinate beyond this many radians, or metres, is gone."""
+"""Where a problem says nothing: a coordinate beyond this many radians, or metres, is gone."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

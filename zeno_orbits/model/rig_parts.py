@@ -1,6 +1,6 @@
 """What a machine has and its model has not, part by part, each with units and checked ranges.
 
-Every part may be missing, so that the effect of each can be seen alone. A scene may declare the
+Every part may be missing, so that the effect of each can be seen alone. A problem may declare the
 parts of its own machine (``Problem.rig``); what they do is in the package ``rig``.
 """
 
@@ -30,7 +30,7 @@ class Contact:
 
     .. math:: F = k\,\delta^n\,\max(0, 1 + \alpha\dot\delta),\qquad \delta = -h
 
-    The damping factor follows from the scene's restitution and the speed at which a contact
+    The damping factor follows from the problem's restitution and the speed at which a contact
     begins (theory (49)); it is no number of its own.
 
     Attributes:
@@ -91,7 +91,7 @@ class Gear:
     """A gear train with play between a rotor and the joint that it turns (theory (50)).
 
     Attributes:
-        rotor_inertia: Inertia on the motor's side, as the joint feels it; the scene counts it in
+        rotor_inertia: Inertia on the motor's side, as the joint feels it; the problem counts it in
             its mass matrix [kg m^2].
         play: Angle by which the rotor turns freely [rad].
         stiffness: Of the teeth, once they touch [N m/rad].

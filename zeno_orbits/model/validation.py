@@ -1,7 +1,7 @@
 """Whether a model holds together: what is wrong with it is said before anything is computed.
 
 Every mistake is a ``ValueError`` that names the thing at fault. A model is looked at as a formula
-and, where formulas do not tell, at the states that the scene starts from and at others near them.
+and, where formulas do not tell, at the states that the problem starts from and at others near them.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from functools import cache
 from typing import Any
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.shape import OrbitShape, PhaseKind
 
 FORMAT = 2
@@ -56,9 +56,9 @@ class ZenoOrbit:
     """Enough numbers to rebuild and recheck a periodic orbit; times count from its start.
 
     Attributes:
-        problem: Name of the scene.
-        parameters: Name to value, all of the scene's.
-        gains: Name to value, all of the scene's.
+        problem: Name of the problem.
+        parameters: Name to value, all of the problem's.
+        gains: Name to value, all of the problem's.
         period: [s].
         phases: What happens in a period; the first starts at time 0.
         floquet_multipliers: Of the return map where the period starts; empty while unknown.
@@ -153,13 +153,13 @@ class ZenoOrbit:
             "zeno_state": dict(self.zeno_state),
         }
 
-    def setting(self, problem: Problem) -> Setting:
-        """Return the orbit's numbers for its scene.
+    def values(self, problem: Problem) -> ParameterValues:
+        """Return the orbit's numbers for its problem.
 
         Raises:
-            InputError: If the names or values do not fit the scene.
+            InputError: If the names or values do not fit the problem.
         """
-        return problem.setting(gains=self.gains, parameters=self.parameters)
+        return problem.values(gains=self.gains, parameters=self.parameters)
 
 
 def one_release_phase(

@@ -31,7 +31,7 @@ _OFF = 1e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Line:
-    """A straight line in the space of a scene's numbers, ``p(s) = origin + s direction``.
+    """A straight line in the space of a problem's numbers, ``p(s) = origin + s direction``.
 
     Attributes:
         origin: ``p`` at ``s = 0``, ``(n_p,)``.

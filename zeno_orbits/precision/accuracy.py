@@ -246,7 +246,7 @@ def _holds(execution: Execution) -> tuple[ZenoPoint | Release, ...]:
 
 
 def why_engine(dynamics: HybridDynamics, state: Sequence[float] | Vector, leg: float) -> str:
-    """Return in one sentence how the default engine will go about a scene, and why.
+    """Return in one sentence how the default engine will go about a problem, and why.
 
     Args:
         dynamics: The system at fixed numbers.

@@ -1,6 +1,6 @@
 r"""Completed executions in many digits: truth for everything that is computed in doubles.
 
-Gains and parameters enter exactly as the doubles that a ``Setting`` holds, calibrated ones too, and
+Gains and parameters enter exactly as the doubles that a ``ParameterValues`` holds, calibrated ones too, and
 so do the constants of the model: ``0.1`` means the double next to it.
 
 An execution is run in two lengths of numbers, with their own orders, steps and Zeno limits; what
@@ -18,7 +18,7 @@ from itertools import chain
 
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model.numeric.compiled import compile_problem
-from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.precision.extended_run import ExtendedRun, Trace
 from zeno_orbits.precision.extended_system import ExtendedSystem
 from zeno_orbits.precision.multiprecision import Arithmetic, Real, decimal
@@ -82,7 +82,7 @@ class ExtendedExecution:
 
 def extended_execution(
     problem: Problem,
-    setting: Setting,
+    values: ParameterValues,
     state: Sequence[float | Decimal],
     *,
     until: float,
@@ -94,8 +94,8 @@ def extended_execution(
     Takes 2 s to compile and, for a double pendulum with a motor at 20 digits, about 1 s a period.
 
     Args:
-        problem: The scene.
-        setting: Its numbers, taken exactly as they are.
+        problem: The problem.
+        values: Its numbers, taken exactly as they are.
         state: Initial state, ``(n_x,)``, taken exactly as it is; within 1e-12 of the stop it is
             moved onto it along the impulse.
         until: When to stop [s].
@@ -119,7 +119,7 @@ def extended_execution(
     traces: list[Trace] = []
     for spare in SPARE_DIGITS:
         arithmetic = Arithmetic(digits=digits + spare)
-        system = ExtendedSystem(arithmetic, compiled, setting.values())
+        system = ExtendedSystem(arithmetic, compiled, values.vector)
         run = ExtendedRun(
             system,
             until=arithmetic.number(until),

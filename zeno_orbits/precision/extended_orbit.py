@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model.numeric.compiled import CompiledSystem, compile_problem
-from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.precision.extended import (
     SPARE_DIGITS,
     ExtendedImpact,
@@ -82,7 +82,7 @@ class ExtendedOrbit:
 
 def extended_orbit(
     problem: Problem,
-    setting: Setting,
+    values: ParameterValues,
     release_guess: Sequence[float | Decimal],
     *,
     digits: int = 25,
@@ -94,8 +94,8 @@ def extended_orbit(
     grows with the stiffness ``R / L``.
 
     Args:
-        problem: The scene.
-        setting: Its numbers, taken exactly as they are.
+        problem: The problem.
+        values: Its numbers, taken exactly as they are.
         release_guess: Release state, ``(n_x,)``, to a few digits.
         digits: Wanted digits.
         horizon: Longest time to wait for a return [s].
@@ -109,11 +109,11 @@ def extended_orbit(
     check_digits(digits)
     compiled = compile_problem(problem)
     check_state(release_guess, compiled.n_x)
-    values = setting.values()
-    section = _section(compiled, values, [float(value) for value in release_guess])
+    entries = values.vector
+    section = _section(compiled, entries, [float(value) for value in release_guess])
     lengths = (_SCOUT_DIGITS, *(digits + spare for spare in SPARE_DIGITS))
     maps = [
-        _ReturnMap(ExtendedSystem(Arithmetic(digits=length), compiled, values), section, horizon)
+        _ReturnMap(ExtendedSystem(Arithmetic(digits=length), compiled, entries), section, horizon)
         for length in lengths
     ]
     jacobian = maps[0].jacobian(maps[0].release(release_guess))

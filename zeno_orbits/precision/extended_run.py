@@ -86,7 +86,7 @@ class ExtendedRun:
         """Prepare an execution.
 
         Args:
-            system: The scene.
+            system: The problem.
             until: When to stop [s].
             times: Where the state is wanted, rising [s].
             releases: Stop earlier, at this many.

@@ -1,4 +1,4 @@
-"""A scene in numbers of a given length: its flows, its contact and its reset map."""
+"""A problem in numbers of a given length: its flows, its contact and its reset map."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _LOST = 3
 
 
 class ExtendedSystem:
-    """A scene at fixed numbers, in numbers of a length: flows, contact and reset map."""
+    """A problem at fixed numbers, in numbers of a length: flows, contact and reset map."""
 
     def __init__(
         self, arithmetic: Arithmetic, compiled: CompiledSystem, values: Sequence[float]
@@ -23,7 +23,7 @@ class ExtendedSystem:
 
         Args:
             arithmetic: Length of the numbers.
-            compiled: The scene.
+            compiled: The problem.
             values: Gains, then parameters, exactly.
         """
         self.arithmetic = arithmetic

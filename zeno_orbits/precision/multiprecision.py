@@ -80,7 +80,7 @@ class Formula:
         self._splits = [function.numel_out(k) for k in range(function.n_out())]
         self._call: Any = _nothing
         self._pars: dict[str, Any] = {}
-        # heyoka compiles no function without outputs, and a scene may have no constraint.
+        # heyoka compiles no function without outputs, and a problem may have no constraint.
         if outputs:
             self._call = heyoka.cfunc(outputs, vars=x, **_options(arithmetic))
             # heyoka counts parameters up to the last one that the function uses.

@@ -1,8 +1,8 @@
-r"""What a reduced model of a scene costs in accuracy: estimated before it is taken, and measured.
+r"""What a reduced model of a problem costs in accuracy: estimated before it is taken, and measured.
 
 The quasi-static drive is wrong by :math:`O(L/R)`, the corrected one by :math:`O((L/R)^2)`
 (theory (20)). So their difference is the error of the first, to first order, and neither has the
-thin layers that make the full scene slow. Source: theory (20), (21).
+thin layers that make the full problem slow. Source: theory (20), (21).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model.numeric.compiled import bind, compile_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.cycle import Cycle
 from zeno_orbits.orbits.poincare import return_slope
 from zeno_orbits.orbits.section import release_section
@@ -26,7 +26,7 @@ from zeno_orbits.search.search import find_orbit
 from zeno_orbits.simulation.simulator import SimulationSettings
 
 QUASI_STATIC, CORRECTED = "quasi_static", "corrected"
-"""The words by which a scene declares the two reduced models."""
+"""The words by which a problem declares the two reduced models."""
 
 LANDMARKS = ("period", "first_impact", "zeno_time", "release", "zeno_state")
 """What two orbits are compared by."""
@@ -39,15 +39,15 @@ class ReductionCost:
     Errors are relative as in a certificate: times to the period, states to their size over it.
 
     Attributes:
-        problem: The reduced scene.
+        problem: The reduced problem.
         n_states: Its states.
-        n_full_states: Those of the full scene.
+        n_full_states: Those of the full problem.
         layer: Longest time constant of the currents, `L/R` for a single motor [s].
         rate: Fastest relative change of a velocity along the reduced orbit [1/s]; ``layer * rate``
             is the small number of the expansion.
         estimate: Landmark to error, from reduced models alone. For the quasi-static model it tends
             to the error itself; for the corrected one it is an order of magnitude.
-        measured: Landmark to error against the full scene; empty if that was not asked for.
+        measured: Landmark to error against the full problem; empty if that was not asked for.
     """
 
     problem: str
@@ -60,30 +60,34 @@ class ReductionCost:
 
 
 def reduction_cost(
-    problem: Problem, setting: Setting, *, fidelity: str = QUASI_STATIC, measure: bool = False
+    problem: Problem,
+    values: ParameterValues,
+    *,
+    fidelity: str = QUASI_STATIC,
+    measure: bool = False,
 ) -> ReductionCost:
-    """Return what one reduced model costs in accuracy at a setting of the full scene.
+    """Return what one reduced model costs in accuracy at a setting of the full problem.
 
     Args:
-        problem: The full scene; it declares both reduced models, ``quasi_static`` and
+        problem: The full problem; it declares both reduced models, ``quasi_static`` and
             ``corrected``.
-        setting: Its numbers.
+        values: Its numbers.
         fidelity: Which of the two is asked about.
-        measure: Find the full scene's orbit too, which is the work that the reduction saves.
+        measure: Find the full problem's orbit too, which is the work that the reduction saves.
 
     Raises:
-        InputError: If the scene does not declare both models, or ``fidelity`` is neither.
-        OrbitNotFoundError: If the quasi-static scene has no orbit at these numbers.
+        InputError: If the problem does not declare both models, or ``fidelity`` is neither.
+        OrbitNotFoundError: If the quasi-static problem has no orbit at these numbers.
         SimulationError: If another one has none near it: the reduction is not allowed there.
     """
     if fidelity not in (QUASI_STATIC, CORRECTED):
         known = f"{QUASI_STATIC} or {CORRECTED}"
         raise InputError(f"Argument `fidelity` must be {known}, but it is `{fidelity}`.")
-    return reduction_costs(problem, setting, measure=measure)[fidelity]
+    return reduction_costs(problem, values, measure=measure)[fidelity]
 
 
 def reduction_costs(
-    problem: Problem, setting: Setting, *, measure: bool = False
+    problem: Problem, values: ParameterValues, *, measure: bool = False
 ) -> dict[str, ReductionCost]:
     """Return fidelity to what it costs, for both reduced models (theory (21)).
 
@@ -91,21 +95,21 @@ def reduction_costs(
     ``layer * rate``, it tells the size of the corrected one's.
 
     Args:
-        problem: The full scene; it declares both reduced models.
-        setting: Its numbers.
-        measure: Find the full scene's orbit, too.
+        problem: The full problem; it declares both reduced models.
+        values: Its numbers.
+        measure: Find the full problem's orbit, too.
 
     Raises:
         InputError, OrbitNotFoundError, SimulationError: As `reduction_cost` does.
     """
     reduced = {word: problem.at_fidelity(word) for word in (QUASI_STATIC, CORRECTED)}
     quasi_static = reduced[QUASI_STATIC]
-    orbit = find_orbit(quasi_static, quasi_static.shared(setting), shape=ONE_ZENO).unwrap()
+    orbit = find_orbit(quasi_static, quasi_static.shared(values), shape=ONE_ZENO).unwrap()
     period = orbit.period
     release = np.array(quasi_static.state_vector(orbit.release_state))
-    machine, full = _dynamics(quasi_static, setting), _dynamics(problem, setting)
+    machine, full = _dynamics(quasi_static, values), _dynamics(problem, values)
     static = orbit_near(machine, release, period)
-    better = orbit_near(_dynamics(reduced[CORRECTED], setting), static.start.state, period)
+    better = orbit_near(_dynamics(reduced[CORRECTED], values), static.start.state, period)
     truth = orbit_near(full, better.start.state, period) if measure else None
     layer, rate = layer_time(full, release), _rate(machine, static)
     first = landmark_errors(static, better)
@@ -186,10 +190,10 @@ def landmark_errors(reduced: Cycle, other: Cycle) -> dict[str, float]:
 
 
 def layer_time(dynamics: HybridDynamics, release: Vector) -> float:
-    """Return the longest time constant of a scene's currents [s]; 0 if it has none.
+    """Return the longest time constant of a problem's currents [s]; 0 if it has none.
 
     Args:
-        dynamics: The full scene.
+        dynamics: The full problem.
         release: Any state of it, or its first entries.
     """
     rates, block = _current_rates(dynamics, release)
@@ -231,8 +235,8 @@ def _rate(dynamics: HybridDynamics, cycle: Cycle) -> float:
     return float(np.max(accelerations / np.where(speeds > 0.0, speeds, np.inf)))
 
 
-def _dynamics(problem: Problem, setting: Setting) -> HybridDynamics:
-    return bind(compile_problem(problem), problem.shared(setting).values())
+def _dynamics(problem: Problem, values: ParameterValues) -> HybridDynamics:
+    return bind(compile_problem(problem), problem.shared(values).vector)
 
 
 def _first_impact(cycle: Cycle) -> float:

@@ -15,7 +15,7 @@ from zeno_orbits.integrators import Radau
 from zeno_orbits.integrators.automatic import decay_rates
 from zeno_orbits.integrators.casadi_to_heyoka import heyoka_is_installed
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.precision.accuracy import (
     ROUNDING,
     Kind,
@@ -59,7 +59,7 @@ class Truth:
 
 def true_landmarks(
     problem: Problem,
-    setting: Setting,
+    values: ParameterValues,
     dynamics: HybridDynamics,
     state: Sequence[float],
     until: float,
@@ -67,8 +67,8 @@ def true_landmarks(
     """Return the truth in extended precision, or in doubles where that cannot be had.
 
     Args:
-        problem: The scene.
-        setting: Its numbers.
+        problem: The problem.
+        values: Its numbers.
         dynamics: The system at these numbers.
         state: Initial state, ``(n_x,)``.
         until: When to stop [s].
@@ -84,13 +84,13 @@ def true_landmarks(
     if not heyoka_is_installed():
         return _truth_in_doubles(dynamics, state, until, "install the extra `taylor` for a better")
     if is_too_stiff(dynamics, state, until):
-        return _truth_in_doubles(dynamics, state, until, "the scene is too stiff for a better")
+        return _truth_in_doubles(dynamics, state, until, "the problem is too stiff for a better")
     from zeno_orbits.precision.extended import extended_execution
 
     try:
         exact = extended_execution(
             problem,
-            setting,
+            values,
             state,
             until=until,
             times=np.linspace(0.0, until, _SAMPLES).tolist(),
@@ -98,7 +98,7 @@ def true_landmarks(
         )
     except TranslationError:
         return _truth_in_doubles(
-            dynamics, state, until, "not all of the scene is analytic, for a better"
+            dynamics, state, until, "not all of the problem is analytic, for a better"
         )
     return Truth(
         marks=_exact_landmarks(exact),

@@ -22,7 +22,7 @@ from zeno_orbits.integrators import Automatic, Engine, Radau, RungeKutta, SciPy,
 from zeno_orbits.integrators.casadi_to_heyoka import heyoka_is_installed
 from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.precision.accuracy import ROUNDING, apart, at_tolerance, landmarks
 from zeno_orbits.precision.reference import Truth, is_too_stiff, true_landmarks
 from zeno_orbits.simulation.completion import Completion, FixedImpacts, Truncation
@@ -69,7 +69,7 @@ class Trade:
     """All trials of one piece of work.
 
     Attributes:
-        problem: The scene.
+        problem: The problem.
         work: What was done, as a phrase.
         truth: What it was held against, as a phrase.
         truth_error: Estimated error of that.
@@ -158,35 +158,35 @@ QUICK = TradeSettings(
 
 def trade(
     problem: Problem,
-    setting: Setting,
+    values: ParameterValues,
     state: Sequence[float],
     *,
     settings: TradeSettings | None = None,
     tell: Tell | None = None,
 ) -> Trade:
-    """Measure what accuracy costs in a scene.
+    """Measure what accuracy costs in a problem.
 
     Args:
-        problem: The scene.
-        setting: Its numbers.
+        problem: The problem.
+        values: Its numbers.
         state: Initial state, ``(n_x,)``.
         settings: How much to measure.
         tell: Called with what is being measured and the part that is done.
 
     Raises:
-        SimulationError: If the scene cannot be followed so far.
+        SimulationError: If the problem cannot be followed so far.
     """
     settings = settings or TradeSettings()
     say = tell or _nobody
-    dynamics = _model(problem, setting)
+    dynamics = _model(problem, values)
     say("computing the truth", 0.0)
-    truth = true_landmarks(problem, setting, dynamics, state, settings.until)
-    plans = [*_plans(dynamics, state, settings), *_reduced(problem, setting, state, settings)]
+    truth = true_landmarks(problem, values, dynamics, state, settings.until)
+    plans = [*_plans(dynamics, state, settings), *_reduced(problem, values, state, settings)]
     trials: list[Trial] = []
     for k, plan in enumerate(plans):
         say(f"{plan.sweep}: {plan.name}, {plan.value:.0e}", (k + 1) / (len(plans) + 1))
         trials.append(_tried(plan, truth, settings))
-    trials += _meshes(problem, setting, settings, say)
+    trials += _meshes(problem, values, settings, say)
     return Trade(
         problem=problem.name,
         work=f"{settings.until:g} s from {_named(problem, state)}",
@@ -260,11 +260,11 @@ def _plans(
 
 
 def _reduced(
-    problem: Problem, setting: Setting, state: Sequence[float], settings: TradeSettings
+    problem: Problem, values: ParameterValues, state: Sequence[float], settings: TradeSettings
 ) -> Iterator[_Plan]:
-    """Plan the reduced models of a scene; the truth stays that of the full one."""
+    """Plan the reduced models of a problem; the truth stays that of the full one."""
     for reduced in problem.ladder()[1:]:
-        dynamics = _model(reduced, reduced.shared(setting))
+        dynamics = _model(reduced, reduced.shared(values))
         entries = [problem.state_names.index(name) for name in reduced.state_names]
         for tolerance in settings.tolerances:
             yield _Plan(
@@ -285,7 +285,7 @@ def _tried(plan: _Plan, truth: Truth, settings: TradeSettings) -> Trial:
     )
     by_series = isinstance(plan.simulation.engine, Taylor)
     if by_series and is_too_stiff(plan.dynamics, plan.state, settings.until):
-        return replace(trial, trouble="left out: its steps are explicit, and the scene is stiff")
+        return replace(trial, trouble="left out: its steps are explicit, and the problem is stiff")
     try:
         execution, first = _timed(plan, settings.until)
         repeats = settings.repeats if first < _LONG else 0
@@ -318,7 +318,7 @@ def _timed(plan: _Plan, until: float) -> tuple[Execution, float]:
 
 
 def _meshes(
-    problem: Problem, setting: Setting, settings: TradeSettings, say: Tell
+    problem: Problem, values: ParameterValues, settings: TradeSettings, say: Tell
 ) -> Iterator[Trial]:
     """Solve for the periodic orbit on finer and finer meshes, each held against a simulation."""
     if not settings.meshes:
@@ -330,7 +330,7 @@ def _meshes(
         say(f"mesh: {tolerance:.0e}", 0.99)
         transcription = TranscriptionSettings(mesh_tolerance=tolerance)
         looked = SearchSettings(transcription=transcription, agreement=math.inf, rounds=1)
-        result = find_orbit(problem, setting, settings=looked)
+        result = find_orbit(problem, values, settings=looked)
         found = result.orbit is not None
         yield Trial(
             sweep="mesh",
@@ -349,8 +349,8 @@ def _settings(engine: Engine, tolerance: float) -> SimulationSettings:
     return at_tolerance(tolerance, SimulationSettings(engine=engine))
 
 
-def _model(problem: Problem, setting: Setting) -> HybridDynamics:
-    return bind(compiled_model(problem), setting.values())
+def _model(problem: Problem, values: ParameterValues) -> HybridDynamics:
+    return bind(compiled_model(problem), values.vector)
 
 
 def _named(problem: Problem, state: Sequence[float]) -> str:

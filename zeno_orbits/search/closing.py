@@ -18,7 +18,7 @@ from zeno_orbits.integrators import Taylor
 from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.model.quantities import RUNAWAY
 from zeno_orbits.orbits.cycle import Cycle, round_again
 from zeno_orbits.orbits.orbit import OrbitImpact, OrbitPhase, ZenoOrbit, versions
@@ -87,7 +87,7 @@ class OrbitNotClosedError(ZenoOrbitsError):
 
 def close_orbit(
     problem: Problem,
-    setting: Setting,
+    values: ParameterValues,
     *,
     near: ZenoOrbit | None = None,
     simulation: SimulationSettings | None = None,
@@ -100,21 +100,21 @@ def close_orbit(
     the same in both is not seen. Verify with another engine, or `use_reference`, or both.
 
     Args:
-        problem: The scene.
-        setting: Its numbers.
-        near: An orbit of the scene to start from, at these numbers or near them; else the scene's
+        problem: The problem.
+        values: Its numbers.
+        near: An orbit of the problem to start from, at these numbers or near them; else the problem's
             starts are followed until the motion nearly repeats.
         simulation: Engine and accuracy; by default Taylor's method at full accuracy where heyoka is
-            installed and the scene analytic, else the default engine.
+            installed and the problem analytic, else the default engine.
         on_progress: Called with the name of each stage as it begins.
         shape: The orbit's shape; by default that of ``near``, or what the motion settles to.
 
     Raises:
-        InputError: If ``near`` is of another scene or shape, or ``simulation`` asks for what is
+        InputError: If ``near`` is of another problem or shape, or ``simulation`` asks for what is
             missing.
     """
     if near is not None and near.problem != problem.name:
-        message = f"must be of scene `{problem.name}`, but it is of `{near.problem}`"
+        message = f"must be of problem `{problem.name}`, but it is of `{near.problem}`"
         raise InputError(f"Argument `near` {message}.")
     if near is not None:
         shape = near.shape.agreed(shape)
@@ -124,23 +124,23 @@ def close_orbit(
             on_progress(stage)
 
     if simulation is not None:
-        return _closed(problem, setting, near, shape, simulation, tell)
+        return _closed(problem, values, near, shape, simulation, tell)
     try:
-        return _closed(problem, setting, near, shape, SimulationSettings(engine=Taylor()), tell)
+        return _closed(problem, values, near, shape, SimulationSettings(engine=Taylor()), tell)
     except InputError:
         # No heyoka or no formulas for it; what else is wrong is wrong for every engine.
-        return _closed(problem, setting, near, shape, SimulationSettings(), tell)
+        return _closed(problem, values, near, shape, SimulationSettings(), tell)
 
 
 def _closed(
     problem: Problem,
-    setting: Setting,
+    values: ParameterValues,
     near: ZenoOrbit | None,
     wanted: OrbitShape | None,
     simulation: SimulationSettings,
     tell: Callable[[str], None],
 ) -> Closing:
-    dynamics = bind(compiled_model(problem), setting.values())
+    dynamics = bind(compiled_model(problem), values.vector)
     detail = ""
     for settled in _NEAR if near is None else (np.inf,):
         try:
@@ -170,7 +170,7 @@ def _closed(
         detail = round_again(closed.cycle)
         if detail:
             continue
-        orbit = orbit_of(closed.cycle, problem, setting)
+        orbit = orbit_of(closed.cycle, problem, values)
         return Closing(orbit=orbit, miss=closed.miss, returns=closed.returns)
     return Closing(orbit=None, detail=detail)
 
@@ -204,13 +204,13 @@ def _settled(
     return settling.cycle
 
 
-def orbit_of(cycle: Cycle, problem: Problem, setting: Setting) -> ZenoOrbit:
+def orbit_of(cycle: Cycle, problem: Problem, values: ParameterValues) -> ZenoOrbit:
     """Return a period that repeats as an orbit without a certificate.
 
     Args:
         cycle: The period.
-        problem: Its scene.
-        setting: The scene's numbers.
+        problem: Its problem.
+        values: The problem's numbers.
     """
 
     def named(state: Vector) -> Mapping[str, float]:
@@ -218,8 +218,8 @@ def orbit_of(cycle: Cycle, problem: Problem, setting: Setting) -> ZenoOrbit:
 
     return ZenoOrbit(
         problem=problem.name,
-        parameters=dict(setting.parameters),
-        gains=dict(setting.gains),
+        parameters=dict(values.parameters),
+        gains=dict(values.gains),
         period=cycle.period,
         phases=tuple(_phase_of(phase, cycle.start.time, named) for phase in cycle.phases),
         certificate={},

@@ -14,7 +14,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model.numeric.compiled import CompiledSystem, bind
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.bounds import KEPT, Bound, excess
 from zeno_orbits.orbits.cycle import Cycle, cycle_of, round_again
 from zeno_orbits.orbits.orbit import OrbitImpact, OrbitPhase, ZenoOrbit, versions
@@ -35,7 +35,7 @@ class Confirmation:
     """How solutions are confirmed.
 
     Attributes:
-        problem: The scene.
+        problem: The problem.
         compiled: Its functions.
         bounds: What must be kept at all times.
         agreement: Largest relative difference of program and simulation over one period.
@@ -47,20 +47,20 @@ class Confirmation:
     agreement: float
 
     def of(
-        self, find: Find, setting: Setting, objective: Objective | None, shape: OrbitShape
+        self, find: Find, values: ParameterValues, objective: Objective | None, shape: OrbitShape
     ) -> Find:
         """Simulate one period of a solution and compare.
 
         Args:
             find: What is known; its solution is the one.
-            setting: Numbers of the solution.
+            values: Numbers of the solution.
             objective: What was asked, if anything was free.
             shape: The shape of the solution.
         """
         solution = find.solution
         if solution is None:
             return find
-        dynamics = bind(self.compiled, setting.values())
+        dynamics = bind(self.compiled, values.vector)
         start = solution.values[start_block(shape, 0)][:, 0]
         start = placed(dynamics, shape, start)
         period = float(solution.values["period"][0, 0])
@@ -71,7 +71,7 @@ class Confirmation:
                 detail = f"From the solution's start no period of shape `{shape.text}` follows."
             return replace(find, status=SearchStatus.NOT_FOLLOWED, detail=detail)
         differs = max(_difference(cycle, solution), _miss(objective, cycle))
-        excesses = self.excesses(setting, cycle)
+        excesses = self.excesses(values, cycle)
         detail = round_again(cycle)
         if not detail and differs > self.agreement:
             detail = f"Solution and simulation differ by {differs:.1e}."
@@ -82,36 +82,36 @@ class Confirmation:
             find,
             status=SearchStatus.NOT_FOLLOWED if detail else SearchStatus.FOUND,
             detail=detail,
-            orbit=None if detail else self.orbit(solution, setting, shape),
-            setting=setting,
+            orbit=None if detail else self.orbit(solution, values, shape),
+            values=values,
             cycle=cycle,
             agreement=differs,
             excesses=excesses,
         )
 
-    def excesses(self, setting: Setting, cycle: Cycle) -> dict[str, float]:
+    def excesses(self, values: ParameterValues, cycle: Cycle) -> dict[str, float]:
         """Return by how much a simulated period passes the bounds of signals that it passes."""
         known = signal_names(self.compiled)
         arcs = cycle.arcs
         found: dict[str, float] = {}
         for bound in self.bounds:
             if bound.name in known:
-                value = signal(self.compiled, bound.name).at(setting.values())
+                value = signal(self.compiled, bound.name).at(values.vector)
                 extent: Extent = extent_of(value, arcs)
                 size = excess(bound, extent)
                 if size > KEPT * max(extent.largest, 1.0) / 2:
                     found[bound.name] = max(found.get(bound.name, 0.0), size)
         return found
 
-    def orbit(self, solution: Solution, setting: Setting, shape: OrbitShape) -> ZenoOrbit:
+    def orbit(self, solution: Solution, values: ParameterValues, shape: OrbitShape) -> ZenoOrbit:
         """Return the orbit of a solution."""
-        dynamics = bind(self.compiled, setting.values())
+        dynamics = bind(self.compiled, values.vector)
         period = float(solution.values["period"][0, 0])
         starts = [*_start_times(solution, shape), period]
         return ZenoOrbit(
             problem=self.problem.name,
-            parameters=dict(setting.parameters),
-            gains=dict(setting.gains),
+            parameters=dict(values.parameters),
+            gains=dict(values.gains),
             period=period,
             phases=tuple(
                 self._phase(solution, dynamics, shape, k, starts[k]) for k in range(shape.n_phases)

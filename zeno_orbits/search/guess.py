@@ -1,4 +1,4 @@
-"""First guesses by simulation: follow a scene until its motion repeats."""
+"""First guesses by simulation: follow a problem until its motion repeats."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _DIFFERENCE = 1e-6
 """Step of a derivative; its error is that part of a correction that is small itself."""
 
 _STILL = 1e-6
-"""Speeds and accelerations below this are rest, in the scene's units."""
+"""Speeds and accelerations below this are rest, in the problem's units."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,7 +11,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model.numeric.compiled import bind
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Setting
+from zeno_orbits.model.problem import ParameterValues
 from zeno_orbits.orbits.cycle import Cycle
 from zeno_orbits.orbits.period import placed
 from zeno_orbits.orbits.shape import OrbitShape
@@ -38,13 +38,13 @@ class Path:
 
     Attributes:
         cycle: The last orbit; ``None`` if there was none to start from.
-        setting: Its numbers.
+        values: Its numbers.
         arrived: Whether they are the ones that were wanted.
         ending: Where and why the path ends, as a sentence, if it did not arrive.
     """
 
     cycle: Cycle | None
-    setting: Setting
+    values: ParameterValues
     arrived: bool
     ending: str = ""
 
@@ -52,7 +52,7 @@ class Path:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Point:
     part: float
-    setting: Setting
+    values: ParameterValues
     closed: ClosedCycle
     margins: Mapping[str, float]
 
@@ -62,7 +62,9 @@ class _Point:
         return self.closed.cycle.start.state
 
 
-def follow(hunt: Hunt, easy: Setting, start: Vector, wanted: Setting, shape: OrbitShape) -> Path:
+def follow(
+    hunt: Hunt, easy: ParameterValues, start: Vector, wanted: ParameterValues, shape: OrbitShape
+) -> Path:
     r"""Follow an orbit from one setting to another: :math:`p(s) = (1 - s)\,p_0 + s\,p_1`.
 
     The next release is predicted by the secant of the last two and closed by simulation.
@@ -77,7 +79,7 @@ def follow(hunt: Hunt, easy: Setting, start: Vector, wanted: Setting, shape: Orb
     period = hunt.settings.settling.chunk
     here = _closed(hunt, 0.0, easy, wanted, start, period, shape)
     if here is None:
-        return Path(cycle=None, setting=easy, arrived=False)
+        return Path(cycle=None, values=easy, arrived=False)
     before, first, step = here, here, 1.0 if easy == wanted else _FIRST_STEP
     while here.part < 1.0 and easy != wanted and step >= _LAST_STEP:
         part = min(1.0, here.part + step)
@@ -92,10 +94,10 @@ def follow(hunt: Hunt, easy: Setting, start: Vector, wanted: Setting, shape: Orb
             continue
         before, here, step = here, there, 1.5 * step
     if here.part >= 1.0 or easy == wanted:
-        return Path(cycle=here.closed.cycle, setting=wanted, arrived=True)
+        return Path(cycle=here.closed.cycle, values=wanted, arrived=True)
     return Path(
         cycle=here.closed.cycle,
-        setting=here.setting,
+        values=here.values,
         arrived=False,
         ending=_ending(first, here, easy, wanted),
     )
@@ -104,8 +106,8 @@ def follow(hunt: Hunt, easy: Setting, start: Vector, wanted: Setting, shape: Orb
 def _closed(
     hunt: Hunt,
     part: float,
-    easy: Setting,
-    wanted: Setting,
+    easy: ParameterValues,
+    wanted: ParameterValues,
     guess: Vector,
     period: float,
     shape: OrbitShape,
@@ -113,9 +115,9 @@ def _closed(
     """Return the orbit at a part of the way, if one closes near a guess."""
     names = (*easy.gains, *easy.parameters)
     numbers = {n: (1 - part) * easy.number(n) + part * wanted.number(n) for n in names}
-    setting = wanted if part == 1.0 else easy.replaced(numbers)
+    values = wanted if part == 1.0 else easy.replaced(numbers)
     try:
-        dynamics = bind(hunt.compiled, setting.values())
+        dynamics = bind(hunt.compiled, values.vector)
         start = placed(dynamics, shape, guess)
         closed = close_cycle(
             dynamics,
@@ -128,7 +130,7 @@ def _closed(
     except (ZenoOrbitsError, ValueError):
         return None
     margins = _margins(dynamics, closed.cycle)
-    return _Point(part=part, setting=setting, closed=closed, margins=margins)
+    return _Point(part=part, values=values, closed=closed, margins=margins)
 
 
 def _margins(dynamics: HybridDynamics, cycle: Cycle) -> dict[str, float]:
@@ -140,10 +142,10 @@ def _margins(dynamics: HybridDynamics, cycle: Cycle) -> dict[str, float]:
     return margins
 
 
-def _ending(first: _Point, last: _Point, easy: Setting, wanted: Setting) -> str:
+def _ending(first: _Point, last: _Point, easy: ParameterValues, wanted: ParameterValues) -> str:
     """Return where a path ends and which margin is lost there."""
     names = [n for n in (*easy.gains, *easy.parameters) if easy.number(n) != wanted.number(n)]
-    numbers = ", ".join(f"{name} = {last.setting.number(name):.5g}" for name in names)
+    numbers = ", ".join(f"{name} = {last.values.number(name):.5g}" for name in names)
     where = f"Orbits could be followed to {numbers}, not beyond"
     shares = {name: last.margins[name] / first.margins[name] for name in last.margins}
     name = min(shares, key=lambda one: shares[one])

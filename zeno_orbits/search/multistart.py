@@ -11,9 +11,9 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
-from zeno_orbits.model.library import SceneFile
+from zeno_orbits.model.library import ProblemFile
 from zeno_orbits.model.numeric.compiled import compiled_model
-from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.bounds import Bound
 from zeno_orbits.orbits.orbit import ZenoOrbit, versions
 from zeno_orbits.orbits.shape import OrbitShape
@@ -32,12 +32,12 @@ class Spread:
     """By whom the starts of a search are tried.
 
     Attributes:
-        scene: Where workers find the scene; the search is told ``scene.load()``.
+        problem: Where workers find the problem; the search is told ``problem.load()``.
         plan: Where they are, and where finished starts are kept. Its identity is filled in.
         tell: Told how many starts are done, and the part of what was left at the start.
     """
 
-    scene: SceneFile
+    problem_file: ProblemFile
     plan: Plan
     tell: Callable[[str, float], None] | None = None
 
@@ -56,16 +56,16 @@ def numbered_start(hunt: Hunt, near: ZenoOrbit | None, number: int) -> Start:
         lower, upper = np.array(list(hunt.free.values())).T
         place = _halton(len(hunt.free), hunt.settings.n_starts, hunt.settings.seed)[number - 1]
         chosen = dict(zip(hunt.free, map(float, lower + place * (upper - lower)), strict=True))
-        return Start(setting=hunt.setting.replaced(chosen))
-    first = clipped(hunt.setting, hunt.free)
+        return Start(values=hunt.values.replaced(chosen))
+    first = clipped(hunt.values, hunt.free)
     known = None
     if near is not None:
         known = Known(
-            setting=near.setting(hunt.problem),
+            values=near.values(hunt.problem),
             start=np.array(hunt.problem.state_vector(near.start_state)),
             shape=near.shape,
         )
-    return Start(setting=first, known=known, easy=_easy_settings(hunt.problem, first))
+    return Start(values=first, known=known, easy=_easy_settings(hunt.problem, first))
 
 
 def trials_here(hunt: Hunt, near: ZenoOrbit | None, accept: Accept | None) -> Generator[Trial]:
@@ -82,16 +82,16 @@ def trials_spread(
     Most searches end at their first start, before workers could have begun.
 
     Raises:
-        InputError: If the scene is another one, the place cannot be had, or the checkpoint is
+        InputError: If the problem is another one, the place cannot be had, or the checkpoint is
             another's.
         WorkError: If the work cannot be finished.
     """
-    if spread.scene.load() is not hunt.problem:
-        wanted = "must be what the `scene` of `spread` loads"
+    if spread.problem_file.load() is not hunt.problem:
+        wanted = "must be what the `problem` of `spread` loads"
         raise InputError(f"Argument `problem` {wanted}, but it is another `{hunt.problem.name}`.")
     task = _Task(
-        scene=spread.scene,
-        setting=hunt.setting,
+        problem_file=spread.problem_file,
+        values=hunt.values,
         free=hunt.free,
         objective=hunt.objective,
         bounds=hunt.bounds,
@@ -102,7 +102,7 @@ def trials_spread(
     )
     plan = replace(spread.plan, chunk=1, noun="starts at most")
     if plan.checkpoint is not None:
-        own = _identity(hunt, near, accept, spread.scene)
+        own = _identity(hunt, near, accept, spread.problem_file)
         plan = replace(plan, identity={**own, **plan.identity})
     results = spread_in_order(
         task,
@@ -122,8 +122,8 @@ def trials_spread(
 class _Task:
     """Tries starts by their numbers; it holds all that a worker has to know."""
 
-    scene: SceneFile
-    setting: Setting
+    problem_file: ProblemFile
+    values: ParameterValues
     free: Mapping[str, tuple[float, float]]
     objective: Objective
     bounds: tuple[Bound, ...]
@@ -134,11 +134,11 @@ class _Task:
 
     def __call__(self, numbers: Sequence[int]) -> list[dict[str, Any]]:
         """Return what comes of starts, as plain data."""
-        problem = self.scene.load()
+        problem = self.problem_file.load()
         hunt = Hunt(
             problem=problem,
             compiled=compiled_model(problem),
-            setting=self.setting,
+            values=self.values,
             free=self.free,
             objective=self.objective,
             bounds=self.bounds,
@@ -155,15 +155,15 @@ class _Task:
 
 
 def _identity(
-    hunt: Hunt, near: ZenoOrbit | None, accept: Accept | None, scene: SceneFile
+    hunt: Hunt, near: ZenoOrbit | None, accept: Accept | None, problem_file: ProblemFile
 ) -> dict[str, Any]:
     """Return everything that the outcome of a start depends on."""
     return {
         "work": "search",
         "problem": hunt.problem.name,
-        "scene": scene.digest,
-        "gains": plain(hunt.setting.gains),
-        "parameters": plain(hunt.setting.parameters),
+        "problem_digest": problem_file.digest,
+        "gains": plain(hunt.values.gains),
+        "parameters": plain(hunt.values.parameters),
         "free": plain(hunt.free),
         "objective": plain(hunt.objective, "objective"),
         "bounds": plain(hunt.bounds),
@@ -192,10 +192,10 @@ def _halton(dimension: int, count: int, seed: int) -> Vector:
     return qmc.Halton(dimension, seed=seed).random(count)
 
 
-def _easy_settings(problem: Problem, setting: Setting) -> tuple[Setting, ...]:
-    """Return where an orbit is to be had more easily: the scene's own gains, a duller stop."""
+def _easy_settings(problem: Problem, values: ParameterValues) -> tuple[ParameterValues, ...]:
+    """Return where an orbit is to be had more easily: the problem's own gains, a duller stop."""
     gains = {gain.name: gain.default for gain in problem.gains if gain.default is not None}
-    own = setting.replaced(gains)
-    dull = {"restitution": setting.parameters["restitution"] / 2}
-    found = [own, setting.replaced(dull), own.replaced(dull), problem.setting()]
-    return tuple(one for k, one in enumerate(found) if one != setting and one not in found[:k])
+    own = values.replaced(gains)
+    dull = {"restitution": values.parameters["restitution"] / 2}
+    found = [own, values.replaced(dull), own.replaced(dull), problem.values()]
+    return tuple(one for k, one in enumerate(found) if one != values and one not in found[:k])

@@ -14,7 +14,7 @@ import numpy as np
 
 from zeno_orbits.model.numeric.compiled import CompiledSystem, bind
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.bounds import Bound
 from zeno_orbits.orbits.cycle import Cycle, closures_of
 from zeno_orbits.orbits.shape import OrbitShape
@@ -50,12 +50,12 @@ _NEAR = 1e-3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hunt:
-    """A search: its scene, its question and how hard to look.
+    """A search: its problem, its question and how hard to look.
 
     Attributes:
-        problem: The scene.
+        problem: The problem.
         compiled: Its functions.
-        setting: Its numbers; what is free is near them if nothing else is asked.
+        values: Its numbers; what is free is near them if nothing else is asked.
         free: Name to bounds of the gains and parameters to be found.
         objective: What is asked.
         bounds: What the orbit must keep.
@@ -66,7 +66,7 @@ class Hunt:
 
     problem: Problem
     compiled: CompiledSystem
-    setting: Setting
+    values: ParameterValues
     free: Mapping[str, tuple[float, float]]
     objective: Objective
     bounds: tuple[Bound, ...]
@@ -76,57 +76,59 @@ class Hunt:
 
     def refine(
         self,
-        setting: Setting,
+        values: ParameterValues,
         cycle: Cycle,
         objective: Objective,
-        origin: Setting | None = None,
+        origin: ParameterValues | None = None,
     ) -> Find:
         """Solve on the mesh of a cycle, simulate the solution, and again on the mesh of that.
 
         Args:
-            setting: Numbers of the cycle.
+            values: Numbers of the cycle.
             cycle: One simulated period.
             objective: What is asked.
             origin: Where the search started, by default here.
         """
         find = Find(status=SearchStatus.NOT_SOLVED)
-        origin = origin or setting
+        origin = origin or values
         hunt, coarse = self, COARSE if self.free else 1.0
         rounds = self.settings.rounds + (_EXCHANGES if self.bounds else 0)
         for refinement in range(rounds):
             # A finer mesh than the settings' own is of no use to an exchange of places.
             fineness = coarse * 0.1 ** min(refinement, self.settings.rounds)
-            find = hunt.solve_once(origin, setting, cycle, objective, fineness)
-            if find.status is SearchStatus.FOUND or find.cycle is None or find.setting is None:
+            find = hunt.solve_once(origin, values, cycle, objective, fineness)
+            if find.status is SearchStatus.FOUND or find.cycle is None or find.values is None:
                 return find
             if find.status is SearchStatus.NOT_SOLVED and not find.agreement < ON_THE_WAY:
                 return find
-            setting, cycle = find.setting, find.cycle
+            values, cycle = find.values, find.cycle
             if refinement >= _EXCHANGES:
                 hunt = replace(hunt, bounds=tightened(hunt.bounds, find.excesses))
         return find
 
     def solve_once(
         self,
-        origin: Setting,
-        setting: Setting,
+        origin: ParameterValues,
+        values: ParameterValues,
         cycle: Cycle,
         objective: Objective,
         coarseness: float = 1.0,
     ) -> Find:
         """Solve one program and hold its solution against a simulation."""
-        terms, closure_error = self.transcribed(origin, setting, cycle, coarseness, objective)
+        terms, closure_error = self.transcribed(origin, values, cycle, coarseness, objective)
         square = not self.free
         if not square:
             for bound in self.bounds:
                 keep(terms, bound)
         return self.solved(
-            terms, closure_error, None if square else objective.cost(terms), setting, objective
+            terms, closure_error, None if square else objective.cost(terms), values, objective
         )
 
-    def least_violation(self, origin: Setting, setting: Setting, cycle: Cycle) -> Find:
+    def least_violation(
+        self, origin: ParameterValues, values: ParameterValues, cycle: Cycle
+    ) -> Find:
         """Solve with the bounds as wishes: the sum of what they are passed by is least."""
-        terms, closure_error = self.transcribed(origin, setting, cycle, COARSE, None)
+        terms, closure_error = self.transcribed(origin, values, cycle, COARSE, None)
         total = ca.MX(0)
         for k, bound in enumerate(self.bounds):
             name = f"slack {k}"
@@ -136,23 +138,23 @@ class Hunt:
         for name, unknown in terms.free.items():
             low, high = self.free[name]
             total += _NEAR * ((unknown - origin.number(name)) / (high - low)) ** 2
-        return self.solved(terms, closure_error, total, setting, None)
+        return self.solved(terms, closure_error, total, values, None)
 
     def transcribed(
         self,
-        origin: Setting,
-        setting: Setting,
+        origin: ParameterValues,
+        values: ParameterValues,
         cycle: Cycle,
         coarseness: float,
         objective: Objective | None,
     ) -> tuple[OrbitTerms, float]:
         """Return the terms of a program around a cycle, and the error of its Zeno closure."""
         settings = self.settings.transcription
-        dynamics = self.dynamics(setting)
+        dynamics = self.dynamics(values)
         closures = closures_of(cycle, dynamics, settings.closure_tolerance)
         terms = transcribe(
             self.compiled,
-            setting,
+            values,
             dynamics=dynamics,
             cycle=cycle,
             closures=closures,
@@ -172,7 +174,7 @@ class Hunt:
         terms: OrbitTerms,
         closure_error: float,
         cost: ca.MX | None,
-        setting: Setting,
+        values: ParameterValues,
         objective: Objective | None,
     ) -> Find:
         """Solve a program and hold its solution against a simulation."""
@@ -199,7 +201,7 @@ class Hunt:
             agreement=self.settings.agreement,
         )
         asked = objective if self.free else None
-        confirmed = confirmation.of(find, setting.replaced(found), asked, terms.shape)
+        confirmed = confirmation.of(find, values.replaced(found), asked, terms.shape)
         if solved:
             return confirmed
         # An orbit it may be, but not the best one: good for a step on the way.
@@ -212,14 +214,14 @@ class Hunt:
             return replace(settings, hessian=Hessian.LIMITED_MEMORY)
         return settings
 
-    def dynamics(self, setting: Setting) -> HybridDynamics:
+    def dynamics(self, values: ParameterValues) -> HybridDynamics:
         """Return the system at given numbers."""
-        return bind(self.compiled, setting.values())
+        return bind(self.compiled, values.vector)
 
-    def numbers(self, setting: Setting) -> dict[str, float]:
+    def numbers(self, values: ParameterValues) -> dict[str, float]:
         """Return the numbers to name a start by: all gains, and the parameters that are free."""
-        free = {name: setting.number(name) for name in self.free}
-        return {**setting.gains, **free}
+        free = {name: values.number(name) for name in self.free}
+        return {**values.gains, **free}
 
 
 def _complaint(solution: Solution, objective: Objective | None) -> str:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.model.numeric.compiled import compiled_model
-from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.bounds import Bound
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.shape import OrbitShape
@@ -111,7 +111,7 @@ class OrbitNotFoundError(ZenoOrbitsError):
 
 def find_orbit(
     problem: Problem,
-    setting: Setting,
+    values: ParameterValues,
     *,
     settings: SearchSettings | None = None,
     shape: OrbitShape | None = None,
@@ -119,18 +119,18 @@ def find_orbit(
     """Find the orbit at given gains: as many conditions as unknowns.
 
     Args:
-        problem: The scene.
-        setting: Its numbers; there is one start.
+        problem: The problem.
+        values: Its numbers; there is one start.
         settings: How hard to look.
         shape: The shape of the orbit; by default whatever a simulation settles to.
     """
     settings = replace(settings or SearchSettings(), n_starts=0)
-    return search_gains(problem, setting, free={}, settings=settings, shape=shape)
+    return search_gains(problem, values, free={}, settings=settings, shape=shape)
 
 
 def search_gains(
     problem: Problem,
-    setting: Setting,
+    values: ParameterValues,
     *,
     free: Mapping[str, tuple[float, float]],
     objective: Objective | None = None,
@@ -145,13 +145,13 @@ def search_gains(
     """Find gains, parameters and initial states of an orbit, from one start after another.
 
     Args:
-        problem: The scene.
-        setting: Its numbers; what is free starts here, then at quasi-random places in its box.
+        problem: The problem.
+        values: Its numbers; what is free starts here, then at quasi-random places in its box.
         free: Name to bounds of the gains and parameters to be found; none at fixed numbers. What
-            the scene derives from a free parameter keeps its number in ``setting``.
+            the problem derives from a free parameter keeps its number in ``setting``.
         objective: What is asked; by default numbers near their start.
         bounds: What the orbit must keep, whatever is asked.
-        near: A known orbit of the scene to start from, at these numbers or near them.
+        near: A known orbit of the problem to start from, at these numbers or near them.
         settings: How hard to look, and how many orbits to rank.
         accept: Says why an orbit will not do, or nothing if it will; any orbit does by default.
         on_progress: Called with what is being done.
@@ -177,14 +177,14 @@ def search_gains(
     objective = objective or NearestGains(target={})
     if isinstance(objective, NearestGains):
         # What has no target stays near its start, so the start is where the target can be met.
-        setting = setting.replaced(objective.target)
-        setting = clipped(setting, free)
-        named = {**setting.gains, **{name: setting.number(name) for name in free}}
+        values = values.replaced(objective.target)
+        values = clipped(values, free)
+        named = {**values.gains, **{name: values.number(name) for name in free}}
         objective = NearestGains(target=named)
     hunt = Hunt(
         problem=problem,
         compiled=compiled_model(problem),
-        setting=setting,
+        values=values,
         free=free,
         objective=objective,
         bounds=tuple(bounds),
@@ -240,9 +240,9 @@ def _search(hunt: Hunt, near: ZenoOrbit | None, trials: Generator[Trial]) -> Sea
 
 
 def _attempt(hunt: Hunt, start: Start, trial: Trial) -> Attempt:
-    parameters = start.setting.parameters
+    parameters = start.values.parameters
     return Attempt(
-        gains=start.setting.gains,
+        gains=start.values.gains,
         parameters={name: parameters[name] for name in hunt.free if name in parameters},
         status=trial.status,
         detail=trial.detail,
@@ -251,7 +251,7 @@ def _attempt(hunt: Hunt, start: Start, trial: Trial) -> Attempt:
 
 def _same(hunt: Hunt, one: Candidate, other: Candidate) -> bool:
     """Tell whether two candidates are the same orbit at the same numbers."""
-    a, b = one.orbit.setting(hunt.problem), other.orbit.setting(hunt.problem)
+    a, b = one.orbit.values(hunt.problem), other.orbit.values(hunt.problem)
     pairs = [(a.number(name), b.number(name)) for name in hunt.free]
     pairs.append((one.orbit.period, other.orbit.period))
     alike = one.orbit.shape == other.orbit.shape

@@ -9,7 +9,7 @@ from enum import Enum
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model.problem import Setting
+from zeno_orbits.model.problem import ParameterValues
 from zeno_orbits.orbits.cycle import Cycle
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.shape import OrbitShape
@@ -84,12 +84,12 @@ class Known:
     """An orbit to start from.
 
     Attributes:
-        setting: Its numbers.
+        values: Its numbers.
         start: Where its period starts, ``(n_x,)``.
         shape: Its shape.
     """
 
-    setting: Setting
+    values: ParameterValues
     start: Vector
     shape: OrbitShape
 
@@ -99,14 +99,14 @@ class Start:
     """Where a search starts.
 
     Attributes:
-        setting: The numbers.
-        known: An orbit at these numbers or near them; by default the scene is simulated.
+        values: The numbers.
+        known: An orbit at these numbers or near them; by default the problem is simulated.
         easy: Settings from which to follow orbits to these numbers where a simulation finds none.
     """
 
-    setting: Setting
+    values: ParameterValues
     known: Known | None = None
-    easy: tuple[Setting, ...] = ()
+    easy: tuple[ParameterValues, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,7 +117,7 @@ class Find:
         status: How it ended.
         detail: The reason in words, where there is no orbit.
         orbit: The orbit, if there is one.
-        setting: Numbers of the solution.
+        values: Numbers of the solution.
         cycle: One period simulated from the solution.
         solution: What the solver returned.
         agreement: Relative difference of solution and simulation.
@@ -131,7 +131,7 @@ class Find:
     status: SearchStatus
     detail: str = ""
     orbit: ZenoOrbit | None = None
-    setting: Setting | None = None
+    values: ParameterValues | None = None
     cycle: Cycle | None = None
     solution: Solution | None = None
     agreement: float = np.inf
@@ -143,4 +143,4 @@ class Find:
 
 def listed(numbers: Mapping[str, float]) -> str:
     """Return names and numbers in words."""
-    return ", ".join(f"{name} = {value:.6g}" for name, value in numbers.items()) or "the scene"
+    return ", ".join(f"{name} = {value:.6g}" for name, value in numbers.items()) or "the problem"

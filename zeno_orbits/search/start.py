@@ -90,7 +90,7 @@ def tried(hunt: Hunt, start: Start, accept: Accept | None, number: int) -> Trial
         accept: Says why an orbit will not do; any will by default.
         number: Which start it is, for words of progress.
     """
-    hunt.tell(f"start {number}: simulating {listed(hunt.numbers(start.setting))}")
+    hunt.tell(f"start {number}: simulating {listed(hunt.numbers(start.values))}")
     return _judged(hunt, from_start(hunt, start), accept, number)
 
 
@@ -128,10 +128,10 @@ def _measured(hunt: Hunt, orbit: ZenoOrbit, number: int) -> Mapping[str, Extent]
 def _score(hunt: Hunt, orbit: ZenoOrbit, extents: Mapping[str, Extent]) -> float:
     if not hunt.free:
         return 0.0
-    found = orbit.setting(hunt.problem)
+    found = orbit.values(hunt.problem)
     return hunt.objective.score(
         {name: found.number(name) for name in hunt.free},
-        {name: hunt.setting.number(name) for name in hunt.free},
+        {name: hunt.values.number(name) for name in hunt.free},
         extents,
     )
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from zeno_orbits.model.problem import Setting
+from zeno_orbits.model.problem import ParameterValues
 from zeno_orbits.orbits.cycle import Cycle
 from zeno_orbits.search.refinement import ON_THE_WAY, Hunt
 from zeno_orbits.search.settings import Find
@@ -30,13 +30,13 @@ class Stop:
     """Where a walk ended.
 
     Attributes:
-        setting: The numbers there.
+        values: The numbers there.
         cycle: One simulated period there.
         find: What the last step that counted found; ``None`` if none did.
         arrived: Whether no further step would lead on, rather than none could be taken.
     """
 
-    setting: Setting
+    values: ParameterValues
     cycle: Cycle
     find: Find | None
     arrived: bool = False
@@ -44,56 +44,56 @@ class Stop:
 
 def walk(
     hunt: Hunt,
-    setting: Setting,
+    values: ParameterValues,
     cycle: Cycle,
-    solve: Callable[[Hunt, Setting, Cycle], Find],
+    solve: Callable[[Hunt, ParameterValues, Cycle], Find],
 ) -> Stop:
     """Return where steps lead that each solve a program in a box around the last orbit.
 
     Args:
         hunt: The search; its box is never left.
-        setting: Where to start.
+        values: Where to start.
         cycle: One simulated period there.
         solve: One step, given the search in a smaller box.
     """
-    half, stop = _FIRST, Stop(setting=setting, cycle=cycle, find=None)
+    half, stop = _FIRST, Stop(values=values, cycle=cycle, find=None)
     for _ in range(_MOST_STEPS):
-        box = _box_around(hunt, stop.setting, half)
-        find = solve(replace(hunt, free=box), stop.setting, stop.cycle)
-        if find.cycle is None or find.setting is None or not find.agreement < ON_THE_WAY:
+        box = _box_around(hunt, stop.values, half)
+        find = solve(replace(hunt, free=box), stop.values, stop.cycle)
+        if find.cycle is None or find.values is None or not find.agreement < ON_THE_WAY:
             half /= 4
             if half < _LEAST:
                 break
             continue
-        moved = _moved(hunt, stop.setting, find.setting)
-        held = _is_held(hunt, find.setting, box)
+        moved = _moved(hunt, stop.values, find.values)
+        held = _is_held(hunt, find.values, box)
         arrived = not held or moved < _STILL
-        stop = Stop(setting=find.setting, cycle=find.cycle, find=find, arrived=arrived)
+        stop = Stop(values=find.values, cycle=find.cycle, find=find, arrived=arrived)
         if arrived:
             break
         half *= 2
     return stop
 
 
-def _box_around(hunt: Hunt, setting: Setting, half: float) -> dict[str, tuple[float, float]]:
+def _box_around(hunt: Hunt, values: ParameterValues, half: float) -> dict[str, tuple[float, float]]:
     box: dict[str, tuple[float, float]] = {}
     for name, (low, high) in hunt.free.items():
-        here, reach = setting.number(name), half * (high - low)
+        here, reach = values.number(name), half * (high - low)
         box[name] = (max(low, here - reach), min(high, here + reach))
     return box
 
 
-def _moved(hunt: Hunt, here: Setting, there: Setting) -> float:
+def _moved(hunt: Hunt, here: ParameterValues, there: ParameterValues) -> float:
     return max(
         abs(there.number(name) - here.number(name)) / (high - low)
         for name, (low, high) in hunt.free.items()
     )
 
 
-def _is_held(hunt: Hunt, setting: Setting, box: dict[str, tuple[float, float]]) -> bool:
+def _is_held(hunt: Hunt, values: ParameterValues, box: dict[str, tuple[float, float]]) -> bool:
     """Tell whether a side of the small box that is not one of the whole holds a number."""
     for name, (low, high) in box.items():
-        here, near = setting.number(name), _TOUCHES * (high - low)
+        here, near = values.number(name), _TOUCHES * (high - low)
         whole = hunt.free[name]
         if (here - low < near and low > whole[0]) or (high - here < near and high < whole[1]):
             return True

@@ -1,4 +1,4 @@
-"""What a search is asked, and whether it makes sense for a scene."""
+"""What a search is asked, and whether it makes sense for a problem."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.model.problem import Problem, Quantity, Setting
+from zeno_orbits.model.problem import ParameterValues, Problem, Quantity
 from zeno_orbits.orbits.bounds import Bound
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.search.objectives import (
@@ -39,7 +39,7 @@ class Question:
 
 
 def require_sense(problem: Problem, question: Question) -> None:
-    """Refuse a question that names what the scene has not, or that nothing can answer.
+    """Refuse a question that names what the problem has not, or that nothing can answer.
 
     Raises:
         InputError: It names what is wrong.
@@ -48,14 +48,14 @@ def require_sense(problem: Problem, question: Question) -> None:
     _check_objective(problem, question)
     _check_bounds(problem, question.bounds)
     if question.near is not None and question.near.problem != problem.name:
-        message = f"must be of scene `{problem.name}`, but it is of `{question.near.problem}`"
+        message = f"must be of problem `{problem.name}`, but it is of `{question.near.problem}`"
         raise InputError(f"Argument `near` {message}.")
 
 
-def clipped(setting: Setting, free: Mapping[str, tuple[float, float]]) -> Setting:
+def clipped(values: ParameterValues, free: Mapping[str, tuple[float, float]]) -> ParameterValues:
     """Return a setting moved into the box of what is free."""
-    return setting.replaced(
-        {name: min(max(setting.number(name), low), high) for name, (low, high) in free.items()}
+    return values.replaced(
+        {name: min(max(values.number(name), low), high) for name, (low, high) in free.items()}
     )
 
 
@@ -87,7 +87,7 @@ def _check_objective(problem: Problem, question: Question) -> None:
         for name, value in objective.target.items():
             if name not in known:
                 listed = ", ".join(known) or "none"
-                wanted = f"must name gains of the scene or what is free ({listed})"
+                wanted = f"must name gains of the problem or what is free ({listed})"
                 raise InputError(f"Argument `objective` {wanted}, but it names `{name}`.")
             if not math.isfinite(value):
                 message = f"must be finite for `{name}`, but it is {value}"

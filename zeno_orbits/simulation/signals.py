@@ -71,7 +71,7 @@ class Peak:
 
 
 def signal_names(compiled: CompiledSystem) -> tuple[str, ...]:
-    """Return the names of a scene's signals: states, then motors' currents and voltages."""
+    """Return the names of a problem's signals: states, then motors' currents and voltages."""
     n_motors = compiled.motors.numel_out(0)
     ends = [""] if n_motors == 1 else [str(k + 1) for k in range(n_motors)]
     motors = [f"{word}{end}" for word in ("current", "voltage") for end in ends]
@@ -79,7 +79,7 @@ def signal_names(compiled: CompiledSystem) -> tuple[str, ...]:
 
 
 def signal(compiled: CompiledSystem, name: str) -> Signal:
-    """Return a signal of a scene by its name, one of `signal_names`."""
+    """Return a signal of a problem by its name, one of `signal_names`."""
     x = ca.SX.sym("x", compiled.n_x)
     p = ca.SX.sym("p", compiled.motors.numel_in(1))
     if name in compiled.state_names:

@@ -137,7 +137,7 @@ def energies_of(
     simulation: SimulationSettings,
 ) -> dict[str, float]:
     """Return the energies of one period, from an integration that carries the ledger along."""
-    dynamics = bind(compiled_model(problem, audited), orbit.setting(problem).values())
+    dynamics = bind(compiled_model(problem, audited), orbit.values(problem).vector)
     if isinstance(simulation.completion, ZenoPassage):
         # Each impact loses its part; only a short tail loses what the last speed says.
         simulation = replace(simulation, completion=simulation.completion.one_by_one)
@@ -173,9 +173,9 @@ def imbalance(energies: Mapping[str, float]) -> float:
 
 def second_model(orbit: ZenoOrbit, problem: Problem, cycle: FirstCycle) -> float:
     """Return the largest relative difference of the two derivations along the orbit."""
-    setting = orbit.setting(problem)
-    by_hand: HybridDynamics = reference_model(problem)(setting)
-    derived = bind(compiled_model(problem), setting.values())
+    values = orbit.values(problem)
+    by_hand: HybridDynamics = reference_model(problem)(values)
+    derived = bind(compiled_model(problem), values.vector)
     times = np.linspace(0.0, cycle.end.time, 41)
     free = [cycle.execution.state_at(float(t)) for t in times]
     free += [impact.state_minus for impact in cycle.impacts]

@@ -122,11 +122,11 @@ def claim_of(orbit: ZenoOrbit, problem: Problem) -> Claim:
     """Return an orbit's numbers as vectors.
 
     Raises:
-        InputError: If the orbit is of another scene, or its names are not the scene's.
+        InputError: If the orbit is of another problem, or its names are not the problem's.
     """
     if orbit.problem != problem.name:
         message = (
-            f"Argument `orbit` must be of scene `{problem.name}`, but it is of `{orbit.problem}`."
+            f"Argument `orbit` must be of problem `{problem.name}`, but it is of `{orbit.problem}`."
         )
         raise InputError(message)
     for k, phase in enumerate(orbit.phases):
@@ -138,7 +138,7 @@ def claim_of(orbit: ZenoOrbit, problem: Problem) -> Claim:
         if set(values) != set(known):
             odd = ", ".join(sorted(set(values) ^ set(known)))
             message = (
-                f"Argument `orbit` must have the {name} of its scene, but these differ: {odd}."
+                f"Argument `orbit` must have the {name} of its problem, but these differ: {odd}."
             )
             raise InputError(message)
 

@@ -28,12 +28,12 @@ NUMBERS = ("period", "energy", "spectral_radius", "margin", *MARGINS)
 
 
 def quantity_names(problem: Problem) -> tuple[str, ...]:
-    """Return the names of all that can be measured of an orbit of a scene."""
+    """Return the names of all that can be measured of an orbit of a problem."""
     return (*signal_names(compiled_model(problem)), *NUMBERS)
 
 
 def require_quantities(names: Sequence[str], problem: Problem, argument: str) -> None:
-    """Refuse a name that is no quantity of the scene.
+    """Refuse a name that is no quantity of the problem.
 
     Raises:
         InputError: It lists those that are.
@@ -41,7 +41,7 @@ def require_quantities(names: Sequence[str], problem: Problem, argument: str) ->
     known = quantity_names(problem)
     for name in names:
         if name not in known:
-            wanted = f"must name a quantity of the scene ({', '.join(known)})"
+            wanted = f"must name a quantity of the problem ({', '.join(known)})"
             raise InputError(f"Argument `{argument}` {wanted}, but it names `{name}`.")
 
 
@@ -56,20 +56,20 @@ def measure(
 
     Args:
         orbit: The orbit.
-        problem: Its scene.
+        problem: Its problem.
         names: What to measure, from `quantity_names`.
         simulation: Accuracy.
 
     Raises:
-        InputError: If a name is no quantity of the scene.
+        InputError: If a name is no quantity of the problem.
         SimulationError: If the release does not come back.
     """
     require_quantities(names, problem, "names")
     simulation = simulation or SimulationSettings()
     claim = claim_of(orbit, problem)
-    setting = orbit.setting(problem)
+    values = orbit.values(problem)
     compiled = compiled_model(problem)
-    dynamics = bind(compiled, setting.values())
+    dynamics = bind(compiled, values.vector)
     seen = observe(dynamics, claim, simulation, 1)
     if seen.cycle is None:
         raise SimulationError(seen.trouble, time=0.0, state=tuple(claim.start.tolist()))
@@ -78,7 +78,7 @@ def measure(
         if name in NUMBERS:
             found[name] = _number(name, orbit, problem, dynamics, claim, seen.cycle, simulation)
         else:
-            value = signal(compiled, name).at(setting.values())
+            value = signal(compiled, name).at(values.vector)
             found[name] = extent_of(value, seen.cycle.arcs)
     return found
 

@@ -1,6 +1,6 @@
 """Check an orbit by forward integration from its numbers alone.
 
-Nothing here knows how the orbit was found: the scene is rebuilt from the orbit's parameters and
+Nothing here knows how the orbit was found: the problem is rebuilt from the orbit's parameters and
 gains, the completed system is simulated from where the period starts over several periods, and what
 happens is held against what the orbit says. Residuals are relative (theory (19), (46)).
 """
@@ -41,7 +41,7 @@ class VerificationSettings:
         n_periods: Periods to integrate.
         simulation: Accuracy of the integration.
         cuts: Thresholds of the delta sweep, in units of the first impact speed.
-        use_reference: Integrate the scene's hand-written model instead of the derived one.
+        use_reference: Integrate the problem's hand-written model instead of the derived one.
     """
 
     tolerance: float = 1e-9
@@ -71,13 +71,13 @@ def verify(
 
     Args:
         orbit: The orbit; its own certificate and multipliers are not looked at.
-        problem: Its scene.
+        problem: Its problem.
         settings: Tolerance, number of periods and accuracy.
-        dynamics: The system to integrate; by default the scene's, at the orbit's numbers.
+        dynamics: The system to integrate; by default the problem's, at the orbit's numbers.
         on_progress: Called with the name of each stage as it begins.
 
     Raises:
-        InputError: If the orbit does not fit the scene.
+        InputError: If the orbit does not fit the problem.
     """
     settings = settings or VerificationSettings()
     claim = claim_of(orbit, problem)
@@ -153,16 +153,16 @@ def problem_dynamics(
 
     Args:
         orbit: The orbit; its gains and parameters are the system's.
-        problem: Its scene.
-        use_reference: Take the scene's hand-written model.
+        problem: Its problem.
+        use_reference: Take the problem's hand-written model.
 
     Raises:
-        InputError: If the orbit's numbers do not fit the scene, or it has no hand-written model.
+        InputError: If the orbit's numbers do not fit the problem, or it has no hand-written model.
     """
-    setting = orbit.setting(problem)
+    values = orbit.values(problem)
     if use_reference:
-        return reference_model(problem)(setting)
-    return bind(compiled_model(problem), setting.values())
+        return reference_model(problem)(values)
+    return bind(compiled_model(problem), values.vector)
 
 
 def _multipliers(

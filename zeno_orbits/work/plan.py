@@ -48,7 +48,7 @@ class Plan:
         chunk: Points a chunk. It must not depend on the place: points that are computed together
             may differ in the last bits from the same points computed apart.
         checkpoint: Folder that keeps finished chunks; ``None`` keeps none.
-        identity: What tells this work from another, as plain data: the command, the scene and its
+        identity: What tells this work from another, as plain data: the command, the problem and its
             content, settings, seeds, versions. Points and the package's own code are added to it.
         noun: What points are called in words of progress.
     """

@@ -79,7 +79,7 @@ def code_digest() -> str:
     digest = hashlib.sha256()
     for file in sorted(package.rglob("*.py")):
         name = file.relative_to(package)
-        # Scenes are installed inside the package, and stand beside it in the source.
+        # Problems are installed inside the package, and stand beside it in the source.
         if name.parts[0] != "problems":
             digest.update(f"{name.as_posix()}\n".encode() + file.read_bytes())
     return digest.hexdigest()

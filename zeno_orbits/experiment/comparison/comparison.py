@@ -128,11 +128,11 @@ def compare(orbit: ZenoOrbit, problem: Problem, recording: Recording) -> Compari
 
     Args:
         orbit: The orbit.
-        problem: Its scene.
-        recording: The recording; signals with names of the scene's states, motors or outputs count.
+        problem: Its problem.
+        recording: The recording; signals with names of the problem's states, motors or outputs count.
 
     Raises:
-        InputError: If no signal is the scene's, or one has a unit of another kind.
+        InputError: If no signal is the problem's, or one has a unit of another kind.
         SimulationError: If the orbit does not return.
     """
     names = shared_signals(problem, recording)
@@ -204,9 +204,11 @@ def _oddities(recording: Recording, problem: Problem, names: Sequence[str]) -> l
     remarks: list[str] = []
     others = [name for name in recording.names if name not in names]
     if others:
-        remarks.append(f"not signals of the scene, left out: {', '.join(others)}")
-    if recording.scene and recording.scene.partition("@")[0] != problem.name.partition("@")[0]:
-        remarks.append(f"the recording names the scene `{recording.scene}`, not `{problem.name}`")
+        remarks.append(f"not signals of the problem, left out: {', '.join(others)}")
+    if recording.problem and recording.problem.partition("@")[0] != problem.name.partition("@")[0]:
+        remarks.append(
+            f"the recording names the problem `{recording.problem}`, not `{problem.name}`"
+        )
     if recording.source is None:
         remarks.append("the recording does not say whether it was measured or simulated")
     for name in names:

@@ -39,7 +39,7 @@ class Counterpart:
     Attributes:
         label: What it is, for a legend.
         times: Since a release, increasing, ``(n,)`` [s].
-        states: States of the scene, ``(n, n_x)``; NaN where they are not known.
+        states: States of the problem, ``(n, n_x)``; NaN where they are not known.
         period: Its own [s].
     """
 
@@ -62,9 +62,9 @@ def counterpart_of(
 
     Args:
         label: What it is.
-        problem: The scene.
+        problem: The problem.
         times: Increasing, ``(n,)`` [s].
-        signals: State name to values, ``(n,)``; what is no state of the scene is left out.
+        signals: State name to values, ``(n,)``; what is no state of the problem is left out.
         period: Its own [s].
         base: How far to either side a difference reaches, a sample at least [s]. Over a single
             step an encoder's own steps are all that is seen.
@@ -93,11 +93,11 @@ def rig_counterpart(
     n_periods: int,
     on_progress: Callable[[float], None] | None = None,
 ) -> Counterpart:
-    """Return the cycles that the scene's virtual rig settles to, at the orbit's numbers.
+    """Return the cycles that the problem's virtual rig settles to, at the orbit's numbers.
 
     Args:
         orbit: The orbit.
-        problem: Its scene.
+        problem: Its problem.
         n_periods: How many cycles.
         on_progress: Told of the part that is done, now and then.
 
@@ -124,7 +124,7 @@ def recording_counterpart(
     Args:
         recording: The recording.
         orbit: The orbit that it is laid over.
-        problem: Its scene.
+        problem: Its problem.
         n_periods: How many cycles to keep at most.
 
     Raises:

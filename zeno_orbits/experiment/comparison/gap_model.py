@@ -136,7 +136,7 @@ def recorded_gap(orbit: ZenoOrbit, problem: Problem, recording: Recording) -> Ve
     needed = gap_coordinates(problem)
     if not needed or any(name not in recording.names for name in needed):
         return None
-    p = np.asarray(orbit.setting(problem).values(), dtype=np.float64)
+    p = np.asarray(orbit.values(problem).vector, dtype=np.float64)
     gap = measurement(problem, (GAP,))
     found = np.empty(len(recording.time))
     for at in range(0, len(found), _AT_ONCE):

@@ -134,7 +134,7 @@ def signal_metrics(problem: Problem, found: Deviations, names: Sequence[str]) ->
     """Yield extremes, sizes of the deviation and the delay of every signal.
 
     Args:
-        problem: The scene.
+        problem: The problem.
         found: The deviations.
         names: Of the signals, in order.
     """
@@ -177,10 +177,10 @@ class Portrait:
 
 
 def portraits_of(problem: Problem, names: Sequence[str]) -> tuple[Portrait, ...]:
-    """Return the portraits of a scene that recorded signals can be drawn in.
+    """Return the portraits of a problem that recorded signals can be drawn in.
 
     Args:
-        problem: The scene.
+        problem: The problem.
         names: Of the recorded signals.
     """
     n_q = compiled_model(problem).n_q

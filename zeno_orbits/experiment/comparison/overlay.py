@@ -108,7 +108,7 @@ def laid_over(
 
     Args:
         orbit: The orbit.
-        problem: Its scene.
+        problem: Its problem.
         recording: The recording.
         also: Names of other signals that the table of the orbit is to hold.
 
@@ -128,7 +128,7 @@ def laid_over(
 
 
 def shared_signals(problem: Problem, recording: Recording) -> tuple[str, ...]:
-    """Return the names of the recorded signals that a scene has.
+    """Return the names of the recorded signals that a problem has.
 
     Raises:
         InputError: If there is none, or one has a unit of another kind, holds nothing or nonsense.
@@ -137,7 +137,7 @@ def shared_signals(problem: Problem, recording: Recording) -> tuple[str, ...]:
     names = tuple(name for name in recording.names if name in known)
     if not names:
         has = ", ".join(recording.names) or "none"
-        wanted = f"must have a signal of the scene ({', '.join(known)})"
+        wanted = f"must have a signal of the problem ({', '.join(known)})"
         raise InputError(f"Argument `recording` {wanted}, but it has {has}.")
     for name in names:
         signal = recording.signal(name)

@@ -32,7 +32,7 @@ from zeno_orbits.experiment.identification.uncertainty import Unseen, unseen_com
 from zeno_orbits.experiment.identification.unknowns import Sought, begin_of, unknowns_of
 from zeno_orbits.experiment.orbit_table import measurement
 from zeno_orbits.experiment.recordings.recording import Recording
-from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.search.closing import close_orbit, orbit_of
 
@@ -43,7 +43,7 @@ _MISFIT = 2.0
 """What repeats of the residuals, over what noise makes repeat, where the model falls short."""
 _ALIEN = 0.05
 """What all cycles have in common of the deviations, in parts of the ranges, in a machine that is
-the scene's, at most."""
+the problem's, at most."""
 _MOVED = 5e-3
 """Relative change of a number between cycles up to which it is given, with a word of that."""
 _LATE = 5.0
@@ -79,8 +79,8 @@ class Identification:
     """Parameters from a recording.
 
     Attributes:
-        problem: Name of the scene.
-        setting: All numbers, the fitted ones among them.
+        problem: Name of the problem.
+        values: All numbers, the fitted ones among them.
         fitted: The fitted ones.
         correlation: Between them, ``(k, k)``.
         unseen: Combinations of them that the recording does not tell.
@@ -93,7 +93,7 @@ class Identification:
     """
 
     problem: str
-    setting: Setting
+    values: ParameterValues
     fitted: tuple[Fitted, ...]
     correlation: Vector
     unseen: tuple[Unseen, ...]
@@ -108,8 +108,8 @@ class Identification:
         return {
             "format": 1,
             "problem": self.problem,
-            "gains": dict(self.setting.gains),
-            "parameters": dict(self.setting.parameters),
+            "gains": dict(self.values.gains),
+            "parameters": dict(self.values.parameters),
             "fitted": {
                 one.sought.label: {
                     "value": one.value,
@@ -135,17 +135,17 @@ class UnfittableError(ZenoOrbitsError):
 
 def identify(
     problem: Problem,
-    setting: Setting,
+    values: ParameterValues,
     recording: Recording,
     sought: Sequence[Sought],
     *,
     on_progress: Callable[[str, float | None], None] | None = None,
 ) -> Identification:
-    """Return the parameters at which a scene's orbit is nearest to a recording.
+    """Return the parameters at which a problem's orbit is nearest to a recording.
 
     Args:
-        problem: The scene.
-        setting: Its numbers: gains and what is not fitted as known, the others roughly.
+        problem: The problem.
+        values: Its numbers: gains and what is not fitted as known, the others roughly.
         recording: Of a machine that has settled, over two periods at least.
         sought: What to fit.
         on_progress: Called with a few words, and how much is done if that is known.
@@ -159,7 +159,7 @@ def identify(
         if on_progress is not None:
             on_progress(what, part)
 
-    begin = begin_of(problem, setting, sought)
+    begin = begin_of(problem, values, sought)
     tell("looking for the orbit at the start")
     closing = close_orbit(problem, begin)
     if closing.orbit is None:
@@ -176,8 +176,8 @@ def identify(
     unknowns = unknowns_of(problem, begin, sought)
     measured = measurement(problem, first.signals)
     orbits = Predictions(problem, unknowns, measured, first.deviations.table.cycle)
-    values = np.stack([recording.signal(name).values for name in first.signals])
-    answer = fit(orbits, folded(recording.time, values, where), found, tell)
+    entries = np.stack([recording.signal(name).values for name in first.signals])
+    answer = fit(orbits, folded(recording.time, entries, where), found, tell)
     remarks = [*first.remarks, *_unsettled(answer, where, recording)]
     if answer.repeating > _ALIEN:
         off = f"the nearest orbit is {100 * answer.repeating:.2g} % of the signals' ranges off"
@@ -186,10 +186,10 @@ def identify(
     parameters = dict(begin.parameters)
     for one in fitted:
         parameters |= dict.fromkeys(one.sought.names, one.value)
-    at = problem.setting(gains=begin.gains, parameters=parameters)
+    at = problem.values(gains=begin.gains, parameters=parameters)
     return Identification(
         problem=problem.name,
-        setting=at,
+        values=at,
         fitted=fitted,
         correlation=answer.spread.correlation,
         unseen=_unseen(sought, answer),

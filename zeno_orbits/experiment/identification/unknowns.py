@@ -9,7 +9,7 @@ import numpy as np
 
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment.identification.predictions import Unknowns
-from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.problem import ParameterValues, Problem
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,7 +32,9 @@ class Sought:
         return "+".join(self.names)
 
 
-def begin_of(problem: Problem, setting: Setting, sought: Sequence[Sought]) -> Setting:
+def begin_of(
+    problem: Problem, values: ParameterValues, sought: Sequence[Sought]
+) -> ParameterValues:
     """Return the numbers to start from: every sought one inside its range, tied ones equal.
 
     Raises:
@@ -41,12 +43,12 @@ def begin_of(problem: Problem, setting: Setting, sought: Sequence[Sought]) -> Se
     if not sought:
         raise InputError("Argument `fit` must name a parameter, but it names none.")
     taken: list[str] = []
-    parameters = dict(setting.parameters)
+    parameters = dict(values.parameters)
     for one in sought:
         for name in one.names:
             if name not in parameters:
                 known = ", ".join(parameters)
-                hint = "; gains are known" if name in setting.gains else ""
+                hint = "; gains are known" if name in values.gains else ""
                 message = f"must name parameters ({known}), but it names `{name}`{hint}"
                 raise InputError(f"Argument `fit` {message}.")
             if name in taken:
@@ -60,16 +62,16 @@ def begin_of(problem: Problem, setting: Setting, sought: Sequence[Sought]) -> Se
         if not one.lower < value < one.upper:
             value = (one.lower + one.upper) / 2
         parameters |= dict.fromkeys(one.names, value)
-    return problem.setting(gains=setting.gains, parameters=parameters)
+    return problem.values(gains=values.gains, parameters=parameters)
 
 
-def unknowns_of(problem: Problem, begin: Setting, sought: Sequence[Sought]) -> Unknowns:
+def unknowns_of(problem: Problem, begin: ParameterValues, sought: Sequence[Sought]) -> Unknowns:
     """Return what is sought as places in gains and parameters."""
     names = [name for one in sought for name in one.names]
     ties = np.array([[float(name in one.names) for one in sought] for name in names])
     start = np.array([begin.parameters[one.names[0]] for one in sought])
     return Unknowns(
-        base=np.array(begin.values(), dtype=np.float64),
+        base=np.array(begin.vector, dtype=np.float64),
         places=tuple(problem.names.index(name) for name in names),
         ties=ties,
         start=start,

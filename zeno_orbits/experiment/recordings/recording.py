@@ -5,7 +5,7 @@ they are known, lines ``# key: value`` (docs/measured_data.md)::
 
     # zeno-orbits data 1
     # source: measured
-    # scene: some_scene
+    # problem: some_problem
     time [ms],angle [deg],current [mA]
     0.0,12.5,-310
 """
@@ -67,7 +67,7 @@ class Recording:
 
     Attributes:
         source: Where they come from; nothing if it is not known.
-        scene: Name of the scene that they belong to; empty if it is not known.
+        problem: Name of the problem that they belong to; empty if it is not known.
         time: Increasing, ``(n_t,)`` [s].
         signals: The signals, with different names.
         notes: What else is known of it, as texts without line ends.
@@ -75,7 +75,7 @@ class Recording:
     """
 
     source: Source | None
-    scene: str
+    problem: str
     time: Vector
     signals: tuple[Signal, ...]
     notes: Mapping[str, str] = field(default_factory=dict[str, str])
@@ -156,8 +156,8 @@ def _written(recording: Recording) -> Iterator[bytes]:
     lines = [f"# zeno-orbits data {FORMAT}"]
     if recording.source is not None:
         lines.append(f"# source: {recording.source.value}")
-    if recording.scene:
-        lines.append(f"# scene: {recording.scene}")
+    if recording.problem:
+        lines.append(f"# problem: {recording.problem}")
     lines += [f"# {key}: {value}" for key, value in recording.notes.items()]
     titles = (f"{signal.name} [{signal.unit}]" for signal in recording.signals)
     lines.append(",".join(("time [s]", *titles)))
@@ -204,7 +204,7 @@ def read_recording(path: Path, *, only: Collection[str] = ()) -> Recording:
     remarks += _missing(values[1:], [names[k] for k in chosen]) + _gaps(values[0])
     return Recording(
         source=_source(path, notes),
-        scene=notes.pop("scene", ""),
+        problem=notes.pop("problem", ""),
         time=values[0],
         signals=tuple(
             Signal(name=names[k], unit=unit, values=row)

@@ -67,7 +67,7 @@ def sampled(
     """Return the states of an execution at even times.
 
     Args:
-        problem: The scene.
+        problem: The problem.
         dynamics: The system that was simulated.
         execution: What to record.
         sampling: How.
@@ -88,7 +88,7 @@ def sampled(
     noisy = {"noise": f"{sampling.noise:g}", "seed": str(sampling.seed)}
     return Recording(
         source=Source.SIMULATED,
-        scene=problem.name,
+        problem=problem.name,
         time=time,
         signals=signals,
         notes=noisy if sampling.noise else {},

@@ -1,4 +1,4 @@
-"""The virtual rig: a scene as a physical machine would be, without a Zeno point. Always simulated.
+"""The virtual rig: a problem as a physical machine would be, without a Zeno point. Always simulated.
 
 ``simulate_rig`` follows it from a state, ``rig_cycles`` lets it settle near an orbit of the model.
 """

@@ -25,7 +25,7 @@ class Pilot:
         rig: The parts of the machine.
         command: From a measured state to the voltages of the feedback.
         currents: From a true state to the motors' currents.
-        n_x: Number of the scene's states.
+        n_x: Number of the problem's states.
         n_q: Number of coordinates.
         random: Where noise comes from.
     """

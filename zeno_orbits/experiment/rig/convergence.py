@@ -35,7 +35,7 @@ class OrbitDistance:
         impact_time: First contact less first impact, from release [s].
         impact_rate: Gap rate at the first contact less that at the first impact.
         lock_time: End of the chatter less Zeno time, from release [s].
-        lock_angle: Coordinate that the scene measures amplitudes of, there less at the Zeno point.
+        lock_angle: Coordinate that the problem measures amplitudes of, there less at the Zeno point.
         release: Largest difference of a state at release, over the state's range on the orbit.
         period: Of the cycle less that of the orbit [s].
         portrait: Largest distance of a point of the cycle from the orbit's curve, resets included
@@ -99,10 +99,10 @@ def orbit_curve(orbit: ZenoOrbit, problem: Problem, *, n_per_arc: int = _SAMPLES
 
     Args:
         orbit: The orbit.
-        problem: Its scene.
+        problem: Its problem.
         n_per_arc: Points on every arc.
     """
-    dynamics = bind(compiled_model(problem), orbit.setting(problem).values())
+    dynamics = bind(compiled_model(problem), orbit.values(problem).vector)
     start = problem.state_vector(orbit.release_state)
     times, states = simulate(dynamics, start, until=orbit.period).sampled(n_per_arc)
     spans = np.ptp(states, axis=0)
@@ -127,7 +127,7 @@ def orbit_distance(
 
     Args:
         orbit: The orbit.
-        problem: Its scene.
+        problem: Its problem.
         curve: The orbit as a line.
         settled: The machine.
     """
@@ -151,7 +151,7 @@ class CycleNumbers:
         impact_time: First contact, or first impact, from release [s].
         impact_rate: Gap rate there.
         lock_time: End of the chatter, or Zeno time, from release [s].
-        lock_angle: Coordinate that the scene measures amplitudes of, there.
+        lock_angle: Coordinate that the problem measures amplitudes of, there.
         period: [s].
     """
 
@@ -164,7 +164,7 @@ class CycleNumbers:
 
 def numbers_of_orbit(orbit: ZenoOrbit, problem: Problem) -> CycleNumbers:
     """Return what an orbit of the model is known by."""
-    dynamics = bind(compiled_model(problem), orbit.setting(problem).values())
+    dynamics = bind(compiled_model(problem), orbit.values(problem).vector)
     first = orbit.impacts[0]
     return CycleNumbers(
         impact_time=first.time,

@@ -34,7 +34,7 @@ class RigComparison:
     """A machine's cycles against an orbit.
 
     Attributes:
-        problem: Name of the scene.
+        problem: Name of the problem.
         cycles: How many.
         orbit: Numbers of the orbit.
         mean: The same of the machine, over its cycles.
@@ -67,7 +67,7 @@ def compare_cycles(orbit: ZenoOrbit, problem: Problem, settled: SettledRig) -> R
 
     Args:
         orbit: The orbit.
-        problem: Its scene.
+        problem: Its problem.
         settled: The machine.
     """
     rows = [asdict(numbers_of_cycle(cycle, problem)) for cycle in settled.cycles]

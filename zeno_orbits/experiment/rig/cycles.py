@@ -89,8 +89,8 @@ def rig_cycles(
 
     Args:
         orbit: The orbit; its gains and parameters are the machine's.
-        problem: Its scene.
-        rig: The parts of the machine; by default those that the scene declares.
+        problem: Its problem.
+        rig: The parts of the machine; by default those that the problem declares.
         cycles: How many to return.
         settle: How many to let pass first; by default as many as the orbit's multipliers ask for.
         seed: Of the noise.
@@ -98,7 +98,7 @@ def rig_cycles(
         on_progress: Told of the part that is done, now and then.
 
     Raises:
-        InputError: If the rig does not fit the scene, or there is no cycle to return.
+        InputError: If the rig does not fit the problem, or there is no cycle to return.
         SimulationError: If the machine does not move in such cycles.
     """
     if cycles < 1 or (settle is not None and settle < 0):
@@ -113,7 +113,7 @@ def rig_cycles(
         keep_from = 0.8 * passed * orbit.period if slack == 1.1 else 0.0
         run = simulate_rig(
             problem,
-            orbit.setting(problem),
+            orbit.values(problem),
             parts,
             problem.state_vector(orbit.release_state),
             until,
@@ -146,7 +146,7 @@ def settling_cycles(orbit: ZenoOrbit) -> int:
 
 
 def default_rig(problem: Problem) -> Rig:
-    """Return the parts that a scene declares, else a stop alone."""
+    """Return the parts that a problem declares, else a stop alone."""
     return problem.rig or Rig()
 
 

@@ -1,7 +1,7 @@
-r"""A scene as a machine: one flow off the stop, one in a contact that gives way, no reset anywhere.
+r"""A problem as a machine: one flow off the stop, one in a contact that gives way, no reset anywhere.
 
-The state is that of the scene, ``(q, v, i)`` and its clock, then angle and rate of every rotor
-behind a gear. Where the scene has a restitution, the machine has a contact force along
+The state is that of the problem, ``(q, v, i)`` and its clock, then angle and rate of every rotor
+behind a gear. Where the problem has a restitution, the machine has a contact force along
 :math:`\nabla h` (theory (48)); all else that a rig has are forces and voltages (theory (50), (51)).
 """
 
@@ -30,8 +30,8 @@ class Machine:
     """The functions of a machine in ``(y, P)``; ``P`` is ``(p, held voltages, damping factor)``.
 
     Attributes:
-        state_names: Name of each entry of ``y``; those of the scene first.
-        n_x: Number of the scene's states.
+        state_names: Name of each entry of ``y``; those of the problem first.
+        n_x: Number of the problem's states.
         n_q: Number of coordinates.
         n_motors: Number of motors.
         holds: Whether the voltages are held, and not those of the feedback at every instant.
@@ -59,14 +59,14 @@ class Machine:
 
 
 def machine(problem: Problem, rig: Rig) -> Machine:
-    """Build the functions of a scene's machine.
+    """Build the functions of a problem's machine.
 
     Args:
-        problem: The scene.
+        problem: The problem.
         rig: What it has.
 
     Raises:
-        InputError: If the rig has a part that the scene has no place for.
+        InputError: If the rig has a part that the problem has no place for.
     """
     symbols = problem.symbols()
     system = problem.model(symbols)
@@ -100,7 +100,7 @@ def machine(problem: Problem, rig: Rig) -> Machine:
 
 
 def require_place(problem: Problem, system: CompletedSystem, rig: Rig) -> None:
-    """Refuse parts that a scene has no place for.
+    """Refuse parts that a problem has no place for.
 
     Raises:
         InputError: With the part at fault.
@@ -129,7 +129,7 @@ def require_place(problem: Problem, system: CompletedSystem, rig: Rig) -> None:
 
 
 class _Parts:
-    """The expressions of a machine, made of those of its scene."""
+    """The expressions of a machine, made of those of its problem."""
 
     def __init__(self, problem: Problem, system: CompletedSystem, rig: Rig) -> None:
         self._system, self._rig, self._mechanism = system, rig, system.mechanism
@@ -214,7 +214,7 @@ class _Parts:
     def _joint(self, motor: int) -> ca.SX:
         """Return angle and rate of the joint that a motor turns."""
         if self._motors is None:
-            raise ValueError("Argument `motor` must be one of the scene's, but it has none.")
+            raise ValueError("Argument `motor` must be one of the problem's, but it has none.")
         axis = self._motors.selection[:, motor - 1]
         return ca.vertcat(ca.dot(axis, self._mechanism.q), ca.dot(axis, self._mechanism.v))
 

@@ -75,9 +75,9 @@ class RigRun:
     """A simulated run of a machine.
 
     Attributes:
-        problem: Name of the scene.
+        problem: Name of the problem.
         rig: The parts of the machine.
-        state_names: Name of each state; those of the scene first, then rotors behind gears.
+        state_names: Name of each state; those of the problem first, then rotors behind gears.
         times: ``(n,)``, not falling [s].
         states: True states, ``(n, n_y)``.
         in_contact: Whether the stop is touched, ``(n,)``.
@@ -135,7 +135,7 @@ def recording_of(
 
     Args:
         run: The run.
-        problem: Its scene.
+        problem: Its problem.
         notes: What else to say of it.
 
     Raises:
@@ -156,7 +156,7 @@ def recording_of(
     ]
     return Recording(
         source=Source.SIMULATED,
-        scene=problem.name,
+        problem=problem.name,
         time=record.times,
         signals=tuple(signals),
         notes={"made by": "the virtual rig; nothing here was measured", **(notes or {})},

@@ -23,7 +23,7 @@ from zeno_orbits.experiment.rig.run import Record, RigRun, RigSettings, Touch
 from zeno_orbits.integrators import Leg, Outcome, Passage
 from zeno_orbits.model.numeric.calls import Call
 from zeno_orbits.model.numeric.compiled_flow import CompiledFlow, FlowMemory
-from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.model.rig_parts import Rig
 from zeno_orbits.simulation.batch.model import Columns
 
@@ -35,7 +35,7 @@ _IN_CONTACT = 257
 
 def simulate_rig(
     problem: Problem,
-    setting: Setting,
+    values: ParameterValues,
     rig: Rig,
     start: Sequence[float],
     until: float,
@@ -47,28 +47,28 @@ def simulate_rig(
     """Follow a machine.
 
     Args:
-        problem: The scene.
-        setting: Its numbers; the restitution is what the contact is damped for.
+        problem: The problem.
+        values: Its numbers; the restitution is what the contact is damped for.
         rig: The parts of the machine.
-        start: State of the scene, ``(n_x,)``; rotors behind gears begin in the middle of the play.
+        start: State of the problem, ``(n_x,)``; rotors behind gears begin in the middle of the play.
         until: How long [s].
         seed: Of the noise.
         settings: How accurately.
         on_progress: Told of the time, now and then.
 
     Raises:
-        InputError: If the rig does not fit the scene, or its restitution is 0: no contact that
+        InputError: If the rig does not fit the problem, or its restitution is 0: no contact that
             gives way is plastic.
         RunawayError: If a coordinate runs away.
         SimulationError: If the integration cannot go on.
     """
-    number = damping_number(setting.number("restitution"))
+    number = damping_number(values.number("restitution"))
     if math.isinf(number):
         wanted = "must be greater than 0 for a contact that gives way"
         raise InputError(f"Argument `restitution` {wanted}, but it is 0.")
     if not (math.isfinite(until) and until > 0.0):
         raise InputError(f"Argument `until` must be a positive number, but it is {until:g}.")
-    follower = _Follower(problem, setting, rig, number, settings or RigSettings(), seed)
+    follower = _Follower(problem, values, rig, number, settings or RigSettings(), seed)
     follower.begin(start)
     follower.follow(until, on_progress or _unheard)
     return follower.result()
@@ -80,7 +80,7 @@ def _unheard(_time: float) -> None:
 
 @lru_cache(maxsize=16)
 def machine_of(problem: Problem, rig: Rig) -> Machine:
-    """Return the functions of a machine, built once for the same scene and parts."""
+    """Return the functions of a machine, built once for the same problem and parts."""
     return machine(problem, rig)
 
 
@@ -90,7 +90,7 @@ class _Follower:
     def __init__(
         self,
         problem: Problem,
-        setting: Setting,
+        values: ParameterValues,
         rig: Rig,
         number: float,
         settings: RigSettings,
@@ -99,7 +99,7 @@ class _Follower:
         built = machine_of(problem, rig)
         self._machine, self._problem, self._rig, self._settings = built, problem, rig, settings
         self._number = number
-        self._p = np.asarray(setting.values(), dtype=np.float64)
+        self._p = np.asarray(values.vector, dtype=np.float64)
         self._numbers = np.concatenate([self._p, np.zeros(built.n_motors), [0.0]])
         self._memories = {False: FlowMemory(built.free), True: FlowMemory(built.contact)}
         self._observe = Call(built.observe, self._numbers)
@@ -139,7 +139,7 @@ class _Follower:
         n_q = self._machine.n_q
         mass = Call(self._machine.inertia, self._p)(x).reshape(n_q, n_q)
         if self._rig.gears and float(np.min(np.linalg.eigvalsh(mass))) <= 0.0:
-            wanted = "must leave the joints some of the scene's inertia"
+            wanted = "must leave the joints some of the problem's inertia"
             raise InputError(f"Argument `rotor_inertia` {wanted}, but it is more than all of it.")
 
     def follow(self, until: float, tell: Callable[[float], None]) -> None:

@@ -1,6 +1,6 @@
 """From expressions to numbers: here and in `flows` a model becomes CasADi functions.
 
-Compiled scenes, built once: to build one takes as long as to simulate a period of it.
+Compiled problems, built once: to build one takes as long as to simulate a period of it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from zeno_orbits.model.numeric.compiled_flow import (
 )
 from zeno_orbits.model.numeric.derivatives import Differentiation
 from zeno_orbits.model.numeric.hybrid_dynamics import FusedResting, HybridDynamics
-from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.problem import ParameterValues, Problem
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,10 +86,10 @@ class CompiledSystem:
 def compile_problem(
     problem: Problem, transform: Callable[[CompletedSystem], CompletedSystem] | None = None
 ) -> CompiledSystem:
-    """Build the functions of a scene.
+    """Build the functions of a problem.
 
     Args:
-        problem: The scene.
+        problem: The problem.
         transform: A change of the completed system first, ``hybrid.audited`` for instance, which
             may append states.
     """
@@ -163,12 +163,12 @@ def compile_system(
     )
 
 
-def output_values(problem: Problem, setting: Setting, states: Vector) -> Vector:
-    """Return the outputs of a scene at states.
+def output_values(problem: Problem, values: ParameterValues, states: Vector) -> Vector:
+    """Return the outputs of a problem at states.
 
     Args:
-        problem: The scene.
-        setting: Its numbers.
+        problem: The problem.
+        values: Its numbers.
         states: ``(n, n_x)``.
 
     Returns:
@@ -179,16 +179,16 @@ def output_values(problem: Problem, setting: Setting, states: Vector) -> Vector:
     formulas = ca.vertcat(*problem.output_formulas(system, symbols))
     inputs = [system.state, ca.vertcat(*symbols.values())]
     function = dense_function("outputs", inputs, [formulas])
-    outputs = Call(function, np.asarray(setting.values(), dtype=np.float64))
+    outputs = Call(function, np.asarray(values.vector, dtype=np.float64))
     return np.array([outputs(x).copy() for x in states])
 
 
-def drawn_lines(problem: Problem, setting: Setting, states: Vector) -> dict[str, Vector]:
-    """Return the lines of a scene's drawing at states.
+def drawn_lines(problem: Problem, values: ParameterValues, states: Vector) -> dict[str, Vector]:
+    """Return the lines of a problem's drawing at states.
 
     Args:
-        problem: The scene; it has a drawing.
-        setting: Its numbers.
+        problem: The problem; it has a drawing.
+        values: Its numbers.
         states: ``(n, n_x)``.
 
     Returns:
@@ -200,11 +200,11 @@ def drawn_lines(problem: Problem, setting: Setting, states: Vector) -> dict[str,
     flat = ca.vertcat(*(ca.vec(corners.T) for corners in lines.values()))
     inputs = [system.state, ca.vertcat(*symbols.values())]
     call = Call(
-        dense_function("lines", inputs, [flat]), np.asarray(setting.values(), dtype=np.float64)
+        dense_function("lines", inputs, [flat]), np.asarray(values.vector, dtype=np.float64)
     )
-    values = np.array([call(x).copy() for x in states])
+    entries = np.array([call(x).copy() for x in states])
     ends = np.cumsum([corners.numel() for corners in lines.values()])
-    parts = np.split(values, ends[:-1], axis=1)
+    parts = np.split(entries, ends[:-1], axis=1)
     return {name: part.reshape(len(states), -1, 2) for name, part in zip(lines, parts, strict=True)}
 
 
@@ -278,33 +278,33 @@ def bind(compiled: CompiledSystem, values: Sequence[float]) -> HybridDynamics:
 
 
 _MOST = 16
-"""Compiled scenes that are remembered; a session that makes thousands must not keep them all."""
+"""Compiled problems that are remembered; a session that makes thousands must not keep them all."""
 
 
 @lru_cache(maxsize=_MOST)
 def compiled_model(
     problem: Problem, transform: Callable[[CompletedSystem], CompletedSystem] | None = None
 ) -> CompiledSystem:
-    """Return the functions of a scene, the same ones for the same scene and transform.
+    """Return the functions of a problem, the same ones for the same problem and transform.
 
-    A scene never changes and its functions hold symbols for all numbers, so they may be shared;
+    A problem never changes and its functions hold symbols for all numbers, so they may be shared;
     what is bound to numbers has memory of its own.
 
     Args:
-        problem: The scene; another object is another scene, however alike.
+        problem: The problem; another object is another problem, however alike.
         transform: A change of the completed system first, a function of a module.
     """
     return compile_problem(problem, transform)
 
 
 @lru_cache(maxsize=_MOST)
-def reference_model(problem: Problem) -> Callable[[Setting], HybridDynamics]:
-    """Return the hand-written model of a scene as a function of its numbers.
+def reference_model(problem: Problem) -> Callable[[ParameterValues], HybridDynamics]:
+    """Return the hand-written model of a problem as a function of its numbers.
 
-    Its file is read once for each scene, as the scene's own was.
+    Its file is read once for each problem, as the problem's own was.
 
     Raises:
-        InputError: If the scene has none.
+        InputError: If the problem has none.
         ProblemFileError: If its file does not load.
     """
     return load_reference(problem).dynamics

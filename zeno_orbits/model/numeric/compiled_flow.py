@@ -1,4 +1,4 @@
-"""A mode of a scene as functions, and as a flow at fixed numbers: what the engines ask of it."""
+"""A mode of a problem as functions, and as a flow at fixed numbers: what the engines ask of it."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ class FlowMemory:
 class CompiledFlow:
     """A guarded flow whose step is one CasADi call through preallocated memory.
 
-    Flows that differ in their numbers alone, as the flights of a scene, can share the memory.
+    Flows that differ in their numbers alone, as the flights of a problem, can share the memory.
     """
 
     def __init__(self, mode: ModeFunctions, p: Vector, memory: FlowMemory | None = None) -> None:
@@ -272,7 +272,7 @@ class NewtonCalls:
 
 @lru_cache(maxsize=64)
 def _newton_functions(mode: ModeFunctions, scheme: Collocation) -> NewtonFunctions:
-    """Build the pieces of an implicit step; only a scene that turns out stiff needs them."""
+    """Build the pieces of an implicit step; only a problem that turns out stiff needs them."""
     p = ca.SX.sym("p", mode.rate.size1_in(1))
     pieces = implicit_expressions(mode.rate, p, scheme)
     y, stages, factors = pieces.y, pieces.stages, pieces.factors

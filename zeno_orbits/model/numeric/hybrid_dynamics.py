@@ -1,6 +1,6 @@
 """A completed system at fixed numbers: the flows, guards and resets that a simulator needs.
 
-Both models of a scene end here, the compiled CasADi one and a hand-written one, so a checker
+Both models of a problem end here, the compiled CasADi one and a hand-written one, so a checker
 cannot tell which of them it integrates.
 """
 
@@ -15,7 +15,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.integrators.flow import GuardedFlow
 from zeno_orbits.model.numeric.derivatives import Differentiation
 
-_BEYOND = ": the drive's correction is as large as what it corrects; take the full scene."
+_BEYOND = ": the drive's correction is as large as what it corrects; take the full problem."
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -19,7 +19,7 @@ def page_of(subject: Subject, bundle: Bundle) -> str:
     """Return the page as text; the same subject gives the same text.
 
     Its own policy forbids it every request and every script but its own two, so that it stays
-    offline and harmless even if a text of a scene were HTML.
+    offline and harmless even if a text of a problem were HTML.
     """
     script = files("zeno_orbits.report.page").joinpath("page.js").read_text(encoding="utf-8")
     style = files("zeno_orbits.report.page").joinpath("page.css").read_text(encoding="utf-8")

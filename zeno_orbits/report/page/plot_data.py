@@ -111,22 +111,22 @@ def _portraits(problem: Problem, execution: Execution) -> list[dict[str, Any]]:
 def _series(subject: Subject, execution: Execution) -> dict[str, Any]:
     problem, n_q = subject.problem, subject.dynamics.n_q
     names, units = problem.state_names, problem.state_units
-    # The clock of a forced scene, states without a unit behind the velocities, tells nothing.
+    # The clock of a forced problem, states without a unit behind the velocities, tells nothing.
     rows = [*range(2 * n_q), *(k for k in range(2 * n_q, len(names)) if units[k] != "1")]
     paths = _paths(execution)
     labels = [label_of(names, row, units[row]) for row in rows]
-    values = [[states[:, row] for _, _, states in paths] for row in rows]
+    entries = [[states[:, row] for _, _, states in paths] for row in rows]
     if problem.outputs:
-        setting = subject.orbit.setting(problem)
-        outputs = [output_values(problem, setting, x[:, : len(names)]) for _, _, x in paths]
+        values = subject.orbit.values(problem)
+        outputs = [output_values(problem, values, x[:, : len(names)]) for _, _, x in paths]
         for k, output in enumerate(problem.outputs):
             labels.append(escape(f"{output.name.replace('_', ' ')} [{output.unit}]"))
-            values.append([column[:, k] for column in outputs])
+            entries.append([column[:, k] for column in outputs])
     return {
         "arcs": [{"kind": kind, "t": _short(times, 14)} for kind, times, _ in paths],
         "rows": [
             {"label": label, "values": [_short(one, 10) for one in row]}
-            for label, row in zip(labels, values, strict=True)
+            for label, row in zip(labels, entries, strict=True)
         ],
         "locked": _locked(execution),
         "impacts": [impact.time for impact in execution.impacts],

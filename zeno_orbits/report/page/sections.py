@@ -51,7 +51,7 @@ def asked(subject: Subject) -> Html:
             "p",
             "A Zeno periodic orbit of ",
             tag("b", problem.title),
-            f" (scene {orbit.problem}, from: {problem.source}) at the gains below. The file "
+            f" (problem {orbit.problem}, from: {problem.source}) at the gains below. The file "
             f"{subject.file} claims one; this page holds it against a simulation of "
             f"{subject.certificate.n_periods} periods that knows nothing else of it. Residuals of "
             f"at most {subject.certificate.tolerance:.0e} pass.",
@@ -329,19 +329,19 @@ def reproduction(subject: Subject, bundle: Bundle) -> Html:
 def commands(subject: Subject) -> tuple[tuple[str, ...], ...]:
     """Return the words of the commands that find, check and report the orbit."""
     orbit, problem = subject.orbit, subject.problem
-    scene = subject.scene_file or orbit.problem
+    name = subject.problem_file or orbit.problem
     given = {
         quantity.name: orbit.parameters[quantity.name]
         for quantity in problem.parameters
         if quantity.default is not None and orbit.parameters[quantity.name] != quantity.default
     }
-    # What the scene derives has to be said only where it is not what it would derive.
-    derived = problem.setting(parameters=given).parameters
+    # What the problem derives has to be said only where it is not what it would derive.
+    derived = problem.values(parameters=given).parameters
     given |= {name: value for name, value in orbit.parameters.items() if derived[name] != value}
-    search = ["zeno-orbits", "search", scene]
+    search = ["zeno-orbits", "search", name]
     search += [word for name, v in orbit.gains.items() for word in ("--fix", f"{name}={v!r}")]
     search += [word for name, v in given.items() for word in ("--set", f"{name}={v!r}")]
-    where = ("--problem", subject.scene_file) if subject.scene_file else ()
+    where = ("--problem", subject.problem_file) if subject.problem_file else ()
     check = ("zeno-orbits", "verify", subject.file, *where)
     tolerance = ("--tolerance", f"{subject.certificate.tolerance:g}")
     return ((*search, "-o", subject.file), (*check, *tolerance), subject.command)

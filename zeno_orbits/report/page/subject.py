@@ -26,14 +26,14 @@ class Subject:
 
     Attributes:
         orbit: The orbit, as its file has it.
-        problem: Its scene.
-        dynamics: The scene at the orbit's numbers.
+        problem: Its problem.
+        dynamics: The problem at the orbit's numbers.
         certificate: What a forward integration said of it, just now.
         execution: One period, simulated from the orbit's release; none if that failed.
         trouble: Why it failed; empty if it did not.
-        trade: What accuracy costs in this scene, if that was measured.
+        trade: What accuracy costs in this problem, if that was measured.
         file: Name of the orbit's file.
-        scene_file: Path of the scene's file; empty for a bundled scene.
+        scene_file: Path of the problem's file; empty for a bundled problem.
         content: The orbit's file itself.
         command: The words of the command that made the report.
     """
@@ -46,7 +46,7 @@ class Subject:
     trouble: str
     trade: Trade | None
     file: str
-    scene_file: str
+    problem_file: str
     content: str
     command: tuple[str, ...]
 
@@ -59,7 +59,7 @@ def subject_of(
     *,
     trade: Trade | None = None,
     file: str = "orbit.json",
-    scene_file: str = "",
+    problem_file: str = "",
     content: str = "",
     command: tuple[str, ...] = (),
 ) -> Subject:
@@ -83,7 +83,7 @@ def subject_of(
         trouble=trouble,
         trade=trade,
         file=file,
-        scene_file=scene_file,
+        problem_file=problem_file,
         content=content,
         command=command,
     )

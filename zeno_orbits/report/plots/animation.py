@@ -24,7 +24,7 @@ from PIL import Image
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.model.numeric.compiled import drawn_lines
-from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.report.plots.style import (
     ARCS,
     FULL_WIDTH,
@@ -70,24 +70,24 @@ class Film:
     rate: int
 
 
-def film_of(problem: Problem, setting: Setting, execution: Execution, period: float) -> Film:
+def film_of(problem: Problem, values: ParameterValues, execution: Execution, period: float) -> Film:
     """Return one period of a machine in motion with its first two phase portraits beside it.
 
     Args:
-        problem: The scene; it has a drawing.
-        setting: Its numbers.
+        problem: The problem; it has a drawing.
+        values: Its numbers.
         execution: One period from the release on.
         period: [s].
 
     Raises:
-        InputError: If the scene has no drawing.
+        InputError: If the problem has no drawing.
     """
     if problem.drawing is None:
         raise InputError(f"Argument `problem` must have a drawing, but `{problem.name}` has none.")
     count = int(np.clip(round(period * _RATE), _FEWEST, _MOST))
     times = np.linspace(0.0, period, count, endpoint=False)
     states = np.array([execution.state_at(time) for time in times])
-    lines = drawn_lines(problem, setting, states[:, : len(problem.state_names)])
+    lines = drawn_lines(problem, values, states[:, : len(problem.state_names)])
     figure = Figure(figsize=(FULL_WIDTH, _TALL), layout="constrained", dpi=_DOTS)
     canvas = FigureCanvasAgg(figure)
     pairs = [

@@ -46,7 +46,7 @@ def plot_families(found: Continuation, problem: Problem, *, width: float = FULL_
 
     Args:
         found: What was found.
-        problem: The scene, for units.
+        problem: The problem, for units.
         width: Width of the picture [in].
     """
     main = found.families[0]
@@ -81,7 +81,7 @@ def plot_boundaries(
 
     Args:
         found: What was found; it must have a boundary.
-        problem: The scene, for units.
+        problem: The problem, for units.
         width: Width of the picture [in].
     """
     figure, (ax,) = panels_of(width, 1, height=0.75 * width)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 
 from zeno_orbits.model.numeric.compiled import compiled_model
-from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.report.plots.style import COLUMN_WIDTH, INK, TEXT, TINTS, symbol_of
 from zeno_orbits.simulation.execution import Mode
 
@@ -31,7 +31,7 @@ _LONGEST = 58
 """Signs of the names of states that fit on a line."""
 
 
-def plot_graph(problem: Problem, setting: Setting, *, width: float = COLUMN_WIDTH) -> Figure:
+def plot_graph(problem: Problem, values: ParameterValues, *, width: float = COLUMN_WIDTH) -> Figure:
     r"""Return a hybrid system and its completion as graphs, one above the other.
 
     Above, the simple hybrid system :math:`(D_h, G_h, R_h, f)`: one domain with its flow, and the
@@ -40,8 +40,8 @@ def plot_graph(problem: Problem, setting: Setting, *, width: float = COLUMN_WIDT
     domain, the stop, and the release :math:`\lambda = 0` leads back.
 
     Args:
-        problem: The scene.
-        setting: Its numbers.
+        problem: The problem.
+        values: Its numbers.
         width: Width of the picture [in].
     """
     whole = sum(_HEIGHTS)
@@ -53,7 +53,7 @@ def plot_graph(problem: Problem, setting: Setting, *, width: float = COLUMN_WIDT
         ax.set_axis_off()
     has_motors = compiled_model(problem).motors.numel_out(0) > 0
     kind = "electromechanical hybrid" if has_motors else "hybrid"
-    _draw_system(panels[0], f"(a) simple {kind} system", setting.parameters["restitution"])
+    _draw_system(panels[0], f"(a) simple {kind} system", values.parameters["restitution"])
     _draw_completion(panels[1], "(b) its completion", _states(problem))
     return figure
 

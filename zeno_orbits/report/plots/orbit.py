@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model.numeric.compiled import output_values
-from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.report.plots.style import (
     AFTER,
     BEFORE,
@@ -35,10 +35,10 @@ _EDGE = 0.01
 
 
 def plot_portraits(problem: Problem, execution: Execution, *, width: float = FULL_WIDTH) -> Figure:
-    """Return the phase portraits of a scene: arcs by mode, resets, Zeno points, releases.
+    """Return the phase portraits of a problem: arcs by mode, resets, Zeno points, releases.
 
     Args:
-        problem: The scene; its ``portraits`` say what is drawn against what.
+        problem: The problem; its ``portraits`` say what is drawn against what.
         execution: What to draw.
         width: Width of the picture [in].
     """
@@ -63,10 +63,10 @@ def plot_time_series(
 ) -> Figure:
     """Return coordinates and currents over time, phases shaded, impacts as ticks on the upper edge.
 
-    The clock of a forced scene, the states without a unit behind the velocities, is left out.
+    The clock of a forced problem, the states without a unit behind the velocities, is left out.
 
     Args:
-        problem: The scene.
+        problem: The problem.
         execution: What to draw.
         width: Width of the picture [in].
     """
@@ -78,22 +78,22 @@ def plot_time_series(
 
 
 def plot_outputs(
-    problem: Problem, setting: Setting, execution: Execution, *, width: float = FULL_WIDTH
+    problem: Problem, values: ParameterValues, execution: Execution, *, width: float = FULL_WIDTH
 ) -> Figure:
-    """Return the outputs of a scene over time, drawn as the states are.
+    """Return the outputs of a problem over time, drawn as the states are.
 
     Args:
-        problem: The scene; it has outputs.
-        setting: Its numbers.
+        problem: The problem; it has outputs.
+        values: Its numbers.
         execution: What to draw.
         width: Width of the picture [in].
     """
     labels = [f"{output.name.replace('_', ' ')} [{output.unit}]" for output in problem.outputs]
 
-    def values(states: Vector) -> Vector:
-        return output_values(problem, setting, states[:, : len(problem.state_names)])
+    def entries(states: Vector) -> Vector:
+        return output_values(problem, values, states[:, : len(problem.state_names)])
 
-    return _over_time(execution, labels, values, width)
+    return _over_time(execution, labels, entries, width)
 
 
 def _over_time(

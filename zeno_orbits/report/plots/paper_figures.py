@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from zeno_orbits.experiment.comparison.counterpart import Counterpart
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem, Setting
+from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.report.plots.animation import film_of, gif_of, has_ffmpeg, mp4_of
 from zeno_orbits.report.plots.graph import plot_graph
 from zeno_orbits.report.plots.orbit import plot_portraits
@@ -30,9 +30,9 @@ class Material:
     """What the figures show.
 
     Attributes:
-        problem: The scene.
-        setting: The orbit's numbers.
-        dynamics: The scene at these.
+        problem: The problem.
+        values: The orbit's numbers.
+        dynamics: The problem at these.
         period: Of the orbit [s].
         one: The motion over one period, from the release on.
         several: The same over some periods.
@@ -40,7 +40,7 @@ class Material:
     """
 
     problem: Problem
-    setting: Setting
+    values: ParameterValues
     dynamics: HybridDynamics
     period: float
     one: Execution
@@ -50,7 +50,7 @@ class Material:
 
 def graph_files(material: Material) -> dict[str, bytes]:
     """Return the hybrid system and its completion as graphs."""
-    return _files({"fig2_systems": plot_graph(material.problem, material.setting)})
+    return _files({"fig2_systems": plot_graph(material.problem, material.values)})
 
 
 def region_files(material: Material) -> dict[str, bytes]:
@@ -86,7 +86,7 @@ def beside_files(material: Material) -> dict[str, bytes]:
 
 def animation_files(material: Material) -> dict[str, bytes]:
     """Return the machine in motion: a GIF, and an MP4 where ffmpeg is found."""
-    film = film_of(material.problem, material.setting, material.one, material.period)
+    film = film_of(material.problem, material.values, material.one, material.period)
     files = {"machine.gif": gif_of(film)}
     return files | ({"machine.mp4": mp4_of(film)} if has_ffmpeg() else {})
 

@@ -35,7 +35,7 @@ def plot_comparison(problem: Problem, found: Comparison, *, width: float = FULL_
     in periods of their own, which stand above in numbers.
 
     Args:
-        problem: The scene.
+        problem: The problem.
         found: The comparison; it has an alignment.
         width: Width of the picture [in].
     """

@@ -42,17 +42,17 @@ def plot_zeno_region(
     """Return the region of Zeno equilibria where d2h/dt2 < 0 (Theorem 1).
 
     It lies over the first coordinate that the stop leaves free and the first current, or that
-    coordinate's velocity in a scene without current; every other state is zero or as the stop
+    coordinate's velocity in a problem without current; every other state is zero or as the stop
     demands. With a single coordinate it shrinks to a curve over the current or the velocity.
 
     Args:
-        problem: The scene.
-        dynamics: The scene at fixed numbers.
+        problem: The problem.
+        dynamics: The problem at fixed numbers.
         execution: Its locked arcs, Zeno points and releases are laid over the region.
         width: Width of the picture [in].
 
     Raises:
-        InputError: If the scene has constraints or a clock; its equilibria fill no such plane.
+        InputError: If the problem has constraints or a clock; its equilibria fill no such plane.
     """
     if not has_zeno_region(dynamics):
         raise InputError(
@@ -86,7 +86,7 @@ def has_zeno_region(dynamics: HybridDynamics) -> bool:
 
 
 def _base(problem: Problem, dynamics: HybridDynamics) -> Vector:
-    """Return zero if that is on the stop, else the coordinates of the scene's first start."""
+    """Return zero if that is on the stop, else the coordinates of the problem's first start."""
     base = np.zeros(len(dynamics.state_names))
     if problem.starts and abs(dynamics.gap(base)) > 1e-12:
         base[: dynamics.n_q] = problem.state_vector(problem.starts[0])[: dynamics.n_q]

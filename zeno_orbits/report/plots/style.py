@@ -97,7 +97,7 @@ def panels_of(
 def portraits_of(
     problem: Problem, width: float, *, height: float
 ) -> tuple[Figure, list[tuple[Axes, list[int]]]]:
-    """Return a figure with a labelled panel a portrait of a scene, and which states it shows."""
+    """Return a figure with a labelled panel a portrait of a problem, and which states it shows."""
     pairs = [[problem.state_names.index(name) for name in pair] for pair in problem.portraits]
     figure, panels = panels_of(width, len(pairs), height=height)
     for ax, (across, up) in zip(panels, pairs, strict=True):

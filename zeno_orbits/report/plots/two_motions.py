@@ -55,7 +55,7 @@ def plot_beside_over_time(
     """Return the coordinates of both motions over time, the model's locked phases shaded.
 
     Args:
-        problem: The scene.
+        problem: The problem.
         execution: The model's motion from a release on.
         counterpart: The other motion, from a release on.
         width: Width of the picture [in].
@@ -84,7 +84,7 @@ def plot_beside_by_phase(
     cycles of the other motion are drawn on top of each other.
 
     Args:
-        problem: The scene.
+        problem: The problem.
         execution: The model's motion over one period from its release on.
         counterpart: The other motion, from a release on.
         width: Width of the picture [in].
@@ -121,7 +121,7 @@ def plot_beside_impacts(
     it is enlarged, for what takes the place of the locked phase in the other motion.
 
     Args:
-        problem: The scene.
+        problem: The problem.
         dynamics: It at the orbit's numbers.
         execution: The model's motion over one period or more; the first one is shown.
         counterpart: The other motion.
@@ -151,7 +151,7 @@ def plot_beside_portraits(
     """Return the phase portraits of both motions.
 
     Args:
-        problem: The scene; its ``portraits`` say what is drawn against what.
+        problem: The problem; its ``portraits`` say what is drawn against what.
         execution: The model's motion.
         counterpart: The other motion.
         width: Width of the picture [in].
@@ -180,7 +180,7 @@ def plot_beside_zeno_point(
     """Return gap rate over gap of both motions near the Zeno point, which is the origin.
 
     Args:
-        problem: The scene.
+        problem: The problem.
         dynamics: It at the orbit's numbers.
         execution: The model's motion.
         counterpart: The other motion.

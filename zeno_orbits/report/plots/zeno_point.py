@@ -41,7 +41,7 @@ def plot_zeno_zoom(
     the gap rate over the gap takes the place of the last two.
 
     Args:
-        problem: The scene.
+        problem: The problem.
         execution: It reaches a Zeno point.
         dynamics: The system that was simulated.
         width: Width of the picture [in].

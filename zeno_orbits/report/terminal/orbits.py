@@ -1,4 +1,4 @@
-"""What a person reads in the terminal: tables of scenes, executions, orbits and searches.
+"""What a person reads in the terminal: tables of problems, executions, orbits and searches.
 
 Tables of trades, maps and families, progress, plain lines and errors come from modules of their own
 and are passed on.
@@ -29,7 +29,7 @@ from zeno_orbits.report.terminal.studies import print_families, print_map, print
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from zeno_orbits.model.problem import Problem, Setting
+    from zeno_orbits.model.problem import ParameterValues, Problem
     from zeno_orbits.orbits.orbit import ZenoOrbit
     from zeno_orbits.precision.accuracy import Assured
     from zeno_orbits.precision.reduced_models import ReductionCost
@@ -65,8 +65,8 @@ __all__ = [
 
 
 def print_problems(problems: Sequence[Problem]) -> None:
-    """Print the list of scenes."""
-    table = table_of("name", "states", "gains", "scene")
+    """Print the list of problems."""
+    table = table_of("name", "states", "gains", "problem")
     for problem in problems:
         gains = ", ".join(gain.name for gain in problem.gains) or "-"
         table.add_row(problem.name, str(len(problem.state_names)), gains, problem.title)
@@ -74,10 +74,10 @@ def print_problems(problems: Sequence[Problem]) -> None:
 
 
 def print_conditions(
-    problem: Problem, setting: Setting, formula: str, numbers: str, *, always: bool | None
+    problem: Problem, values: ParameterValues, formula: str, numbers: str, *, always: bool | None
 ) -> None:
-    """Print Theorem 1 for a scene."""
-    e = setting.parameters["restitution"]
+    """Print Theorem 1 for a problem."""
+    e = values.parameters["restitution"]
     console = plain_console()
     console.print("Theorem 1: Zeno executions exist near a Zeno equilibrium if")
     console.print("  0 <= e < 1   and   d2h/dt2 < 0   there, where\n")
@@ -93,7 +93,7 @@ def print_conditions(
 
 
 def print_costs(costs: Sequence[ReductionCost]) -> None:
-    """Print what the reduced models of a scene cost in accuracy, relative errors of an orbit."""
+    """Print what the reduced models of a problem cost in accuracy, relative errors of an orbit."""
     measured = any(cost.measured for cost in costs)
     columns = ("estimate", "measured") if measured else ("estimate",)
     table = table_of("reduced model", "states", "error of", *columns)
@@ -167,7 +167,7 @@ def print_orbit(
     """Print an orbit and the gist of its certificate.
 
     Args:
-        problem: Its scene.
+        problem: Its problem.
         orbit: The orbit.
         certificate: What a verification said of it.
         free: Parameters that were searched, to be shown among the gains.

@@ -65,7 +65,7 @@ class StretchWriter:
 
     Args:
         program: The program.
-        compiled: The functions of the scene.
+        compiled: The functions of the problem.
         settings: Scheme and mesh.
         p: Gains and parameters, numbers or unknowns.
         scale: Size of each state, ``(n_x,)``.

@@ -17,7 +17,7 @@ from zeno_orbits.arrays import Array, Vector
 from zeno_orbits.integrators.collocation import Collocation
 from zeno_orbits.model.numeric.compiled import CompiledSystem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Setting
+from zeno_orbits.model.problem import ParameterValues
 from zeno_orbits.orbits.cycle import Closure, Cycle
 from zeno_orbits.orbits.shape import OrbitShape
 from zeno_orbits.search.transcription.arc import Stretch, TranscriptionSettings
@@ -32,7 +32,7 @@ class OrbitTerms:
 
     Attributes:
         program: The program, open for more rows.
-        compiled: The functions of the scene.
+        compiled: The functions of the problem.
         p: Gains, then parameters, numbers or unknowns, ``(n_p,)``.
         free: Name to unknown of what is free.
         first: Name to value of what is free, where the search started.
@@ -85,7 +85,7 @@ class OrbitTerms:
 
 def transcribe(
     compiled: CompiledSystem,
-    setting: Setting,
+    values: ParameterValues,
     *,
     dynamics: HybridDynamics,
     cycle: Cycle,
@@ -97,8 +97,8 @@ def transcribe(
     """Declare the unknowns and the conditions of an orbit of the shape of its guess.
 
     Args:
-        compiled: The functions of the scene.
-        setting: Its numbers; what is free starts at its value here.
+        compiled: The functions of the problem.
+        values: Its numbers; what is free starts at its value here.
         dynamics: The system at these numbers.
         cycle: One simulated period, the guess.
         closures: Of each phase, which impacts are resolved and which tell the Zeno point.
@@ -110,13 +110,13 @@ def transcribe(
         The terms of an objective, with the program they belong to.
     """
     program = ProgramBuilder()
-    unknown = _declare_free(program, setting, free)
-    named = {**setting.gains, **setting.parameters}
+    unknown = _declare_free(program, values, free)
+    named = {**values.gains, **values.parameters}
     p = ca.vertcat(*(unknown.get(name, ca.MX(value)) for name, value in named.items()))
     places = [k for k, name in enumerate(named) if name in unknown]
     restitution = _restitution(compiled, p, places, dynamics.restitution)
     writer = PhaseWriter(
-        program, compiled, settings, p, restitution, setting.values(), dynamics, cycle
+        program, compiled, settings, p, restitution, values.vector, dynamics, cycle
     )
 
     n_free, labels = len(program.blocks), labels_of(cycle.shape)
@@ -154,7 +154,7 @@ def transcribe(
         motion=motion,
         scheme=settings.scheme,
         state_names=compiled.state_names,
-        numbers=setting.values(),
+        numbers=values.vector,
     )
 
 
@@ -172,11 +172,11 @@ def start_block(shape: OrbitShape, place: int) -> str:
 
 
 def _declare_free(
-    program: ProgramBuilder, setting: Setting, free: Mapping[str, tuple[float, float]]
+    program: ProgramBuilder, values: ParameterValues, free: Mapping[str, tuple[float, float]]
 ) -> dict[str, ca.MX]:
     unknown: dict[str, ca.MX] = {}
     for name, (lower, upper) in free.items():
-        value = setting.number(name)
+        value = values.number(name)
         size = max(abs(value), 0.01 * (upper - lower))
         unknown[name] = program.variable(
             f"free {name}", value, scale=size, lower=lower, upper=upper

@@ -28,7 +28,7 @@ _EXPONENT = -1 / 5
 _LEAVES = 1e-6
 """A guard that was never positive and is below minus this part of its change has been left."""
 _STILL = 1e-6
-"""Speeds and accelerations below this are rest, in the scene's units."""
+"""Speeds and accelerations below this are rest, in the problem's units."""
 _LOOK = 64
 """Steps of a lane between two looks whether it is at rest."""
 _FOLLOWED = 1e-10
@@ -49,7 +49,7 @@ class Batch:
         """Make room for lanes.
 
         Args:
-            model: The scene.
+            model: The problem.
             n_lanes: How many lanes there may be at a time.
             bounds: Largest modulus of each state before a lane has escaped, ``(n_x,)``.
             settings: How to advance them.

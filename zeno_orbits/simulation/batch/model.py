@@ -1,4 +1,4 @@
-"""A scene as functions of many rows: steps of its modes, resets, and the rest on the stop.
+"""A problem as functions of many rows: steps of its modes, resets, and the rest on the stop.
 
 A CasADi function for many rows at once: what each row gets does not depend on the others.
 """
@@ -70,7 +70,7 @@ ABSOLUTE = 0.1
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BatchModel:
-    """A scene for many rows.
+    """A problem for many rows.
 
     Attributes:
         state_names: Name of each state.
@@ -103,7 +103,7 @@ class BatchModel:
 
 
 def batch_model(compiled: CompiledSystem) -> BatchModel:
-    """Return the functions of a compiled scene for many rows."""
+    """Return the functions of a compiled problem for many rows."""
     n_p = compiled.contact.size1_in(1)
     x, p = ca.SX.sym("x", compiled.n_x), ca.SX.sym("p", n_p)
     restitution = compiled.impulse(x, p)[2]
@@ -123,7 +123,7 @@ def batch_model(compiled: CompiledSystem) -> BatchModel:
 
 @lru_cache(maxsize=4)
 def model_in_rows(problem: Problem) -> BatchModel:
-    """Return the functions of a scene for many rows, built once."""
+    """Return the functions of a problem for many rows, built once."""
     return batch_model(compiled_model(problem))
 
 

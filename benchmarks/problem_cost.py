@@ -1,7 +1,7 @@
-"""Measure what a scene costs: states, formulas, and the time to compile, simulate and solve it.
+"""Measure what a problem costs: states, formulas, and the time to compile, simulate and solve it.
 
-Only what a scene needs is modelled: without a motor there is no current, and a mechanism of one
-coordinate has the formulas of one. Prints the table of `docs/scenes.md`.
+Only what a problem needs is modelled: without a motor there is no current, and a mechanism of one
+coordinate has the formulas of one. Prints the table of `docs/problems.md`.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from zeno_orbits.model.numeric.compiled import bind, compile_problem
 from zeno_orbits.search.search import find_orbit
 from zeno_orbits.simulation.simulator import simulate
 
-SCENES = ("bouncing_ball", "vibrating_table", "motor_valve", "motor_pendulum", "two_motors")
+PROBLEMS = ("bouncing_ball", "vibrating_table", "motor_valve", "motor_pendulum", "two_motors")
 NO_ORBIT = {"bouncing_ball": 4.0}
-"""Scene without an orbit: the time to simulate instead of a period [s]."""
+"""Problem without an orbit: the time to simulate instead of a period [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cost:
-    """What a scene costs; times are medians of processor time [ms].
+    """What a problem costs; times are medians of processor time [ms].
 
     Attributes:
-        scene: Its name.
+        problem: Its name.
         states: Number of states.
         functions: Functions that are built for it.
         operations: Elementary operations in all of them.
@@ -40,7 +40,7 @@ class Cost:
         solving: Time of a whole search at given gains; nothing without an orbit.
     """
 
-    scene: str
+    problem: str
     states: int
     functions: int
     operations: int
@@ -72,20 +72,20 @@ def median_time(work: Callable[[], object], runs: int) -> float:
 
 
 def cost_of(name: str, runs: int) -> Cost:
-    """Return what a scene costs at its own numbers."""
+    """Return what a problem costs at its own numbers."""
     problem = load_problem(name)
-    setting = problem.setting()
+    values = problem.values()
     compiled = compile_problem(problem)
     built = {id(function): function for function in functions_in(compiled)}.values()
-    dynamics = bind(compiled, setting.values())
+    dynamics = bind(compiled, values.vector)
     if name in NO_ORBIT:
         start, until, solving = problem.state_vector(problem.starts[0]), NO_ORBIT[name], None
     else:
-        orbit = find_orbit(problem, setting).unwrap()
+        orbit = find_orbit(problem, values).unwrap()
         start, until = problem.state_vector(orbit.release_state), orbit.period
-        solving = median_time(lambda: find_orbit(problem, setting).unwrap(), runs)
+        solving = median_time(lambda: find_orbit(problem, values).unwrap(), runs)
     return Cost(
-        scene=name,
+        problem=name,
         states=len(problem.state_names),
         functions=len(built),
         operations=sum(function.n_instructions() for function in built),
@@ -98,26 +98,26 @@ def cost_of(name: str, runs: int) -> Cost:
 def table(costs: list[Cost]) -> str:
     """Return the costs as a Markdown table."""
     lines = [
-        "| Scene | states | functions | operations | compile | a period | search |",
+        "| Problem | states | functions | operations | compile | a period | search |",
         "|---|---|---|---|---|---|---|",
     ]
     for cost in costs:
         solving = "no orbit" if cost.solving is None else f"{cost.solving:.0f} ms"
-        cells = (cost.scene, cost.states, cost.functions, cost.operations)
+        cells = (cost.problem, cost.states, cost.functions, cost.operations)
         times = (f"{cost.compiling:.0f} ms", f"{cost.simulating:.1f} ms", solving)
         lines.append(f"| {' | '.join(map(str, (*cells, *times)))} |")
     return "\n".join(lines)
 
 
 def main() -> int:
-    """Print the table; exit 1 if the simplest scene is not cheaper than the pendulum."""
+    """Print the table; exit 1 if the simplest problem is not cheaper than the pendulum."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    costs = [cost_of(name, options.runs) for name in SCENES]
+    costs = [cost_of(name, options.runs) for name in PROBLEMS]
     print(json.dumps([asdict(cost) for cost in costs], indent=2) if options.json else table(costs))
-    by_name = {cost.scene: cost for cost in costs}
+    by_name = {cost.problem: cost for cost in costs}
     simple, pendulum = by_name["vibrating_table"], by_name["motor_pendulum"]
     cheaper = simple.operations < pendulum.operations and simple.compiling < pendulum.compiling
     return 0 if cheaper and (simple.solving or 0.0) < (pendulum.solving or 0.0) else 1
