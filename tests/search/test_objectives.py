@@ -31,7 +31,7 @@ from zeno_orbits.search.search import SearchSettings, SearchStatus, find_orbit, 
 from zeno_orbits.search.settings import Start
 from zeno_orbits.search.start import Trial, tried
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
-from zeno_orbits.verification.measure import measure
+from zeno_orbits.verification.measurement import measure
 from zeno_orbits.verification.verifier import problem_dynamics
 
 ONCE = SearchSettings(n_starts=0)

@@ -18,7 +18,7 @@ from zeno_orbits.search.objectives import (
     WantedPeriod,
 )
 from zeno_orbits.search.spectral_radius import LEAST_RADIUS
-from zeno_orbits.verification.measure import require_quantities
+from zeno_orbits.verification.measurement import require_quantities
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
