@@ -16,11 +16,11 @@ from typing import Any
 import joblib
 import numpy as np
 import pytest
-from zeno_orbits import work
 
 from tests.cli.test_cli import ask
 from tests.reference.long_simulation import attractor_of
 from tests.support.processes import Commands, workers_of
+from zeno_orbits import work
 from zeno_orbits.errors import CheckpointError, InputError, MapFileError, ProblemFileError
 from zeno_orbits.maps.map_file import read_boundaries, read_map, write_map
 from zeno_orbits.maps.parameter_map import Axis, ParameterMap, Plane, parameter_map, require_plane
@@ -180,10 +180,10 @@ def test_a_problem_whose_file_has_changed_meanwhile_is_refused(tmp_path: Path) -
     before = plane(problem)
     problem.write_text(problem.read_text() + "\n# another thought\n")
     with pytest.raises(InputError, match="must be the same file for everybody"):
-        before.problem.load()
+        before.problem_file.load()
     problem.unlink()
     with pytest.raises(InputError):
-        before.problem.load()
+        before.problem_file.load()
 
 
 def test_a_problem_file_that_defines_none_is_refused(tmp_path: Path) -> None:
@@ -211,7 +211,7 @@ def test_a_checkpoint_of_another_problem_of_the_same_name_is_refused(tmp_path: P
     parameter_map(plane(problem), replace(ONE, checkpoint=kept))
     before = {path.name: path.read_bytes() for path in kept.iterdir()}
     problem.write_text(problem.read_text().replace("9.81", "9.82"))
-    with pytest.raises(CheckpointError, match="`problem` is"):
+    with pytest.raises(CheckpointError, match="`problem_digest` is"):
         parameter_map(plane(problem), replace(ONE, checkpoint=kept))
     other = plane(parameters={"g": 9.0})
     with pytest.raises(CheckpointError, match="its `"):
