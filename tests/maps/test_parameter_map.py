@@ -16,11 +16,11 @@ from typing import Any
 import joblib
 import numpy as np
 import pytest
-from zeno_orbits import work
 
 from tests.cli.test_cli import ask
 from tests.reference.long_simulation import attractor_of
 from tests.support.processes import Commands, workers_of
+from zeno_orbits import work
 from zeno_orbits.errors import CheckpointError, InputError, MapFileError, ProblemFileError
 from zeno_orbits.maps.map_file import read_boundaries, read_map, write_map
 from zeno_orbits.maps.parameter_map import Axis, ParameterMap, Plane, parameter_map, require_plane
