@@ -104,7 +104,7 @@ def _judged(problem_file: dict[str, Any]) -> list[str] | None:
 
 
 def study(options: argparse.Namespace) -> tuple[list[list[str]], int]:
-    """Return the complaints about the problems with an orbit, and how many problems were looked at."""
+    """Return the complaints about problems with an orbit, and the number of problems tried."""
     problems = list(itertools.islice(random_problems(options.seed), MOST * options.problems))
     place = Workers(count=options.workers)
     identity = {

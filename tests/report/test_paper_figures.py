@@ -883,7 +883,7 @@ def test_a_folder_in_the_place_of_a_file_is_left_alone(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("parts")
 @pytest.mark.parametrize(
     ("command", "drawn"),
-    [("plot", "plot_zeno_zoom"), ("figures", "paper.plot_beside_portraits")],
+    [("plot", "plot_zeno_zoom"), ("figures", "paper_figures.plot_beside_portraits")],
 )
 def test_a_picture_that_fails_in_the_middle_leaves_none(
     orbit_file: Path, monkeypatch: pytest.MonkeyPatch, command: str, drawn: str
