@@ -311,14 +311,14 @@ def test_a_named_checkpoint_stays_and_another_map_leaves_it_alone(tmp_path: Path
 
 
 def test_an_interrupt_says_what_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    tell = report.Progress.tell
+    tell = report.ProgressLine.__call__
 
-    def interrupt(progress: report.Progress, what: str, part: float | None = None) -> None:
+    def interrupt(progress: report.ProgressLine, what: str, part: float | None = None) -> None:
         if part == 1.0:
             raise KeyboardInterrupt
         tell(progress, what, part)
 
-    monkeypatch.setattr(report.Progress, "tell", interrupt)
+    monkeypatch.setattr(report.ProgressLine, "__call__", interrupt)
     out = tmp_path / "map.json"
     answer = ask(*BALL, "--workers", "1", "-o", out)
     assert answer.code == 130
@@ -333,7 +333,7 @@ def test_an_interrupt_with_nothing_finished_leaves_no_checkpoint_behind(
     def interrupt(*_: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(report.Progress, "tell", interrupt)
+    monkeypatch.setattr(report.ProgressLine, "__call__", interrupt)
     named = tmp_path / "named"
     for words in ((), ("--checkpoint", named)):
         answer = ask(*BALL, "--workers", "1", "-o", tmp_path / "map.json", *words)

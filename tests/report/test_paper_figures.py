@@ -7,7 +7,7 @@ import json
 import math
 import re
 import shlex
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from itertools import combinations
@@ -49,6 +49,7 @@ from zeno_orbits.report.plots.style import COLUMN_WIDTH, TEXT, label_of
 from zeno_orbits.simulation.execution import Execution
 from zeno_orbits.simulation.simulator import simulate
 from zeno_orbits.work.files import write_all
+from zeno_orbits.work.progress import Progress
 
 YES, NO, MISUSE = 0, 1, 2
 FIGURES = (
@@ -109,8 +110,8 @@ def parts(
     )
     cycle = SimpleNamespace(period=times[-1] / 3)
 
-    def rig_cycles(*_: Any, cycles: int, on_progress: Callable[[float], None]) -> Any:
-        on_progress(0.5)
+    def rig_cycles(*_: Any, cycles: int, on_progress: Progress) -> Any:
+        on_progress("simulating the machine", 0.5)
         assert cycles == 3
         return SimpleNamespace(run=run, cycles=(cycle, cycle, cycle))
 
