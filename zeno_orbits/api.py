@@ -26,6 +26,7 @@ from zeno_orbits.model.library import (
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.orbit_file import read_orbit
+from zeno_orbits.work.progress import Progress, silent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -63,7 +64,7 @@ def simulate(
     parameters: Numbers | None = None,
     start: Numbers | None = None,
     settings: SimulationSettings | None = None,
-    on_progress: Callable[[float], None] | None = None,
+    on_progress: Progress = silent,
 ) -> Execution:
     """Return a completed execution: through every impact, Zeno point, locked arc and release.
 
@@ -74,7 +75,7 @@ def simulate(
         parameters: Parameters that differ from the problem's own.
         start: State name to initial value, others zero; by default the problem's first start.
         settings: Integrator and accuracy.
-        on_progress: Called with the time that is reached [s].
+        on_progress: Called with the part of the time that is simulated.
 
     Raises:
         InputError: If a name is unknown, a number out of range, or the start inside the stop.
@@ -244,7 +245,7 @@ def verify(
     *,
     problem: Named | None = None,
     settings: VerificationSettings | None = None,
-    on_progress: Callable[[str], None] | None = None,
+    on_progress: Progress = silent,
 ) -> OrbitCertificate:
     """Return the certificate of an orbit: what an independent forward integration says of it.
 
@@ -343,7 +344,7 @@ def parameter_map(
     start: Numbers | None = None,
     until: float | None = None,
     workers: int = 1,
-    on_progress: Callable[[int, int], None] | None = None,
+    on_progress: Progress = silent,
 ) -> ParameterMap:
     """Return what motions settle to over a plane of two gains or parameters.
 
@@ -356,7 +357,7 @@ def parameter_map(
         start: State name to value where every motion starts; by default the problem's first start.
         until: How long a motion may take to settle [s].
         workers: Processes; 0 means one a core.
-        on_progress: Called with the points that are done and their number.
+        on_progress: Called with the number of points done, and the part of them.
 
     Raises:
         InputError: If a name is unknown, a range does not fit, or there are too many points.
@@ -376,7 +377,7 @@ def parameter_map(
         **({} if until is None else {"until": until}),
     )
     plan = Plan(place=Workers(count=workers), chunk=maps.chunk_of(plane))
-    return maps.parameter_map(plane, plan, tell=on_progress)
+    return maps.parameter_map(plane, plan, on_progress=on_progress)
 
 
 def plot(result: Any, *, problem: Named | None = None, **style: Any) -> Figure:
