@@ -180,7 +180,7 @@ def show_portrait(orbit: ZenoOrbit, problem: Problem) -> None:
 
 
 def alone(problem: Problem) -> dict[str, Rig]:
-    """Return rigs with one part each, on a stiff stop, at the problem's numbers; and all of them."""
+    """Return rigs of one part each on a stiff stop, with the problem's numbers, and one of all."""
     full = default_rig(problem)
     stiff = Rig(contact=Contact(stiffness=1e6))
     bridge, controller, sensors = full.bridge, full.controller, full.sensors

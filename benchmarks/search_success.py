@@ -104,7 +104,7 @@ def _judged(problem_file: dict[str, Any]) -> list[str] | None:
 
 
 def study(options: argparse.Namespace) -> tuple[list[list[str]], int]:
-    """Return the complaints about the problems with an orbit, and how many problems were looked at."""
+    """Return the complaints about problems with an orbit, and the number of problems tried."""
     problems = list(itertools.islice(random_problems(options.seed), MOST * options.problems))
     place = Workers(count=options.workers)
     identity = {
@@ -121,7 +121,7 @@ def study(options: argparse.Namespace) -> tuple[list[list[str]], int]:
     results: list[list[str]] = []
     tried = 0
     with (
-        report.Progress(lambda: None) as progress,
+        report.ProgressLine(lambda: None) as progress,
         closing(spread_in_order(judge, problems, plan)) as found,
     ):
         while len(results) < options.problems and tried < len(problems):
@@ -132,7 +132,7 @@ def study(options: argparse.Namespace) -> tuple[list[list[str]], int]:
             elif result is not None:
                 results.append(result)
             done = len(results) / options.problems
-            progress.tell(f"{len(results)} of {options.problems} problems with an orbit", done)
+            progress(f"{len(results)} of {options.problems} problems with an orbit", done)
     return results, tried
 
 

@@ -317,7 +317,7 @@ def test_derived_numbers_are_held_when_another_one_changes() -> None:
     )
     assert follow.parameters["J_rotor"] != held.parameters["J_rotor"]
     x = np.array(list(family.points[-1].state.values()))
-    dynamics = bind(compiled_model(PENDULUM), held.values())
+    dynamics = bind(compiled_model(PENDULUM), held.vector)
     time, end = poincare_map(dynamics, x, horizon=4.0, settings=SETTINGS)
     assert np.max(np.abs(end - x) / SCALE) < 1e-9
     assert time == pytest.approx(family.points[-1].period, abs=1e-9)

@@ -633,32 +633,32 @@ def test_a_power_law_is_fitted_with_its_order() -> None:
 # -------------------------------------------------------------------------------------- refusals
 
 
-def test_a_part_that_the_problem_has_no_place_for_is_refused_by_name(problem_file: Problem) -> None:
-    start = problem_file.state_vector({})
+def test_a_part_that_the_problem_has_no_place_for_is_refused_by_name(problem: Problem) -> None:
+    start = problem.state_vector({})
     ball = load_problem("bouncing_ball")
     cases = (
         (
-            problem_file,
+            problem,
             Rig(friction={"knee": Friction()}),
             "`friction` must name one of theta1, theta2",
         ),
         (
-            problem_file,
+            problem,
             Rig(gears={2: Gear(rotor_inertia=0.01)}),
             "`gears` must number one of 1 motors",
         ),
         (ball, Rig(controller=Controller(period=1e-3)), "must have motors for a bridge"),
         (
-            problem_file.at_fidelity("quasi_static"),
+            problem.at_fidelity("quasi_static"),
             Rig(bridge=Bridge(supply=12.0)),
             "states for a bridge",
         ),
         (
-            problem_file.at_fidelity("corrected"),
+            problem.at_fidelity("corrected"),
             Rig(),
             "currents as states, or none at all, for a rig",
         ),
-        (problem_file, Rig(gears={1: Gear(rotor_inertia=1.0)}), "`rotor_inertia` must leave"),
+        (problem, Rig(gears={1: Gear(rotor_inertia=1.0)}), "`rotor_inertia` must leave"),
     )
     for problem, rig, message in cases:
         given = start[: len(problem.state_names)]

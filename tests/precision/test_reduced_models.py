@@ -391,11 +391,11 @@ def test_a_release_from_which_nothing_returns_is_refused(problem: Problem) -> No
 
 @pytest.mark.parametrize("word", [QUASI_STATIC, CORRECTED])
 def test_a_reduced_orbit_balances_its_energy_and_is_that_of_a_hand_written_model(
-    word: str, problem_file: Problem
+    word: str, problem: Problem
 ) -> None:
-    problem = problem_file.at_fidelity(word)
-    orbit = find_orbit(problem, problem.values()).unwrap()
-    certificate = verify(orbit, problem)
+    reduced = problem.at_fidelity(word)
+    orbit = find_orbit(reduced, reduced.values()).unwrap()
+    certificate = verify(orbit, reduced)
     assert certificate.passed, certificate.verdict()
     assert certificate.residuals["energy_balance"] < 1e-13
     assert certificate.residuals["impact_energy"] < 1e-13
@@ -404,15 +404,15 @@ def test_a_reduced_orbit_balances_its_energy_and_is_that_of_a_hand_written_model
 
 
 def test_a_wrong_restitution_of_the_layer_is_noticed_by_the_hand_written_model(
-    problem_file: Problem,
+    problem: Problem,
 ) -> None:
-    problem = problem_file.at_fidelity(CORRECTED)
+    reduced = problem.at_fidelity(CORRECTED)
 
     def careless(p: Mapping[str, ca.SX]) -> CompletedSystem:
-        return replace(problem.model(p), restitution=ca.SX(p["restitution"]))
+        return replace(reduced.model(p), restitution=ca.SX(p["restitution"]))
 
     # The manifold's inertia with the bare restitution: an orbit, and a consistent one.
-    wrong = replace(problem, model=careless)
+    wrong = replace(reduced, model=careless)
     orbit = find_orbit(wrong, wrong.values()).unwrap()
     certificate = verify(orbit, wrong)
     assert not certificate.passed
@@ -424,12 +424,12 @@ def test_an_unknown_reduction_has_no_cost(problem: Problem) -> None:
         reduction_cost(problem, problem.values(), fidelity="ideal")
 
 
-def test_gains_are_searched_with_the_restitution_that_they_change(problem_file: Problem) -> None:
-    problem = problem_file.at_fidelity(CORRECTED)
+def test_gains_are_searched_with_the_restitution_that_they_change(problem: Problem) -> None:
+    reduced = problem.at_fidelity(CORRECTED)
     # So large an inductance that a program with the restitution of its start does not get there.
-    values = problem.values(parameters={"L": 0.1})
-    boxes = {gain.name: (gain.lower, gain.upper) for gain in problem.gains}
-    result = search_gains(problem, values, free=boxes, objective=WantedPeriod(target=1.83))
+    values = reduced.values(parameters={"L": 0.1})
+    boxes = {gain.name: (gain.lower, gain.upper) for gain in reduced.gains}
+    result = search_gains(reduced, values, free=boxes, objective=WantedPeriod(target=1.83))
     assert result.unwrap().period == pytest.approx(1.83, abs=1e-9)
 
 

@@ -165,7 +165,7 @@ def test_progress_names_what_is_measured_and_rises(problem: Problem) -> None:
         problem.values(),
         RELEASE,
         settings=few,
-        tell=lambda what, part: said.append((what, part)),
+        on_progress=lambda what, part: said.append((what, part)),
     )
     assert said[0] == ("computing the truth", 0.0)
     assert ("engine: automatic, 1e-04") in [what for what, _ in said]

@@ -175,6 +175,8 @@ def test_the_hand_written_model_imports_no_symbolic_algebra(problem: Problem) ->
         "dataclasses",
         "typing",
         "numpy",
+        "zeno_orbits.arrays",
+        "zeno_orbits.integrators.flow",
         "zeno_orbits.model.numeric.hybrid_dynamics",
     }
 

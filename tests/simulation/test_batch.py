@@ -78,7 +78,7 @@ def test_many_balls_reach_their_zeno_times_in_closed_form():
     states = [[height if name == names[0] else 0.0 for name in names] for height in heights]
     batch = Batch(model_in_rows(BALL), len(heights))
     until = np.full(len(heights), 60.0)
-    lanes = batch.start(np.array([s.values() for s in settings]), np.array(states), 1e-9, until)
+    lanes = batch.start(np.array([s.vector for s in settings]), np.array(states), 1e-9, until)
     ended = {event.lane: event for event in run(batch) if isinstance(event, Ended)}
     fall = np.sqrt(2 * heights / settings[0].parameters["g"])
     expected = fall * (1 + restitutions) / (1 - restitutions)

@@ -525,11 +525,14 @@ def test_the_execution_stops_at_the_asked_number_of_releases() -> None:
     assert execution.end_time == execution.releases[-1].time
 
 
-def test_progress_reports_the_time_reached_after_every_arc(ball: Pendulum) -> None:
-    reached: list[float] = []
-    execution = simulate(ball(0.5), (HEIGHT, 0.0), until=3.0, on_progress=reached.append)
-    assert reached == sorted(reached)
-    assert reached[-1] == execution.end_time
+def test_progress_reports_the_part_of_the_time_that_is_simulated(ball: Pendulum) -> None:
+    parts: list[float] = []
+    execution = simulate(
+        ball(0.5), (HEIGHT, 0.0), until=3.0, on_progress=lambda _, part: parts.append(part or 0.0)
+    )
+    assert parts == sorted(parts)
+    assert len(parts) > 1
+    assert parts[-1] == execution.end_time / 3.0
 
 
 # The execution as a function of time.

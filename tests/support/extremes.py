@@ -681,7 +681,7 @@ def _units_error(units: Units) -> float:
         gains=units.numbers(values.gains, PENDULUM),
     )
     state = np.array(FLYING) * units.state(PENDULUM_STATE)
-    scaled = simulate(bind(compiled, other.values()), state, until=until * units.time)
+    scaled = simulate(bind(compiled, other.vector), state, until=until * units.time)
     truth = Followed(
         impacts=[(impact.time, impact.approach_rate) for impact in plain.impacts],
         zeno_times=[zeno.time for zeno in plain.zeno_points],

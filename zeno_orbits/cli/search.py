@@ -200,7 +200,7 @@ def _run_search(options: argparse.Namespace) -> int:
     checkpoint = _checkpoint(options, several=bool(free))
     plan = Plan(place=place_of(options), checkpoint=checkpoint)
     try:
-        with report.Progress(options.interrupts.check) as progress:
+        with report.ProgressLine(options.interrupts.check) as progress:
             result = search_gains(
                 problem,
                 values,
@@ -210,8 +210,8 @@ def _run_search(options: argparse.Namespace) -> int:
                 near=near,
                 settings=settings,
                 accept=judge,
-                on_progress=progress.tell,
-                spread=Spread(problem_file=problem_file, plan=plan, tell=progress.tell),
+                on_progress=progress,
+                spread=Spread(problem_file=problem_file, plan=plan, tell=progress),
                 shape=shape,
             )
     except KeyboardInterrupt:

@@ -121,14 +121,10 @@ def _simulated(
     from zeno_orbits.precision.accuracy import simulate_to, simulate_with_error
 
     settings = simulation_of(options)
-    with report.Progress(options.interrupts.check) as progress:
-
-        def tell(time: float) -> None:
-            progress.tell("simulating", time / options.until)
-
+    with report.ProgressLine(options.interrupts.check) as progress:
         if options.accuracy is None:
             return simulate_with_error(
-                dynamics, state, until=options.until, settings=settings, on_progress=tell
+                dynamics, state, until=options.until, settings=settings, on_progress=progress
             )
         return simulate_to(
             dynamics,
@@ -136,7 +132,7 @@ def _simulated(
             until=options.until,
             accuracy=options.accuracy,
             settings=settings,
-            on_progress=tell,
+            on_progress=progress,
         )
 
 

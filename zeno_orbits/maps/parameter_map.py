@@ -16,7 +16,7 @@ from zeno_orbits.model.library import ProblemFile
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.orbit import versions
 from zeno_orbits.simulation.attractor import Attractor, Fate, attractor_from_json, attractor_json
-from zeno_orbits.work import Lost, Plan, Tell, spread
+from zeno_orbits.work import Lost, Plan, Progress, silent, spread
 
 FORMAT = 1
 """Version of the file format that this code writes, and the newest that it reads."""
@@ -240,13 +240,13 @@ class ParameterMap:
         return {**self.header(), "points": [attractor_json(one) for one in self.attractors]}
 
 
-def parameter_map(plane: Plane, plan: Plan, *, tell: Tell | None = None) -> ParameterMap:
+def parameter_map(plane: Plane, plan: Plan, *, on_progress: Progress = silent) -> ParameterMap:
     """Return the map of a plane.
 
     Args:
         plane: The plane.
         plan: Where to compute and where to keep what is finished; its identity is filled in.
-        tell: Told of progress.
+        on_progress: Called with the number of points done.
 
     Raises:
         InputError: If the plane, the place or the checkpoint is not usable.
@@ -255,7 +255,7 @@ def parameter_map(plane: Plane, plan: Plan, *, tell: Tell | None = None) -> Para
     plane = require_plane(plane)
     problem = plane.problem_file.load()
     whole = replace(plan, identity={**_identity(plane, problem), **plan.identity})
-    results = spread(plane, plane.points(), whole, tell=tell)
+    results = spread(plane, plane.points(), whole, on_progress=on_progress)
     return ParameterMap(
         problem=problem.name,
         x=plane.x,

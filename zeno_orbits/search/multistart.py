@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -24,6 +24,7 @@ from zeno_orbits.search.start import Accept, Trial, tried
 from zeno_orbits.search.start_data import trial_from_json, trial_to_json
 from zeno_orbits.search.validation import clipped
 from zeno_orbits.work import Lost, Plan, spread_in_order
+from zeno_orbits.work.progress import Progress, silent
 from zeno_orbits.work.serialization import plain
 
 
@@ -39,7 +40,7 @@ class Spread:
 
     problem_file: ProblemFile
     plan: Plan
-    tell: Callable[[str, float], None] | None = None
+    tell: Progress = silent
 
 
 def start_count(hunt: Hunt) -> int:
@@ -109,7 +110,7 @@ def trials_spread(
         range(start_count(hunt)),
         plan,
         here=lambda numbers: task.tried(hunt, numbers),
-        tell=spread.tell,
+        on_progress=spread.tell,
     )
     try:
         for result in results:

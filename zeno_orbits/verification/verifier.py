@@ -8,7 +8,6 @@ happens is held against what the orbit says. Residuals are relative (theory (19)
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from zeno_orbits.errors import ZenoOrbitsError
@@ -30,6 +29,7 @@ from zeno_orbits.verification.cross_checks import (
 )
 from zeno_orbits.verification.integration import Claim, FirstCycle, claim_of, observe
 from zeno_orbits.verification.residuals import margins_of, orbit_residuals
+from zeno_orbits.work.progress import Progress, silent
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,7 +65,7 @@ def verify(
     *,
     settings: VerificationSettings | None = None,
     dynamics: HybridDynamics | None = None,
-    on_progress: Callable[[str], None] | None = None,
+    on_progress: Progress = silent,
 ) -> OrbitCertificate:
     """Return the certificate of an orbit.
 
@@ -84,23 +84,19 @@ def verify(
     if dynamics is None:
         dynamics = problem_dynamics(orbit, problem, use_reference=settings.use_reference)
 
-    def tell(stage: str) -> None:
-        if on_progress is not None:
-            on_progress(stage)
-
-    tell("integrating the orbit")
+    on_progress("integrating the orbit", None)
     seen = observe(dynamics, claim, settings.simulation, settings.n_periods)
     residuals = orbit_residuals(dynamics, claim, seen)
     multipliers: Multipliers | None = None
     energies: dict[str, float] = {}
     sweep: tuple[DeltaCut, ...] = ()
     if seen.cycle is not None:
-        tell("cutting the impact sequence")
+        on_progress("cutting the impact sequence", None)
         enough = settings.tolerance / 10.0
         sweep = delta_sweep(dynamics, seen.cycle, settings.cuts, settings.simulation, enough)
         if sweep:
             residuals["delta_sweep"] = sweep[-1].error
-        tell("balancing the energy")
+        on_progress("balancing the energy", None)
         try:
             energies = energies_of(orbit, problem, claim, seen.cycle, settings.simulation)
             residuals["energy_balance"] = imbalance(energies)
@@ -108,9 +104,9 @@ def verify(
             residuals["energy_balance"] = math.inf
         residuals["integration"] = seen.integration_error
         if problem.reference is not None:
-            tell("comparing two derivations of the model")
+            on_progress("comparing two derivations of the model", None)
             residuals["second_model"] = second_model(orbit, problem, seen.cycle)
-        tell("computing the multipliers")
+        on_progress("computing the multipliers", None)
         multipliers = _multipliers(dynamics, claim, seen.cycle, settings, seen.integration_error)
     stable = multipliers is not None and multipliers.spectral_radius < 1.0
     trouble = seen.trouble
