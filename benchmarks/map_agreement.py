@@ -1,8 +1,8 @@
 """Whether a map agrees with long simulations at random points of the Kp-Kd plane.
 
 A map is computed by the fast function, and 500 random points of its grid are simulated for several
-times as long by `tests.reference.long_simulation`, which shares the model with it and nothing else. Fates must
-be the same, and for periodic ones the number of releases, the period and the spectral radius to
+times as long by `tests.reference.long_simulation`, which shares the model with it and nothing else.
+Fates must be the same, and for periodic ones the number of releases, the period and the spectral radius to
 their tolerances. Listed and excused are a point within one cell of a boundary, where a neighbour in
 the map has another fate or a closer look at its cells finds that of the long run, and one where the
 long run has not settled but moves as the map says.
@@ -149,8 +149,8 @@ class LongRuns:
 def compare(found: ParameterMap, task: LongRuns, indices: Sequence[int]) -> list[Comparison]:
     """Return both answers at some points of a map; the long runs are spread over all cores."""
     points = [task.plane.points()[k] for k in indices]
-    with report.Progress(lambda: None) as progress:
-        slow = spread(task, points, Plan(chunk=4), tell=progress.tell)
+    with report.ProgressLine(lambda: None) as progress:
+        slow = spread(task, points, Plan(chunk=4), on_progress=progress)
     return [
         Comparison(
             point=point,
@@ -164,8 +164,8 @@ def compare(found: ParameterMap, task: LongRuns, indices: Sequence[int]) -> list
 
 def computed(plane: Plane, plan: Plan) -> ParameterMap:
     """Return the map by the package's own function."""
-    with report.Progress(lambda: None) as progress:
-        return parameter_map(plane, plan, tell=progress.tell)
+    with report.ProgressLine(lambda: None) as progress:
+        return parameter_map(plane, plan, on_progress=progress)
 
 
 def main(fast: Fast = computed) -> int:

@@ -699,7 +699,10 @@ def test_trade_where_nothing_happens_so_soon_is_a_no_in_one_line(here: Path) -> 
     assert contents(here) == {}
 
 
-@pytest.mark.parametrize("where", ["trade.trade", "plots.plot_trade", "plots.save_figure"])
+@pytest.mark.parametrize(
+    "where",
+    ["precision.work_precision.trade", "report.plots.plot_trade", "report.plots.save_figure"],
+)
 def test_an_interrupted_trade_writes_nothing(
     where: str, here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -1280,7 +1283,7 @@ def test_work_that_is_done_at_once_shows_no_progress(monkeypatch: pytest.MonkeyP
     assert ask("simulate", "bouncing_ball", "--until", "0.1").err == ""
 
 
-@pytest.mark.parametrize("where", ["search.search_gains", "verify.verify"])
+@pytest.mark.parametrize("where", ["search.search.search_gains", "verification.verifier.verify"])
 def test_an_interrupted_search_says_so_and_writes_nothing(
     where: str, here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -12,7 +12,6 @@ from tests.reference.closed_forms import FORCED
 from tests.reference.reference_orbit import PERIOD, RELEASE
 from tests.support.mechanisms import forced_oscillator, oscillator_state
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compile_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.orbits.cycle import Cycle, cycles
 from zeno_orbits.simulation.execution import Ending, Execution, Mode
@@ -86,7 +85,7 @@ def test_a_start_that_a_rounding_error_locks_is_one_release(oscillator: HybridDy
 
 def test_a_ball_that_rests_for_good_has_no_period() -> None:
     problem = load_problem("bouncing_ball")
-    ball = bind(compile_problem(problem), problem.values().vector)
+    ball = problem.dynamics(problem.values())
     assert cycles(simulate(ball, (1.0, 0.0), until=20.0)) == []
 
 

@@ -23,7 +23,6 @@ from zeno_orbits.model.drives import no_drive
 from zeno_orbits.model.hybrid import CompletedSystem, complete
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compile_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem, restitution
 from zeno_orbits.precision.work_precision import Trade, Trial
@@ -71,9 +70,9 @@ def simulated(
     releases: int | None = None,
     settings: SimulationSettings | None = None,
     **parameters: float,
-) -> Problem:
+) -> Shown:
     values = problem.values(parameters=parameters)
-    dynamics = bind(compile_problem(problem), values.vector)
+    dynamics = problem.dynamics(values)
     execution = simulate(dynamics, state, until=until, releases=releases, settings=settings)
     return Shown(problem, dynamics, execution)
 
@@ -92,7 +91,7 @@ def sliding_puck() -> Problem:
         )
         return complete(puck, no_drive(puck), p["restitution"])
 
-    return Shown(
+    return Problem(
         name="puck",
         title="puck on a wall",
         source="for this test",
@@ -107,7 +106,7 @@ def sliding_puck() -> Problem:
     )
 
 
-def pendulum(*, e: float = 0.2, releases: int = 1) -> Problem:
+def pendulum(*, e: float = 0.2, releases: int = 1) -> Shown:
     problem = load_problem("motor_pendulum")
     return simulated(problem, RELEASE, releases=releases, restitution=e)
 
@@ -128,7 +127,7 @@ PROBLEMS: dict[str, Callable[[], Problem]] = {
 }
 
 
-def early_ball() -> Problem:
+def early_ball() -> Shown:
     """Return a ball whose Zeno point is taken from its first impacts, so that a tail is left."""
     rough = SimulationSettings(completion=ZenoExtrapolation(resolved=0.5))
     return simulated(load_problem("bouncing_ball"), (1.0, 0.0), until=5.0, settings=rough)
@@ -138,12 +137,12 @@ PROBLEMS["early ball"] = early_ball
 
 
 @pytest.fixture(scope="module", params=PROBLEMS)
-def problem(request: pytest.FixtureRequest) -> Problem:
+def problem(request: pytest.FixtureRequest) -> Shown:
     return PROBLEMS[request.param]()
 
 
 @pytest.fixture(scope="module")
-def orbit() -> Problem:
+def orbit() -> Shown:
     return pendulum(releases=3)
 
 
@@ -172,7 +171,7 @@ def ticks(ax: Axes) -> list[float]:
 
 
 @pytest.fixture(scope="module", params=[COLUMN_WIDTH, FULL_WIDTH])
-def drawn(problem: Problem, request: pytest.FixtureRequest) -> list[Figure]:
+def drawn(problem: Shown, request: pytest.FixtureRequest) -> list[Figure]:
     figures = problem.pictures(request.param)
     for figure in figures:
         figure.draw_without_rendering()
@@ -195,7 +194,7 @@ def test_the_legend_keeps_off_the_panels_and_inside_the_picture(drawn: list[Figu
         assert all(not legend.overlaps(ax.get_window_extent()) for ax in figure.axes)
 
 
-def test_portraits_and_time_series_mark_every_impact_once(problem: Problem) -> None:
+def test_portraits_and_time_series_mark_every_impact_once(problem: Shown) -> None:
     impacts = problem.execution.impacts
     for ax in plot_portraits(problem.problem, problem.execution).axes:
         assert len(marked(ax)) == len(impacts)
@@ -203,13 +202,13 @@ def test_portraits_and_time_series_mark_every_impact_once(problem: Problem) -> N
         assert ticks(ax) == [impact.time for impact in impacts]
 
 
-def test_the_mark_before_an_impact_is_the_state_before_it(orbit: Problem) -> None:
+def test_the_mark_before_an_impact_is_the_state_before_it(orbit: Shown) -> None:
     ax = plot_portraits(orbit.problem, orbit.execution).axes[1]
     before = np.array([impact.state_minus for impact in orbit.execution.impacts])
     assert np.array_equal(marked(ax), before[:, [1, 3]])
 
 
-def test_zeno_points_and_releases_are_marked_where_they_are(orbit: Problem) -> None:
+def test_zeno_points_and_releases_are_marked_where_they_are(orbit: Shown) -> None:
     ax = plot_portraits(orbit.problem, orbit.execution).axes[0]
     for label, events in (
         ("Zeno point", orbit.execution.zeno_points),
@@ -219,7 +218,7 @@ def test_zeno_points_and_releases_are_marked_where_they_are(orbit: Problem) -> N
         assert marks == [event.state[[0, 2]].tolist() for event in events]
 
 
-def test_locked_phases_are_shaded_from_zeno_point_to_release(orbit: Problem) -> None:
+def test_locked_phases_are_shaded_from_zeno_point_to_release(orbit: Shown) -> None:
     zeno = [point.time for point in orbit.execution.zeno_points]
     release = [event.time for event in orbit.execution.releases]
     for ax in plot_time_series(orbit.problem, orbit.execution).axes:
@@ -230,7 +229,7 @@ def test_locked_phases_are_shaded_from_zeno_point_to_release(orbit: Problem) -> 
         assert np.allclose(spans(ax, Mode.FREE), free, rtol=0, atol=1e-12)
 
 
-def test_time_series_show_coordinates_and_current_but_no_velocity(orbit: Problem) -> None:
+def test_time_series_show_coordinates_and_current_but_no_velocity(orbit: Shown) -> None:
     figure = plot_time_series(orbit.problem, orbit.execution)
     labels = [ax.get_ylabel() for ax in figure.axes]
     assert labels == [r"$\theta_{1}$ [rad]", r"$\theta_{2}$ [rad]", "$i$ [A]"]
@@ -264,7 +263,7 @@ def test_the_flights_of_the_law_continue_the_resolved_ones_of_a_ball() -> None:
     assert law[0][0, 0] == pytest.approx(last.time)
 
 
-def test_the_boundary_of_the_region_is_the_published_curve(orbit: Problem) -> None:
+def test_the_boundary_of_the_region_is_the_published_curve(orbit: Shown) -> None:
     ax = plot_zeno_region(orbit.problem, orbit.dynamics).axes[0]
     (boundary,) = [item for item in ax.collections if np.ravel(item.get_linewidth())[0] == 1.2]
     vertices = [np.asarray(path.vertices) for path in boundary.get_paths()]
@@ -301,7 +300,7 @@ def test_a_flight_without_events_is_drawn_all_the_same() -> None:
     assert spans(series, Mode.LOCKED) == []
 
 
-def test_drawing_leaves_the_settings_of_matplotlib_alone(orbit: Problem, tmp_path: Path) -> None:
+def test_drawing_leaves_the_settings_of_matplotlib_alone(orbit: Shown, tmp_path: Path) -> None:
     before = dict(mpl.rcParams)
     save_figure(plot_portraits(orbit.problem, orbit.execution), tmp_path / "portrait.svg")
     assert dict(mpl.rcParams) == before

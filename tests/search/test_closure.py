@@ -10,7 +10,6 @@ import pytest
 from tests.reference.closed_forms import FORCED
 from tests.reference.reference_orbit import RELEASE
 from tests.support.mechanisms import forced_oscillator, oscillator_state
-from zeno_orbits.model.numeric.compiled import bind, compile_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.cycle import Cycle, cycles
@@ -73,7 +72,7 @@ def test_a_tolerance_that_nothing_reaches_takes_all_impacts(
 
 def test_a_plastic_impact_closes_alone(problem: Problem) -> None:
     values = problem.values(parameters={"restitution": 0.0})
-    plastic = bind(compile_problem(problem), values.vector)
+    plastic = problem.dynamics(values)
     run = simulate(plastic, RELEASE, until=6.0)
     cycle = cycles(run)[-1]
     assert cycle.hops == ()

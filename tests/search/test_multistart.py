@@ -293,12 +293,12 @@ def test_an_interrupt_keeps_the_starts_that_are_finished(
 ) -> None:
     words = (*BALL, "--workers", "1", "-o", tmp_path / "ball.json", "--json")
 
-    def interrupt(_progress: report.Progress, _what: str, part: float | None = None) -> None:
+    def interrupt(_progress: report.ProgressLine, _what: str, part: float | None = None) -> None:
         if part is not None and part >= 0.5:
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(report.Progress, "tell", interrupt)
+        patch.setattr(report.ProgressLine, "__call__", interrupt)
         answer = ask(*words)
     assert answer.code == INTERRUPTED
     assert answer.err.endswith("ball.json.checkpoint` keeps what is finished\n")

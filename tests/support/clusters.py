@@ -91,7 +91,7 @@ def dask_cluster(folder: Path) -> Iterator[DaskCluster]:
 
 
 def noted_problem(name: str, folder: Path) -> tuple[Path, Path]:
-    """Return a copy of a problem, and the folder in which every process that loads it leaves a file.
+    """Return a copy of a problem, and the folder where each process that loads it leaves a file.
 
     Args:
         name: Of a problem that is one file.

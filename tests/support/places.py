@@ -7,9 +7,9 @@ from pathlib import Path
 
 import joblib
 import pytest
-from zeno_orbits import work
 
 from tests.cli.test_cli import ask
+from zeno_orbits import work
 from zeno_orbits.work import Cluster
 
 MISUSE = 2

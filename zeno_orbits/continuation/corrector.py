@@ -7,10 +7,8 @@ so that a chart can be laid anew around every iterate and none is ever left. The
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
@@ -165,43 +163,6 @@ def first_point(
     upwards = np.zeros(z.size)
     upwards[-1] = 1.0 if rising else -1.0
     return correct(returns, metric, z, upwards)
-
-
-_BACK = 3
-"""Points of a curve before it can have come back to its start."""
-
-
-class OnCurve(Protocol):
-    """A point of a curve that is followed."""
-
-    @property
-    def z(self) -> Vector:
-        """Its place in scaled terms."""
-        ...
-
-    @property
-    def tangent(self) -> Vector:
-        """Unit tangent of the curve there, in the same terms."""
-        ...
-
-
-def is_back(points: Sequence[OnCurve], stray: float, turn: float) -> bool:
-    """Tell whether a curve has come back: its start lies between its last two points.
-
-    Args:
-        points: Of the curve, in order.
-        stray: Largest distance of the start from their chord, as part of its length.
-        turn: Largest angle between neighbouring tangents [rad]; the start may have twice that.
-    """
-    if len(points) <= _BACK:
-        return False
-    start, before, last = points[0], *points[-2:]
-    step = last.z - before.z
-    length = float(np.linalg.norm(step))
-    along = float((start.z - before.z) @ step) / length
-    off = float(np.linalg.norm(start.z - before.z - along / length * step))
-    aligned = float(start.tangent @ last.tangent) > np.cos(2 * turn)
-    return bool(0.0 < along <= length and off < stray * length and aligned)
 
 
 def followed(returns: ReturnMap, x: Vector, s: float, metric: Metric) -> Return:

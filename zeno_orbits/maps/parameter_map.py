@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -16,7 +17,7 @@ from zeno_orbits.model.library import ProblemFile
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.orbit import versions
 from zeno_orbits.simulation.attractor import Attractor, Fate, attractor_from_json, attractor_json
-from zeno_orbits.work import Lost, Plan, Tell, spread
+from zeno_orbits.work import Lost, Plan, Progress, silent, spread
 
 FORMAT = 1
 """Version of the file format that this code writes, and the newest that it reads."""
@@ -175,7 +176,7 @@ class Boundary:
     points: tuple[tuple[float, float], ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class ParameterMap:
     """What motions settle to over a plane.
 
@@ -200,6 +201,16 @@ class ParameterMap:
     until: float
     attractors: tuple[Attractor, ...]
     versions: Mapping[str, str]
+
+    def __repr__(self) -> str:
+        """Return one line: the axes, and how many points settle to what."""
+        axes = ", ".join(
+            f"{axis.name} from {axis.lower:g} to {axis.upper:g} in {axis.count} points"
+            for axis in (self.x, self.y)
+        )
+        counts = Counter(attractor.fate.value for attractor in self.attractors)
+        found = ", ".join(f"{phrase}: {count}" for phrase, count in counts.most_common())
+        return f"<ParameterMap of {self.problem}: {axes}; {found}>"
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -240,13 +251,13 @@ class ParameterMap:
         return {**self.header(), "points": [attractor_json(one) for one in self.attractors]}
 
 
-def parameter_map(plane: Plane, plan: Plan, *, tell: Tell | None = None) -> ParameterMap:
+def parameter_map(plane: Plane, plan: Plan, *, on_progress: Progress = silent) -> ParameterMap:
     """Return the map of a plane.
 
     Args:
         plane: The plane.
         plan: Where to compute and where to keep what is finished; its identity is filled in.
-        tell: Told of progress.
+        on_progress: Called with the number of points done.
 
     Raises:
         InputError: If the plane, the place or the checkpoint is not usable.
@@ -255,7 +266,7 @@ def parameter_map(plane: Plane, plan: Plan, *, tell: Tell | None = None) -> Para
     plane = require_plane(plane)
     problem = plane.problem_file.load()
     whole = replace(plan, identity={**_identity(plane, problem), **plan.identity})
-    results = spread(plane, plane.points(), whole, tell=tell)
+    results = spread(plane, plane.points(), whole, on_progress=on_progress)
     return ParameterMap(
         problem=problem.name,
         x=plane.x,

@@ -8,7 +8,7 @@ is reported.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 
@@ -32,6 +32,7 @@ from zeno_orbits.precision.landmarks import (
 from zeno_orbits.simulation.completion import ZenoPassage
 from zeno_orbits.simulation.execution import Execution, Impact, Release, ZenoPoint
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
+from zeno_orbits.work.progress import Progress, silent
 
 __all__ = [
     "COARSEST",
@@ -124,7 +125,7 @@ def simulate_to(
     until: float,
     accuracy: float,
     settings: SimulationSettings | None = None,
-    on_progress: Callable[[float], None] | None = None,
+    on_progress: Progress = silent,
 ) -> Assured:
     """Return the completed execution to a wanted accuracy, with an estimate of its error.
 
@@ -134,7 +135,7 @@ def simulate_to(
         until: When to stop [s].
         accuracy: Largest relative error of every event and of the end (see ``difference``).
         settings: Engine and limits; tolerance and completion follow the accuracy.
-        on_progress: Called with the time reached.
+        on_progress: Called with the part of the time that each run has simulated.
 
     Raises:
         InputError: If the accuracy is out of reach from the start.
@@ -175,7 +176,7 @@ def simulate_with_error(
     *,
     until: float,
     settings: SimulationSettings | None = None,
-    on_progress: Callable[[float], None] | None = None,
+    on_progress: Progress = silent,
 ) -> Assured:
     """Return the completed execution with given settings, and an estimate of its error.
 
@@ -184,7 +185,7 @@ def simulate_with_error(
         state: Initial state, ``(n_x,)``.
         until: When to stop [s].
         settings: Accuracy; a second run has a hundred times its tolerance.
-        on_progress: Called with the time reached, by one run after the other.
+        on_progress: Called with the part of the time that each run has simulated.
 
     Raises:
         InputError: If the state is not admissible or the horizon is not a positive number.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -12,7 +12,6 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.model.library import ProblemFile
-from zeno_orbits.model.numeric.compiled import compiled_model
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.bounds import Bound
 from zeno_orbits.orbits.orbit import ZenoOrbit, versions
@@ -24,6 +23,7 @@ from zeno_orbits.search.start import Accept, Trial, tried
 from zeno_orbits.search.start_data import trial_from_json, trial_to_json
 from zeno_orbits.search.validation import clipped
 from zeno_orbits.work import Lost, Plan, spread_in_order
+from zeno_orbits.work.progress import Progress, silent
 from zeno_orbits.work.serialization import plain
 
 
@@ -39,7 +39,7 @@ class Spread:
 
     problem_file: ProblemFile
     plan: Plan
-    tell: Callable[[str, float], None] | None = None
+    tell: Progress = silent
 
 
 def start_count(hunt: Hunt) -> int:
@@ -109,7 +109,7 @@ def trials_spread(
         range(start_count(hunt)),
         plan,
         here=lambda numbers: task.tried(hunt, numbers),
-        tell=spread.tell,
+        on_progress=spread.tell,
     )
     try:
         for result in results:
@@ -137,7 +137,7 @@ class _Task:
         problem = self.problem_file.load()
         hunt = Hunt(
             problem=problem,
-            compiled=compiled_model(problem),
+            compiled=problem.compiled(),
             values=self.values,
             free=self.free,
             objective=self.objective,

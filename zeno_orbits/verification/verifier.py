@@ -8,12 +8,12 @@ happens is held against what the orbit says. Residuals are relative (theory (19)
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.integrators.flow import Tolerance
-from zeno_orbits.model.numeric.compiled import bind, compiled_model, reference_model
+from zeno_orbits.model.library import load_reference
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
@@ -31,6 +31,7 @@ from zeno_orbits.verification.cross_checks import (
 )
 from zeno_orbits.verification.integration import FirstCycle, Observation, observe
 from zeno_orbits.verification.residuals import escapes_of, margins_of, orbit_residuals
+from zeno_orbits.work.progress import Progress, silent
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,7 +67,7 @@ def verify(
     *,
     settings: VerificationSettings | None = None,
     dynamics: HybridDynamics | None = None,
-    on_progress: Callable[[str], None] | None = None,
+    on_progress: Progress = silent,
 ) -> OrbitCertificate:
     """Return the certificate of an orbit.
 
@@ -81,20 +82,19 @@ def verify(
         InputError: If the orbit does not fit the problem.
     """
     settings = settings or VerificationSettings()
-    tell = on_progress or _nobody
     claim = claim_of(orbit, problem)
     if dynamics is None:
         dynamics = problem_dynamics(orbit, problem, use_reference=settings.use_reference)
-    tell("integrating the orbit")
+    on_progress("integrating the orbit", None)
     seen = observe(dynamics, claim, settings.simulation, settings.n_periods)
     residuals = orbit_residuals(dynamics, problem, claim, seen)
     multipliers: Multipliers | None = None
     again = _CrossChecks()
     if seen.first is not None:
-        again = _cross_checks(orbit, problem, dynamics, claim, seen.first, settings, tell)
+        again = _cross_checks(orbit, problem, dynamics, claim, seen.first, settings, on_progress)
         residuals |= again.residuals
         residuals["integration"] = seen.integration_error
-        tell("computing the multipliers")
+        on_progress("computing the multipliers", None)
         multipliers = _multipliers(dynamics, claim, seen.first, settings, seen.integration_error)
     stable = multipliers is not None and multipliers.spectral_radius < 1.0
     trouble = seen.trouble
@@ -138,14 +138,14 @@ def _cross_checks(
     claim: Claim,
     first: FirstCycle,
     settings: VerificationSettings,
-    tell: Callable[[str], None],
+    on_progress: Progress,
 ) -> _CrossChecks:
     simulation, residuals = settings.simulation, dict[str, float]()
-    tell("cutting the impact sequence")
+    on_progress("cutting the impact sequence", None)
     sweep = delta_sweep(dynamics, first, settings.cuts, simulation, settings.tolerance / 10.0)
     if sweep:
         residuals["delta_sweep"] = sweep[-1].error
-    tell("balancing the energy")
+    on_progress("balancing the energy", None)
     energies: dict[str, float] = {}
     try:
         energies = energies_of(orbit, problem, claim, first.cycle, simulation)
@@ -153,13 +153,9 @@ def _cross_checks(
     except ZenoOrbitsError:
         residuals["energy_balance"] = math.inf
     if problem.reference is not None:
-        tell("comparing two derivations of the model")
+        on_progress("comparing two derivations of the model", None)
         residuals["second_model"] = second_model(orbit, problem, first.cycle)
     return _CrossChecks(residuals=residuals, energies=energies, sweep=sweep)
-
-
-def _nobody(_stage: str) -> None:
-    """Report no progress."""
 
 
 def _contradictions(
@@ -198,8 +194,8 @@ def problem_dynamics(
     """
     values = orbit.values(problem)
     if use_reference:
-        return reference_model(problem)(values)
-    return bind(compiled_model(problem), values.vector)
+        return load_reference(problem).dynamics(values)
+    return problem.dynamics(values)
 
 
 def _multipliers(

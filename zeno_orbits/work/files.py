@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import os
 import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, cast
 
 from zeno_orbits.errors import InputError
 
@@ -51,21 +49,6 @@ def require_writable(path: Path, argument: str = "output") -> None:
     if not folder.is_dir() or not os.access(folder, os.W_OK):
         message = f"must be in a writable folder, but `{path}` is not"
         raise InputError(f"Argument `{argument}` {message}.")
-
-
-def read_object(path: Path) -> dict[str, Any]:
-    """Return the names and values of a JSON file.
-
-    Raises:
-        ValueError: Why it has none, as a clause about the file.
-    """
-    try:
-        entries = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise ValueError(f"it is no complete JSON ({type(error).__name__})") from error
-    if isinstance(entries, dict):
-        return cast("dict[str, Any]", entries)
-    raise ValueError("it is no object with names")
 
 
 def require_folder(folder: Path) -> None:

@@ -1,0 +1,513 @@
+"""The functions of the front door: from a problem, or an orbit, to a result, in one call each.
+
+A problem is given as an object, by the name of a bundled one, or by the path of its file. Numbers
+that are not given are the problem's own. Functions of an orbit find its problem by its name;
+``problem=`` overrides. The rooms offer the same steps with everything adjustable.
+
+Offers: the functions below; `zeno_orbits` exports them.
+Imports: every room but ``cli``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.model.library import (
+    ProblemFile,
+    bundled_problems,
+    load_problem,
+    locate_problem,
+    split_fidelity,
+)
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.orbits.orbit_file import read_orbit
+from zeno_orbits.work.progress import Progress, silent
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from zeno_orbits.continuation.families import Continuation
+    from zeno_orbits.continuation.parallel import Crew
+    from zeno_orbits.continuation.setup import ContinuationSettings
+    from zeno_orbits.maps.parameter_map import ParameterMap
+    from zeno_orbits.orbits.bounds import Bound
+    from zeno_orbits.orbits.poincare import Multipliers
+    from zeno_orbits.orbits.shape import OrbitShape
+    from zeno_orbits.search.closing import Closing
+    from zeno_orbits.search.objectives import Objective
+    from zeno_orbits.search.search import SearchResult
+    from zeno_orbits.search.settings import SearchSettings
+    from zeno_orbits.simulation.execution import Execution
+    from zeno_orbits.simulation.simulator import SimulationSettings
+    from zeno_orbits.verification.certificate import OrbitCertificate
+    from zeno_orbits.verification.verifier import VerificationSettings
+
+Named = str | Path | Problem
+"""A problem, the name of a bundled one, or the path of its file."""
+
+Numbers = Mapping[str, float]
+"""Name to value; what is not named keeps the problem's own number."""
+
+Axis = tuple[str, float, float, int]
+"""Name of a gain or parameter, its range, and the number of points along it."""
+
+
+def simulate(
+    problem: Named,
+    *,
+    until: float = 10.0,
+    gains: Numbers | None = None,
+    parameters: Numbers | None = None,
+    start: Numbers | None = None,
+    settings: SimulationSettings | None = None,
+    on_progress: Progress = silent,
+) -> Execution:
+    """Return a completed execution: through every impact, Zeno point, locked arc and release.
+
+    Args:
+        problem: The problem, its name or its file.
+        until: When to stop [s].
+        gains: Gains that differ from the problem's own.
+        parameters: Parameters that differ from the problem's own.
+        start: State name to initial value, others zero; by default the problem's first start.
+        settings: Integrator and accuracy.
+        on_progress: Called with what is being done and the part of it that is done.
+
+    Raises:
+        InputError: If a name is unknown, a number out of range, or the start inside the stop.
+        SimulationError: If the execution cannot be continued; it says where and why.
+    """
+    from zeno_orbits.simulation import simulator
+
+    known = _known(problem)
+    values = known.values(gains=gains, parameters=parameters)
+    state = known.state_vector(known.starts[0] if start is None else start)
+    return simulator.simulate(
+        known.dynamics(values), state, until=until, settings=settings, on_progress=on_progress
+    )
+
+
+def find_orbit(
+    problem: Named,
+    *,
+    gains: Numbers | None = None,
+    parameters: Numbers | None = None,
+    start: Numbers | None = None,
+    shape: OrbitShape | None = None,
+    settings: SearchSettings | None = None,
+    on_progress: Progress = silent,
+) -> SearchResult:
+    """Find the orbit at given numbers, and verify it.
+
+    Args:
+        problem: The problem, its name or its file.
+        gains: Gains that differ from the problem's own.
+        parameters: Parameters that differ from the problem's own.
+        start: State name to value from which a simulation looks for the orbit; by default the
+            problem's starts.
+        shape: The orbit's shape; by default what a simulation settles to.
+        settings: How hard to look.
+        on_progress: Called with what is being done and the part of it that is done.
+
+    Returns:
+        The search's result; ``.unwrap()`` is the verified orbit with its certificate and Floquet
+        multipliers, or raises `OrbitNotFoundError`. Repelling orbits are accepted.
+
+    Raises:
+        InputError: If a name is unknown or a number out of range.
+    """
+    from zeno_orbits.search.settings import SearchSettings as Settings
+
+    return search_gains(
+        problem,
+        free={},
+        gains=gains,
+        parameters=parameters,
+        start=start,
+        shape=shape,
+        settings=replace(settings or Settings(), n_starts=0),
+        allow_unstable=True,
+        on_progress=on_progress,
+    )
+
+
+def search_gains(
+    problem: Named,
+    *,
+    free: Mapping[str, tuple[float, float]] | None = None,
+    gains: Numbers | None = None,
+    parameters: Numbers | None = None,
+    start: Numbers | None = None,
+    objective: Objective | None = None,
+    bounds: Sequence[Bound] = (),
+    near: ZenoOrbit | str | Path | None = None,
+    shape: OrbitShape | None = None,
+    settings: SearchSettings | None = None,
+    allow_unstable: bool = False,
+    workers: int = 1,
+    on_progress: Progress = silent,
+) -> SearchResult:
+    """Find gains, parameters and initial states of an orbit, and verify it.
+
+    Args:
+        problem: The problem, its name or its file.
+        free: Name to range of the gains and parameters to be found; by default every gain that
+            ``gains`` does not fix, in the problem's own range.
+        gains: Gains to start from, or fixed where they are not free.
+        parameters: Parameters, likewise.
+        start: State name to value from which simulations look for orbits.
+        objective: What is asked of the orbit; by default numbers near their start.
+        bounds: What the orbit must keep.
+        near: A known orbit to start from, or its file.
+        shape: The orbit's shape; by default what a simulation settles to.
+        settings: How hard to look.
+        allow_unstable: Accept orbits that do not attract.
+        workers: Processes that try starts; with several, ``problem`` is a name or a file, and
+            ``start`` is not given. The answer does not depend on their number.
+        on_progress: Called with what is being done and the part of it that is done.
+
+    Returns:
+        The verified orbits, the best first, or why there is none.
+
+    Raises:
+        InputError: If a name is unknown, a number out of range, or bounds are the wrong way round.
+    """
+    from zeno_orbits.search import search
+    from zeno_orbits.work import Plan, Workers
+
+    known = _known(problem, start)
+    spread = None
+    if workers > 1:
+        spread = search.Spread(
+            problem_file=_file_of(problem, start),
+            plan=Plan(place=Workers(count=workers)),
+            tell=on_progress,
+        )
+    if free is None:
+        free = {
+            gain.name: (gain.lower, gain.upper)
+            for gain in known.gains
+            if gain.name not in (gains or {})
+        }
+    result = search.search_gains(
+        known,
+        known.values(gains=gains, parameters=parameters),
+        free=free,
+        objective=objective,
+        bounds=bounds,
+        near=_read(near) if near is not None else None,
+        settings=settings,
+        accept=Verified(problem=known, allow_unstable=allow_unstable),
+        on_progress=lambda stage: on_progress(stage, None),
+        spread=spread,
+        shape=shape,
+    )
+    return _with_certificates(result)
+
+
+def close_orbit(
+    problem: Named,
+    *,
+    gains: Numbers | None = None,
+    parameters: Numbers | None = None,
+    start: Numbers | None = None,
+    near: ZenoOrbit | str | Path | None = None,
+    shape: OrbitShape | None = None,
+    settings: SimulationSettings | None = None,
+    on_progress: Progress = silent,
+) -> Closing:
+    """Return the orbit to which a simulation settles: faster than `find_orbit`, not verified.
+
+    Args:
+        problem: The problem, its name or its file.
+        gains: Gains that differ from the problem's own.
+        parameters: Parameters that differ from the problem's own.
+        start: State name to value where the simulation starts; by default the problem's starts.
+        near: A known orbit to start from, or its file.
+        shape: The orbit's shape; by default what the motion settles to.
+        settings: Integrator and accuracy.
+        on_progress: Called with what is being done and the part of it that is done.
+
+    Raises:
+        InputError: If a name is unknown or a number out of range.
+    """
+    from zeno_orbits.search import closing
+
+    known = _known(problem, start)
+    return closing.close_orbit(
+        known,
+        known.values(gains=gains, parameters=parameters),
+        near=_read(near) if near is not None else None,
+        simulation=settings,
+        on_progress=lambda stage: on_progress(stage, None),
+        shape=shape,
+    )
+
+
+def verify(
+    orbit: ZenoOrbit | str | Path,
+    *,
+    problem: Named | None = None,
+    settings: VerificationSettings | None = None,
+    on_progress: Progress = silent,
+) -> OrbitCertificate:
+    """Return the certificate of an orbit: what an independent forward integration says of it.
+
+    Args:
+        orbit: The orbit, or its file; its own certificate and multipliers are ignored.
+        problem: Its problem; by default the bundled one of its name.
+        settings: Tolerance, number of periods and accuracy.
+        on_progress: Called with what is being done and the part of it that is done.
+
+    Raises:
+        InputError: If the orbit's problem is not known, or its numbers do not fit the problem.
+        OrbitFileError: If the file is not an orbit file.
+    """
+    from zeno_orbits.verification import verifier
+
+    orbit = _read(orbit)
+    known = problem_of(orbit, problem)
+    return verifier.verify(orbit, known, settings=settings, on_progress=on_progress)
+
+
+def floquet_multipliers(
+    orbit: ZenoOrbit | str | Path, *, problem: Named | None = None
+) -> Multipliers:
+    """Return the Floquet multipliers of an orbit with their error, by exact derivatives.
+
+    Args:
+        orbit: The orbit, or its file.
+        problem: Its problem; by default the bundled one of its name.
+
+    Raises:
+        InputError: If the orbit's problem is not known, or its numbers do not fit the problem.
+        SimulationError: If the orbit does not return.
+    """
+    from zeno_orbits.orbits import poincare
+    from zeno_orbits.orbits.period import placed
+    from zeno_orbits.simulation.simulator import SimulationSettings as Settings
+    from zeno_orbits.verification.integration import claim_of, observe
+    from zeno_orbits.verification.verifier import problem_dynamics
+
+    orbit = _read(orbit)
+    known = problem_of(orbit, problem)
+    claim, dynamics = claim_of(orbit, known), problem_dynamics(orbit, known)
+    cycle = observe(dynamics, claim, Settings(), 1).cycle
+    if cycle is None:
+        state = tuple(claim.start.tolist())
+        raise SimulationError("The orbit does not return", time=claim.period, state=state)
+    return poincare.floquet_multipliers(
+        dynamics,
+        placed(dynamics, claim.shape, claim.start),
+        scale=cycle.scale,
+        period=cycle.end.time,
+        settings=Settings(),
+        shape=claim.shape,
+    )
+
+
+def continue_orbit(
+    orbit: ZenoOrbit | str | Path,
+    parameter: str,
+    box: tuple[float, float],
+    *,
+    problem: Named | None = None,
+    settings: ContinuationSettings | None = None,
+    workers: int = 1,
+    on_progress: Progress = silent,
+) -> Continuation:
+    """Return the family of an orbit in a gain or parameter, with folds, flips, branches and ends.
+
+    Args:
+        orbit: The orbit, or its file.
+        parameter: Name of the gain or parameter.
+        box: Its range, lower end first; the orbit's own number lies in it.
+        problem: The orbit's problem; by default the bundled one of its name.
+        settings: Accuracy and steps.
+        workers: Processes that follow pieces of it; with several, ``problem`` is a name or a file.
+        on_progress: Called with what is being done and the part of it that is done.
+
+    Raises:
+        InputError: If a name is unknown or the range does not fit.
+        SimulationError: If the orbit does not close.
+    """
+    from zeno_orbits.continuation import continuation
+
+    orbit = _read(orbit)
+    source = problem or orbit.problem
+    with _crew(source, workers, on_progress) as crew:
+        known = problem_of(orbit, problem) if crew is None else crew.problem_file.load()
+        return continuation.continue_orbit(
+            known, orbit, parameter, box, settings=settings, tell=on_progress, crew=crew
+        )
+
+
+@contextmanager
+def _crew(problem: Named, workers: int, on_progress: Progress) -> Generator[Crew | None]:
+    """Open the workers of a continuation, if there are to be any."""
+    from zeno_orbits.continuation.parallel import Crew
+    from zeno_orbits.work import Plan, Workers, open_pool
+
+    if workers == 1:
+        yield None
+        return
+    plan = Plan(place=Workers(count=workers))
+    with open_pool(plan.place) as pool:
+        yield Crew(problem_file=_file_of(problem), plan=plan, pool=pool, tell=on_progress)
+
+
+def parameter_map(
+    problem: Named,
+    *,
+    x: Axis,
+    y: Axis,
+    gains: Numbers | None = None,
+    parameters: Numbers | None = None,
+    start: Numbers | None = None,
+    until: float | None = None,
+    workers: int = 1,
+    on_progress: Progress = silent,
+) -> ParameterMap:
+    """Return what motions settle to over a plane of two gains or parameters.
+
+    Args:
+        problem: The problem, its name or its file; with several workers its name or file.
+        x: The axis across, ``("Kp", 1, 5, 30)``: name, range, number of points.
+        y: The axis upwards.
+        gains: Gains that differ from the problem's own.
+        parameters: Parameters that differ from the problem's own.
+        start: State name to value where every motion starts; by default the problem's first start.
+        until: How long a motion may take to settle [s].
+        workers: Processes; 0 means one a core.
+        on_progress: Called with what is being done and the part of it that is done.
+
+    Raises:
+        InputError: If a name is unknown, a range does not fit, or there are too many points.
+        WorkError: If the work cannot be finished.
+    """
+    from zeno_orbits.maps import parameter_map as maps
+    from zeno_orbits.work import Plan, Workers
+
+    known = _known(problem)
+    plane = maps.Plane(
+        problem_file=_file_of(problem),
+        x=maps.Axis(name=x[0], lower=x[1], upper=x[2], count=x[3]),
+        y=maps.Axis(name=y[0], lower=y[1], upper=y[2], count=y[3]),
+        gains=dict(gains or {}),
+        parameters=dict(parameters or {}),
+        start=known.state_vector(known.starts[0] if start is None else start),
+        **({} if until is None else {"until": until}),
+    )
+    plan = Plan(place=Workers(count=workers), chunk=maps.chunk_of(plane))
+    return maps.parameter_map(plane, plan, on_progress=on_progress)
+
+
+def plot(result: Any, *, problem: Named | None = None, **style: Any) -> Figure:
+    """Return a picture of a result.
+
+    Args:
+        result: An execution, orbit, family, map, certificate, trade or comparison.
+        problem: Its problem, where the result does not tell it.
+        style: As `zeno_orbits.report.plots.figure_of` takes it.
+    """
+    from zeno_orbits.report.plots import figure_of
+
+    return figure_of(result, problem=None if problem is None else _known(problem), **style)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verified:
+    """Accepts the orbits of a search that pass an independent check, and keeps the certificate.
+
+    Attributes:
+        problem: The problem, or where it comes from; a worker loads it itself.
+        settings: How to check.
+        allow_unstable: Whether an orbit that does not attract is accepted.
+        accuracy: Largest relative error of its numbers, if one was asked for.
+    """
+
+    problem: Problem | ProblemFile
+    settings: VerificationSettings | None = None
+    allow_unstable: bool = False
+    accuracy: float | None = None
+
+    def __call__(self, orbit: ZenoOrbit) -> Any:
+        """Return the certificate of an orbit, and the objection to it if there is one."""
+        from zeno_orbits.search.search import Judgement
+        from zeno_orbits.verification import verifier
+
+        known = self.problem if isinstance(self.problem, Problem) else self.problem.load()
+        certificate = verifier.verify(orbit, known, settings=self.settings)
+        objection = ""
+        if not certificate.passed:
+            objection = certificate.verdict()
+        elif not (certificate.stable or self.allow_unstable):
+            radius = certificate.spectral_radius
+            objection = f"The orbit does not attract: its spectral radius is {radius:.4g}."
+        elif self.accuracy is not None and not certificate.orbit_error <= self.accuracy:
+            objection = f"Its numbers are certain to {certificate.orbit_error:.1e} only."
+        return Judgement(objection=objection, certificate=certificate)
+
+
+def problem_of(orbit: ZenoOrbit, problem: Named | None = None) -> Problem:
+    """Return the problem of an orbit, by its name or as given.
+
+    Args:
+        orbit: The orbit.
+        problem: Its problem, for one that is not bundled.
+
+    Raises:
+        InputError: If the given problem is another one, or none is given and none is bundled.
+    """
+    name, fidelity = split_fidelity(orbit.problem)
+    if problem is None:
+        if name not in bundled_problems():
+            message = f"must name the file of problem `{name}`, but it is missing"
+            raise InputError(f"Argument `problem` {message}.")
+        return load_problem(orbit.problem)
+    known = _known(problem)
+    if fidelity is not None and known.name == name:
+        known = known.at_fidelity(fidelity)
+    if known.name != orbit.problem:
+        wanted = f"must be the problem `{orbit.problem}` of the orbit"
+        raise InputError(f"Argument `problem` {wanted}, but it is `{known.name}`.")
+    return known
+
+
+def _with_certificates(result: SearchResult) -> SearchResult:
+    """Return the result with each orbit's certificate and multipliers in the orbit."""
+    from zeno_orbits.verification.verifier import certified
+
+    candidates = tuple(
+        one
+        if one.certificate is None
+        else replace(one, orbit=certified(one.orbit, one.certificate))
+        for one in result.candidates
+    )
+    best = candidates[0].orbit if candidates else result.orbit
+    return replace(result, orbit=best, candidates=candidates)
+
+
+def _known(problem: Named, start: Numbers | None = None) -> Problem:
+    """Return a problem; with ``start``, searches of it start there alone."""
+    known = problem if isinstance(problem, Problem) else locate_problem(problem).load()
+    return known if start is None else replace(known, starts=(dict(start),))
+
+
+def _file_of(problem: Named, start: Numbers | None = None) -> ProblemFile:
+    """Return what several workers can load."""
+    if isinstance(problem, Problem) or start is not None:
+        given = "an object" if isinstance(problem, Problem) else "one with another `start`"
+        wanted = "must be a name or a file where `workers` load it themselves"
+        raise InputError(f"Argument `problem` {wanted}, but it is {given}.")
+    return locate_problem(problem)
+
+
+def _read(orbit: ZenoOrbit | str | Path) -> ZenoOrbit:
+    return orbit if isinstance(orbit, ZenoOrbit) else read_orbit(orbit)

@@ -1,0 +1,25 @@
+"""One form for progress reports: a stage in a few words, and the part of it that is done."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+
+class Progress(Protocol):
+    """Receive progress reports of long work: any function of two arguments, such as ``print``.
+
+    It is called often and must return quickly. An exception that it raises ends the work.
+    """
+
+    def __call__(self, stage: str, part: float | None, /) -> object:
+        """Receive one report.
+
+        Args:
+            stage: The present stage in a few words.
+            part: The part of the work that is done, in [0, 1]; ``None`` if it is not known.
+        """
+        ...
+
+
+def silent(_stage: str, _part: float | None, /) -> None:
+    """Ignore a report: the default of every ``on_progress``."""
