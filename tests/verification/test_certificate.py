@@ -52,7 +52,7 @@ def test_one_large_residual_refuses_and_is_named(name: str, size: float) -> None
     seen = _with(**{name: size})
     assert seen.failed == (name,)
     assert not seen.passed
-    assert seen.verdict().startswith(f"Refused: `{name}` is ")
+    assert seen.verdict().startswith(f"Refused: `{name}` = ")
     assert f"({FAILURES[name]})" in seen.verdict()
 
 
@@ -78,7 +78,7 @@ def test_a_margin_that_is_not_positive_refuses(margin: float) -> None:
     seen = replace(GOOD, margins={**GOOD.margins, "locked_time": margin})
     assert seen.lost == ("locked_time",)
     assert not seen.passed
-    assert "the margin `locked_time` is" in seen.verdict()
+    assert "the margin `locked_time` = " in seen.verdict()
 
 
 def test_trouble_refuses_even_without_residuals() -> None:
@@ -86,8 +86,8 @@ def test_trouble_refuses_even_without_residuals() -> None:
     assert not seen.passed
     assert seen.verdict() == "Refused: There is no release within 3 s."
     both = replace(seen, residuals={**GOOD.residuals, "closure": math.inf})
-    assert "`closure` is inf" in both.verdict()
-    assert "(There is no release within 3 s)" in both.verdict()
+    assert "`closure` = inf exceeds" in both.verdict()
+    assert "; There is no release within 3 s." in both.verdict()
 
 
 @pytest.mark.parametrize("seen", [GOOD, _with(closure=1.0), replace(GOOD, multipliers=())])
