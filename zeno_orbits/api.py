@@ -24,7 +24,7 @@ from zeno_orbits.model.library import (
     locate_problem,
     split_fidelity,
 )
-from zeno_orbits.model.problem import ParameterValues, Problem
+from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.orbit_file import read_orbit
 from zeno_orbits.work.progress import Progress, silent
@@ -89,7 +89,7 @@ def simulate(
     values = known.values(gains=gains, parameters=parameters)
     state = known.state_vector(known.starts[0] if start is None else start)
     return simulator.simulate(
-        _dynamics(known, values), state, until=until, settings=settings, on_progress=on_progress
+        known.dynamics(values), state, until=until, settings=settings, on_progress=on_progress
     )
 
 
@@ -511,9 +511,3 @@ def _file_of(problem: Named, start: Numbers | None = None) -> ProblemFile:
 
 def _read(orbit: ZenoOrbit | str | Path) -> ZenoOrbit:
     return orbit if isinstance(orbit, ZenoOrbit) else read_orbit(orbit)
-
-
-def _dynamics(problem: Problem, values: ParameterValues) -> Any:
-    from zeno_orbits.model.numeric.compiled import bind, compiled_model
-
-    return bind(compiled_model(problem), values.vector)

@@ -13,7 +13,6 @@ from zeno_orbits.continuation.corrector import Metric
 from zeno_orbits.continuation.return_maps import Composed, ImpactReturns, ReleaseReturns, ReturnMap
 from zeno_orbits.continuation.two_parameters.plane import CurveSteps, Plane
 from zeno_orbits.errors import InputError
-from zeno_orbits.model.numeric.compiled import compiled_model
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.section import Line
@@ -81,7 +80,7 @@ class Track:
         """The return map."""
         course = self.course
         once = course.section(
-            compiled=compiled_model(self.problem),
+            compiled=self.problem.compiled(),
             line=line_in(self.problem, np.array(course.values.vector), course.parameter),
             settings=course.simulation,
         )
