@@ -260,8 +260,8 @@ def continue_impacts(
         WorkError: If the work cannot be finished.
     """
     p = np.array(values.vector)
-    value = float(p[problem.names.index(parameter)]) if parameter in problem.names else 0.0
     line = line_in(problem, p, parameter)
+    value = values.number(parameter)
     check_box(problem, parameter, box, value)
     returns = ImpactReturns(compiled=problem.compiled(), line=line, settings=settings.simulation)
     x, flight, scale = _settled(returns, np.array(state), value)

@@ -112,7 +112,7 @@ def transcribe(
     """
     program = ProgramBuilder()
     unknown = _declare_free(program, values, free)
-    named = {**values.gains, **values.parameters}
+    named = values.numbers
     p = ca.vertcat(*(unknown.get(name, ca.MX(value)) for name, value in named.items()))
     places = [k for k, name in enumerate(named) if name in unknown]
     restitution = _restitution(compiled, p, places, dynamics.restitution)
