@@ -12,21 +12,17 @@ import pytest
 from tests.reference.closed_forms import StoppedOscillator
 from tests.reference.reference_orbit import RELEASE
 from zeno_orbits.continuation.branch import Steps
-from zeno_orbits.continuation.continuation import (
-    continue_orbit,
-    continue_orbit_in_two,
-    start_orbit,
-)
+from zeno_orbits.continuation.continuation import SecondParameter, continue_orbit, start_orbit
 from zeno_orbits.continuation.corrector import first_point
 from zeno_orbits.continuation.families import Boundary, Family, Kind
 from zeno_orbits.continuation.return_maps import Composed
-from zeno_orbits.continuation.setup import ContinuationSettings, track_of
+from zeno_orbits.continuation.setup import ContinuationSettings, start_at_release
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model.drives import full_drive
 from zeno_orbits.model.hybrid import complete
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
+from zeno_orbits.model.numeric.compiled import bind
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.poincare import poincare_map
@@ -43,7 +39,7 @@ SETTINGS = SimulationSettings()
 def pendulum(**numbers: float) -> HybridDynamics:
     gains = {name: numbers.pop(name) for name in ("Kp", "Kd") if name in numbers}
     values = PENDULUM.values(gains=gains, parameters=numbers)
-    return bind(compiled_model(PENDULUM), values.vector)
+    return PENDULUM.dynamics(values)
 
 
 @cache
@@ -247,10 +243,12 @@ def test_the_amplitude_vanishes_where_the_linearized_pendulum_neither_grows_nor_
 
 
 def test_two_returns_have_the_product_of_the_derivatives() -> None:
-    track = track_of(PENDULUM, pendulum_orbit(), "Kd", (-1.5, -0.5), ContinuationSettings())
-    once = first_point(track.returns, track.metric, np.array(RELEASE), -1.0, rising=True)
-    twice = Composed(maps=(track.returns, track.returns))
-    point = first_point(twice, track.metric, np.array(RELEASE), -1.0, rising=True)
+    box, settings = (-1.5, -0.5), ContinuationSettings()
+    setup = start_at_release(PENDULUM, pendulum_orbit(), "Kd", box, settings).setup
+    returns = setup.returns(PENDULUM)
+    once = first_point(returns, setup.metric, np.array(RELEASE), -1.0, rising=True)
+    twice = Composed(maps=(returns, returns))
+    point = first_point(twice, setup.metric, np.array(RELEASE), -1.0, rising=True)
     assert point.found.time == pytest.approx(2 * once.found.time, rel=1e-10)
     assert point.multipliers[0].real == pytest.approx(once.multipliers[0].real ** 2, abs=1e-9)
     # The family is the same one, so is its tangent.
@@ -260,13 +258,8 @@ def test_two_returns_have_the_product_of_the_derivatives() -> None:
 @pytest.mark.slow
 def test_a_boundary_in_two_parameters_is_where_the_closed_form_says() -> None:
     # The release is lost on the line A = -stop.
-    found = continue_orbit_in_two(
-        OSCILLATOR,
-        oscillator_orbit(),
-        ("A", "stop"),
-        ((0.7, 1.1), (-0.82, -0.78)),
-        kinds=(Kind.RELEASE_LOST,),
-    )
+    second = SecondParameter(name="stop", box=(-0.82, -0.78), kinds=(Kind.RELEASE_LOST,))
+    found = continue_orbit(OSCILLATOR, oscillator_orbit(), "A", (0.7, 1.1), second=second)
     (boundary,) = found.boundaries
     assert boundary.names == ("A", "stop")
     sums = np.array(boundary.x) + np.array(boundary.y)
@@ -317,7 +310,7 @@ def test_derived_numbers_are_held_when_another_one_changes() -> None:
     )
     assert follow.parameters["J_rotor"] != held.parameters["J_rotor"]
     x = np.array(list(family.points[-1].state.values()))
-    dynamics = bind(compiled_model(PENDULUM), held.vector)
+    dynamics = PENDULUM.dynamics(held)
     time, end = poincare_map(dynamics, x, horizon=4.0, settings=SETTINGS)
     assert np.max(np.abs(end - x) / SCALE) < 1e-9
     assert time == pytest.approx(family.points[-1].period, abs=1e-9)

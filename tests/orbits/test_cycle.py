@@ -12,7 +12,6 @@ from tests.reference.closed_forms import FORCED
 from tests.reference.reference_orbit import PERIOD, RELEASE
 from tests.support.mechanisms import forced_oscillator, oscillator_state
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compile_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.cycle import Cycle, closure_of, cycles
@@ -88,7 +87,7 @@ def test_a_start_that_a_rounding_error_locks_is_one_release(oscillator: HybridDy
 
 def test_a_ball_that_rests_for_good_has_no_period() -> None:
     problem = load_problem("bouncing_ball")
-    ball = bind(compile_problem(problem), problem.values().vector)
+    ball = problem.dynamics(problem.values())
     assert cycles(simulate(ball, (1.0, 0.0), until=20.0)) == []
 
 
@@ -152,7 +151,7 @@ def test_a_tolerance_that_nothing_reaches_takes_all_impacts(
 
 def test_a_plastic_impact_closes_alone(problem: Problem) -> None:
     values = problem.values(parameters={"restitution": 0.0})
-    plastic = bind(compile_problem(problem), values.vector)
+    plastic = problem.dynamics(values)
     run = simulate(plastic, RELEASE, until=6.0)
     cycle = cycles(run)[-1]
     assert cycle.hops == ()

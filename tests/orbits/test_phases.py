@@ -11,7 +11,6 @@ from tests.reference.closed_forms import FORCED
 from tests.support.mechanisms import forced_oscillator, oscillator_state
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.orbits.period import placed, round_trip
 from zeno_orbits.orbits.phases import follow_each_other, kinds_of, phases_of
@@ -32,7 +31,7 @@ def _oscillator() -> HybridDynamics:
 @pytest.fixture(name="striker", scope="module")
 def _striker() -> HybridDynamics:
     problem = load_problem("impact_oscillator")
-    return bind(compiled_model(problem), problem.values().vector)
+    return problem.dynamics(problem.values())
 
 
 def _strike() -> np.ndarray:
@@ -43,7 +42,7 @@ def _strike() -> np.ndarray:
 def _table(amplitude: float) -> HybridDynamics:
     problem = load_problem("vibrating_table")
     values = problem.values(parameters={"A": amplitude, "restitution": 0.0})
-    return bind(compiled_model(problem), values.vector)
+    return problem.dynamics(values)
 
 
 def test_an_accumulation_and_what_follows_it_are_one_phase(oscillator: HybridDynamics) -> None:

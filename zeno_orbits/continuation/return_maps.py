@@ -35,9 +35,9 @@ from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 class Loss(Enum):
     """Kinds of margins: numbers that are positive along a family. The value is the word shown.
 
-    ``AMPLITUDE`` is the largest range of any state over a few fixed phases of a return. It is smooth
-    along a family, and zero where the motion stands still; what a problem calls its amplitude is
-    `zeno_orbits.continuation.families.amplitudes`.
+    ``AMPLITUDE`` is the largest range of any state over a few fixed phases of a return: smooth
+    along a family, and zero where the motion stands still. The amplitude that a problem names is
+    `zeno_orbits.continuation.amplitude.amplitude`.
     """
 
     AMPLITUDE = "amplitude"

@@ -12,7 +12,6 @@ from zeno_orbits.continuation.corrector import Metric
 from zeno_orbits.continuation.return_maps import Composed, ImpactReturns, ReleaseReturns, ReturnMap
 from zeno_orbits.continuation.two_parameters.plane import CurveSteps, Plane
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model.numeric.compiled import compiled_model
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.section import Line
@@ -65,7 +64,7 @@ class Setup:
     def returns(self, problem: Problem) -> ReturnMap:
         """Return the return map under which the orbits close."""
         once = self.section(
-            compiled=compiled_model(problem),
+            compiled=problem.compiled(),
             line=line_in(problem, np.array(self.values.vector), self.parameter),
             settings=self.simulation,
         )
@@ -175,9 +174,7 @@ def start_at_impact(
     """
     s = _checked(problem, values, "in", parameter, box)
     line = line_in(problem, np.array(values.vector), parameter)
-    returns = ImpactReturns(
-        compiled=compiled_model(problem), line=line, settings=settings.simulation
-    )
+    returns = ImpactReturns(compiled=problem.compiled(), line=line, settings=settings.simulation)
     x, flight, scale = _settled(returns, np.array(state), s)
     setup = Setup(
         values=values,

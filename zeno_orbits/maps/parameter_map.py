@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -175,7 +176,7 @@ class Boundary:
     points: tuple[tuple[float, float], ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class ParameterMap:
     """What motions settle to over a plane.
 
@@ -200,6 +201,16 @@ class ParameterMap:
     until: float
     attractors: tuple[Attractor, ...]
     versions: Mapping[str, str]
+
+    def __repr__(self) -> str:
+        """Return one line: the axes, and how many points settle to what."""
+        axes = ", ".join(
+            f"{axis.name} from {axis.lower:g} to {axis.upper:g} in {axis.count} points"
+            for axis in (self.x, self.y)
+        )
+        counts = Counter(attractor.fate.value for attractor in self.attractors)
+        found = ", ".join(f"{phrase}: {count}" for phrase, count in counts.most_common())
+        return f"<ParameterMap of {self.problem}: {axes}; {found}>"
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -9,7 +9,6 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.model.numeric.compiled import bind
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues
 from zeno_orbits.orbits.cycle import Cycle
@@ -117,7 +116,7 @@ def _closed(
     numbers = {n: (1 - part) * easy.number(n) + part * wanted.number(n) for n in names}
     values = wanted if part == 1.0 else easy.replaced(numbers)
     try:
-        dynamics = bind(hunt.compiled, values.vector)
+        dynamics = hunt.problem.dynamics(values)
         start = placed(dynamics, shape, guess)
         closed = close_cycle(
             dynamics,

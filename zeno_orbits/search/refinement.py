@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from zeno_orbits.model.numeric.compiled import CompiledSystem, bind
+from zeno_orbits.model.numeric.compiled import CompiledSystem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.bounds import Bound
@@ -216,7 +216,7 @@ class Hunt:
 
     def dynamics(self, values: ParameterValues) -> HybridDynamics:
         """Return the system at given numbers."""
-        return bind(self.compiled, values.vector)
+        return self.problem.dynamics(values)
 
     def numbers(self, values: ParameterValues) -> dict[str, float]:
         """Return the numbers to name a start by: all gains, and the parameters that are free."""

@@ -8,7 +8,6 @@ from contextlib import closing
 from dataclasses import dataclass, field, replace
 
 from zeno_orbits.errors import InputError, ZenoOrbitsError
-from zeno_orbits.model.numeric.compiled import compiled_model
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.bounds import Bound
 from zeno_orbits.orbits.orbit import ZenoOrbit
@@ -54,7 +53,7 @@ class Attempt:
     detail: str = ""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class SearchResult:
     """Outcome of a search, successful or not.
 
@@ -85,6 +84,15 @@ class SearchResult:
     attempts: tuple[Attempt, ...]
     candidates: tuple[Candidate, ...] = ()
     detail: str = ""
+
+    def __repr__(self) -> str:
+        """Return a few lines: the status and the best orbit."""
+        best = f"\n  {self.orbit!r}" if self.orbit is not None else ""
+        detail = f"{self.status.value} {self.detail}".strip()
+        return (
+            f"<SearchResult {self.status.name}: {detail} starts={len(self.attempts)}, "
+            f"candidates={len(self.candidates)}, wall_time={self.wall_time:.1f} s{best}>"
+        )
 
     def unwrap(self) -> ZenoOrbit:
         """Return the best orbit.
@@ -183,7 +191,7 @@ def search_gains(
         objective = NearestGains(target=named)
     hunt = Hunt(
         problem=problem,
-        compiled=compiled_model(problem),
+        compiled=problem.compiled(),
         values=values,
         free=free,
         objective=objective,

@@ -53,7 +53,7 @@ class DeltaCut:
     error: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class OrbitCertificate:
     """What a forward integration says of an orbit.
 
@@ -100,6 +100,10 @@ class OrbitCertificate:
     trouble: str = ""
     shape: str = ONE_ZENO.text
     asked: tuple[Mapping[str, Any], ...] = ()
+
+    def __repr__(self) -> str:
+        """Return one line: the verdict and how stable the orbit is."""
+        return f"<OrbitCertificate: {self.verdict()} spectral_radius={self.spectral_radius:.6g}>"
 
     @property
     def failed(self) -> tuple[str, ...]:

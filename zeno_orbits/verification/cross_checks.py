@@ -11,7 +11,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model.hybrid import audited
-from zeno_orbits.model.numeric.compiled import bind, compiled_model, reference_model
+from zeno_orbits.model.library import load_reference
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
@@ -137,7 +137,7 @@ def energies_of(
     simulation: SimulationSettings,
 ) -> dict[str, float]:
     """Return the energies of one period, from an integration that carries the ledger along."""
-    dynamics = bind(compiled_model(problem, audited), orbit.values(problem).vector)
+    dynamics = problem.dynamics(orbit.values(problem), audited)
     if isinstance(simulation.completion, ZenoPassage):
         # Each impact loses its part; only a short tail loses what the last speed says.
         simulation = replace(simulation, completion=simulation.completion.one_by_one)
@@ -174,8 +174,8 @@ def imbalance(energies: Mapping[str, float]) -> float:
 def second_model(orbit: ZenoOrbit, problem: Problem, cycle: FirstCycle) -> float:
     """Return the largest relative difference of the two derivations along the orbit."""
     values = orbit.values(problem)
-    by_hand: HybridDynamics = reference_model(problem)(values)
-    derived = bind(compiled_model(problem), values.vector)
+    by_hand: HybridDynamics = load_reference(problem).dynamics(values)
+    derived = problem.dynamics(values)
     times = np.linspace(0.0, cycle.end.time, 41)
     free = [cycle.execution.state_at(float(t)) for t in times]
     free += [impact.state_minus for impact in cycle.impacts]

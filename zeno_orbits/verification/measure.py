@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
+from zeno_orbits.model.numeric.compiled import bind
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
@@ -29,7 +29,7 @@ NUMBERS = ("period", "energy", "spectral_radius", "margin", *MARGINS)
 
 def quantity_names(problem: Problem) -> tuple[str, ...]:
     """Return the names of all that can be measured of an orbit of a problem."""
-    return (*signal_names(compiled_model(problem)), *NUMBERS)
+    return (*signal_names(problem.compiled()), *NUMBERS)
 
 
 def require_quantities(names: Sequence[str], problem: Problem, argument: str) -> None:
@@ -68,7 +68,7 @@ def measure(
     simulation = simulation or SimulationSettings()
     claim = claim_of(orbit, problem)
     values = orbit.values(problem)
-    compiled = compiled_model(problem)
+    compiled = problem.compiled()
     dynamics = bind(compiled, values.vector)
     seen = observe(dynamics, claim, simulation, 1)
     if seen.cycle is None:

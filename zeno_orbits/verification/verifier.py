@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.integrators.flow import Tolerance
-from zeno_orbits.model.numeric.compiled import bind, compiled_model, reference_model
+from zeno_orbits.model.library import load_reference
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
@@ -157,8 +157,8 @@ def problem_dynamics(
     """
     values = orbit.values(problem)
     if use_reference:
-        return reference_model(problem)(values)
-    return bind(compiled_model(problem), values.vector)
+        return load_reference(problem).dynamics(values)
+    return problem.dynamics(values)
 
 
 def _multipliers(
