@@ -421,6 +421,28 @@ def plot(result: Any, *, problem: Named | None = None, **style: Any) -> Figure:
     return figure_of(result, problem=None if problem is None else _known(problem), **style)
 
 
+def equilibrium_acceleration(
+    problem: Named, *, gains: Numbers | None = None, parameters: Numbers | None = None
+) -> Any:
+    r"""Return :math:`\ddot h` at a Zeno equilibrium as a SymPy formula with numbers in it.
+
+    Theorem 1: where it is negative, impacts accumulate nearby.
+
+    Args:
+        problem: The problem, its name or its file.
+        gains: Gains that differ from the problem's own.
+        parameters: Parameters that differ from the problem's own.
+
+    Raises:
+        InputError: If a name is unknown or a number out of range.
+    """
+    from zeno_orbits.model import formulas
+
+    known = _known(problem)
+    values = known.values(gains=gains, parameters=parameters)
+    return formulas.with_numbers(formulas.equilibrium_acceleration(known), values)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verified:
     """Accepts the orbits of a search that pass an independent check, and keeps the certificate.

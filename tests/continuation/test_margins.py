@@ -26,7 +26,7 @@ from zeno_orbits.continuation.setup import ContinuationSettings, Setup, start_at
 from zeno_orbits.continuation.two_parameters.plane import CurveStart, Plane
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.orbits.section import Frame, Line
+from zeno_orbits.orbits.section import Line, Section
 from zeno_orbits.work.progress import silent
 from zeno_orbits.work.serialization import plain, restored
 
@@ -241,7 +241,7 @@ class Blind:
         found = self.returns.follow(x, s, horizon=horizon)
         return replace(found, margins={key: found.margins[key] for key in self.kept})
 
-    def frame(self, x: Vector, s: float, scale: Vector) -> Frame:
+    def frame(self, x: Vector, s: float, scale: Vector) -> Section:
         return self.returns.frame(x, s, scale)
 
     def projected(self, x: Vector, s: float, scale: Vector) -> Vector:

@@ -247,7 +247,7 @@ def line_in(problem: Problem, p: Vector, parameter: str) -> Line:
         parameter: Name of the one that changes.
     """
     direction = np.zeros(p.size)
-    direction[problem.names.index(parameter)] = 1.0
+    direction[problem.place(parameter, argument="in")] = 1.0
     return Line(origin=p * (1 - direction), direction=direction)
 
 
@@ -263,18 +263,9 @@ def _checked(
     Raises:
         InputError: If there is no such parameter, or its range is empty, forbidden or elsewhere.
     """
-    if parameter not in problem.names:
-        known = ", ".join(problem.names)
-        raise InputError(f"Argument `{argument}` must be one of {known}, but it is `{parameter}`.")
+    problem.require_range(parameter, box, argument=argument)
     low, high = box
-    if not low < high:
-        message = f"must have the lower end first, but it is {low:g}:{high:g}"
-        raise InputError(f"Argument `{argument}` {message}.")
-    for quantity in problem.parameters:
-        if quantity.name == parameter:
-            quantity.checked(low)
-            quantity.checked(high)
-    value = float(values.vector[problem.names.index(parameter)])
+    value = values.number(parameter)
     if not low <= value <= high:
         message = f"must hold the start, {parameter} = {value:g}, but it is {low:g}:{high:g}"
         raise InputError(f"Argument `{argument}` {message}.")

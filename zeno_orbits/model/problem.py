@@ -258,27 +258,89 @@ class Problem:
         return self.values(gains=values.gains, parameters=parameters)
 
     @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """Gains, then parameters, in the order of the parameter vector."""
+        return (*self.gains, *self.parameters)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of gains, then of parameters, in the order of the parameter vector."""
-        return tuple(quantity.name for quantity in (*self.gains, *self.parameters))
+        return tuple(quantity.name for quantity in self.quantities)
+
+    def quantity(self, name: str, *, argument: str = "name") -> Quantity:
+        """Return the gain or parameter of that name.
+
+        Args:
+            name: The name.
+            argument: What the refusal calls it.
+
+        Raises:
+            InputError: If there is neither; it lists those that there are.
+        """
+        return self.quantities[self.place(name, argument=argument)]
+
+    def place(self, name: str, *, argument: str = "name") -> int:
+        """Return the place of a gain or parameter in the parameter vector.
+
+        Args:
+            name: The name.
+            argument: What the refusal calls it.
+
+        Raises:
+            InputError: If there is neither; it lists those that there are.
+        """
+        if name not in self.names:
+            raise InputError(unknown(argument, name, self.names))
+        return self.names.index(name)
+
+    def require_range(
+        self, name: str, box: tuple[float, float], *, argument: str = "name"
+    ) -> Quantity:
+        """Return the gain or parameter of that name, if it may lie anywhere in a range.
+
+        The problem's range of a gain is where a search looks, and binds nobody else.
+
+        Args:
+            name: The name.
+            box: Lower and upper end.
+            argument: What the refusal calls it.
+
+        Raises:
+            InputError: If the name is unknown, the range is empty or not finite, or a parameter
+                makes no sense at one of its ends.
+        """
+        quantity = self.quantity(name, argument=argument)
+        low, high = box
+        if not (math.isfinite(low) and math.isfinite(high) and low < high):
+            wanted = f"must have finite bounds LOWER < UPPER for `{name}`"
+            raise InputError(f"Argument `{argument}` {wanted}, but they are {low:g}:{high:g}.")
+        if quantity in self.parameters:
+            quantity.checked(low)
+            quantity.checked(high)
+        return quantity
 
     def values(
         self,
         *,
         gains: Mapping[str, float] | None = None,
         parameters: Mapping[str, float] | None = None,
+        numbers: Mapping[str, float] | None = None,
     ) -> ParameterValues:
         """Return checked numbers for every name, defaults and derived values filled in.
 
         Args:
             gains: Gains that differ from their defaults.
             parameters: Parameters that differ from their defaults.
+            numbers: Gains or parameters, whichever the names are; they override the others.
 
         Raises:
             InputError: If a name is unknown or a value is out of its range.
         """
-        chosen_gains = _chosen("gain", self.gains, gains or {}, bounded=False)
-        chosen = _chosen("parameter", self.parameters, parameters or {}, bounded=True)
+        given_gains, given = dict(gains or {}), dict(parameters or {})
+        for name, value in (numbers or {}).items():
+            (given_gains if self.quantity(name) in self.gains else given)[name] = value
+        chosen_gains = _chosen("gain", self.gains, given_gains, bounded=False)
+        chosen = _chosen("parameter", self.parameters, given, bounded=True)
         if self.derive is not None:
             derived = self._derived(chosen)
             chosen = {

@@ -16,13 +16,14 @@ from zeno_orbits.model.numeric.compiled import CompiledSystem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.bounds import Bound
-from zeno_orbits.orbits.cycle import Cycle, closures_of
+from zeno_orbits.orbits.cycle import Cycle
 from zeno_orbits.orbits.shape import OrbitShape
 from zeno_orbits.search.confirmation import Confirmation, tightened
 from zeno_orbits.search.constraints import keep
 from zeno_orbits.search.objectives import Objective
 from zeno_orbits.search.settings import Find, SearchSettings, SearchStatus
 from zeno_orbits.search.spectral_radius import section_map
+from zeno_orbits.search.transcription.closure import closures_of
 from zeno_orbits.search.transcription.ipopt import (
     Hessian,
     IpoptSettings,
