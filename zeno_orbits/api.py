@@ -26,6 +26,7 @@ from zeno_orbits.model.library import (
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.orbit_file import read_orbit
+from zeno_orbits.work.progress import Progress, silent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,10 +37,8 @@ if TYPE_CHECKING:
     from zeno_orbits.orbits.bounds import Bound
     from zeno_orbits.orbits.poincare import Multipliers
     from zeno_orbits.orbits.shape import OrbitShape
-    from zeno_orbits.search.closing import Closing
+    from zeno_orbits.search import Closing, SearchResult, SearchSettings
     from zeno_orbits.search.objectives import Objective
-    from zeno_orbits.search.search import SearchResult
-    from zeno_orbits.search.settings import SearchSettings
     from zeno_orbits.simulation.execution import Execution
     from zeno_orbits.simulation.simulator import SimulationSettings
     from zeno_orbits.verification.certificate import OrbitCertificate
@@ -98,7 +97,7 @@ def find_orbit(
     start: Numbers | None = None,
     shape: OrbitShape | None = None,
     settings: SearchSettings | None = None,
-    on_progress: Callable[[str], None] | None = None,
+    on_progress: Progress = silent,
 ) -> SearchResult:
     """Find the orbit at given numbers, and verify it.
 
@@ -110,7 +109,7 @@ def find_orbit(
             problem's starts.
         shape: The orbit's shape; by default what a simulation settles to.
         settings: How hard to look.
-        on_progress: Called with what is being done.
+        on_progress: Receives progress reports.
 
     Returns:
         The search's result; ``.unwrap()`` is the verified orbit with its certificate and Floquet
@@ -119,7 +118,7 @@ def find_orbit(
     Raises:
         InputError: If a name is unknown or a number out of range.
     """
-    from zeno_orbits.search.settings import SearchSettings as Settings
+    from zeno_orbits.search import SearchSettings as Settings
 
     return search_gains(
         problem,
@@ -147,7 +146,7 @@ def search_gains(
     shape: OrbitShape | None = None,
     settings: SearchSettings | None = None,
     allow_unstable: bool = False,
-    on_progress: Callable[[str], None] | None = None,
+    on_progress: Progress = silent,
 ) -> SearchResult:
     """Find gains, parameters and initial states of an orbit, and verify it.
 
@@ -164,7 +163,7 @@ def search_gains(
         shape: The orbit's shape; by default what a simulation settles to.
         settings: How hard to look.
         allow_unstable: Accept orbits that do not attract.
-        on_progress: Called with what is being done.
+        on_progress: Receives progress reports.
 
     Returns:
         The verified orbits, the best first, or why there is none.
@@ -207,7 +206,7 @@ def close_orbit(
     near: ZenoOrbit | str | Path | None = None,
     shape: OrbitShape | None = None,
     settings: SimulationSettings | None = None,
-    on_progress: Callable[[str], None] | None = None,
+    on_progress: Progress = silent,
 ) -> Closing:
     """Return the orbit to which a simulation settles: faster than `find_orbit`, not verified.
 
@@ -219,7 +218,7 @@ def close_orbit(
         near: A known orbit to start from, or its file.
         shape: The orbit's shape; by default what the motion settles to.
         settings: Integrator and accuracy.
-        on_progress: Called with what is being done.
+        on_progress: Receives progress reports.
 
     Raises:
         InputError: If a name is unknown or a number out of range.
@@ -410,7 +409,7 @@ class Verified:
 
     def __call__(self, orbit: ZenoOrbit) -> Any:
         """Return the certificate of an orbit, and the objection to it if there is one."""
-        from zeno_orbits.search.search import Judgement
+        from zeno_orbits.search import Judgement
         from zeno_orbits.verification import verifier
 
         known = self.problem if isinstance(self.problem, Problem) else self.problem.load()

@@ -13,7 +13,7 @@ import pytest
 
 from tests.support import chores
 from zeno_orbits.errors import InputError
-from zeno_orbits.search.search import SearchSettings
+from zeno_orbits.search import SearchSettings
 from zeno_orbits.verification.verifier import VerificationSettings
 from zeno_orbits.work.serialization import plain
 

@@ -32,13 +32,14 @@ from zeno_orbits.cli.parsing import (
 from zeno_orbits.cli.search_output import answer, far_from_own, kept_as_derived
 from zeno_orbits.errors import InputError
 from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.search.objectives import objective_help
 from zeno_orbits.work.files import require_writable
 
 if TYPE_CHECKING:
     from zeno_orbits.model.library import ProblemFile
     from zeno_orbits.model.problem import ParameterValues, Problem
     from zeno_orbits.orbits.orbit import ZenoOrbit
-    from zeno_orbits.search.search import Judgement
+    from zeno_orbits.search import Judgement
     from zeno_orbits.verification.verifier import VerificationSettings
 
 
@@ -90,11 +91,7 @@ def add_search(commands: Any) -> None:
         action="append",
         default=[],
         metavar="WISH",
-        help=(
-            "nearest (to the problem's gains), nearest:NAME=VALUE,..., period=SECONDS, "
-            "amplitude=VALUE, energy, peak=SIGNAL (least peak of current, voltage or a state), "
-            "contraction (least spectral radius), or margin (widest to losing the orbit)"
-        ),
+        help=objective_help(),
     )
     parser.add_argument(
         "--keep",
@@ -153,7 +150,7 @@ class _Judge:
     accuracy: float | None
 
     def __call__(self, orbit: ZenoOrbit) -> Judgement:
-        from zeno_orbits.search.search import Judgement
+        from zeno_orbits.search import Judgement
         from zeno_orbits.verification.verifier import verify
 
         certificate = verify(orbit, self.problem_file.load(), settings=self.settings)
@@ -171,7 +168,7 @@ class _Judge:
 def _run_search(options: argparse.Namespace) -> int:
     from zeno_orbits.model.library import locate_problem
     from zeno_orbits.model.numeric.compiled import bind, compiled_model
-    from zeno_orbits.search.search import SearchSettings, Spread, search_gains
+    from zeno_orbits.search import SearchSettings, Spread, search_gains
     from zeno_orbits.work import Plan, remove_checkpoint
 
     problem_file = locate_problem(options.problem)

@@ -1,4 +1,4 @@
-"""What came of a start as plain data, every bit kept, so that it can cross processes."""
+"""Outcomes of starts as plain data, every bit kept, so that they can cross processes."""
 
 from __future__ import annotations
 
@@ -7,26 +7,26 @@ from pathlib import Path
 from typing import Any
 
 from zeno_orbits.orbits.orbit_file import orbit_from_json
+from zeno_orbits.search.outcome import Candidate, StartOutcome
 from zeno_orbits.search.settings import SearchStatus
-from zeno_orbits.search.start import Candidate, Trial
 from zeno_orbits.simulation.signals import Extent
 from zeno_orbits.verification.certificate import DeltaCut, OrbitCertificate
 from zeno_orbits.work.serialization import plain
 
 
-def trial_to_json(trial: Trial) -> dict[str, Any]:
-    """Return what came of a start as plain data."""
-    data: dict[str, Any] = plain(trial)
-    if trial.candidate is not None:
+def outcome_to_json(outcome: StartOutcome) -> dict[str, Any]:
+    """Return the outcome of a start as plain data."""
+    data: dict[str, Any] = plain(outcome)
+    if outcome.candidate is not None:
         # The form of its file.
-        data["candidate"]["orbit"] = trial.candidate.orbit.as_json()
+        data["candidate"]["orbit"] = outcome.candidate.orbit.as_json()
     return data
 
 
-def trial_from_json(data: Mapping[str, Any]) -> Trial:
-    """Return what came of a start from what `trial_to_json` gave."""
+def outcome_from_json(data: Mapping[str, Any]) -> StartOutcome:
+    """Return the outcome of a start from what `outcome_to_json` gave."""
     candidate = data["candidate"]
-    return Trial(
+    return StartOutcome(
         status=SearchStatus[data["status"]],
         detail=data["detail"],
         residuals=_numbers(data["residuals"]),
