@@ -32,7 +32,7 @@ from zeno_orbits.continuation.two_parameters.plane import CurveSteps
 from zeno_orbits.model.library import locate_problem
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.report import plots
-from zeno_orbits.report.terminal.progress import Progress
+from zeno_orbits.report.terminal.progress import ProgressLine
 from zeno_orbits.work import Plan, Workers, open_pool
 from zeno_orbits.work.files import write_whole
 
@@ -171,9 +171,9 @@ def main() -> None:
     problem = problem_file.load()
     if options.checkpoint is not None:
         options.checkpoint.mkdir(parents=True, exist_ok=True)
-    with open_pool(place) as pool, Progress(lambda: None) as progress:
+    with open_pool(place) as pool, ProgressLine(lambda: None) as progress:
         plan = Plan(place=place, checkpoint=options.checkpoint)
-        crew = Crew(problem_file=problem_file, plan=plan, pool=pool, tell=progress.tell)
+        crew = Crew(problem_file=problem_file, plan=plan, pool=pool, tell=progress)
         found = families(problem, crew, curves=not options.quick)
     curves = [in_gains(b) for one in found.values() for b in one.boundaries]
     if options.output is not None:

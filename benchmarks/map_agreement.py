@@ -149,8 +149,8 @@ class LongRuns:
 def compare(found: ParameterMap, task: LongRuns, indices: Sequence[int]) -> list[Comparison]:
     """Return both answers at some points of a map; the long runs are spread over all cores."""
     points = [task.plane.points()[k] for k in indices]
-    with report.Progress(lambda: None) as progress:
-        slow = spread(task, points, Plan(chunk=4), tell=progress.tell)
+    with report.ProgressLine(lambda: None) as progress:
+        slow = spread(task, points, Plan(chunk=4), on_progress=progress)
     return [
         Comparison(
             point=point,
@@ -164,8 +164,8 @@ def compare(found: ParameterMap, task: LongRuns, indices: Sequence[int]) -> list
 
 def computed(plane: Plane, plan: Plan) -> ParameterMap:
     """Return the map by the package's own function."""
-    with report.Progress(lambda: None) as progress:
-        return parameter_map(plane, plan, tell=progress.tell)
+    with report.ProgressLine(lambda: None) as progress:
+        return parameter_map(plane, plan, on_progress=progress)
 
 
 def main(fast: Fast = computed) -> int:

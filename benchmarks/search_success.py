@@ -27,7 +27,6 @@ import numpy as np
 
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.model.library import locate_problem
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.orbit import versions
 from zeno_orbits.report.terminal import orbits as report
@@ -76,7 +75,7 @@ def has_orbit(values: ParameterValues) -> bool:
     """Tell whether a long simulation settles to one Zeno point a period."""
     problem = pendulum()
     starts = [problem.state_vector(start) for start in problem.starts]
-    cycle = settle(bind(compiled_model(problem), values.vector), starts).cycle
+    cycle = settle(problem.dynamics(values), starts).cycle
     return cycle is not None and cycle.drift(cycle.scale()) < SETTLED
 
 
@@ -121,7 +120,7 @@ def study(options: argparse.Namespace) -> tuple[list[list[str]], int]:
     results: list[list[str]] = []
     tried = 0
     with (
-        report.Progress(lambda: None) as progress,
+        report.ProgressLine(lambda: None) as progress,
         closing(spread_in_order(judge, problems, plan)) as found,
     ):
         while len(results) < options.problems and tried < len(problems):
@@ -132,7 +131,7 @@ def study(options: argparse.Namespace) -> tuple[list[list[str]], int]:
             elif result is not None:
                 results.append(result)
             done = len(results) / options.problems
-            progress.tell(f"{len(results)} of {options.problems} problems with an orbit", done)
+            progress(f"{len(results)} of {options.problems} problems with an orbit", done)
     return results, tried
 
 

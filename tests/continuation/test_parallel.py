@@ -272,12 +272,12 @@ def test_an_interrupt_keeps_the_pieces_that_are_finished(
 ) -> None:
     words = (*NEAR, "--workers", "1", "-o", tmp_path / "family.json", "--json")
 
-    def interrupt(_progress: report.Progress, what: str, _part: float | None = None) -> None:
+    def interrupt(_progress: report.ProgressLine, what: str, _part: float | None = None) -> None:
         if what.startswith("1 of 2 directions"):
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(report.Progress, "tell", interrupt)
+        patch.setattr(report.ProgressLine, "__call__", interrupt)
         answer = ask(*words)
     assert answer.code == INTERRUPTED
     assert answer.err.endswith("family.json.checkpoint` keeps what is finished\n")
@@ -289,11 +289,11 @@ def test_an_interrupt_keeps_the_pieces_that_are_finished(
 def test_an_interrupt_with_nothing_finished_leaves_no_checkpoint_behind(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupt(_progress: report.Progress, what: str, _part: float | None = None) -> None:
+    def interrupt(_progress: report.ProgressLine, what: str, _part: float | None = None) -> None:
         if "directions" in what:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(report.Progress, "tell", interrupt)
+    monkeypatch.setattr(report.ProgressLine, "__call__", interrupt)
     assert ask(*NEAR, "--workers", "1", "-o", tmp_path / "family.json").code == INTERRUPTED
     assert list(tmp_path.iterdir()) == []
 

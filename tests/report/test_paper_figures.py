@@ -7,7 +7,7 @@ import json
 import math
 import re
 import shlex
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from itertools import combinations
@@ -38,7 +38,6 @@ from zeno_orbits.experiment.comparison.counterpart import (
 from zeno_orbits.experiment.orbit_table import OrbitTable, table_of
 from zeno_orbits.experiment.recordings.recording import Recording, Source, cut
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import drawn_lines
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
@@ -49,6 +48,7 @@ from zeno_orbits.report.plots.style import COLUMN_WIDTH, TEXT, label_of
 from zeno_orbits.simulation.execution import Execution
 from zeno_orbits.simulation.simulator import simulate
 from zeno_orbits.work.files import write_all
+from zeno_orbits.work.progress import Progress
 
 YES, NO, MISUSE = 0, 1, 2
 FIGURES = (
@@ -109,8 +109,8 @@ def parts(
     )
     cycle = SimpleNamespace(period=times[-1] / 3)
 
-    def rig_cycles(*_: Any, cycles: int, on_progress: Callable[[float], None]) -> Any:
-        on_progress(0.5)
+    def rig_cycles(*_: Any, cycles: int, on_progress: Progress) -> Any:
+        on_progress("simulating the machine", 0.5)
         assert cycles == 3
         return SimpleNamespace(run=run, cycles=(cycle, cycle, cycle))
 
@@ -500,7 +500,7 @@ def test_the_pendulum_is_drawn_as_it_hangs(problem: Problem, orbit: ZenoOrbit) -
     values = orbit.values(problem)
     first, second = values.parameters["L1"], values.parameters["L2"]
     states = np.array([[0.3, 0.5, 0.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0, 0.0]])
-    lines = drawn_lines(problem, values, states)
+    lines = problem.drawn_lines(values, states)
     for k, (theta1, theta2) in enumerate(states[:, :2]):
         knee = first * np.array([math.sin(theta1), -math.cos(theta1)])
         hand = theta1 + theta2

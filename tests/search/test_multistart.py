@@ -33,13 +33,12 @@ from zeno_orbits.search import (
 )
 from zeno_orbits.search import multistart as starts
 from zeno_orbits.search.outcome import Candidate, StartOutcome
-from zeno_orbits.search.outcome_data import outcome_from_json, outcome_to_json
 from zeno_orbits.simulation.signals import Extent
 from zeno_orbits.verification.certificate import DeltaCut, OrbitCertificate
 from zeno_orbits.verification.verifier import verify
 from zeno_orbits.work import Lost, Plan, Workers
 from zeno_orbits.work import scheduling as spreading_module
-from zeno_orbits.work.serialization import plain
+from zeno_orbits.work.serialization import plain, restored
 
 YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
 CORES = int(joblib.cpu_count())
@@ -144,7 +143,7 @@ def test_what_came_of_a_start_survives_json_to_the_last_bit() -> None:
         candidate=candidate,
     )
     for outcome in (whole, StartOutcome(status=SearchStatus.NO_GUESS, detail="It rests.")):
-        back = outcome_from_json(json.loads(json.dumps(outcome_to_json(outcome), allow_nan=False)))
+        back = restored(StartOutcome, json.loads(json.dumps(plain(outcome), allow_nan=False)))
         # As texts, in which NaN equals NaN and -0.0 differs from 0.0.
         assert repr(plain(back)) == repr(plain(outcome))
         assert type(back.status) is SearchStatus
@@ -300,12 +299,12 @@ def test_an_interrupt_keeps_the_starts_that_are_finished(
 ) -> None:
     words = (*BALL, "--workers", "1", "-o", tmp_path / "ball.json", "--json")
 
-    def interrupt(_progress: report.Progress, _what: str, part: float | None = None) -> None:
+    def interrupt(_progress: report.ProgressLine, _what: str, part: float | None = None) -> None:
         if part is not None and part >= 0.5:
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(report.Progress, "tell", interrupt)
+        patch.setattr(report.ProgressLine, "__call__", interrupt)
         answer = ask(*words)
     assert answer.code == INTERRUPTED
     assert answer.err.endswith("ball.json.checkpoint` keeps what is finished\n")

@@ -133,7 +133,7 @@ def test_failures_come_home_from_a_cluster_and_its_end_is_noticed(cluster: DaskC
     (cluster.folder / "diary").mkdir()
     slow = Diary(folder=str(cluster.folder / "diary"), pause=0.2)
     with pytest.raises(WorkError, match="has lost its scheduler or all its workers"):
-        spread(slow, POINTS, plan(cluster.place()), tell=stop)
+        spread(slow, POINTS, plan(cluster.place()), on_progress=stop)
 
 
 def test_a_map_made_on_a_cluster_is_the_file_made_here(

@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import Enum
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.support import chores
+from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.search import SearchSettings
+from zeno_orbits.verification.certificate import OrbitCertificate
 from zeno_orbits.verification.verifier import VerificationSettings
-from zeno_orbits.work.serialization import plain
+from zeno_orbits.work.files import read_json
+from zeno_orbits.work.serialization import EntryError, plain, restored
 
 
 class Colour(Enum):
@@ -77,3 +83,98 @@ def test_every_bit_of_a_values_counts() -> None:
 def test_what_plain_data_cannot_hold_is_refused_and_not_left_out(value: Any) -> None:
     with pytest.raises(InputError, match="`accept` must be made of numbers"):
         plain(value, "accept")
+
+
+@dataclass(frozen=True)
+class Part:
+    """What a whole is made of."""
+
+    number: float
+    colour: Colour = Colour.RED
+    matrix: Vector = field(default_factory=lambda: np.zeros((0, 3)))
+
+
+@dataclass(frozen=True)
+class Whole:
+    """All kinds of fields."""
+
+    parts: tuple[Part, ...]
+    pair: tuple[int, str]
+    roots: Mapping[str, complex]
+    by_colour: Mapping[Colour, float]
+    either: Part | Thing | None = None
+
+
+WHOLE = Whole(
+    parts=(Part(number=math.nextafter(0.1, 1.0)), Part(number=-math.inf, matrix=np.eye(2))),
+    pair=(3, "x"),
+    roots={"a": complex(-0.0, 5e-324)},
+    by_colour={Colour.RED: math.pi},
+    either=Part(number=1.0),
+)
+
+
+def test_every_bit_of_a_value_comes_back_through_json() -> None:
+    told = json.loads(json.dumps(plain(WHOLE), allow_nan=False))
+    back = restored(Whole, told)
+    assert plain(back) == plain(WHOLE)
+    assert (back.pair, back.roots, back.by_colour) == (WHOLE.pair, WHOLE.roots, WHOLE.by_colour)
+    assert math.copysign(1.0, back.roots["a"].real) == -1.0
+    assert back.parts[0].number.hex() == WHOLE.parts[0].number.hex()
+    assert back.parts[0].matrix.shape == (0, 3)
+    np.testing.assert_array_equal(back.parts[1].matrix, np.eye(2))
+    assert isinstance(back.either, Part)
+
+
+def test_the_certificate_of_an_orbit_comes_back(certificate: OrbitCertificate) -> None:
+    assert restored(OrbitCertificate, json.loads(json.dumps(plain(certificate)))) == certificate
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"parts": 3}, "`parts` must be a list, but it is 3"),
+        ({"parts": [{}]}, "`parts[0].number` must be there, but it is missing"),
+        ({"parts": [{"number": "1"}]}, '`parts[0].number` must be a number, but it is "1"'),
+        ({"parts": [{"number": True}]}, "`parts[0].number` must be a number, but it is true"),
+        ({"parts": [{"number": 1, "colour": "BLUE"}]}, "`parts[0].colour` must be one of RED"),
+        ({"parts": [{"number": 1, "matrix": ["x"]}]}, "`parts[0].matrix` must be a list of num"),
+        ({"pair": [1]}, "`pair` must be a list of 2, but it is [1]"),
+        ({"pair": [1.5, "x"]}, "`pair[0]` must be a whole number, but it is 1.5"),
+        ({"pair": [1, 2]}, "`pair[1]` must be a text, but it is 2"),
+        ({"roots": []}, "`roots` must be an object with names, but it is []"),
+        ({"roots": {"a": [1]}}, "`roots.a` must be a list of 2, but it is [1]"),
+        ({"either": {"kind": "x"}}, '`either` must be of a known kind, but it is "x"'),
+    ],
+)
+def test_an_entry_that_does_not_fit_is_named(change: Mapping[str, Any], told: str) -> None:
+    with pytest.raises(EntryError, match=re.escape(told)):
+        restored(Whole, {**plain(WHOLE), **change})
+
+
+@pytest.mark.parametrize("number", ["inf", "nan", 10**400], ids=["inf", "nan", "huge"])
+def test_numbers_that_are_not_finite_are_refused_where_a_result_must_be(number: Any) -> None:
+    told = {"number": number}
+    assert not math.isfinite(restored(Part, told).number)
+    with pytest.raises(EntryError, match="`number` must be a finite number"):
+        restored(Part, told, finite=True)
+    with pytest.raises(EntryError, match="`matrix` must be a list of finite numbers"):
+        restored(Part, {"number": 1.0, "matrix": [1.0, math.inf]}, finite=True)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ('{"a": 1, "b": {"c": 1, "c": 1}}', "names `c` twice"),
+        ('{"a": 1', "no complete JSON"),
+        ("[" * 100_000, "no complete JSON"),
+        (b"\xff", "no text in UTF-8"),
+        (None, r"cannot be read \(No such file"),
+    ],
+)
+def test_a_file_that_is_no_json_says_why(tmp_path: Path, text: Any, told: str) -> None:
+    path = tmp_path / "x.json"
+    if text is not None:
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(ValueError, match=told):
+        read_json(path)

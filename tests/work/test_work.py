@@ -93,7 +93,7 @@ def test_numerical_libraries_get_one_thread_in_a_worker(tmp_path: Path) -> None:
 
 def test_progress_is_told_up_to_the_end(diary: Diary) -> None:
     told: list[tuple[str, float]] = []
-    spread(diary, POINTS, plan(), tell=lambda what, part: told.append((what, part)))
+    spread(diary, POINTS, plan(), on_progress=lambda what, part: told.append((what, part)))
     parts = [part for _, part in told]
     assert parts == sorted(parts)
     assert parts[0] == 0.0
@@ -238,7 +238,7 @@ def test_an_interrupt_ends_the_workers_and_keeps_what_is_finished(
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        spread(slow, POINTS, plan(tmp_path / "kept"), tell=interrupt)
+        spread(slow, POINTS, plan(tmp_path / "kept"), on_progress=interrupt)
     wait_until(lambda: not any(map(is_alive, slow.workers())))
     assert len(list((tmp_path / "kept").glob("chunk-*.json"))) >= 2
     assert list(spread(slow, POINTS, plan(tmp_path / "kept"))) == alone()

@@ -45,11 +45,11 @@ def _run_compare(options: argparse.Namespace) -> int:
 
     require_outputs(options, files=(), reads=[options.orbit, options.data])
     orbit, problem = orbit_and_problem(options)
-    with report.Progress(options.interrupts.check) as progress:
-        progress.tell("reading the recording")
+    with report.ProgressLine(options.interrupts.check) as progress:
+        progress("reading the recording")
         recording = read_recording(options.data, only=tuple(measurable(problem)))
         recording = cut(recording, options.since, options.to)
-        progress.tell("comparing")
+        progress("comparing")
         found = compare(orbit, problem, recording)
     picture: Path | None = options.picture
     drawn = [] if picture is None or found.deviations is None else [picture]

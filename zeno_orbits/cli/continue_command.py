@@ -111,7 +111,7 @@ def _run_continue(options: argparse.Namespace) -> int:
     require_outputs(options)
     checkpoint = checkpoint_of(options)
     try:
-        with report.Progress(options.interrupts.check) as progress:
+        with report.ProgressLine(options.interrupts.check) as progress:
             found = _continued(options, problem_file, checkpoint, progress)
     except KeyboardInterrupt:
         return interrupted(options, checkpoint)
@@ -136,7 +136,7 @@ def _continued(
     options: argparse.Namespace,
     problem_file: ProblemFile,
     checkpoint: Path | None,
-    progress: report.Progress,
+    progress: report.ProgressLine,
 ) -> Continuation:
     """Return what was asked for, by the workers that were asked for."""
     from zeno_orbits.continuation.branch import Steps
@@ -150,7 +150,7 @@ def _continued(
     kinds = _kinds(options)
     _require_section(options)
     with open_pool(plan.place) as pool:
-        crew = Crew(problem_file=problem_file, plan=plan, pool=pool, tell=progress.tell)
+        crew = Crew(problem_file=problem_file, plan=plan, pool=pool, tell=progress)
         return _asked(options, problem_file.load(), (name, box), kinds, settings, crew)
 
 
@@ -237,14 +237,14 @@ def _inside(
     problem: Problem, values: ParameterValues, options: argparse.Namespace
 ) -> ParameterValues:
     """Return the setting to start at: mid-range for what nobody has set and lies outside."""
-    gains, parameters = dict(values.gains), read_numbers(options.set, "set")
-    named = {*read_numbers(options.gain, "gain"), *parameters}
+    numbers = read_numbers(options.gain, "gain") | read_numbers(options.set, "set")
+    named = {*numbers}
     for entry, option in ((options.range, "in"), (options.second, "second")):
         if entry is None:
             continue
         name, (low, high) = read_range(entry, option)
-        value = {**values.parameters, **gains}.get(name)
+        value = values.numbers.get(name)
         if value is None or name in named or low <= value <= high:
             continue
-        (gains if name in gains else parameters)[name] = (low + high) / 2
-    return problem.values(gains=gains, parameters=parameters)
+        numbers[name] = (low + high) / 2
+    return problem.values(numbers=numbers)

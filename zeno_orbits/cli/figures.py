@@ -77,10 +77,10 @@ def _run_figures(options: argparse.Namespace) -> int:
     wanted = [*asked, "beside"] if options.data is not None else asked
     files: dict[str, bytes] = {}
     left_out: dict[str, str] = {}
-    with report.Progress(options.interrupts.check) as progress:
+    with report.ProgressLine(options.interrupts.check) as progress:
         material = _material(options, progress)
         for kind in dict.fromkeys(asked or _KINDS):
-            progress.tell(f"drawing: {kind}")
+            progress(f"drawing: {kind}")
             try:
                 files |= PAPER[kind](material)
             except (InputError, SimulationError) as error:
@@ -100,7 +100,7 @@ def _run_figures(options: argparse.Namespace) -> int:
     return YES
 
 
-def _material(options: argparse.Namespace, progress: report.Progress) -> Material:
+def _material(options: argparse.Namespace, progress: report.ProgressLine) -> Material:
     from zeno_orbits.report.plots.paper_figures import Material
     from zeno_orbits.simulation.simulator import simulate
     from zeno_orbits.verification.verifier import problem_dynamics
@@ -127,9 +127,7 @@ def _material(options: argparse.Namespace, progress: report.Progress) -> Materia
         if options.data is not None:
             recording = read_recording(options.data, only=tuple(measurable(problem)))
             return recording_counterpart(recording, orbit, problem, count)
-        return rig_counterpart(
-            orbit, problem, count, lambda part: progress.tell("running the rig", part)
-        )
+        return rig_counterpart(orbit, problem, count, on_progress=progress)
 
     return Material(
         problem=problem,
@@ -143,7 +141,7 @@ def _material(options: argparse.Namespace, progress: report.Progress) -> Materia
 
 
 def _orbit_and_problem(
-    options: argparse.Namespace, progress: report.Progress
+    options: argparse.Namespace, progress: report.ProgressLine
 ) -> tuple[ZenoOrbit, Problem]:
     """Return the orbit of a file, or the one of a problem at its own numbers."""
     if options.orbit.suffix == ".json":
@@ -155,5 +153,5 @@ def _orbit_and_problem(
         message = "must come with an orbit file, but a problem is named already"
         raise InputError(f"Argument `problem` {message}.")
     problem = load_problem(str(options.orbit))
-    progress.tell("seeking the orbit")
+    progress("seeking the orbit")
     return find_orbit(problem, problem.values()).unwrap(), problem

@@ -69,11 +69,11 @@ def _run_identify(options: argparse.Namespace) -> int:
     values = values_of(problem, options)
     sought = _sought(problem, values, options.fit)
     require_outputs(options, files=("output", "orbit"), pictures=(), reads=[options.data])
-    with report.Progress(options.interrupts.check) as progress:
-        progress.tell("reading the recording")
+    with report.ProgressLine(options.interrupts.check) as progress:
+        progress("reading the recording")
         recording = read_recording(options.data, only=tuple(measurable(problem)))
         recording = cut(recording, options.since, options.to)
-        found = identify(problem, values, recording, sought, on_progress=progress.tell)
+        found = identify(problem, values, recording, sought, on_progress=progress)
     if options.output is not None:
         write_whole(options.output, json_text(found.as_json()) + "\n")
     if options.orbit is not None:

@@ -97,8 +97,8 @@ def _run_map(options: argparse.Namespace) -> int:
     checkpoint = checkpoint_of(options)
     plan = Plan(place=place_of(options), chunk=chunk_of(plane), checkpoint=checkpoint)
     try:
-        with report.Progress(options.interrupts.check) as progress:
-            found = parameter_map(plane, plan, tell=progress.tell)
+        with report.ProgressLine(options.interrupts.check) as progress:
+            found = parameter_map(plane, plan, on_progress=progress)
     except KeyboardInterrupt:
         return interrupted(options, checkpoint)
     # The file comes last: drawing takes long enough to be interrupted.

@@ -78,11 +78,11 @@ def _run_report(options: argparse.Namespace) -> int:
     trade = _trade(options, orbit)
     dynamics = problem_dynamics(orbit, problem)
     settings = replace(VerificationSettings(tolerance=options.tolerance), n_periods=options.periods)
-    with report.Progress(options.interrupts.check) as progress:
+    with report.ProgressLine(options.interrupts.check) as progress:
         certificate = verify(
-            orbit, problem, settings=settings, dynamics=dynamics, on_progress=progress.tell
+            orbit, problem, settings=settings, dynamics=dynamics, on_progress=progress
         )
-        progress.tell("writing the page")
+        progress("writing the page")
         subject = subject_of(
             orbit,
             problem,

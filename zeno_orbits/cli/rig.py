@@ -124,7 +124,7 @@ def _near_orbit(options: argparse.Namespace) -> int:
     options.orbit = Path(options.target)
     orbit, problem = orbit_and_problem(options)
     rig = _rig_of(options, problem)
-    with report.Progress(options.interrupts.check) as progress:
+    with report.ProgressLine(options.interrupts.check) as progress:
         settled = rig_cycles(
             orbit,
             problem,
@@ -132,7 +132,7 @@ def _near_orbit(options: argparse.Namespace) -> int:
             cycles=options.cycles or _CYCLES,
             seed=options.seed,
             settings=_settings(rig),
-            on_progress=lambda part: progress.tell("simulating the machine", part),
+            on_progress=progress,
         )
     comparison = compare_cycles(orbit, problem, settled)
     if options.json:
@@ -153,7 +153,7 @@ def _from_start(options: argparse.Namespace) -> int:
     problem = load_problem(options.target)
     until = _UNTIL if options.until is None else options.until
     rig = _rig_of(options, problem)
-    with report.Progress(options.interrupts.check) as progress:
+    with report.ProgressLine(options.interrupts.check) as progress:
         run = simulate_rig(
             problem,
             values_of(problem, options),
@@ -162,7 +162,7 @@ def _from_start(options: argparse.Namespace) -> int:
             until,
             seed=options.seed,
             settings=_settings(rig),
-            on_progress=lambda time: progress.tell("simulating the machine", time / until),
+            on_progress=progress,
         )
     touches = [
         {"start": t.start, "end": min(t.end, until), "approach_rate": t.approach_rate}

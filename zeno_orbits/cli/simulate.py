@@ -73,7 +73,6 @@ def add_simulate(commands: Any) -> None:
 
 def _run_simulate(options: argparse.Namespace) -> int:
     from zeno_orbits.model.library import load_problem
-    from zeno_orbits.model.numeric.compiled import bind, compiled_model
     from zeno_orbits.precision.accuracy import why_engine
 
     problem = load_problem(options.problem)
@@ -81,7 +80,7 @@ def _run_simulate(options: argparse.Namespace) -> int:
     state = start_of(problem, options)
     require_outputs(options, files=("data",), pictures=("output",))
     sampling = None if options.data is None else _sampling_of(options)
-    dynamics = bind(compiled_model(problem), values.vector)
+    dynamics = problem.dynamics(values)
     assured = _simulated(options, dynamics, state)
     execution = assured.execution
     if options.json:
@@ -121,14 +120,10 @@ def _simulated(
     from zeno_orbits.precision.accuracy import simulate_to, simulate_with_error
 
     settings = simulation_of(options)
-    with report.Progress(options.interrupts.check) as progress:
-
-        def tell(time: float) -> None:
-            progress.tell("simulating", time / options.until)
-
+    with report.ProgressLine(options.interrupts.check) as progress:
         if options.accuracy is None:
             return simulate_with_error(
-                dynamics, state, until=options.until, settings=settings, on_progress=tell
+                dynamics, state, until=options.until, settings=settings, on_progress=progress
             )
         return simulate_to(
             dynamics,
@@ -136,7 +131,7 @@ def _simulated(
             until=options.until,
             accuracy=options.accuracy,
             settings=settings,
-            on_progress=tell,
+            on_progress=progress,
         )
 
 

@@ -57,8 +57,8 @@ def _run_trade(options: argparse.Namespace) -> int:
     settings = QUICK if options.quick else TradeSettings()
     if options.until is not None:
         settings = replace(settings, until=options.until)
-    with report.Progress(options.interrupts.check) as progress:
-        found = trade(problem, values, state, settings=settings, tell=progress.tell)
+    with report.ProgressLine(options.interrupts.check) as progress:
+        found = trade(problem, values, state, settings=settings, on_progress=progress)
     # The file comes last: drawing takes long enough to be interrupted.
     if options.picture is not None:
         from zeno_orbits.report import plots

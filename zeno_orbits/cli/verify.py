@@ -70,9 +70,9 @@ def _run_verify(options: argparse.Namespace) -> int:
         settings = replace(settings, tolerance=tolerance)
     dynamics = problem_dynamics(orbit, problem, use_reference=settings.use_reference)
     require_engine(options, dynamics)
-    with report.Progress(options.interrupts.check) as progress:
+    with report.ProgressLine(options.interrupts.check) as progress:
         certificate = verify(
-            orbit, problem, settings=settings, dynamics=dynamics, on_progress=progress.tell
+            orbit, problem, settings=settings, dynamics=dynamics, on_progress=progress
         )
     if options.json:
         error = certificate.orbit_error

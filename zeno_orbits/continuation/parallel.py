@@ -362,7 +362,7 @@ def _sent(
             checkpoint=plan.checkpoint / stage,
             identity={**plan.identity, "stage": stage, "pieces": digest},
         )
-    results = spread(task, range(len(pieces)), plan, tell=_Clock(crew.tell), pool=crew.pool)
+    results = spread(task, range(len(pieces)), plan, on_progress=_Clock(crew.tell), pool=crew.pool)
     pairs = zip(pieces, results, strict=True)
     return [
         piece.lost(result.reason) if isinstance(result, Lost) else piece.from_json(result)
@@ -377,10 +377,10 @@ class _Clock:
         self._tell, self._started = tell, time.monotonic()
         self._part, self._ready = 0.0, self._started
 
-    def __call__(self, what: str, part: float) -> None:
+    def __call__(self, what: str, part: float | None, /) -> None:
         """Tell how much is done."""
         now = time.monotonic()
-        if part > self._part:
+        if part is not None and part > self._part:
             # Pieces are few and not alike: what is done tells the others' time but roughly.
             self._part, self._ready = part, now + (now - self._started) * (1 - part) / part
         left = self._ready - now

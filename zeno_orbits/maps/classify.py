@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,12 +13,12 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.maps.newton_request import Accuracy, Request
 from zeno_orbits.maps.point import Point
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.model.quantities import RUNAWAY
 from zeno_orbits.simulation.attractor import Attractor
 from zeno_orbits.simulation.batch.batch import Batch
 from zeno_orbits.simulation.batch.model import model_in_rows
+from zeno_orbits.work.progress import Progress, silent
 
 _LANES = 2048
 """Lanes in a batch. More share the cost of a round better, until they leave the cache."""
@@ -32,7 +32,7 @@ def attractors_at(
     until: float = 100.0,
     bounds: Mapping[str, float] | None = None,
     accuracy: Accuracy | None = None,
-    on_progress: Callable[[int], None] | None = None,
+    on_progress: Progress = silent,
 ) -> tuple[Attractor, ...]:
     """Return what the motion from one state settles to, at every setting.
 
@@ -46,7 +46,7 @@ def attractors_at(
         bounds: Largest modulus of coordinates by name; beyond it a motion has escaped. By default
             what the problem declares, and 20 pi for the others.
         accuracy: How accurately motions are followed.
-        on_progress: Called with the number of points done, whenever it has grown.
+        on_progress: Called with the part of the points that is done, whenever it has grown.
 
     Raises:
         InputError: If a name is unknown or a number out of its range.
@@ -62,8 +62,8 @@ def attractors_at(
     done = 0
     while run.is_going:
         run.advance()
-        if on_progress is not None and run.n_done > done:
-            on_progress(run.n_done)
+        if run.n_done > done:
+            on_progress("classifying motions", run.n_done / len(settings))
         done = run.n_done
     return tuple(_in_words(problem, run.found[k]) for k in range(len(settings)))
 
@@ -100,7 +100,7 @@ class _Run:
         accuracy: Accuracy,
     ) -> None:
         self._numbers = np.array([values.vector for values in settings])
-        self._compiled = compiled_model(problem)
+        self._problem = problem
         self._accuracy = accuracy
         self._start, self._until = start, until
         self._batch = Batch(model_in_rows(problem), _LANES, bounds=limits)
@@ -147,7 +147,7 @@ class _Run:
             granted.append(self._asked.popleft())
         while self._waiting and room > 0 and not self._asked:
             index = self._waiting.popleft()
-            dynamics = bind(self._compiled, self._numbers[index])
+            dynamics = self._problem.dynamics(self._numbers[index])
             point = Point(dynamics, self._start, self._until, self._accuracy)
             self._points[index] = point
             granted.append((index, point.begin()))

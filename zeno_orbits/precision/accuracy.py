@@ -8,7 +8,7 @@ is reported.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 
@@ -19,6 +19,7 @@ from zeno_orbits.errors import InputError, PenetrationError, SimulationError
 from zeno_orbits.integrators.automatic import PAYS, eigenvalues, rates_of, staying_rate
 from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.orbits.looser_run import at_looser_tolerance
 from zeno_orbits.precision.landmarks import (
     Kind,
     Landmark,
@@ -31,6 +32,7 @@ from zeno_orbits.precision.landmarks import (
 from zeno_orbits.simulation.completion import ZenoPassage
 from zeno_orbits.simulation.execution import Execution, Impact, Release, ZenoPoint
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
+from zeno_orbits.work.progress import Progress, silent
 
 __all__ = [
     "COARSEST",
@@ -62,10 +64,6 @@ _SHARE = 0.1
 
 _TIGHTEST = 1e-14
 _STEP = 10.0
-
-_LOOSER = 100.0
-"""Tolerance of the run beside one that is not to reach an accuracy: with a tenth of this the error
-has been seen three times the difference, with this never above 0.6 of it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,7 +125,7 @@ def simulate_to(
     until: float,
     accuracy: float,
     settings: SimulationSettings | None = None,
-    on_progress: Callable[[float], None] | None = None,
+    on_progress: Progress = silent,
 ) -> Assured:
     """Return the completed execution to a wanted accuracy, with an estimate of its error.
 
@@ -137,7 +135,7 @@ def simulate_to(
         until: When to stop [s].
         accuracy: Largest relative error of every event and of the end (see ``difference``).
         settings: Engine and limits; tolerance and completion follow the accuracy.
-        on_progress: Called with the time reached.
+        on_progress: Called with the part of the time that each run has simulated.
 
     Raises:
         InputError: If the accuracy is out of reach from the start.
@@ -178,7 +176,7 @@ def simulate_with_error(
     *,
     until: float,
     settings: SimulationSettings | None = None,
-    on_progress: Callable[[float], None] | None = None,
+    on_progress: Progress = silent,
 ) -> Assured:
     """Return the completed execution with given settings, and an estimate of its error.
 
@@ -187,7 +185,7 @@ def simulate_with_error(
         state: Initial state, ``(n_x,)``.
         until: When to stop [s].
         settings: Accuracy; a second run has a hundred times its tolerance.
-        on_progress: Called with the time reached, by one run after the other.
+        on_progress: Called with the part of the time that each run has simulated.
 
     Raises:
         InputError: If the state is not admissible or the horizon is not a positive number.
@@ -195,15 +193,12 @@ def simulate_with_error(
     """
     fine = settings or SimulationSettings()
     found = simulate(dynamics, state, until=until, settings=fine, on_progress=on_progress)
-    loose = Tolerance(
-        relative=_LOOSER * fine.tolerance.relative, absolute=_LOOSER * fine.tolerance.absolute
-    )
     try:
         looser = simulate(
             dynamics,
             state,
             until=until,
-            settings=replace(fine, tolerance=loose),
+            settings=at_looser_tolerance(fine),
             on_progress=on_progress,
         )
     except SimulationError:

@@ -12,7 +12,7 @@ import json
 import math
 import statistics
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -20,7 +20,6 @@ from typing import Any, cast
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.integrators import Automatic, Engine, Radau, RungeKutta, SciPy, Taylor
 from zeno_orbits.integrators.casadi_to_heyoka import heyoka_is_installed
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.precision.accuracy import ROUNDING, apart, at_tolerance, landmarks
@@ -28,8 +27,7 @@ from zeno_orbits.precision.reference import Truth, is_too_stiff, true_landmarks
 from zeno_orbits.simulation.completion import Completion, FixedImpacts, Truncation
 from zeno_orbits.simulation.execution import Execution
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
-
-Tell = Callable[[str, float], None]
+from zeno_orbits.work.progress import Progress, silent
 
 _CLOSURES = {"cut": "plastic below a speed", "impacts": "limit after n impacts"}
 
@@ -162,7 +160,7 @@ def trade(
     state: Sequence[float],
     *,
     settings: TradeSettings | None = None,
-    tell: Tell | None = None,
+    on_progress: Progress = silent,
 ) -> Trade:
     """Measure what accuracy costs in a problem.
 
@@ -171,22 +169,21 @@ def trade(
         values: Its numbers.
         state: Initial state, ``(n_x,)``.
         settings: How much to measure.
-        tell: Called with what is being measured and the part that is done.
+        on_progress: Called with what is being measured and the part that is done.
 
     Raises:
         SimulationError: If the problem cannot be followed so far.
     """
     settings = settings or TradeSettings()
-    say = tell or _nobody
     dynamics = _model(problem, values)
-    say("computing the truth", 0.0)
+    on_progress("computing the truth", 0.0)
     truth = true_landmarks(problem, values, dynamics, state, settings.until)
     plans = [*_plans(dynamics, state, settings), *_reduced(problem, values, state, settings)]
     trials: list[Trial] = []
     for k, plan in enumerate(plans):
-        say(f"{plan.sweep}: {plan.name}, {plan.value:.0e}", (k + 1) / (len(plans) + 1))
+        on_progress(f"{plan.sweep}: {plan.name}, {plan.value:.0e}", (k + 1) / (len(plans) + 1))
         trials.append(_tried(plan, truth, settings))
-    trials += _meshes(problem, values, settings, say)
+    trials += _meshes(problem, values, settings, on_progress)
     return Trade(
         problem=problem.name,
         work=f"{settings.until:g} s from {_named(problem, state)}",
@@ -194,10 +191,6 @@ def trade(
         truth_error=truth.error,
         trials=tuple(trials),
     )
-
-
-def _nobody(_what: str, _part: float) -> None:
-    """Listen to nothing."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -318,7 +311,7 @@ def _timed(plan: _Plan, until: float) -> tuple[Execution, float]:
 
 
 def _meshes(
-    problem: Problem, values: ParameterValues, settings: TradeSettings, say: Tell
+    problem: Problem, values: ParameterValues, settings: TradeSettings, on_progress: Progress
 ) -> Iterator[Trial]:
     """Solve for the periodic orbit on finer and finer meshes, each held against a simulation."""
     if not settings.meshes:
@@ -327,7 +320,7 @@ def _meshes(
     from zeno_orbits.search.transcription.arc import TranscriptionSettings
 
     for tolerance in settings.meshes:
-        say(f"mesh: {tolerance:.0e}", 0.99)
+        on_progress(f"mesh: {tolerance:.0e}", 0.99)
         transcription = TranscriptionSettings(mesh_tolerance=tolerance)
         looked = SearchSettings(transcription=transcription, agreement=math.inf, rounds=1)
         result = find_orbit(problem, values, settings=looked)
@@ -350,7 +343,7 @@ def _settings(engine: Engine, tolerance: float) -> SimulationSettings:
 
 
 def _model(problem: Problem, values: ParameterValues) -> HybridDynamics:
-    return bind(compiled_model(problem), values.vector)
+    return problem.dynamics(values)
 
 
 def _named(problem: Problem, state: Sequence[float]) -> str:

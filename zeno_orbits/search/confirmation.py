@@ -15,9 +15,9 @@ from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues
 from zeno_orbits.orbits.bounds import KEPT, Bound, excess
-from zeno_orbits.orbits.cycle import Cycle, cycle_of, round_again
+from zeno_orbits.orbits.cycle import Cycle, round_again
 from zeno_orbits.orbits.orbit import OrbitImpact, OrbitPhase, ZenoOrbit, versions
-from zeno_orbits.orbits.period import placed
+from zeno_orbits.orbits.period import cycle_of, placed
 from zeno_orbits.orbits.phases import Moment
 from zeno_orbits.orbits.shape import ONE_ZENO, OrbitShape
 from zeno_orbits.search.closing import named

@@ -10,12 +10,12 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.model.library import ProblemFile
 from zeno_orbits.orbits.orbit import versions
 from zeno_orbits.search.outcome import Accept, StartOutcome
-from zeno_orbits.search.outcome_data import outcome_from_json, outcome_to_json
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.search.start import start_count, try_start
-from zeno_orbits.work import Lost, Plan, Tell, spread_in_order
-from zeno_orbits.work.serialization import plain
+from zeno_orbits.work import Lost, Plan, spread_in_order
+from zeno_orbits.work.progress import Progress, silent
+from zeno_orbits.work.serialization import plain, restored
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,7 +30,7 @@ class Spread:
 
     problem_file: ProblemFile
     plan: Plan
-    tell: Tell | None = None
+    tell: Progress = silent
 
 
 def outcomes_here(search: SearchProblem, accept: Accept | None) -> Generator[StartOutcome]:
@@ -64,11 +64,11 @@ def outcomes_spread(
         range(start_count(search)),
         plan,
         here=lambda numbers: task.outcomes(search, numbers),
-        tell=spread.tell,
+        on_progress=spread.tell,
     )
     try:
         for result in results:
-            yield _lost(result) if isinstance(result, Lost) else outcome_from_json(result)
+            yield _lost(result) if isinstance(result, Lost) else restored(StartOutcome, result)
     finally:
         results.close()
 
@@ -94,7 +94,7 @@ class _Task:
 
     def outcomes(self, search: SearchProblem, numbers: Sequence[int]) -> list[dict[str, Any]]:
         """Return the outcomes of starts of a search that is at hand, as plain data."""
-        return [outcome_to_json(try_start(search, number, self.accept)) for number in numbers]
+        return [plain(try_start(search, number, self.accept)) for number in numbers]
 
 
 def _identity(task: _Task) -> dict[str, Any]:

@@ -288,7 +288,7 @@ class LeastPeak(Objective):
 
     def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
         """Refuse an unknown signal."""
-        from zeno_orbits.verification.measure import require_quantities
+        from zeno_orbits.verification.measurement import require_quantities
 
         del free
         require_quantities([self.signal], problem, "objective")

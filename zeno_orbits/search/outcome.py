@@ -120,7 +120,7 @@ class Attempt:
     detail: str = ""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class SearchResult:
     """Outcome of a search, successful or not.
 
@@ -151,6 +151,15 @@ class SearchResult:
     attempts: tuple[Attempt, ...]
     candidates: tuple[Candidate, ...] = ()
     detail: str = ""
+
+    def __repr__(self) -> str:
+        """Return a few lines: the status and the best orbit."""
+        best = f"\n  {self.orbit!r}" if self.orbit is not None else ""
+        detail = f"{self.status.value} {self.detail}".strip()
+        return (
+            f"<SearchResult {self.status.name}: {detail} starts={len(self.attempts)}, "
+            f"candidates={len(self.candidates)}, wall_time={self.wall_time:.1f} s{best}>"
+        )
 
     def unwrap(self) -> ZenoOrbit:
         """Return the best orbit.

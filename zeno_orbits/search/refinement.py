@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.model.problem import ParameterValues
-from zeno_orbits.orbits.cycle import Cycle, closures_of
+from zeno_orbits.orbits.cycle import Cycle
 from zeno_orbits.search.confirmation import confirm, tightened
 from zeno_orbits.search.constraints import keep
 from zeno_orbits.search.objectives import Objective
@@ -20,6 +20,7 @@ from zeno_orbits.search.outcome import StartOutcome
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.search.spectral_radius import section_map
+from zeno_orbits.search.transcription.closure import closures_of
 from zeno_orbits.search.transcription.ipopt import (
     Hessian,
     IpoptSettings,

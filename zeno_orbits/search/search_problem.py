@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from zeno_orbits.model.numeric.compiled import CompiledSystem, bind, compiled_model
+from zeno_orbits.model.numeric.compiled import CompiledSystem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.bounds import Bound
@@ -48,11 +48,11 @@ class SearchProblem:
     @property
     def compiled(self) -> CompiledSystem:
         """The functions of the problem."""
-        return compiled_model(self.problem)
+        return self.problem.compiled()
 
     def dynamics(self, values: ParameterValues) -> HybridDynamics:
         """Return the system at given numbers."""
-        return bind(self.compiled, values.vector)
+        return self.problem.dynamics(values)
 
     def numbers(self, values: ParameterValues) -> dict[str, float]:
         """Return the numbers to name a start by: all gains, and the parameters that are free."""

@@ -18,7 +18,7 @@ from zeno_orbits.search.search_problem import SearchProblem, clipped, listed
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.search.strategy import Start, from_start
 from zeno_orbits.simulation.signals import Extent
-from zeno_orbits.verification.measure import measure
+from zeno_orbits.verification.measurement import measure
 
 
 def start_count(search: SearchProblem) -> int:

@@ -145,7 +145,7 @@ def _along(search: SearchProblem, start: Start, path: Path, origin: str) -> Star
         search.free[name][0] <= path.values.number(name) <= search.free[name][1]
         if name in search.free
         else path.values.number(name) == start.values.number(name)
-        for name in (*path.values.gains, *path.values.parameters)
+        for name in path.values.numbers
     )
     if inside and search.free:
         outcome = from_cycle(search, path.values, path.cycle)
@@ -156,8 +156,7 @@ def _along(search: SearchProblem, start: Start, path: Path, origin: str) -> Star
 
 
 def _differing(values: ParameterValues, other: ParameterValues) -> dict[str, float]:
-    names = (*values.gains, *values.parameters)
-    return {n: values.number(n) for n in names if values.number(n) != other.number(n)}
+    return {n: value for n, value in values.numbers.items() if value != other.number(n)}
 
 
 def from_cycle(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> StartOutcome:

@@ -10,7 +10,7 @@ from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.bounds import Bound
 from zeno_orbits.search.objectives import LEAST_RADIUS
 from zeno_orbits.search.search_problem import SearchProblem
-from zeno_orbits.verification.measure import require_quantities
+from zeno_orbits.verification.measurement import require_quantities
 
 
 def check_search(search: SearchProblem) -> None:
@@ -29,18 +29,8 @@ def check_search(search: SearchProblem) -> None:
 
 
 def _check_boxes(problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
-    gains = [gain.name for gain in problem.gains]
-    parameters = {quantity.name: quantity for quantity in problem.parameters}
-    for name, (lower, upper) in free.items():
-        if name not in gains and name not in parameters:
-            known = ", ".join((*gains, *parameters))
-            raise InputError(f"Argument `free` must be one of {known}, but it is `{name}`.")
-        if not (math.isfinite(lower) and math.isfinite(upper) and lower < upper):
-            wanted = "must have finite bounds LOWER < UPPER"
-            raise InputError(f"Argument `{name}` {wanted}, but they are {lower:g}:{upper:g}.")
-        if name in parameters:
-            for end in (lower, upper):
-                parameters[name].checked(end)
+    for name, box in free.items():
+        problem.require_range(name, box, argument="free")
 
 
 def _check_bounds(problem: Problem, bounds: tuple[Bound, ...]) -> None:

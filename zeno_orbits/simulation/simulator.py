@@ -7,7 +7,7 @@ and none invented however slow the impact was. Source: [OrAmes2011]_ for the com
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -38,6 +38,7 @@ from zeno_orbits.simulation.execution import (
     ZenoPoint,
 )
 from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit, estimate_tail
+from zeno_orbits.work.progress import Progress, silent
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,7 +73,7 @@ def simulate(
     releases: int | None = None,
     impacts: int | None = None,
     settings: SimulationSettings | None = None,
-    on_progress: Callable[[float], None] | None = None,
+    on_progress: Progress = silent,
 ) -> Execution:
     """Return the completed execution from an admissible state, locked or free.
 
@@ -83,7 +84,7 @@ def simulate(
         releases: Stop earlier, at this many releases; never by default.
         impacts: Stop earlier, just after this many impacts that end flights; likewise.
         settings: Accuracy; the defaults aim at 1e-11 a period.
-        on_progress: Called with the time reached, after every arc.
+        on_progress: Called with the part of the time that is simulated.
 
     Raises:
         InputError: If the state is not admissible or the horizon is not a positive number.
@@ -165,7 +166,7 @@ class _Run:
         settings: SimulationSettings,
         until: float,
         most: _Most,
-        on_progress: Callable[[float], None] | None,
+        on_progress: Progress,
     ) -> None:
         self.dynamics = dynamics
         self.settings = settings
@@ -190,8 +191,8 @@ class _Run:
                 here = self.fly(here)
             else:
                 here = self.bounce(here)
-            if self.on_progress is not None:
-                self.on_progress(self.arcs[-1].end_time)
+            reached = self.arcs[-1].end_time if self.arcs else 0.0
+            self.on_progress("simulating", reached / self.until)
 
     def admit(self, x: Vector) -> _Start | None:
         """Return the first start, or say why the state is not admissible."""

@@ -8,7 +8,8 @@ come out for any number of workers, and after any number of new starts.
 from zeno_orbits.work.checkpoint import keeps_nothing, remove_checkpoint
 from zeno_orbits.work.plan import Cluster, Lost, Place, Plan, Workers
 from zeno_orbits.work.pools import Pool, open_pool
-from zeno_orbits.work.scheduling import Task, Tell, claim, spread, spread_in_order
+from zeno_orbits.work.progress import Progress, silent
+from zeno_orbits.work.scheduling import Task, claim, spread, spread_in_order
 
 __all__ = [
     "Cluster",
@@ -16,13 +17,14 @@ __all__ = [
     "Place",
     "Plan",
     "Pool",
+    "Progress",
     "Task",
-    "Tell",
     "Workers",
     "claim",
     "keeps_nothing",
     "open_pool",
     "remove_checkpoint",
+    "silent",
     "spread",
     "spread_in_order",
 ]

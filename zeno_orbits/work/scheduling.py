@@ -14,13 +14,11 @@ from typing import Any
 from zeno_orbits.work.checkpoint import Checkpoint, open_checkpoint
 from zeno_orbits.work.plan import Lost, Plan, Workers
 from zeno_orbits.work.pools import Pool, open_pool
+from zeno_orbits.work.progress import Progress, silent
 from zeno_orbits.work.tasks import Task, code_digest, results_of
 
-Tell = Callable[[str, float], None]
-"""Told in a few words what is done, and the part of what was left at the start."""
-
 _TICK = 0.2
-"""Longest time without a word to ``Tell``, which may look for an interrupt [s]."""
+"""Longest time between two progress reports; a report may look for an interrupt [s]."""
 
 
 def claim(plan: Plan) -> None:
@@ -38,7 +36,7 @@ def spread(
     points: Sequence[Any],
     plan: Plan,
     *,
-    tell: Tell | None = None,
+    on_progress: Progress = silent,
     pool: Pool | None = None,
 ) -> tuple[Any, ...]:
     """Return the result of every point, in order, the same whoever computes them.
@@ -48,7 +46,8 @@ def spread(
             pickled: of a module, or a frozen dataclass with ``__call__``.
         points: Plain data: numbers, texts, lists and mappings of them.
         plan: Where, in which chunks, and where finished ones are kept.
-        tell: Told of progress; what it raises ends the work, and finished chunks stay kept.
+        on_progress: Called with how much of what was left at the start is done. An exception that
+            it raises ends the work, and finished chunks stay kept.
         pool: Workers of `open_pool` in place of the plan's own, for one stage after another.
 
     Returns:
@@ -58,7 +57,7 @@ def spread(
         InputError: If the place cannot be had, or the checkpoint is another's.
         WorkError: If the task fails, or a cluster goes away.
     """
-    return tuple(spread_in_order(task, points, plan, tell=tell, pool=pool))
+    return tuple(spread_in_order(task, points, plan, on_progress=on_progress, pool=pool))
 
 
 def spread_in_order(
@@ -67,7 +66,7 @@ def spread_in_order(
     plan: Plan,
     *,
     here: Task | None = None,
-    tell: Tell | None = None,
+    on_progress: Progress = silent,
     pool: Pool | None = None,
 ) -> Generator[Any]:
     """Give the result of every point as soon as it and all before it are known.
@@ -82,7 +81,7 @@ def spread_in_order(
         plan: As in ``spread``.
         here: The same task for this process, which does the first chunk before it asks for help;
             by default it does none.
-        tell: As in ``spread``.
+        on_progress: As in ``spread``.
         pool: As in ``spread``; it must be run to the end.
 
     Yields:
@@ -95,7 +94,7 @@ def spread_in_order(
     chunks = tuple(points[k : k + plan.chunk] for k in range(0, len(points), plan.chunk))
     store = _checkpoint(plan, points, [len(chunk) for chunk in chunks])
     found = store.finished() if store is not None else {}
-    told = _told(tell, plan.noun, chunks, found)
+    report = _report(on_progress, plan.noun, chunks, found)
 
     def keep(chunk: int, results: list[Any]) -> None:
         if store is not None:
@@ -111,11 +110,11 @@ def spread_in_order(
         for k in range(len(chunks)):
             if k not in found and arrivals is None:
                 pool = pool or stack.enter_context(open_pool(plan.place))
-                run = _Run(pool=pool, task=task, chunks=chunks, tell=told)
+                run = _Run(pool=pool, task=task, chunks=chunks, report=report)
                 arrivals = run.finish([j for j in range(len(chunks)) if j not in found])
             while k not in found and arrivals is not None:
                 keep(*next(arrivals))
-                told()
+                report()
             yield from found[k]
 
 
@@ -128,19 +127,21 @@ def _checkpoint(plan: Plan, points: Sequence[Any], sizes: Sequence[int]) -> Chec
     return open_checkpoint(plan.checkpoint, identity, sizes)
 
 
-def _told(
-    tell: Tell | None, noun: str, chunks: Sequence[Sequence[Any]], found: dict[int, list[Any]]
+def _report(
+    on_progress: Progress,
+    noun: str,
+    chunks: Sequence[Sequence[Any]],
+    found: dict[int, list[Any]],
 ) -> Callable[[], None]:
-    """Return what tells how far the work is; kept chunks take no time and do not count."""
+    """Return a function that reports progress; chunks that were kept do not count."""
     total = sum(map(len, chunks))
     before = sum(map(len, found.values()))
 
-    def say() -> None:
-        if tell is not None:
-            done = sum(map(len, found.values()))
-            tell(f"{done} of {total} {noun}", (done - before) / max(total - before, 1))
+    def report() -> None:
+        done = sum(map(len, found.values()))
+        on_progress(f"{done} of {total} {noun}", (done - before) / max(total - before, 1))
 
-    return say
+    return report
 
 
 @dataclass(slots=True, kw_only=True)
@@ -154,7 +155,7 @@ class _Run:
     pool: Pool
     task: Task
     chunks: Sequence[Sequence[Any]]
-    tell: Callable[[], None]
+    report: Callable[[], None]
     deaths: Counter[int] = field(default_factory=Counter[int])
 
     def finish(self, todo: Sequence[int]) -> Iterator[tuple[int, list[Any]]]:
@@ -190,7 +191,7 @@ class _Run:
         if self.pool.one_fate and any(future.exception() is not None for future in done):
             done = wait(flying).done
         self.pool.check()
-        self.tell()
+        self.report()
         return [future for future in flying if future in done]
 
     def _is_killer(self, chunk: int) -> bool:

@@ -7,7 +7,7 @@ gave is always called simulated.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +20,7 @@ from zeno_orbits.experiment.recordings.recording import Recording, cut
 from zeno_orbits.experiment.rig import rig_cycles
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.work.progress import Progress, silent
 
 RIG = "virtual rig, simulated"
 """What a rig's motion is called, wherever it is shown."""
@@ -91,7 +92,7 @@ def rig_counterpart(
     orbit: ZenoOrbit,
     problem: Problem,
     n_periods: int,
-    on_progress: Callable[[float], None] | None = None,
+    on_progress: Progress = silent,
 ) -> Counterpart:
     """Return the cycles that the problem's virtual rig settles to, at the orbit's numbers.
 
@@ -99,7 +100,7 @@ def rig_counterpart(
         orbit: The orbit.
         problem: Its problem.
         n_periods: How many cycles.
-        on_progress: Told of the part that is done, now and then.
+        on_progress: Called with the part of the time that is simulated.
 
     Raises:
         SimulationError: If the rig does not move in such cycles.

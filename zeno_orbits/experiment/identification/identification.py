@@ -14,7 +14,7 @@ know, and intervals take that into account (theory (59)).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,6 +35,7 @@ from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.search import close_orbit, orbit_of
+from zeno_orbits.work.progress import Progress, silent
 
 __all__ = ["Fitted", "Identification", "Sought", "UnfittableError", "identify"]
 
@@ -139,7 +140,7 @@ def identify(
     recording: Recording,
     sought: Sequence[Sought],
     *,
-    on_progress: Callable[[str, float | None], None] | None = None,
+    on_progress: Progress = silent,
 ) -> Identification:
     """Return the parameters at which a problem's orbit is nearest to a recording.
 
@@ -148,24 +149,19 @@ def identify(
         values: Its numbers: gains and what is not fitted as known, the others roughly.
         recording: Of a machine that has settled, over two periods at least.
         sought: What to fit.
-        on_progress: Called with a few words, and how much is done if that is known.
+        on_progress: Called with each stage, and with the part done of the fit.
 
     Raises:
         InputError: If a name or a range cannot be.
         UnfittableError: If there is no orbit at the start, or the recording shows none like it.
     """
-
-    def tell(what: str, part: float | None = None) -> None:
-        if on_progress is not None:
-            on_progress(what, part)
-
     begin = begin_of(problem, values, sought)
-    tell("looking for the orbit at the start")
+    on_progress("looking for the orbit at the start", None)
     closing = close_orbit(problem, begin)
     if closing.orbit is None:
         reason = f"at the start there is no orbit to fit: {closing.detail.rstrip('.')}"
         raise UnfittableError(f"No parameters were found: {reason}.")
-    tell("laying the recording over it")
+    on_progress("laying the recording over it", None)
     first = compare(closing.orbit, problem, recording)
     where, found = first.where, first.period
     if not first.agrees or where is None or found is None or first.deviations is None:
@@ -177,7 +173,7 @@ def identify(
     measured = measurement(problem, first.signals)
     orbits = Predictions(problem, unknowns, measured, first.deviations.table.cycle)
     entries = np.stack([recording.signal(name).values for name in first.signals])
-    answer = fit(orbits, folded(recording.time, entries, where), found, tell)
+    answer = fit(orbits, folded(recording.time, entries, where), found, on_progress)
     remarks = [*first.remarks, *_unsettled(answer, where, recording)]
     if answer.repeating > _ALIEN:
         off = f"the nearest orbit is {100 * answer.repeating:.2g} % of the signals' ranges off"

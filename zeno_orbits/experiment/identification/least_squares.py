@@ -11,7 +11,7 @@ the first fit has left (theory (59)).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +23,7 @@ from zeno_orbits.experiment.identification.folding import Folded
 from zeno_orbits.experiment.identification.predictions import Predictions
 from zeno_orbits.experiment.identification.uncertainty import Spread, spread_of
 from zeno_orbits.experiment.recordings.periodicity import Periodicity
+from zeno_orbits.work.progress import Progress
 
 _ROUNDS = 3
 """Times that the fit is made: each time the weights are those of the residuals before it."""
@@ -109,7 +110,7 @@ def fit(
     orbits: Predictions,
     samples: Folded,
     found: Periodicity,
-    tell: Callable[[str, float | None], None],
+    on_progress: Progress,
 ) -> Fit:
     """Return the unknowns at which an orbit is nearest to samples.
 
@@ -117,19 +118,19 @@ def fit(
         orbits: What orbits say at unknowns.
         samples: The recording, folded.
         found: Its period.
-        tell: Called with a few words and the part that is done.
+        on_progress: Called with each stage and the part that is done.
     """
     x, converged = orbits.unknowns.first, True
     data = samples.without_jumps(orbits.table(x))
     stage = weighed(orbits, data, found, x)
     before = deviation(orbits, data, x)
     for number in range(_ROUNDS):
-        tell("fitting", number / _ROUNDS)
+        on_progress("fitting", number / _ROUNDS)
         x, converged = _nearest(stage, x)
         if number == 0:
             data = samples.without(_bent(stage, x, samples))
         stage = weighed(orbits, data, found, x)
-    tell("how sure it is", 0.95)
+    on_progress("how sure it is", 0.95)
     jacobian, residuals = stage.jacobian(x), stage.residuals(x)
     spread = spread_of(jacobian, residuals, data)
     after = deviation(orbits, data, x)

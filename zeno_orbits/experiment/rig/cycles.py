@@ -7,7 +7,7 @@ one another closely; its *release* is the end of that stretch (theory (53)).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -18,6 +18,7 @@ from zeno_orbits.experiment.rig.simulator import simulate_rig
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.model.rig_parts import Rig
 from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.work.progress import Progress, silent
 
 _CLOSE = 0.02
 """Part of the orbit's locked time below which a flight does not end a lock."""
@@ -83,7 +84,7 @@ def rig_cycles(
     settle: int | None = None,
     seed: int = 0,
     settings: RigSettings | None = None,
-    on_progress: Callable[[float], None] | None = None,
+    on_progress: Progress = silent,
 ) -> SettledRig:
     """Let a machine settle, from the release of an orbit of its model on, and return some cycles.
 
@@ -95,7 +96,7 @@ def rig_cycles(
         settle: How many to let pass first; by default as many as the orbit's multipliers ask for.
         seed: Of the noise.
         settings: How accurately to follow it, and what to keep.
-        on_progress: Told of the part that is done, now and then.
+        on_progress: Called with the part of the time that is simulated.
 
     Raises:
         InputError: If the rig does not fit the problem, or there is no cycle to return.
@@ -119,7 +120,7 @@ def rig_cycles(
             until,
             seed=seed,
             settings=replace(settings or RigSettings(), keep_from=keep_from),
-            on_progress=_part(until, on_progress),
+            on_progress=on_progress,
         )
         found = cut_cycles(run.touches, orbit)
         if len(found) >= wanted and found[passed].release >= keep_from:
@@ -204,12 +205,6 @@ def settled(run: RigRun, cycles: Sequence[RigCycle]) -> SettledRig:
         for cycle in cycles
     )
     return SettledRig(run=moved, cycles=shifted)
-
-
-def _part(
-    until: float, on_progress: Callable[[float], None] | None
-) -> Callable[[float], None] | None:
-    return None if on_progress is None else lambda time: on_progress(time / until)
 
 
 def _earlier(touch: Touch, by: float) -> Touch:

@@ -8,7 +8,7 @@ and the legs between are smooth, so that an engine follows them at its full orde
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import NoReturn
 
@@ -26,6 +26,7 @@ from zeno_orbits.model.numeric.compiled_flow import CompiledFlow, FlowMemory
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.model.rig_parts import Rig
 from zeno_orbits.simulation.batch.model import Columns
+from zeno_orbits.work.progress import Progress, silent
 
 _MOST_AT_ONCE = 1000
 """Contacts that may begin and end without time going on."""
@@ -42,7 +43,7 @@ def simulate_rig(
     *,
     seed: int = 0,
     settings: RigSettings | None = None,
-    on_progress: Callable[[float], None] | None = None,
+    on_progress: Progress = silent,
 ) -> RigRun:
     """Follow a machine.
 
@@ -54,7 +55,7 @@ def simulate_rig(
         until: How long [s].
         seed: Of the noise.
         settings: How accurately.
-        on_progress: Told of the time, now and then.
+        on_progress: Called with the part of the time that is simulated, after every leg.
 
     Raises:
         InputError: If the rig does not fit the problem, or its restitution is 0: no contact that
@@ -70,12 +71,8 @@ def simulate_rig(
         raise InputError(f"Argument `until` must be a positive number, but it is {until:g}.")
     follower = _Follower(problem, values, rig, number, settings or RigSettings(), seed)
     follower.begin(start)
-    follower.follow(until, on_progress or _unheard)
+    follower.follow(until, on_progress)
     return follower.result()
-
-
-def _unheard(_time: float) -> None:
-    """Let nobody know."""
 
 
 @lru_cache(maxsize=16)
@@ -142,7 +139,7 @@ class _Follower:
             wanted = "must leave the joints some of the problem's inertia"
             raise InputError(f"Argument `rotor_inertia` {wanted}, but it is more than all of it.")
 
-    def follow(self, until: float, tell: Callable[[float], None]) -> None:
+    def follow(self, until: float, on_progress: Progress) -> None:
         """Carry the machine forward to a time, from edge to edge."""
         at_once = 0
         while self._time < until:
@@ -160,7 +157,7 @@ class _Follower:
             escaped = self._problem.escaped(self._y[: self._machine.n_x].tolist())
             if escaped:
                 self._stop(RunawayError, f"`{escaped}` ran away")
-            tell(self._time)
+            on_progress("simulating the machine", self._time / until)
 
     def _stop(self, kind: type[SimulationError], reason: str) -> NoReturn:
         raise kind(reason, time=self._time, state=tuple(self._y.tolist()))

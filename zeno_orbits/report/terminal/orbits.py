@@ -23,7 +23,7 @@ from zeno_orbits.report.terminal.experiments import (
     print_identification,
     print_rig,
 )
-from zeno_orbits.report.terminal.progress import Progress
+from zeno_orbits.report.terminal.progress import ProgressLine
 from zeno_orbits.report.terminal.studies import print_families, print_map, print_trade
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from zeno_orbits.verification.certificate import OrbitCertificate
 
 __all__ = [
-    "Progress",
+    "ProgressLine",
     "print_asked",
     "print_candidates",
     "print_certificate",

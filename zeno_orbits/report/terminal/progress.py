@@ -1,4 +1,4 @@
-"""What long work says on standard error while it goes on."""
+"""Progress of long work on standard error."""
 
 from __future__ import annotations
 
@@ -6,20 +6,21 @@ import sys
 import time
 from collections.abc import Callable
 from types import TracebackType
+from typing import Self
 
 _PATIENCE = 1.0
-"""Work shorter than this says nothing [s]."""
+"""Work shorter than this prints nothing [s]."""
 _RARER = 0.1
 """A file gets no more lines than one in this part of the time so far."""
 
 
-class Progress:
-    """Says on standard error what long work is doing, how long it has taken, and what is left.
+class ProgressLine:
+    """Print progress reports on standard error: the stage, the elapsed time and the time left.
 
     A terminal gets one line that is rewritten; a file gets a line now and then.
 
     Args:
-        check: Called at every word; it may raise.
+        check: Called at every report; it may raise to end the work.
     """
 
     def __init__(self, check: Callable[[], None]) -> None:
@@ -29,7 +30,7 @@ class Progress:
         self._terminal = sys.stderr.isatty()
         self._width = 0
 
-    def __enter__(self) -> Progress:
+    def __enter__(self) -> Self:
         """Begin."""
         return self
 
@@ -44,12 +45,12 @@ class Progress:
             sys.stderr.write("\r" + " " * self._width + "\r")
             sys.stderr.flush()
 
-    def tell(self, what: str, part: float | None = None) -> None:
-        """Say what is being done.
+    def __call__(self, stage: str, part: float | None = None, /) -> None:
+        """Print one report, unless the last one is too recent.
 
         Args:
-            what: A few words.
-            part: How much of it is done, in [0, 1], if that is known.
+            stage: The present stage in a few words.
+            part: The part of the work that is done, in [0, 1], if it is known.
         """
         self._check()
         elapsed = time.perf_counter() - self._started
@@ -57,7 +58,7 @@ class Progress:
         if elapsed < _PATIENCE or elapsed - self._said < pause:
             return
         self._said = elapsed
-        line = f"{elapsed:6.1f} s  {what}"
+        line = f"{elapsed:6.1f} s  {stage}"
         if part is not None and part > 0.0:
             line += f"  {100 * part:3.0f} %, {elapsed * (1 - part) / part:.0f} s left"
         if self._terminal:
