@@ -22,7 +22,7 @@ import numpy as np
 
 from zeno_orbits.model.hybrid import CompletedSystem
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compile_problem
+from zeno_orbits.model.numeric.compiled import bind
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.cycle import Cycle
@@ -106,7 +106,7 @@ def measure(problem: Problem, inductances: Sequence[float], n_runs: int) -> list
         MANIFOLD: manifold_only(problem),
         CORRECTED: problem.at_fidelity(CORRECTED),
     }
-    compiled = {name: compile_problem(one) for name, one in {"full": problem, **models}.items()}
+    compiled = {name: one.compiled() for name, one in {"full": problem, **models}.items()}
     static = models[QUASI_STATIC]
     orbit = find_orbit(static, static.values()).unwrap()
     release = np.array(static.state_vector(orbit.release_state))

@@ -29,7 +29,6 @@ from zeno_orbits.experiment.rig.convergence import (
 )
 from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.model.rig_parts import Contact, Controller, Rig, Switching
 from zeno_orbits.orbits.orbit import ZenoOrbit
@@ -359,7 +358,7 @@ def orders(
 
 def normal_inertia(orbit: ZenoOrbit, problem: Problem) -> float:
     """Return the inertia that the impacts of an orbit feel, at its Zeno point."""
-    dynamics = bind(compiled_model(problem), orbit.values(problem).vector)
+    dynamics = problem.dynamics(orbit.values(problem))
     return dynamics.normal_inertia(np.array(problem.state_vector(orbit.zeno_state)))
 
 

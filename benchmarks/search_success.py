@@ -27,7 +27,6 @@ import numpy as np
 
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.model.library import locate_problem
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.orbit import versions
 from zeno_orbits.report.terminal import orbits as report
@@ -76,7 +75,7 @@ def has_orbit(values: ParameterValues) -> bool:
     """Tell whether a long simulation settles to one Zeno point a period."""
     problem = pendulum()
     starts = [problem.state_vector(start) for start in problem.starts]
-    cycle = settle(bind(compiled_model(problem), values.vector), starts).cycle
+    cycle = settle(problem.dynamics(values), starts).cycle
     return cycle is not None and cycle.drift(cycle.scale()) < SETTLED
 
 

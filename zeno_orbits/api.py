@@ -24,7 +24,7 @@ from zeno_orbits.model.library import (
     locate_problem,
     split_fidelity,
 )
-from zeno_orbits.model.problem import ParameterValues, Problem
+from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.orbit_file import read_orbit
 from zeno_orbits.work.progress import Progress, silent
@@ -89,7 +89,7 @@ def simulate(
     values = known.values(gains=gains, parameters=parameters)
     state = known.state_vector(known.starts[0] if start is None else start)
     return simulator.simulate(
-        _dynamics(known, values), state, until=until, settings=settings, on_progress=on_progress
+        known.dynamics(values), state, until=until, settings=settings, on_progress=on_progress
     )
 
 
@@ -421,6 +421,28 @@ def plot(result: Any, *, problem: Named | None = None, **style: Any) -> Figure:
     return figure_of(result, problem=None if problem is None else _known(problem), **style)
 
 
+def equilibrium_acceleration(
+    problem: Named, *, gains: Numbers | None = None, parameters: Numbers | None = None
+) -> Any:
+    r"""Return :math:`\ddot h` at a Zeno equilibrium as a SymPy formula with numbers in it.
+
+    Theorem 1: where it is negative, impacts accumulate nearby.
+
+    Args:
+        problem: The problem, its name or its file.
+        gains: Gains that differ from the problem's own.
+        parameters: Parameters that differ from the problem's own.
+
+    Raises:
+        InputError: If a name is unknown or a number out of range.
+    """
+    from zeno_orbits.model import formulas
+
+    known = _known(problem)
+    values = known.values(gains=gains, parameters=parameters)
+    return formulas.with_numbers(formulas.equilibrium_acceleration(known), values)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verified:
     """Accepts the orbits of a search that pass an independent check, and keeps the certificate.
@@ -511,9 +533,3 @@ def _file_of(problem: Named, start: Numbers | None = None) -> ProblemFile:
 
 def _read(orbit: ZenoOrbit | str | Path) -> ZenoOrbit:
     return orbit if isinstance(orbit, ZenoOrbit) else read_orbit(orbit)
-
-
-def _dynamics(problem: Problem, values: ParameterValues) -> Any:
-    from zeno_orbits.model.numeric.compiled import bind, compiled_model
-
-    return bind(compiled_model(problem), values.vector)

@@ -514,7 +514,7 @@ def test_verify_at_an_accuracy_refuses_a_period_that_is_further_off(
     (here / "off.json").write_text(json.dumps(orbit_data))
     refused = ask("verify", "off.json", "--accuracy", "1e-6")
     assert refused.code == NO
-    assert "Refused: `period` is 1.00e-05, above 1e-06" in refused.out
+    assert "Refused: `period` = 1.0e-05 exceeds 1e-06" in refused.out
     assert error_said(refused) >= 0.99e-5
     assert ask("verify", "off.json", "--accuracy", "1e-4").code == YES
 

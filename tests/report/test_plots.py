@@ -23,7 +23,6 @@ from zeno_orbits.model.drives import no_drive
 from zeno_orbits.model.hybrid import CompletedSystem, complete
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compile_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem, restitution
 from zeno_orbits.precision.work_precision import Trade, Trial
@@ -73,7 +72,7 @@ def simulated(
     **parameters: float,
 ) -> Shown:
     values = problem.values(parameters=parameters)
-    dynamics = bind(compile_problem(problem), values.vector)
+    dynamics = problem.dynamics(values)
     execution = simulate(dynamics, state, until=until, releases=releases, settings=settings)
     return Shown(problem, dynamics, execution)
 

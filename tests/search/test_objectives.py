@@ -31,7 +31,7 @@ from zeno_orbits.search.search import SearchSettings, SearchStatus, find_orbit, 
 from zeno_orbits.search.settings import Start
 from zeno_orbits.search.start import Trial, tried
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
-from zeno_orbits.verification.measure import measure
+from zeno_orbits.verification.measurement import measure
 from zeno_orbits.verification.verifier import problem_dynamics
 
 ONCE = SearchSettings(n_starts=0)
@@ -332,7 +332,7 @@ def test_candidates_are_ranked_and_the_best_is_the_orbit(problem: Problem) -> No
     ("free", "bounds", "objective", "said"),
     [
         ({"restitution": (0.1, 1.0)}, [], None, r"`restitution` must lie in \[0, 1\)"),
-        ({"R": (4.0, 2.0)}, [], None, "`R` must have finite bounds LOWER < UPPER"),
+        ({"R": (4.0, 2.0)}, [], None, "`free` must have finite bounds LOWER < UPPER for `R`"),
         ({"Q": (1.0, 2.0)}, [], None, "`free` must be one of Kp, .*R.*, but it is `Q`"),
         ({}, [Bound(name="angle", upper=1.0)], None, "`keep` must name a quantity .*`angle`"),
         ({}, [Bound(name="spectral_radius", lower=0.1)], None, "from above only"),

@@ -18,7 +18,6 @@ from tests.reference.reference_orbit import (
 )
 from zeno_orbits.errors import InputError
 from zeno_orbits.model.library import load_problem, load_reference
-from zeno_orbits.model.numeric.compiled import bind, compile_problem
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.shape import ONE_ZENO
@@ -113,7 +112,7 @@ def test_the_orbit_is_where_a_long_simulation_ends(
 ) -> None:
     values = problem.values(parameters=parameters, gains=gains)
     orbit = find_orbit(problem, values).unwrap()
-    dynamics = bind(compile_problem(problem), values.vector)
+    dynamics = problem.dynamics(values)
     # The largest multiplier is 0.37 in size: 27 periods shrink any start to 1e-11.
     run = simulate(dynamics, problem.state_vector({"theta1": 0.6}), until=50.0)
     early, late = run.releases[-2:]

@@ -237,14 +237,14 @@ def _inside(
     problem: Problem, values: ParameterValues, options: argparse.Namespace
 ) -> ParameterValues:
     """Return the setting to start at: mid-range for what nobody has set and lies outside."""
-    gains, parameters = dict(values.gains), read_numbers(options.set, "set")
-    named = {*read_numbers(options.gain, "gain"), *parameters}
+    numbers = read_numbers(options.gain, "gain") | read_numbers(options.set, "set")
+    named = {*numbers}
     for entry, option in ((options.range, "in"), (options.second, "second")):
         if entry is None:
             continue
         name, (low, high) = read_range(entry, option)
-        value = {**values.parameters, **gains}.get(name)
+        value = values.numbers.get(name)
         if value is None or name in named or low <= value <= high:
             continue
-        (gains if name in gains else parameters)[name] = (low + high) / 2
-    return problem.values(gains=gains, parameters=parameters)
+        numbers[name] = (low + high) / 2
+    return problem.values(numbers=numbers)

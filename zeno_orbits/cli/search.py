@@ -135,7 +135,6 @@ def add_search(commands: Any) -> None:
 def _run_search(options: argparse.Namespace) -> int:
     from zeno_orbits.api import Verified
     from zeno_orbits.model.library import locate_problem
-    from zeno_orbits.model.numeric.compiled import bind, compiled_model
     from zeno_orbits.search.search import SearchSettings, Spread, search_gains
     from zeno_orbits.work import Plan, remove_checkpoint
 
@@ -161,7 +160,7 @@ def _run_search(options: argparse.Namespace) -> int:
         allow_unstable=options.allow_unstable,
         accuracy=options.accuracy,
     )
-    require_engine(options, bind(compiled_model(problem), values.vector))
+    require_engine(options, problem.dynamics(values))
     checkpoint = _checkpoint(options, several=bool(free))
     plan = Plan(place=place_of(options), checkpoint=checkpoint)
     try:

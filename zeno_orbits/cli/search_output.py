@@ -143,7 +143,7 @@ _FAR = 100.0
 def far_from_own(problem: Problem, values: ParameterValues) -> list[str]:
     """Return the numbers that are far from the problem's own, each as a sentence."""
     found: list[str] = []
-    for quantity in (*problem.gains, *problem.parameters):
+    for quantity in problem.quantities:
         own, given = quantity.default, values.number(quantity.name)
         if not own or not given or 1 / _FAR < abs(given / own) < _FAR:
             continue

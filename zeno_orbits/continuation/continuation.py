@@ -34,7 +34,6 @@ from zeno_orbits.continuation.setup import (
 )
 from zeno_orbits.continuation.two_parameters.boundary_set import curves_through
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model.numeric.compiled import compiled_model
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit, versions
 from zeno_orbits.orbits.shape import ONE_ZENO
@@ -261,12 +260,10 @@ def continue_impacts(
         WorkError: If the work cannot be finished.
     """
     p = np.array(values.vector)
-    value = float(p[problem.names.index(parameter)]) if parameter in problem.names else 0.0
     line = line_in(problem, p, parameter)
+    value = values.number(parameter)
     check_box(problem, parameter, box, value)
-    returns = ImpactReturns(
-        compiled=compiled_model(problem), line=line, settings=settings.simulation
-    )
+    returns = ImpactReturns(compiled=problem.compiled(), line=line, settings=settings.simulation)
     x, flight, scale = _settled(returns, np.array(state), value)
     course = Course(
         values=values,

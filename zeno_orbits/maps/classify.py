@@ -13,7 +13,6 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.maps.newton_request import Accuracy, Request
 from zeno_orbits.maps.point import Point
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.model.quantities import RUNAWAY
 from zeno_orbits.simulation.attractor import Attractor
@@ -101,7 +100,7 @@ class _Run:
         accuracy: Accuracy,
     ) -> None:
         self._numbers = np.array([values.vector for values in settings])
-        self._compiled = compiled_model(problem)
+        self._problem = problem
         self._accuracy = accuracy
         self._start, self._until = start, until
         self._batch = Batch(model_in_rows(problem), _LANES, bounds=limits)
@@ -148,7 +147,7 @@ class _Run:
             granted.append(self._asked.popleft())
         while self._waiting and room > 0 and not self._asked:
             index = self._waiting.popleft()
-            dynamics = bind(self._compiled, self._numbers[index])
+            dynamics = self._problem.dynamics(self._numbers[index])
             point = Point(dynamics, self._start, self._until, self._accuracy)
             self._points[index] = point
             granted.append((index, point.begin()))

@@ -14,7 +14,6 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model.numeric.compiled import bind, compile_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.cycle import Cycle
@@ -236,7 +235,7 @@ def _rate(dynamics: HybridDynamics, cycle: Cycle) -> float:
 
 
 def _dynamics(problem: Problem, values: ParameterValues) -> HybridDynamics:
-    return bind(compile_problem(problem), problem.shared(values).vector)
+    return problem.dynamics(problem.shared(values))
 
 
 def _first_impact(cycle: Cycle) -> float:

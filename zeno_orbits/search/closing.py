@@ -16,7 +16,6 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError, ZenoOrbitsError
 from zeno_orbits.integrators import Taylor
 from zeno_orbits.integrators.flow import Tolerance
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.model.quantities import RUNAWAY
@@ -140,7 +139,7 @@ def _closed(
     simulation: SimulationSettings,
     tell: Callable[[str], None],
 ) -> Closing:
-    dynamics = bind(compiled_model(problem), values.vector)
+    dynamics = problem.dynamics(values)
     detail = ""
     for settled in _NEAR if near is None else (np.inf,):
         try:

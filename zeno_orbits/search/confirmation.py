@@ -12,13 +12,13 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.model.numeric.compiled import CompiledSystem, bind
+from zeno_orbits.model.numeric.compiled import CompiledSystem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.bounds import KEPT, Bound, excess
-from zeno_orbits.orbits.cycle import Cycle, cycle_of, round_again
+from zeno_orbits.orbits.cycle import Cycle, round_again
 from zeno_orbits.orbits.orbit import OrbitImpact, OrbitPhase, ZenoOrbit, versions
-from zeno_orbits.orbits.period import placed
+from zeno_orbits.orbits.period import cycle_of, placed
 from zeno_orbits.orbits.phases import Moment
 from zeno_orbits.orbits.shape import ONE_ZENO, OrbitShape
 from zeno_orbits.search.objectives import Objective, WantedAmplitude, WantedPeriod
@@ -60,7 +60,7 @@ class Confirmation:
         solution = find.solution
         if solution is None:
             return find
-        dynamics = bind(self.compiled, values.vector)
+        dynamics = self.problem.dynamics(values)
         start = solution.values[start_block(shape, 0)][:, 0]
         start = placed(dynamics, shape, start)
         period = float(solution.values["period"][0, 0])
@@ -105,7 +105,7 @@ class Confirmation:
 
     def orbit(self, solution: Solution, values: ParameterValues, shape: OrbitShape) -> ZenoOrbit:
         """Return the orbit of a solution."""
-        dynamics = bind(self.compiled, values.vector)
+        dynamics = self.problem.dynamics(values)
         period = float(solution.values["period"][0, 0])
         starts = [*_start_times(solution, shape), period]
         return ZenoOrbit(

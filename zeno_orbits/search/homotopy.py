@@ -9,7 +9,6 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.model.numeric.compiled import bind
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues
 from zeno_orbits.orbits.cycle import Cycle
@@ -113,11 +112,10 @@ def _closed(
     shape: OrbitShape,
 ) -> _Point | None:
     """Return the orbit at a part of the way, if one closes near a guess."""
-    names = (*easy.gains, *easy.parameters)
-    numbers = {n: (1 - part) * easy.number(n) + part * wanted.number(n) for n in names}
+    numbers = {n: (1 - part) * x + part * wanted.number(n) for n, x in easy.numbers.items()}
     values = wanted if part == 1.0 else easy.replaced(numbers)
     try:
-        dynamics = bind(hunt.compiled, values.vector)
+        dynamics = hunt.problem.dynamics(values)
         start = placed(dynamics, shape, guess)
         closed = close_cycle(
             dynamics,
@@ -144,7 +142,7 @@ def _margins(dynamics: HybridDynamics, cycle: Cycle) -> dict[str, float]:
 
 def _ending(first: _Point, last: _Point, easy: ParameterValues, wanted: ParameterValues) -> str:
     """Return where a path ends and which margin is lost there."""
-    names = [n for n in (*easy.gains, *easy.parameters) if easy.number(n) != wanted.number(n)]
+    names = [n for n in easy.numbers if easy.number(n) != wanted.number(n)]
     numbers = ", ".join(f"{name} = {last.values.number(name):.5g}" for name in names)
     where = f"Orbits could be followed to {numbers}, not beyond"
     shares = {name: last.margins[name] / first.margins[name] for name in last.margins}

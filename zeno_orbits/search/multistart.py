@@ -12,7 +12,6 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.model.library import ProblemFile
-from zeno_orbits.model.numeric.compiled import compiled_model
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.bounds import Bound
 from zeno_orbits.orbits.orbit import ZenoOrbit, versions
@@ -138,7 +137,7 @@ class _Task:
         problem = self.problem_file.load()
         hunt = Hunt(
             problem=problem,
-            compiled=compiled_model(problem),
+            compiled=problem.compiled(),
             values=self.values,
             free=self.free,
             objective=self.objective,

@@ -12,17 +12,18 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from zeno_orbits.model.numeric.compiled import CompiledSystem, bind
+from zeno_orbits.model.numeric.compiled import CompiledSystem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.bounds import Bound
-from zeno_orbits.orbits.cycle import Cycle, closures_of
+from zeno_orbits.orbits.cycle import Cycle
 from zeno_orbits.orbits.shape import OrbitShape
 from zeno_orbits.search.confirmation import Confirmation, tightened
 from zeno_orbits.search.constraints import keep
 from zeno_orbits.search.objectives import Objective
 from zeno_orbits.search.settings import Find, SearchSettings, SearchStatus
 from zeno_orbits.search.spectral_radius import section_map
+from zeno_orbits.search.transcription.closure import closures_of
 from zeno_orbits.search.transcription.ipopt import (
     Hessian,
     IpoptSettings,
@@ -216,7 +217,7 @@ class Hunt:
 
     def dynamics(self, values: ParameterValues) -> HybridDynamics:
         """Return the system at given numbers."""
-        return bind(self.compiled, values.vector)
+        return self.problem.dynamics(values)
 
     def numbers(self, values: ParameterValues) -> dict[str, float]:
         """Return the numbers to name a start by: all gains, and the parameters that are free."""

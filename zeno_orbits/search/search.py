@@ -8,7 +8,6 @@ from contextlib import closing
 from dataclasses import dataclass, field, replace
 
 from zeno_orbits.errors import InputError, ZenoOrbitsError
-from zeno_orbits.model.numeric.compiled import compiled_model
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.bounds import Bound
 from zeno_orbits.orbits.orbit import ZenoOrbit
@@ -192,7 +191,7 @@ def search_gains(
         objective = NearestGains(target=named)
     hunt = Hunt(
         problem=problem,
-        compiled=compiled_model(problem),
+        compiled=problem.compiled(),
         values=values,
         free=free,
         objective=objective,

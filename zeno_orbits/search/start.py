@@ -15,7 +15,7 @@ from zeno_orbits.search.settings import Find, SearchStatus, Start, listed
 from zeno_orbits.search.strategy import from_start
 from zeno_orbits.simulation.signals import Extent
 from zeno_orbits.verification.certificate import OrbitCertificate
-from zeno_orbits.verification.measure import measure
+from zeno_orbits.verification.measurement import measure
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

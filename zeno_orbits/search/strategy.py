@@ -123,7 +123,7 @@ def _along(hunt: Hunt, start: Start, path: Path, origin: str) -> Find:
         hunt.free[name][0] <= path.values.number(name) <= hunt.free[name][1]
         if name in hunt.free
         else path.values.number(name) == start.values.number(name)
-        for name in (*path.values.gains, *path.values.parameters)
+        for name in path.values.numbers
     )
     if inside and hunt.free:
         find = from_cycle(hunt, path.values, path.cycle)
@@ -134,8 +134,7 @@ def _along(hunt: Hunt, start: Start, path: Path, origin: str) -> Find:
 
 
 def _differing(values: ParameterValues, other: ParameterValues) -> dict[str, float]:
-    names = (*values.gains, *values.parameters)
-    return {n: values.number(n) for n in names if values.number(n) != other.number(n)}
+    return {n: value for n, value in values.numbers.items() if value != other.number(n)}
 
 
 def from_cycle(hunt: Hunt, values: ParameterValues, cycle: Cycle) -> Find:

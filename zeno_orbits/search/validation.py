@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.model.problem import ParameterValues, Problem, Quantity
+from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.bounds import Bound
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.search.objectives import (
@@ -18,7 +18,7 @@ from zeno_orbits.search.objectives import (
     WantedPeriod,
 )
 from zeno_orbits.search.spectral_radius import LEAST_RADIUS
-from zeno_orbits.verification.measure import require_quantities
+from zeno_orbits.verification.measurement import require_quantities
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,23 +60,8 @@ def clipped(values: ParameterValues, free: Mapping[str, tuple[float, float]]) ->
 
 
 def _check_boxes(problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
-    gains = [gain.name for gain in problem.gains]
-    parameters = {quantity.name: quantity for quantity in problem.parameters}
-    for name, (lower, upper) in free.items():
-        if name not in gains and name not in parameters:
-            known = ", ".join((*gains, *parameters))
-            raise InputError(f"Argument `free` must be one of {known}, but it is `{name}`.")
-        if not (math.isfinite(lower) and math.isfinite(upper) and lower < upper):
-            wanted = "must have finite bounds LOWER < UPPER"
-            raise InputError(f"Argument `{name}` {wanted}, but they are {lower:g}:{upper:g}.")
-        if name in parameters:
-            _check_range(parameters[name], lower, upper)
-
-
-def _check_range(quantity: Quantity, lower: float, upper: float) -> None:
-    """Refuse a box that leaves the range in which a parameter makes sense."""
-    for end in (lower, upper):
-        quantity.checked(end)
+    for name, box in free.items():
+        problem.require_range(name, box, argument="free")
 
 
 def _check_objective(problem: Problem, question: Question) -> None:

@@ -11,7 +11,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model.numeric.compiled import output_values
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.report.plots.style import (
     AFTER,
@@ -104,7 +103,7 @@ def plot_outputs(
     labels = [f"{output.name.replace('_', ' ')} [{output.unit}]" for output in problem.outputs]
 
     def entries(states: Vector) -> Vector:
-        return output_values(problem, values, states[:, : len(problem.state_names)])
+        return problem.output_values(values, states[:, : len(problem.state_names)])
 
     return _over_time(execution, labels, entries, width)
 

@@ -12,7 +12,7 @@ from zeno_orbits.arrays import Array, Vector, null_space
 from zeno_orbits.model.numeric.compiled import CompiledSystem
 from zeno_orbits.model.numeric.derivatives import GAP, GAP_RATE, MULTIPLIER
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.orbits.cycle import Closure, Cycle
+from zeno_orbits.orbits.cycle import Cycle
 from zeno_orbits.orbits.phases import Phase
 from zeno_orbits.orbits.section import RELEASE_ROWS, REST_ROWS, rows_of
 from zeno_orbits.orbits.shape import OrbitShape
@@ -22,6 +22,7 @@ from zeno_orbits.search.transcription.arc import (
     TranscriptionSettings,
     flow_scale,
 )
+from zeno_orbits.search.transcription.closure import Closure
 from zeno_orbits.search.transcription.program import ProgramBuilder
 from zeno_orbits.simulation.execution import Arc
 from zeno_orbits.simulation.zeno_limit import limit_weights, tail_time
