@@ -366,7 +366,7 @@ def test_an_orbit_that_cannot_be_followed_gets_a_page_without_pictures(
         raise StepSizeError("The step size fell to nothing", time=0.5, state=(0.0,))
 
     monkeypatch.setattr("zeno_orbits.orbits.period.simulate", fail)
-    monkeypatch.setattr("zeno_orbits.report.page.subject.simulate", fail)
+    monkeypatch.setattr("zeno_orbits.report.orbit_motion.simulate", fail)
     code, _, _ = ask("report", orbit_file, "-o", "report.html")
     assert code == NO
     page = Path("report.html").read_text(encoding="utf-8")
