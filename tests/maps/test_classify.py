@@ -17,7 +17,6 @@ from zeno_orbits.maps.newton_impacts import bundle_around
 from zeno_orbits.maps.newton_request import Accuracy
 from zeno_orbits.maps.point import Point
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.orbits.poincare import floquet_multipliers
 from zeno_orbits.orbits.section import Line
 from zeno_orbits.simulation.attractor import TEN_TURNS
@@ -33,7 +32,7 @@ def at(kp, kd, **parameters):
 
 
 def dynamics_at(values):
-    return bind(compiled_model(PENDULUM), values.vector)
+    return PENDULUM.dynamics(values)
 
 
 def state_of(attractor):
@@ -244,7 +243,7 @@ def test_the_multipliers_between_impacts_are_those_of_the_exact_derivative():
     assert found.fate is Fate.NO_ZENO
     p = np.array(values.vector)
     returns = ImpactReturns(
-        compiled=compiled_model(oscillator),
+        compiled=oscillator.compiled(),
         line=Line(origin=p, direction=0 * p),
         settings=SimulationSettings(),
     )

@@ -14,7 +14,6 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.maps.attractors import Attractor
 from zeno_orbits.maps.newton_request import Accuracy, Request
 from zeno_orbits.maps.point import Point
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.simulation.attractor import bounds_of
 from zeno_orbits.simulation.batch.batch import Batch
@@ -100,8 +99,8 @@ class _Run:
         accuracy: Accuracy,
     ) -> None:
         self._numbers = np.array([values.vector for values in settings])
-        self._compiled = compiled_model(problem)
-        self._accuracy, self._units = accuracy, problem.state_units
+        self._problem = problem
+        self._accuracy = accuracy
         self._start, self._until = start, until
         self._batch = Batch(model_in_rows(problem), _LANES, bounds=limits)
         self._waiting = deque(range(len(settings)))
@@ -147,8 +146,9 @@ class _Run:
             granted.append(self._asked.popleft())
         while self._waiting and room > 0 and not self._asked:
             index = self._waiting.popleft()
-            dynamics = bind(self._compiled, self._numbers[index])
-            point = Point(dynamics, self._units, self._start, self._until, self._accuracy)
+            dynamics = self._problem.dynamics(self._numbers[index])
+            units = self._problem.state_units
+            point = Point(dynamics, units, self._start, self._until, self._accuracy)
             self._points[index] = point
             granted.append((index, point.begin()))
             room -= 1

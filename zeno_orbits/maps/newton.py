@@ -15,7 +15,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector, eigenvalues
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.orbits.section import ReleaseSection, release_section
+from zeno_orbits.orbits.section import Section, release_section
 from zeno_orbits.simulation.batch.outcomes import Released
 
 _DISPLACED = 1e-6
@@ -37,7 +37,7 @@ class Bundle:
         states: The state, then one neighbour for each section coordinate, ``(m + 1, n_x)``.
     """
 
-    section: ReleaseSection
+    section: Section
     states: Vector
 
 
@@ -123,7 +123,7 @@ def cycle_of(dynamics: HybridDynamics, events: Sequence[Released]) -> Cycle:
 
 def newton_step(
     dynamics: HybridDynamics,
-    section: ReleaseSection,
+    section: Section,
     cycles: Sequence[Cycle],
     jacobian: Vector | None,
 ) -> FixedPoint:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -101,12 +102,7 @@ class Plane:
             InputError: If the problem refuses them.
         """
         point = {self.x.name: x, self.y.name: y}
-        known = {gain.name for gain in problem.gains}
-        gains = {name: value for name, value in point.items() if name in known}
-        others = {name: value for name, value in point.items() if name not in known}
-        return problem.values(
-            gains={**self.gains, **gains}, parameters={**self.parameters, **others}
-        )
+        return problem.values(gains=self.gains, parameters=self.parameters, numbers=point)
 
 
 def chunk_of(plane: Plane) -> int:
@@ -139,26 +135,13 @@ def require_plane(plane: Plane) -> Plane:
 
 def _checked(problem: Problem, plane: Plane, side: str) -> Axis:
     axis = plane.x if side == "x" else plane.y
-    known = {quantity.name: quantity for quantity in (*problem.gains, *problem.parameters)}
-    if axis.name not in known:
-        message = f"must name one of {', '.join(known)}, but it names `{axis.name}`"
-        raise InputError(f"Argument `{side}` {message}.")
+    quantity = problem.require_range(axis.name, (axis.lower, axis.upper), argument=side)
     if axis.name in {**plane.gains, **plane.parameters}:
         message = f"must name what is not fixed, but `{axis.name}` is"
-        raise InputError(f"Argument `{side}` {message}.")
-    if not (math.isfinite(axis.lower) and math.isfinite(axis.upper)) or axis.lower >= axis.upper:
-        message = (
-            f"must go from a lower to a higher number, but it is {axis.lower:g}:{axis.upper:g}"
-        )
         raise InputError(f"Argument `{side}` {message}.")
     if axis.count < _LEAST:
         message = f"must be at least {_LEAST}x{_LEAST}, but one of them is {axis.count}"
         raise InputError(f"Argument `points` {message}.")
-    quantity = known[axis.name]
-    if quantity in problem.parameters:
-        # The range of a gain is where a search looks, and binds nobody else.
-        quantity.checked(axis.lower)
-        quantity.checked(axis.upper)
     return replace(axis, unit=quantity.unit)
 
 
@@ -175,7 +158,7 @@ class Boundary:
     points: tuple[tuple[float, float], ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class ParameterMap:
     """What motions settle to over a plane.
 
@@ -200,6 +183,16 @@ class ParameterMap:
     until: float
     attractors: tuple[Attractor, ...]
     versions: Mapping[str, str]
+
+    def __repr__(self) -> str:
+        """Return one line: the axes, and how many points settle to what."""
+        axes = ", ".join(
+            f"{axis.name} from {axis.lower:g} to {axis.upper:g} in {axis.count} points"
+            for axis in (self.x, self.y)
+        )
+        counts = Counter(attractor.fate.value for attractor in self.attractors)
+        found = ", ".join(f"{phrase}: {count}" for phrase, count in counts.most_common())
+        return f"<ParameterMap of {self.problem}: {axes}; {found}>"
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -18,7 +18,6 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.orbit_table import GAP, Nodes, gap_coordinates, measurement, table_of
 from zeno_orbits.experiment.recordings.recording import Recording
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 
@@ -105,7 +104,7 @@ def gap_model(orbit: ZenoOrbit, problem: Problem, period: float) -> GapModel:
         SimulationError: If the orbit does not return.
     """
     table = table_of(orbit, problem, (GAP,))
-    dynamics = bind(compiled_model(problem), tuple(table.p.tolist()))
+    dynamics = problem.dynamics(table.p)
     cycle, stretch = table.cycle, period / table.period
     starts = [cycle.start.time, *(impact.time for impact in cycle.impacts)]
     flights = tuple(

@@ -15,7 +15,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators.dop853_step import overflow
 from zeno_orbits.integrators.rosenbrock import rosenbrock_step
-from zeno_orbits.model.numeric.compiled import CompiledSystem, compiled_model
+from zeno_orbits.model.numeric.compiled import CompiledSystem
 from zeno_orbits.model.numeric.compiled_flow import ModeFunctions, dense_function
 from zeno_orbits.model.problem import Problem
 
@@ -127,7 +127,7 @@ def batch_model(compiled: CompiledSystem) -> BatchModel:
 @lru_cache(maxsize=4)
 def model_in_rows(problem: Problem) -> BatchModel:
     """Return the functions of a problem for many rows, built once."""
-    return batch_model(compiled_model(problem))
+    return batch_model(problem.compiled())
 
 
 _LARGEST = 8
