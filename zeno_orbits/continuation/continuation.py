@@ -155,12 +155,8 @@ def start_orbit(
     Raises:
         OrbitNotFoundError: If there is none.
     """
-
-    def report(stage: str) -> None:
-        on_progress(stage, None)
-
     try:
-        closing = close_orbit(problem, values, on_progress=report, shape=ONE_ZENO)
+        closing = close_orbit(problem, values, on_progress=on_progress, shape=ONE_ZENO)
     except InputError:
         # A rough simulation may drift off a holonomic row; the search is no worse for it.
         closing = None

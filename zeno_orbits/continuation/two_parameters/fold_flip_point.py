@@ -211,10 +211,10 @@ def _seen(system: FoldFlipSystem, x: Vector, at: Vector) -> _Look:
     first, second = (system.setup.returns_on(at, way) for way in _DIAGONALS)
     x = first.projected(x, 0.0, scale)
     here, other = first.frame(x, 0.0, scale), second.frame(x, 0.0, scale)
-    d = here.tangent.shape[1]
+    d = here.dimension
     # Any rotation of a chart is as good as another, but both lines must be seen in one.
-    lift = np.column_stack([here.lift, other.lift[:, d]])
-    other = replace(here, lift=lift[:, [*range(d), d + 1]])
+    other = replace(here, drift=other.drift)
+    lift = np.column_stack([here.lift, other.drift])
     found = followed(first, x, 0.0, system.metric)
     beside = followed(second, x, 0.0, system.metric)
     rows = linearized(here, found, system.metric)[0]
