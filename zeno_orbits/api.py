@@ -39,10 +39,8 @@ if TYPE_CHECKING:
     from zeno_orbits.orbits.bounds import Bound
     from zeno_orbits.orbits.poincare import Multipliers
     from zeno_orbits.orbits.shape import OrbitShape
-    from zeno_orbits.search.closing import Closing
+    from zeno_orbits.search import Closing, SearchResult, SearchSettings
     from zeno_orbits.search.objectives import Objective
-    from zeno_orbits.search.search import SearchResult
-    from zeno_orbits.search.settings import SearchSettings
     from zeno_orbits.simulation.execution import Execution
     from zeno_orbits.simulation.simulator import SimulationSettings
     from zeno_orbits.verification.certificate import OrbitCertificate
@@ -122,7 +120,7 @@ def find_orbit(
     Raises:
         InputError: If a name is unknown or a number out of range.
     """
-    from zeno_orbits.search.settings import SearchSettings as Settings
+    from zeno_orbits.search import SearchSettings as Settings
 
     return search_gains(
         problem,
@@ -461,7 +459,7 @@ class Verified:
 
     def __call__(self, orbit: ZenoOrbit) -> Any:
         """Return the certificate of an orbit, and the objection to it if there is one."""
-        from zeno_orbits.search.search import Judgement
+        from zeno_orbits.search import Judgement
         from zeno_orbits.verification import verifier
 
         known = self.problem if isinstance(self.problem, Problem) else self.problem.load()

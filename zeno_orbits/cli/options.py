@@ -214,8 +214,8 @@ def simulation_of(options: argparse.Namespace) -> SimulationSettings:
 
 def verification_of(options: argparse.Namespace, tolerance: float) -> VerificationSettings:
     """Return how to check at the accuracy that was asked for, if one was."""
+    from zeno_orbits.orbits.looser_run import LOOSER
     from zeno_orbits.precision.accuracy import FINEST, settings_for
-    from zeno_orbits.verification.integration import LOOSER
     from zeno_orbits.verification.verifier import VerificationSettings
 
     simulation = simulation_of(options)

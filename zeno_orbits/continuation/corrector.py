@@ -15,7 +15,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector, eigenvalues
 from zeno_orbits.continuation.return_maps import Return, ReturnMap
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.orbits.section import Frame
+from zeno_orbits.orbits.section import Section
 
 _MOST_ITERATIONS = 9
 CLOSED = 2e-11
@@ -109,7 +109,7 @@ def correct(
         x = returns.projected(x, s, metric.scale)
         here = returns.frame(x, s, metric.scale)
         found = followed(returns, x, s, metric)
-        missed = here.coordinates(found.end - x)
+        missed = here.components(found.end - x)
         miss = float(np.max(np.abs(missed), initial=0.0))
         off = float(normal @ (metric.place(x, s) - z))
         rows, ambient = linearized(here, found, metric)
@@ -145,7 +145,7 @@ def corrected_again(returns: ReturnMap, metric: Metric, point: BranchPoint) -> B
     found = followed(returns, point.x, point.s, metric)
     rows, ambient = linearized(here, found, metric)
     matrix = np.concatenate([rows, (point.tangent @ ambient)[None, :]])
-    missed = np.append(here.coordinates(found.end - point.x), 0.0)
+    missed = np.append(here.components(found.end - point.x), 0.0)
     change = np.linalg.lstsq(matrix, -missed, rcond=None)[0]
     place = metric.place(point.x + here.lift @ change, point.s + float(change[-1]))
     return correct(returns, metric, place, point.tangent)
@@ -176,12 +176,12 @@ def followed(returns: ReturnMap, x: Vector, s: float, metric: Metric) -> Return:
         raise SimulationError(str(error), time=metric.horizon, state=tuple(x.tolist())) from error
 
 
-def linearized(here: Frame, found: Return, metric: Metric) -> tuple[Vector, Vector]:
+def linearized(here: Section, found: Return, metric: Metric) -> tuple[Vector, Vector]:
     """Return the derivative of `P - y` and of the ambient place, by coordinates and parameter."""
     d = here.tangent.shape[1]
     moved = found.by_state @ here.lift
     moved[:, d] += found.by_parameter
-    rows = here.coordinates(moved - here.lift)
+    rows = here.components(moved - here.lift)
     parameter = np.zeros((1, d + 1))
     parameter[0, d] = 1 / metric.unit
     return rows, np.concatenate([here.lift / metric.scale[:, None], parameter])

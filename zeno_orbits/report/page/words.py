@@ -20,6 +20,7 @@ CHECKS: Mapping[str, str] = {
     "delta_sweep": "Ending the hits early matters the less, the later it is done.",
     "penetration": "Nothing passes through the stop.",
     "adhesion": "The stop pushes and never pulls.",
+    "escape": "Nothing goes farther than the mechanism can.",
     "closure": "After one period everything is as it was.",
     "period": "The period is as long as the file says.",
     "drift": "The later periods are like the first.",
