@@ -15,6 +15,8 @@ from zeno_orbits.maps.classify import attractors_at
 from zeno_orbits.model.library import ProblemFile
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.simulation.attractor import time_to_settle
+from zeno_orbits.work.plan import Workers
+from zeno_orbits.work.pools import worker_count
 
 _CHUNKS, _CHUNKS_A_CORE = 4, 2
 """Chunks of a plane at least, and for each core."""
@@ -152,10 +154,7 @@ def chunk_of(plane: Plane, cores: int | None = None) -> int:
         plane: The plane.
         cores: Cores of the machine; by default those of this one.
     """
-    if cores is None:
-        import joblib
-
-        cores = int(joblib.cpu_count())
+    cores = worker_count(Workers()) if cores is None else cores
     part = math.ceil(plane.x.count * plane.y.count / max(_CHUNKS, _CHUNKS_A_CORE * cores))
     return min(max(part, _SMALLEST), _LARGEST)
 
