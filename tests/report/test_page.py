@@ -35,7 +35,7 @@ from zeno_orbits.report.page import Subject, load_bundle, page_of, subject_of, w
 from zeno_orbits.report.page.commands import commands_of
 from zeno_orbits.report.page.page import template_environment
 from zeno_orbits.report.page.plot_data import curves_of
-from zeno_orbits.search.search import find_orbit
+from zeno_orbits.search import find_orbit
 from zeno_orbits.verification.certificate import RESIDUALS, OrbitCertificate
 from zeno_orbits.verification.verifier import problem_dynamics, verify
 

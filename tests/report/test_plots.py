@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from zeno_orbits.errors import InputError
+from zeno_orbits.maps.attractors import Attractor, Fate
 from zeno_orbits.maps.parameter_map import Axis, Boundary, ParameterMap
 from zeno_orbits.model.drives import no_drive
 from zeno_orbits.model.hybrid import CompletedSystem, complete
@@ -37,7 +38,6 @@ from zeno_orbits.report.plots import (
     plot_zeno_zoom,
     save_figure,
 )
-from zeno_orbits.simulation.attractor import Attractor, Fate
 from zeno_orbits.simulation.completion import Truncation, ZenoExtrapolation
 from zeno_orbits.simulation.execution import Execution, Mode
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
