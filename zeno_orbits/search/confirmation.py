@@ -17,7 +17,7 @@ from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.bounds import KEPT, Bound, excess
 from zeno_orbits.orbits.cycle import Cycle, round_again
-from zeno_orbits.orbits.orbit import OrbitImpact, OrbitPhase, ZenoOrbit, versions
+from zeno_orbits.orbits.orbit import OrbitImpact, OrbitPhase, ZenoOrbit, new_orbit
 from zeno_orbits.orbits.period import cycle_of, placed
 from zeno_orbits.orbits.phases import Moment
 from zeno_orbits.orbits.shape import ONE_ZENO, OrbitShape
@@ -108,16 +108,13 @@ class Confirmation:
         dynamics = self.problem.dynamics(values)
         period = float(solution.values["period"][0, 0])
         starts = [*_start_times(solution, shape), period]
-        return ZenoOrbit(
-            problem=self.problem.name,
-            parameters=dict(values.parameters),
-            gains=dict(values.gains),
+        return new_orbit(
+            self.problem,
+            values,
             period=period,
             phases=tuple(
                 self._phase(solution, dynamics, shape, k, starts[k]) for k in range(shape.n_phases)
             ),
-            certificate={},
-            versions=versions(),
         )
 
     def _phase(

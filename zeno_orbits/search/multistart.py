@@ -14,7 +14,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.model.library import ProblemFile
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.bounds import Bound
-from zeno_orbits.orbits.orbit import ZenoOrbit, versions
+from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.shape import OrbitShape
 from zeno_orbits.search.objectives import Objective
 from zeno_orbits.search.refinement import Hunt
@@ -25,6 +25,7 @@ from zeno_orbits.search.validation import clipped
 from zeno_orbits.work import Lost, Plan, spread_in_order
 from zeno_orbits.work.progress import Progress, silent
 from zeno_orbits.work.serialization import plain
+from zeno_orbits.work.versions import versions
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

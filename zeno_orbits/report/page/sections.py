@@ -13,7 +13,6 @@ import shlex
 from collections.abc import Sequence
 from typing import Any, cast
 
-from zeno_orbits.orbits.orbit import versions
 from zeno_orbits.precision.work_precision import Trade
 from zeno_orbits.report.page import words
 from zeno_orbits.report.page.markup import Html, table, tag
@@ -23,6 +22,7 @@ from zeno_orbits.report.page.subject import Subject
 from zeno_orbits.report.zeno_neighbourhood import close_up
 from zeno_orbits.simulation.execution import Arc, Execution, Impact, Mode, ZenoPoint
 from zeno_orbits.verification.certificate import RESIDUALS
+from zeno_orbits.work.versions import versions
 
 _ACCURACIES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 
