@@ -23,11 +23,11 @@ from typing import Any
 import numpy as np
 
 from tests.reference.long_simulation import LongRun, attractor_of
+from zeno_orbits.maps.attractors import Attractor, Fate, attractor_from_json, attractor_json
 from zeno_orbits.maps.map_file import read_map, write_map
 from zeno_orbits.maps.parameter_map import Axis, ParameterMap, Plane, parameter_map
 from zeno_orbits.model.library import locate_problem
 from zeno_orbits.report.terminal import orbits as report
-from zeno_orbits.simulation.attractor import Attractor, Fate, attractor_from_json, attractor_json
 from zeno_orbits.work import Plan, spread
 
 Fast = Callable[[Plane, Plan], ParameterMap]

@@ -67,11 +67,11 @@ from .search.objectives import FastestContraction as FastestContraction
 from .search.objectives import LeastEnergy as LeastEnergy
 from .search.objectives import LeastPeak as LeastPeak
 from .search.objectives import NearestGains as NearestGains
-from .search.objectives import WantedAmplitude as WantedAmplitude
-from .search.objectives import WantedPeriod as WantedPeriod
+from .search.objectives import TargetAmplitude as TargetAmplitude
+from .search.objectives import TargetPeriod as TargetPeriod
 from .search.objectives import WidestMargin as WidestMargin
-from .search.search import OrbitNotFoundError as OrbitNotFoundError
-from .search.search import SearchResult as SearchResult
+from .search.outcome import OrbitNotFoundError as OrbitNotFoundError
+from .search.outcome import SearchResult as SearchResult
 from .search.settings import SearchSettings as SearchSettings
 from .simulation.completion import Truncation as Truncation
 from .simulation.execution import Execution as Execution

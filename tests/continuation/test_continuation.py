@@ -31,7 +31,7 @@ from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.poincare import poincare_map
 from zeno_orbits.orbits.section import release_section
-from zeno_orbits.search.closing import close_cycle, close_orbit, orbit_of
+from zeno_orbits.search import close_cycle, close_orbit, orbit_of
 from zeno_orbits.simulation.simulator import SimulationSettings
 
 PENDULUM = load_problem("motor_pendulum")

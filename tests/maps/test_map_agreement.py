@@ -9,9 +9,9 @@ import pytest
 
 from benchmarks import map_agreement
 from tests.reference.long_simulation import LongRun
+from zeno_orbits.maps.attractors import Attractor, Fate
 from zeno_orbits.maps.parameter_map import Axis, Plane, parameter_map
 from zeno_orbits.model.library import locate_problem
-from zeno_orbits.simulation.attractor import Attractor, Fate
 from zeno_orbits.work import Plan, Workers
 
 ZENO = Attractor(fate=Fate.ZENO, returns=1, period=1.8, multipliers=(0.5 + 0j,))

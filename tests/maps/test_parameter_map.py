@@ -22,12 +22,12 @@ from tests.reference.long_simulation import attractor_of
 from tests.support.processes import Commands, workers_of
 from zeno_orbits import work
 from zeno_orbits.errors import CheckpointError, InputError, MapFileError, ProblemFileError
+from zeno_orbits.maps.attractors import Attractor, Fate
 from zeno_orbits.maps.map_file import read_boundaries, read_map, write_map
 from zeno_orbits.maps.parameter_map import Axis, ParameterMap, Plane, parameter_map, require_plane
 from zeno_orbits.model.library import bundled_problems, load_problem, locate_problem
 from zeno_orbits.model.problem import Escape
 from zeno_orbits.report.terminal import orbits as report
-from zeno_orbits.simulation.attractor import Attractor, Fate
 from zeno_orbits.work import Cluster, Plan, Workers
 
 YES, NO, MISUSE = 0, 1, 2

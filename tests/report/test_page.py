@@ -35,7 +35,7 @@ from zeno_orbits.report.page import Subject, load_bundle, page_of, subject_of, w
 from zeno_orbits.report.page.markup import data_of, tag
 from zeno_orbits.report.page.plot_data import curves_of
 from zeno_orbits.report.page.sections import commands
-from zeno_orbits.search.search import find_orbit
+from zeno_orbits.search import find_orbit
 from zeno_orbits.verification.certificate import RESIDUALS, OrbitCertificate
 from zeno_orbits.verification.verifier import problem_dynamics, verify
 
@@ -366,7 +366,7 @@ def test_an_orbit_that_cannot_be_followed_gets_a_page_without_pictures(
         raise StepSizeError("The step size fell to nothing", time=0.5, state=(0.0,))
 
     monkeypatch.setattr("zeno_orbits.orbits.period.simulate", fail)
-    monkeypatch.setattr("zeno_orbits.report.page.subject.simulate", fail)
+    monkeypatch.setattr("zeno_orbits.report.orbit_motion.simulate", fail)
     code, _, _ = ask("report", orbit_file, "-o", "report.html")
     assert code == NO
     page = Path("report.html").read_text(encoding="utf-8")

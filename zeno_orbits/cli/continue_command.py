@@ -226,7 +226,7 @@ def _orbit(options: argparse.Namespace, problem: Problem, crew: Crew) -> ZenoOrb
 
     if options.start_orbit is None:
         values = _inside(problem, values_of(problem, options), options)
-        return start_orbit(problem, values, tell=lambda stage: crew.tell(stage, None))
+        return start_orbit(problem, values, tell=crew.tell)
     if options.gain or options.set:
         message = "must come without --gain and --set, as the orbit has numbers"
         raise InputError(f"Argument `from` {message}, but it does not.")

@@ -10,7 +10,6 @@ Families of orbits that strike the stop once a turn and never rest on it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -37,9 +36,9 @@ from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.shape import ONE_ZENO
-from zeno_orbits.search.closing import close_orbit
-from zeno_orbits.search.search import find_orbit
+from zeno_orbits.search import close_orbit, find_orbit
 from zeno_orbits.simulation.simulator import simulate
+from zeno_orbits.work.progress import Progress, silent
 from zeno_orbits.work.serialization import plain
 from zeno_orbits.work.versions import versions
 
@@ -191,9 +190,7 @@ def _grown_from(root: Root, dispatch: Dispatch) -> list[Grown]:
     return found
 
 
-def start_orbit(
-    problem: Problem, values: ParameterValues, *, tell: Callable[[str], None] | None = None
-) -> ZenoOrbit:
+def start_orbit(problem: Problem, values: ParameterValues, *, tell: Progress = silent) -> ZenoOrbit:
     """Return the orbit at given numbers that a motion settles to.
 
     By simulation alone, and where that does not close one, by the search.

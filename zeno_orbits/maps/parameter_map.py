@@ -12,10 +12,10 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
+from zeno_orbits.maps.attractors import Attractor, Fate, attractor_from_json, attractor_json
 from zeno_orbits.maps.classify import attractors_at
 from zeno_orbits.model.library import ProblemFile
 from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.simulation.attractor import Attractor, Fate, attractor_from_json, attractor_json
 from zeno_orbits.work import Lost, Plan, Progress, silent, spread
 from zeno_orbits.work.versions import versions
 

@@ -4,20 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.orbits.period import placed
 from zeno_orbits.precision.work_precision import Trade
+from zeno_orbits.report.orbit_motion import motion_of
 from zeno_orbits.simulation.execution import Execution
-from zeno_orbits.simulation.simulator import simulate
 from zeno_orbits.verification.certificate import OrbitCertificate
-
-_LONGER = 1e-6
-"""Part of the period to follow a motion longer, so that rounding cuts off no release."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,11 +60,7 @@ def subject_of(
     """Return what a report is about, one period simulated; see `Subject` for the arguments."""
     execution, trouble = None, ""
     try:
-        start = np.array(problem.state_vector(orbit.start_state))
-        shape = orbit.shape.at_restitution(dynamics.restitution)
-        # As the check does: what is off the section is refused there, and not by the simulator.
-        start = placed(dynamics, shape, start)
-        execution = simulate(dynamics, start, until=orbit.period * (1 + _LONGER))
+        execution = motion_of(orbit, problem, dynamics)
     except ZenoOrbitsError as error:
         # A false orbit may run anywhere; the page says so and does without its pictures.
         trouble = str(error)
