@@ -439,7 +439,7 @@ class _Careless:
 
     def follow(self, leg: Leg) -> Passage:
         loose = leg.tolerance.relative > 50 * Tolerance().relative
-        coarse = Tolerance(relative=1e-6, absolute=1e-7)
+        coarse = Tolerance(relative=1e-5, absolute=1e-6)
         return Automatic().follow(replace(leg, tolerance=coarse) if loose else leg)
 
 
