@@ -385,8 +385,9 @@ def parameter_map(
         gains: Gains that differ from the problem's own.
         parameters: Parameters that differ from the problem's own.
         start: State name to value where every motion starts; by default the problem's first start.
-        until: How long a motion may take to settle [s].
-        workers: Processes; 0 means one a core.
+        until: How long a motion may take to settle [s]; by default 300 periods of the problem's
+            clock, or 60 s without one.
+        workers: Processes; with 1 no other than this one; 0 means one a core.
         on_progress: Called with what is being done and the part of it that is done.
 
     Raises:
@@ -394,19 +395,20 @@ def parameter_map(
         WorkError: If the work cannot be finished.
     """
     from zeno_orbits.maps import parameter_map as maps
+    from zeno_orbits.maps import plane as planes
     from zeno_orbits.work import Plan, Workers
 
     known = _known(problem)
-    plane = maps.Plane(
-        problem_file=_file_of(problem),
-        x=maps.Axis(name=x[0], lower=x[1], upper=x[2], count=x[3]),
-        y=maps.Axis(name=y[0], lower=y[1], upper=y[2], count=y[3]),
+    plane = planes.Plane(
+        source=known if workers == 1 else _file_of(problem),
+        x=planes.Axis(name=x[0], lower=x[1], upper=x[2], count=x[3]),
+        y=planes.Axis(name=y[0], lower=y[1], upper=y[2], count=y[3]),
         gains=dict(gains or {}),
         parameters=dict(parameters or {}),
         start=known.state_vector(known.starts[0] if start is None else start),
-        **({} if until is None else {"until": until}),
+        until=until,
     )
-    plan = Plan(place=Workers(count=workers), chunk=maps.chunk_of(plane))
+    plan = Plan(place=Workers(count=workers or None), chunk=planes.chunk_of(plane))
     return maps.parameter_map(plane, plan, on_progress=on_progress)
 
 

@@ -1,8 +1,8 @@
 """A digest of a problem's equations, by which an orbit recognizes its problem.
 
-The compiled functions are evaluated at one fixed state and parameter vector of order 1, whatever the
-problem's units, and each is summed with fixed weights. Equations that are written in another way
-give the same numbers, on any machine and with any version of CasADi; others do not.
+The compiled functions are evaluated at one fixed state and parameter vector of order 1, and the
+entries of each are summed with fixed weights. Equations that are written in another way give the
+same numbers, on any machine and with any version of CasADi; others do not.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -52,7 +52,7 @@ def _spread(n: int, least: float) -> Vector:
 
 
 def _number(outputs: Any) -> float:
-    entries = outputs if isinstance(outputs, tuple) else (outputs,)
+    entries: Sequence[Any] = cast("Any", outputs) if isinstance(outputs, tuple) else (outputs,)
     values = np.concatenate([np.asarray(entry, dtype=np.float64).ravel() for entry in entries])
     total = float(values @ _spread(values.size, 0.2))
     # Where a formula is not defined at this state, it tells nothing.
