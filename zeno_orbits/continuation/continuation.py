@@ -34,12 +34,13 @@ from zeno_orbits.continuation.setup import (
 from zeno_orbits.continuation.two_parameters.boundary_set import curves_through
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.orbits.orbit import ZenoOrbit, versions
+from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.shape import ONE_ZENO
 from zeno_orbits.search import close_orbit, find_orbit
 from zeno_orbits.simulation.simulator import simulate
 from zeno_orbits.work.progress import Progress, silent
 from zeno_orbits.work.serialization import plain
+from zeno_orbits.work.versions import versions
 
 
 def _silent(stage: str, part: float | None) -> None:
