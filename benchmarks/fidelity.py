@@ -34,7 +34,7 @@ from zeno_orbits.precision.reduced_models import (
     orbit_near,
     reduction_costs,
 )
-from zeno_orbits.search.search import find_orbit
+from zeno_orbits.search import find_orbit
 from zeno_orbits.simulation.simulator import simulate
 
 INDUCTANCES = (2e-2, 6e-3, 2e-3, 6e-4, 2e-4, 6e-5, 2e-5, 6e-6)

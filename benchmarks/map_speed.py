@@ -16,10 +16,10 @@ from collections import Counter
 import numpy as np
 
 from zeno_orbits.errors import RunawayError
+from zeno_orbits.maps.attractors import Attractor, Fate
 from zeno_orbits.maps.classify import RUNAWAY, attractors_at
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.simulation.attractor import Attractor, Fate
 from zeno_orbits.simulation.batch.model import Columns
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 

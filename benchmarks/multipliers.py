@@ -22,7 +22,7 @@ from zeno_orbits.model.library import load_problem
 from zeno_orbits.orbits.monodromy import return_derivative
 from zeno_orbits.orbits.poincare import floquet_multipliers, poincare_map
 from zeno_orbits.precision.extended_orbit import extended_orbit
-from zeno_orbits.search.closing import close_orbit
+from zeno_orbits.search import close_orbit
 from zeno_orbits.simulation.simulator import SimulationSettings
 
 

@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 import casadi as ca
 
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.search.search import find_orbit
+from zeno_orbits.search import find_orbit
 from zeno_orbits.simulation.simulator import simulate
 
 PROBLEMS = ("bouncing_ball", "vibrating_table", "motor_valve", "motor_pendulum", "two_motors")

@@ -33,7 +33,7 @@ from zeno_orbits.model.problem import Problem
 from zeno_orbits.model.rig_parts import Contact, Controller, Rig, Switching
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.orbit_file import read_orbit
-from zeno_orbits.search.closing import close_orbit
+from zeno_orbits.search import close_orbit
 
 FINE = RigSettings(tolerance=Tolerance(relative=1e-12, absolute=1e-14))
 LOOSE = RigSettings(tolerance=Tolerance(relative=1e-10, absolute=1e-12))

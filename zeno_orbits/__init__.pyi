@@ -21,7 +21,7 @@ from .errors import ZenoOrbitsError as ZenoOrbitsError
 from .experiment.recordings.recording import read_recording as read_recording
 from .experiment.recordings.recording import write_recording as write_recording
 from .experiment.rig import rig_cycles as rig_cycles
-from .maps.parameter_map import ParameterMap as ParameterMap
+from .maps.mapping import ParameterMap as ParameterMap
 from .model.clock import Clock as Clock
 from .model.drawing import Lines as Lines
 from .model.drives import MotorBank as MotorBank
@@ -67,11 +67,11 @@ from .search.objectives import FastestContraction as FastestContraction
 from .search.objectives import LeastEnergy as LeastEnergy
 from .search.objectives import LeastPeak as LeastPeak
 from .search.objectives import NearestGains as NearestGains
-from .search.objectives import WantedAmplitude as WantedAmplitude
-from .search.objectives import WantedPeriod as WantedPeriod
+from .search.objectives import TargetAmplitude as TargetAmplitude
+from .search.objectives import TargetPeriod as TargetPeriod
 from .search.objectives import WidestMargin as WidestMargin
-from .search.search import OrbitNotFoundError as OrbitNotFoundError
-from .search.search import SearchResult as SearchResult
+from .search.outcome import OrbitNotFoundError as OrbitNotFoundError
+from .search.outcome import SearchResult as SearchResult
 from .search.settings import SearchSettings as SearchSettings
 from .simulation.completion import Truncation as Truncation
 from .simulation.execution import Execution as Execution

@@ -35,14 +35,12 @@ if TYPE_CHECKING:
     from zeno_orbits.continuation.families import Continuation
     from zeno_orbits.continuation.parallel import Crew
     from zeno_orbits.continuation.setup import ContinuationSettings
-    from zeno_orbits.maps.parameter_map import ParameterMap
+    from zeno_orbits.maps.mapping import ParameterMap
     from zeno_orbits.orbits.bounds import Bound
     from zeno_orbits.orbits.poincare import Multipliers
     from zeno_orbits.orbits.shape import OrbitShape
-    from zeno_orbits.search.closing import Closing
+    from zeno_orbits.search import Closing, SearchResult, SearchSettings
     from zeno_orbits.search.objectives import Objective
-    from zeno_orbits.search.search import SearchResult
-    from zeno_orbits.search.settings import SearchSettings
     from zeno_orbits.simulation.execution import Execution
     from zeno_orbits.simulation.simulator import SimulationSettings
     from zeno_orbits.verification.certificate import OrbitCertificate
@@ -122,7 +120,7 @@ def find_orbit(
     Raises:
         InputError: If a name is unknown or a number out of range.
     """
-    from zeno_orbits.search.settings import SearchSettings as Settings
+    from zeno_orbits.search import SearchSettings as Settings
 
     return search_gains(
         problem,
@@ -204,7 +202,7 @@ def search_gains(
         near=_read(near) if near is not None else None,
         settings=settings,
         accept=Verified(problem=known, allow_unstable=allow_unstable),
-        on_progress=lambda stage: on_progress(stage, None),
+        on_progress=on_progress,
         spread=spread,
         shape=shape,
     )
@@ -245,7 +243,7 @@ def close_orbit(
         known.values(gains=gains, parameters=parameters),
         near=_read(near) if near is not None else None,
         simulation=settings,
-        on_progress=lambda stage: on_progress(stage, None),
+        on_progress=on_progress,
         shape=shape,
     )
 
@@ -289,26 +287,30 @@ def floquet_multipliers(
         InputError: If the orbit's problem is not known, or its numbers do not fit the problem.
         SimulationError: If the orbit does not return.
     """
+    import numpy as np
+
     from zeno_orbits.orbits import poincare
+    from zeno_orbits.orbits.cycle import first_cycles
     from zeno_orbits.orbits.period import placed
-    from zeno_orbits.simulation.simulator import SimulationSettings as Settings
-    from zeno_orbits.verification.integration import claim_of, observe
-    from zeno_orbits.verification.verifier import problem_dynamics
+    from zeno_orbits.simulation import simulator
 
     orbit = _read(orbit)
     known = problem_of(orbit, problem)
-    claim, dynamics = claim_of(orbit, known), problem_dynamics(orbit, known)
-    cycle = observe(dynamics, claim, Settings(), 1).cycle
-    if cycle is None:
-        state = tuple(claim.start.tolist())
-        raise SimulationError("The orbit does not return", time=claim.period, state=state)
+    dynamics, settings = known.dynamics(orbit.values(known)), simulator.SimulationSettings()
+    shape = orbit.shape.at_restitution(dynamics.restitution)
+    release = known.state_vector(orbit.phases[0].start_state)
+    start = placed(dynamics, shape, np.array(release, dtype=np.float64))
+    motion = simulator.simulate(dynamics, start, until=1.5 * orbit.period, settings=settings)
+    found = first_cycles(motion, start, shape)
+    if not found:
+        raise SimulationError("The orbit does not return", time=motion.end_time, state=release)
     return poincare.floquet_multipliers(
         dynamics,
-        placed(dynamics, claim.shape, claim.start),
-        scale=cycle.scale,
-        period=cycle.end.time,
-        settings=Settings(),
-        shape=claim.shape,
+        start,
+        scale=found[0].scale(),
+        period=found[0].period,
+        settings=settings,
+        shape=shape,
     )
 
 
@@ -344,7 +346,7 @@ def continue_orbit(
     with _crew(source, workers, on_progress) as crew:
         known = problem_of(orbit, problem) if crew is None else crew.problem_file.load()
         return continuation.continue_orbit(
-            known, orbit, parameter, box, settings=settings, tell=on_progress, crew=crew
+            known, orbit, parameter, box, settings=settings, on_progress=on_progress, crew=crew
         )
 
 
@@ -359,7 +361,7 @@ def _crew(problem: Named, workers: int, on_progress: Progress) -> Generator[Crew
         return
     plan = Plan(place=Workers(count=workers))
     with open_pool(plan.place) as pool:
-        yield Crew(problem_file=_file_of(problem), plan=plan, pool=pool, tell=on_progress)
+        yield Crew(problem_file=_file_of(problem), plan=plan, pool=pool, on_progress=on_progress)
 
 
 def parameter_map(
@@ -383,28 +385,30 @@ def parameter_map(
         gains: Gains that differ from the problem's own.
         parameters: Parameters that differ from the problem's own.
         start: State name to value where every motion starts; by default the problem's first start.
-        until: How long a motion may take to settle [s].
-        workers: Processes; 0 means one a core.
+        until: How long a motion may take to settle [s]; by default 300 periods of the problem's
+            clock, or 60 s without one.
+        workers: Processes; with 1 no other than this one; 0 means one a core.
         on_progress: Called with what is being done and the part of it that is done.
 
     Raises:
         InputError: If a name is unknown, a range does not fit, or there are too many points.
         WorkError: If the work cannot be finished.
     """
-    from zeno_orbits.maps import parameter_map as maps
+    from zeno_orbits import maps
+    from zeno_orbits.maps.plane import chunk_of
     from zeno_orbits.work import Plan, Workers
 
     known = _known(problem)
     plane = maps.Plane(
-        problem_file=_file_of(problem),
+        source=known if workers == 1 else _file_of(problem),
         x=maps.Axis(name=x[0], lower=x[1], upper=x[2], count=x[3]),
         y=maps.Axis(name=y[0], lower=y[1], upper=y[2], count=y[3]),
         gains=dict(gains or {}),
         parameters=dict(parameters or {}),
         start=known.state_vector(known.starts[0] if start is None else start),
-        **({} if until is None else {"until": until}),
+        until=until,
     )
-    plan = Plan(place=Workers(count=workers), chunk=maps.chunk_of(plane))
+    plan = Plan(place=Workers(count=workers or None), chunk=chunk_of(plane))
     return maps.parameter_map(plane, plan, on_progress=on_progress)
 
 
@@ -461,7 +465,7 @@ class Verified:
 
     def __call__(self, orbit: ZenoOrbit) -> Any:
         """Return the certificate of an orbit, and the objection to it if there is one."""
-        from zeno_orbits.search.search import Judgement
+        from zeno_orbits.search import Judgement
         from zeno_orbits.verification import verifier
 
         known = self.problem if isinstance(self.problem, Problem) else self.problem.load()

@@ -24,7 +24,7 @@ from zeno_orbits.experiment.orbit_table import table_of
 from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.search.closing import close_cycle, close_orbit
+from zeno_orbits.search import close_cycle, close_orbit
 from zeno_orbits.simulation.simulator import SimulationSettings
 
 SOUGHT = (

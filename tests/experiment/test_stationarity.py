@@ -15,7 +15,7 @@ from zeno_orbits.experiment.recordings.recording import Recording, cut
 from zeno_orbits.experiment.recordings.sampling import Sampling, sampled
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.search.closing import close_orbit
+from zeno_orbits.search import close_orbit
 from zeno_orbits.simulation.simulator import simulate
 
 SOUGHT = (

@@ -20,7 +20,7 @@ from zeno_orbits.model.library import load_problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.orbit_file import write_orbit
 from zeno_orbits.orbits.section import release_section
-from zeno_orbits.search.search import find_orbit
+from zeno_orbits.search import find_orbit
 from zeno_orbits.simulation.simulator import simulate
 from zeno_orbits.verification.verifier import verify
 

@@ -40,8 +40,8 @@ from zeno_orbits.precision.reduced_models import (
     reduction_cost,
     reduction_costs,
 )
-from zeno_orbits.search.objectives import WantedPeriod
-from zeno_orbits.search.search import find_orbit, search_gains
+from zeno_orbits.search import find_orbit, search_gains
+from zeno_orbits.search.objectives import TargetPeriod
 from zeno_orbits.simulation.simulator import simulate
 from zeno_orbits.verification.verifier import verify
 
@@ -428,7 +428,7 @@ def test_gains_are_searched_with_the_restitution_that_they_change(problem: Probl
     # So large an inductance that a program with the restitution of its start does not get there.
     values = reduced.values(parameters={"L": 0.1})
     boxes = {gain.name: (gain.lower, gain.upper) for gain in reduced.gains}
-    result = search_gains(reduced, values, free=boxes, objective=WantedPeriod(target=1.83))
+    result = search_gains(reduced, values, free=boxes, objective=TargetPeriod(target=1.83))
     assert result.unwrap().period == pytest.approx(1.83, abs=1e-9)
 
 

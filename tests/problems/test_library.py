@@ -23,7 +23,7 @@ from zeno_orbits.model.units import powers_of
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.orbit_file import write_orbit
 from zeno_orbits.report.plots import has_zeno_region, plot_outputs
-from zeno_orbits.search.search import find_orbit
+from zeno_orbits.search import find_orbit
 from zeno_orbits.simulation.simulator import simulate
 
 NO_ORBIT = {"bouncing_ball", "falling_pendulum"}

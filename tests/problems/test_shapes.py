@@ -21,8 +21,7 @@ from zeno_orbits.model.library import load_problem
 from zeno_orbits.orbits.orbit import OrbitPhase, ZenoOrbit
 from zeno_orbits.orbits.orbit_file import read_orbit, write_orbit
 from zeno_orbits.orbits.shape import OrbitShape
-from zeno_orbits.search.closing import close_orbit
-from zeno_orbits.search.search import SearchStatus, find_orbit, search_gains
+from zeno_orbits.search import SearchStatus, close_orbit, find_orbit, search_gains
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 from zeno_orbits.verification.certificate import OrbitCertificate
 from zeno_orbits.verification.verifier import VerificationSettings, verify
@@ -329,14 +328,14 @@ def test_a_free_parameter_takes_an_orbit_of_impacts_to_a_wanted_bound() -> None:
 
 @pytest.mark.slow
 def test_free_gains_bring_a_doubled_orbit_to_a_wanted_period() -> None:
-    from zeno_orbits.search.objectives import WantedPeriod
+    from zeno_orbits.search.objectives import TargetPeriod
 
     problem = load_problem("motor_pendulum")
     result = search_gains(
         problem,
         problem.values(gains=DOUBLED),
         free={"Kp": (4.2, 4.4)},
-        objective=WantedPeriod(target=4.05),
+        objective=TargetPeriod(target=4.05),
     )
     orbit = result.unwrap()
     assert orbit.shape.text == "zeno*2"

@@ -27,10 +27,15 @@ from zeno_orbits.orbits.monodromy import return_derivative
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.poincare import floquet_multipliers, poincare_map, return_slope
 from zeno_orbits.orbits.section import release_section
-from zeno_orbits.search import closing
+from zeno_orbits.search import (
+    OrbitNotClosedError,
+    close_cycle,
+    close_orbit,
+    closing,
+    cycle_near,
+    find_orbit,
+)
 from zeno_orbits.search import fixed_point as closed_cycles
-from zeno_orbits.search.closing import OrbitNotClosedError, close_cycle, close_orbit, cycle_near
-from zeno_orbits.search.search import find_orbit
 from zeno_orbits.simulation.completion import Truncation
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 from zeno_orbits.verification.integration import distance
@@ -351,7 +356,12 @@ def test_without_heyoka_the_default_engine_closes(
 
 def test_stages_are_told(problem: Problem) -> None:
     told: list[str] = []
-    close_orbit(problem, problem.values(), simulation=SETTINGS, on_progress=told.append)
+    close_orbit(
+        problem,
+        problem.values(),
+        simulation=SETTINGS,
+        on_progress=lambda stage, _: told.append(stage),
+    )
     assert told == ["simulating", "closing the orbit"]
 
 

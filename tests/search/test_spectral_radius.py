@@ -14,7 +14,7 @@ from zeno_orbits.model.numeric.compiled import bind
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.period import placed
 from zeno_orbits.orbits.poincare import floquet_multipliers
-from zeno_orbits.search.closing import close_orbit
+from zeno_orbits.search import close_orbit
 from zeno_orbits.search.confirmation import one_cycle
 from zeno_orbits.search.spectral_radius import keep_radius_below, section_map
 from zeno_orbits.search.transcription.arc import TranscriptionSettings

@@ -30,7 +30,7 @@ from zeno_orbits.model.numeric.compiled import CompiledSystem, bind
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.shape import ONE_ZENO
-from zeno_orbits.search.search import OrbitNotFoundError, find_orbit
+from zeno_orbits.search import OrbitNotFoundError, find_orbit
 from zeno_orbits.simulation.completion import Truncation
 from zeno_orbits.simulation.execution import Execution
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate

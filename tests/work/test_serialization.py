@@ -17,7 +17,7 @@ import pytest
 from tests.support import chores
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
-from zeno_orbits.search.search import SearchSettings
+from zeno_orbits.search import SearchSettings
 from zeno_orbits.verification.certificate import OrbitCertificate
 from zeno_orbits.verification.verifier import VerificationSettings
 from zeno_orbits.work.files import read_json

@@ -135,7 +135,7 @@ def add_search(commands: Any) -> None:
 def _run_search(options: argparse.Namespace) -> int:
     from zeno_orbits.api import Verified
     from zeno_orbits.model.library import locate_problem
-    from zeno_orbits.search.search import SearchSettings, Spread, search_gains
+    from zeno_orbits.search import SearchSettings, Spread, search_gains
     from zeno_orbits.work import Plan, remove_checkpoint
 
     problem_file = locate_problem(options.problem)

@@ -74,6 +74,10 @@ class CutReturns:
         """Return the release state nearest to a state."""
         return self.whole.projected(x, s, scale)
 
+    def restitution(self, s: float) -> float:
+        """Return the coefficient of restitution at a place on the line."""
+        return self.whole.restitution(s)
+
     def moved_to(self, line: Line) -> CutReturns:
         """Return the same map along another line."""
         return replace(self, whole=self.whole.moved_to(line))

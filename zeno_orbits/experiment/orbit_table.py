@@ -21,7 +21,7 @@ from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.cycle import Cycle
 from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.search.closing import cycle_near
+from zeno_orbits.search import cycle_near
 from zeno_orbits.simulation.execution import Arc, Mode
 from zeno_orbits.simulation.signals import signal_names
 from zeno_orbits.simulation.simulator import SimulationSettings

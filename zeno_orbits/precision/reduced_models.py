@@ -20,8 +20,7 @@ from zeno_orbits.orbits.cycle import Cycle
 from zeno_orbits.orbits.poincare import return_slope
 from zeno_orbits.orbits.section import release_section
 from zeno_orbits.orbits.shape import ONE_ZENO
-from zeno_orbits.search.closing import close_cycle, cycle_near
-from zeno_orbits.search.search import find_orbit
+from zeno_orbits.search import close_cycle, cycle_near, find_orbit
 from zeno_orbits.simulation.simulator import SimulationSettings
 
 QUASI_STATIC, CORRECTED = "quasi_static", "corrected"

@@ -316,7 +316,7 @@ def _meshes(
     """Solve for the periodic orbit on finer and finer meshes, each held against a simulation."""
     if not settings.meshes:
         return
-    from zeno_orbits.search.search import SearchSettings, find_orbit
+    from zeno_orbits.search import SearchSettings, find_orbit
     from zeno_orbits.search.transcription.arc import TranscriptionSettings
 
     for tolerance in settings.meshes:

@@ -17,7 +17,7 @@ from zeno_orbits.experiment.orbit_table import Measurement, OrbitTable, tabulate
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.cycle import Cycle
-from zeno_orbits.search.closing import close_cycle
+from zeno_orbits.search import close_cycle
 from zeno_orbits.simulation.simulator import SimulationSettings
 
 _KEPT = 8

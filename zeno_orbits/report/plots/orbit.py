@@ -26,6 +26,7 @@ from zeno_orbits.report.plots.style import (
     paths_of,
     portraits_of,
     share_time,
+    symbol_of,
 )
 from zeno_orbits.simulation.execution import Execution, Mode
 
@@ -74,6 +75,18 @@ def plot_time_series(
     rows = [*range(n_q), *(row for row in behind if problem.state_units[row] != "1")]
     labels = [label_of(problem, row) for row in rows]
     return _over_time(execution, labels, lambda states: states[:, rows], width)
+
+
+def plot_states(execution: Execution, *, width: float = FULL_WIDTH) -> Figure:
+    """Return every state over time, for an execution whose problem and units are not known.
+
+    Args:
+        execution: What to draw.
+        width: Width of the picture [in].
+    """
+    names = execution.state_names
+    labels = [symbol_of(names, row) for row in range(len(names))]
+    return _over_time(execution, labels, lambda states: states[:, : len(names)], width)
 
 
 def plot_outputs(

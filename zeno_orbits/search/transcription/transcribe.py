@@ -21,7 +21,7 @@ from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues
 from zeno_orbits.orbits.cycle import Cycle
 from zeno_orbits.orbits.shape import OrbitShape
-from zeno_orbits.search.transcription.arc import Stretch, TranscriptionSettings
+from zeno_orbits.search.transcription.arc import CollocatedArc, TranscriptionSettings
 from zeno_orbits.search.transcription.closure import Closure
 from zeno_orbits.search.transcription.motion_derivative import Motion
 from zeno_orbits.search.transcription.phase import PhaseTerms, PhaseWriter, WrittenPhase
@@ -76,9 +76,9 @@ class OrbitTerms:
         return self.phases[0].start
 
     @property
-    def stretches(self) -> tuple[Stretch, ...]:
+    def arcs(self) -> tuple[CollocatedArc, ...]:
         """The transcribed arcs of all phases, in order."""
-        return tuple(stretch for phase in self.phases for stretch in phase.stretches)
+        return tuple(arc for phase in self.phases for arc in phase.arcs)
 
     def guessed(self, expression: ca.MX) -> Array:
         """Return the value of an expression in the guess."""

@@ -75,6 +75,7 @@ class BatchModel:
     Attributes:
         state_names: Name of each state.
         n_q: Number of coordinates.
+        clock: Places of the clock in the state; empty where nothing is forced.
         n_p: Number of gains and parameters.
         free: The mode off the stop.
         locked: The mode on the stop.
@@ -88,6 +89,7 @@ class BatchModel:
 
     state_names: tuple[str, ...]
     n_q: int
+    clock: tuple[int, ...]
     n_p: int
     free: BatchFlow
     locked: BatchFlow
@@ -112,6 +114,7 @@ def batch_model(compiled: CompiledSystem) -> BatchModel:
     return BatchModel(
         state_names=compiled.state_names,
         n_q=compiled.n_q,
+        clock=compiled.clock,
         n_p=n_p,
         free=BatchFlow(compiled.free),
         locked=BatchFlow(compiled.locked),
