@@ -33,8 +33,12 @@ _BETWEEN = 6
 """Nodes between two steps of the integrator."""
 _AT_ONCE = 1 << 16
 """States that are evaluated at a time: the interpreter of formulas copies them several times."""
-_JUMP = 0.02
-"""A step of this part of a signal's range is a jump."""
+_JUMP = 1e-6
+"""A step of this part of a signal's range is a jump: a table is as exact as that."""
+_LAYER = 0.005
+"""How far a signal goes in a layer, in parts of its range, at least."""
+ROUGHLY = 0.01
+"""Part of a period beside a jump that does not count while phases are not exact yet."""
 _LEAST = 24
 """Intervals of an arc at least."""
 
@@ -216,23 +220,53 @@ class OrbitTable:
         return self.nodes.at(np.mod(phases, 1.0) * self.period)
 
 
-def near_jumps(table: OrbitTable, phases: Vector, width: float) -> NDArray[np.bool_]:
-    """Return which signals jump near which phases, ``(n, n_s)``.
+def beside_jumps(table: OrbitTable, phases: Vector, width: float) -> NDArray[np.bool_]:
+    """Return which samples lie beside a jump of their signal, ``(n, n_s)``.
+
+    Such a sample tells on which side of the jump it was taken, and nothing else: it counts neither
+    in a fit nor in a test nor in a figure that is printed.
 
     Args:
         table: The orbit.
-        phases: In [0, 1), ``(n,)``.
-        width: How near, in periods.
+        phases: Of the samples, in periods from the release, ``(n,)``.
+        width: How near, in periods: as far as the phases are uncertain, or `ROUGHLY`.
     """
     nodes = table.nodes
-    near = np.zeros((len(phases), nodes.values.shape[1]), dtype=np.bool_)
     extent = np.ptp(nodes.values, axis=0)
+    near = np.zeros((len(phases), len(extent)), dtype=np.bool_)
     for k in np.flatnonzero(np.diff(nodes.times) <= 0.0):
-        jumping = np.abs(nodes.values[k + 1] - nodes.values[k]) > _JUMP * extent
-        if jumping.any():
-            here = np.abs(phases - nodes.times[k] / table.period) < width
-            near[here] |= jumping
+        jumps = np.abs(nodes.values[k + 1] - nodes.values[k]) > _JUMP * extent
+        if jumps.any():
+            near[_within(table, phases, nodes.times[k], width)] |= jumps
     return near
+
+
+def in_layers(table: OrbitTable, phases: Vector, width: float) -> NDArray[np.bool_]:
+    """Return which samples lie beside an impact behind which their signal passes a layer.
+
+    A current follows an impact through a layer of width `L/R`, as steep as a jump. Behind the
+    impact it is not yet on the line that it follows a little later.
+
+    Args:
+        table: The orbit.
+        phases: Of the samples, in periods from the release, ``(n,)``.
+        width: How near, in periods; a layer is thinner.
+    """
+    nodes, span = table.nodes, width * table.period
+    extent = np.ptp(nodes.values, axis=0)
+    near = np.zeros((len(phases), len(extent)), dtype=np.bool_)
+    for k in np.flatnonzero(np.diff(nodes.times) <= 0.0) + 1:
+        begin = nodes.times[k]
+        later, slope = nodes.with_slopes(np.array([(begin + span) % table.period]))
+        off = np.abs(later[0] - span * slope[0] - nodes.values[k]) > _LAYER * extent
+        near[_within(table, phases, begin, width)] |= off
+    return near
+
+
+def _within(table: OrbitTable, phases: Vector, time: float, width: float) -> NDArray[np.bool_]:
+    """Return which phases are near a time, across the release as well."""
+    off = np.mod(phases - time / table.period + 0.5, 1.0) - 0.5
+    return np.abs(off) < width
 
 
 def table_of(orbit: ZenoOrbit, problem: Problem, names: Sequence[str]) -> OrbitTable:

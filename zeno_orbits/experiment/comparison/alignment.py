@@ -16,14 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.experiment.orbit_table import OrbitTable, near_jumps
+from zeno_orbits.experiment.orbit_table import ROUGHLY, OrbitTable, beside_jumps
 from zeno_orbits.experiment.recordings.periodicity import Periodicity
 
 _PHASES = 720
 _MOST_ROWS = 60_000
 _STEPS = 6
-_NEAR = 0.01
-"""Part of a period beside a jump that does not count; the first shift is good to a tenth of it."""
 _TURNED = 0.95
 """All signs as they are count as best from this part of the best with signs turned on."""
 _OPPOSED = -0.4
@@ -204,7 +202,7 @@ def _fine(
         )
         # A slope does not know of a jump: samples beside one would push the wrong way.
         phases = np.mod((t - release) / period, 1.0)
-        seen = known & ~near_jumps(table, phases, _NEAR)[:, : len(values)]
+        seen = known & ~beside_jumps(table, phases, ROUGHLY)[:, : len(values)]
         rest = np.where(seen, y - model, 0.0)
         count = np.maximum(seen.sum(axis=0), 1)
         # An offset of an encoder is no shift in time.
