@@ -79,6 +79,7 @@ class Alignment:
         release: A time at which the orbit's release falls, near the middle of the record [s].
         error: Standard error of it [s].
         period: Of the record [s].
+        phase_error: Standard error of the phases at both ends of the record [periods].
         likeness: Of each signal.
         time_suspicion: What mistake the unit of time looks like; empty if none.
     """
@@ -86,6 +87,7 @@ class Alignment:
     release: float
     error: float
     period: float
+    phase_error: float
     likeness: tuple[Likeness, ...]
     time_suspicion: str
 
@@ -122,10 +124,12 @@ def aligned(
     # In the middle of the record an error of the period moves it least.
     release += found.period * round((0.5 * (time[0] + time[-1]) - release) / found.period)
     release, error = _fine(table, time, values, found, release, weight, data)
+    half = max(time[-1] - release, release - time[0]) / found.period
     return Alignment(
         release=release,
         error=error,
         period=found.period,
+        phase_error=(error + half * found.error) / found.period,
         likeness=tuple(likeness),
         time_suspicion=_like_factor(ratio, _TIME_FACTORS),
     )

@@ -22,7 +22,7 @@ from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.experiment.identification.folding import Folded
 from zeno_orbits.experiment.identification.predictions import Predictions
 from zeno_orbits.experiment.identification.uncertainty import Spread, spread_of
-from zeno_orbits.experiment.orbit_table import beside_jumps
+from zeno_orbits.experiment.orbit_table import beside_jumps, jump_width
 from zeno_orbits.experiment.recordings.periodicity import Periodicity, period_error
 from zeno_orbits.work.progress import Progress
 
@@ -39,10 +39,6 @@ _ASIDE = 3.0
 """Standard errors to either side over which a prediction has to be straight."""
 _FARTHEST = 0.05
 """Relative change of a number, to look at its bend, at most; a phase moves a fifth of it."""
-_SURE = 4.0
-"""Standard errors of the phases within which a sample may lie on the other side of a jump."""
-_BESIDE = 1e-4
-"""Part of a period beside a jump that does not count at least."""
 _BENT = 0.3
 """Bend of a residual that counts as none, in units of its noise."""
 
@@ -189,7 +185,7 @@ def _stretch(stage: Weighed, x: Vector) -> tuple[float, float, float]:
         math.sqrt(float(covariance[-1, -1])), period_error(middles, delays, white, below[told])
     )
     ends = math.sqrt(float(covariance[-2, -2])) + error * float(np.max(np.abs(since)))
-    return 1.0 + float(change[-1]), error, max(_SURE * ends, _BESIDE)
+    return 1.0 + float(change[-1]), error, jump_width(ends)
 
 
 def deviation(orbits: Predictions, data: Folded, x: Vector) -> float:
