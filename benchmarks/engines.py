@@ -28,7 +28,7 @@ from zeno_orbits.integrators.casadi_to_heyoka import load_heyoka, translate
 from zeno_orbits.integrators.engine import Leg, Passage
 from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import CompiledSystem, bind, compile_problem
+from zeno_orbits.model.numeric.compiled import CompiledSystem, bind
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.simulation.completion import Truncation, ZenoExtrapolation
@@ -197,7 +197,7 @@ def cell(timing: Timing | None) -> str:
 
 def over_tolerances(problem: Problem, n_runs: int, patience: float) -> None:
     """Print the table over tolerances."""
-    compiled, values = compile_problem(problem), problem.values().vector
+    compiled, values = problem.compiled(), problem.values().vector
     dynamics = bind(compiled, values)
     print("R/L = 1500 1/s     tol.     wall [ms]    cpu [ms]     steps    error")
     slow: set[str] = set()
@@ -220,7 +220,7 @@ def over_tolerances(problem: Problem, n_runs: int, patience: float) -> None:
 
 def over_ratios(problem: Problem, n_runs: int, patience: float) -> None:
     """Print the table over R/L, at 1e-10."""
-    compiled, values = compile_problem(problem), problem.values()
+    compiled, values = problem.compiled(), problem.values()
     print("\ntol. = 1e-10       R/L      wall [ms]    cpu [ms]     steps    error")
     slow: set[str] = set()
     resistance = values.parameters["R"]

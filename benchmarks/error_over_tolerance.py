@@ -17,7 +17,6 @@ import numpy as np
 
 from zeno_orbits.integrators import Automatic, Engine, Radau, RungeKutta, Taylor
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compile_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.precision.accuracy import at_tolerance, difference, simulate_to
 from zeno_orbits.simulation.execution import Execution
@@ -104,7 +103,7 @@ def main() -> int:
     parser.add_argument("--json", action="store_true", help="print JSON for programs")
     options = parser.parse_args()
     problem = load_problem("motor_pendulum")
-    dynamics = bind(compile_problem(problem), problem.values().vector)
+    dynamics = problem.dynamics(problem.values())
     motions = [(x, follow(dynamics, x, TRUE, ENGINES["Taylor"])) for x in starts(options.starts)]
     tolerances = {n: over_tolerance(dynamics, motions, e) for n, e in ENGINES.items()}
     promises = {n: over_promise(dynamics, motions, e) for n, e in ENGINES.items()}

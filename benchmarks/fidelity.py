@@ -22,7 +22,7 @@ import numpy as np
 
 from zeno_orbits.model.hybrid import CompletedSystem
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compile_problem
+from zeno_orbits.model.numeric.compiled import bind
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.cycle import Cycle
@@ -34,7 +34,7 @@ from zeno_orbits.precision.reduced_models import (
     orbit_near,
     reduction_costs,
 )
-from zeno_orbits.search.search import find_orbit
+from zeno_orbits.search import find_orbit
 from zeno_orbits.simulation.simulator import simulate
 
 INDUCTANCES = (2e-2, 6e-3, 2e-3, 6e-4, 2e-4, 6e-5, 2e-5, 6e-6)
@@ -106,7 +106,7 @@ def measure(problem: Problem, inductances: Sequence[float], n_runs: int) -> list
         MANIFOLD: manifold_only(problem),
         CORRECTED: problem.at_fidelity(CORRECTED),
     }
-    compiled = {name: compile_problem(one) for name, one in {"full": problem, **models}.items()}
+    compiled = {name: one.compiled() for name, one in {"full": problem, **models}.items()}
     static = models[QUASI_STATIC]
     orbit = find_orbit(static, static.values()).unwrap()
     release = np.array(static.state_vector(orbit.release_state))

@@ -23,7 +23,7 @@ from dataclasses import asdict, dataclass, field
 
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.problem import Problem
-from zeno_orbits.search.search import find_orbit
+from zeno_orbits.search import find_orbit
 from zeno_orbits.verification.verifier import verify
 
 SOLVE_BOUND = 0.3

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.orbits.bounds import Bound
+from zeno_orbits.search import SearchSettings, search_gains
 from zeno_orbits.search.objectives import FastestContraction, LeastEnergy, NearestGains, Objective
-from zeno_orbits.search.search import SearchSettings, search_gains
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

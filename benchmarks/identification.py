@@ -24,7 +24,7 @@ from zeno_orbits.experiment.identification.identification import Sought, Unfitta
 from zeno_orbits.experiment.orbit_table import table_of
 from zeno_orbits.experiment.recordings.recording import Recording, Signal, Source
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.search.closing import close_orbit
+from zeno_orbits.search import close_orbit
 
 PROBLEM = "motor_pendulum"
 SIGNALS = ("theta1", "theta2", "current")

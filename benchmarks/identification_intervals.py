@@ -31,7 +31,7 @@ from zeno_orbits.experiment.identification.uncertainty import spread_of
 from zeno_orbits.experiment.orbit_table import measurement, table_of
 from zeno_orbits.experiment.recordings.periodicity import periodicity
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.search.closing import close_orbit
+from zeno_orbits.search import close_orbit
 
 TRUTH = (3.06, 0.0303, 0.207)
 """Of what is sought; not the problem's numbers, nor round ones."""

@@ -16,11 +16,10 @@ from collections import Counter
 import numpy as np
 
 from zeno_orbits.errors import RunawayError
+from zeno_orbits.maps.attractors import Attractor, Fate
 from zeno_orbits.maps.classify import RUNAWAY, attractors_at
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.simulation.attractor import Attractor, Fate
 from zeno_orbits.simulation.batch.model import Columns
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 
@@ -60,7 +59,7 @@ def settings_of(problem: Problem, size: int) -> list[ParameterValues]:
 
 def misses(problem: Problem, values: ParameterValues, found: Attractor) -> tuple[float, float]:
     """Return by how much period and release state miss those of a single simulation."""
-    dynamics = bind(compiled_model(problem), values.vector)
+    dynamics = problem.dynamics(values)
     state = np.array([found.state[name] for name in problem.state_names])
     run = simulate(dynamics, state, until=1.5 * found.period)
     back = run.returns(found.period)[found.returns - 1]
@@ -69,7 +68,7 @@ def misses(problem: Problem, values: ParameterValues, found: Attractor) -> tuple
 
 def same_fate(problem: Problem, values: ParameterValues, found: Attractor) -> bool:
     """Tell whether a long single simulation from the same start ends alike."""
-    dynamics = bind(compiled_model(problem), values.vector)
+    dynamics = problem.dynamics(values)
     start = problem.state_vector(problem.starts[0])
     try:
         run = simulate(dynamics, start, until=LONG, settings=SimulationSettings(far=RUNAWAY))

@@ -19,11 +19,10 @@ import numpy as np
 
 from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.orbits.monodromy import return_derivative
 from zeno_orbits.orbits.poincare import floquet_multipliers, poincare_map
 from zeno_orbits.precision.extended_orbit import extended_orbit
-from zeno_orbits.search.closing import close_orbit
+from zeno_orbits.search import close_orbit
 from zeno_orbits.simulation.simulator import SimulationSettings
 
 
@@ -48,7 +47,7 @@ def main() -> None:
     orbit = close_orbit(problem, values, simulation=SimulationSettings()).unwrap()
     x, period = np.array(list(orbit.release_state.values())), orbit.period
     scale, horizon = 1.0 + np.abs(x), 2 * period
-    dynamics = bind(compiled_model(problem), values.vector)
+    dynamics = problem.dynamics(values)
     plain = replace(dynamics, differentiation=None)
     truth = np.array(extended_orbit(problem, values, x.tolist(), digits=20).multipliers)
     print(

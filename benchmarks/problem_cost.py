@@ -12,13 +12,12 @@ import statistics
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, fields, is_dataclass
+from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 
 import casadi as ca
 
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compile_problem
-from zeno_orbits.search.search import find_orbit
+from zeno_orbits.search import find_orbit
 from zeno_orbits.simulation.simulator import simulate
 
 PROBLEMS = ("bouncing_ball", "vibrating_table", "motor_valve", "motor_pendulum", "two_motors")
@@ -75,9 +74,9 @@ def cost_of(name: str, runs: int) -> Cost:
     """Return what a problem costs at its own numbers."""
     problem = load_problem(name)
     values = problem.values()
-    compiled = compile_problem(problem)
+    compiled = problem.compiled()
     built = {id(function): function for function in functions_in(compiled)}.values()
-    dynamics = bind(compiled, values.vector)
+    dynamics = problem.dynamics(values)
     if name in NO_ORBIT:
         start, until, solving = problem.state_vector(problem.starts[0]), NO_ORBIT[name], None
     else:
@@ -89,7 +88,7 @@ def cost_of(name: str, runs: int) -> Cost:
         states=len(problem.state_names),
         functions=len(built),
         operations=sum(function.n_instructions() for function in built),
-        compiling=median_time(lambda: compile_problem(problem), runs),
+        compiling=median_time(lambda: replace(problem).compiled(), runs),
         simulating=median_time(lambda: simulate(dynamics, start, until=until), runs),
         solving=solving,
     )

@@ -32,7 +32,6 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import RungeKutta, Step
 from zeno_orbits.integrators.flow import GuardedFlow, Tolerance
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compile_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.simulation.completion import Completion, ZenoExtrapolation, ZenoPassage
 from zeno_orbits.simulation.execution import ZenoPoint
@@ -111,7 +110,7 @@ def pendulum(restitution: float) -> HybridDynamics:
     """Return the motor pendulum."""
     problem = load_problem("motor_pendulum")
     values = problem.values(parameters={"restitution": restitution})
-    return bind(compile_problem(problem), values.vector)
+    return problem.dynamics(values)
 
 
 ON_DISC = (math.sin(0.2), math.cos(0.2), 0.5 * math.cos(0.2), -0.5 * math.sin(0.2))

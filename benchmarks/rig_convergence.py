@@ -29,12 +29,11 @@ from zeno_orbits.experiment.rig.convergence import (
 )
 from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.model.rig_parts import Contact, Controller, Rig, Switching
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.orbit_file import read_orbit
-from zeno_orbits.search.closing import close_orbit
+from zeno_orbits.search import close_orbit
 
 FINE = RigSettings(tolerance=Tolerance(relative=1e-12, absolute=1e-14))
 LOOSE = RigSettings(tolerance=Tolerance(relative=1e-10, absolute=1e-12))
@@ -359,7 +358,7 @@ def orders(
 
 def normal_inertia(orbit: ZenoOrbit, problem: Problem) -> float:
     """Return the inertia that the impacts of an orbit feel, at its Zeno point."""
-    dynamics = bind(compiled_model(problem), orbit.values(problem).vector)
+    dynamics = problem.dynamics(orbit.values(problem))
     return dynamics.normal_inertia(np.array(problem.state_vector(orbit.zeno_state)))
 
 

@@ -27,12 +27,11 @@ import numpy as np
 
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.model.library import locate_problem
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.orbit import versions
 from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.search import SearchResult, find_orbit, search_gains
 from zeno_orbits.search.guess import settle
-from zeno_orbits.search.search import SearchResult, find_orbit, search_gains
 from zeno_orbits.verification.verifier import verify
 from zeno_orbits.work import Cluster, Lost, Plan, Workers, spread_in_order
 
@@ -76,7 +75,7 @@ def has_orbit(values: ParameterValues) -> bool:
     """Tell whether a long simulation settles to one Zeno point a period."""
     problem = pendulum()
     starts = [problem.state_vector(start) for start in problem.starts]
-    cycle = settle(bind(compiled_model(problem), values.vector), starts).cycle
+    cycle = settle(problem.dynamics(values), starts).cycle
     return cycle is not None and cycle.drift(cycle.scale()) < SETTLED
 
 

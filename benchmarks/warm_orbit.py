@@ -19,7 +19,7 @@ from dataclasses import asdict, dataclass
 from zeno_orbits.integrators import Automatic, Engine, Taylor
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.problem import Problem
-from zeno_orbits.search.closing import close_orbit
+from zeno_orbits.search import close_orbit
 from zeno_orbits.simulation.simulator import SimulationSettings
 from zeno_orbits.verification.verifier import VerificationSettings, verify
 

@@ -14,7 +14,7 @@ from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.search.search import SearchResult, find_orbit
+from zeno_orbits.search import SearchResult, find_orbit
 from zeno_orbits.verification.certificate import OrbitCertificate
 from zeno_orbits.verification.verifier import problem_dynamics, verify
 

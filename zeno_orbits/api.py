@@ -10,7 +10,8 @@ Imports: every room but ``cli``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,23 +24,23 @@ from zeno_orbits.model.library import (
     locate_problem,
     split_fidelity,
 )
-from zeno_orbits.model.problem import ParameterValues, Problem
+from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.orbit_file import read_orbit
+from zeno_orbits.work.progress import Progress, silent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from zeno_orbits.continuation.families import Continuation
+    from zeno_orbits.continuation.parallel import Crew
     from zeno_orbits.continuation.setup import ContinuationSettings
     from zeno_orbits.maps.parameter_map import ParameterMap
     from zeno_orbits.orbits.bounds import Bound
     from zeno_orbits.orbits.poincare import Multipliers
     from zeno_orbits.orbits.shape import OrbitShape
-    from zeno_orbits.search.closing import Closing
+    from zeno_orbits.search import Closing, SearchResult, SearchSettings
     from zeno_orbits.search.objectives import Objective
-    from zeno_orbits.search.search import SearchResult
-    from zeno_orbits.search.settings import SearchSettings
     from zeno_orbits.simulation.execution import Execution
     from zeno_orbits.simulation.simulator import SimulationSettings
     from zeno_orbits.verification.certificate import OrbitCertificate
@@ -63,7 +64,7 @@ def simulate(
     parameters: Numbers | None = None,
     start: Numbers | None = None,
     settings: SimulationSettings | None = None,
-    on_progress: Callable[[float], None] | None = None,
+    on_progress: Progress = silent,
 ) -> Execution:
     """Return a completed execution: through every impact, Zeno point, locked arc and release.
 
@@ -74,7 +75,7 @@ def simulate(
         parameters: Parameters that differ from the problem's own.
         start: State name to initial value, others zero; by default the problem's first start.
         settings: Integrator and accuracy.
-        on_progress: Called with the time that is reached [s].
+        on_progress: Called with what is being done and the part of it that is done.
 
     Raises:
         InputError: If a name is unknown, a number out of range, or the start inside the stop.
@@ -86,7 +87,7 @@ def simulate(
     values = known.values(gains=gains, parameters=parameters)
     state = known.state_vector(known.starts[0] if start is None else start)
     return simulator.simulate(
-        _dynamics(known, values), state, until=until, settings=settings, on_progress=on_progress
+        known.dynamics(values), state, until=until, settings=settings, on_progress=on_progress
     )
 
 
@@ -98,7 +99,7 @@ def find_orbit(
     start: Numbers | None = None,
     shape: OrbitShape | None = None,
     settings: SearchSettings | None = None,
-    on_progress: Callable[[str], None] | None = None,
+    on_progress: Progress = silent,
 ) -> SearchResult:
     """Find the orbit at given numbers, and verify it.
 
@@ -110,7 +111,7 @@ def find_orbit(
             problem's starts.
         shape: The orbit's shape; by default what a simulation settles to.
         settings: How hard to look.
-        on_progress: Called with what is being done.
+        on_progress: Called with what is being done and the part of it that is done.
 
     Returns:
         The search's result; ``.unwrap()`` is the verified orbit with its certificate and Floquet
@@ -119,7 +120,7 @@ def find_orbit(
     Raises:
         InputError: If a name is unknown or a number out of range.
     """
-    from zeno_orbits.search.settings import SearchSettings as Settings
+    from zeno_orbits.search import SearchSettings as Settings
 
     return search_gains(
         problem,
@@ -147,7 +148,8 @@ def search_gains(
     shape: OrbitShape | None = None,
     settings: SearchSettings | None = None,
     allow_unstable: bool = False,
-    on_progress: Callable[[str], None] | None = None,
+    workers: int = 1,
+    on_progress: Progress = silent,
 ) -> SearchResult:
     """Find gains, parameters and initial states of an orbit, and verify it.
 
@@ -164,7 +166,9 @@ def search_gains(
         shape: The orbit's shape; by default what a simulation settles to.
         settings: How hard to look.
         allow_unstable: Accept orbits that do not attract.
-        on_progress: Called with what is being done.
+        workers: Processes that try starts; with several, ``problem`` is a name or a file, and
+            ``start`` is not given. The answer does not depend on their number.
+        on_progress: Called with what is being done and the part of it that is done.
 
     Returns:
         The verified orbits, the best first, or why there is none.
@@ -173,10 +177,16 @@ def search_gains(
         InputError: If a name is unknown, a number out of range, or bounds are the wrong way round.
     """
     from zeno_orbits.search import search
+    from zeno_orbits.work import Plan, Workers
 
-    known = _known(problem)
-    if start is not None:
-        known = replace(known, starts=(dict(start),))
+    known = _known(problem, start)
+    spread = None
+    if workers > 1:
+        spread = search.Spread(
+            problem_file=_file_of(problem, start),
+            plan=Plan(place=Workers(count=workers)),
+            tell=on_progress,
+        )
     if free is None:
         free = {
             gain.name: (gain.lower, gain.upper)
@@ -193,6 +203,7 @@ def search_gains(
         settings=settings,
         accept=Verified(problem=known, allow_unstable=allow_unstable),
         on_progress=on_progress,
+        spread=spread,
         shape=shape,
     )
     return _with_certificates(result)
@@ -207,7 +218,7 @@ def close_orbit(
     near: ZenoOrbit | str | Path | None = None,
     shape: OrbitShape | None = None,
     settings: SimulationSettings | None = None,
-    on_progress: Callable[[str], None] | None = None,
+    on_progress: Progress = silent,
 ) -> Closing:
     """Return the orbit to which a simulation settles: faster than `find_orbit`, not verified.
 
@@ -219,16 +230,14 @@ def close_orbit(
         near: A known orbit to start from, or its file.
         shape: The orbit's shape; by default what the motion settles to.
         settings: Integrator and accuracy.
-        on_progress: Called with what is being done.
+        on_progress: Called with what is being done and the part of it that is done.
 
     Raises:
         InputError: If a name is unknown or a number out of range.
     """
     from zeno_orbits.search import closing
 
-    known = _known(problem)
-    if start is not None:
-        known = replace(known, starts=(dict(start),))
+    known = _known(problem, start)
     return closing.close_orbit(
         known,
         known.values(gains=gains, parameters=parameters),
@@ -244,7 +253,7 @@ def verify(
     *,
     problem: Named | None = None,
     settings: VerificationSettings | None = None,
-    on_progress: Callable[[str], None] | None = None,
+    on_progress: Progress = silent,
 ) -> OrbitCertificate:
     """Return the certificate of an orbit: what an independent forward integration says of it.
 
@@ -252,7 +261,7 @@ def verify(
         orbit: The orbit, or its file; its own certificate and multipliers are ignored.
         problem: Its problem; by default the bundled one of its name.
         settings: Tolerance, number of periods and accuracy.
-        on_progress: Called with the name of each stage as it begins.
+        on_progress: Called with what is being done and the part of it that is done.
 
     Raises:
         InputError: If the orbit's problem is not known, or its numbers do not fit the problem.
@@ -278,26 +287,30 @@ def floquet_multipliers(
         InputError: If the orbit's problem is not known, or its numbers do not fit the problem.
         SimulationError: If the orbit does not return.
     """
+    import numpy as np
+
     from zeno_orbits.orbits import poincare
+    from zeno_orbits.orbits.cycle import first_cycles
     from zeno_orbits.orbits.period import placed
-    from zeno_orbits.simulation.simulator import SimulationSettings as Settings
-    from zeno_orbits.verification.integration import claim_of, observe
-    from zeno_orbits.verification.verifier import problem_dynamics
+    from zeno_orbits.simulation import simulator
 
     orbit = _read(orbit)
     known = problem_of(orbit, problem)
-    claim, dynamics = claim_of(orbit, known), problem_dynamics(orbit, known)
-    cycle = observe(dynamics, claim, Settings(), 1).cycle
-    if cycle is None:
-        state = tuple(claim.start.tolist())
-        raise SimulationError("The orbit does not return", time=claim.period, state=state)
+    dynamics, settings = known.dynamics(orbit.values(known)), simulator.SimulationSettings()
+    shape = orbit.shape.at_restitution(dynamics.restitution)
+    release = known.state_vector(orbit.phases[0].start_state)
+    start = placed(dynamics, shape, np.array(release, dtype=np.float64))
+    motion = simulator.simulate(dynamics, start, until=1.5 * orbit.period, settings=settings)
+    found = first_cycles(motion, start, shape)
+    if not found:
+        raise SimulationError("The orbit does not return", time=motion.end_time, state=release)
     return poincare.floquet_multipliers(
         dynamics,
-        placed(dynamics, claim.shape, claim.start),
-        scale=cycle.scale,
-        period=cycle.end.time,
-        settings=Settings(),
-        shape=claim.shape,
+        start,
+        scale=found[0].scale(),
+        period=found[0].period,
+        settings=settings,
+        shape=shape,
     )
 
 
@@ -308,7 +321,8 @@ def continue_orbit(
     *,
     problem: Named | None = None,
     settings: ContinuationSettings | None = None,
-    on_progress: Callable[[str, float | None], None] | None = None,
+    workers: int = 1,
+    on_progress: Progress = silent,
 ) -> Continuation:
     """Return the family of an orbit in a gain or parameter, with folds, flips, branches and ends.
 
@@ -318,7 +332,8 @@ def continue_orbit(
         box: Its range, lower end first; the orbit's own number lies in it.
         problem: The orbit's problem; by default the bundled one of its name.
         settings: Accuracy and steps.
-        on_progress: Called with what is being done and, where it is known, the part that is done.
+        workers: Processes that follow pieces of it; with several, ``problem`` is a name or a file.
+        on_progress: Called with what is being done and the part of it that is done.
 
     Raises:
         InputError: If a name is unknown or the range does not fit.
@@ -327,10 +342,26 @@ def continue_orbit(
     from zeno_orbits.continuation import continuation
 
     orbit = _read(orbit)
-    tell = {} if on_progress is None else {"tell": on_progress}
-    return continuation.continue_orbit(
-        problem_of(orbit, problem), orbit, parameter, box, settings=settings, **tell
-    )
+    source = problem or orbit.problem
+    with _crew(source, workers, on_progress) as crew:
+        known = problem_of(orbit, problem) if crew is None else crew.problem_file.load()
+        return continuation.continue_orbit(
+            known, orbit, parameter, box, settings=settings, tell=on_progress, crew=crew
+        )
+
+
+@contextmanager
+def _crew(problem: Named, workers: int, on_progress: Progress) -> Generator[Crew | None]:
+    """Open the workers of a continuation, if there are to be any."""
+    from zeno_orbits.continuation.parallel import Crew
+    from zeno_orbits.work import Plan, Workers, open_pool
+
+    if workers == 1:
+        yield None
+        return
+    plan = Plan(place=Workers(count=workers))
+    with open_pool(plan.place) as pool:
+        yield Crew(problem_file=_file_of(problem), plan=plan, pool=pool, tell=on_progress)
 
 
 def parameter_map(
@@ -343,7 +374,7 @@ def parameter_map(
     start: Numbers | None = None,
     until: float | None = None,
     workers: int = 1,
-    on_progress: Callable[[int, int], None] | None = None,
+    on_progress: Progress = silent,
 ) -> ParameterMap:
     """Return what motions settle to over a plane of two gains or parameters.
 
@@ -354,29 +385,31 @@ def parameter_map(
         gains: Gains that differ from the problem's own.
         parameters: Parameters that differ from the problem's own.
         start: State name to value where every motion starts; by default the problem's first start.
-        until: How long a motion may take to settle [s].
-        workers: Processes; 0 means one a core.
-        on_progress: Called with the points that are done and their number.
+        until: How long a motion may take to settle [s]; by default 300 periods of the problem's
+            clock, or 60 s without one.
+        workers: Processes; with 1 no other than this one; 0 means one a core.
+        on_progress: Called with what is being done and the part of it that is done.
 
     Raises:
         InputError: If a name is unknown, a range does not fit, or there are too many points.
         WorkError: If the work cannot be finished.
     """
     from zeno_orbits.maps import parameter_map as maps
+    from zeno_orbits.maps import plane as planes
     from zeno_orbits.work import Plan, Workers
 
     known = _known(problem)
-    plane = maps.Plane(
-        problem_file=_file_of(problem),
-        x=maps.Axis(name=x[0], lower=x[1], upper=x[2], count=x[3]),
-        y=maps.Axis(name=y[0], lower=y[1], upper=y[2], count=y[3]),
+    plane = planes.Plane(
+        source=known if workers == 1 else _file_of(problem),
+        x=planes.Axis(name=x[0], lower=x[1], upper=x[2], count=x[3]),
+        y=planes.Axis(name=y[0], lower=y[1], upper=y[2], count=y[3]),
         gains=dict(gains or {}),
         parameters=dict(parameters or {}),
         start=known.state_vector(known.starts[0] if start is None else start),
-        **({} if until is None else {"until": until}),
+        until=until,
     )
-    plan = Plan(place=Workers(count=workers), chunk=maps.chunk_of(plane))
-    return maps.parameter_map(plane, plan, tell=on_progress)
+    plan = Plan(place=Workers(count=workers or None), chunk=planes.chunk_of(plane))
+    return maps.parameter_map(plane, plan, on_progress=on_progress)
 
 
 def plot(result: Any, *, problem: Named | None = None, **style: Any) -> Figure:
@@ -390,6 +423,28 @@ def plot(result: Any, *, problem: Named | None = None, **style: Any) -> Figure:
     from zeno_orbits.report.plots import figure_of
 
     return figure_of(result, problem=None if problem is None else _known(problem), **style)
+
+
+def equilibrium_acceleration(
+    problem: Named, *, gains: Numbers | None = None, parameters: Numbers | None = None
+) -> Any:
+    r"""Return :math:`\ddot h` at a Zeno equilibrium as a SymPy formula with numbers in it.
+
+    Theorem 1: where it is negative, impacts accumulate nearby.
+
+    Args:
+        problem: The problem, its name or its file.
+        gains: Gains that differ from the problem's own.
+        parameters: Parameters that differ from the problem's own.
+
+    Raises:
+        InputError: If a name is unknown or a number out of range.
+    """
+    from zeno_orbits.model import formulas
+
+    known = _known(problem)
+    values = known.values(gains=gains, parameters=parameters)
+    return formulas.with_numbers(formulas.equilibrium_acceleration(known), values)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -410,7 +465,7 @@ class Verified:
 
     def __call__(self, orbit: ZenoOrbit) -> Any:
         """Return the certificate of an orbit, and the objection to it if there is one."""
-        from zeno_orbits.search.search import Judgement
+        from zeno_orbits.search import Judgement
         from zeno_orbits.verification import verifier
 
         known = self.problem if isinstance(self.problem, Problem) else self.problem.load()
@@ -465,21 +520,20 @@ def _with_certificates(result: SearchResult) -> SearchResult:
     return replace(result, orbit=best, candidates=candidates)
 
 
-def _known(problem: Named) -> Problem:
-    return problem if isinstance(problem, Problem) else locate_problem(problem).load()
+def _known(problem: Named, start: Numbers | None = None) -> Problem:
+    """Return a problem; with ``start``, searches of it start there alone."""
+    known = problem if isinstance(problem, Problem) else locate_problem(problem).load()
+    return known if start is None else replace(known, starts=(dict(start),))
 
 
-def _file_of(problem: Named) -> ProblemFile:
-    if isinstance(problem, Problem):
-        return locate_problem(problem.name)
+def _file_of(problem: Named, start: Numbers | None = None) -> ProblemFile:
+    """Return what several workers can load."""
+    if isinstance(problem, Problem) or start is not None:
+        given = "an object" if isinstance(problem, Problem) else "one with another `start`"
+        wanted = "must be a name or a file where `workers` load it themselves"
+        raise InputError(f"Argument `problem` {wanted}, but it is {given}.")
     return locate_problem(problem)
 
 
 def _read(orbit: ZenoOrbit | str | Path) -> ZenoOrbit:
     return orbit if isinstance(orbit, ZenoOrbit) else read_orbit(orbit)
-
-
-def _dynamics(problem: Problem, values: ParameterValues) -> Any:
-    from zeno_orbits.model.numeric.compiled import bind, compiled_model
-
-    return bind(compiled_model(problem), values.vector)

@@ -14,7 +14,6 @@ from zeno_orbits.integrators import Automatic, Engine, Radau, RungeKutta, Taylor
 from zeno_orbits.integrators.casadi_to_heyoka import heyoka_is_installed
 from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compile_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.simulation.completion import ZenoExtrapolation
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
@@ -34,7 +33,7 @@ def problem(name: str, rate: float | None = None) -> HybridDynamics:
     """Return a problem at its numbers, compiled."""
     problem = load_problem(name)
     parameters = {} if rate is None else work.declared(rate)
-    return bind(compile_problem(problem), problem.values(parameters=parameters).vector)
+    return problem.dynamics(problem.values(parameters=parameters))
 
 
 def prepare(

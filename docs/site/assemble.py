@@ -6,6 +6,7 @@ their places; the front page is the README of the repository.
 
 from __future__ import annotations
 
+import inspect
 import re
 import shutil
 import sys
@@ -14,6 +15,8 @@ from pathlib import Path
 
 from commands import command_page
 from navigation import navigation
+
+import zeno_orbits
 
 ROOT = Path(__file__).parents[2]
 ELSEWHERE = ("CONTRIBUTING.md", "CHANGELOG.md", "LICENSE", "CITATION.cff")
@@ -57,17 +60,34 @@ def _toctree(pages: list[str], caption: str = "") -> Iterator[str]:
 
 
 def _write_reference(folder: Path) -> None:
-    """Write a page a public module, and link the page that lists them to these."""
+    """Write a page for each public name, and link the page that lists them to these."""
     page = (folder / REFERENCE).read_text()
-    listed = re.findall(r"^\| `(zeno_orbits\.[\w.]+)` \|", page, re.MULTILINE)
+    names = listed_names(page)
     page = re.sub(
-        r"^\| `(zeno_orbits\.[\w.]+)` \|", r"| [`\1`](api/\1.md) |", page, flags=re.MULTILINE
+        r"^\| (`.*?`) \|",
+        lambda row: "| " + re.sub(r"`(\w+)`", r"[`\1`](api/\1.md)", row[1]) + " |",
+        page,
+        flags=re.MULTILINE,
     )
-    modules = [f"api/{name}.md" for name in listed]
-    _write(folder / REFERENCE, "\n".join([page, *_toctree(modules)]))
-    for name in listed:
-        directive = ("```{eval-rst}", f".. automodule:: {name}", "   :members:", "```")
+    pages = [f"api/{name}.md" for name in names]
+    _write(folder / REFERENCE, "\n".join([page, *_toctree(pages)]))
+    for name in names:
+        directive = ("```{eval-rst}", *_directive(name), "```", "")
         _write(folder / "docs" / "api" / f"{name}.md", "\n".join([f"# `{name}`", "", *directive]))
+
+
+def listed_names(page: str) -> list[str]:
+    """Return the public names that the first column of the reference lists, in order."""
+    rows = re.findall(r"^\| (`.*?`) \|", page, re.MULTILINE)
+    return [name for row in rows for name in re.findall(r"`(\w+)`", row)]
+
+
+def _directive(name: str) -> tuple[str, ...]:
+    value = getattr(zeno_orbits, name)
+    if inspect.isclass(value):
+        return (f".. autoclass:: zeno_orbits.{name}", "   :members:")
+    kind = "autofunction" if inspect.isfunction(value) else "autodata"
+    return (f".. {kind}:: zeno_orbits.{name}",)
 
 
 def _write(path: Path, text: str) -> None:

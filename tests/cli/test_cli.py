@@ -29,7 +29,7 @@ from zeno_orbits.model.library import bundled_problems, load_problem
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.precision.extended_orbit import ExtendedOrbit, extended_orbit
 from zeno_orbits.report.terminal import progress
-from zeno_orbits.search.search import SearchSettings
+from zeno_orbits.search import SearchSettings
 from zeno_orbits.simulation.execution import Execution
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 from zeno_orbits.verification.certificate import OrbitCertificate
@@ -293,7 +293,7 @@ def test_a_search_that_misses_says_which_conditions_by_name(
 ) -> None:
     """One gain, a narrow box, no small steps: a quick no, with all that a long one says."""
     impatient = partial(SearchSettings, smallest_step=0.02)
-    monkeypatch.setattr("zeno_orbits.search.search.SearchSettings", impatient)
+    monkeypatch.setattr("zeno_orbits.search.settings.SearchSettings", impatient)
     answer = ask(
         *("search", "motor_pendulum", "--fix", "Kd=-1", "--gain", "Kp=2.49:2.51"),
         *("--objective", "period=1.95", "--starts", "1", "-o", "f.json"),
@@ -514,7 +514,7 @@ def test_verify_at_an_accuracy_refuses_a_period_that_is_further_off(
     (here / "off.json").write_text(json.dumps(orbit_data))
     refused = ask("verify", "off.json", "--accuracy", "1e-6")
     assert refused.code == NO
-    assert "Refused: `period` is 1.00e-05, above 1e-06" in refused.out
+    assert "Refused: `period` = 1.0e-05 exceeds 1e-06" in refused.out
     assert error_said(refused) >= 0.99e-5
     assert ask("verify", "off.json", "--accuracy", "1e-4").code == YES
 

@@ -9,7 +9,7 @@ import pytest
 
 from zeno_orbits.cli.search_output import answer, far_from_own
 from zeno_orbits.model.problem import Problem
-from zeno_orbits.search.search import SearchResult, SearchStatus
+from zeno_orbits.search import SearchResult, SearchStatus
 
 NOTHING = SearchResult(
     status=SearchStatus.NO_GUESS,

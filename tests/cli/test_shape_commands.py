@@ -80,7 +80,7 @@ def _count(data: dict[str, Any]) -> None:
         (_phase_out, 1, "Refused: "),
         (_impact_out, 2, "must have an impact in phase 2"),
         (_swapped, 1, "`phases` is "),
-        (_twice, 1, "the margin `phases_apart` is 0.00e+00, not positive"),
+        (_twice, 1, "the margin `phases_apart` = 0.0e+00 is not positive"),
         (_count, 2, "its `shape` is `impact*4`, but its phases are `impact*3`"),
     ],
 )

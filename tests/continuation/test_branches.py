@@ -15,7 +15,7 @@ from zeno_orbits.continuation.corrector import Metric, first_point
 from zeno_orbits.continuation.families import Kind
 from zeno_orbits.continuation.return_maps import Loss, Margin, Return
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.orbits.section import Frame, Line
+from zeno_orbits.orbits.section import Line, Section
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,11 +45,17 @@ class Formula:
             margins={one: value(x, s) for one, value in self.margins.items()},
         )
 
-    def frame(self, x: Vector, s: float, scale: Vector) -> Frame:
+    def frame(self, x: Vector, s: float, scale: Vector) -> Section:
         del s
         eye = np.eye(x.size)
-        lift = np.concatenate([scale[:, None] * eye, np.zeros((x.size, 1))], axis=1)
-        return Frame(tangent=eye, lift=lift, scale=scale)
+        return Section(
+            rows=(),
+            centre=x,
+            scale=scale,
+            tangent=eye,
+            normal=np.zeros((x.size, 0)),
+            drift=np.zeros((x.size, 1)),
+        )
 
     def projected(self, x: Vector, s: float, scale: Vector) -> Vector:
         del s, scale

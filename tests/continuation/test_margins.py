@@ -27,7 +27,7 @@ from zeno_orbits.continuation.setup import ContinuationSettings, Track, track_of
 from zeno_orbits.continuation.two_parameters.plane import Plane
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.orbits.section import Frame, Line
+from zeno_orbits.orbits.section import Line, Section
 
 OSCILLATOR = load_problem("forced_oscillator")
 DEFAULT, SHORT = Steps(), Steps(first=0.003, longest=0.01)
@@ -253,7 +253,7 @@ class Blind:
         found = self.returns.follow(x, s, horizon=horizon)
         return replace(found, margins={key: found.margins[key] for key in self.kept})
 
-    def frame(self, x: Vector, s: float, scale: Vector) -> Frame:
+    def frame(self, x: Vector, s: float, scale: Vector) -> Section:
         return self.returns.frame(x, s, scale)
 
     def projected(self, x: Vector, s: float, scale: Vector) -> Vector:

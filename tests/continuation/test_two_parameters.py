@@ -21,7 +21,7 @@ from zeno_orbits.continuation.two_parameters.plane import CurveSteps, Plane
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.orbits.section import Frame, Line
+from zeno_orbits.orbits.section import Line, Section
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,12 +128,11 @@ def test_charts_that_turn_with_every_question_change_nothing() -> None:
     class Turning(InTwo):
         dice: np.random.Generator
 
-        def frame(self, x: np.ndarray, s: float, scale: np.ndarray) -> Frame:
-            del x, s
+        def frame(self, x: np.ndarray, s: float, scale: np.ndarray) -> Section:
+            del s
             angle = self.dice.uniform(0.0, 6.0)
             tangent = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-            lift = np.column_stack([scale[:, None] * tangent, np.zeros(2)])
-            return Frame(tangent=tangent, lift=lift, scale=scale)
+            return replace(super().frame(x, 0.0, scale), tangent=tangent)
 
     # The cusp again, with a second multiplier of 1 + p1 - 3: far from the circle.
     image = in_two(

@@ -24,7 +24,7 @@ from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.search.closing import close_orbit
+from zeno_orbits.search import close_orbit
 from zeno_orbits.simulation.simulator import simulate
 
 SIGNALS = ("theta1", "theta2", "current")

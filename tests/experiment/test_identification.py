@@ -22,10 +22,9 @@ from zeno_orbits.experiment.identification.orbit_sensitivity import orbit_slope
 from zeno_orbits.experiment.identification.uncertainty import unseen_combinations
 from zeno_orbits.experiment.orbit_table import table_of
 from zeno_orbits.experiment.recordings.recording import Recording
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.search.closing import close_cycle, close_orbit
+from zeno_orbits.search import close_cycle, close_orbit
 from zeno_orbits.simulation.simulator import SimulationSettings
 
 SOUGHT = (
@@ -94,14 +93,14 @@ def test_the_orbits_derivatives_are_those_of_neighbouring_orbits(
     cycle, settings = table.cycle, SimulationSettings()
 
     def closed(values: np.ndarray):
-        dynamics = bind(compiled_model(problem), tuple(values.tolist()))
+        dynamics = problem.dynamics(values)
         return close_cycle(
             dynamics, cycle.start.state, scale=cycle.scale(), period=cycle.period, settings=settings
         ).cycle
 
     here = closed(p)
     slope = orbit_slope(
-        bind(compiled_model(problem), tuple(p.tolist())),
+        problem.dynamics(p),
         here.start.state,
         scale=here.scale(),
         period=here.period,

@@ -39,8 +39,7 @@ from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.drives import MotorBank, full_drive, quasi_static_drive
 from zeno_orbits.model.hybrid import CompletedSystem, complete
 from zeno_orbits.model.lagrangian import HybridLagrangian
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import reference_model
+from zeno_orbits.model.library import load_problem, load_reference
 from zeno_orbits.model.problem import Problem, restitution
 from zeno_orbits.model.quantities import Quantity
 from zeno_orbits.model.rig_parts import (
@@ -191,7 +190,7 @@ def test_the_rig_of_the_pendulum_moves_as_scipy_moves_the_one_written_by_hand(
     """Contact force, normal inertia and feedback, through the first impact and into the second."""
     stiffness = 1e4
     values = orbit.values(problem)
-    by_hand = reference_model(problem)(values)
+    by_hand = load_reference(problem).dynamics(values)
     number = damping_number(values.number("restitution"))
     start = np.array(problem.state_vector(orbit.release_state))
 
@@ -234,7 +233,7 @@ def test_energy_that_a_contact_takes_is_that_of_newtons_law() -> None:
     """Two coordinates: the kinetic metric makes the inertia that the contact feels."""
     pendulum = load_problem("motor_pendulum")
     values = pendulum.values()
-    hand = reference_model(pendulum)(values)
+    hand = load_reference(pendulum).dynamics(values)
     run = simulate_rig(
         pendulum,
         values,
@@ -517,7 +516,7 @@ def test_each_further_contact_of_the_chatter_adds_its_length(
     lasting, left = spring_contact(e, 0.0)
     load = 1e-4
     slower = (left - spring_contact(e, load)[1]) / (load * lasting)
-    hand = reference_model(problem)(orbit.values(problem))
+    hand = load_reference(problem).dynamics(orbit.values(problem))
     inertia = hand.normal_inertia(np.array(problem.state_vector(orbit.zeno_state)))
     expected = lasting * math.sqrt(inertia) * (1 - 2 * slower / (1 - e))
     # The next terms are smaller by the length of a contact over that of the first flights, 1e-3 at

@@ -13,10 +13,9 @@ from zeno_orbits.experiment.identification.identification import Sought, Unfitta
 from zeno_orbits.experiment.orbit_table import table_of
 from zeno_orbits.experiment.recordings.recording import Recording, cut
 from zeno_orbits.experiment.recordings.sampling import Sampling, sampled
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.search.closing import close_orbit
+from zeno_orbits.search import close_orbit
 from zeno_orbits.simulation.simulator import simulate
 
 SOUGHT = (
@@ -31,7 +30,7 @@ SIGNALS = ("theta1", "theta2", "current")
 def settling(problem: Problem) -> Recording:
     """A machine from its first start on."""
     values = problem.values(parameters=TRUTH)
-    dynamics = bind(compiled_model(problem), tuple(values.vector))
+    dynamics = problem.dynamics(values)
     motion = simulate(dynamics, problem.state_vector(problem.starts[0]), until=13.0)
     whole = sampled(problem, dynamics, motion, Sampling(rate=200.0, noise=5e-3))
     return replace(whole, signals=tuple(one for one in whole.signals if one.name in SIGNALS))

@@ -10,7 +10,6 @@ import pytest
 from zeno_orbits.errors import InputError, TranslationError
 from zeno_orbits.integrators.casadi_to_heyoka import _SPELLED, _operations, load_heyoka, translate
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import compile_problem
 
 heyoka = pytest.importorskip("heyoka", reason="needs the extra `taylor`")
 
@@ -219,7 +218,7 @@ def test_a_power_of_two_variables_has_the_series_of_exp_and_log() -> None:
 @pytest.mark.parametrize("part", ["rate", "guard"])
 def test_the_pendulum_moves_by_the_same_numbers(mode: str, part: str) -> None:
     problem = load_problem("motor_pendulum")
-    function = getattr(getattr(compile_problem(problem), mode), part)
+    function = getattr(getattr(problem.compiled(), mode), part)
     parameters = np.array(problem.values().vector)
     if mode == "flight":
         parameters = np.append(parameters, 0.37)
@@ -236,7 +235,7 @@ def test_the_pendulum_moves_by_the_same_numbers(mode: str, part: str) -> None:
 @pytest.mark.parametrize("name", ["contact", "impulse", "energy"])
 def test_what_an_impact_needs_has_the_same_numbers(name: str) -> None:
     problem = load_problem("motor_pendulum")
-    function = getattr(compile_problem(problem), name)
+    function = getattr(problem.compiled(), name)
     parameters = np.array(problem.values().vector)
     state = np.array([0.4, 0.2, -1.0, 2.0, 0.5])
     own = _own(function, state, parameters)

@@ -23,7 +23,7 @@ from zeno_orbits.integrators.flow import (
 )
 from zeno_orbits.integrators.radau import solved
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compile_problem, compiled_model
+from zeno_orbits.model.numeric.compiled import bind
 from zeno_orbits.model.numeric.compiled_flow import CompiledFlow, ModeFunctions
 from zeno_orbits.simulation.simulator import simulate
 
@@ -82,7 +82,7 @@ def test_the_eigenvectors_rebuild_the_inverse_of_the_matrix(n_stages: int) -> No
 
 def test_compiled_and_plain_iterations_are_the_same() -> None:
     problem = load_problem("motor_pendulum")
-    dynamics = bind(compile_problem(problem), problem.values().vector)
+    dynamics = problem.dynamics(problem.values())
     flow = dynamics.free
     plain = PlainFlow(field=flow.rate, guard_and_rate=flow.guard)
     y, scheme, size = np.array([0.2, 0.1, -5.0, 1.0, -1.8]), radau(7), 5e-4
@@ -107,7 +107,7 @@ def test_compiled_and_plain_iterations_are_the_same() -> None:
 
 def test_the_jacobian_of_a_compiled_flow_is_its_derivative() -> None:
     problem = load_problem("motor_pendulum")
-    flow = bind(compile_problem(problem), problem.values().vector).free
+    flow = problem.dynamics(problem.values()).free
     y = np.array([0.2, 0.1, -5.0, 1.0, -1.8])
     plain = PlainFlow(field=flow.rate, guard_and_rate=flow.guard)
     assert flow.jacobian(y) == pytest.approx(plain.jacobian(y), rel=1e-6, abs=1e-5)
@@ -180,7 +180,7 @@ def test_two_motors_ten_times_apart_are_followed_implicitly() -> None:
     steps = []
     for apart in (10.0, 1000.0):
         coils = {"L": resistance / 1e5, "L_coil2": resistance / 1e5 * apart}
-        dynamics = bind(compiled_model(problem), problem.values(parameters=coils).vector)
+        dynamics = problem.dynamics(problem.values(parameters=coils))
         run = simulate(dynamics, start, until=1.0)
         steps.append(sum(len(arc.flow_times) - 1 for arc in run.arcs))
     # The explicit engine takes 15 700 for either.
@@ -218,7 +218,7 @@ def test_a_leg_that_is_nearly_over_is_finished_explicitly() -> None:
 def test_flights_that_share_their_memory_do_not_disturb_each_other() -> None:
     problem = load_problem("motor_pendulum")
     values = problem.values().vector
-    compiled = compile_problem(problem)
+    compiled = problem.compiled()
     shared = bind(compiled, values)
     y = np.array([0.2, 0.0, -5.0, 1.0, -1.8, 0.0, 1.0])
     speeds = (0.3, 2.0)

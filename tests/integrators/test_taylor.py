@@ -28,7 +28,7 @@ from zeno_orbits.integrators import Leg, Outcome, Passage, RungeKutta, Taylor, t
 from zeno_orbits.integrators import taylor_modes as series
 from zeno_orbits.integrators.flow import GuardedFlow, PlainFlow, Tolerance
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compile_problem, compiled_model
+from zeno_orbits.model.numeric.compiled import bind
 from zeno_orbits.model.numeric.compiled_flow import CompiledFlow, mode_functions
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
@@ -44,13 +44,13 @@ LOCATED = 1e-14
 @pytest.fixture(name="pendulum", scope="module")
 def _pendulum() -> HybridDynamics:
     problem = load_problem("motor_pendulum")
-    return bind(compile_problem(problem), problem.values().vector)
+    return problem.dynamics(problem.values())
 
 
 @pytest.fixture(name="ball", scope="module")
 def _ball() -> HybridDynamics:
     problem = load_problem("bouncing_ball")
-    return bind(compile_problem(problem), problem.values(parameters={"restitution": 0.5}).vector)
+    return problem.dynamics(problem.values(parameters={"restitution": 0.5}))
 
 
 @pytest.fixture(name="walked")
@@ -130,7 +130,7 @@ def test_whole_executions_are_those_of_the_runge_kutta_engine(
 def test_a_coarse_run_misses_no_impact(name: str, relative: float) -> None:
     """After a false root heyoka looks away for a while, the longer the coarser it is."""
     problem = load_problem(name)
-    dynamics = bind(compiled_model(problem), tuple(problem.values().vector))
+    dynamics = problem.dynamics(problem.values())
     start = problem.state_vector(problem.starts[0])
     rough = Tolerance(relative=relative, absolute=relative / 10)
     runs = [
@@ -348,7 +348,7 @@ def test_heyoka_prints_nothing(ball: HybridDynamics, capfd: pytest.CaptureFixtur
 
 def test_new_gains_compile_nothing() -> None:
     problem = load_problem("motor_pendulum")
-    functions = compile_problem(problem)
+    functions = problem.compiled()
     counts: list[int] = []
     for stiffness in (2.5, 2.6, 3.0):
         values = problem.values(gains={"Kp": stiffness})
@@ -399,7 +399,7 @@ def test_the_tolerance_is_that_of_the_leg(pendulum: HybridDynamics) -> None:
 
 def test_threads_do_not_share_an_integrator() -> None:
     problem = load_problem("motor_pendulum")
-    functions = compile_problem(problem)
+    functions = problem.compiled()
 
     def run(_: int) -> float:
         own = bind(functions, problem.values().vector)
@@ -412,7 +412,7 @@ def test_threads_do_not_share_an_integrator() -> None:
 
 def test_the_lean_formulas_of_a_mode_are_its_own() -> None:
     problem = load_problem("motor_pendulum")
-    dynamics = bind(compile_problem(problem), problem.values().vector)
+    dynamics = problem.dynamics(problem.values())
     generator = np.random.default_rng(3)
     for flow in (dynamics.free, dynamics.locked, dynamics.flight(0.7)):
         mode, p = series.symbols_of(flow)
@@ -425,7 +425,7 @@ def test_the_lean_formulas_of_a_mode_are_its_own() -> None:
 
 def test_only_what_rests_is_left_out() -> None:
     problem = load_problem("motor_pendulum")
-    dynamics = bind(compile_problem(problem), problem.values().vector)
+    dynamics = problem.dynamics(problem.values())
     (free, _), (locked, p) = (series.symbols_of(f) for f in (dynamics.free, dynamics.locked))
     # The gap and its rate rest on the stop; off it gravity sets the link in motion.
     assert series._resting(locked, (1, 3)) == (1, 3)
@@ -445,7 +445,7 @@ def test_only_what_rests_is_left_out() -> None:
 
 def test_a_gap_that_is_not_quite_zero_stays_in_the_series_of_a_locked_arc() -> None:
     problem = load_problem("motor_pendulum")
-    dynamics = bind(compile_problem(problem), problem.values().vector)
+    dynamics = problem.dynamics(problem.values())
     ends: list[Passage] = []
     for gap in (0.0, 1e-14):
         start = np.array([1.236, gap, 1.749, 0.0, -0.46])

@@ -24,7 +24,7 @@ from tests.support.families import BALL, BOWL, CART, LENGTH, OSCILLATOR, Family
 from tests.support.units import PENDULUM, PENDULUM_STATE, Units
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compile_problem
+from zeno_orbits.model.numeric.compiled import bind
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.precision.accuracy import simulate_with_error
@@ -120,7 +120,7 @@ def test_friction_is_seen_when_a_flight_is_run_back() -> None:
 @cache
 def _pendulum() -> tuple[Problem, Callable[[Sequence[float]], HybridDynamics]]:
     problem = load_problem("motor_pendulum")
-    compiled = compile_problem(problem)
+    compiled = problem.compiled()
     return problem, lambda values: bind(compiled, values)
 
 

@@ -10,17 +10,16 @@ from tests.reference.reference_orbit import PERIOD, PERIODS, RELEASE
 from tests.support.mechanisms import clocked_oscillator
 from zeno_orbits.continuation.return_maps import Composed, ImpactReturns
 from zeno_orbits.errors import InputError, RunawayError
-from zeno_orbits.maps.classify import RUNAWAY, attractors_at
+from zeno_orbits.maps.attractors import Attractor, Fate
+from zeno_orbits.maps.classify import attractors_at
 from zeno_orbits.maps.newton_attempt import Lost
 from zeno_orbits.maps.newton_impacts import bundle_around
 from zeno_orbits.maps.newton_request import Accuracy
 from zeno_orbits.maps.point import Point
-from zeno_orbits.maps.return_sequence import changes, growth_of, scale_of
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.orbits.poincare import floquet_multipliers
 from zeno_orbits.orbits.section import Line
-from zeno_orbits.simulation.attractor import Attractor, Fate
+from zeno_orbits.simulation.attractor import TEN_TURNS
 from zeno_orbits.simulation.batch.outcomes import Ended, Reason, Struck
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 
@@ -33,7 +32,7 @@ def at(kp, kd, **parameters):
 
 
 def dynamics_at(values):
-    return bind(compiled_model(PENDULUM), values.vector)
+    return PENDULUM.dynamics(values)
 
 
 def state_of(attractor):
@@ -105,13 +104,13 @@ def test_an_escape_is_told_in_the_words_of_the_problem():
 
 
 def test_what_runs_away_is_named_as_a_single_simulation_names_it():
-    bounds = dict.fromkeys(("theta1", "theta2"), RUNAWAY)
+    bounds = dict.fromkeys(("theta1", "theta2"), TEN_TURNS)
     for values in (at(1.2, -1.95), at(1.63, -2.0)):
         (found,) = attractors_at(PENDULUM, [values], bounds=bounds)
         assert found.fate is Fate.ESCAPE
         with pytest.raises(RunawayError) as error:
             simulate(
-                dynamics_at(values), START, until=60.0, settings=SimulationSettings(far=RUNAWAY)
+                dynamics_at(values), START, until=60.0, settings=SimulationSettings(far=TEN_TURNS)
             )
         assert error.value.reason.split()[0] == found.escaped
 
@@ -188,7 +187,8 @@ def test_progress_counts_the_points_up_to_all():
 
 
 def point():
-    return Point(dynamics_at(PENDULUM.values()), np.array(START), 100.0, Accuracy())
+    numbers = dynamics_at(PENDULUM.values())
+    return Point(numbers, PENDULUM.state_units, np.array(START), 100.0, Accuracy())
 
 
 def test_oscillators_with_a_stop_have_their_orbits_in_closed_form():
@@ -243,7 +243,7 @@ def test_the_multipliers_between_impacts_are_those_of_the_exact_derivative():
     assert found.fate is Fate.NO_ZENO
     p = np.array(values.vector)
     returns = ImpactReturns(
-        compiled=compiled_model(oscillator),
+        compiled=oscillator.compiled(),
         line=Line(origin=p, direction=0 * p),
         settings=SimulationSettings(),
     )
@@ -305,26 +305,29 @@ def test_a_lane_that_fails_is_reported_with_its_reason():
     assert (found.fate, found.detail) == (Fate.FAILED, "It is too stiff")
 
 
-def test_growth_near_rest_follows_its_law_down_to_zero():
-    def amplitudes(at_rest, bend, n=12):
-        values = [1.0]
-        for _ in range(n):
-            values.append(values[-1] * math.exp(at_rest + bend * values[-1] ** 2))
-        return values
-
-    assert growth_of(amplitudes(-0.05, -0.02)).dies_out
-    assert growth_of(amplitudes(-0.05, 0.03)).dies_out
-    # Falls to an orbit of amplitude sqrt(0.02 / 0.06), where growth begins.
-    assert not growth_of(amplitudes(0.02, -0.06)).dies_out
-    # Grows.
-    assert growth_of(amplitudes(0.05, -0.01)).factor > 1.0
-    assert not growth_of(amplitudes(0.05, -0.01)).dies_out
+@pytest.mark.parametrize("name", ["vibrating_table", "two_tone_table", "forced_oscillator"])
+def test_a_stop_that_will_let_go_as_the_clock_runs_on_is_no_rest(name):
+    table = load_problem(name)
+    (found,) = attractors_at(table, [table.values()])
+    assert found.fate is Fate.ZENO
+    turn = 2 * math.pi / table.values().number("omega")
+    # A local error of 1e-8 over a hundred steps.
+    assert found.period == pytest.approx(turn, rel=1e-7)
 
 
-def test_changes_see_the_period_of_a_sequence_and_zero_states_do_not_blur_it():
-    states = [np.array([1.0 + 0.1 * (k % 3), 1e-17 * k, 5.0, 0.0, 0.2]) for k in range(9)]
-    scale = scale_of(states, 2)
-    found = changes(states, scale)
-    assert found[3] < 1e-12
-    assert found[1] > 0.05
-    assert found[2] > 0.05
+def test_a_table_that_shakes_too_weakly_to_throw_is_at_rest():
+    table = load_problem("vibrating_table")
+    # Gravity exceeds what the table does to the ball: A omega^2 < g, just and clearly.
+    least = 9.81 / 30.0**2
+    settings = [table.values(parameters={"A": part * least}) for part in (0.3, 0.98, 1.02)]
+    fates = [one.fate for one in attractors_at(table, settings)]
+    assert fates == [Fate.REST, Fate.REST, Fate.ZENO]
+
+
+def test_sections_that_a_small_release_state_is_off_do_not_spoil_differences():
+    bowl = load_problem("curved_surface")
+    (found,) = attractors_at(bowl, [bowl.values()])
+    assert (found.fate, found.returns) == (Fate.ZENO, 1)
+    assert found.period == pytest.approx(2 * math.pi / 30.0, rel=1e-8)
+    # As `search` verifies it: |-0.5802935 +- 0.6813662 i|.
+    assert found.spectral_radius == pytest.approx(abs(-0.5802935 + 0.6813662j), rel=1e-5)

@@ -15,6 +15,12 @@ from tests.reference.long_simulation import LongRun, attractor_of
 from tests.reference.reference_orbit import MULTIPLIER, PERIOD
 from tests.support.mechanisms import clocked_oscillator
 from zeno_orbits.integrators.flow import Tolerance
+from zeno_orbits.maps.attractors import (
+    Attractor,
+    Fate,
+    attractor_from_json,
+    attractor_json,
+)
 from zeno_orbits.model.drives import no_drive
 from zeno_orbits.model.hybrid import CompletedSystem, complete
 from zeno_orbits.model.lagrangian import HybridLagrangian
@@ -24,12 +30,6 @@ from zeno_orbits.model.problem import (
     Problem,
     Quantity,
     restitution,
-)
-from zeno_orbits.simulation.attractor import (
-    Attractor,
-    Fate,
-    attractor_from_json,
-    attractor_json,
 )
 from zeno_orbits.simulation.simulator import SimulationSettings
 

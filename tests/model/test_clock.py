@@ -17,11 +17,10 @@ from zeno_orbits.model.clock import Clock
 from zeno_orbits.model.drives import MotorBank, corrected_drive
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.orbit_file import write_orbit
 from zeno_orbits.orbits.section import release_section
-from zeno_orbits.search.search import find_orbit
+from zeno_orbits.search import find_orbit
 from zeno_orbits.simulation.simulator import simulate
 from zeno_orbits.verification.verifier import verify
 
@@ -79,7 +78,7 @@ def test_the_same_machine_in_other_units_of_time_has_the_same_orbit() -> None:
 
 def test_impacts_of_the_published_orbit_without_a_zeno_point_are_found() -> None:
     values = OSCILLATOR.values(parameters={"c": 0.1, "stop": 1.0, "restitution": 0.8})
-    dynamics = bind(compiled_model(OSCILLATOR), values.vector)
+    dynamics = OSCILLATOR.dynamics(values)
     phase, velocity = 0.07595216493831239, -1.3565863500759056
     start = (0.0, -velocity, math.cos(phase), math.sin(phase))
     run = simulate(dynamics, start, until=2 * PERIOD + 0.1)
@@ -91,7 +90,7 @@ def test_impacts_of_the_published_orbit_without_a_zeno_point_are_found() -> None
 
 
 def test_the_clock_stays_on_its_circle_for_a_thousand_turns() -> None:
-    dynamics = bind(compiled_model(OSCILLATOR), OSCILLATOR.values(parameters={"A": 0.5}).vector)
+    dynamics = OSCILLATOR.dynamics(OSCILLATOR.values(parameters={"A": 0.5}))
     until = 1000 * PERIOD
     run = simulate(dynamics, (0.0, 0.0, 1.0, 0.0), until=until)
     # Locked for good, as 0.5 < 0.8: some 1e4 steps of 1e-12 each drift by 1e-8 at worst.
@@ -100,13 +99,13 @@ def test_the_clock_stays_on_its_circle_for_a_thousand_turns() -> None:
 
 
 def test_a_start_off_the_circle_of_the_clock_is_refused() -> None:
-    dynamics = bind(compiled_model(OSCILLATOR), OSCILLATOR.values().vector)
+    dynamics = OSCILLATOR.dynamics(OSCILLATOR.values())
     with pytest.raises(InputError, match=r"must keep the holonomic constraints"):
         simulate(dynamics, (0.1, 0.0, 0.0, 0.0), until=1.0)
 
 
 def test_the_radius_of_the_clock_is_no_section_coordinate() -> None:
-    dynamics = bind(compiled_model(OSCILLATOR), OSCILLATOR.values().vector)
+    dynamics = OSCILLATOR.dynamics(OSCILLATOR.values())
     section = release_section(dynamics, np.array([0.0, 0.0, -0.8, 0.6]), np.ones(4))
     assert section.dimension == 0
 

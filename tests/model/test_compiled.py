@@ -17,7 +17,7 @@ from zeno_orbits.model.drives import no_drive
 from zeno_orbits.model.hybrid import audited, complete
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compile_problem, compile_system
+from zeno_orbits.model.numeric.compiled import bind, compile_system
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 
 ROUNDING = 1e-15
@@ -58,7 +58,7 @@ def test_the_numbers_of_a_flow_outlive_their_maker() -> None:
 def test_the_fused_rest_is_that_of_the_pendulum_written_by_hand() -> None:
     problem = load_problem("motor_pendulum")
     values = problem.values()
-    compiled = bind(compile_problem(problem), values.vector)
+    compiled = problem.dynamics(values)
     by_hand = reference.dynamics(values)
     assert compiled.fused_resting is not None
     assert by_hand.fused_resting is None
@@ -88,7 +88,7 @@ def test_the_fused_rest_gives_way_to_a_part_that_was_replaced() -> None:
 
 def test_a_compiled_step_is_the_plain_step() -> None:
     problem = load_problem("motor_pendulum")
-    dynamics = bind(compile_problem(problem), problem.values().vector)
+    dynamics = problem.dynamics(problem.values())
     state = np.array([0.4, 0.2, -1.0, 2.0, 0.5])
     plain = PlainFlow(field=dynamics.free.rate, guard_and_rate=dynamics.free.guard)
     tolerance = Tolerance(relative=1e-9, absolute=1e-9)
@@ -122,8 +122,8 @@ def test_a_flow_that_blows_up_ends_in_a_named_error() -> None:
 def test_the_ledger_leaves_the_motion_alone() -> None:
     problem = load_problem("motor_pendulum")
     values = problem.values().vector
-    plain = bind(compile_problem(problem), values)
-    ledger = bind(compile_problem(problem, audited), values)
+    plain = problem.dynamics(values)
+    ledger = problem.dynamics(values, audited)
     state = np.array([0.4, 0.2, -1.0, 2.0, 0.5])
     longer = np.append(state, [1.0, 2.0, 3.0])
     assert ledger.free.rate(longer)[:5].tolist() == plain.free.rate(state).tolist()
@@ -154,7 +154,7 @@ def test_a_loose_symbol_is_named() -> None:
 
 def test_a_step_that_overflows_is_never_accepted() -> None:
     problem = load_problem("motor_pendulum")
-    dynamics = bind(compile_problem(problem), problem.values(gains={"Kd": 0.5}).vector)
+    dynamics = problem.dynamics(problem.values(gains={"Kd": 0.5}))
     plain = PlainFlow(field=dynamics.free.rate, guard_and_rate=dynamics.free.guard)
     state = np.array([-2.8e-7, 0.0, -1.4e-5, 0.0, 2.6e-6])
     tolerance = Tolerance(relative=1e-8, absolute=1e-10)

@@ -8,15 +8,14 @@ import numpy as np
 
 from zeno_orbits.model.hybrid import audited
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compile_problem, compiled_model
 
 
 def test_a_problem_is_compiled_once_for_each_transform() -> None:
     problem = load_problem("motor_pendulum")
-    assert compiled_model(problem) is compiled_model(problem)
-    assert compiled_model(problem, audited) is compiled_model(problem, audited)
-    assert compiled_model(problem, audited) is not compiled_model(problem)
-    assert compiled_model(problem, audited).n_x == compiled_model(problem).n_x + 3
+    assert problem.compiled() is problem.compiled()
+    assert problem.compiled(audited) is problem.compiled(audited)
+    assert problem.compiled(audited) is not problem.compiled()
+    assert problem.compiled(audited).n_x == problem.compiled().n_x + 3
 
 
 def test_a_changed_problem_is_not_mistaken_for_the_one_it_was_made_from() -> None:
@@ -24,18 +23,18 @@ def test_a_changed_problem_is_not_mistaken_for_the_one_it_was_made_from() -> Non
     other = load_problem("bouncing_ball")
     changed = replace(other, name=problem.name, title=problem.title, source=problem.source)
     again = load_problem("motor_pendulum")
-    assert compiled_model(changed).n_x == 2
-    assert compiled_model(problem).n_x == 5
+    assert changed.compiled().n_x == 2
+    assert problem.compiled().n_x == 5
     # Loaded anew, the file may say something else.
-    assert compiled_model(again) is not compiled_model(problem)
+    assert again.compiled() is not problem.compiled()
 
 
 def test_two_systems_bound_to_one_model_keep_their_own_numbers() -> None:
     problem = load_problem("motor_pendulum")
-    weak = problem.values(gains={"Kp": 2.0}).vector
-    strong = problem.values(gains={"Kp": 4.0}).vector
-    shared = [bind(compiled_model(problem), values) for values in (weak, strong)]
-    alone = [bind(compile_problem(problem), values) for values in (weak, strong)]
+    weak = problem.values(gains={"Kp": 2.0})
+    strong = problem.values(gains={"Kp": 4.0})
+    shared = [problem.dynamics(values) for values in (weak, strong)]
+    alone = [replace(problem).dynamics(values) for values in (weak, strong)]
     x = np.array([0.3, 0.2, 1.0, -0.5, 0.1])
     for _ in range(2):
         for ours, theirs in zip(shared, alone, strict=True):

@@ -21,7 +21,6 @@ from tests.support.mechanisms import (
 )
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compile_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.simulation.simulator import simulate
 
@@ -33,7 +32,7 @@ ROUNDING = 1e-12
 def _motor_pendulum() -> HybridDynamics:
     problem = load_problem("motor_pendulum")
     values = problem.values(parameters={"restitution": RESTITUTION})
-    return bind(compile_problem(problem), values.vector)
+    return problem.dynamics(values)
 
 
 @pytest.fixture(name="pendulum", scope="module")

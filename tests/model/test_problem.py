@@ -162,3 +162,31 @@ def test_ranges_are_told_in_words() -> None:
         positive("m", 1.0, "kg", "mass").checked(0.0)
     with pytest.raises(InputError, match=r"must lie in \[0, 1\)"):
         restitution(0.5).checked(1.0)
+
+
+def test_a_name_is_a_gain_or_a_parameter_whichever_it_is() -> None:
+    problem = load_problem("motor_pendulum")
+    mixed = problem.values(gains={"Kd": -1.5}, numbers={"R": 2.0, "Kp": 3.0})
+    assert mixed == problem.values(gains={"Kp": 3.0, "Kd": -1.5}, parameters={"R": 2.0})
+    assert tuple(mixed.numbers.values()) == mixed.vector
+    assert [problem.place(name) for name in problem.names] == [*range(len(problem.names))]
+    assert problem.quantity("Kp") is problem.gains[0]
+    assert problem.quantity("R").unit == "ohm"
+
+
+def test_a_name_that_is_neither_is_refused_by_the_word_of_the_caller() -> None:
+    problem = load_problem("bouncing_ball")
+    with pytest.raises(InputError, match="`name` must be one of m, g, restitution, but it is `w`"):
+        problem.values(numbers={"w": 1.0})
+    with pytest.raises(InputError, match="`in` must be one of m, g, restitution, but it is `w`"):
+        problem.place("w", argument="in")
+
+
+def test_a_range_that_leaves_what_a_parameter_may_be_is_refused() -> None:
+    problem = load_problem("motor_pendulum")
+    with pytest.raises(InputError, match=r"`restitution` must lie in \[0, 1\)"):
+        problem.require_range("restitution", (0.5, 1.0))
+    with pytest.raises(InputError, match="`x` must have finite bounds LOWER < UPPER for `R`"):
+        problem.require_range("R", (2.0, 2.0), argument="x")
+    wider = (problem.gains[0].lower - 1.0, problem.gains[0].upper + 1.0)
+    assert problem.require_range("Kp", wider) is problem.gains[0]

@@ -1,4 +1,4 @@
-"""Periods cut out of an execution, and the fewest impacts that tell their Zeno point."""
+"""Periods cut out of an execution."""
 
 from __future__ import annotations
 
@@ -12,13 +12,10 @@ from tests.reference.closed_forms import FORCED
 from tests.reference.reference_orbit import PERIOD, RELEASE
 from tests.support.mechanisms import forced_oscillator, oscillator_state
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compile_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.cycle import Cycle, closure_of, cycles
+from zeno_orbits.orbits.cycle import Cycle, cycles
 from zeno_orbits.simulation.execution import Ending, Execution, Mode
 from zeno_orbits.simulation.simulator import simulate
-from zeno_orbits.simulation.zeno_limit import estimate_tail, extrapolate
 
 ACCURACY = 1e-11
 TURN = 2 * math.pi
@@ -88,7 +85,7 @@ def test_a_start_that_a_rounding_error_locks_is_one_release(oscillator: HybridDy
 
 def test_a_ball_that_rests_for_good_has_no_period() -> None:
     problem = load_problem("bouncing_ball")
-    ball = bind(compile_problem(problem), problem.values().vector)
+    ball = problem.dynamics(problem.values())
     assert cycles(simulate(ball, (1.0, 0.0), until=20.0)) == []
 
 
@@ -106,57 +103,3 @@ def test_the_declared_release_starts_a_period_that_closes(machine: HybridDynamic
     (cycle,) = cycles(simulate(machine, start, until=1.5 * PERIOD), start=start)
     assert cycle.period == pytest.approx(PERIOD, abs=1e-10)
     assert cycle.drift(cycle.scale()) < 1e-10
-
-
-# Closure.
-
-
-@pytest.mark.parametrize("tolerance", [1e-3, 1e-5, 1e-7, 1e-9, 1e-11])
-def test_a_closure_has_the_fewest_impacts_for_its_tolerance(
-    oscillator: HybridDynamics, turn: Cycle, tolerance: float
-) -> None:
-    closure = closure_of(turn.impacts, oscillator, tolerance)
-    assert closure.error <= tolerance
-    for n in range(1, closure.n_impacts):
-        fewer = closure_of(turn.impacts[:n], oscillator, tolerance)
-        assert fewer.error > tolerance
-    assert closure.nodes[-1] == closure.n_impacts - 1
-    assert list(closure.nodes) == sorted(set(closure.nodes))
-
-
-@pytest.mark.parametrize("tolerance", [1e-2, 1e-4, 1e-6, 1e-8, 1e-10])
-def test_the_error_of_a_closure_bounds_the_true_one(
-    oscillator: HybridDynamics, turn: Cycle, tolerance: float
-) -> None:
-    closure = closure_of(turn.impacts, oscillator, tolerance)
-    estimates = []
-    for k in closure.nodes:
-        impact = turn.impacts[k]
-        speed = -oscillator.restitution * impact.approach_rate
-        estimate = estimate_tail(oscillator, impact.time, impact.state_plus, speed)
-        assert estimate is not None
-        estimates.append(estimate)
-    limit = extrapolate(oscillator, estimates)
-    exact = FORCED.zeno_time()
-    assert abs(limit.time - exact) <= closure.error * (1 + exact) + ACCURACY
-    point = np.array(oscillator_state(exact, FORCED.stop, 0.0))
-    assert np.all(np.abs(limit.state - point) <= closure.error * (1 + np.abs(point)) + ACCURACY)
-
-
-def test_a_tolerance_that_nothing_reaches_takes_all_impacts(
-    oscillator: HybridDynamics, turn: Cycle
-) -> None:
-    closure = closure_of(turn.impacts, oscillator, 0.0)
-    assert closure.n_impacts == len(turn.impacts)
-
-
-def test_a_plastic_impact_closes_alone(problem: Problem) -> None:
-    values = problem.values(parameters={"restitution": 0.0})
-    plastic = bind(compile_problem(problem), values.vector)
-    run = simulate(plastic, RELEASE, until=6.0)
-    cycle = cycles(run)[-1]
-    assert cycle.hops == ()
-    closure = closure_of(cycle.impacts, plastic, 1e-12)
-    assert closure.n_impacts == 1
-    assert closure.nodes == (0,)
-    assert closure.error == 0.0

@@ -22,7 +22,6 @@ from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.drives import no_drive
 from zeno_orbits.model.hybrid import complete
 from zeno_orbits.model.lagrangian import HybridLagrangian
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.monodromy import (
@@ -118,7 +117,7 @@ def test_a_return_and_its_special_quantities_move_as_differences_say(
 def test_parameters_move_a_return_as_differences_say(problem: Problem, name: str) -> None:
     values = np.array(problem.values().vector)
     place = problem.names.index(name)
-    machine = bind(compiled_model(problem), values)
+    machine = problem.dynamics(values)
     # Not on the orbit, and off the slow manifold: the start must fly whatever the parameters are.
     x = machine.on_stop(CENTRE + 1e-2 * (machine.free.rate(CENTRE)))
     x = x + np.array([0.0, 0.0, 0.0, 0.0, -1e-2])
@@ -129,7 +128,7 @@ def test_parameters_move_a_return_as_differences_say(problem: Problem, name: str
     def moved(part: float) -> Vector:
         p = values.copy()
         p[place] *= 1 + part
-        return simulated(bind(compiled_model(problem), p), x, 2 * PERIOD)
+        return simulated(problem.dynamics(p), x, 2 * PERIOD)
 
     _, by_parameters = slopes_of(derivative)
     measured = differences(moved, 1e-4) / values[place]
@@ -146,7 +145,7 @@ def test_the_values_are_those_of_the_simulation(
 
 def test_at_fixed_coordinates_a_release_stays_one_whatever_the_gains(problem: Problem) -> None:
     values = np.array(problem.values().vector)
-    machine = bind(compiled_model(problem), values)
+    machine = problem.dynamics(values)
     places = tuple(problem.names.index(name) for name in ("Kp", "m2"))
     derivative = return_derivative(
         machine, CENTRE, horizon=2 * PERIOD, settings=SETTINGS, parameters=places
@@ -158,7 +157,7 @@ def test_at_fixed_coordinates_a_release_stays_one_whatever_the_gains(problem: Pr
         def moved(part: float, place: int = place) -> Vector:
             p = values.copy()
             p[place] += part
-            other = bind(compiled_model(problem), p)
+            other = problem.dynamics(p)
             start = section.state(other, np.zeros(2))
             numbers = simulated(other, start, 2 * PERIOD)
             return np.concatenate([section.coordinates(numbers[:5]), numbers[5:6], start])
@@ -172,7 +171,7 @@ def test_at_fixed_coordinates_a_release_stays_one_whatever_the_gains(problem: Pr
 
 def test_a_plastic_impact_has_a_derivative_of_rank_one(problem: Problem) -> None:
     values = problem.values(parameters={"restitution": 0.0})
-    machine = bind(compiled_model(problem), values.vector)
+    machine = problem.dynamics(values)
     derivative = return_derivative(machine, CENTRE, horizon=2 * PERIOD, settings=SETTINGS)
     section = release_section(machine, CENTRE, SCALE)
     jacobian = section_derivative(machine, derivative, SCALE).jacobian
@@ -199,9 +198,9 @@ def test_restitution_moves_a_plastic_return_to_one_side(problem: Problem) -> Non
     def at(e: float) -> Vector:
         p = values.copy()
         p[place] = e
-        return simulated(bind(compiled_model(problem), p), CENTRE, 2 * PERIOD)
+        return simulated(problem.dynamics(p), CENTRE, 2 * PERIOD)
 
-    machine = bind(compiled_model(problem), values)
+    machine = problem.dynamics(values)
     derivative = return_derivative(
         machine, CENTRE, horizon=2 * PERIOD, settings=SETTINGS, parameters=(place,)
     )
@@ -232,7 +231,7 @@ def test_every_engine_has_the_same_derivative(
 
 def test_implicit_steps_have_the_derivative_of_explicit_ones(problem: Problem) -> None:
     values = problem.values(parameters={"L": 1e-4})
-    machine = bind(compiled_model(problem), values.vector)
+    machine = problem.dynamics(values)
     x = CENTRE.copy()
     for _ in range(6):
         _, x = poincare_map(machine, x, horizon=2 * PERIOD, settings=SETTINGS)
@@ -306,7 +305,7 @@ def test_an_impact_on_an_oscillator_has_its_saltation_matrix_in_closed_form(
     oscillator: StoppedOscillator,
 ) -> None:
     problem = clocked_oscillator(oscillator, attracting=False)
-    machine = bind(compiled_model(problem), problem.values().vector)
+    machine = problem.dynamics(problem.values())
     time, stop, e = 0.4, oscillator.stop, oscillator.restitution
     x_minus = np.array(oscillator_state(time, stop, 1.3))
     x_plus = np.array(oscillator_state(time, stop, -e * 1.3))
@@ -328,7 +327,7 @@ def test_the_impact_oscillator_of_coco_has_its_published_multipliers() -> None:
     # Recipes for Continuation, chapter 15: phase and velocity after the impact, multipliers.
     phase, velocity = 0.07595216493831239, -1.3565863500759056
     problem = clocked_oscillator(COCO, attracting=False)
-    machine = bind(compiled_model(problem), problem.values().vector)
+    machine = problem.dynamics(problem.values())
     start = np.array(oscillator_state(phase, COCO.stop, velocity))
     run = simulate(machine, start, until=6.5)
     (arc, impact) = (run.arcs[0], run.impacts[0])
@@ -394,7 +393,7 @@ def test_the_zeno_time_of_a_ball_moves_as_its_closed_form(e: float) -> None:
 def test_a_clock_that_is_not_acted_on_has_its_multiplier_whatever_the_restitution(e: float) -> None:
     # Its circle attracts with exp(-2 pi) a turn, see tests/test_poincare.py.
     problem = clocked_oscillator(replace(FORCED, restitution=e), attracting=True)
-    machine = bind(compiled_model(problem), problem.values().vector)
+    machine = problem.dynamics(problem.values())
     x = np.array(oscillator_state(FORCED.release_time, FORCED.stop, 0.0))
     found = floquet_multipliers(machine, x, scale=np.ones(4), period=2 * math.pi, settings=SETTINGS)
     assert found.values[0] == pytest.approx(math.exp(-2 * math.pi), abs=1e-11 / (1 - e))
@@ -456,7 +455,7 @@ def _clock_on_a_circle() -> Problem:
 
 def test_a_holonomic_constraint_takes_its_two_dimensions_from_the_section() -> None:
     problem = _clock_on_a_circle()
-    machine = bind(compiled_model(problem), problem.values().vector)
+    machine = problem.dynamics(problem.values())
     t = FORCED.release_time
     x = np.array([FORCED.stop, math.cos(t), math.sin(t), 0.0, -math.sin(t), math.cos(t)])
     derivative = return_derivative(machine, x, horizon=9.0, settings=SETTINGS)

@@ -11,9 +11,8 @@ from tests.reference.closed_forms import FORCED
 from tests.support.mechanisms import forced_oscillator, oscillator_state
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.orbits.period import placed, round_trip
+from zeno_orbits.orbits.period import cycle_of, placed
 from zeno_orbits.orbits.phases import follow_each_other, kinds_of, phases_of
 from zeno_orbits.orbits.shape import ONE_ZENO, OrbitShape, PhaseKind
 from zeno_orbits.simulation.execution import Mode
@@ -32,7 +31,7 @@ def _oscillator() -> HybridDynamics:
 @pytest.fixture(name="striker", scope="module")
 def _striker() -> HybridDynamics:
     problem = load_problem("impact_oscillator")
-    return bind(compiled_model(problem), problem.values().vector)
+    return problem.dynamics(problem.values())
 
 
 def _strike() -> np.ndarray:
@@ -43,7 +42,7 @@ def _strike() -> np.ndarray:
 def _table(amplitude: float) -> HybridDynamics:
     problem = load_problem("vibrating_table")
     values = problem.values(parameters={"A": amplitude, "restitution": 0.0})
-    return bind(compiled_model(problem), values.vector)
+    return problem.dynamics(values)
 
 
 def test_an_accumulation_and_what_follows_it_are_one_phase(oscillator: HybridDynamics) -> None:
@@ -99,26 +98,25 @@ def test_a_start_after_an_impact_keeps_its_speed_and_loses_its_gap(
     assert oscillator.gap_rate(rested) == pytest.approx(0.0, abs=1e-16)
 
 
-def test_a_period_of_another_shape_is_no_round_trip(
+def test_a_period_of_another_shape_is_refused(
     striker: HybridDynamics, oscillator: HybridDynamics
 ) -> None:
     settings = SimulationSettings()
-    trip = round_trip(
+    cycle = cycle_of(
         striker, _strike(), OrbitShape.parsed("impact*2"), horizon=20.0, settings=settings
     )
-    assert trip.phases[-1].end.time == pytest.approx(2 * TURN, rel=1e-9)
+    assert cycle.end.time == pytest.approx(2 * TURN, rel=1e-9)
     with pytest.raises(SimulationError, match="another shape than `zeno`"):
-        round_trip(striker, _strike(), ONE_ZENO, horizon=20.0, settings=settings)
+        cycle_of(striker, _strike(), ONE_ZENO, horizon=20.0, settings=settings)
     # Too short a time for two.
     twice = OrbitShape.parsed("zeno*2")
     start = np.array(oscillator_state(FORCED.release_time, FORCED.stop, 0.0))
     with pytest.raises(SimulationError, match="another shape than `zeno\\*2`: zeno"):
-        round_trip(oscillator, start, twice, horizon=8.0, settings=settings)
+        cycle_of(oscillator, start, twice, horizon=8.0, settings=settings)
 
 
 def test_a_locked_start_is_released_before_its_first_phase(oscillator: HybridDynamics) -> None:
     start = np.array(LOCKED)
-    trip = round_trip(oscillator, start, ONE_ZENO, horizon=20.0, settings=SimulationSettings())
-    assert trip.first_lock is not None
-    assert trip.first_lock.mode is Mode.LOCKED
-    assert trip.phases[0].start.time == pytest.approx(FORCED.release_time, abs=1e-11)
+    cycle = cycle_of(oscillator, start, ONE_ZENO, horizon=20.0, settings=SimulationSettings())
+    assert cycle.execution.arcs[0].mode is Mode.LOCKED
+    assert cycle.start.time == pytest.approx(FORCED.release_time, abs=1e-11)

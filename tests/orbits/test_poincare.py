@@ -12,7 +12,6 @@ from tests.reference.closed_forms import FORCED
 from tests.reference.reference_orbit import MULTIPLIER, PERIOD, RELEASE, ZENO_STATE
 from tests.support.mechanisms import clocked_oscillator, oscillator_state
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.model.numeric.compiled import bind, compile_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.period import to_next_release
@@ -108,7 +107,7 @@ def test_a_locked_arc_forgets_the_current(problem: Problem) -> None:
     # With R / L = 1500 a second, the locked arc of half a second forgets it to exp(-700): one
     # multiplier is zero. At e = 0 this is the whole of the second one.
     values = problem.values(parameters={"restitution": 0.0})
-    dynamics = bind(compile_problem(problem), values.vector)
+    dynamics = problem.dynamics(values)
     settled = CENTRE
     for _ in range(8):
         _, settled = poincare_map(dynamics, settled, horizon=2 * PERIOD, settings=SETTINGS)
@@ -120,7 +119,7 @@ def test_a_locked_arc_forgets_the_current(problem: Problem) -> None:
 
 def _clocked(*, attracting: bool, by_differences: bool = False) -> Multipliers:
     problem = clocked_oscillator(FORCED, attracting=attracting)
-    dynamics = bind(compile_problem(problem), problem.values().vector)
+    dynamics = problem.dynamics(problem.values())
     if by_differences:
         dynamics = replace(dynamics, differentiation=None)
     release = np.array(oscillator_state(FORCED.release_time, FORCED.stop, 0.0))

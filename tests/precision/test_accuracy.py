@@ -17,7 +17,6 @@ from zeno_orbits.errors import InputError, PenetrationError, SimulationError
 from zeno_orbits.integrators import Automatic, Radau, RungeKutta, SciPy, Taylor
 from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.precision import accuracy
@@ -52,7 +51,7 @@ ZENO = FALL * (1 + BOUNCE) / (1 - BOUNCE)
 def _ball() -> HybridDynamics:
     problem = load_problem("bouncing_ball")
     values = problem.values(parameters={"restitution": BOUNCE})
-    return bind(compiled_model(problem), values.vector)
+    return problem.dynamics(values)
 
 
 @pytest.fixture(name="truth", scope="module")
@@ -238,7 +237,7 @@ def motion(name: str) -> Motion:
     exact = extended_execution(problem, problem.values(), start, until=until)
     points = [(float(p.time), np.array([float(v) for v in p.state])) for p in exact.zeno_points]
     assert points
-    dynamics = bind(compiled_model(problem), problem.values().vector)
+    dynamics = problem.dynamics(problem.values())
     return Motion(dynamics=dynamics, start=start, until=until, points=points)
 
 
@@ -449,10 +448,7 @@ def test_a_ball_at_rest_has_no_error_but_its_tolerance(ball: HybridDynamics) -> 
 def test_the_reason_for_an_engine_names_the_rates(machine: HybridDynamics) -> None:
     assert "implicit" in why_engine(machine, RELEASE, 1.0)
     assert "1.5e+03 1/s" in why_engine(machine, RELEASE, 1.0)
-    ball = bind(
-        compiled_model(load_problem("bouncing_ball")),
-        load_problem("bouncing_ball").values().vector,
-    )
+    ball = load_problem("bouncing_ball").dynamics(load_problem("bouncing_ball").values())
     assert why_engine(ball, (1.0, 0.0), 1.0) == "explicit steps (DOP853): nothing decays."
 
 

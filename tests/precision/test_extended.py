@@ -16,7 +16,6 @@ from zeno_orbits.model.drives import no_drive
 from zeno_orbits.model.hybrid import CompletedSystem, complete
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import compile_problem
 from zeno_orbits.precision.extended import ExtendedExecution, difference, extended_execution
 from zeno_orbits.precision.extended_orbit import extended_orbit
 from zeno_orbits.precision.extended_run import ExtendedRun, Trace
@@ -93,7 +92,7 @@ def test_states_at_given_times_are_those_of_the_closed_form() -> None:
 
 def test_every_admissible_start_is_followed() -> None:
     values = BALL.values(parameters={"restitution": 0.2}).vector
-    ball = ExtendedSystem(Arithmetic(digits=30), compile_problem(BALL), values)
+    ball = ExtendedSystem(Arithmetic(digits=30), BALL.compiled(), values)
 
     def rests(*state: float) -> list[mp.mpf]:
         run = ExtendedRun(ball, until=ball.arithmetic.number(5.0))

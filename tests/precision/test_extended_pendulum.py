@@ -9,7 +9,6 @@ import pytest
 from tests.reference import reference_orbit as measured
 from tests.reference.hand_pendulum import HandPendulum
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compile_problem
 from zeno_orbits.orbits.poincare import floquet_multipliers
 from zeno_orbits.precision.extended import extended_execution
 from zeno_orbits.precision.extended_orbit import ExtendedOrbit, extended_orbit
@@ -34,7 +33,7 @@ def test_a_period_is_the_simulated_one_to_the_simulators_digits() -> None:
         PENDULUM, values, measured.RELEASE, until=2.0, times=times, digits=12
     )
     assert truth.error < 1e-12
-    dynamics = bind(compile_problem(PENDULUM), values.vector)
+    dynamics = PENDULUM.dynamics(values)
     execution = simulate(dynamics, measured.RELEASE, until=2.0)
     # The simulator promises 1e-11 a period.
     for sample, time in zip(truth.samples, times, strict=True):
@@ -64,7 +63,7 @@ def test_the_orbit_is_the_measured_one(orbit: ExtendedOrbit) -> None:
 @pytest.mark.slow
 def test_exact_multipliers_are_those_of_differences_in_many_digits(orbit: ExtendedOrbit) -> None:
     values = PENDULUM.values()
-    dynamics = bind(compile_problem(PENDULUM), values.vector)
+    dynamics = PENDULUM.dynamics(values)
     release = np.array([float(value) for value in orbit.release_state])
     found = floquet_multipliers(
         dynamics,

@@ -26,7 +26,6 @@ from zeno_orbits.model.drives import (
 from zeno_orbits.model.hybrid import CompletedSystem, complete
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compile_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.orbit_file import read_orbit
@@ -40,8 +39,8 @@ from zeno_orbits.precision.reduced_models import (
     reduction_cost,
     reduction_costs,
 )
-from zeno_orbits.search.objectives import WantedPeriod
-from zeno_orbits.search.search import find_orbit, search_gains
+from zeno_orbits.search import find_orbit, search_gains
+from zeno_orbits.search.objectives import TargetPeriod
 from zeno_orbits.simulation.simulator import simulate
 from zeno_orbits.verification.verifier import verify
 
@@ -249,7 +248,7 @@ def test_a_correction_as_large_as_what_it_corrects_is_refused_in_one_line() -> N
     problem = load_problem("motor_pendulum@corrected")
     values = problem.values(gains={"Kd": 8.0}, parameters={"L": 1.0})
     with pytest.raises(InputError, match="take the full problem"):
-        bind(compile_problem(problem), values.vector)
+        problem.dynamics(values)
 
 
 # ---------------------------------------------------------------------- the pendulum's two rungs
@@ -257,7 +256,7 @@ def test_a_correction_as_large_as_what_it_corrects_is_refused_in_one_line() -> N
 
 def _numbers(problem: Problem, fidelity: str) -> tuple[Problem, HybridDynamics]:
     reduced = problem.at_fidelity(fidelity)
-    return reduced, bind(compile_problem(reduced), reduced.shared(problem.values()).vector)
+    return reduced, reduced.dynamics(reduced.shared(problem.values()))
 
 
 def test_the_corrected_pendulum_is_one_with_more_rotor_less_damping_and_less_bounce(
@@ -272,12 +271,11 @@ def test_the_corrected_pendulum_is_one_with_more_rotor_less_damping_and_less_bou
     static = problem.at_fidelity(QUASI_STATIC)
     b = values["I2"] + values["m2"] * values["lc2"] ** 2
     known = {name: one for name, one in values.items() if name != "L"}
-    by_hand = bind(
-        compile_problem(static),
+    by_hand = static.dynamics(
         static.values(
             gains={"Kp": 2.5, "Kd": gains["Kd"] - gains["Kp"] * inductance / resistance},
             parameters={**known, "J_rotor": values["J_rotor"] + added},
-        ).vector,
+        )
     )
     rng = np.random.default_rng(1)
     for x in rng.normal(size=(20, 4)):
@@ -376,14 +374,14 @@ def test_a_plastic_impact_has_no_zeno_state_to_compare(problem: Problem) -> None
 
 
 def test_the_layer_of_one_motor_is_its_inductance_over_its_resistance(problem: Problem) -> None:
-    full = bind(compile_problem(problem), problem.values().vector)
+    full = problem.dynamics(problem.values())
     assert layer_time(full, np.array([0.3, 0.0, 1.0, 0.0])) == pytest.approx(0.002 / 3, rel=1e-12)
     _, reduced = _numbers(problem, QUASI_STATIC)
     assert layer_time(reduced, np.array([0.3, 0.0, 1.0, 0.0])) == 0.0
 
 
 def test_a_release_from_which_nothing_returns_is_refused(problem: Problem) -> None:
-    full = bind(compile_problem(problem), _with_inductance(problem, 10.0).vector)
+    full = problem.dynamics(_with_inductance(problem, 10.0))
     release = np.array([0.198, 0.0, -5.236, 0.0])
     with pytest.raises(SimulationError, match=r"No Zeno point|No orbit"):
         orbit_near(full, release, 1.81)
@@ -429,7 +427,7 @@ def test_gains_are_searched_with_the_restitution_that_they_change(problem: Probl
     # So large an inductance that a program with the restitution of its start does not get there.
     values = reduced.values(parameters={"L": 0.1})
     boxes = {gain.name: (gain.lower, gain.upper) for gain in reduced.gains}
-    result = search_gains(reduced, values, free=boxes, objective=WantedPeriod(target=1.83))
+    result = search_gains(reduced, values, free=boxes, objective=TargetPeriod(target=1.83))
     assert result.unwrap().period == pytest.approx(1.83, abs=1e-9)
 
 
@@ -469,7 +467,7 @@ def test_no_inductance_is_refused_with_the_problem_to_take_instead(
     # The corrected drive takes it as its limit.
     problem = load_problem("motor_pendulum")
     corrected = problem.at_fidelity(CORRECTED)
-    limit = bind(compile_problem(corrected), corrected.values(parameters={"L": 0.0}).vector)
+    limit = corrected.dynamics(corrected.values(parameters={"L": 0.0}))
     _, static = _numbers(problem, QUASI_STATIC)
     start = (0.6, 0.0, 0.0, 0.0)
     ends = [simulate(one, start, until=3.0).end_state for one in (limit, static)]

@@ -14,7 +14,6 @@ from tests.reference.reference_orbit import PERIOD, RELEASE
 from zeno_orbits.errors import InputError, StepSizeError, ZenoOrbitsError
 from zeno_orbits.integrators import RungeKutta
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.precision import reference as truths
 from zeno_orbits.precision import work_precision as trading
@@ -200,7 +199,7 @@ def test_without_heyoka_the_truth_is_in_doubles_and_says_so(
     for module in (truths, trading):
         monkeypatch.setattr(module, "heyoka_is_installed", lambda: False)
     assert "taylor" not in engines()
-    dynamics = bind(compiled_model(problem), problem.values().vector)
+    dynamics = problem.dynamics(problem.values())
     truth = true_landmarks(problem, problem.values(), dynamics, RELEASE, 1.02 * PERIOD)
     assert "double precision" in truth.how
     assert "extra `taylor`" in truth.how
@@ -210,14 +209,14 @@ def test_without_heyoka_the_truth_is_in_doubles_and_says_so(
 
 def test_a_problem_that_is_not_all_analytic_is_measured_in_doubles() -> None:
     problem = load_problem("motor_pendulum").at_fidelity("corrected")
-    dynamics = bind(compiled_model(problem), problem.values().vector)
+    dynamics = problem.dynamics(problem.values())
     truth = true_landmarks(problem, problem.values(), dynamics, RELEASE[:4], PERIOD)
     assert "not all of the problem is analytic" in truth.how
 
 
 def test_the_truth_is_judged_by_the_largest_state_on_the_way(problem: Problem) -> None:
     pytest.importorskip("heyoka")
-    dynamics = bind(compiled_model(problem), problem.values().vector)
+    dynamics = problem.dynamics(problem.values())
     truth = true_landmarks(problem, problem.values(), dynamics, RELEASE, 1.02 * PERIOD)
     assert {mark.kind for mark in truth.marks} == {Kind.RELEASE}
     assert abs(truth.marks[-1].time - PERIOD) < 1e-13

@@ -13,7 +13,7 @@ from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.search.search import find_orbit
+from zeno_orbits.search import find_orbit
 from zeno_orbits.verification.certificate import OrbitCertificate
 from zeno_orbits.verification.verifier import verify
 

@@ -18,12 +18,12 @@ from tests.reference import library_truth as truth
 from tests.reference.reference_orbit import PERIOD
 from zeno_orbits.cli import main
 from zeno_orbits.model.library import bundled_problems, load_problem
-from zeno_orbits.model.numeric.compiled import bind, compiled_model, output_values
+from zeno_orbits.model.numeric.compiled import bind
 from zeno_orbits.model.units import powers_of
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.orbit_file import write_orbit
 from zeno_orbits.report.plots import has_zeno_region, plot_outputs
-from zeno_orbits.search.search import find_orbit
+from zeno_orbits.search import find_orbit
 from zeno_orbits.simulation.simulator import simulate
 
 NO_ORBIT = {"bouncing_ball", "falling_pendulum"}
@@ -81,7 +81,7 @@ def test_every_problem_goes_through_every_command(
     assert main(["plot", str(file), "-o", str(tmp_path)]) == 0
     pictures = {"portraits", "time", "run"}
     problem = load_problem(name)
-    dynamics = bind(compiled_model(problem), problem.values().vector)
+    dynamics = problem.dynamics(problem.values())
     if _orbit(name).shape.starts_at_release:
         pictures |= {"zeno", "region"} if has_zeno_region(dynamics) else {"zeno"}
     pictures |= {"outputs"} if problem.outputs else set()
@@ -345,7 +345,7 @@ def test_the_units_of_a_problem_are_those_of_its_equations(name: str) -> None:
     numbers = np.array(values.vector)
     changed = numbers * [_factor(quantity.unit) for quantity in quantities]
     sizes = np.array([_factor(unit) for unit in problem.state_units])
-    compiled = compiled_model(problem)
+    compiled = problem.compiled()
     here, there = bind(compiled, numbers), bind(compiled, changed)
     random = np.random.default_rng(0)
     for _ in range(3):
@@ -362,7 +362,7 @@ def test_a_unit_that_is_declared_falsely_would_break_it() -> None:
     numbers = dict(problem.values().parameters)
     changed = {q.name: numbers[q.name] * _factor(q.unit) for q in problem.parameters}
     changed["J"] = numbers["J"] * _factor("kg m")
-    compiled = compiled_model(problem)
+    compiled = problem.compiled()
     gains = [10.0 * _factor("V/rad"), 0.0]
     here = bind(compiled, problem.values().vector)
     there = bind(compiled, [*gains, *changed.values()])
@@ -375,14 +375,14 @@ def test_outputs_are_what_their_formulas_say() -> None:
     problem = load_problem("vibrating_table")
     values = problem.values(parameters={"A": 0.02})
     states = np.array([[0.1, 0.0, 0.6, 0.8], [0.0, -1.0, 1.0, 0.0], [0.3, 0.0, 0.0, -1.0]])
-    seen = output_values(problem, values, states)
+    seen = problem.output_values(values, states)
     assert seen == pytest.approx(np.array([[0.016, 0.116], [0.0, 0.0], [-0.02, 0.28]]))
 
 
 def test_outputs_are_drawn_over_the_whole_time_with_their_units() -> None:
     problem = load_problem("vibrating_table")
     values = problem.values()
-    dynamics = bind(compiled_model(problem), values.vector)
+    dynamics = problem.dynamics(values)
     run = simulate(dynamics, problem.state_vector(problem.starts[0]), until=0.5)
     panels = plot_outputs(problem, values, run).axes
     assert [ax.get_ylabel() for ax in panels] == ["table [m]", "ball [m]"]

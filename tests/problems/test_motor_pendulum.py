@@ -14,7 +14,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.integrators.flow import PlainFlow
 from zeno_orbits.model.library import load_problem, load_reference
-from zeno_orbits.model.numeric.compiled import bind, compile_problem
+from zeno_orbits.model.numeric.compiled import bind
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues, Problem
 
@@ -33,7 +33,7 @@ def _problem() -> Problem:
 
 @pytest.fixture(name="derived", scope="module")
 def _derived(problem: Problem) -> Model:
-    compiled = compile_problem(problem)
+    compiled = problem.compiled()
     return lambda values: bind(compiled, values.vector)
 
 

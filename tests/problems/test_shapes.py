@@ -18,12 +18,10 @@ from tests.support.orbits import changed
 from zeno_orbits.errors import InputError
 from zeno_orbits.integrators import Radau
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.orbits.orbit import OrbitPhase, ZenoOrbit
 from zeno_orbits.orbits.orbit_file import read_orbit, write_orbit
 from zeno_orbits.orbits.shape import OrbitShape
-from zeno_orbits.search.closing import close_orbit
-from zeno_orbits.search.search import SearchStatus, find_orbit, search_gains
+from zeno_orbits.search import SearchStatus, close_orbit, find_orbit, search_gains
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 from zeno_orbits.verification.certificate import OrbitCertificate
 from zeno_orbits.verification.verifier import VerificationSettings, verify
@@ -123,7 +121,7 @@ def test_an_impact_oscillator_contracts_areas_by_its_damping_and_its_impacts(
 def test_beyond_a_flip_the_pendulum_comes_back_to_what_a_long_simulation_ends_on() -> None:
     problem, orbit = load_problem("motor_pendulum"), doubled()
     assert orbit.shape.text == "zeno*2"
-    dynamics = bind(compiled_model(problem), orbit.values(problem).vector)
+    dynamics = problem.dynamics(orbit.values(problem))
     # Another engine, from the problem's own start: what is left of it shrinks by 0.4 a period.
     settings = SimulationSettings(engine=Radau())
     run = simulate(
@@ -151,7 +149,7 @@ def test_beyond_the_end_of_its_zeno_orbits_the_pendulum_strikes_three_times_a_pe
     assert certificate.passed, certificate.verdict()
     assert certificate.stable
     # Another engine, from the problem's own start: what is left of it shrinks by 0.7 a period.
-    dynamics = bind(compiled_model(problem), orbit.values(problem).vector)
+    dynamics = problem.dynamics(orbit.values(problem))
     settings = SimulationSettings(engine=Radau())
     start = problem.state_vector(problem.starts[0])
     run = simulate(dynamics, start, until=150.0, settings=settings)
@@ -330,14 +328,14 @@ def test_a_free_parameter_takes_an_orbit_of_impacts_to_a_wanted_bound() -> None:
 
 @pytest.mark.slow
 def test_free_gains_bring_a_doubled_orbit_to_a_wanted_period() -> None:
-    from zeno_orbits.search.objectives import WantedPeriod
+    from zeno_orbits.search.objectives import TargetPeriod
 
     problem = load_problem("motor_pendulum")
     result = search_gains(
         problem,
         problem.values(gains=DOUBLED),
         free={"Kp": (4.2, 4.4)},
-        objective=WantedPeriod(target=4.05),
+        objective=TargetPeriod(target=4.05),
     )
     orbit = result.unwrap()
     assert orbit.shape.text == "zeno*2"

@@ -24,11 +24,10 @@ from tests.reference.long_simulation_marks import (
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, RunawayError, SimulationError
 from zeno_orbits.integrators.flow import Tolerance
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
+from zeno_orbits.maps.attractors import Attractor, Fate
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.section import release_section
-from zeno_orbits.simulation.attractor import Attractor, Fate
 from zeno_orbits.simulation.execution import Execution, Impact, Mode, Release
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 
@@ -83,7 +82,7 @@ def attractor_of(
         run: How long and how accurately to simulate.
     """
     run = run or LongRun()
-    dynamics = bind(compiled_model(problem), values.vector)
+    dynamics = problem.dynamics(values)
     x = np.array(problem.state_vector(problem.starts[0]) if state is None else state)
     stretches: list[Stretch] = []
     piece, settings = run.until / _PIECES, _bounded(problem, run.simulation)

@@ -38,7 +38,6 @@ from zeno_orbits.experiment.comparison.counterpart import (
 from zeno_orbits.experiment.orbit_table import OrbitTable, table_of
 from zeno_orbits.experiment.recordings.recording import Recording, Source, cut
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import drawn_lines
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
@@ -501,7 +500,7 @@ def test_the_pendulum_is_drawn_as_it_hangs(problem: Problem, orbit: ZenoOrbit) -
     values = orbit.values(problem)
     first, second = values.parameters["L1"], values.parameters["L2"]
     states = np.array([[0.3, 0.5, 0.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0, 0.0]])
-    lines = drawn_lines(problem, values, states)
+    lines = problem.drawn_lines(values, states)
     for k, (theta1, theta2) in enumerate(states[:, :2]):
         knee = first * np.array([math.sin(theta1), -math.cos(theta1)])
         hand = theta1 + theta2

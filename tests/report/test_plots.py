@@ -18,12 +18,13 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.maps.parameter_map import Axis, Boundary, ParameterMap
+from zeno_orbits.maps.attractors import Attractor, Fate
+from zeno_orbits.maps.parameter_map import Boundary, ParameterMap
+from zeno_orbits.maps.plane import Axis
 from zeno_orbits.model.drives import no_drive
 from zeno_orbits.model.hybrid import CompletedSystem, complete
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compile_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem, restitution
 from zeno_orbits.precision.work_precision import Trade, Trial
@@ -38,7 +39,6 @@ from zeno_orbits.report.plots import (
     plot_zeno_zoom,
     save_figure,
 )
-from zeno_orbits.simulation.attractor import Attractor, Fate
 from zeno_orbits.simulation.completion import Truncation, ZenoExtrapolation
 from zeno_orbits.simulation.execution import Execution, Mode
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
@@ -73,7 +73,7 @@ def simulated(
     **parameters: float,
 ) -> Shown:
     values = problem.values(parameters=parameters)
-    dynamics = bind(compile_problem(problem), values.vector)
+    dynamics = problem.dynamics(values)
     execution = simulate(dynamics, state, until=until, releases=releases, settings=settings)
     return Shown(problem, dynamics, execution)
 
@@ -406,7 +406,7 @@ def test_a_trade_without_any_result_is_an_empty_picture(tmp_path: Path) -> None:
     assert (tmp_path / "lost.png").read_bytes().startswith(b"\x89PNG")
 
 
-def _small_map(*attractors: Attractor) -> ParameterMap:
+def small_map(*attractors: Attractor) -> ParameterMap:
     return ParameterMap(
         problem="motor_pendulum",
         x=Axis(name="Kp", lower=1.0, upper=3.0, count=3, unit="V/rad"),
@@ -449,7 +449,7 @@ def _legend(figure: Figure) -> dict[str, Any]:
 
 @pytest.mark.parametrize("width", [COLUMN_WIDTH, FULL_WIDTH])
 def test_a_map_names_every_fate_once_in_a_colour_of_its_own(width: float) -> None:
-    figure = plot_map(_small_map(*EVERY_FATE), width=width)
+    figure = plot_map(small_map(*EVERY_FATE), width=width)
     entries = _legend(figure)
     phrases = {attractor.phrase for attractor in EVERY_FATE}
     assert phrases <= set(entries)
@@ -462,7 +462,7 @@ def test_a_map_names_every_fate_once_in_a_colour_of_its_own(width: float) -> Non
 
 @pytest.mark.parametrize("width", [COLUMN_WIDTH, FULL_WIDTH])
 def test_the_legend_of_a_map_stands_outside_and_inside_the_picture(width: float) -> None:
-    figure = plot_map(_small_map(*EVERY_FATE), width=width)
+    figure = plot_map(small_map(*EVERY_FATE), width=width)
     figure.savefig(io.BytesIO(), format="png")
     (ax,) = figure.axes
     (legend,) = figure.legends
@@ -475,7 +475,7 @@ def test_the_legend_of_a_map_stands_outside_and_inside_the_picture(width: float)
 
 
 def test_the_cells_of_a_map_have_the_colours_of_their_fates() -> None:
-    figure = plot_map(_small_map(*EVERY_FATE))
+    figure = plot_map(small_map(*EVERY_FATE))
     (mesh,) = (c for c in figure.axes[0].collections if isinstance(c, QuadMesh))
     figure.savefig(io.BytesIO(), format="png")
     entries = _legend(figure)
@@ -486,7 +486,7 @@ def test_the_cells_of_a_map_have_the_colours_of_their_fates() -> None:
 
 def test_boundaries_are_drawn_on_top_of_a_map_and_leave_its_limits() -> None:
     curve = Boundary(name="flip", points=((0.0, -1.5), (9.0, -1.5)))
-    figure = plot_map(_small_map(*EVERY_FATE), boundaries=[curve])
+    figure = plot_map(small_map(*EVERY_FATE), boundaries=[curve])
     (ax,) = figure.axes
     assert "flip" in _legend(figure)
     assert any(np.array_equal(line.get_xdata(), [0.0, 9.0]) for line in ax.lines)
@@ -495,6 +495,6 @@ def test_boundaries_are_drawn_on_top_of_a_map_and_leave_its_limits() -> None:
 
 def test_a_map_of_one_fate_has_no_contours() -> None:
     rest = [Attractor(fate=Fate.REST)] * 6
-    assert list(_legend(plot_map(_small_map(*rest)))) == ["rest"]
+    assert list(_legend(plot_map(small_map(*rest)))) == ["rest"]
     same = [_zeno(1.8, 0.1)] * 6
-    assert list(_legend(plot_map(_small_map(*same)))) == ["Zeno periodic orbit, period 1"]
+    assert list(_legend(plot_map(small_map(*same)))) == ["Zeno periodic orbit, period 1"]

@@ -21,17 +21,21 @@ from zeno_orbits.model.drives import no_drive
 from zeno_orbits.model.hybrid import CompletedSystem, complete
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.monodromy import return_derivative
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.poincare import floquet_multipliers, poincare_map, return_slope
 from zeno_orbits.orbits.section import release_section
-from zeno_orbits.search import closing
+from zeno_orbits.search import (
+    OrbitNotClosedError,
+    close_cycle,
+    close_orbit,
+    closing,
+    cycle_near,
+    find_orbit,
+)
 from zeno_orbits.search import fixed_point as closed_cycles
-from zeno_orbits.search.closing import OrbitNotClosedError, close_cycle, close_orbit, cycle_near
-from zeno_orbits.search.search import find_orbit
 from zeno_orbits.simulation.completion import Truncation
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 from zeno_orbits.verification.integration import distance
@@ -149,7 +153,7 @@ def test_an_orbit_that_is_left_later_is_certified_by_its_first_period() -> None:
     # Outside by 1e-11, the clock is off by exp(pi) more after every turn, and soon runs away.
     off = {name: known.release_state[name] * (1 + 1e-11) for name in ("y", "dy")}
     orbit = changed(known, release_state={**known.release_state, **off})
-    machine = bind(compiled_model(problem), orbit.values(problem).vector)
+    machine = problem.dynamics(orbit.values(problem))
     with pytest.raises(SimulationError):
         simulate(machine, list(orbit.release_state.values()), until=12 * orbit.period)
     certificate = verify(orbit, problem, settings=VerificationSettings(n_periods=12))
@@ -180,7 +184,7 @@ def _behind_the_fold(problem: Problem) -> ZenoOrbit:
 
     def looked_at(z: Vector) -> tuple[Vector, Vector, Vector, float]:
         entries[place] = z[-1]
-        machine = bind(compiled_model(problem), entries)
+        machine = problem.dynamics(entries)
         x = release_section(machine, z[:-1], size[:-1]).state(machine, np.zeros(2))
         seen = return_derivative(
             machine, x, horizon=2 * period, settings=SETTINGS, parameters=(place,)
@@ -238,7 +242,7 @@ def test_a_repelling_orbit_of_the_pendulum_is_verified_and_called_unstable(
 def test_the_multiplier_of_a_repelling_orbit_is_that_of_differences(
     problem: Problem, behind_the_fold: ZenoOrbit
 ) -> None:
-    machine = bind(compiled_model(problem), behind_the_fold.values(problem).vector)
+    machine = problem.dynamics(behind_the_fold.values(problem))
     x = np.array(list(behind_the_fold.release_state.values()))
     scale, period = np.abs(x) + 1.0, behind_the_fold.period
     exact = floquet_multipliers(machine, x, scale=scale, period=period, settings=SETTINGS)
@@ -272,7 +276,7 @@ def test_a_step_that_leads_nowhere_is_shortened(
         return calls[-1] if len(calls) > 1 else np.eye(2) + 0.01 * (calls[-1] - np.eye(2))
 
     monkeypatch.setattr(closed_cycles, "return_slope", wrong_at_first)
-    machine = bind(compiled_model(problem), behind_the_fold.values(problem).vector)
+    machine = problem.dynamics(behind_the_fold.values(problem))
     x = np.array(list(behind_the_fold.release_state.values()))
     x = x + 1e-4 * np.array([1.0, 0.0, 1.0, 0.0, -1.0])
     period = behind_the_fold.period
@@ -315,7 +319,7 @@ def test_returns_that_never_repeat_are_no_orbit(
 def test_a_motion_that_shrinks_to_rest_is_no_orbit(problem: Problem) -> None:
     # With so large an inductance all orbits have shrunk: the return map's fixed point is rest.
     values = problem.values(parameters={"L": 10.0})
-    machine = bind(compiled_model(problem), values.vector)
+    machine = problem.dynamics(values)
     x = machine.on_stop(np.array([0.198, 0.0, -5.236, 0.0, 0.0]))
     scale = cycle_near(machine, x, period=PERIOD, settings=SETTINGS).scale()
     with pytest.raises(SimulationError, match="its size goes to zero"):
@@ -352,14 +356,19 @@ def test_without_heyoka_the_default_engine_closes(
 
 def test_stages_are_told(problem: Problem) -> None:
     told: list[str] = []
-    close_orbit(problem, problem.values(), simulation=SETTINGS, on_progress=told.append)
+    close_orbit(
+        problem,
+        problem.values(),
+        simulation=SETTINGS,
+        on_progress=lambda stage, _: told.append(stage),
+    )
     assert told == ["simulating", "closing the orbit"]
 
 
 def test_cuts_from_the_last_common_impact_are_the_cuts_from_the_release(
     problem: Problem, orbit: ZenoOrbit
 ) -> None:
-    machine = bind(compiled_model(problem), orbit.values(problem).vector)
+    machine = problem.dynamics(orbit.values(problem))
     seen = verify(orbit, problem, settings=VerificationSettings(n_periods=1))
     release = machine.on_stop(np.array(RELEASE))
     whole = cycle_near(machine, release, period=PERIOD, settings=SETTINGS)

@@ -12,7 +12,6 @@ from tests.reference.closed_forms import FORCED
 from tests.reference.reference_orbit import PERIOD
 from tests.support.mechanisms import falling_away, forced_oscillator, oscillator_state, spring_mass
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compile_problem, compiled_model
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.search import guess
@@ -59,7 +58,7 @@ def test_a_mass_that_swings_without_impacts_has_no_zeno_point() -> None:
 
 def test_a_mass_that_bounces_for_ever_has_no_zeno_point(problem: Problem) -> None:
     values = problem.values(parameters={"restitution": 0.5})
-    bouncing = bind(compile_problem(problem), values.vector)
+    bouncing = problem.dynamics(values)
     settling = settle(bouncing, [problem.state_vector({"theta1": 0.6})], SHORT)
     assert settling.cycle is None
     assert settling.reason.endswith("after 30 s")
@@ -131,7 +130,7 @@ def test_a_long_loose_simulation_does_not_drift_off_what_a_start_has_to_keep(
 ) -> None:
     # Without being put back, the state leaves clock or stop by 1e-8, and no simulation admits it.
     problem = load_problem("curved_surface")
-    dynamics = bind(compiled_model(problem), problem.values(parameters=numbers).vector)
+    dynamics = problem.dynamics(problem.values(parameters=numbers))
     settling = settle(dynamics, [problem.state_vector(start) for start in problem.starts])
     assert (settling.cycle is not None) == (what == "clock")
 

@@ -22,17 +22,23 @@ from zeno_orbits.errors import CheckpointError, InputError
 from zeno_orbits.model.library import load_problem, locate_problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.search import (
+    Judgement,
+    SearchResult,
+    SearchSettings,
+    SearchStatus,
+    Spread,
+    find_orbit,
+    search_gains,
+)
 from zeno_orbits.search import multistart as starts
-from zeno_orbits.search.search import Judgement, SearchResult, Spread, find_orbit, search_gains
-from zeno_orbits.search.settings import SearchSettings, SearchStatus
-from zeno_orbits.search.start import Candidate, Trial
-from zeno_orbits.search.start_data import trial_from_json, trial_to_json
+from zeno_orbits.search.outcome import Candidate, StartOutcome
 from zeno_orbits.simulation.signals import Extent
 from zeno_orbits.verification.certificate import DeltaCut, OrbitCertificate
 from zeno_orbits.verification.verifier import verify
 from zeno_orbits.work import Lost, Plan, Workers
 from zeno_orbits.work import scheduling as spreading_module
-from zeno_orbits.work.serialization import plain
+from zeno_orbits.work.serialization import plain, restored
 
 YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
 CORES = int(joblib.cpu_count())
@@ -126,7 +132,7 @@ def test_what_came_of_a_start_survives_json_to_the_last_bit() -> None:
         extents={"period": Extent(lowest=-math.inf, highest=0.1, error=math.nan)},
         certificate=_certificate(),
     )
-    whole = Trial(
+    whole = StartOutcome(
         status=SearchStatus.FOUND,
         residuals={"gap": 1e-300},
         agreement=1e-12,
@@ -136,10 +142,10 @@ def test_what_came_of_a_start_survives_json_to_the_last_bit() -> None:
         solve_time=0.25,
         candidate=candidate,
     )
-    for trial in (whole, Trial(status=SearchStatus.NO_GUESS, detail="It rests.")):
-        back = trial_from_json(json.loads(json.dumps(trial_to_json(trial), allow_nan=False)))
+    for outcome in (whole, StartOutcome(status=SearchStatus.NO_GUESS, detail="It rests.")):
+        back = restored(StartOutcome, json.loads(json.dumps(plain(outcome), allow_nan=False)))
         # As texts, in which NaN equals NaN and -0.0 differs from 0.0.
-        assert repr(plain(back)) == repr(plain(trial))
+        assert repr(plain(back)) == repr(plain(outcome))
         assert type(back.status) is SearchStatus
 
 
@@ -227,7 +233,7 @@ def test_what_is_finished_is_not_tried_again(
     def refuse(*_: Any) -> None:
         raise OSError("it is tried again")
 
-    monkeypatch.setattr(starts, "tried", refuse)
+    monkeypatch.setattr(starts, "try_start", refuse)
     monkeypatch.setattr(spreading_module, "open_pool", refuse)
     assert ask(*BALL, "--checkpoint", folder, "--json").data == told
     assert contents(folder) == before
@@ -314,7 +320,7 @@ def test_an_interrupt_keeps_the_starts_that_are_finished(
 def test_a_place_that_cannot_be_had_is_refused_even_if_one_start_would_do(
     place: tuple[str, ...], told: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    refuses(monkeypatch, (*TABLE, *place), told, work_of="zeno_orbits.search.multistart.tried")
+    refuses(monkeypatch, (*TABLE, *place), told, work_of="zeno_orbits.search.multistart.try_start")
 
 
 def test_a_problem_that_workers_would_not_see_is_refused() -> None:

@@ -15,7 +15,13 @@ from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.bounds import Bound
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.poincare import floquet_multipliers
-from zeno_orbits.search.closing import close_orbit
+from zeno_orbits.search import (
+    SearchSettings,
+    SearchStatus,
+    close_orbit,
+    find_orbit,
+    search_gains,
+)
 from zeno_orbits.search.guess import SettlingSettings
 from zeno_orbits.search.objectives import (
     FastestContraction,
@@ -23,15 +29,14 @@ from zeno_orbits.search.objectives import (
     LeastPeak,
     NearestGains,
     Objective,
-    WantedPeriod,
+    TargetPeriod,
     WidestMargin,
 )
-from zeno_orbits.search.refinement import Hunt
-from zeno_orbits.search.search import SearchSettings, SearchStatus, find_orbit, search_gains
-from zeno_orbits.search.settings import Start
-from zeno_orbits.search.start import Trial, tried
+from zeno_orbits.search.outcome import StartOutcome
+from zeno_orbits.search.search_problem import SearchProblem
+from zeno_orbits.search.start import try_start
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
-from zeno_orbits.verification.measure import measure
+from zeno_orbits.verification.measurement import measure
 from zeno_orbits.verification.verifier import problem_dynamics
 
 ONCE = SearchSettings(n_starts=0)
@@ -151,15 +156,15 @@ def test_a_spectral_radius_is_kept(problem: Problem) -> None:
 def test_bounds_that_contradict_each_other_are_named_with_what_they_lack(
     problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told: list[Trial] = []
+    told: list[StartOutcome] = []
 
-    def and_one_that_is_worse(hunt: Hunt, *_: object) -> Generator[Trial]:
-        trial = tried(hunt, Start(values=hunt.values), None, 1)
-        told.append(trial)
-        yield replace(trial, detail="Twice as far.", shortfall=2 * trial.shortfall)
-        yield trial
+    def and_one_that_is_worse(search: SearchProblem, _: object) -> Generator[StartOutcome]:
+        outcome = try_start(search, 0, None)
+        told.append(outcome)
+        yield replace(outcome, detail="Twice as far.", shortfall=2 * outcome.shortfall)
+        yield outcome
 
-    monkeypatch.setattr("zeno_orbits.search.search.trials_here", and_one_that_is_worse)
+    monkeypatch.setattr("zeno_orbits.search.search.outcomes_here", and_one_that_is_worse)
     result = search_gains(
         problem,
         problem.values(),
@@ -251,7 +256,7 @@ def test_a_free_parameter_is_found_and_what_is_derived_from_it_stays(problem: Pr
     start = problem.values()
     box = {"R": (2.0, 4.0), "L1": (0.195, 0.205)}
     result = search_gains(
-        problem, start, free=box, objective=WantedPeriod(target=1.8), settings=ONCE
+        problem, start, free=box, objective=TargetPeriod(target=1.8), settings=ONCE
     )
     orbit = result.unwrap()
     assert orbit.period == pytest.approx(1.8, abs=1e-8)
@@ -270,7 +275,7 @@ def test_a_free_restitution_moves_the_impacts_and_the_zeno_point_with_it(problem
         problem,
         problem.values(),
         free={"restitution": (0.1, 0.35)},
-        objective=WantedPeriod(target=1.8126),
+        objective=TargetPeriod(target=1.8126),
         settings=ONCE,
     )
     orbit = result.unwrap()
@@ -314,7 +319,7 @@ def test_candidates_are_ranked_and_the_best_is_the_orbit(problem: Problem) -> No
         problem,
         problem.values(),
         free={"Kd": (-1.1, -0.9)},
-        objective=WantedPeriod(target=1.8),
+        objective=TargetPeriod(target=1.8),
         settings=replace(settings, candidates=2),
     )
     scores = [one.score for one in result.candidates]
@@ -332,7 +337,7 @@ def test_candidates_are_ranked_and_the_best_is_the_orbit(problem: Problem) -> No
     ("free", "bounds", "objective", "said"),
     [
         ({"restitution": (0.1, 1.0)}, [], None, r"`restitution` must lie in \[0, 1\)"),
-        ({"R": (4.0, 2.0)}, [], None, "`R` must have finite bounds LOWER < UPPER"),
+        ({"R": (4.0, 2.0)}, [], None, "`free` must have finite bounds LOWER < UPPER for `R`"),
         ({"Q": (1.0, 2.0)}, [], None, "`free` must be one of Kp, .*R.*, but it is `Q`"),
         ({}, [Bound(name="angle", upper=1.0)], None, "`keep` must name a quantity .*`angle`"),
         ({}, [Bound(name="spectral_radius", lower=0.1)], None, "from above only"),

@@ -10,15 +10,15 @@ from tests.reference.reference_orbit import MULTIPLIER
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
+from zeno_orbits.model.numeric.compiled import bind
 from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.cycle import closures_of
 from zeno_orbits.orbits.period import placed
 from zeno_orbits.orbits.poincare import floquet_multipliers
-from zeno_orbits.search.closing import close_orbit
+from zeno_orbits.search import close_orbit
 from zeno_orbits.search.confirmation import one_cycle
 from zeno_orbits.search.spectral_radius import keep_radius_below, section_map
 from zeno_orbits.search.transcription.arc import TranscriptionSettings
+from zeno_orbits.search.transcription.closure import closures_of
 from zeno_orbits.search.transcription.program import ProgramBuilder
 from zeno_orbits.search.transcription.transcribe import OrbitTerms, transcribe
 from zeno_orbits.simulation.simulator import SimulationSettings
@@ -33,7 +33,7 @@ def _terms(
     """Return the terms of an orbit's program, and its multipliers by differences."""
     values = problem.values().replaced(numbers)
     orbit = close_orbit(problem, values).unwrap()
-    compiled = compiled_model(problem)
+    compiled = problem.compiled()
     dynamics = bind(compiled, values.vector)
     start = placed(dynamics, orbit.shape, np.array(list(orbit.start_state.values())))
     cycle = one_cycle(dynamics, start, 2 * orbit.period, orbit.shape)

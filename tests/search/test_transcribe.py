@@ -12,12 +12,13 @@ from tests.reference.closed_forms import FORCED
 from tests.reference.reference_orbit import PERIOD, RELEASE, ZENO_TIME
 from tests.support.mechanisms import clocked_oscillator
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model.numeric.compiled import bind, compile_problem
+from zeno_orbits.model.numeric.compiled import bind
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.orbits.cycle import Cycle, closures_of, cycles
-from zeno_orbits.search.search import SearchStatus, find_orbit
+from zeno_orbits.orbits.cycle import Cycle, cycles
+from zeno_orbits.search import SearchStatus, find_orbit
 from zeno_orbits.search.transcription.arc import TranscriptionSettings
+from zeno_orbits.search.transcription.closure import closures_of
 from zeno_orbits.search.transcription.ipopt import Hessian, IpoptSettings, SolveStatus, solve
 from zeno_orbits.search.transcription.program import Program
 from zeno_orbits.search.transcription.transcribe import transcribe
@@ -43,7 +44,7 @@ def _program(
     mesh_tolerance: float = MESH,
     free: Mapping[str, tuple[float, float]] | None = None,
 ) -> Program:
-    compiled = compile_problem(problem)
+    compiled = problem.compiled()
     dynamics = bind(compiled, values.vector)
     settings = TranscriptionSettings(mesh_tolerance=mesh_tolerance)
     terms = transcribe(

@@ -9,7 +9,6 @@ import pytest
 from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.integrators.rosenbrock import rosenbrock_step
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.simulation.batch.batch import Batch, BatchSettings
 from zeno_orbits.simulation.batch.events import first_falls, may_fall
 from zeno_orbits.simulation.batch.model import model_in_rows
@@ -107,7 +106,7 @@ def test_lanes_do_what_single_simulations_do():
     lanes = batch.start(p, np.tile(start, (len(p), 1)), 1e-9, np.full(len(p), 6.0))
     events = run(batch)
     for lane, numbers in zip(lanes, p, strict=True):
-        alone = simulate(bind(compiled_model(PENDULUM), numbers), start, until=6.0).releases
+        alone = simulate(PENDULUM.dynamics(numbers), start, until=6.0).releases
         found = releases_of(events, lane)
         assert len(found) == len(alone) > 1
         for ours, theirs in zip(found, alone, strict=True):
@@ -185,7 +184,7 @@ def test_a_stiff_lane_settles_at_the_same_period_for_any_inductance():
     # The orbit depends on L/R to first order: at 1e-6 of the declared layer it is the limit's.
     small = [PENDULUM.values(parameters={"L": value}).vector for value in (2e-8, 2e-9)]
     quasi = load_problem("motor_pendulum@quasi_static")
-    limit = bind(compiled_model(quasi), quasi.values().vector)
+    limit = quasi.dynamics(quasi.values())
     start = PENDULUM.state_vector(PENDULUM.starts[0])
     batch = Batch(model_in_rows(PENDULUM), 2)
     lanes = batch.start(np.array(small), np.tile(start, (2, 1)), 1e-8, np.full(2, 4.0))

@@ -39,7 +39,7 @@ from zeno_orbits.errors import (
 from zeno_orbits.integrators import Engine, Radau, RungeKutta, SciPy
 from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.library import load_problem, load_reference
-from zeno_orbits.model.numeric.compiled import bind, compile_problem
+from zeno_orbits.model.numeric.compiled import bind
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.simulation.completion import Truncation, ZenoExtrapolation
@@ -61,7 +61,7 @@ def _problem() -> Problem:
 
 @pytest.fixture(name="pendulum", scope="module")
 def _pendulum(problem: Problem) -> Pendulum:
-    compiled = compile_problem(problem)
+    compiled = problem.compiled()
 
     def at(**parameters: float) -> HybridDynamics:
         return bind(compiled, problem.values(parameters=parameters).vector)
@@ -72,7 +72,7 @@ def _pendulum(problem: Problem) -> Pendulum:
 @pytest.fixture(name="ball", scope="module")
 def _ball() -> Pendulum:
     problem = load_problem("bouncing_ball")
-    compiled = compile_problem(problem)
+    compiled = problem.compiled()
 
     def at(restitution: float) -> HybridDynamics:
         values = problem.values(parameters={"restitution": restitution})
@@ -288,7 +288,7 @@ def test_a_lock_within_rounding_of_its_release_is_released(early: float) -> None
 def test_a_very_light_ball_rests_as_a_heavy_one_does() -> None:
     problem = load_problem("bouncing_ball")
     values = problem.values(parameters={"m": 1e-15})
-    light = bind(compile_problem(problem), values.vector)
+    light = problem.dynamics(values)
     execution = simulate(light, (0.0, 0.0), until=0.1)
     assert [arc.mode for arc in execution.arcs] == [Mode.LOCKED]
 
@@ -674,7 +674,7 @@ def test_a_motion_that_dies_out_is_followed_to_rest() -> None:
     # Positive damping: the swing fades into the hanging equilibrium, where the stop neither holds
     # nor repels, and the contacts end in rounding.
     problem = load_problem("motor_pendulum")
-    dynamics = bind(compile_problem(problem), problem.values(gains={"Kd": 2.0}).vector)
+    dynamics = problem.dynamics(problem.values(gains={"Kd": 2.0}))
     execution = simulate(dynamics, problem.state_vector(problem.starts[0]), until=60.0)
     assert execution.end_time == 60.0
     assert np.max(np.abs(execution.end_state)) < 1e-3
@@ -687,7 +687,7 @@ def test_a_motion_that_dies_out_is_followed_to_rest() -> None:
 def test_a_motion_that_speeds_up_without_end_is_told_in_a_tenth_of_the_steps(gain: float) -> None:
     # Feedback of the wrong sign: the shoulder whirls ever faster, and every turn takes its steps.
     problem = load_problem("motor_pendulum")
-    dynamics = bind(compile_problem(problem), problem.values(gains={"Kd": gain}).vector)
+    dynamics = problem.dynamics(problem.values(gains={"Kd": gain}))
     with pytest.raises(RunawayError, match="dtheta1 grows without end") as caught:
         simulate(dynamics, problem.state_vector(problem.starts[0]), until=10.0)
     # Looks come at 25 000 steps and at every doubling: the fourth ends it, at 200 000 of 2 million.

@@ -16,7 +16,6 @@ from tests.reference.closed_forms import FORCED
 from tests.support.mechanisms import forced_oscillator, oscillator_state
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compile_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.simulation.completion import ZenoExtrapolation
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
@@ -38,7 +37,7 @@ ROUNDING = 1e-13
 def _ball(restitution: float) -> HybridDynamics:
     problem = load_problem("bouncing_ball")
     values = problem.values(parameters={"restitution": restitution})
-    return bind(compile_problem(problem), values.vector)
+    return problem.dynamics(values)
 
 
 def _ball_estimates(dynamics: HybridDynamics, n: int) -> list[TailEstimate]:
@@ -238,7 +237,7 @@ def test_the_error_estimate_is_not_deceived_by_the_layer_of_the_current() -> Non
         "restitution": 0.1978,
     }
     values = problem.values(gains={"Kp": 6.2946, "Kd": -0.61543}, parameters=machine)
-    dynamics = bind(compile_problem(problem), values.vector)
+    dynamics = problem.dynamics(values)
     start = simulate(dynamics, problem.state_vector(problem.starts[0]), until=30.0).releases[-1]
     deep = SimulationSettings(completion=ZenoExtrapolation(tolerance=1e-14, resolved=1e-8))
     period = simulate(dynamics, start.state, until=10.0, releases=1, settings=deep)

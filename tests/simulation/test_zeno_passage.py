@@ -25,7 +25,6 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import RungeKutta
 from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compile_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.simulation.completion import ZenoExtrapolation, ZenoPassage
 from zeno_orbits.simulation.execution import Execution
@@ -80,7 +79,7 @@ def _pass(
 def _pendulum(restitution: float) -> HybridDynamics:
     problem = load_problem("motor_pendulum")
     values = problem.values(parameters={"restitution": restitution})
-    return bind(compile_problem(problem), values.vector)
+    return problem.dynamics(values)
 
 
 def _speed(passage_time: float, pull: float, restitution: float) -> float:

@@ -26,11 +26,11 @@ from zeno_orbits.errors import InputError, SimulationError, ZenoOrbitsError
 from zeno_orbits.model.drives import quasi_static_drive
 from zeno_orbits.model.hybrid import CompletedSystem, complete
 from zeno_orbits.model.library import load_problem, load_reference
-from zeno_orbits.model.numeric.compiled import CompiledSystem, bind, compile_problem
+from zeno_orbits.model.numeric.compiled import CompiledSystem, bind
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.shape import ONE_ZENO
-from zeno_orbits.search.search import OrbitNotFoundError, find_orbit
+from zeno_orbits.search import OrbitNotFoundError, find_orbit
 from zeno_orbits.simulation.completion import Truncation
 from zeno_orbits.simulation.execution import Execution
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
@@ -78,7 +78,7 @@ def _relative(value: float, exact: float) -> float:
 @cache
 def _compiled(name: str) -> tuple[Problem, CompiledSystem]:
     problem = load_problem(name)
-    return problem, compile_problem(problem)
+    return problem, problem.compiled()
 
 
 def _ball(**parameters: float) -> HybridDynamics:
@@ -523,7 +523,7 @@ def _quasi_static() -> tuple[Problem, CompiledSystem]:
         state_names=problem.state_names[:4],
         state_units=problem.state_units[:4],
     )
-    return without, compile_problem(without)
+    return without, without.compiled()
 
 
 def _quasi_static_error(until: float) -> float:

@@ -18,8 +18,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import OrbitImpact, ZenoOrbit
-from zeno_orbits.search.closing import close_orbit
-from zeno_orbits.search.search import find_orbit
+from zeno_orbits.search import close_orbit, find_orbit
 from zeno_orbits.simulation.completion import ZenoExtrapolation
 from zeno_orbits.simulation.simulator import SimulationSettings
 from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit

@@ -78,9 +78,8 @@ def _run_conditions(options: argparse.Namespace) -> int:
 
 
 def _draw_region(problem: Problem, values: ParameterValues, path: Path) -> None:
-    from zeno_orbits.model.numeric.compiled import bind, compiled_model
     from zeno_orbits.report import plots
 
     require_picture(path)
-    dynamics = bind(compiled_model(problem), values.vector)
+    dynamics = problem.dynamics(values)
     plots.save_figure(plots.plot_zeno_region(problem, dynamics), path)

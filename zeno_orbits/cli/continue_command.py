@@ -226,7 +226,7 @@ def _orbit(options: argparse.Namespace, problem: Problem, crew: Crew) -> ZenoOrb
 
     if options.start_orbit is None:
         values = _inside(problem, values_of(problem, options), options)
-        return start_orbit(problem, values, tell=lambda stage: crew.tell(stage, None))
+        return start_orbit(problem, values, tell=crew.tell)
     if options.gain or options.set:
         message = "must come without --gain and --set, as the orbit has numbers"
         raise InputError(f"Argument `from` {message}, but it does not.")
@@ -237,14 +237,14 @@ def _inside(
     problem: Problem, values: ParameterValues, options: argparse.Namespace
 ) -> ParameterValues:
     """Return the setting to start at: mid-range for what nobody has set and lies outside."""
-    gains, parameters = dict(values.gains), read_numbers(options.set, "set")
-    named = {*read_numbers(options.gain, "gain"), *parameters}
+    numbers = read_numbers(options.gain, "gain") | read_numbers(options.set, "set")
+    named = {*numbers}
     for entry, option in ((options.range, "in"), (options.second, "second")):
         if entry is None:
             continue
         name, (low, high) = read_range(entry, option)
-        value = {**values.parameters, **gains}.get(name)
+        value = values.numbers.get(name)
         if value is None or name in named or low <= value <= high:
             continue
-        (gains if name in gains else parameters)[name] = (low + high) / 2
-    return problem.values(gains=gains, parameters=parameters)
+        numbers[name] = (low + high) / 2
+    return problem.values(numbers=numbers)

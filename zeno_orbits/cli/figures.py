@@ -147,7 +147,7 @@ def _orbit_and_problem(
     if options.orbit.suffix == ".json":
         return orbit_and_problem(options)
     from zeno_orbits.model.library import load_problem
-    from zeno_orbits.search.search import find_orbit
+    from zeno_orbits.search import find_orbit
 
     if options.problem is not None:
         message = "must come with an orbit file, but a problem is named already"

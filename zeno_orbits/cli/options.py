@@ -214,8 +214,8 @@ def simulation_of(options: argparse.Namespace) -> SimulationSettings:
 
 def verification_of(options: argparse.Namespace, tolerance: float) -> VerificationSettings:
     """Return how to check at the accuracy that was asked for, if one was."""
+    from zeno_orbits.orbits.looser_run import LOOSER
     from zeno_orbits.precision.accuracy import FINEST, settings_for
-    from zeno_orbits.verification.integration import LOOSER
     from zeno_orbits.verification.verifier import VerificationSettings
 
     simulation = simulation_of(options)
@@ -247,23 +247,11 @@ def require_engine(options: argparse.Namespace, dynamics: HybridDynamics) -> Non
 
 def orbit_and_problem(options: argparse.Namespace) -> tuple[ZenoOrbit, Problem]:
     """Return the orbit of a file and its problem."""
-    from zeno_orbits.model.library import bundled_problems, load_problem, split_fidelity
+    from zeno_orbits.api import problem_of
     from zeno_orbits.orbits.orbit_file import read_orbit
 
     orbit = read_orbit(options.orbit)
-    name, fidelity = split_fidelity(orbit.problem)
-    if options.problem is not None:
-        problem = load_problem(options.problem)
-        if fidelity is not None and problem.name == name:
-            problem = problem.at_fidelity(fidelity)
-        if problem.name != orbit.problem:
-            wanted = f"must be the problem `{orbit.problem}` of the orbit"
-            raise InputError(f"Argument `problem` {wanted}, but it is `{problem.name}`.")
-        return orbit, problem
-    if name not in bundled_problems():
-        message = f"Argument `problem` must name the file of problem `{name}`, but it is missing."
-        raise InputError(message)
-    return orbit, load_problem(orbit.problem)
+    return orbit, problem_of(orbit, options.problem)
 
 
 def require_outputs(

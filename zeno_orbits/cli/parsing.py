@@ -148,58 +148,53 @@ def read_seed(text: str) -> int:
     return int(text)
 
 
-_WISHES = "nearest, period=SECONDS, amplitude=VALUE, energy, peak=SIGNAL, contraction or margin"
-
-
 def read_objective(
     wish: str, problem: Problem, free: Mapping[str, tuple[float, float]]
 ) -> Objective:
-    """Return the objective that a wish on the command line stands for."""
-    # The objectives bring CasADi, which a line that is not understood does not need.
-    from zeno_orbits.search import objectives
+    """Return the objective that a wish on the command line stands for.
 
-    word, _, target = wish.partition(":") if wish.startswith("nearest") else wish.partition("=")
-    plain = {
-        "energy": objectives.LeastEnergy,
-        "contraction": objectives.FastestContraction,
-        "margin": objectives.WidestMargin,
-    }
-    if word in plain and not target:
-        _require_freedom(free, word)
-        return plain[word]()
-    if word == "nearest":
-        return _nearest(target, free)
-    if word == "peak" and target:
-        _require_freedom(free, word)
-        return objectives.LeastPeak(signal=target)
-    if word not in ("period", "amplitude"):
-        raise InputError(f"Argument `objective` must be {_WISHES}, but it is `{wish}`.")
-    value = read_number(target, f"objective {word}")
-    if not 0.0 < value < math.inf:
-        raise InputError(f"Argument `objective` must have a positive {word}, but it is {value:g}.")
-    _require_freedom(free, word)
-    if word == "period":
-        return objectives.WantedPeriod(target=value)
-    return objectives.WantedAmplitude(state=problem.amplitude_of, target=value)
+    Args:
+        wish: A word of `OBJECTIVES`, with its operand.
+        problem: The problem.
+        free: Name to bounds of what is free.
+    """
+    from zeno_orbits.search.objectives import OBJECTIVES, Operand
+
+    word, _, text = wish.partition(":") if wish.startswith("nearest") else wish.partition("=")
+    known = OBJECTIVES.get(word)
+    takes = Operand.NOTHING if known is None else known.operand
+    if (
+        known is None
+        or (takes is Operand.NOTHING and text)
+        or (takes is Operand.SIGNAL and not text)
+    ):
+        *most, last = (one.usage for one in OBJECTIVES.values())
+        wishes = f"{', '.join(most)} or {last}"
+        raise InputError(f"Argument `objective` must be {wishes}, but it is `{wish}`.")
+    if takes is Operand.NUMBERS:
+        return known.objective(problem, _targets(text, free))
+    operand: str | float = text
+    if takes is Operand.NUMBER:
+        operand = read_number(text, f"objective {word}")
+        if not 0.0 < operand < math.inf:
+            message = f"must have a positive {word}, but it is {operand:g}"
+            raise InputError(f"Argument `objective` {message}.")
+    if not free:
+        message = f"must leave a gain or a parameter free for the {word}, but none is"
+        raise InputError(f"Argument `objective` {message}.")
+    return known.objective(problem, operand)
 
 
-def _nearest(target: str, free: Mapping[str, tuple[float, float]]) -> Objective:
-    from zeno_orbits.search.objectives import NearestGains
-
-    wanted = read_numbers([part for part in target.split(",") if part], "objective")
-    for name in wanted:
+def _targets(text: str, free: Mapping[str, tuple[float, float]]) -> dict[str, float]:
+    """Return name to target from ``NAME=VALUE,...``, each in the range of what is free."""
+    targets = read_numbers([part for part in text.split(",") if part], "objective")
+    for name, value in targets.items():
         if name not in free:
             known = ", ".join(free) or "none"
             message = f"must name what is free ({known}), but it names `{name}`"
             raise InputError(f"Argument `objective` {message}.")
         low, high = free[name]
-        if not low <= wanted[name] <= high:
+        if not low <= value <= high:
             bounds = f"must lie in the range of `{name}`, [{low:g}, {high:g}]"
-            raise InputError(f"Argument `objective` {bounds}, but it is {wanted[name]:g}.")
-    return NearestGains(target=wanted)
-
-
-def _require_freedom(free: Mapping[str, tuple[float, float]], word: str) -> None:
-    if not free:
-        message = f"must leave a gain or a parameter free for the {word}, but none is"
-        raise InputError(f"Argument `objective` {message}.")
+            raise InputError(f"Argument `objective` {bounds}, but it is {value:g}.")
+    return targets

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,11 +34,8 @@ from zeno_orbits.report.terminal import orbits as report
 from zeno_orbits.work.files import require_writable
 
 if TYPE_CHECKING:
-    from zeno_orbits.model.library import ProblemFile
     from zeno_orbits.model.problem import ParameterValues, Problem
     from zeno_orbits.orbits.orbit import ZenoOrbit
-    from zeno_orbits.search.search import Judgement
-    from zeno_orbits.verification.verifier import VerificationSettings
 
 
 def add_search(commands: Any) -> None:
@@ -136,42 +132,10 @@ def add_search(commands: Any) -> None:
     parser.add_argument("-o", "--output", type=Path, help="write the verified orbit here")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Judge:
-    """Verifies an orbit and says why it will not do, if it will not.
-
-    Attributes:
-        problem: Where the problem comes from; a worker loads it itself.
-        settings: How to check.
-        allow_unstable: Whether an orbit that does not attract will do.
-        accuracy: Largest error of its numbers, if one was asked for.
-    """
-
-    problem_file: ProblemFile
-    settings: VerificationSettings
-    allow_unstable: bool
-    accuracy: float | None
-
-    def __call__(self, orbit: ZenoOrbit) -> Judgement:
-        from zeno_orbits.search.search import Judgement
-        from zeno_orbits.verification.verifier import verify
-
-        certificate = verify(orbit, self.problem_file.load(), settings=self.settings)
-        objection = ""
-        if not certificate.passed:
-            objection = certificate.verdict()
-        elif not (certificate.stable or self.allow_unstable):
-            radius = certificate.spectral_radius
-            objection = f"The orbit does not attract: its spectral radius is {radius:.4g}."
-        elif self.accuracy is not None and not certificate.orbit_error <= self.accuracy:
-            objection = f"Its numbers are certain to {certificate.orbit_error:.1e} only."
-        return Judgement(objection=objection, certificate=certificate)
-
-
 def _run_search(options: argparse.Namespace) -> int:
+    from zeno_orbits.api import Verified
     from zeno_orbits.model.library import locate_problem
-    from zeno_orbits.model.numeric.compiled import bind, compiled_model
-    from zeno_orbits.search.search import SearchSettings, Spread, search_gains
+    from zeno_orbits.search import SearchSettings, Spread, search_gains
     from zeno_orbits.work import Plan, remove_checkpoint
 
     problem_file = locate_problem(options.problem)
@@ -190,13 +154,13 @@ def _run_search(options: argparse.Namespace) -> int:
     )
     if options.accuracy is not None:
         settings = settings.for_accuracy(options.accuracy)
-    judge = _Judge(
-        problem_file=problem_file,
+    judge = Verified(
+        problem=problem_file,
         settings=verification_of(options, 1e-9),
         allow_unstable=options.allow_unstable,
         accuracy=options.accuracy,
     )
-    require_engine(options, bind(compiled_model(problem), values.vector))
+    require_engine(options, problem.dynamics(values))
     checkpoint = _checkpoint(options, several=bool(free))
     plan = Plan(place=place_of(options), checkpoint=checkpoint)
     try:

@@ -14,8 +14,8 @@ from zeno_orbits.report.terminal import orbits as report
 if TYPE_CHECKING:
     from zeno_orbits.model.problem import ParameterValues, Problem
     from zeno_orbits.orbits.bounds import Bound
+    from zeno_orbits.search import SearchResult
     from zeno_orbits.search.objectives import Objective
-    from zeno_orbits.search.search import SearchResult
 
 
 def answer(
@@ -101,7 +101,7 @@ def _ranking(options: argparse.Namespace, result: SearchResult) -> dict[str, Any
     """Return the ranked orbits and the failures, if more than one was asked for."""
     if options.candidates == 1:
         return {}
-    from zeno_orbits.search.search import SearchStatus
+    from zeno_orbits.search import SearchStatus
     from zeno_orbits.verification.verifier import certified
 
     ranked = [
@@ -143,7 +143,7 @@ _FAR = 100.0
 def far_from_own(problem: Problem, values: ParameterValues) -> list[str]:
     """Return the numbers that are far from the problem's own, each as a sentence."""
     found: list[str] = []
-    for quantity in (*problem.gains, *problem.parameters):
+    for quantity in problem.quantities:
         own, given = quantity.default, values.number(quantity.name)
         if not own or not given or 1 / _FAR < abs(given / own) < _FAR:
             continue

@@ -73,7 +73,6 @@ def add_simulate(commands: Any) -> None:
 
 def _run_simulate(options: argparse.Namespace) -> int:
     from zeno_orbits.model.library import load_problem
-    from zeno_orbits.model.numeric.compiled import bind, compiled_model
     from zeno_orbits.precision.accuracy import why_engine
 
     problem = load_problem(options.problem)
@@ -81,7 +80,7 @@ def _run_simulate(options: argparse.Namespace) -> int:
     state = start_of(problem, options)
     require_outputs(options, files=("data",), pictures=("output",))
     sampling = None if options.data is None else _sampling_of(options)
-    dynamics = bind(compiled_model(problem), values.vector)
+    dynamics = problem.dynamics(values)
     assured = _simulated(options, dynamics, state)
     execution = assured.execution
     if options.json:

@@ -14,24 +14,21 @@ from itertools import pairwise
 
 import numpy as np
 
-from zeno_orbits.continuation.corrector import BranchPoint, Metric, correct, is_back
+from zeno_orbits.continuation.corrector import BranchPoint, Metric, correct
 from zeno_orbits.continuation.ends import locate_end
 from zeno_orbits.continuation.families import Kind
 from zeno_orbits.continuation.margins import Threat, stages, threats
 from zeno_orbits.continuation.return_maps import Loss, Return, ReturnMap
 from zeno_orbits.continuation.special_points import Located, crossings, locate_inside
 from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.orbits.path import Step, StepControl, StepError, follow_path, returns_to_start
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Steps:
-    """How a family is followed.
+class Steps(StepControl):
+    """How a family is followed, in scaled arclength: the parameter's whole range is one.
 
     Attributes:
-        first: First step, in scaled arclength: the parameter's whole range is one.
-        longest: Longest step.
-        shortest: A step that would have to be shorter is given up.
-        most: Steps in a direction.
         turn: Largest angle between neighbouring tangents [rad].
         stray: Largest distance of a point from its neighbour's tangent, as part of the step.
     """
@@ -39,7 +36,7 @@ class Steps:
     first: float = 0.01
     longest: float = 0.04
     shortest: float = 1e-6
-    most: int = 300
+    most: float = 300
     turn: float = 0.2
     stray: float = 0.1
 
@@ -65,7 +62,8 @@ class Branch:
 
 Tell = Callable[[str, float | None], None]
 
-_GROWTH, _EASY = 1.5, 0.4
+_EASY = 0.4
+"""Part of the allowed turn and stray that an easy step uses at most."""
 _FAR = 4.0
 """How many steps ahead an end may be that is sought when a step has failed."""
 _SOON = 1.0
@@ -93,14 +91,37 @@ def follow(
         steps: How to step.
         restitution: At a parameter.
         tell: Called with what happens.
-        alien: Tells a point that belongs to another family: an orbit of lower period.
+        alien: Returns True for a point that belongs to another family: an orbit of lower period.
     """
-    walk = _Walk(returns, metric, box, steps, restitution, tell, alien)
-    return walk.run(start)
+    follower = _Follower(returns, metric, box, steps, restitution, tell, alien)
+    path = follow_path(
+        start,
+        steps,
+        follower.advance,
+        shortened=follower.end_ahead,
+        give_up=follower.last_end,
+    )
+    end = path.end or _End(kind=Kind.MOST_STEPS, detail=f"{steps.most} steps")
+    return Branch(
+        points=path.points,
+        special=tuple(follower.special),
+        ending=end.kind,
+        end=end.located,
+        detail=end.detail,
+    )
 
 
-class _Walk:
-    """A family in the making."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _End:
+    """Why a family ends."""
+
+    kind: Kind
+    located: Located | None = None
+    detail: str = ""
+
+
+class _Follower:
+    """The steps along a family, and the special points passed so far."""
 
     def __init__(
         self,
@@ -114,47 +135,46 @@ class _Walk:
     ) -> None:
         self.returns, self.metric, self.box, self.steps = returns, metric, box, steps
         self.restitution, self.tell, self.alien = restitution, tell, alien
-        self.points: list[BranchPoint] = []
         self.special: list[tuple[int, Located]] = []
         self.tried: dict[Loss, float] = {}
 
-    def run(self, start: BranchPoint) -> Branch:
-        self.points.append(start)
-        step, trouble = self.steps.first, ""
-        while len(self.points) <= self.steps.most:
-            self.tell(f"{len(self.points)} orbits, at {self.points[-1].s:.6g}", None)
-            ended = self._end_within(_SOON * step)
-            if ended is not None:
-                return ended
-            new, at_bound, between = None, False, list[Located]()
-            try:
-                new, at_bound = self._stepped(step)
-                trouble = "" if at_bound else self._objection(new, step)
-                if not trouble:
-                    between = self._between(self.points[-1], new)
-            except ZenoOrbitsError as error:
-                trouble = str(error)
-            if new is None or trouble:
-                step /= 2
-                if step < self.steps.shortest:
-                    return self._lost(trouble)
-                if step < self.steps.first / 8:
-                    ended = self._end_within(_FAR * 8 * step)
-                    if ended is not None:
-                        return ended
-                continue
-            self._accept(new, between)
-            if at_bound:
-                return self._branch(Kind.BOUND)
-            if is_back(self.points, self.steps.stray, self.steps.turn):
-                return self._branch(Kind.CLOSED)
-            if self._ease(step) < _EASY:
-                step = min(_GROWTH * step, self.steps.longest)
-        return self._branch(Kind.MOST_STEPS, detail=f"{self.steps.most} steps")
+    def advance(self, points: Sequence[BranchPoint], step: float) -> Step[BranchPoint, _End]:
+        """Return the next point, or the end if it is near."""
+        last = points[-1]
+        self.tell(f"{len(points)} orbits, at {last.s:.6g}", None)
+        ended = self._end_within(points, _SOON * step)
+        if ended is not None:
+            return ended
+        new, at_bound = self._corrected(last, step)
+        if not at_bound:
+            self._require_neighbour(last, new, step)
+        self._pass(len(points), self._between(last, new))
+        if at_bound:
+            return Step(points=(new,), end=_End(kind=Kind.BOUND))
+        if returns_to_start((*points, new), self.steps.stray, self.steps.turn):
+            return Step(points=(new,), end=_End(kind=Kind.CLOSED))
+        return Step(points=(new,), easy=self._effort(last, new, step) < _EASY)
 
-    def _stepped(self, step: float) -> tuple[BranchPoint, bool]:
-        """Return the next point, and whether it lies on the bound of the parameter."""
-        last, low, high = self.points[-1], *self.box
+    def end_ahead(self, points: Sequence[BranchPoint], step: float) -> Step[BranchPoint, _End]:
+        """Return the end if the steps became short because of it."""
+        if step < self.steps.first / 8:
+            return self._end_within(points, _FAR * 8 * step) or Step()
+        return Step()
+
+    def last_end(self, points: Sequence[BranchPoint], trouble: str) -> Step[BranchPoint, _End]:
+        """Return the end where no step is possible."""
+        self.tried.clear()
+        ended = self._end_within(points, np.inf)
+        if ended is not None:
+            return ended
+        nearest = min((abs(1 - mu) for mu in points[-1].multipliers), default=1.0)
+        if trouble == _LOWER and nearest < _REJOINS:
+            return Step(end=_End(kind=Kind.REJOINS, detail="at the flip that is nearest"))
+        return Step(end=_End(kind=Kind.GAVE_UP, detail=trouble))
+
+    def _corrected(self, last: BranchPoint, step: float) -> tuple[BranchPoint, bool]:
+        """Return the next point, and True if it lies on the bound of the parameter."""
+        low, high = self.box
         z = last.z + step * last.tangent
         s = z[-1] * self.metric.unit
         if low <= s <= high:
@@ -168,24 +188,22 @@ class _Walk:
         z = last.z + part * last.tangent
         return correct(self.returns, self.metric, z, last.tangent, fixed=normal), True
 
-    def _objection(self, new: BranchPoint, step: float) -> str:
-        """Return why a point is no neighbour of the last one, or nothing."""
-        last = self.points[-1]
+    def _require_neighbour(self, last: BranchPoint, new: BranchPoint, step: float) -> None:
+        """Refuse a point that is no neighbour of the last one."""
         if self.alien is not None and self.alien(new):
-            return _LOWER
+            raise StepError(_LOWER)
         if float(new.tangent @ last.tangent) < np.cos(self.steps.turn):
-            return "the tangent turns too fast"
+            raise StepError("the tangent turns too fast")
         ahead = np.linalg.norm(new.z - last.z - step * last.tangent)
         behind = np.linalg.norm(new.z - last.z - step * new.tangent)
         if max(ahead, behind) > self.steps.stray * step:
-            return "the points do not lie along the tangents"
-        return jumped(last.found, new.found)
+            raise StepError("the points do not lie along the tangents")
+        require_continuous(last.found, new.found)
 
-    def _ease(self, step: float) -> float:
-        """Return how much of what a step may bend the last one did."""
-        before, last = self.points[-2:]
-        angle = np.arccos(min(1.0, float(before.tangent @ last.tangent)))
-        ahead = np.linalg.norm(last.z - before.z - step * before.tangent)
+    def _effort(self, last: BranchPoint, new: BranchPoint, step: float) -> float:
+        """Return the turn and stray of a step, as part of what is allowed."""
+        angle = np.arccos(min(1.0, float(last.tangent @ new.tangent)))
+        ahead = np.linalg.norm(new.z - last.z - step * last.tangent)
         return max(float(angle) / self.steps.turn, float(ahead) / (self.steps.stray * step))
 
     def _between(self, before: BranchPoint, after: BranchPoint) -> list[Located]:
@@ -200,48 +218,50 @@ class _Walk:
         ]
         return [located for located in found if located is not None]
 
-    def _accept(self, new: BranchPoint, between: Sequence[Located]) -> None:
+    def _pass(self, n_points: int, between: Sequence[Located]) -> None:
+        """Keep the special points between the last of some points and the next."""
         for located in between:
             self.tell(f"{located.kind.value} at {located.z[-1] * self.metric.unit:.6g}", None)
-            self.special.append((len(self.points) - 1, located))
-        self.points.append(new)
+            self.special.append((n_points - 1, located))
 
-    def _end_within(self, distance: float) -> Branch | None:
-        """Return the family with its end, if one is near and can be located."""
-        if len(self.points) < 2:
+    def _end_within(
+        self, points: Sequence[BranchPoint], distance: float
+    ) -> Step[BranchPoint, _End] | None:
+        """Return the way to the end, if one is near and can be located."""
+        if len(points) < 2:
             return None
-        for threat in self._threats():
+        for threat in self._threats(points):
             if threat.distance > distance:
                 continue
             key = threat.margin.loss
             if threat.distance > 0.5 * self.tried.get(key, np.inf):
                 continue
             self.tried[key] = threat.distance
-            end = self._located(threat)
-            if end is None or (not end.path and crossings(self.points[-1], end.point)):
+            end = self._located(points, threat)
+            if end is None or (not end.path and crossings(points[-1], end.point)):
                 # What happens before an end has to be passed step by step.
                 continue
             try:
-                way = (self.points[-1], *end.path)
+                way = (points[-1], *end.path)
                 found = [self._between(*neighbours) for neighbours in pairwise(way)]
             except ZenoOrbitsError:
                 continue
-            for point, between in zip(end.path, found, strict=True):
-                self._accept(point, between)
-            return self._branch(end.kind, end=end)
+            for k, between in enumerate(found):
+                self._pass(len(points) + k, between)
+            return Step(points=end.path, end=_End(kind=end.kind, located=end))
         return None
 
-    def _threats(self) -> Sequence[Threat]:
+    def _threats(self, points: Sequence[BranchPoint]) -> Sequence[Threat]:
         try:
-            return threats(stages(self.points), self.restitution(self.points[-1].s))
+            return threats(stages(points), self.restitution(points[-1].s))
         except (ZeroDivisionError, ValueError):
             return []
 
-    def _located(self, threat: Threat) -> Located | None:
+    def _located(self, points: Sequence[BranchPoint], threat: Threat) -> Located | None:
         """Return the end at which a margin vanishes, if it is where it was predicted."""
-        last = self.points[-1]
+        last = points[-1]
         try:
-            end = locate_end(self.returns, self.metric, self.points, threat, self.restitution)
+            end = locate_end(self.returns, self.metric, points, threat, self.restitution)
         except (ZenoOrbitsError, ZeroDivisionError):
             return None
         s, (low, high) = end.z[-1] * self.metric.unit, self.box
@@ -253,37 +273,20 @@ class _Walk:
             return None
         return end
 
-    def _lost(self, trouble: str) -> Branch:
-        """Return the family with an end that has no other name."""
-        self.tried.clear()
-        ended = self._end_within(np.inf)
-        if ended is not None:
-            return ended
-        nearest = min((abs(1 - mu) for mu in self.points[-1].multipliers), default=1.0)
-        if trouble == _LOWER and nearest < _REJOINS:
-            return self._branch(Kind.REJOINS, detail="at the flip that is nearest")
-        return self._branch(Kind.GAVE_UP, detail=trouble)
 
-    def _branch(self, ending: Kind, *, end: Located | None = None, detail: str = "") -> Branch:
-        return Branch(
-            points=tuple(self.points),
-            special=tuple(self.special),
-            ending=ending,
-            end=end,
-            detail=detail,
-        )
+def require_continuous(before: Return, after: Return) -> None:
+    """Refuse a step between returns that do not pass into each other.
 
-
-def jumped(before: Return, after: Return) -> str:
-    """Return what is not continuous between two neighbours: an impact more or less, or nothing."""
+    Raises:
+        StepError: If the period jumps, or an impact comes or goes.
+    """
     if not 1 / _SAME_PERIOD < after.time / before.time < _SAME_PERIOD:
-        return "the period is another one"
+        raise StepError("the period is another one")
     for margin, value in after.margins.items():
         if margin.loss is not Loss.FIRST_IMPACT or margin not in before.margins:
             continue
         if not 0.5 < value / before.margins[margin] < 2.0:
-            return "the first impact is another one"
-    return ""
+            raise StepError("the first impact is another one")
 
 
 _SAME_PERIOD = 1.3

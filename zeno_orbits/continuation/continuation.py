@@ -10,7 +10,6 @@ Families of orbits that strike the stop once a turn and never rest on it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -34,13 +33,12 @@ from zeno_orbits.continuation.setup import (
 )
 from zeno_orbits.continuation.two_parameters.boundary_set import curves_through
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model.numeric.compiled import compiled_model
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit, versions
 from zeno_orbits.orbits.shape import ONE_ZENO
-from zeno_orbits.search.closing import close_orbit
-from zeno_orbits.search.search import find_orbit
+from zeno_orbits.search import close_orbit, find_orbit
 from zeno_orbits.simulation.simulator import simulate
+from zeno_orbits.work.progress import Progress, silent
 from zeno_orbits.work.serialization import plain
 
 
@@ -191,9 +189,7 @@ def _grown_from(root: Root, dispatch: Dispatch) -> list[Grown]:
     return found
 
 
-def start_orbit(
-    problem: Problem, values: ParameterValues, *, tell: Callable[[str], None] | None = None
-) -> ZenoOrbit:
+def start_orbit(problem: Problem, values: ParameterValues, *, tell: Progress = silent) -> ZenoOrbit:
     """Return the orbit at given numbers that a motion settles to.
 
     By simulation alone, and where that does not close one, by the search.
@@ -261,12 +257,10 @@ def continue_impacts(
         WorkError: If the work cannot be finished.
     """
     p = np.array(values.vector)
-    value = float(p[problem.names.index(parameter)]) if parameter in problem.names else 0.0
     line = line_in(problem, p, parameter)
+    value = values.number(parameter)
     check_box(problem, parameter, box, value)
-    returns = ImpactReturns(
-        compiled=compiled_model(problem), line=line, settings=settings.simulation
-    )
+    returns = ImpactReturns(compiled=problem.compiled(), line=line, settings=settings.simulation)
     x, flight, scale = _settled(returns, np.array(state), value)
     course = Course(
         values=values,

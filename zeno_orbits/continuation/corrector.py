@@ -7,17 +7,15 @@ so that a chart can be laid anew around every iterate and none is ever left. The
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector, eigenvalues
 from zeno_orbits.continuation.return_maps import Return, ReturnMap
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.orbits.section import Frame
+from zeno_orbits.orbits.section import Section
 
 _MOST_ITERATIONS = 9
 CLOSED = 2e-11
@@ -111,7 +109,7 @@ def correct(
         x = returns.projected(x, s, metric.scale)
         here = returns.frame(x, s, metric.scale)
         found = followed(returns, x, s, metric)
-        missed = here.coordinates(found.end - x)
+        missed = here.components(found.end - x)
         miss = float(np.max(np.abs(missed), initial=0.0))
         off = float(normal @ (metric.place(x, s) - z))
         rows, ambient = linearized(here, found, metric)
@@ -147,7 +145,7 @@ def corrected_again(returns: ReturnMap, metric: Metric, point: BranchPoint) -> B
     found = followed(returns, point.x, point.s, metric)
     rows, ambient = linearized(here, found, metric)
     matrix = np.concatenate([rows, (point.tangent @ ambient)[None, :]])
-    missed = np.append(here.coordinates(found.end - point.x), 0.0)
+    missed = np.append(here.components(found.end - point.x), 0.0)
     change = np.linalg.lstsq(matrix, -missed, rcond=None)[0]
     place = metric.place(point.x + here.lift @ change, point.s + float(change[-1]))
     return correct(returns, metric, place, point.tangent)
@@ -167,43 +165,6 @@ def first_point(
     return correct(returns, metric, z, upwards)
 
 
-_BACK = 3
-"""Points of a curve before it can have come back to its start."""
-
-
-class OnCurve(Protocol):
-    """A point of a curve that is followed."""
-
-    @property
-    def z(self) -> Vector:
-        """Its place in scaled terms."""
-        ...
-
-    @property
-    def tangent(self) -> Vector:
-        """Unit tangent of the curve there, in the same terms."""
-        ...
-
-
-def is_back(points: Sequence[OnCurve], stray: float, turn: float) -> bool:
-    """Tell whether a curve has come back: its start lies between its last two points.
-
-    Args:
-        points: Of the curve, in order.
-        stray: Largest distance of the start from their chord, as part of its length.
-        turn: Largest angle between neighbouring tangents [rad]; the start may have twice that.
-    """
-    if len(points) <= _BACK:
-        return False
-    start, before, last = points[0], *points[-2:]
-    step = last.z - before.z
-    length = float(np.linalg.norm(step))
-    along = float((start.z - before.z) @ step) / length
-    off = float(np.linalg.norm(start.z - before.z - along / length * step))
-    aligned = float(start.tangent @ last.tangent) > np.cos(2 * turn)
-    return bool(0.0 < along <= length and off < stray * length and aligned)
-
-
 def followed(returns: ReturnMap, x: Vector, s: float, metric: Metric) -> Return:
     """Return a return, or say that the numbers ran out of range on the way."""
     if not (np.all(np.isfinite(x)) and np.isfinite(s)):
@@ -215,12 +176,12 @@ def followed(returns: ReturnMap, x: Vector, s: float, metric: Metric) -> Return:
         raise SimulationError(str(error), time=metric.horizon, state=tuple(x.tolist())) from error
 
 
-def linearized(here: Frame, found: Return, metric: Metric) -> tuple[Vector, Vector]:
+def linearized(here: Section, found: Return, metric: Metric) -> tuple[Vector, Vector]:
     """Return the derivative of `P - y` and of the ambient place, by coordinates and parameter."""
     d = here.tangent.shape[1]
     moved = found.by_state @ here.lift
     moved[:, d] += found.by_parameter
-    rows = here.coordinates(moved - here.lift)
+    rows = here.components(moved - here.lift)
     parameter = np.zeros((1, d + 1))
     parameter[0, d] = 1 / metric.unit
     return rows, np.concatenate([here.lift / metric.scale[:, None], parameter])

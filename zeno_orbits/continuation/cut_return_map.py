@@ -26,7 +26,7 @@ from zeno_orbits.model.numeric.derivatives import GAP_ACCELERATION
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.orbits.monodromy import differentials_of
 from zeno_orbits.orbits.period import first_return, to_next_release
-from zeno_orbits.orbits.section import Frame, Line
+from zeno_orbits.orbits.section import Line, Section
 from zeno_orbits.simulation.execution import Ending, Impact, Mode
 from zeno_orbits.simulation.sensitivity import EventShift, Perturbations
 from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit
@@ -66,7 +66,7 @@ class CutReturns:
         """The parameters."""
         return self.whole.line
 
-    def frame(self, x: Vector, s: float, scale: Vector) -> Frame:
+    def frame(self, x: Vector, s: float, scale: Vector) -> Section:
         """Return the release section around a state of it."""
         return self.whole.frame(x, s, scale)
 

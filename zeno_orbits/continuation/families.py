@@ -121,7 +121,11 @@ class SpecialPoint:
         }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+_MOST_NAMED = 8
+"""Named points of a family, and families, that a printed value shows."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Family:
     """A connected piece of a family, in order along it.
 
@@ -146,6 +150,16 @@ class Family:
     special: tuple[SpecialPoint, ...]
     first: SpecialPoint
     last: SpecialPoint
+
+    def __repr__(self) -> str:
+        """Return one line: the range of the parameter and the named points."""
+        named = [f"{one.kind.value} at {one.at.value:.6g}" for one in self.named[:_MOST_NAMED]]
+        more = len(self.named) - len(named)
+        rest = [f"and {more} more"] if more else []
+        return (
+            f"<Family of {self.problem} in {self.parameter}: points={len(self.points)}, "
+            f"n_returns={self.n_returns}; {', '.join([*named, *rest])}>"
+        )
 
     @property
     def named(self) -> tuple[SpecialPoint, ...]:
@@ -246,7 +260,7 @@ def whole_curve(
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Continuation:
     """All that a continuation found.
 
@@ -259,6 +273,12 @@ class Continuation:
     families: tuple[Family, ...]
     boundaries: tuple[Boundary, ...] = ()
     versions: Mapping[str, str] = field(default_factory=dict[str, str])
+
+    def __repr__(self) -> str:
+        """Return a line a family, and the number of boundaries."""
+        shown = "".join(f"\n  {family!r}" for family in self.families[:_MOST_NAMED])
+        counts = f"families={len(self.families)}, boundaries={len(self.boundaries)}"
+        return f"<Continuation: {counts}{shown}>"
 
     def as_json(self) -> dict[str, Any]:
         """Return everything as the plain data of a family file."""

@@ -27,8 +27,16 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model.numeric.compiled import CompiledSystem, bind
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.orbits.monodromy import differentials_of, loosened, return_derivative
-from zeno_orbits.orbits.section import IMPACT_ROWS, RELEASE_ROWS, Frame, Line, frame, projected
+from zeno_orbits.orbits.looser_run import loosened
+from zeno_orbits.orbits.monodromy import differentials_of, return_derivative
+from zeno_orbits.orbits.section import (
+    IMPACT_ROWS,
+    RELEASE_ROWS,
+    Line,
+    Section,
+    projected,
+    section_along,
+)
 from zeno_orbits.simulation.execution import Arc, Ending, Execution, Mode
 from zeno_orbits.simulation.sensitivity import Perturbations
 from zeno_orbits.simulation.signals import least_inside
@@ -97,7 +105,7 @@ class ReturnMap(Protocol):
         """
         ...
 
-    def frame(self, x: Vector, s: float, scale: Vector) -> Frame:
+    def frame(self, x: Vector, s: float, scale: Vector) -> Section:
         """Return the section around a state of it."""
         ...
 
@@ -134,9 +142,9 @@ class SectionReturns:
         """Return the system at a place on the line."""
         return bind(self.compiled, self.line.at(s).tolist())
 
-    def frame(self, x: Vector, s: float, scale: Vector) -> Frame:
+    def frame(self, x: Vector, s: float, scale: Vector) -> Section:
         """Return the section around a state of it."""
-        return frame(self.dynamics(s), self.line, self.rows, x, scale)
+        return section_along(self.dynamics(s), self.line, self.rows, x, scale)
 
     def projected(self, x: Vector, s: float, scale: Vector) -> Vector:
         """Return the state of the section nearest to a state."""
@@ -148,7 +156,7 @@ class SectionReturns:
 
     def loosened(self) -> Self:
         """Return the same map at a looser tolerance."""
-        return replace(self, settings=loosened(self.settings, _LOOSER))
+        return replace(self, settings=loosened(self.settings, factor=_LOOSER))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -243,7 +251,7 @@ class Composed:
         """The parameters."""
         return self.maps[0].line
 
-    def frame(self, x: Vector, s: float, scale: Vector) -> Frame:
+    def frame(self, x: Vector, s: float, scale: Vector) -> Section:
         """Return the section around a state of it."""
         return self.maps[0].frame(x, s, scale)
 

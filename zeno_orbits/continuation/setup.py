@@ -13,7 +13,6 @@ from zeno_orbits.continuation.corrector import Metric
 from zeno_orbits.continuation.return_maps import Composed, ImpactReturns, ReleaseReturns, ReturnMap
 from zeno_orbits.continuation.two_parameters.plane import CurveSteps, Plane
 from zeno_orbits.errors import InputError
-from zeno_orbits.model.numeric.compiled import compiled_model
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.section import Line
@@ -81,7 +80,7 @@ class Track:
         """The return map."""
         course = self.course
         once = course.section(
-            compiled=compiled_model(self.problem),
+            compiled=self.problem.compiled(),
             line=line_in(self.problem, np.array(course.values.vector), course.parameter),
             settings=course.simulation,
         )
@@ -226,11 +225,8 @@ def line_in(problem: Problem, p: Vector, parameter: str) -> Line:
     Raises:
         InputError: If the problem has no such number.
     """
-    if parameter not in problem.names:
-        known = ", ".join(problem.names)
-        raise InputError(f"Argument `in` must be one of {known}, but it is `{parameter}`.")
     direction = np.zeros(p.size)
-    direction[problem.names.index(parameter)] = 1.0
+    direction[problem.place(parameter, argument="in")] = 1.0
     return Line(origin=p * (1 - direction), direction=direction)
 
 
@@ -240,14 +236,8 @@ def check_box(problem: Problem, parameter: str, box: tuple[float, float], value:
     Raises:
         InputError: If it is one of these.
     """
+    problem.require_range(parameter, box, argument="in")
     low, high = box
-    if not low < high:
-        message = f"must have the lower end first, but it is {low:g}:{high:g}"
-        raise InputError(f"Argument `in` {message}.")
-    for quantity in problem.parameters:
-        if quantity.name == parameter:
-            quantity.checked(low)
-            quantity.checked(high)
     if not low <= value <= high:
         message = f"must hold the start, {parameter} = {value:g}, but it is {low:g}:{high:g}"
         raise InputError(f"Argument `in` {message}.")

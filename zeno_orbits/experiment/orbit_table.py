@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model.numeric.compiled import CompiledSystem, bind, compiled_model
+from zeno_orbits.model.numeric.compiled import CompiledSystem
 from zeno_orbits.model.numeric.compiled_flow import dense_function
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.cycle import Cycle
 from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.search.closing import cycle_near
+from zeno_orbits.search import cycle_near
 from zeno_orbits.simulation.execution import Arc, Mode
 from zeno_orbits.simulation.signals import signal_names
 from zeno_orbits.simulation.simulator import SimulationSettings
@@ -86,7 +86,7 @@ class Measurement:
 
 def measurement(problem: Problem, names: Sequence[str]) -> Measurement:
     """Return the signals of a problem with the given names, each one of `measurable`."""
-    compiled = compiled_model(problem)
+    compiled = problem.compiled()
     x = ca.SX.sym("x", compiled.n_x)
     p = ca.SX.sym("p", compiled.contact.numel_in(1))
     known = measurable(problem)
@@ -103,7 +103,7 @@ def measurement(problem: Problem, names: Sequence[str]) -> Measurement:
 
 def measurable(problem: Problem) -> dict[str, str]:
     """Return name to unit of what may be measured of a problem: states, motors, outputs."""
-    compiled = compiled_model(problem)
+    compiled = problem.compiled()
     units = dict(zip(problem.state_names, problem.state_units, strict=True))
     for name in signal_names(compiled):
         units.setdefault(name, "A" if name.startswith("current") else "V")
@@ -305,7 +305,7 @@ def table_of(orbit: ZenoOrbit, problem: Problem, names: Sequence[str]) -> OrbitT
         SimulationError: If its release does not return.
     """
     p = np.asarray(orbit.values(problem).vector, dtype=np.float64)
-    dynamics = bind(compiled_model(problem), tuple(p.tolist()))
+    dynamics = problem.dynamics(p)
     release = dynamics.on_stop(np.array(problem.state_vector(orbit.release_state)))
     settings = SimulationSettings()
     cycle = cycle_near(dynamics, release, period=orbit.period, settings=settings)

@@ -11,12 +11,11 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
+from zeno_orbits.maps.attractors import Attractor
 from zeno_orbits.maps.newton_request import Accuracy, Request
 from zeno_orbits.maps.point import Point
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.model.quantities import RUNAWAY
-from zeno_orbits.simulation.attractor import Attractor
+from zeno_orbits.simulation.attractor import bounds_of
 from zeno_orbits.simulation.batch.batch import Batch
 from zeno_orbits.simulation.batch.model import model_in_rows
 from zeno_orbits.work.progress import Progress, silent
@@ -78,14 +77,13 @@ def _in_words(problem: Problem, found: Attractor) -> Attractor:
 
 def _limits(problem: Problem, bounds: Mapping[str, float] | None) -> Vector:
     model = model_in_rows(problem)
-    chosen = dict.fromkeys(model.state_names[: model.n_q], RUNAWAY)
-    chosen |= {name: escape.beyond for name, escape in problem.escapes.items()}
-    chosen |= dict(bounds or {})
-    problem.state_vector(chosen)
-    for name, bound in chosen.items():
+    declared = {name: escape.beyond for name, escape in problem.escapes.items()}
+    declared |= dict(bounds or {})
+    problem.state_vector(declared)
+    for name, bound in declared.items():
         if not bound > 0.0:
             raise InputError(f"Argument `bounds` must be positive, but `{name}` has {bound:g}.")
-    return np.array([chosen.get(name, np.inf) for name in model.state_names])
+    return bounds_of(problem.state_names, problem.state_units, model.n_q, declared)
 
 
 class _Run:
@@ -101,7 +99,7 @@ class _Run:
         accuracy: Accuracy,
     ) -> None:
         self._numbers = np.array([values.vector for values in settings])
-        self._compiled = compiled_model(problem)
+        self._problem = problem
         self._accuracy = accuracy
         self._start, self._until = start, until
         self._batch = Batch(model_in_rows(problem), _LANES, bounds=limits)
@@ -148,8 +146,9 @@ class _Run:
             granted.append(self._asked.popleft())
         while self._waiting and room > 0 and not self._asked:
             index = self._waiting.popleft()
-            dynamics = bind(self._compiled, self._numbers[index])
-            point = Point(dynamics, self._start, self._until, self._accuracy)
+            dynamics = self._problem.dynamics(self._numbers[index])
+            units = self._problem.state_units
+            point = Point(dynamics, units, self._start, self._until, self._accuracy)
             self._points[index] = point
             granted.append((index, point.begin()))
             room -= 1

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any, cast
 
 from zeno_orbits.errors import MapFileError
-from zeno_orbits.maps.parameter_map import FORMAT, Axis, Boundary, ParameterMap
-from zeno_orbits.simulation.attractor import attractor_from_json, attractor_json
-from zeno_orbits.work.files import write_whole
-from zeno_orbits.work.serialization import read_object
+from zeno_orbits.maps.attractors import attractor_from_json, attractor_json
+from zeno_orbits.maps.parameter_map import FORMAT, Boundary, ParameterMap
+from zeno_orbits.maps.plane import Axis
+from zeno_orbits.work.files import read_object, write_whole
 
 
 def write_map(found: ParameterMap, path: Path) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector, eigenvalues
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.orbits.section import ReleaseSection, release_section
+from zeno_orbits.orbits.section import Section, release_section
 from zeno_orbits.simulation.batch.outcomes import Released
 
 _DISPLACED = 1e-6
@@ -23,6 +23,9 @@ _DISPLACED = 1e-6
 
 Steps are shared, so a difference has the noise of rounding and roots alone, some 1e-14.
 """
+
+_OFF = 0.3 * _DISPLACED
+"""A state that is off its section by less, in scaled states, has good differences."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,7 +37,7 @@ class Bundle:
         states: The state, then one neighbour for each section coordinate, ``(m + 1, n_x)``.
     """
 
-    section: ReleaseSection
+    section: Section
     states: Vector
 
 
@@ -83,10 +86,16 @@ MARGINS = ("gap_acceleration", "first_impact_speed", "release_transversality", "
 
 
 def bundle_at(dynamics: HybridDynamics, x: Vector, scale: Vector) -> Bundle:
-    """Return a release state and its neighbours."""
+    """Return a release state and its neighbours.
+
+    The state is off its section by what the locked flow drifts from the stop. Where that is no
+    small part of a displacement, it is moved there as its neighbours are.
+    """
     section = release_section(dynamics, x, scale)
     eye = _DISPLACED * np.eye(section.dimension)
-    states = [x, *(section.state(dynamics, row) for row in eye)]
+    centre = section.state(dynamics, np.zeros(section.dimension))
+    off = np.max(np.abs(centre - x) / scale)
+    states = [x if off < _OFF else centre, *(section.state(dynamics, row) for row in eye)]
     return Bundle(section=section, states=np.array(states))
 
 
@@ -114,7 +123,7 @@ def cycle_of(dynamics: HybridDynamics, events: Sequence[Released]) -> Cycle:
 
 def newton_step(
     dynamics: HybridDynamics,
-    section: ReleaseSection,
+    section: Section,
     cycles: Sequence[Cycle],
     jacobian: Vector | None,
 ) -> FixedPoint:

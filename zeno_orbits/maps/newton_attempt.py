@@ -8,6 +8,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.maps.attractors import Attractor, Fate
 from zeno_orbits.maps.newton import (
     MARGINS,
     Bundle,
@@ -16,9 +17,8 @@ from zeno_orbits.maps.newton import (
     cycle_of,
     newton_step,
 )
-from zeno_orbits.maps.newton_request import AT_ONCE, Accuracy, Request
+from zeno_orbits.maps.newton_request import SAME, Accuracy, Request
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.simulation.attractor import Attractor, Fate
 from zeno_orbits.simulation.batch.outcomes import Ended, Event, Released
 
 _MOST_ITERATIONS = 12
@@ -92,7 +92,7 @@ class Attempt:
         if not isinstance(event, Released):
             return None
         returns = self.returns[rank]
-        if len(returns) < self.period and event.time > AT_ONCE:
+        if len(returns) < self.period and event.time > SAME * self.span:
             returns.append(event)
         if any(len(events) < self.period for events in self.returns.values()):
             return None

@@ -12,11 +12,11 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector, eigenvalues, null_space
 from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.maps.attractors import Attractor, Fate
 from zeno_orbits.maps.newton_attempt import Lost
 from zeno_orbits.maps.newton_request import Accuracy, Request
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.orbits.section import IMPACT_ROWS, conditions_gradient, projected
-from zeno_orbits.simulation.attractor import Attractor, Fate
 from zeno_orbits.simulation.batch.outcomes import Ended, Event, Struck
 
 _DISPLACED = 1e-6

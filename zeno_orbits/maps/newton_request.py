@@ -46,5 +46,8 @@ class Request(NamedTuple):
     until: float
 
 
-AT_ONCE = 1e-6
-"""A release that soon after the last one [s] is the same: rounding locked the start."""
+SAME = 1e-8
+"""A release that soon after the last one, for a unit of the time given, is the same one.
+
+Rounding has locked the start.
+"""

@@ -3,163 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
-from zeno_orbits.maps.classify import attractors_at
+from zeno_orbits.maps.attractors import Attractor, Fate, attractor_from_json, attractor_json
+from zeno_orbits.maps.plane import Axis, Plane, require_plane
 from zeno_orbits.model.library import ProblemFile
-from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.orbit import versions
-from zeno_orbits.simulation.attractor import Attractor, Fate, attractor_from_json, attractor_json
-from zeno_orbits.work import Lost, Plan, Progress, silent, spread
+from zeno_orbits.work import Lost, Plan, Progress, Workers, silent, spread
 
 FORMAT = 1
 """Version of the file format that this code writes, and the newest that it reads."""
-_CHUNKS = 4
-_SMALLEST, _LARGEST = 16, 1250
-"""Points that advance together: many, so that the last few motions to settle cost little."""
-_LEAST = 2
-"""Points along an axis."""
-_MOST = 10_000_000
-"""Points of a plane: a day of work for a hundred cores, and gigabytes."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Axis:
-    """One direction of the plane.
-
-    Attributes:
-        name: A gain or a parameter.
-        lower: Where it starts.
-        upper: Where it ends.
-        count: Points along it, both ends included.
-        unit: Of the gain or parameter.
-    """
-
-    name: str
-    lower: float
-    upper: float
-    count: int
-    unit: str = "1"
-
-    def values(self) -> tuple[float, ...]:
-        """Return the grid along it, ``(count,)``."""
-        return tuple(np.linspace(self.lower, self.upper, self.count).tolist())
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Plane:
-    """A plane through the numbers of a problem.
-
-    Attributes:
-        problem: The problem.
-        x: The axis across.
-        y: The axis upwards.
-        gains: Gains elsewhere than at their defaults, but for those of the axes.
-        parameters: Parameters, likewise. What is derived from others is derived at every point.
-        start: State at which every motion starts, ``(n_x,)``.
-        until: How long a motion may take to settle [s].
-    """
-
-    problem_file: ProblemFile
-    x: Axis
-    y: Axis
-    gains: Mapping[str, float] = field(default_factory=dict[str, float])
-    parameters: Mapping[str, float] = field(default_factory=dict[str, float])
-    start: tuple[float, ...]
-    until: float = 60.0
-
-    def __call__(self, points: Sequence[Sequence[float]]) -> list[dict[str, Any]]:
-        """Return the attractors at some points as plain data: the task of a worker."""
-        problem = self.problem_file.load()
-        settings: dict[int, ParameterValues] = {}
-        found: dict[int, Attractor] = {}
-        for k, (x, y) in enumerate(points):
-            try:
-                settings[k] = self.values(problem, x, y)
-            except InputError as error:
-                # An axis is inside its range, but what is derived from it need not be.
-                found[k] = Attractor(fate=Fate.FAILED, detail=str(error))
-        start = dict(zip(problem.state_names, self.start, strict=True))
-        attractors = attractors_at(problem, tuple(settings.values()), start=start, until=self.until)
-        found |= dict(zip(settings, attractors, strict=True))
-        return [attractor_json(found[k]) for k in range(len(points))]
-
-    def points(self) -> tuple[tuple[float, float], ...]:
-        """Return the points of the grid, row by row from below."""
-        return tuple((x, y) for y in self.y.values() for x in self.x.values())
-
-    def values(self, problem: Problem, x: float, y: float) -> ParameterValues:
-        """Return the numbers at a point.
-
-        Raises:
-            InputError: If the problem refuses them.
-        """
-        point = {self.x.name: x, self.y.name: y}
-        known = {gain.name for gain in problem.gains}
-        gains = {name: value for name, value in point.items() if name in known}
-        others = {name: value for name, value in point.items() if name not in known}
-        return problem.values(
-            gains={**self.gains, **gains}, parameters={**self.parameters, **others}
-        )
-
-
-def chunk_of(plane: Plane) -> int:
-    """Return how many points of a plane to compute together, whoever computes them."""
-    quarter = math.ceil(plane.x.count * plane.y.count / _CHUNKS)
-    return min(max(quarter, _SMALLEST), _LARGEST)
-
-
-def require_plane(plane: Plane) -> Plane:
-    """Return a plane with its units, or say what is wrong with it.
-
-    Raises:
-        InputError: If a name is unknown or given twice, bounds are the wrong way round or out of
-            the parameter's range, there are too few points or too many, or no time.
-    """
-    problem = plane.problem_file.load()
-    if not (math.isfinite(plane.until) and plane.until > 0.0):
-        wanted = "must be a positive number of seconds"
-        raise InputError(f"Argument `until` {wanted}, but it is {plane.until:g}.")
-    if plane.x.name == plane.y.name:
-        message = f"must be another gain or parameter than `x`, but both are `{plane.x.name}`"
-        raise InputError(f"Argument `y` {message}.")
-    count = plane.x.count * plane.y.count
-    if count > _MOST:
-        raise InputError(f"Argument `points` must ask for at most {_MOST} points, not {count}.")
-    axes = {name: _checked(problem, plane, name) for name in ("x", "y")}
-    problem.values(gains=plane.gains, parameters=plane.parameters)
-    return replace(plane, x=axes["x"], y=axes["y"])
-
-
-def _checked(problem: Problem, plane: Plane, side: str) -> Axis:
-    axis = plane.x if side == "x" else plane.y
-    known = {quantity.name: quantity for quantity in (*problem.gains, *problem.parameters)}
-    if axis.name not in known:
-        message = f"must name one of {', '.join(known)}, but it names `{axis.name}`"
-        raise InputError(f"Argument `{side}` {message}.")
-    if axis.name in {**plane.gains, **plane.parameters}:
-        message = f"must name what is not fixed, but `{axis.name}` is"
-        raise InputError(f"Argument `{side}` {message}.")
-    if not (math.isfinite(axis.lower) and math.isfinite(axis.upper)) or axis.lower >= axis.upper:
-        message = (
-            f"must go from a lower to a higher number, but it is {axis.lower:g}:{axis.upper:g}"
-        )
-        raise InputError(f"Argument `{side}` {message}.")
-    if axis.count < _LEAST:
-        message = f"must be at least {_LEAST}x{_LEAST}, but one of them is {axis.count}"
-        raise InputError(f"Argument `points` {message}.")
-    quantity = known[axis.name]
-    if quantity in problem.parameters:
-        # The range of a gain is where a search looks, and binds nobody else.
-        quantity.checked(axis.lower)
-        quantity.checked(axis.upper)
-    return replace(axis, unit=quantity.unit)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -175,7 +35,7 @@ class Boundary:
     points: tuple[tuple[float, float], ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class ParameterMap:
     """What motions settle to over a plane.
 
@@ -200,6 +60,16 @@ class ParameterMap:
     until: float
     attractors: tuple[Attractor, ...]
     versions: Mapping[str, str]
+
+    def __repr__(self) -> str:
+        """Return one line: the axes, and how many points settle to what."""
+        axes = ", ".join(
+            f"{axis.name} from {axis.lower:g} to {axis.upper:g} in {axis.count} points"
+            for axis in (self.x, self.y)
+        )
+        counts = Counter(attractor.fate.value for attractor in self.attractors)
+        found = ", ".join(f"{phrase}: {count}" for phrase, count in counts.most_common())
+        return f"<ParameterMap of {self.problem}: {axes}; {found}>"
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -249,13 +119,18 @@ def parameter_map(plane: Plane, plan: Plan, *, on_progress: Progress = silent) -
         on_progress: Called with the number of points done.
 
     Raises:
-        InputError: If the plane, the place or the checkpoint is not usable.
+        InputError: If the plane, the place or the checkpoint is not usable, or the
+            problem has no file where other processes need it.
         WorkError: If the work cannot be finished.
     """
     plane = require_plane(plane)
-    problem = plane.problem_file.load()
-    whole = replace(plan, identity={**_identity(plane, problem), **plan.identity})
-    results = spread(plane, plane.points(), whole, on_progress=on_progress)
+    problem = plane.problem
+    if isinstance(plane.source, ProblemFile):
+        identity = {**_identity(plane, plane.source), **plan.identity}
+        whole = replace(plan, identity=identity)
+        results = spread(plane, plane.points(), whole, on_progress=on_progress)
+    else:
+        results = _computed_here(plane, plan, on_progress)
     return ParameterMap(
         problem=problem.name,
         x=plane.x,
@@ -263,17 +138,33 @@ def parameter_map(plane: Plane, plan: Plan, *, on_progress: Progress = silent) -
         gains=plane.gains,
         parameters=plane.parameters,
         start=dict(zip(problem.state_names, plane.start, strict=True)),
-        until=plane.until,
+        until=plane.time,
         attractors=tuple(_found(result) for result in results),
         versions=versions(),
     )
 
 
-def _identity(plane: Plane, problem: Problem) -> dict[str, Any]:
+def _computed_here(plane: Plane, plan: Plan, on_progress: Progress) -> list[Any]:
+    """Return the results at the points of a plane whose problem has no file: by this process.
+
+    Raises:
+        InputError: If other processes or a checkpoint are asked for; both need the file.
+    """
+    if plan.place != Workers(count=1) or plan.checkpoint is not None:
+        wanted = "must be a name or a file where workers load it or a checkpoint tells it"
+        raise InputError(f"Argument `problem` {wanted}, but it is an object.")
+    points, results = plane.points(), list[Any]()
+    for k in range(0, len(points), plan.chunk):
+        results += plane(points[k : k + plan.chunk])
+        on_progress(f"{len(results)} of {len(points)} {plan.noun}", len(results) / len(points))
+    return results
+
+
+def _identity(plane: Plane, file: ProblemFile) -> dict[str, Any]:
     return {
         "work": "map",
-        "problem": problem.name,
-        "problem_digest": plane.problem_file.digest,
+        "problem": plane.problem.name,
+        "problem_digest": file.digest,
         "x": _axis_json(plane.x),
         "y": _axis_json(plane.y),
         "gains": dict(plane.gains),

@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.maps.attractors import Attractor, Fate
 from zeno_orbits.maps.newton import bundle_at
 from zeno_orbits.maps.newton_attempt import Attempt, Lost
 from zeno_orbits.maps.newton_impacts import ImpactBundle, bundle_around
-from zeno_orbits.maps.newton_request import AT_ONCE, Accuracy, Request
-from zeno_orbits.maps.return_sequence import Growth, changes, growth_of, scale_of
+from zeno_orbits.maps.newton_request import SAME, Accuracy, Request
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.simulation.attractor import Attractor, Fate
+from zeno_orbits.simulation.attractor import (
+    LOOK_BACK,
+    Motion,
+    Outcome,
+    Repetition,
+    Return,
+    Settling,
+    changes,
+    outcome_of,
+    scale_of,
+)
 from zeno_orbits.simulation.batch.outcomes import Ended, Event, Reason, Struck
 
 _REMEMBERED = 40
 """Returns that are looked back on."""
-_RECENT = 8
-"""Returns that tell the size of each state."""
 _CLOSE = 1e-4
 """Change of an impact that is a period later below which Newton's method is tried."""
 _DISTINCT = 1e-3
@@ -34,15 +44,21 @@ class Point:
     """A motion that settles; it is told events and answers with requests or a conclusion."""
 
     def __init__(
-        self, dynamics: HybridDynamics, start: Vector, until: float, accuracy: Accuracy
+        self,
+        dynamics: HybridDynamics,
+        units: Sequence[str],
+        start: Vector,
+        until: float,
+        accuracy: Accuracy,
     ) -> None:
         self._dynamics = dynamics
+        self._units = units
         self._start = start
         self._until = until
         self._accuracy = accuracy
         self._origin = 0.0
         self._tolerance = accuracy.motion
-        self._returns: list[tuple[float, Vector]] = []
+        self._returns: list[Return] = []
         self._strikes: list[tuple[float, Vector, float]] = []
         self._amplitudes: list[float] = []
         self._unit: Vector | None = None
@@ -75,55 +91,63 @@ class Point:
             return self._ended(event)
         if isinstance(event, Struck):
             return self._struck(event, time)
-        if self._returns and time - self._returns[-1][0] < AT_ONCE:
+        if self._returns and time - self._returns[-1].time < SAME * self._until:
             return None
         return self._returned(time, event.state)
 
     def _returned(self, time: float, state: Vector) -> Request | Attractor | None:
         """Look back from a new release."""
         self._strikes.clear()
-        self._returns.append((time, state))
+        self._returns.append(Return(time=time, state=state))
         del self._returns[:-_REMEMBERED]
         if self._unit is None:
-            self._unit = scale_of([state], self._dynamics.n_q)
+            self._unit = scale_of([state], self._units)
         self._amplitudes.append(float(np.max(np.abs(state) / self._unit)))
         if len(self._returns) < 2:
             return None
-        states = [x for _, x in self._returns]
-        growth = growth_of(self._amplitudes)
-        if growth.dies_out:
-            return Attractor(fate=Fate.REST, trend=growth.factor)
-        scale = scale_of(states[-_RECENT:], self._dynamics.n_q)
-        nearest = np.inf
-        for period, change in changes(states, scale).items():
-            if change < _APART * nearest and self._is_worth_it(period, change):
-                return self._begin_attempt(period, change, scale)
-            nearest = min(nearest, change)
+        settling = self._outcome()
+        if settling.outcome is Outcome.DIES_OUT:
+            return Attractor(fate=Fate.REST, trend=settling.trend)
+        for repeated in settling.repetitions:
+            if self._is_worth_it(repeated):
+                return self._begin_attempt(repeated)
         return None
 
-    def _is_worth_it(self, period: int, change: float) -> bool:
-        """Tell whether Newton's method may reach an orbit, if it did not the last time."""
-        if change >= self._accuracy.near:
-            return False
-        before, at = self._tried.get(period, (np.inf, -np.inf))
+    def _outcome(self, *, gone: str = "", still: bool = False, held: bool = False) -> Settling:
+        """Return what the releases so far and the end of the motion tell."""
+        motion = Motion(
+            units=self._units,
+            returns=self._returns,
+            amplitudes=self._amplitudes,
+            gone=gone,
+            still=still,
+            held=held,
+        )
+        return outcome_of(motion, close=self._accuracy.near, apart=_APART)
+
+    def _is_worth_it(self, repeated: Repetition) -> bool:
+        """Return True if Newton's method may reach an orbit, if it did not the last time."""
+        before, at = self._tried.get(repeated.returns, (np.inf, -np.inf))
         # A motion that never settles comes near many orbits: it is looked at ever less often.
         later = len(self._amplitudes) >= at + _LATER * 2 ** max(self._failures - 1, 0)
-        return later or (change < _MUCH_NEARER * before and self._failures < _PATIENCE)
+        return later or (repeated.change < _MUCH_NEARER * before and self._failures < _PATIENCE)
 
-    def _begin_attempt(self, period: int, change: float, scale: Vector) -> Request | None:
-        self._tried[period] = change, len(self._amplitudes)
-        _, state = self._returns[-1]
-        bundle = bundle_at(self._dynamics, state, scale)
+    def _begin_attempt(self, repeated: Repetition) -> Request | None:
+        period = repeated.returns
+        self._tried[period] = repeated.change, len(self._amplitudes)
+        now, before = self._returns[-1], self._returns[-1 - period]
+        scale = scale_of([one.state for one in self._returns[-LOOK_BACK:]], self._units)
+        bundle = bundle_at(self._dynamics, now.state, scale)
         if not np.all(np.isfinite(bundle.states)):
             return None
         self._attempt = Attempt(
             dynamics=self._dynamics,
             accuracy=self._accuracy,
-            span=self._returns[-1][0] - self._returns[-1 - period][0],
+            span=now.time - before.time,
             period=period,
             bundle=bundle,
-            origin=state,
-            earlier=self._returns[-1 - period][1],
+            origin=now.state,
+            earlier=before.state,
         )
         return self._attempt.request(neighbours=True)
 
@@ -131,9 +155,9 @@ class Point:
         """Return to the motion, from its last release on."""
         self._attempt = None
         self._failures += 1
-        time, state = self._returns[-1]
-        self._origin = time
-        return Request(state[None, :], self._tolerance, True, self._until - time)
+        last = self._returns[-1]
+        self._origin = last.time
+        return Request(last.state[None, :], self._tolerance, True, self._until - last.time)
 
     def _named(self, state: Vector) -> dict[str, float]:
         return dict(zip(self._dynamics.state_names, state.tolist(), strict=True))
@@ -142,10 +166,10 @@ class Point:
         """Look back from the first impact of a sequence, where no release comes."""
         self._strikes.append((time, event.state, event.rate))
         del self._strikes[:-_REMEMBERED]
-        if len(self._strikes) < _RECENT:
+        if len(self._strikes) < LOOK_BACK:
             return None
         states = [x for _, x, _ in self._strikes]
-        scale = scale_of(states[-_RECENT:], self._dynamics.n_q)
+        scale = scale_of(states[-LOOK_BACK:], self._units)
         for period, change in changes(states, scale).items():
             earlier = changes(states[:-period], scale).get(period, np.inf)
             if change < _CLOSE and earlier < 10 * _CLOSE:
@@ -208,14 +232,18 @@ class Point:
     def _ended(self, event: Ended) -> Attractor:
         if event.reason is Reason.FAILURE:
             return Attractor(fate=Fate.FAILED, detail=event.detail, state=self._named(event.state))
-        if event.reason is Reason.ESCAPE:
-            return Attractor(fate=Fate.ESCAPE, escaped=event.detail)
-        if event.reason is Reason.REST:
-            return Attractor(fate=Fate.REST)
-        growth = (
-            growth_of(self._amplitudes)
-            if self._amplitudes
-            else Growth(factor=float("nan"), dies_out=False)
+        settling = self._outcome(
+            gone=event.detail if event.reason is Reason.ESCAPE else "",
+            still=event.reason is Reason.REST,
+            held=event.reason is Reason.HELD,
         )
-        reason = "" if self._amplitudes else "no release comes"
-        return Attractor(fate=Fate.UNSETTLED, trend=growth.factor, detail=reason)
+        match settling.outcome:
+            case Outcome.GONE:
+                return Attractor(fate=Fate.ESCAPE, escaped=settling.escaped)
+            case Outcome.RESTS | Outcome.DIES_OUT:
+                return Attractor(fate=Fate.REST)
+            case Outcome.HELD:
+                return Attractor(fate=Fate.HELD)
+            case _:
+                reason = "" if self._amplitudes else "no release comes"
+                return Attractor(fate=Fate.UNSETTLED, trend=settling.trend, detail=reason)

@@ -108,7 +108,7 @@ def with_numbers(formula: Any, values: ParameterValues) -> Any:
         formula: In SymPy, of named symbols.
         values: Numbers for gains and parameters; what it does not name stays a symbol.
     """
-    entries = {**values.gains, **values.parameters}
+    entries = values.numbers
     numbers = {s: entries[s.name] for s in formula.free_symbols if s.name in entries}
     expanded = sympy.expand(sympy.expand_trig(formula.subs(numbers)))
     return sympy.collect(expanded, list(expanded.atoms(sympy.sin, sympy.cos)))

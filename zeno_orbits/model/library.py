@@ -94,11 +94,13 @@ def _require_sound(path: Path, problem: Problem) -> None:
         raise ProblemFileError(file, _reason(error)) from error
 
 
+@lru_cache(maxsize=_MOST)
 def load_reference(problem: Problem) -> ModuleType:
-    """Return the module of a problem's hand-written model.
+    """Return the module of a problem's hand-written model, read once for each problem.
 
     Raises:
         InputError: If the problem has none.
+        ProblemFileError: If its file does not load.
     """
     if problem.reference is None:
         raise InputError(

@@ -9,10 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import casadi as ca
 
+from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.model.drawing import Drawing, lines_of
 from zeno_orbits.model.hybrid import CompletedSystem
@@ -35,6 +38,13 @@ from zeno_orbits.model.validation import (
     require_states,
     unused_symbols,
 )
+
+if TYPE_CHECKING:
+    from zeno_orbits.model.numeric.compiled import CompiledSystem
+    from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+
+Transform = Callable[[CompletedSystem], CompletedSystem]
+"""A change of a completed system, ``hybrid.audited`` for instance: a function of a module."""
 
 __all__ = [
     "Escape",
@@ -102,6 +112,64 @@ class Problem:
         for name in self.escapes:
             if name not in self.state_names:
                 raise InputError(unknown("escapes", name, self.state_names))
+
+    def compiled(self, transform: Transform | None = None) -> CompiledSystem:
+        """Return the model as functions of the state and the parameter vector, built once.
+
+        Args:
+            transform: A change of the completed system first; it may append states.
+        """
+        return _compiled(self, transform)
+
+    def dynamics(
+        self, values: ParameterValues | Sequence[float] | Vector, transform: Transform | None = None
+    ) -> HybridDynamics:
+        """Return the flows, guards and resets of the model at given numbers.
+
+        Args:
+            values: Numbers for every gain and parameter, or as the parameter vector, ``(n_p,)``.
+            transform: A change of the completed system first; it may append states.
+        """
+        from zeno_orbits.model.numeric.compiled import bind
+
+        vector = values.vector if isinstance(values, ParameterValues) else values
+        return bind(_compiled(self, transform), vector)
+
+    def output_values(self, values: ParameterValues, states: Vector) -> Vector:
+        """Return the outputs at states, one column an output, ``(n, n_outputs)``.
+
+        Args:
+            values: Numbers for every gain and parameter.
+            states: ``(n, n_x)``.
+        """
+        from zeno_orbits.model.numeric.compiled import tabulate
+
+        symbols = self.symbols()
+        system = self.model(symbols)
+        formulas = ca.vertcat(*self.output_formulas(system, symbols))
+        return tabulate(formulas, system, symbols, values.vector, states)
+
+    def drawn_lines(self, values: ParameterValues, states: Vector) -> dict[str, Vector]:
+        """Return the lines of the drawing at states, name to corners ``(n, n_corners, 2)`` [m].
+
+        Args:
+            values: Numbers for every gain and parameter.
+            states: ``(n, n_x)``.
+        """
+        from zeno_orbits.model.numeric.compiled import tabulate
+
+        symbols = self.symbols()
+        system = self.model(symbols)
+        lines = self.lines(system, symbols)
+        flat = ca.vertcat(*(ca.vec(corners.T) for corners in lines.values()))
+        entries = tabulate(flat, system, symbols, values.vector, states)
+        found: dict[str, Vector] = {}
+        first = 0
+        for name, corners in lines.items():
+            last = first + corners.numel()
+            found[name] = entries[:, first:last].reshape(len(states), -1, 2)
+            first = last
+        return found
 
     def escaped(self, state: Sequence[float]) -> str:
         """Return the name of a coordinate that has run away, or an empty text.
@@ -190,27 +258,89 @@ class Problem:
         return self.values(gains=values.gains, parameters=parameters)
 
     @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """Gains, then parameters, in the order of the parameter vector."""
+        return (*self.gains, *self.parameters)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of gains, then of parameters, in the order of the parameter vector."""
-        return tuple(quantity.name for quantity in (*self.gains, *self.parameters))
+        return tuple(quantity.name for quantity in self.quantities)
+
+    def quantity(self, name: str, *, argument: str = "name") -> Quantity:
+        """Return the gain or parameter of that name.
+
+        Args:
+            name: The name.
+            argument: What the refusal calls it.
+
+        Raises:
+            InputError: If there is neither; it lists those that there are.
+        """
+        return self.quantities[self.place(name, argument=argument)]
+
+    def place(self, name: str, *, argument: str = "name") -> int:
+        """Return the place of a gain or parameter in the parameter vector.
+
+        Args:
+            name: The name.
+            argument: What the refusal calls it.
+
+        Raises:
+            InputError: If there is neither; it lists those that there are.
+        """
+        if name not in self.names:
+            raise InputError(unknown(argument, name, self.names))
+        return self.names.index(name)
+
+    def require_range(
+        self, name: str, box: tuple[float, float], *, argument: str = "name"
+    ) -> Quantity:
+        """Return the gain or parameter of that name, if it may lie anywhere in a range.
+
+        The problem's range of a gain is where a search looks, and binds nobody else.
+
+        Args:
+            name: The name.
+            box: Lower and upper end.
+            argument: What the refusal calls it.
+
+        Raises:
+            InputError: If the name is unknown, the range is empty or not finite, or a parameter
+                makes no sense at one of its ends.
+        """
+        quantity = self.quantity(name, argument=argument)
+        low, high = box
+        if not (math.isfinite(low) and math.isfinite(high) and low < high):
+            wanted = f"must have finite bounds LOWER < UPPER for `{name}`"
+            raise InputError(f"Argument `{argument}` {wanted}, but they are {low:g}:{high:g}.")
+        if quantity in self.parameters:
+            quantity.checked(low)
+            quantity.checked(high)
+        return quantity
 
     def values(
         self,
         *,
         gains: Mapping[str, float] | None = None,
         parameters: Mapping[str, float] | None = None,
+        numbers: Mapping[str, float] | None = None,
     ) -> ParameterValues:
         """Return checked numbers for every name, defaults and derived values filled in.
 
         Args:
             gains: Gains that differ from their defaults.
             parameters: Parameters that differ from their defaults.
+            numbers: Gains or parameters, whichever the names are; they override the others.
 
         Raises:
             InputError: If a name is unknown or a value is out of its range.
         """
-        chosen_gains = _chosen("gain", self.gains, gains or {}, bounded=False)
-        chosen = _chosen("parameter", self.parameters, parameters or {}, bounded=True)
+        given_gains, given = dict(gains or {}), dict(parameters or {})
+        for name, value in (numbers or {}).items():
+            (given_gains if self.quantity(name) in self.gains else given)[name] = value
+        chosen_gains = _chosen("gain", self.gains, given_gains, bounded=False)
+        chosen = _chosen("parameter", self.parameters, given, bounded=True)
         if self.derive is not None:
             derived = self._derived(chosen)
             chosen = {
@@ -268,6 +398,29 @@ class Problem:
             if not math.isfinite(value):
                 raise InputError(f"Argument `{name}` must be a finite number, but it is {value}.")
         return tuple(float(named.get(name, 0.0)) for name in self.state_names)
+
+
+_MOST = 16
+"""Compiled problems that are remembered; a session that makes thousands must not keep them all."""
+
+
+@lru_cache(maxsize=_MOST)
+def _compiled(problem: Problem, transform: Transform | None) -> CompiledSystem:
+    """Return the functions of a problem, shared by all its numbers.
+
+    To build them takes as long as to simulate a period. A problem never changes and its functions
+    hold symbols for all numbers; what is bound to numbers has memory of its own.
+    """
+    from zeno_orbits.model.numeric.compiled import compile_system
+
+    symbols = problem.symbols()
+    system = problem.model(symbols)
+    names = problem.state_names
+    if transform is not None:
+        system = transform(system)
+        extra = system.state.numel() - len(names)
+        names = (*names, *(f"ledger{k}" for k in range(extra)))
+    return compile_system(system, symbols, names)
 
 
 def _require_states(problem: Problem) -> None:

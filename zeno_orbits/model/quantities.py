@@ -148,6 +148,11 @@ class ParameterValues:
         """Return gains, then parameters: the parameter vector of the compiled system."""
         return (*self.gains.values(), *self.parameters.values())
 
+    @property
+    def numbers(self) -> dict[str, float]:
+        """Name to value of gains, then of parameters."""
+        return {**self.gains, **self.parameters}
+
     def number(self, name: str) -> float:
         """Return a gain or a parameter."""
         return self.gains[name] if name in self.gains else self.parameters[name]

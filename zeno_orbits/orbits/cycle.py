@@ -1,7 +1,8 @@
-"""One period of an execution, cut out where its section is passed: the raw material of an orbit."""
+"""One period of a motion, cut out of an execution at its section."""
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,33 +10,40 @@ from functools import cached_property
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.orbits.period import round_trip
-from zeno_orbits.orbits.phases import Moment, Phase, kinds_of, phases_of
+from zeno_orbits.orbits.phases import Moment, Phase, follow_each_other, kinds_of, phases_of
 from zeno_orbits.orbits.shape import OrbitShape
-from zeno_orbits.simulation.execution import Arc, Execution, Impact, ZenoPoint
-from zeno_orbits.simulation.simulator import SimulationSettings
-from zeno_orbits.simulation.zeno_limit import TailEstimate, estimate_tail, extrapolate, spread_nodes
+from zeno_orbits.simulation.execution import Arc, Execution, Impact, Mode, ZenoPoint
 
 _VANISHING = 1e-9
 """Part of the largest state below which one is rounding."""
 
+_SAME = 1e-6
+"""Starts of phases nearer than this, relative, are the same: it is how certain an orbit is."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Cycle:
-    """The phases of a period: mostly release, flight, impacts, Zeno point, locked arc, release.
+    """One period of a motion: mostly release, flight, impacts, Zeno point, locked arc, release.
+
+    Every period is one of these, measured from its own section; a period that many simulations make
+    at once (`maps`) is an array of numbers instead.
 
     Attributes:
-        state_names: Name of each state.
-        phases: The phases, one after the other, at least one.
+        execution: From its start to its end, tails of accumulations included.
+        phases: Its phases, one after the other, at least one.
     """
 
-    state_names: tuple[str, ...]
+    execution: Execution
     phases: tuple[Phase, ...]
 
     @property
+    def state_names(self) -> tuple[str, ...]:
+        """Name of each state."""
+        return self.execution.state_names
+
+    @property
     def shape(self) -> OrbitShape:
-        """Their kinds."""
+        """Kinds of its phases."""
         return OrbitShape(phases=kinds_of(self.phases))
 
     @property
@@ -55,13 +63,18 @@ class Cycle:
 
     @property
     def arcs(self) -> tuple[Arc, ...]:
-        """All arcs that have a flow."""
+        """All arcs of the phases: those that have a flow, so without tails."""
         return tuple(arc for phase in self.phases for arc in phase.arcs)
 
     @property
     def impacts(self) -> tuple[Impact, ...]:
         """All resolved impacts."""
         return tuple(impact for phase in self.phases for impact in phase.impacts)
+
+    @property
+    def zeno_points(self) -> tuple[ZenoPoint, ...]:
+        """All Zeno points."""
+        return tuple(phase.zeno for phase in self.phases if phase.zeno is not None)
 
     @property
     def flight(self) -> Arc:
@@ -114,6 +127,23 @@ class Cycle:
         """
         return self._sizes_at_events.copy()
 
+    def shorter_periods(self, scale: Vector) -> dict[OrbitShape, float]:
+        """Return how far the cycle is from being several periods of each shorter shape.
+
+        Args:
+            scale: Size of each state, ``(n_x,)``.
+
+        Returns:
+            Shape to the distance from the start to where its second period would start, in units
+            of ``scale``; 0 where they are the same to the accuracy of an orbit.
+        """
+        found: dict[OrbitShape, float] = {}
+        for shape in self.shape.shorter:
+            again = self.phases[shape.n_phases].start.state
+            apart = float(np.max(np.abs(again - self.start.state) / scale))
+            found[shape] = apart if apart > _SAME else 0.0
+        return found
+
     @cached_property
     def _sizes_at_events(self) -> Vector:
         sizes = np.max(np.abs(self._event_states()), axis=0)
@@ -122,7 +152,7 @@ class Cycle:
 
     def _event_states(self) -> Vector:
         ends = [self.start.state, *(phase.end.state for phase in self.phases)]
-        ends += [phase.zeno.state for phase in self.phases if phase.zeno is not None]
+        ends += [point.state for point in self.zeno_points]
         return np.array([*ends, *(x for i in self.impacts for x in (i.state_minus, i.state_plus))])
 
     @cached_property
@@ -138,6 +168,30 @@ class Cycle:
         return np.where(sizes > 0.0, sizes, 1.0)
 
 
+def cycle_between(
+    execution: Execution, phases: Sequence[Phase], *, since: float | None = None
+) -> Cycle:
+    """Return the cycle of some phases of an execution, cut out of it.
+
+    Args:
+        execution: The execution.
+        phases: Phases of it that follow each other.
+        since: Where to cut before them [s]; by default where the first one starts.
+    """
+    start = phases[0].start.time if since is None else since
+    end = phases[-1].end.time
+    first = bisect_left(execution.arcs, start, key=lambda arc: arc.start_time)
+    last = bisect_left(execution.arcs, end, key=lambda arc: arc.start_time)
+    before = bisect_right(execution.events, start, key=lambda event: event.time)
+    after = bisect_right(execution.events, end, key=lambda event: event.time)
+    cut = Execution(
+        state_names=execution.state_names,
+        arcs=execution.arcs[first:last],
+        events=execution.events[before:after],
+    )
+    return Cycle(execution=cut, phases=tuple(phases))
+
+
 def cycles(execution: Execution, *, start: Vector | None = None) -> list[Cycle]:
     """Return the returns of an execution, each from a release to the next.
 
@@ -150,46 +204,38 @@ def cycles(execution: Execution, *, start: Vector | None = None) -> list[Cycle]:
     for phase in phases_of(execution, start):
         passed.append(phase)
         if phase.kind.holds:
-            found.append(Cycle(state_names=execution.state_names, phases=tuple(passed)))
+            found.append(cycle_between(execution, passed))
             passed = []
     return found
 
 
-def cycle_of(
-    dynamics: HybridDynamics,
-    x: Vector,
-    shape: OrbitShape,
-    *,
-    horizon: float,
-    settings: SimulationSettings,
-) -> Cycle:
-    """Return the period of a shape that starts at a state of its section.
+def first_cycles(execution: Execution, start: Vector, shape: OrbitShape) -> tuple[Cycle, ...]:
+    """Return the periods of a shape that an execution begins with, one after the other.
+
+    A start that is locked is released first; that locked arc is cut out with the first period.
 
     Args:
-        dynamics: The system.
-        x: The state, ``(n_x,)``.
-        shape: The shape.
-        horizon: Longest time to wait for its end [s].
-        settings: Accuracy.
-
-    Raises:
-        SimulationError: If the motion has another shape.
+        execution: The execution.
+        start: Its initial state, where a period of the shape starts, ``(n_x,)``.
+        shape: The shape, at the restitution of the system.
     """
-    trip = round_trip(dynamics, x, shape, horizon=horizon, settings=settings)
-    return Cycle(state_names=dynamics.state_names, phases=trip.phases)
-
-
-_SAME = 1e-6
-"""Starts of phases nearer than this, relative, make a period several of a shorter one."""
+    phases = phases_of(execution, start, held=shape.starts_at_release)
+    n, found = shape.n_phases, list[Cycle]()
+    flight = next((arc for arc in execution.arcs if arc.mode is Mode.FREE), None)
+    if not phases or phases[0].flight is not flight:
+        return ()
+    for k in range(0, len(phases) - n + 1, n):
+        period = phases[k : k + n]
+        if kinds_of(period) != shape.phases or not follow_each_other(phases[: k + n]):
+            break
+        found.append(cycle_between(execution, period, since=None if found else 0.0))
+    return tuple(found)
 
 
 def gone_round_twice(cycle: Cycle) -> OrbitShape | None:
     """Return the shape of which a cycle that repeats is several periods, if it is."""
-    for shape in cycle.shape.shorter:
-        again = cycle.phases[shape.n_phases].start.state
-        if float(np.max(np.abs(again - cycle.start.state) / cycle.scale())) <= _SAME:
-            return shape
-    return None
+    shorter = cycle.shorter_periods(cycle.scale()).items()
+    return next((shape for shape, apart in shorter if apart == 0.0), None)
 
 
 def round_again(cycle: Cycle) -> str:
@@ -200,56 +246,3 @@ def round_again(cycle: Cycle) -> str:
     n = cycle.shape.n_phases // shorter.n_phases
     what = f"The orbit of shape `{cycle.shape.text}` is one of shape `{shorter.text}`"
     return f"{what}, gone round {n} times."
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Closure:
-    """How many impacts are resolved before the Zeno limit, and which of them tell it.
-
-    Attributes:
-        n_impacts: Impacts resolved one by one.
-        nodes: Index of each impact that the extrapolation uses, the first impact being 0.
-        error: Estimated error of the limit, relative to ``1 + |x|``.
-    """
-
-    n_impacts: int
-    nodes: tuple[int, ...]
-    error: float
-
-
-def closures_of(cycle: Cycle, dynamics: HybridDynamics, tolerance: float) -> tuple[Closure, ...]:
-    """Return the closure of each phase; one impact that does not hold closes without an error."""
-    return tuple(
-        Closure(n_impacts=1, nodes=(), error=0.0)
-        if phase.zeno is None
-        else closure_of(phase.impacts, dynamics, tolerance)
-        for phase in cycle.phases
-    )
-
-
-def closure_of(impacts: Sequence[Impact], dynamics: HybridDynamics, tolerance: float) -> Closure:
-    """Return the shortest closure whose estimated error is below a tolerance.
-
-    Args:
-        impacts: The impacts of a phase.
-        dynamics: The system that made them.
-        tolerance: Largest estimated error; all impacts are used if none reaches it.
-    """
-    estimates: list[TailEstimate] = []
-    first, best = 0, Closure(n_impacts=1, nodes=(0,), error=np.inf)
-    for index, impact in enumerate(impacts):
-        speed = -dynamics.restitution * impact.approach_rate
-        estimate = estimate_tail(dynamics, impact.time, impact.state_plus, speed)
-        if estimate is None or (estimates and speed >= estimates[-1].speed):
-            estimates, first = [], index + 1
-        if estimate is None:
-            continue
-        first = index if not estimates else first
-        estimates.append(estimate)
-        limit = extrapolate(dynamics, estimates)
-        nodes = spread_nodes([one.speed for one in estimates])
-        used = tuple(first + node for node in nodes)
-        best = Closure(n_impacts=index + 1, nodes=used, error=limit.error)
-        if limit.error <= tolerance:
-            break
-    return best

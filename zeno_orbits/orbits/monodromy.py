@@ -12,13 +12,12 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.numeric.derivatives import GAP, GAP_RATE, Differentials
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.orbits.period import first_return, placed, round_trip, to_next_release
+from zeno_orbits.orbits.looser_run import extrapolated
+from zeno_orbits.orbits.period import cycle_of, first_return, placed, to_next_release
 from zeno_orbits.orbits.phases import Phase, phases_of
 from zeno_orbits.orbits.shape import OrbitShape
-from zeno_orbits.simulation.completion import ZenoExtrapolation, ZenoPassage
 from zeno_orbits.simulation.execution import Arc, Execution, Impact, Mode
 from zeno_orbits.simulation.sensitivity import Bounce, EventShift, Perturbations
 from zeno_orbits.simulation.simulator import SimulationSettings
@@ -164,13 +163,13 @@ def period_derivative(
     perturbations = _perturbations(dynamics, (), settings)
     closed = replace(settings, completion=extrapolated(settings))
     start = placed(dynamics, shape, x)
-    trip = round_trip(dynamics, start, shape, horizon=horizon, settings=closed)
-    end = trip.phases[-1].end
+    cycle = cycle_of(dynamics, start, shape, horizon=horizon, settings=closed)
+    end = cycle.end
     if shape.starts_at_release:
-        here = _begun(perturbations, trip.execution, end.time)
+        here = _begun(perturbations, cycle.execution, end.time)
     else:
         here = perturbations.launched(start)
-    for phase in trip.phases:
+    for phase in cycle.phases:
         here = passed(perturbations, phase, here).end
     _require_finite(here, end.time, end.state)
     return PeriodDerivative(
@@ -218,41 +217,6 @@ def saltation_matrix(dynamics: HybridDynamics, impact: Impact) -> Vector:
 
 _AT_ONCE = 1e-6
 """A start that locks for less than this part of a return is locked by rounding: it is released."""
-
-
-def extrapolated(settings: SimulationSettings) -> ZenoExtrapolation:
-    """Return the completion that visits the impacts, as accurate as what is asked for."""
-    completion = settings.completion
-    if isinstance(completion, ZenoPassage):
-        return completion.one_by_one
-    return completion if isinstance(completion, ZenoExtrapolation) else ZenoExtrapolation()
-
-
-def loosened(
-    settings: SimulationSettings, factor: float, *, resolved: float = 1.0
-) -> SimulationSettings:
-    """Return settings whose errors are larger by far: of the steps, and of the Zeno limit.
-
-    Args:
-        settings: The settings.
-        factor: Of the tolerances.
-        resolved: Factor of the speed from which on impacts may be left.
-    """
-    tolerance, completion = settings.tolerance, extrapolated(settings)
-    return replace(
-        settings,
-        tolerance=Tolerance(
-            relative=factor * tolerance.relative, absolute=factor * tolerance.absolute
-        ),
-        completion=ZenoExtrapolation(
-            tolerance=factor * completion.tolerance,
-            resolved=min(resolved * completion.resolved, max(completion.resolved, _MOST_RESOLVED)),
-        ),
-    )
-
-
-_MOST_RESOLVED = 0.5
-"""Beyond this an impact sequence is hardly resolved at all."""
 
 
 def differentials_of(dynamics: HybridDynamics, chosen: tuple[int, ...]) -> Differentials:

@@ -51,7 +51,7 @@ class OrbitPhase:
     zeno_state: Mapping[str, float] | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class ZenoOrbit:
     """Enough numbers to rebuild and recheck a periodic orbit; times count from its start.
 
@@ -74,6 +74,17 @@ class ZenoOrbit:
     floquet_multipliers: tuple[complex, ...] = ()
     certificate: Mapping[str, Any]
     versions: Mapping[str, str]
+
+    def __repr__(self) -> str:
+        """Return one line: the gains, the period, the phases and whether it is verified."""
+        gains = "".join(f"{name}={value:.7g}, " for name, value in self.gains.items())
+        known = ", ".join(f"{abs(value):.3g}" for value in self.floquet_multipliers)
+        moduli = f"multipliers of modulus {known}, " if known else ""
+        verified = bool(self.certificate.get("passed"))
+        return (
+            f"<ZenoOrbit of {self.problem}: {gains}period={self.period:.10g} s, "
+            f"shape={self.shape.text}, impacts={len(self.impacts)}, {moduli}verified={verified}>"
+        )
 
     @property
     def shape(self) -> OrbitShape:

@@ -1,31 +1,15 @@
-"""From where a period starts to where it ends: the execution that the return map is made of."""
+"""Simulations from where a period starts to where it ends: what the return map is made of."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.orbits.phases import Phase, follow_each_other, kinds_of, phases_of
+from zeno_orbits.orbits.cycle import Cycle, first_cycles
+from zeno_orbits.orbits.phases import kinds_of, phases_of
 from zeno_orbits.orbits.shape import OrbitShape
-from zeno_orbits.simulation.execution import Arc, Execution, Mode, Release
+from zeno_orbits.simulation.execution import Execution, Mode, Release
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RoundTrip:
-    """One period or several, from a start.
-
-    Attributes:
-        execution: The execution.
-        phases: Its phases.
-        first_lock: The locked arc before the first flight, if the start is locked.
-    """
-
-    execution: Execution
-    phases: tuple[Phase, ...]
-    first_lock: Arc | None
 
 
 def to_next_release(
@@ -110,68 +94,58 @@ def followed(
     *,
     horizon: float,
     settings: SimulationSettings,
-    turns: int = 1,
-) -> RoundTrip:
-    """Return what is seen from a start until the phases of a shape should have passed.
+    n_periods: int = 1,
+) -> Execution:
+    """Return the execution from a start until the phases of some periods should have passed.
 
     Args:
         dynamics: The system.
         x: Where a period starts, on its section, ``(n_x,)``.
-        shape: What to wait for.
+        shape: What to wait for, at the restitution of the system.
         horizon: Longest time to wait [s].
         settings: Accuracy.
-        turns: Periods to wait for.
+        n_periods: Periods to wait for.
 
     Raises:
         SimulationError: If the execution cannot be continued so far.
     """
     if shape.starts_at_release:
-        count = turns * shape.n_releases
-        run = to_release(dynamics, x, count, horizon=horizon, settings=settings)
-    else:
-        count = turns * shape.n_phases
-        run = simulate(dynamics, x, until=horizon, impacts=count, settings=settings)
-    first = run.arcs[0]
-    return RoundTrip(
-        execution=run,
-        phases=phases_of(run, x, held=shape.starts_at_release),
-        first_lock=first if first.mode is Mode.LOCKED else None,
-    )
+        count = n_periods * shape.n_releases
+        return to_release(dynamics, x, count, horizon=horizon, settings=settings)
+    count = n_periods * shape.n_phases
+    return simulate(dynamics, x, until=horizon, impacts=count, settings=settings)
 
 
-def round_trip(
+def cycle_of(
     dynamics: HybridDynamics,
     x: Vector,
     shape: OrbitShape,
     *,
     horizon: float,
     settings: SimulationSettings,
-) -> RoundTrip:
-    """Return the first period from a start, if it has a shape.
+) -> Cycle:
+    """Return the period of a shape that starts at a state of its section.
 
     Args:
         dynamics: The system.
-        x: Where it starts, on its section, ``(n_x,)``.
-        shape: Its shape; with another restitution, plastic impacts and accumulations are the same.
-        horizon: Longest time to wait [s].
+        x: The state, ``(n_x,)``.
+        shape: The shape; with another restitution, plastic impacts and accumulations are the same.
+        horizon: Longest time to wait for its end [s].
         settings: Accuracy.
 
     Raises:
-        SimulationError: If it has another shape, or does not come to its end within the horizon.
+        SimulationError: If the motion has another shape, or does not come to its end within the
+            horizon.
     """
     wanted = shape.at_restitution(dynamics.restitution)
-    trip = followed(dynamics, x, wanted, horizon=horizon, settings=settings)
-    phases = trip.phases[: wanted.n_phases]
-    begins = bool(phases) and trip.phases[0].flight is _first_flight(trip.execution)
-    if not begins or kinds_of(phases) != wanted.phases or not follow_each_other(phases):
-        seen = ", ".join(kind.value for kind in kinds_of(phases)) or "no phase"
-        raise SimulationError(
-            f"The motion has another shape than `{wanted.text}`: {seen}",
-            time=phases[-1].end.time if phases else horizon,
-            state=tuple(x.tolist()),
-        )
-    return RoundTrip(execution=trip.execution, phases=phases, first_lock=trip.first_lock)
-
-
-def _first_flight(execution: Execution) -> Arc | None:
-    return next((arc for arc in execution.arcs if arc.mode is Mode.FREE), None)
+    execution = followed(dynamics, x, wanted, horizon=horizon, settings=settings)
+    found = first_cycles(execution, x, wanted)
+    if found:
+        return found[0]
+    phases = phases_of(execution, x, held=wanted.starts_at_release)[: wanted.n_phases]
+    seen = ", ".join(kind.value for kind in kinds_of(phases)) or "no phase"
+    raise SimulationError(
+        f"The motion has another shape than `{wanted.text}`: {seen}",
+        time=phases[-1].end.time if phases else horizon,
+        state=tuple(x.tolist()),
+    )

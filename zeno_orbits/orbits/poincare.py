@@ -15,20 +15,10 @@ import numpy as np
 from zeno_orbits.arrays import Vector, eigenvalues
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.orbits.monodromy import (
-    ReturnDerivative,
-    Sensitivity,
-    loosened,
-    period_derivative,
-)
-from zeno_orbits.orbits.period import first_return, placed, round_trip, to_next_release
-from zeno_orbits.orbits.section import (
-    RELEASE_ROWS,
-    conditions_gradient,
-    release_section,
-    rows_of,
-    section_around,
-)
+from zeno_orbits.orbits.looser_run import loosened
+from zeno_orbits.orbits.monodromy import ReturnDerivative, Sensitivity, period_derivative
+from zeno_orbits.orbits.period import cycle_of, first_return, placed, to_next_release
+from zeno_orbits.orbits.section import RELEASE_ROWS, Section, rows_of, section_around
 from zeno_orbits.orbits.shape import ONE_ZENO, OrbitShape
 from zeno_orbits.simulation.simulator import SimulationSettings
 
@@ -95,16 +85,13 @@ def section_derivative(
         derivative: Of the return, by the state.
         scale: Size of each state, ``(n_x,)``.
     """
-    section = release_section(dynamics, derivative.start, scale)
-    tangent = scale[:, None] * section.tangent
-    start = derivative.start
-    gradient = conditions_gradient(dynamics, derivative.parameters, RELEASE_ROWS, start)
-    shift = gradient[:, start.size :]
-    lift = np.concatenate([tangent, -scale[:, None] * (section.normal @ shift)], axis=1)
-    d = section.dimension
+    section = section_around(
+        dynamics, RELEASE_ROWS, derivative.start, scale, parameters=derivative.parameters
+    )
+    d, lift = section.dimension, section.lift
     moved = derivative.by_state @ lift
     moved[:, d:] += derivative.by_parameters
-    coordinates = section.tangent.T @ (moved / scale[:, None])
+    coordinates = section.components(moved)
     return SectionDerivative(
         jacobian=coordinates[:, :d], by_parameters=coordinates[:, d:], lift=lift
     )
@@ -168,7 +155,7 @@ def floquet_multipliers(
 
     jacobian = slope(settings)
     try:
-        rough = slope(loosened(settings, _LOOSER, resolved=_FEWER))
+        rough = slope(loosened(settings, resolved=_FEWER))
     except SimulationError:
         return _multipliers(jacobian, jacobian, math.inf)
     return _multipliers(jacobian, rough, _LEAST * settings.tolerance.relative)
@@ -200,11 +187,8 @@ def return_slope(
         near, far = _differences(dynamics, x, shape, scale=scale, period=period, settings=settings)
         return (4 * near - far) / 3
     derivative = period_derivative(dynamics, x, shape, horizon=2 * period, settings=settings)
-    section = section_around(
-        dynamics, rows_of(shape, dynamics.restitution), derivative.start, scale
-    )
-    moved = derivative.by_state @ (scale[:, None] * section.tangent)
-    return section.tangent.T @ (moved / scale[:, None])
+    section = _section(dynamics, shape, derivative.start, scale)
+    return section.components(derivative.by_state @ section.lift)
 
 
 def _multipliers(jacobian: Vector, rough: Vector, noise: float) -> Multipliers:
@@ -215,13 +199,16 @@ def _multipliers(jacobian: Vector, rough: Vector, noise: float) -> Multipliers:
     return Multipliers(values=values, error=change + noise, jacobian=jacobian)
 
 
-_LOOSER = 100.0
-"""Factor of the tolerances at which the multipliers are taken a second time."""
 _FEWER = 10.0
-"""Factor of the speed at which the impacts may then be left."""
+"""Factor of the speed at which impacts may be left out when multipliers are taken again."""
 
 _LEAST = 10.0
 """Error that is claimed at least, in units of the tolerance: two runs may agree by chance."""
+
+
+def _section(dynamics: HybridDynamics, shape: OrbitShape, x: Vector, scale: Vector) -> Section:
+    """Return the chart around a state where a period of a shape starts."""
+    return section_around(dynamics, rows_of(shape, dynamics.restitution), x, scale)
 
 
 def _differences(
@@ -237,14 +224,14 @@ def _differences(
 
     Extrapolated, they are right to fourth order.
     """
-    section = section_around(dynamics, rows_of(shape, dynamics.restitution), x, scale)
+    section = _section(dynamics, shape, x, scale)
 
     def image(direction: int, distance: float) -> Vector:
         coordinates = np.zeros(section.dimension)
         coordinates[direction] = distance
         start = placed(dynamics, shape, section.state(dynamics, coordinates))
-        trip = round_trip(dynamics, start, shape, horizon=2 * period, settings=settings)
-        return section.coordinates(trip.phases[-1].end.state)
+        cycle = cycle_of(dynamics, start, shape, horizon=2 * period, settings=settings)
+        return section.coordinates(cycle.end.state)
 
     def differences(distance: float) -> Vector:
         columns = [

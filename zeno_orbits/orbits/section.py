@@ -1,12 +1,12 @@
-r"""Sections that a return map lives on, and how they move with a parameter.
+r"""Sections that a return map lives on, charts of them, and how they move with a parameter.
 
-A section is where some functions of the state vanish, :math:`G(x, s) = 0`: the release set, or the
-states just after an impact. Both are needed to follow orbits, one with a Zeno point, one without.
+A section is the set where some functions of the state vanish, :math:`G(x, p) = 0`: the release
+states, or the states just after an impact. Source: theory (12), (27), (44).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,9 +24,19 @@ IMPACT_ROWS = (GAP,)
 REST_ROWS = (GAP, GAP_RATE)
 """Conditions of a state just after a plastic impact."""
 
+_RANK = 1e-9
+"""Relative singular value below which conditions depend on each other."""
 _MOST_CORRECTIONS = 20
 _EXACT = 4e-16
 _OFF = 1e-9
+_CHART_CORRECTIONS = 12
+"""Newton steps at most, with the gradient at the centre; each gains the displacement's size."""
+_LOST = 1e100
+"""Size of a condition beyond which no root is expected."""
+_CHART_EXACT = 1e-15
+"""Correction in scaled states after which the next one is rounding."""
+_DIFFERENCE = 1e-6
+"""Displacement in scaled states for a system without formulas."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,7 +58,7 @@ class Line:
 
     @property
     def slopes(self) -> Vector:
-        """How fast those change."""
+        """Derivatives of those numbers by ``s``."""
         return self.direction[list(self.moving)]
 
     def at(self, s: float) -> Vector:
@@ -57,34 +67,19 @@ class Line:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Frame:
-    r"""The section around one of its states.
+class Section:
+    r"""A chart of a section around one of its points.
+
+    With the scale `S` and the tangent `Z`, coordinates are :math:`y = Z^\top S^{-1} (x - x_0)`.
 
     Attributes:
-        tangent: Orthonormal directions in it, in scaled states, ``(n_x, d)``.
-        lift: Derivative of the state on the section by coordinates, then by `s`, ``(n_x, d + 1)``.
+        rows: Rows of the contact that vanish on the section.
+        centre: The point `x_0`, ``(n_x,)``.
         scale: Size of each state, ``(n_x,)``.
-    """
-
-    tangent: Vector
-    lift: Vector
-    scale: Vector
-
-    def coordinates(self, change: Vector) -> Vector:
-        """Return section coordinates of a difference of states, ``(d,)`` or ``(d, m)``."""
-        return self.tangent.T @ (change.T / self.scale).T
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ReleaseSection:
-    """A chart of a section, mostly that of the releases, around one of its points.
-
-    Attributes:
-        rows: Rows of the contact that vanish on it.
-        centre: The point, ``(n_x,)``.
-        scale: Size of each state, ``(n_x,)``.
-        tangent: Orthonormal directions in the section, in scaled states, ``(n_x, n_section)``.
+        tangent: Orthonormal directions in the section, in scaled states, ``(n_x, d)``.
         normal: Pseudo-inverse of the scaled gradient of the conditions, ``(n_x, n_conditions)``.
+        drift: Derivative of the state at fixed coordinates by the parameters that the chart was
+            made for, ``(n_x, k)``.
     """
 
     rows: tuple[int, ...]
@@ -92,15 +87,25 @@ class ReleaseSection:
     scale: Vector
     tangent: Vector
     normal: Vector
+    drift: Vector
 
     @property
     def dimension(self) -> int:
         """Number of section coordinates."""
         return self.tangent.shape[1]
 
+    @property
+    def lift(self) -> Vector:
+        """Derivative of the state by coordinates, then by parameters, ``(n_x, d + k)``."""
+        return np.concatenate([self.scale[:, None] * self.tangent, self.drift], axis=1)
+
     def coordinates(self, x: Vector) -> Vector:
-        """Return the section coordinates of a state, ``(n_section,)``."""
-        return self.tangent.T @ ((x - self.centre) / self.scale)
+        """Return the section coordinates of a state, ``(d,)``."""
+        return self.components(x - self.centre)
+
+    def components(self, change: Vector) -> Vector:
+        """Return the coordinates of a difference of states, ``(n_x,)`` or ``(n_x, m)``."""
+        return self.tangent.T @ (change.T / self.scale).T
 
     def state(self, dynamics: HybridDynamics, coordinates: Vector) -> Vector:
         """Return the state at section coordinates, ``(n_x,)``.
@@ -121,16 +126,6 @@ class ReleaseSection:
         return x
 
 
-_CHART_CORRECTIONS = 12
-"""Newton steps at most, with the gradient at the centre; each gains what the displacement is."""
-
-_LOST = 1e100
-"""A condition that has grown so far will not be met any more."""
-
-_CHART_EXACT = 1e-15
-"""Correction in scaled states after which the next one is rounding."""
-
-
 def rows_of(shape: OrbitShape, restitution: float) -> tuple[int, ...]:
     """Return the conditions of where a period of a shape starts (theory (44))."""
     if shape.starts_at_release:
@@ -138,28 +133,78 @@ def rows_of(shape: OrbitShape, restitution: float) -> tuple[int, ...]:
     return REST_ROWS if restitution == 0.0 else IMPACT_ROWS
 
 
-def frame(
+def release_section(dynamics: HybridDynamics, centre: Vector, scale: Vector) -> Section:
+    """Return a chart of the release section around a release state.
+
+    Args:
+        dynamics: The system.
+        centre: The release state, ``(n_x,)``.
+        scale: Size of each state, ``(n_x,)``.
+    """
+    return section_around(dynamics, RELEASE_ROWS, centre, scale)
+
+
+def section_around(
+    dynamics: HybridDynamics,
+    rows: tuple[int, ...],
+    centre: Vector,
+    scale: Vector,
+    *,
+    parameters: tuple[int, ...] = (),
+) -> Section:
+    """Return a chart of a section around one of its states.
+
+    Args:
+        dynamics: The system; with ``parameters`` it must have formulas.
+        rows: Rows of the contact that vanish on the section.
+        centre: The state, ``(n_x,)``.
+        scale: Size of each state, ``(n_x,)``.
+        parameters: Places in ``p`` of the parameters that the section moves with, ``(k,)``.
+    """
+    gradient = _scaled_gradient(dynamics, rows, centre, scale)
+    section = Section(
+        rows=rows,
+        centre=centre,
+        scale=scale,
+        tangent=null_space(gradient, rcond=_RANK),
+        normal=np.asarray(np.linalg.pinv(gradient, rcond=_RANK), dtype=np.float64),
+        drift=np.zeros((centre.size, 0)),
+    )
+    if not parameters:
+        return section
+    slopes = conditions_gradient(dynamics, parameters, rows, centre)[:, centre.size :]
+    return _moving(section, slopes)
+
+
+def section_along(
     dynamics: HybridDynamics, line: Line, rows: tuple[int, ...], x: Vector, scale: Vector
-) -> Frame:
-    """Return the section around a state that lies on it.
+) -> Section:
+    """Return a chart around a state that lies on a section, moving along a line of parameters.
 
     Args:
         dynamics: The system at ``p(s)``.
-        line: The line.
+        line: The line; the chart's one parameter is its ``s``.
         rows: Rows of the contact that vanish on the section.
         x: The state, ``(n_x,)``.
         scale: Size of each state, ``(n_x,)``.
     """
-    gradient = conditions_gradient(dynamics, line.moving, rows, x)
-    by_state, by_parameter = gradient[:, : x.size] * scale, gradient[:, x.size :] @ line.slopes
-    tangent = null_space(by_state, rcond=1e-9)
-    drift = -np.linalg.pinv(by_state, rcond=1e-9) @ by_parameter
-    lift = scale[:, None] * np.concatenate([tangent, drift[:, None]], axis=1)
-    return Frame(tangent=tangent, lift=lift, scale=scale)
+    slopes = conditions_gradient(dynamics, line.moving, rows, x)[:, x.size :] @ line.slopes
+    return _moving(section_around(dynamics, rows, x, scale), slopes[:, None])
+
+
+def _moving(section: Section, slopes: Vector) -> Section:
+    """Return a chart that keeps to its section, given the conditions' slopes by parameters."""
+    return replace(section, drift=-section.scale[:, None] * (section.normal @ slopes))
 
 
 def projected(dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector, scale: Vector) -> Vector:
     """Return the state of the section nearest to a state, in scaled states, ``(n_x,)``.
+
+    Args:
+        dynamics: The system.
+        rows: Rows of the contact that vanish on the section.
+        x: The state, ``(n_x,)``.
+        scale: Size of each state, ``(n_x,)``.
 
     Raises:
         SimulationError: If Newton's method does not reach the section.
@@ -167,7 +212,7 @@ def projected(dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector, scale:
     size = np.inf
     for _ in range(_MOST_CORRECTIONS):
         gradient = conditions_gradient(dynamics, (), rows, x) * scale
-        correction = np.linalg.pinv(gradient, rcond=1e-9) @ conditions(dynamics, rows, x)
+        correction = np.linalg.pinv(gradient, rcond=_RANK) @ conditions(dynamics, rows, x)
         x = x - scale * correction
         size = float(np.max(np.abs(correction)))
         if size <= _EXACT:
@@ -178,7 +223,13 @@ def projected(dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector, scale:
 
 
 def conditions(dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector) -> Vector:
-    """Return what vanishes on a section: rows of the contact, and the holonomic constraints."""
+    """Return the values that vanish on a section: rows of the contact, holonomic constraints.
+
+    Args:
+        dynamics: The system.
+        rows: Rows of the contact.
+        x: A state, ``(n_x,)``.
+    """
     contact = {GAP: dynamics.gap, GAP_RATE: dynamics.gap_rate, MULTIPLIER: dynamics.multiplier}
     return np.concatenate([[contact[row](x) for row in rows], dynamics.holonomic(x)])
 
@@ -186,7 +237,13 @@ def conditions(dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector) -> Ve
 def conditions_gradient(
     dynamics: HybridDynamics, chosen: tuple[int, ...], rows: tuple[int, ...], x: Vector
 ) -> Vector:
-    """Return its derivative by states and chosen parameters, ``(n, n_x + k)``.
+    """Return the derivative of the conditions by states and parameters, ``(n, n_x + k)``.
+
+    Args:
+        dynamics: The system.
+        chosen: Places in ``p`` of the parameters, ``(k,)``.
+        rows: Rows of the contact that vanish on the section.
+        x: A state, ``(n_x,)``.
 
     Raises:
         InputError: If the system has no formulas.
@@ -195,44 +252,16 @@ def conditions_gradient(
     return np.concatenate([differentials.contact(x)[list(rows)], differentials.holonomic(x)])
 
 
-def release_section(dynamics: HybridDynamics, centre: Vector, scale: Vector) -> ReleaseSection:
-    """Return a chart of the release section around a release state."""
-    return section_around(dynamics, RELEASE_ROWS, centre, scale)
-
-
-def section_around(
-    dynamics: HybridDynamics, rows: tuple[int, ...], centre: Vector, scale: Vector
-) -> ReleaseSection:
-    """Return a chart of a section around one of its states.
-
-    Args:
-        dynamics: The system.
-        rows: Rows of the contact that vanish on it.
-        centre: The state, ``(n_x,)``.
-        scale: Size of each state, ``(n_x,)``.
-    """
-    gradient = conditions_slope(dynamics, rows, centre, scale)
-    return ReleaseSection(
-        rows=rows,
-        centre=centre,
-        scale=scale,
-        tangent=null_space(gradient, rcond=1e-9),
-        normal=np.asarray(np.linalg.pinv(gradient, rcond=1e-9), dtype=np.float64),
-    )
-
-
-def conditions_slope(
+def _scaled_gradient(
     dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector, scale: Vector
 ) -> Vector:
-    """Return the derivative of the conditions of a section by scaled states, ``(n, n_x)``."""
+    """Return the derivative of the conditions by scaled states, ``(n, n_x)``."""
     if dynamics.differentiation is not None:
         return conditions_gradient(dynamics, (), rows, x) * scale
-    step = 1e-6
     columns: list[Vector] = []
     for k in range(len(x)):
         shift = np.zeros(len(x))
-        shift[k] = step * scale[k]
-        ahead = conditions(dynamics, rows, x + shift)
-        rise = ahead - conditions(dynamics, rows, x - shift)
-        columns.append(rise / (2 * step))
+        shift[k] = _DIFFERENCE * scale[k]
+        rise = conditions(dynamics, rows, x + shift) - conditions(dynamics, rows, x - shift)
+        columns.append(rise / (2 * _DIFFERENCE))
     return np.stack(columns, axis=1)

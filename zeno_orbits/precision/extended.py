@@ -17,7 +17,6 @@ from decimal import Decimal
 from itertools import chain
 
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model.numeric.compiled import compile_problem
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.precision.extended_run import ExtendedRun, Trace
 from zeno_orbits.precision.extended_system import ExtendedSystem
@@ -114,7 +113,7 @@ def extended_execution(
         raise InputError(message)
     if not all(0 <= time <= until for time in times):
         raise InputError(f"Argument `times` must lie in [0, {until:g}], but one does not.")
-    compiled = compile_problem(problem)
+    compiled = problem.compiled()
     check_state(state, compiled.n_x)
     traces: list[Trace] = []
     for spare in SPARE_DIGITS:

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model.numeric.compiled import CompiledSystem, compile_problem
+from zeno_orbits.model.numeric.compiled import CompiledSystem
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.precision.extended import (
     SPARE_DIGITS,
@@ -107,7 +107,7 @@ def extended_orbit(
     """
     started = clock.perf_counter()
     check_digits(digits)
-    compiled = compile_problem(problem)
+    compiled = problem.compiled()
     check_state(release_guess, compiled.n_x)
     entries = values.vector
     section = _section(compiled, entries, [float(value) for value in release_guess])

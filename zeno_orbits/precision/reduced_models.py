@@ -14,15 +14,13 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model.numeric.compiled import bind, compile_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.cycle import Cycle
 from zeno_orbits.orbits.poincare import return_slope
 from zeno_orbits.orbits.section import release_section
 from zeno_orbits.orbits.shape import ONE_ZENO
-from zeno_orbits.search.closing import close_cycle, cycle_near
-from zeno_orbits.search.search import find_orbit
+from zeno_orbits.search import close_cycle, cycle_near, find_orbit
 from zeno_orbits.simulation.simulator import SimulationSettings
 
 QUASI_STATIC, CORRECTED = "quasi_static", "corrected"
@@ -236,7 +234,7 @@ def _rate(dynamics: HybridDynamics, cycle: Cycle) -> float:
 
 
 def _dynamics(problem: Problem, values: ParameterValues) -> HybridDynamics:
-    return bind(compile_problem(problem), problem.shared(values).vector)
+    return problem.dynamics(problem.shared(values))
 
 
 def _first_impact(cycle: Cycle) -> float:

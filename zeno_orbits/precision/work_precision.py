@@ -20,7 +20,6 @@ from typing import Any, cast
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.integrators import Automatic, Engine, Radau, RungeKutta, SciPy, Taylor
 from zeno_orbits.integrators.casadi_to_heyoka import heyoka_is_installed
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.precision.accuracy import ROUNDING, apart, at_tolerance, landmarks
@@ -317,7 +316,7 @@ def _meshes(
     """Solve for the periodic orbit on finer and finer meshes, each held against a simulation."""
     if not settings.meshes:
         return
-    from zeno_orbits.search.search import SearchSettings, find_orbit
+    from zeno_orbits.search import SearchSettings, find_orbit
     from zeno_orbits.search.transcription.arc import TranscriptionSettings
 
     for tolerance in settings.meshes:
@@ -344,7 +343,7 @@ def _settings(engine: Engine, tolerance: float) -> SimulationSettings:
 
 
 def _model(problem: Problem, values: ParameterValues) -> HybridDynamics:
-    return bind(compiled_model(problem), values.vector)
+    return problem.dynamics(values)
 
 
 def _named(problem: Problem, state: Sequence[float]) -> str:

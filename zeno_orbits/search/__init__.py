@@ -1,1 +1,16 @@
-"""search."""
+"""Find orbits and gains: guess by simulation, transcribe, solve, confirm by simulation, rank.
+
+A program is solved from one start after another, and what it finds is simulated and handed to a
+check; `close_orbit` closes an orbit by simulation alone.
+
+Offers: `find_orbit` and `search_gains` (with `SearchSettings`, a `SearchResult` of `Candidate`
+orbits, `Judgement` for checks, `Spread` for workers), `close_orbit` and `close_cycle`, and the
+objectives: `NearestGains`, `TargetPeriod`, `TargetAmplitude`, `LeastEnergy`, `LeastPeak`,
+`FastestContraction`, `WidestMargin`.
+
+Imports: verification, orbits, simulation, model, integrators, work, arrays, errors.
+"""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

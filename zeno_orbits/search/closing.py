@@ -7,7 +7,7 @@ closed with, or with the model written by hand, or take `find_orbit`, which shar
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +16,6 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError, ZenoOrbitsError
 from zeno_orbits.integrators import Taylor
 from zeno_orbits.integrators.flow import Tolerance
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.model.quantities import RUNAWAY
@@ -29,6 +28,7 @@ from zeno_orbits.search.fixed_point import ClosedCycle, close_cycle, cycle_near
 from zeno_orbits.search.guess import SettlingSettings, settle
 from zeno_orbits.simulation.completion import ZenoExtrapolation
 from zeno_orbits.simulation.simulator import SimulationSettings
+from zeno_orbits.work.progress import Progress, silent
 
 __all__ = [
     "ClosedCycle",
@@ -91,7 +91,7 @@ def close_orbit(
     *,
     near: ZenoOrbit | None = None,
     simulation: SimulationSettings | None = None,
-    on_progress: Callable[[str], None] | None = None,
+    on_progress: Progress = silent,
     shape: OrbitShape | None = None,
 ) -> Closing:
     """Return the orbit at given gains to which a simulation settles, or one near another orbit.
@@ -102,8 +102,8 @@ def close_orbit(
     Args:
         problem: The problem.
         values: Its numbers.
-        near: An orbit of the problem to start from, at these numbers or near them; else the problem's
-            starts are followed until the motion nearly repeats.
+        near: An orbit of the problem to start from, at these numbers or near them; by default the
+            problem's starts are followed until the motion nearly repeats.
         simulation: Engine and accuracy; by default Taylor's method at full accuracy where heyoka is
             installed and the problem analytic, else the default engine.
         on_progress: Called with the name of each stage as it begins.
@@ -118,18 +118,14 @@ def close_orbit(
         raise InputError(f"Argument `near` {message}.")
     if near is not None:
         shape = near.shape.agreed(shape)
-
-    def tell(stage: str) -> None:
-        if on_progress is not None:
-            on_progress(stage)
-
     if simulation is not None:
-        return _closed(problem, values, near, shape, simulation, tell)
+        return _closed(problem, values, near, shape, simulation, on_progress)
+    taylor = SimulationSettings(engine=Taylor())
     try:
-        return _closed(problem, values, near, shape, SimulationSettings(engine=Taylor()), tell)
+        return _closed(problem, values, near, shape, taylor, on_progress)
     except InputError:
         # No heyoka or no formulas for it; what else is wrong is wrong for every engine.
-        return _closed(problem, values, near, shape, SimulationSettings(), tell)
+        return _closed(problem, values, near, shape, SimulationSettings(), on_progress)
 
 
 def _closed(
@@ -138,13 +134,13 @@ def _closed(
     near: ZenoOrbit | None,
     wanted: OrbitShape | None,
     simulation: SimulationSettings,
-    tell: Callable[[str], None],
+    on_progress: Progress,
 ) -> Closing:
-    dynamics = bind(compiled_model(problem), values.vector)
+    dynamics = problem.dynamics(values)
     detail = ""
     for settled in _NEAR if near is None else (np.inf,):
         try:
-            tell("simulating")
+            on_progress("simulating", None)
             if near is None:
                 cycle = _settled(dynamics, problem, settled, wanted, simulation)
             else:
@@ -152,7 +148,7 @@ def _closed(
                 cycle = cycle_near(
                     dynamics, x, period=near.period, settings=simulation, shape=near.shape
                 )
-            tell("closing the orbit")
+            on_progress("closing the orbit", None)
             closed = close_cycle(
                 dynamics,
                 # What repels leads away from what is near.
@@ -204,6 +200,11 @@ def _settled(
     return settling.cycle
 
 
+def named(problem: Problem, state: Vector) -> dict[str, float]:
+    """Return state name to value."""
+    return dict(zip(problem.state_names, map(float, state), strict=True))
+
+
 def orbit_of(cycle: Cycle, problem: Problem, values: ParameterValues) -> ZenoOrbit:
     """Return a period that repeats as an orbit without a certificate.
 
@@ -212,32 +213,27 @@ def orbit_of(cycle: Cycle, problem: Problem, values: ParameterValues) -> ZenoOrb
         problem: Its problem.
         values: The problem's numbers.
     """
+    start = cycle.start.time
 
-    def named(state: Vector) -> Mapping[str, float]:
-        return dict(zip(problem.state_names, state.tolist(), strict=True))
+    def phase_of(phase: Phase) -> OrbitPhase:
+        return OrbitPhase(
+            kind=phase.kind,
+            start_time=phase.start.time - start,
+            start_state=named(problem, phase.start.state),
+            impacts=tuple(
+                OrbitImpact(time=i.time - start, state_minus=named(problem, i.state_minus))
+                for i in phase.impacts
+            ),
+            zeno_time=None if phase.zeno is None else phase.zeno.time - start,
+            zeno_state=None if phase.zeno is None else named(problem, phase.zeno.state),
+        )
 
     return ZenoOrbit(
         problem=problem.name,
         parameters=dict(values.parameters),
         gains=dict(values.gains),
         period=cycle.period,
-        phases=tuple(_phase_of(phase, cycle.start.time, named) for phase in cycle.phases),
+        phases=tuple(map(phase_of, cycle.phases)),
         certificate={},
         versions=versions(),
-    )
-
-
-def _phase_of(
-    phase: Phase, start: float, named: Callable[[Vector], Mapping[str, float]]
-) -> OrbitPhase:
-    return OrbitPhase(
-        kind=phase.kind,
-        start_time=phase.start.time - start,
-        start_state=named(phase.start.state),
-        impacts=tuple(
-            OrbitImpact(time=impact.time - start, state_minus=named(impact.state_minus))
-            for impact in phase.impacts
-        ),
-        zeno_time=None if phase.zeno is None else phase.zeno.time - start,
-        zeno_state=None if phase.zeno is None else named(phase.zeno.state),
     )

@@ -6,146 +6,138 @@ Ipopt's word is not an orbit: only what a simulation follows is one.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from zeno_orbits.arrays import Vector
+from zeno_orbits.arrays import Array, Vector
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.model.numeric.compiled import CompiledSystem, bind
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import ParameterValues, Problem
+from zeno_orbits.model.problem import ParameterValues
 from zeno_orbits.orbits.bounds import KEPT, Bound, excess
-from zeno_orbits.orbits.cycle import Cycle, cycle_of, round_again
+from zeno_orbits.orbits.cycle import Cycle, round_again
 from zeno_orbits.orbits.orbit import OrbitImpact, OrbitPhase, ZenoOrbit, versions
-from zeno_orbits.orbits.period import placed
+from zeno_orbits.orbits.period import cycle_of, placed
 from zeno_orbits.orbits.phases import Moment
 from zeno_orbits.orbits.shape import ONE_ZENO, OrbitShape
-from zeno_orbits.search.objectives import Objective, WantedAmplitude, WantedPeriod
-from zeno_orbits.search.settings import Find, SearchStatus
-from zeno_orbits.search.transcription.ipopt import Solution
+from zeno_orbits.search.closing import named
+from zeno_orbits.search.objectives import Objective, Target
+from zeno_orbits.search.outcome import SimulatedSolution, StartOutcome
+from zeno_orbits.search.search_problem import SearchProblem
+from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.search.transcription.transcribe import labels_of, start_block
 from zeno_orbits.simulation.execution import Impact, ZenoPoint
 from zeno_orbits.simulation.signals import Extent, extent_of, signal, signal_names
 from zeno_orbits.simulation.simulator import SimulationSettings
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Confirmation:
-    """How solutions are confirmed.
+def confirm(
+    search: SearchProblem,
+    outcome: StartOutcome,
+    unknowns: Mapping[str, Array],
+    values: ParameterValues,
+    objective: Objective | None,
+    shape: OrbitShape,
+) -> StartOutcome:
+    """Simulate one period of a solution and compare.
 
-    Attributes:
-        problem: The problem.
-        compiled: Its functions.
-        bounds: What must be kept at all times.
-        agreement: Largest relative difference of program and simulation over one period.
+    Args:
+        search: The search.
+        outcome: What is known of the program.
+        unknowns: Name of each block of unknowns and each report to its values in the solution.
+        values: Numbers of the solution.
+        objective: What was asked, if anything was free.
+        shape: The shape of the solution.
     """
-
-    problem: Problem
-    compiled: CompiledSystem
-    bounds: tuple[Bound, ...]
-    agreement: float
-
-    def of(
-        self, find: Find, values: ParameterValues, objective: Objective | None, shape: OrbitShape
-    ) -> Find:
-        """Simulate one period of a solution and compare.
-
-        Args:
-            find: What is known; its solution is the one.
-            values: Numbers of the solution.
-            objective: What was asked, if anything was free.
-            shape: The shape of the solution.
-        """
-        solution = find.solution
-        if solution is None:
-            return find
-        dynamics = bind(self.compiled, values.vector)
-        start = solution.values[start_block(shape, 0)][:, 0]
-        start = placed(dynamics, shape, start)
-        period = float(solution.values["period"][0, 0])
-        cycle = one_cycle(dynamics, start, 2 * period, shape)
-        if cycle is None:
-            detail = "From the solution's release no Zeno point and release follow."
-            if not shape.has_one_release:
-                detail = f"From the solution's start no period of shape `{shape.text}` follows."
-            return replace(find, status=SearchStatus.NOT_FOLLOWED, detail=detail)
-        differs = max(_difference(cycle, solution), _miss(objective, cycle))
-        excesses = self.excesses(values, cycle)
-        detail = round_again(cycle)
-        if not detail and differs > self.agreement:
-            detail = f"Solution and simulation differ by {differs:.1e}."
-        elif not detail and excesses:
-            worst = max(excesses.items(), key=lambda item: item[1])
-            detail = f"Between its nodes `{worst[0]}` passes its bound by {worst[1]:.1e}."
-        return replace(
-            find,
-            status=SearchStatus.NOT_FOLLOWED if detail else SearchStatus.FOUND,
-            detail=detail,
-            orbit=None if detail else self.orbit(solution, values, shape),
+    dynamics = search.dynamics(values)
+    start = placed(dynamics, shape, unknowns[start_block(shape, 0)][:, 0])
+    cycle = one_cycle(dynamics, start, 2 * float(unknowns["period"][0, 0]), shape)
+    if cycle is None:
+        detail = "From the solution's release no Zeno point and release follow."
+        if not shape.has_one_release:
+            detail = f"From the solution's start no period of shape `{shape.text}` follows."
+        return replace(outcome, status=SearchStatus.NOT_FOLLOWED, detail=detail)
+    differs = _difference(cycle, unknowns)
+    if isinstance(objective, Target):
+        differs = max(differs, objective.miss(cycle))
+    excesses = _excesses(search, values, cycle)
+    detail = round_again(cycle)
+    if not detail and differs > search.settings.agreement:
+        detail = f"Solution and simulation differ by {differs:.1e}."
+    elif not detail and excesses:
+        worst = max(excesses.items(), key=lambda item: item[1])
+        detail = f"Between its nodes `{worst[0]}` passes its bound by {worst[1]:.1e}."
+    return replace(
+        outcome,
+        status=SearchStatus.NOT_FOLLOWED if detail else SearchStatus.FOUND,
+        detail=detail,
+        agreement=differs,
+        solution=SimulatedSolution(
             values=values,
             cycle=cycle,
-            agreement=differs,
+            unknowns=unknowns,
+            orbit=None if detail else _orbit(search, unknowns, values, shape),
             excesses=excesses,
-        )
+        ),
+    )
 
-    def excesses(self, values: ParameterValues, cycle: Cycle) -> dict[str, float]:
-        """Return by how much a simulated period passes the bounds of signals that it passes."""
-        known = signal_names(self.compiled)
-        arcs = cycle.arcs
-        found: dict[str, float] = {}
-        for bound in self.bounds:
-            if bound.name in known:
-                value = signal(self.compiled, bound.name).at(values.vector)
-                extent: Extent = extent_of(value, arcs)
-                size = excess(bound, extent)
-                if size > KEPT * max(extent.largest, 1.0) / 2:
-                    found[bound.name] = max(found.get(bound.name, 0.0), size)
-        return found
 
-    def orbit(self, solution: Solution, values: ParameterValues, shape: OrbitShape) -> ZenoOrbit:
-        """Return the orbit of a solution."""
-        dynamics = bind(self.compiled, values.vector)
-        period = float(solution.values["period"][0, 0])
-        starts = [*_start_times(solution, shape), period]
-        return ZenoOrbit(
-            problem=self.problem.name,
-            parameters=dict(values.parameters),
-            gains=dict(values.gains),
-            period=period,
-            phases=tuple(
-                self._phase(solution, dynamics, shape, k, starts[k]) for k in range(shape.n_phases)
-            ),
-            certificate={},
-            versions=versions(),
-        )
+def _excesses(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> dict[str, float]:
+    """Return by how much a simulated period passes the bounds of signals that it passes."""
+    known = signal_names(search.compiled)
+    found: dict[str, float] = {}
+    for bound in search.bounds if search.free else ():
+        if bound.name in known:
+            value = signal(search.compiled, bound.name).at(values.vector)
+            extent: Extent = extent_of(value, cycle.arcs)
+            size = excess(bound, extent)
+            if size > KEPT * max(extent.largest, 1.0) / 2:
+                found[bound.name] = max(found.get(bound.name, 0.0), size)
+    return found
 
-    def _phase(
-        self, solution: Solution, dynamics: HybridDynamics, shape: OrbitShape, k: int, start: float
-    ) -> OrbitPhase:
-        values, label, kind = solution.values, labels_of(shape)[k], shape.phases[k]
+
+def _orbit(
+    search: SearchProblem,
+    unknowns: Mapping[str, Array],
+    values: ParameterValues,
+    shape: OrbitShape,
+) -> ZenoOrbit:
+    """Return the orbit of a solution."""
+    dynamics, problem = search.dynamics(values), search.problem
+    period = float(unknowns["period"][0, 0])
+    starts = _start_times(unknowns, shape)
+
+    def phase(k: int) -> OrbitPhase:
+        label, kind = labels_of(shape)[k], shape.phases[k]
         before = OrbitShape(phases=(shape.phases[k - 1],))
-        times = start + np.cumsum(values[f"{label}flight times"][:, 0])
-        states = values[f"{label}impact states"].T
+        start = placed(dynamics, before, unknowns[start_block(shape, k)][:, 0])
+        times = starts[k] + np.cumsum(unknowns[f"{label}flight times"][:, 0])
+        states = unknowns[f"{label}impact states"].T
         zeno_time, zeno_state = None, None
         if kind.holds:
-            zeno_time = float(values[f"{label}Zeno time"][0, 0])
-            zeno_state = self.named(dynamics.on_stop(values[f"{label}Zeno state"][:, 0]))
+            zeno_time = float(unknowns[f"{label}Zeno time"][0, 0])
+            zeno_state = named(problem, dynamics.on_stop(unknowns[f"{label}Zeno state"][:, 0]))
         return OrbitPhase(
             kind=kind,
-            start_time=start,
-            start_state=self.named(placed(dynamics, before, values[start_block(shape, k)][:, 0])),
+            start_time=starts[k],
+            start_state=named(problem, start),
             impacts=tuple(
-                OrbitImpact(time=float(time), state_minus=self.named(state))
+                OrbitImpact(time=float(time), state_minus=named(problem, state))
                 for time, state in zip(times, states, strict=True)
             ),
             zeno_time=zeno_time,
             zeno_state=zeno_state,
         )
 
-    def named(self, state: Vector) -> dict[str, float]:
-        """Return state name to value."""
-        return dict(zip(self.problem.state_names, map(float, state), strict=True))
+    return ZenoOrbit(
+        problem=problem.name,
+        parameters=dict(values.parameters),
+        gains=dict(values.gains),
+        period=period,
+        phases=tuple(phase(k) for k in range(shape.n_phases)),
+        certificate={},
+        versions=versions(),
+    )
 
 
 def tightened(bounds: Sequence[Bound], excesses: Mapping[str, float]) -> tuple[Bound, ...]:
@@ -171,14 +163,14 @@ def one_cycle(
         return None
 
 
-def _start_times(solution: Solution, shape: OrbitShape) -> list[float]:
+def _start_times(unknowns: Mapping[str, Array], shape: OrbitShape) -> list[float]:
     """Return when the phases of a solution start [s]."""
-    return [float(solution.values[f"{label}start time"][0, 0]) for label in labels_of(shape)]
+    return [float(unknowns[f"{label}start time"][0, 0]) for label in labels_of(shape)]
 
 
-def _difference(cycle: Cycle, solution: Solution) -> float:
+def _difference(cycle: Cycle, values: Mapping[str, Array]) -> float:
     """Return the largest difference of a solution from a simulated cycle, relative."""
-    values, period, scale = solution.values, cycle.period, cycle.scale()
+    period, scale = cycle.period, cycle.scale()
 
     def apart(time: float, state: Vector, at: Moment | Impact | ZenoPoint) -> float:
         seen = at.state_minus if isinstance(at, Impact) else at.state
@@ -187,7 +179,7 @@ def _difference(cycle: Cycle, solution: Solution) -> float:
 
     found = [cycle.drift(scale), abs(period - float(values["period"][0, 0])) / period]
     shape = cycle.shape
-    starts = _start_times(solution, shape)
+    starts = _start_times(values, shape)
     for k, (label, phase) in enumerate(zip(labels_of(shape), cycle.phases, strict=True)):
         if k > 0:
             found.append(apart(starts[k], values[start_block(shape, k)][:, 0], phase.start))
@@ -199,10 +191,3 @@ def _difference(cycle: Cycle, solution: Solution) -> float:
         for impact, time, state in zip(phase.impacts, times, states, strict=False):
             found.append(apart(float(time), state, impact))
     return max(found)
-
-
-def _miss(objective: Objective | None, cycle: Cycle) -> float:
-    """Return how far a simulated cycle is from a wanted value, relative; 0 if none is wanted."""
-    if not isinstance(objective, WantedPeriod | WantedAmplitude):
-        return 0.0
-    return abs(objective.measured(cycle) - objective.target) / objective.target

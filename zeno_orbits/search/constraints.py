@@ -16,7 +16,7 @@ from zeno_orbits.arrays import Array
 from zeno_orbits.errors import InputError
 from zeno_orbits.orbits.bounds import Bound
 from zeno_orbits.search.spectral_radius import keep_radius_below
-from zeno_orbits.search.transcription.arc import Stretch
+from zeno_orbits.search.transcription.arc import CollocatedArc
 from zeno_orbits.search.transcription.transcribe import OrbitTerms
 from zeno_orbits.simulation.signals import Signal, peaks, signal, signal_names
 
@@ -67,13 +67,13 @@ def smallest_share(terms: OrbitTerms) -> ca.MX:
     share = program.variable("smallest margin", 0.1, lower=-1.0, upper=1.0)[0, 0]
     for phase in terms.phases:
         speed = (f"{phase.label}speed of the first impact", 1, phase.flights[0])
-        quantities: list[tuple[str, int, Stretch, ca.MX]] = [(*speed, -phase.approach_rate)]
+        quantities: list[tuple[str, int, CollocatedArc, ca.MX]] = [(*speed, -phase.approach_rate)]
         if phase.locked is not None and phase.zeno is not None:
             push = -terms.compiled.contact(phase.zeno, terms.p)[2]
             quantities.append((f"{phase.label}d2h/dt2 at the Zeno point", 2, phase.locked, push))
-        for name, index, stretch, value in quantities:
+        for name, index, arc, value in quantities:
             quantity = _contact(terms, name, index)
-            most = largest(terms, quantity, (stretch,), f"largest value beside the {name}")
+            most = largest(terms, quantity, (arc,), f"largest value beside the {name}")
             program.at_least_zero(f"margin: {name}", value / most - share)
         if phase.locked is not None:
             row = phase.locked.duration / terms.period - share
@@ -81,9 +81,11 @@ def smallest_share(terms: OrbitTerms) -> ca.MX:
     return share
 
 
-def largest(terms: OrbitTerms, quantity: Signal, stretches: Sequence[Stretch], label: str) -> ca.MX:
+def largest(
+    terms: OrbitTerms, quantity: Signal, arcs: Sequence[CollocatedArc], label: str
+) -> ca.MX:
     """Declare an unknown that a signal does not exceed in size anywhere, and return it."""
-    columns, at_guess = _places(terms, quantity, stretches)
+    columns, at_guess = _places(terms, quantity, arcs)
     size = max(float(np.max(np.abs(at_guess))), 1e-9)
     most = terms.program.variable(label, 1.001 * size, scale=size, lower=0.0)[0, 0]
     for sign, word in ((1.0, "above"), (-1.0, "below minus")):
@@ -107,7 +109,7 @@ def keep(terms: OrbitTerms, bound: Bound, slack: ca.MX | float = 0.0) -> float:
         return 1.0
     if bound.name in signal_names(terms.compiled):
         quantity = signal(terms.compiled, bound.name)
-        columns, at_guess = _places(terms, quantity, terms.stretches)
+        columns, at_guess = _places(terms, quantity, terms.arcs)
         size = size_of(bound, float(np.max(np.abs(at_guess))))
         for sign, end in ((1.0, bound.lower), (-1.0, bound.upper)):
             if math.isfinite(end):
@@ -168,33 +170,33 @@ def _hold(
 
 
 def _places(
-    terms: OrbitTerms, quantity: Signal, stretches: Sequence[Stretch]
+    terms: OrbitTerms, quantity: Signal, arcs: Sequence[CollocatedArc]
 ) -> tuple[ca.MX, Array]:
     """Return the states at which a signal is held, ``(n_x, n)``, and its values in the guess."""
     n_x, value = terms.compiled.n_x, quantity.at(terms.numbers)
     columns: list[ca.MX] = []
     values: list[float] = []
-    for stretch in stretches:
-        columns += [stretch.start[:n_x], stretch.stages[:n_x, :]]
+    for arc in arcs:
+        columns += [arc.start[:n_x], arc.stages[:n_x, :]]
         for sign in (1.0, -1.0):
-            for peak in peaks(value, stretch.arc, sign):
+            for peak in peaks(value, arc.guess, sign):
                 values.append(peak.value)
                 if 0.0 < peak.fraction < 1.0:
-                    columns.append(inside(terms, stretch, peak.fraction)[:n_x])
+                    columns.append(inside(terms, arc, peak.fraction)[:n_x])
     return ca.horzcat(*columns), np.array(values)
 
 
-def inside(terms: OrbitTerms, stretch: Stretch, fraction: float) -> ca.MX:
-    """Return the state of a stretch's flow at a fraction of its duration, by its polynomial."""
-    mesh, n = stretch.mesh, terms.scheme.n_stages
+def inside(terms: OrbitTerms, arc: CollocatedArc, fraction: float) -> ca.MX:
+    """Return the state of an arc's flow at a fraction of its duration, by its polynomial."""
+    mesh, n = arc.mesh, terms.scheme.n_stages
     interval = int(np.clip(np.searchsorted(mesh, fraction) - 1, 0, len(mesh) - 2))
     place = (fraction - mesh[interval]) / (mesh[interval + 1] - mesh[interval])
     first = interval * n
-    start = stretch.start if first == 0 else stretch.stages[:, first - 1]
+    start = arc.start if first == 0 else arc.stages[:, first - 1]
     points = np.concatenate([[0.0], terms.scheme.nodes])
     weights = [
         math.prod(float((place - q) / (point - q)) for q in points if q != point)
         for point in points
     ]
-    states = ca.horzcat(start, stretch.stages[:, first : first + n])
+    states = ca.horzcat(start, arc.stages[:, first : first + n])
     return ca.mtimes(states, ca.DM(weights))

@@ -15,11 +15,11 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.orbits.cycle import Cycle, cycle_of
-from zeno_orbits.orbits.period import placed
+from zeno_orbits.orbits.cycle import Cycle, cycle_between
+from zeno_orbits.orbits.period import cycle_of, placed
 from zeno_orbits.orbits.phases import follow_each_other, kinds_of, phases_of
 from zeno_orbits.orbits.poincare import return_slope
-from zeno_orbits.orbits.section import ReleaseSection, rows_of, section_around
+from zeno_orbits.orbits.section import Section, rows_of, section_around
 from zeno_orbits.orbits.shape import ONE_ZENO, OrbitShape
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 
@@ -155,7 +155,7 @@ def _sized(trial: _Trial, count: int) -> ClosedCycle:
 
 def _tried(
     dynamics: HybridDynamics,
-    section: ReleaseSection,
+    section: Section,
     at: Vector,
     shape: OrbitShape,
     period: float,
@@ -211,7 +211,7 @@ def cycle_near(
     for k in range(len(phases) - n + 1):
         some = phases[k : k + n]
         if kinds_of(some) == wanted.phases and follow_each_other(some):
-            return Cycle(state_names=dynamics.state_names, phases=some)
+            return cycle_between(run, some)
     what = "No Zeno point and release follow"
     if not wanted.has_one_release:
         what = f"No period of shape `{wanted.text}` follows"

@@ -12,8 +12,8 @@ from zeno_orbits.errors import RunawayError, SimulationError
 from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.quantities import RUNAWAY
-from zeno_orbits.orbits.cycle import Cycle, cycle_of, cycles
-from zeno_orbits.orbits.period import placed, to_next_release
+from zeno_orbits.orbits.cycle import Cycle, cycles
+from zeno_orbits.orbits.period import cycle_of, placed, to_next_release
 from zeno_orbits.orbits.shape import OrbitShape
 from zeno_orbits.search.recurrence import Recurrence, Recurring
 from zeno_orbits.simulation.completion import ZenoExtrapolation

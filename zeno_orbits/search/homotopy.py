@@ -9,14 +9,13 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.model.numeric.compiled import bind
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues
 from zeno_orbits.orbits.cycle import Cycle
 from zeno_orbits.orbits.period import placed
 from zeno_orbits.orbits.shape import OrbitShape
 from zeno_orbits.search.closing import ClosedCycle, close_cycle
-from zeno_orbits.search.refinement import Hunt
+from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.simulation.simulator import SimulationSettings
 
 _FIRST_STEP, _LAST_STEP = 0.25, 1e-4
@@ -63,21 +62,25 @@ class _Point:
 
 
 def follow(
-    hunt: Hunt, easy: ParameterValues, start: Vector, wanted: ParameterValues, shape: OrbitShape
+    search: SearchProblem,
+    easy: ParameterValues,
+    start: Vector,
+    wanted: ParameterValues,
+    shape: OrbitShape,
 ) -> Path:
     r"""Follow an orbit from one setting to another: :math:`p(s) = (1 - s)\,p_0 + s\,p_1`.
 
     The next release is predicted by the secant of the last two and closed by simulation.
 
     Args:
-        hunt: The search.
+        search: The search.
         easy: Numbers of an orbit, exactly or nearly.
         start: Where its period starts, ``(n_x,)``.
         wanted: Where to go.
         shape: Its shape.
     """
-    period = hunt.settings.settling.chunk
-    here = _closed(hunt, 0.0, easy, wanted, start, period, shape)
+    period = search.settings.settling.chunk
+    here = _closed(search, 0.0, easy, wanted, start, period, shape)
     if here is None:
         return Path(cycle=None, values=easy, arrived=False)
     before, first, step = here, here, 1.0 if easy == wanted else _FIRST_STEP
@@ -87,8 +90,8 @@ def follow(
         if before.part < here.part:
             ratio = (part - here.part) / (here.part - before.part)
             guess = guess + ratio * (here.start - before.start)
-        hunt.tell(f"following orbits: {100 * part:.0f} % of the way")
-        there = _closed(hunt, part, easy, wanted, guess, here.closed.cycle.period, shape)
+        search.tell(f"following orbits: {100 * part:.0f} % of the way")
+        there = _closed(search, part, easy, wanted, guess, here.closed.cycle.period, shape)
         if there is None:
             step /= 2
             continue
@@ -104,7 +107,7 @@ def follow(
 
 
 def _closed(
-    hunt: Hunt,
+    search: SearchProblem,
     part: float,
     easy: ParameterValues,
     wanted: ParameterValues,
@@ -113,11 +116,10 @@ def _closed(
     shape: OrbitShape,
 ) -> _Point | None:
     """Return the orbit at a part of the way, if one closes near a guess."""
-    names = (*easy.gains, *easy.parameters)
-    numbers = {n: (1 - part) * easy.number(n) + part * wanted.number(n) for n in names}
+    numbers = {n: (1 - part) * x + part * wanted.number(n) for n, x in easy.numbers.items()}
     values = wanted if part == 1.0 else easy.replaced(numbers)
     try:
-        dynamics = bind(hunt.compiled, values.vector)
+        dynamics = search.dynamics(values)
         start = placed(dynamics, shape, guess)
         closed = close_cycle(
             dynamics,
@@ -144,7 +146,7 @@ def _margins(dynamics: HybridDynamics, cycle: Cycle) -> dict[str, float]:
 
 def _ending(first: _Point, last: _Point, easy: ParameterValues, wanted: ParameterValues) -> str:
     """Return where a path ends and which margin is lost there."""
-    names = [n for n in (*easy.gains, *easy.parameters) if easy.number(n) != wanted.number(n)]
+    names = [n for n in easy.numbers if easy.number(n) != wanted.number(n)]
     numbers = ", ".join(f"{name} = {last.values.number(name):.5g}" for name in names)
     where = f"Orbits could be followed to {numbers}, not beyond"
     shares = {name: last.margins[name] / first.margins[name] for name in last.margins}

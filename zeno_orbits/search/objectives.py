@@ -1,58 +1,65 @@
-"""What a search may ask of an orbit when numbers are free: one small value an objective.
+"""What a search asks of an orbit when numbers are free: one class an objective.
 
-Each adds its rows to a program and returns the cost to minimise. Where an orbit is asked to have
-a property, the cost keeps the free numbers near where they started, so that the answer is unique.
-What was reached is measured on a simulation.
+Each adds its rows to a program and returns the cost to minimise. One that asks for a property keeps
+the free numbers near where they started, each in units of its own size, so that the answer is
+unique. What was reached is measured on a simulation.
 
-Objectives that want the least or most of something: energy, a peak, contraction, a margin.
-
-Objectives that want a value: of the free numbers themselves, of the period, of an amplitude.
-
-The free numbers stay near where they started, each in units of its own size, so that the answer is
-unique.
+Another objective is one class here and one row of `OBJECTIVES`, the words of the command line.
 """
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from enum import Enum
+from typing import TYPE_CHECKING, Any
 
-import casadi as ca
+from zeno_orbits.errors import InputError
 
-from zeno_orbits.orbits.cycle import Cycle
-from zeno_orbits.search.constraints import largest, smallest_share
-from zeno_orbits.search.extremes import summit
-from zeno_orbits.search.spectral_radius import LEAST_RADIUS, keep_radius_below, radius_of
-from zeno_orbits.search.transcription.transcribe import OrbitTerms
-from zeno_orbits.simulation.signals import Extent, extent_of, signal
+if TYPE_CHECKING:
+    # Help and misuse of the command line need the words, not CasADi.
+    import casadi as ca
 
-__all__ = [
-    "Approach",
-    "FastestContraction",
-    "LeastEnergy",
-    "LeastPeak",
-    "NearestGains",
-    "Objective",
-    "WantedAmplitude",
-    "WantedPeriod",
-    "WidestMargin",
-]
+    from zeno_orbits.model.problem import Problem
+    from zeno_orbits.orbits.cycle import Cycle
+    from zeno_orbits.search.transcription.transcribe import OrbitTerms
+    from zeno_orbits.simulation.signals import Extent
+
+LEAST_RADIUS = 1e-4
+"""A spectral radius below this is as good as zero: a perturbation is gone after one period."""
+
+_SMALLEST_SIZE = 1e-3
+"""Size in which a free number near zero is measured."""
 
 
-class Objective(Protocol):
-    """What a search asks for."""
+class Objective(ABC):
+    """An objective of a search."""
+
+    __slots__ = ()
 
     @property
+    @abstractmethod
     def wish(self) -> str:
         """What is asked, as a clause for the user."""
-        ...
 
     @property
     def quantities(self) -> tuple[str, ...]:
-        """Names of what has to be measured of an orbit to tell how good it is."""
-        ...
+        """Names of what has to be measured of an orbit to score it."""
+        return ()
+
+    @abstractmethod
+    def cost(self, terms: OrbitTerms) -> ca.MX:
+        """Add rows to the program of an orbit and return the cost to minimise."""
+
+    def goal(self, first: Mapping[str, float]) -> Mapping[str, float]:
+        """Return the free numbers that are wanted, given those where the search started."""
+        return first
+
+    def rank(self, extent: Extent) -> float:
+        """Return the score of the first of `quantities`; less is better."""
+        return extent.highest
 
     def score(
         self,
@@ -60,167 +67,28 @@ class Objective(Protocol):
         first: Mapping[str, float],
         extents: Mapping[str, Extent],
     ) -> float:
-        """Return how good an orbit is; less is better.
+        """Return the score of an orbit; less is better.
 
         Args:
             numbers: Name to value of what is free, at the orbit.
             first: The same where the search started.
             extents: The measured quantities.
         """
-        ...
+        if self.quantities:
+            return self.rank(extents[self.quantities[0]])
+        return _distance(numbers, self.goal(first))
 
-    def cost(self, terms: OrbitTerms) -> ca.MX:
-        """Add rows to the program and return what to minimise.
-
-        Args:
-            terms: The orbit in the unknowns of the program.
-        """
-        ...
+    def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
+        """Raise `InputError` if the objective makes no sense for a problem."""
+        del problem, free
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LeastEnergy:
-    """The least electrical work in a period."""
-
-    @property
-    def wish(self) -> str:
-        """What is asked."""
-        return "the least electrical energy a period"
-
-    def cost(self, terms: OrbitTerms) -> ca.MX:
-        """Return the electrical work of one period, in units of the guess's."""
-        size = abs(float(terms.guessed(terms.electrical_work)[0, 0]))
-        return terms.electrical_work / max(size, 1e-9)
-
-    @property
-    def quantities(self) -> tuple[str, ...]:
-        """What tells how good it is."""
-        return ("energy",)
-
-    def score(
-        self,
-        numbers: Mapping[str, float],
-        first: Mapping[str, float],
-        extents: Mapping[str, Extent],
-    ) -> float:
-        """Return the electrical work [J]."""
-        del numbers, first
-        return extents["energy"].highest
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LeastPeak:
-    """The least peak of a signal: its largest absolute value in a period.
+class NearestGains(Objective):
+    """Gains as near as possible to given ones, each in units of its own size.
 
     Attributes:
-        signal: Its name.
-    """
-
-    signal: str
-
-    @property
-    def wish(self) -> str:
-        """What is asked."""
-        return f"the least peak of {self.signal}"
-
-    def cost(self, terms: OrbitTerms) -> ca.MX:
-        """Return an unknown that the signal does not exceed anywhere, in units of its size."""
-        size = self._size(terms)
-        quantity = signal(terms.compiled, self.signal)
-        return largest(terms, quantity, terms.stretches, f"peak of {self.signal}") / size
-
-    def _size(self, terms: OrbitTerms) -> float:
-        value = signal(terms.compiled, self.signal).at(terms.numbers)
-        ends = [abs(value(stretch.arc.start_state)) for stretch in terms.stretches]
-        return max(*ends, 1e-6)
-
-    @property
-    def quantities(self) -> tuple[str, ...]:
-        """What tells how good it is."""
-        return (self.signal,)
-
-    def score(
-        self,
-        numbers: Mapping[str, float],
-        first: Mapping[str, float],
-        extents: Mapping[str, Extent],
-    ) -> float:
-        """Return the peak, in the unit of the signal."""
-        del numbers, first
-        return extents[self.signal].largest
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FastestContraction:
-    """The fastest return after a disturbance: the least spectral radius of the return map."""
-
-    @property
-    def wish(self) -> str:
-        """What is asked."""
-        return "the fastest contraction"
-
-    def cost(self, terms: OrbitTerms) -> ca.MX:
-        """Return an unknown that no multiplier exceeds in size (theory (31))."""
-        if terms.return_slope is None:
-            raise ValueError("Argument `terms` must carry the return map, but it has none.")
-        first = radius_of(terms.guessed(terms.return_slope))
-        radius = terms.program.variable(
-            "spectral radius", 1.01 * max(first, LEAST_RADIUS), lower=LEAST_RADIUS
-        )[0, 0]
-        keep_radius_below(terms.program, terms.return_slope, radius)
-        return radius
-
-    @property
-    def quantities(self) -> tuple[str, ...]:
-        """What tells how good it is."""
-        return ("spectral_radius",)
-
-    def score(
-        self,
-        numbers: Mapping[str, float],
-        first: Mapping[str, float],
-        extents: Mapping[str, Extent],
-    ) -> float:
-        """Return the spectral radius; below the least that is asked for, that."""
-        del numbers, first
-        return max(extents["spectral_radius"].highest, LEAST_RADIUS)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WidestMargin:
-    """The widest margin to losing the orbit: the largest smallest share (theory (32))."""
-
-    @property
-    def wish(self) -> str:
-        """What is asked."""
-        return "the widest margin to losing the orbit"
-
-    def cost(self, terms: OrbitTerms) -> ca.MX:
-        """Return minus the smallest share."""
-        return -smallest_share(terms)
-
-    @property
-    def quantities(self) -> tuple[str, ...]:
-        """What tells how good it is."""
-        return ("margin",)
-
-    def score(
-        self,
-        numbers: Mapping[str, float],
-        first: Mapping[str, float],
-        extents: Mapping[str, Extent],
-    ) -> float:
-        """Return minus the smallest share."""
-        del numbers, first
-        return -extents["margin"].lowest
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NearestGains:
-    """Gains as near as may be to given ones, each in units of its own size.
-
-    Attributes:
-        target: Name to wanted value; a free gain without one stays near its start.
+        target: Name to value; a free gain without one stays near its start.
     """
 
     target: Mapping[str, float]
@@ -232,35 +100,35 @@ class NearestGains:
         return f"gains near {wanted}" if wanted else "gains near the start"
 
     def cost(self, terms: OrbitTerms) -> ca.MX:
-        """Return half the squared distance of the gains."""
-        return _distance(terms, {**terms.first, **self.target})
+        """Return half the squared distance of the free numbers from the target."""
+        return _distance(terms.free, self.goal(terms.first))
 
-    @property
-    def quantities(self) -> tuple[str, ...]:
-        """Nothing but the free numbers tells how good it is."""
-        return ()
+    def goal(self, first: Mapping[str, float]) -> Mapping[str, float]:
+        """Return the target, completed by where the search started."""
+        return {**first, **self.target}
 
-    def score(
-        self,
-        numbers: Mapping[str, float],
-        first: Mapping[str, float],
-        extents: Mapping[str, Extent],
-    ) -> float:
-        """Return half the squared distance of the free numbers."""
-        del extents
-        return _how_far(numbers, {**first, **self.target})
+    def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
+        """Refuse names that are neither gains nor free, and targets that are not finite."""
+        known = dict.fromkeys([*(gain.name for gain in problem.gains), *free])
+        for name, value in self.target.items():
+            if name not in known:
+                listed = ", ".join(known) or "none"
+                wanted = f"must name gains of the problem or what is free ({listed})"
+                raise InputError(f"Argument `objective` {wanted}, but it names `{name}`.")
+            if not math.isfinite(value):
+                message = f"must be finite for `{name}`, but it is {value}"
+                raise InputError(f"Argument `objective` {message}.")
 
 
-class _Wanted(ABC):
-    """A wanted value of a quantity; the free numbers stay near where they started."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Target(Objective):
+    """An objective that prescribes the value of a quantity.
 
-    __slots__ = ()
+    Attributes:
+        target: The value, positive, in the unit of the quantity.
+    """
+
     target: float
-
-    @property
-    @abstractmethod
-    def wish(self) -> str:
-        """What is asked."""
 
     @abstractmethod
     def value(self, terms: OrbitTerms) -> ca.MX:
@@ -270,36 +138,26 @@ class _Wanted(ABC):
     def measured(self, cycle: Cycle) -> float:
         """Return the quantity of a simulated cycle."""
 
+    def miss(self, cycle: Cycle) -> float:
+        """Return the distance of a simulated cycle from the target, relative."""
+        return abs(self.measured(cycle) - self.target) / self.target
+
     def cost(self, terms: OrbitTerms) -> ca.MX:
-        """Require the value; return the squared distance of the gains from their start."""
+        """Require the value; return the squared distance of the free numbers from their start."""
         terms.program.equal(self.wish, self.value(terms) - self.target)
-        return _distance(terms, terms.first)
+        return _distance(terms.free, terms.first)
 
-    @property
-    def quantities(self) -> tuple[str, ...]:
-        """Nothing but the free numbers tells how good it is."""
-        return ()
-
-    def score(
-        self,
-        numbers: Mapping[str, float],
-        first: Mapping[str, float],
-        extents: Mapping[str, Extent],
-    ) -> float:
-        """Return half the squared distance of the free numbers."""
-        del extents
-        return _how_far(numbers, first)
+    def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
+        """Refuse a target that is not positive."""
+        del problem, free
+        if not 0.0 < self.target < math.inf:
+            message = f"must have a positive target, but it is {self.target:g}"
+            raise InputError(f"Argument `objective` {message}.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WantedPeriod(_Wanted):
-    """A period.
-
-    Attributes:
-        target: [s].
-    """
-
-    target: float
+class TargetPeriod(Target):
+    """A prescribed period [s]."""
 
     @property
     def wish(self) -> str:
@@ -316,16 +174,14 @@ class WantedPeriod(_Wanted):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WantedAmplitude(_Wanted):
-    """An amplitude of a state: half its travel from peak to peak.
+class TargetAmplitude(Target):
+    """A prescribed amplitude of a state: half its range over a period.
 
     Attributes:
-        state: Its name.
-        target: In the unit of the state.
+        state: Name of the state.
     """
 
     state: str
-    target: float
 
     @property
     def wish(self) -> str:
@@ -334,65 +190,246 @@ class WantedAmplitude(_Wanted):
 
     def value(self, terms: OrbitTerms) -> ca.MX:
         """Return the amplitude, in the unit of the state."""
+        from zeno_orbits.search.extremes import extreme
+
         index = terms.state_names.index(self.state)
-        return (summit(terms, index, 1.0) - summit(terms, index, -1.0)) / 2
+        return (extreme(terms, index, 1.0) - extreme(terms, index, -1.0)) / 2
 
     def measured(self, cycle: Cycle) -> float:
         """Return the amplitude of a simulated cycle."""
+        from zeno_orbits.simulation.signals import extent_of
+
         index = cycle.state_names.index(self.state)
         extent = extent_of(lambda x: float(x[index]), cycle.arcs)
         return (extent.highest - extent.lowest) / 2
 
+    def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
+        """Refuse an unknown state and a target that is not positive."""
+        if self.state not in problem.state_names:
+            wanted = f"must name a state ({', '.join(problem.state_names)})"
+            raise InputError(f"Argument `objective` {wanted}, but it names `{self.state}`.")
+        Target.check(self, problem, free)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Approach:
-    """As near to a wanted value as may be: what leads to it, or as far as it goes.
+class TowardTarget(Objective):
+    """An orbit as near as possible to a target: the steps on the way to it.
 
     Attributes:
-        wanted: The value.
+        target: The target.
     """
 
-    wanted: WantedPeriod | WantedAmplitude
+    target: Target
 
     @property
     def wish(self) -> str:
         """What is asked."""
-        return f"{self.wanted.wish}, or near it"
+        return f"{self.target.wish}, or near it"
+
+    def cost(self, terms: OrbitTerms) -> ca.MX:
+        """Return half the squared relative distance from the target."""
+        wanted = self.target.target
+        return ((self.target.value(terms) - wanted) / wanted) ** 2 / 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LeastEnergy(Objective):
+    """The least electrical work in a period."""
+
+    @property
+    def wish(self) -> str:
+        """What is asked."""
+        return "the least electrical energy a period"
 
     @property
     def quantities(self) -> tuple[str, ...]:
-        """What the wanted value needs."""
-        return self.wanted.quantities
-
-    def score(
-        self,
-        numbers: Mapping[str, float],
-        first: Mapping[str, float],
-        extents: Mapping[str, Extent],
-    ) -> float:
-        """Return what the wanted value says."""
-        return self.wanted.score(numbers, first, extents)
+        """The electrical work."""
+        return ("energy",)
 
     def cost(self, terms: OrbitTerms) -> ca.MX:
-        """Return half the squared relative distance from the value."""
-        return ((self.wanted.value(terms) - self.wanted.target) / self.wanted.target) ** 2 / 2
+        """Return the electrical work of one period, in units of the guess's."""
+        size = abs(float(terms.guessed(terms.electrical_work)[0, 0]))
+        return terms.electrical_work / max(size, 1e-9)
 
 
-def _distance(terms: OrbitTerms, target: Mapping[str, float]) -> ca.MX:
-    """Return half the squared distance of what is free from a target, each in units of its size."""
-    cost = ca.MX(0)
-    for name, unknown in terms.free.items():
-        cost += ((unknown - target[name]) / _size_of(target[name])) ** 2 / 2
-    return cost
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LeastPeak(Objective):
+    """The least peak of a signal: its largest absolute value in a period.
+
+    Attributes:
+        signal: Name of the signal.
+    """
+
+    signal: str
+
+    @property
+    def wish(self) -> str:
+        """What is asked."""
+        return f"the least peak of {self.signal}"
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """The signal."""
+        return (self.signal,)
+
+    def cost(self, terms: OrbitTerms) -> ca.MX:
+        """Return an unknown that the signal does not exceed anywhere, in units of its size."""
+        from zeno_orbits.search.constraints import largest
+        from zeno_orbits.simulation.signals import signal
+
+        quantity = signal(terms.compiled, self.signal)
+        value = quantity.at(terms.numbers)
+        size = max(*(abs(value(one.guess.start_state)) for one in terms.arcs), 1e-6)
+        return largest(terms, quantity, terms.arcs, f"peak of {self.signal}") / size
+
+    def rank(self, extent: Extent) -> float:
+        """Return the peak, in the unit of the signal."""
+        return extent.largest
+
+    def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
+        """Refuse an unknown signal."""
+        from zeno_orbits.verification.measurement import require_quantities
+
+        del free
+        require_quantities([self.signal], problem, "objective")
 
 
-def _how_far(numbers: Mapping[str, float], target: Mapping[str, float]) -> float:
-    """Return the same of numbers."""
-    return sum(
-        ((value - target[name]) / _size_of(target[name])) ** 2 / 2
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FastestContraction(Objective):
+    """The fastest return after a disturbance: the least spectral radius of the return map."""
+
+    @property
+    def wish(self) -> str:
+        """What is asked."""
+        return "the fastest contraction"
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """The spectral radius."""
+        return ("spectral_radius",)
+
+    def cost(self, terms: OrbitTerms) -> ca.MX:
+        """Return an unknown that no multiplier exceeds in size (theory (31))."""
+        from zeno_orbits.search.spectral_radius import keep_radius_below, radius_of
+
+        if terms.return_slope is None:
+            raise ValueError("Argument `terms` must carry the return map, but it has none.")
+        first = radius_of(terms.guessed(terms.return_slope))
+        radius = terms.program.variable(
+            "spectral radius", 1.01 * max(first, LEAST_RADIUS), lower=LEAST_RADIUS
+        )[0, 0]
+        keep_radius_below(terms.program, terms.return_slope, radius)
+        return radius
+
+    def rank(self, extent: Extent) -> float:
+        """Return the spectral radius, or `LEAST_RADIUS` if that is larger."""
+        return max(extent.highest, LEAST_RADIUS)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WidestMargin(Objective):
+    """The widest margin to losing the orbit: the largest smallest share (theory (32))."""
+
+    @property
+    def wish(self) -> str:
+        """What is asked."""
+        return "the widest margin to losing the orbit"
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """The margin."""
+        return ("margin",)
+
+    def cost(self, terms: OrbitTerms) -> ca.MX:
+        """Return minus the smallest share."""
+        from zeno_orbits.search.constraints import smallest_share
+
+        return -smallest_share(terms)
+
+    def rank(self, extent: Extent) -> float:
+        """Return minus the smallest share."""
+        return -extent.lowest
+
+
+class Operand(Enum):
+    """What follows the word of an objective on the command line."""
+
+    NOTHING = ""
+    NUMBER = "a positive number"
+    SIGNAL = "the name of a signal"
+    NUMBERS = "names with numbers, or nothing"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ObjectiveWord:
+    """An objective on the command line.
+
+    Attributes:
+        usage: How it is typed.
+        meaning: What it means, if its name does not say it; for the help.
+        operand: What follows the word.
+        objective: From the problem and the operand to the objective.
+    """
+
+    usage: str
+    meaning: str = ""
+    operand: Operand = Operand.NOTHING
+    objective: Callable[[Problem, Any], Objective]
+
+
+OBJECTIVES: Mapping[str, ObjectiveWord] = {
+    "nearest": ObjectiveWord(
+        usage="nearest",
+        meaning=" (to the problem's gains), nearest:NAME=VALUE,...",
+        operand=Operand.NUMBERS,
+        objective=lambda _, target: NearestGains(target=target),
+    ),
+    "period": ObjectiveWord(
+        usage="period=SECONDS",
+        operand=Operand.NUMBER,
+        objective=lambda _, target: TargetPeriod(target=target),
+    ),
+    "amplitude": ObjectiveWord(
+        usage="amplitude=VALUE",
+        operand=Operand.NUMBER,
+        objective=lambda problem, target: TargetAmplitude(
+            state=problem.amplitude_of, target=target
+        ),
+    ),
+    "energy": ObjectiveWord(usage="energy", objective=lambda _, __: LeastEnergy()),
+    "peak": ObjectiveWord(
+        usage="peak=SIGNAL",
+        meaning=" (least peak of current, voltage or a state)",
+        operand=Operand.SIGNAL,
+        objective=lambda _, signal: LeastPeak(signal=signal),
+    ),
+    "contraction": ObjectiveWord(
+        usage="contraction",
+        meaning=" (least spectral radius)",
+        objective=lambda _, __: FastestContraction(),
+    ),
+    "margin": ObjectiveWord(
+        usage="margin",
+        meaning=" (widest to losing the orbit)",
+        objective=lambda _, __: WidestMargin(),
+    ),
+}
+"""The words of ``--objective``, in the order of its help."""
+
+
+def objective_help() -> str:
+    """Return the words of ``--objective`` with their meanings, for its help."""
+    *most, last = (word.usage + word.meaning for word in OBJECTIVES.values())
+    return f"{', '.join(most)}, or {last}"
+
+
+def _distance(numbers: Mapping[str, Any], target: Mapping[str, float]) -> Any:
+    """Return half the squared distance of numbers or unknowns from a target.
+
+    Each is measured in units of the size of its target.
+    """
+    parts = [
+        ((value - target[name]) / max(abs(target[name]), _SMALLEST_SIZE)) ** 2 / 2
         for name, value in numbers.items()
-    )
-
-
-def _size_of(value: float) -> float:
-    return max(abs(value), 1e-3)
+    ]
+    return sum(parts[1:], parts[0]) if parts else 0.0

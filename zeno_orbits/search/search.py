@@ -3,110 +3,32 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
-from zeno_orbits.errors import InputError, ZenoOrbitsError
-from zeno_orbits.model.numeric.compiled import compiled_model
+from zeno_orbits.errors import InputError
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.bounds import Bound
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.shape import OrbitShape
-from zeno_orbits.search.multistart import Spread, numbered_start, trials_here, trials_spread
-from zeno_orbits.search.objectives import NearestGains, Objective, WantedAmplitude, WantedPeriod
-from zeno_orbits.search.refinement import Hunt
-from zeno_orbits.search.settings import SearchSettings, SearchStatus, Start
-from zeno_orbits.search.start import Accept, Candidate, Judgement, Trial
-from zeno_orbits.search.validation import Question, clipped, require_sense
-
-__all__ = [
-    "Attempt",
-    "Candidate",
-    "Judgement",
-    "OrbitNotFoundError",
-    "SearchResult",
-    "SearchSettings",
-    "SearchStatus",
-    "Spread",
-    "find_orbit",
-    "search_gains",
-]
+from zeno_orbits.search.multistart import Spread, outcomes_here, outcomes_spread
+from zeno_orbits.search.objectives import NearestGains, Objective, Target
+from zeno_orbits.search.outcome import (
+    Accept,
+    Attempt,
+    Candidate,
+    SearchResult,
+    StartOutcome,
+)
+from zeno_orbits.search.search_problem import SearchProblem, with_targets
+from zeno_orbits.search.settings import SearchSettings, SearchStatus
+from zeno_orbits.search.start import numbered_start
+from zeno_orbits.search.validation import check_search
+from zeno_orbits.work.progress import Progress, silent
 
 _SAME = 1e-6
 """Orbits whose free numbers and periods differ by less, relative, are the same candidate."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Attempt:
-    """One start of a search.
-
-    Attributes:
-        gains: Gains where it started.
-        parameters: Free parameters where it started.
-        status: How it ended.
-        detail: The reason in words, for a start that found nothing.
-    """
-
-    gains: Mapping[str, float]
-    parameters: Mapping[str, float] = field(default_factory=dict[str, float])
-    status: SearchStatus
-    detail: str = ""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SearchResult:
-    """Outcome of a search, successful or not.
-
-    Attributes:
-        status: How it ended.
-        orbit: The best orbit, if there is one.
-        residuals: Row name to scaled violation in the program of the best.
-        agreement: Relative difference of program and simulation over one period.
-        closure_error: Estimated error of the Zeno closure, relative.
-        n_unknowns: Unknowns of the program.
-        iterations: Ipopt's iterations in it.
-        solve_time: Wall time in Ipopt in it [s].
-        wall_time: Wall time of the search [s].
-        attempts: Every start, in order.
-        candidates: The accepted orbits, the best first.
-        detail: The reason in words, if there is no orbit.
-    """
-
-    status: SearchStatus
-    orbit: ZenoOrbit | None
-    residuals: Mapping[str, float]
-    agreement: float
-    closure_error: float
-    n_unknowns: int
-    iterations: int
-    solve_time: float
-    wall_time: float
-    attempts: tuple[Attempt, ...]
-    candidates: tuple[Candidate, ...] = ()
-    detail: str = ""
-
-    def unwrap(self) -> ZenoOrbit:
-        """Return the best orbit.
-
-        Raises:
-            OrbitNotFoundError: If there is none; the error carries this result.
-        """
-        if self.orbit is None:
-            raise OrbitNotFoundError(self)
-        return self.orbit
-
-
-class OrbitNotFoundError(ZenoOrbitsError):
-    """A search ended without an orbit.
-
-    Attributes:
-        result: How it ended.
-    """
-
-    def __init__(self, result: SearchResult) -> None:
-        super().__init__(f"{result.status.value} {result.detail}".strip())
-        self.result = result
 
 
 def find_orbit(
@@ -138,7 +60,7 @@ def search_gains(
     near: ZenoOrbit | None = None,
     settings: SearchSettings | None = None,
     accept: Accept | None = None,
-    on_progress: Callable[[str], None] | None = None,
+    on_progress: Progress = silent,
     spread: Spread | None = None,
     shape: OrbitShape | None = None,
 ) -> SearchResult:
@@ -170,55 +92,49 @@ def search_gains(
             checkpoint of ``spread`` is not usable.
         WorkError: If the workers of ``spread`` cannot finish.
     """
-    question = Question(free=free, objective=objective, bounds=tuple(bounds), near=near)
-    require_sense(problem, question)
-    if near is not None:
-        shape = near.shape.agreed(shape)
     objective = objective or NearestGains(target={})
-    if isinstance(objective, NearestGains):
-        # What has no target stays near its start, so the start is where the target can be met.
-        values = values.replaced(objective.target)
-        values = clipped(values, free)
-        named = {**values.gains, **{name: values.number(name) for name in free}}
-        objective = NearestGains(target=named)
-    hunt = Hunt(
+    search = SearchProblem(
         problem=problem,
-        compiled=compiled_model(problem),
         values=values,
         free=free,
         objective=objective,
         bounds=tuple(bounds),
-        settings=settings or SearchSettings(),
+        near=near,
         shape=shape,
-        tell=on_progress or (lambda _: None),
+        settings=settings or SearchSettings(),
+        on_progress=on_progress,
     )
+    check_search(search)
+    if near is not None:
+        search = replace(search, shape=near.shape.agreed(shape))
+    search = with_targets(search)
     if spread is None:
-        return _search(hunt, near, trials_here(hunt, near, accept))
-    return _search(hunt, near, trials_spread(hunt, near, accept, spread))
+        return _ranked(search, outcomes_here(search, accept))
+    return _ranked(search, outcomes_spread(search, accept, spread))
 
 
-def _search(hunt: Hunt, near: ZenoOrbit | None, trials: Generator[Trial]) -> SearchResult:
-    """Rank what trials give, in the order of their starts, until there is enough."""
+def _ranked(search: SearchProblem, outcomes: Generator[StartOutcome]) -> SearchResult:
+    """Rank the outcomes of starts, in the order of the starts, until there are enough."""
     started = time.perf_counter()
     attempts: list[Attempt] = []
     candidates: list[Candidate] = []
-    best: Trial | None = None
+    best: StartOutcome | None = None
     failures = 0
-    # Whoever tries other starts meanwhile is told to stop.
-    with closing(trials):
-        for number, trial in enumerate(trials):
-            attempts.append(_attempt(hunt, numbered_start(hunt, near, number), trial))
-            failures += trial.status not in (SearchStatus.NO_GUESS, SearchStatus.FOUND)
-            if trial.candidate is None:
-                best = trial if best is None else max(best, trial, key=_merit)
+    # Workers on other starts are stopped when there are enough.
+    with closing(outcomes):
+        for number, outcome in enumerate(outcomes):
+            attempts.append(_attempt(search, number, outcome))
+            failures += outcome.status not in (SearchStatus.NO_GUESS, SearchStatus.FOUND)
+            if outcome.candidate is None:
+                best = outcome if best is None else max(best, outcome, key=_merit)
             else:
-                if not any(_same(hunt, trial.candidate, other) for other in candidates):
-                    candidates.append(trial.candidate)
-                if min(candidates, key=lambda one: one.score) is trial.candidate:
-                    best = trial
-            if len(candidates) >= hunt.settings.candidates:
+                if not any(_same(search, outcome.candidate, other) for other in candidates):
+                    candidates.append(outcome.candidate)
+                if min(candidates, key=lambda one: one.score) is outcome.candidate:
+                    best = outcome
+            if len(candidates) >= search.settings.candidates:
                 break
-            if not candidates and failures >= _enough_failures(hunt):
+            if not candidates and failures >= _enough_failures(search):
                 break
     if best is None:
         raise InputError("Argument `settings` must allow a start, but it allows none.")
@@ -239,32 +155,30 @@ def _search(hunt: Hunt, near: ZenoOrbit | None, trials: Generator[Trial]) -> Sea
     )
 
 
-def _attempt(hunt: Hunt, start: Start, trial: Trial) -> Attempt:
-    parameters = start.values.parameters
+def _attempt(search: SearchProblem, number: int, outcome: StartOutcome) -> Attempt:
+    values = numbered_start(search, number).values
+    free = {name: values.parameters[name] for name in search.free if name in values.parameters}
     return Attempt(
-        gains=start.values.gains,
-        parameters={name: parameters[name] for name in hunt.free if name in parameters},
-        status=trial.status,
-        detail=trial.detail,
+        gains=values.gains, parameters=free, status=outcome.status, detail=outcome.detail
     )
 
 
-def _same(hunt: Hunt, one: Candidate, other: Candidate) -> bool:
-    """Tell whether two candidates are the same orbit at the same numbers."""
-    a, b = one.orbit.values(hunt.problem), other.orbit.values(hunt.problem)
-    pairs = [(a.number(name), b.number(name)) for name in hunt.free]
+def _same(search: SearchProblem, one: Candidate, other: Candidate) -> bool:
+    """Return True if two candidates are the same orbit at the same numbers."""
+    a, b = one.orbit.values(search.problem), other.orbit.values(search.problem)
+    pairs = [(a.number(name), b.number(name)) for name in search.free]
     pairs.append((one.orbit.period, other.orbit.period))
     alike = one.orbit.shape == other.orbit.shape
     return alike and all(abs(p - q) <= _SAME * max(abs(p), abs(q)) for p, q in pairs)
 
 
-def _enough_failures(hunt: Hunt) -> int:
+def _enough_failures(search: SearchProblem) -> int:
     """Return how many starts with a good guess may fail before a search gives up.
 
-    A wanted value or a bound is approached step by step from every start, which takes long and
-    ends at much the same place.
+    A target or a bound is approached in small steps from every start, which takes long and ends at
+    much the same place.
     """
-    slow = isinstance(hunt.objective, WantedPeriod | WantedAmplitude) or hunt.bounds
+    slow = isinstance(search.objective, Target) or search.bounds
     return 2 if slow else 5
 
 
@@ -277,5 +191,5 @@ _RANK = {
 }
 
 
-def _merit(trial: Trial) -> tuple[int, float]:
-    return _RANK[trial.status], -trial.shortfall
+def _merit(outcome: StartOutcome) -> tuple[int, float]:
+    return _RANK[outcome.status], -outcome.shortfall

@@ -1,21 +1,13 @@
-"""What a search is told and what comes of one of its starts: values."""
+"""How hard a search looks, and how it may end."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 
-import numpy as np
-
-from zeno_orbits.arrays import Vector
-from zeno_orbits.model.problem import ParameterValues
-from zeno_orbits.orbits.cycle import Cycle
-from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.orbits.shape import OrbitShape
 from zeno_orbits.search.guess import SettlingSettings
 from zeno_orbits.search.transcription.arc import TranscriptionSettings
-from zeno_orbits.search.transcription.ipopt import IpoptSettings, Solution
+from zeno_orbits.search.transcription.ipopt import IpoptSettings
 
 
 class SearchStatus(Enum):
@@ -77,70 +69,3 @@ class SearchSettings:
 _COARSEST_MESH = 1e-2
 _MESH_FOR = 100.0
 """Mesh tolerance in units of the accuracy: ends of intervals are that much better than insides."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Known:
-    """An orbit to start from.
-
-    Attributes:
-        values: Its numbers.
-        start: Where its period starts, ``(n_x,)``.
-        shape: Its shape.
-    """
-
-    values: ParameterValues
-    start: Vector
-    shape: OrbitShape
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Start:
-    """Where a search starts.
-
-    Attributes:
-        values: The numbers.
-        known: An orbit at these numbers or near them; by default the problem is simulated.
-        easy: Settings from which to follow orbits to these numbers where a simulation finds none.
-    """
-
-    values: ParameterValues
-    known: Known | None = None
-    easy: tuple[ParameterValues, ...] = ()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Find:
-    """What came of one start or one solve.
-
-    Attributes:
-        status: How it ended.
-        detail: The reason in words, where there is no orbit.
-        orbit: The orbit, if there is one.
-        values: Numbers of the solution.
-        cycle: One period simulated from the solution.
-        solution: What the solver returned.
-        agreement: Relative difference of solution and simulation.
-        closure_error: Estimated error of the Zeno closure, relative.
-        n_unknowns: Unknowns of the program.
-        shortfall: How far from a wanted value the start ended, or by how much it passes its bounds,
-            in units of their sizes.
-        excesses: Name of each bound to what a simulation of the solution passes it by.
-    """
-
-    status: SearchStatus
-    detail: str = ""
-    orbit: ZenoOrbit | None = None
-    values: ParameterValues | None = None
-    cycle: Cycle | None = None
-    solution: Solution | None = None
-    agreement: float = np.inf
-    closure_error: float = np.inf
-    n_unknowns: int = 0
-    shortfall: float = np.inf
-    excesses: Mapping[str, float] = field(default_factory=dict[str, float])
-
-
-def listed(numbers: Mapping[str, float]) -> str:
-    """Return names and numbers in words."""
-    return ", ".join(f"{name} = {value:.6g}" for name, value in numbers.items()) or "the problem"

@@ -18,9 +18,6 @@ from zeno_orbits.search.transcription.transcribe import OrbitTerms
 MOST_COORDINATES = 6
 """Dimension of the release section up to which trace and determinant tell the spectral radius."""
 
-LEAST_RADIUS = 1e-4
-"""A spectral radius below this is as good as zero: a perturbation is gone after one period."""
-
 
 def section_map(terms: OrbitTerms) -> ca.MX:
     r"""Declare the directions of a neighbouring motion; return :math:`\partial P/\partial y`.

@@ -1,152 +1,122 @@
-"""One start of a search from beginning to end: what it found, measured and judged."""
+"""One start of a search from beginning to end: its numbers, its outcome, measured and judged."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
+from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.bounds import objection_to
 from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.search.refinement import Hunt
-from zeno_orbits.search.settings import Find, SearchStatus, Start, listed
-from zeno_orbits.search.strategy import from_start
+from zeno_orbits.search.outcome import Accept, Candidate, StartOutcome
+from zeno_orbits.search.search_problem import SearchProblem, clipped, listed
+from zeno_orbits.search.settings import SearchStatus
+from zeno_orbits.search.strategy import Start, from_start
 from zeno_orbits.simulation.signals import Extent
-from zeno_orbits.verification.certificate import OrbitCertificate
-from zeno_orbits.verification.measure import measure
+from zeno_orbits.verification.measurement import measure
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Judgement:
-    """What a check says of an orbit.
+def start_count(search: SearchProblem) -> int:
+    """Return how many starts a search has."""
+    return 1 + (search.settings.n_starts if search.free else 0)
 
-    Attributes:
-        objection: Why it will not do; empty if it will.
-        certificate: What the check saw, if it keeps a record.
+
+def numbered_start(search: SearchProblem, number: int) -> Start:
+    """Return a start: 0 is the given numbers, moved into their box, then a Halton sequence in it.
+
+    It depends on the number and on what is searched, and not on what was tried before.
     """
-
-    objection: str = ""
-    certificate: OrbitCertificate | None = None
-
-
-Accept = Callable[[ZenoOrbit], Judgement]
-"""Says why an orbit will not do, or nothing if it will."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Candidate:
-    """An accepted orbit.
-
-    Attributes:
-        orbit: The orbit.
-        score: How good it is; less is better.
-        extents: What was measured of it: what is asked, and what is bounded.
-        certificate: What the check saw, if it keeps a record.
-    """
-
-    orbit: ZenoOrbit
-    score: float
-    extents: Mapping[str, Extent]
-    certificate: OrbitCertificate | None
+    if number > 0:
+        lower, upper = np.array(list(search.free.values())).T
+        settings = search.settings
+        place = _halton(len(search.free), settings.n_starts, settings.seed)[number - 1]
+        chosen = dict(zip(search.free, map(float, lower + place * (upper - lower)), strict=True))
+        return Start(values=search.values.replaced(chosen))
+    first = clipped(search.values, search.free)
+    return Start(values=first, near=search.near, easy=_easy_values(search.problem, first))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Trial:
-    """What came of one start, judged.
-
-    Attributes:
-        status: How it ended.
-        detail: The reason in words, if nothing was accepted.
-        residuals: Row name to scaled violation in its last program.
-        agreement: Relative difference of program and simulation over one period.
-        closure_error: Estimated error of the Zeno closure, relative.
-        n_unknowns: Unknowns of the program.
-        iterations: Ipopt's iterations in it.
-        solve_time: Wall time in Ipopt in it [s].
-        shortfall: How far from a wanted value it ended, or by how much it passes its bounds.
-        candidate: The orbit with what was measured of it, if it was accepted.
-    """
-
-    status: SearchStatus
-    detail: str = ""
-    residuals: Mapping[str, float] = field(default_factory=dict[str, float])
-    agreement: float = np.inf
-    closure_error: float = np.inf
-    n_unknowns: int = 0
-    iterations: int = 0
-    solve_time: float = 0.0
-    shortfall: float = np.inf
-    candidate: Candidate | None = None
-
-
-def tried(hunt: Hunt, start: Start, accept: Accept | None, number: int) -> Trial:
+def try_start(search: SearchProblem, number: int, accept: Accept | None) -> StartOutcome:
     """Search from one start and judge what comes of it.
 
     Args:
-        hunt: The search.
-        start: Where it starts.
-        accept: Says why an orbit will not do; any will by default.
-        number: Which start it is, for words of progress.
+        search: The search.
+        number: Which start it is, from 0.
+        accept: The check of orbits; any orbit is accepted by default.
     """
-    hunt.tell(f"start {number}: simulating {listed(hunt.numbers(start.values))}")
-    return _judged(hunt, from_start(hunt, start), accept, number)
+    start = numbered_start(search, number)
+    name = f"start {number + 1}"
+    search.tell(f"{name}: simulating {listed(search.numbers(start.values))}")
+    outcome = from_start(search, start)
+    orbit = None if outcome.solution is None else outcome.solution.orbit
+    if outcome.status is not SearchStatus.FOUND or orbit is None:
+        return replace(outcome, solution=None)
+    return replace(_judged(search, outcome, orbit, accept, name), solution=None)
 
 
-def _judged(hunt: Hunt, find: Find, accept: Accept | None, number: int) -> Trial:
-    """Measure what a start found on a simulation, and let it be accepted or refused."""
-    orbit = find.orbit
-    if find.status is not SearchStatus.FOUND or orbit is None:
-        return _trial(find)
+def _judged(
+    search: SearchProblem,
+    outcome: StartOutcome,
+    orbit: ZenoOrbit,
+    accept: Accept | None,
+    name: str,
+) -> StartOutcome:
+    """Measure an orbit on a simulation, and let it be accepted or refused."""
     try:
-        extents = _measured(hunt, orbit, number)
+        extents = _measured(search, orbit, name)
     except ZenoOrbitsError as error:
-        return _trial(replace(find, status=SearchStatus.NOT_ACCEPTED, detail=str(error)))
-    objection, certificate = objection_to(hunt.bounds, extents), None
+        return replace(outcome, status=SearchStatus.NOT_ACCEPTED, detail=str(error))
+    objection, certificate = objection_to(search.bounds, extents), None
     if not objection and accept is not None:
-        hunt.tell(f"start {number}: verifying")
+        search.tell(f"{name}: verifying")
         judgement = accept(orbit)
         objection, certificate = judgement.objection, judgement.certificate
     if objection:
-        return _trial(replace(find, status=SearchStatus.NOT_ACCEPTED, detail=objection))
-    score = _score(hunt, orbit, extents)
+        return replace(outcome, status=SearchStatus.NOT_ACCEPTED, detail=objection)
+    score = _score(search, orbit, extents)
     candidate = Candidate(orbit=orbit, score=score, extents=extents, certificate=certificate)
-    return _trial(find, candidate)
+    return replace(outcome, candidate=candidate)
 
 
-def _measured(hunt: Hunt, orbit: ZenoOrbit, number: int) -> Mapping[str, Extent]:
-    names = [bound.name for bound in hunt.bounds]
-    if hunt.free:
-        names = [*hunt.objective.quantities, *names]
+def _measured(search: SearchProblem, orbit: ZenoOrbit, name: str) -> Mapping[str, Extent]:
+    names = [bound.name for bound in search.bounds]
+    if search.free:
+        names = [*search.objective.quantities, *names]
     if not names:
         return {}
-    hunt.tell(f"start {number}: measuring {', '.join(dict.fromkeys(names))}")
-    return measure(orbit, hunt.problem, names)
+    search.tell(f"{name}: measuring {', '.join(dict.fromkeys(names))}")
+    return measure(orbit, search.problem, names)
 
 
-def _score(hunt: Hunt, orbit: ZenoOrbit, extents: Mapping[str, Extent]) -> float:
-    if not hunt.free:
+def _score(search: SearchProblem, orbit: ZenoOrbit, extents: Mapping[str, Extent]) -> float:
+    if not search.free:
         return 0.0
-    found = orbit.values(hunt.problem)
-    return hunt.objective.score(
-        {name: found.number(name) for name in hunt.free},
-        {name: hunt.values.number(name) for name in hunt.free},
+    found = orbit.values(search.problem)
+    return search.objective.score(
+        {name: found.number(name) for name in search.free},
+        {name: search.values.number(name) for name in search.free},
         extents,
     )
 
 
-def _trial(find: Find, candidate: Candidate | None = None) -> Trial:
-    solution = find.solution
-    return Trial(
-        status=find.status,
-        detail=find.detail,
-        residuals={} if solution is None else solution.residuals,
-        agreement=find.agreement,
-        closure_error=find.closure_error,
-        n_unknowns=find.n_unknowns,
-        iterations=0 if solution is None else solution.iterations,
-        solve_time=0.0 if solution is None else solution.wall_time,
-        shortfall=find.shortfall,
-        candidate=candidate,
-    )
+@lru_cache(maxsize=1)
+def _halton(dimension: int, count: int, seed: int) -> Vector:
+    """Return quasi-random places in the unit box, ``(count, dimension)``."""
+    # SciPy's statistics take half a second to import, and most searches end at their first start.
+    from scipy.stats import qmc
+
+    return qmc.Halton(dimension, seed=seed).random(count)
+
+
+def _easy_values(problem: Problem, values: ParameterValues) -> tuple[ParameterValues, ...]:
+    """Return easier numbers: the problem's own gains, half the restitution, or both."""
+    gains = {gain.name: gain.default for gain in problem.gains if gain.default is not None}
+    own = values.replaced(gains)
+    dull = {"restitution": values.parameters["restitution"] / 2}
+    found = [own, values.replaced(dull), own.replaced(dull), problem.values()]
+    return tuple(one for k, one in enumerate(found) if one != values and one not in found[:k])

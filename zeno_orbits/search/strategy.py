@@ -1,31 +1,36 @@
 """The ways from a start to an orbit: a simulation, a known orbit, or a path from an easier place.
 
-What is asked is then reached directly, step by step through wanted values on the way, or by first
-making the violation of the bounds as small as may be.
+The objective is then reached directly, in small steps, or after the violation of the bounds has
+been minimised.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues
 from zeno_orbits.orbits.cycle import Cycle, gone_round_twice, round_again
+from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.search.closing import close_cycle
 from zeno_orbits.search.confirmation import one_cycle
 from zeno_orbits.search.guess import settle
 from zeno_orbits.search.homotopy import Path, follow
-from zeno_orbits.search.objectives import (
-    Approach,
-    NearestGains,
-    Objective,
-    WantedAmplitude,
-    WantedPeriod,
+from zeno_orbits.search.objectives import NearestGains, Objective, Target, TowardTarget
+from zeno_orbits.search.outcome import StartOutcome
+from zeno_orbits.search.refinement import (
+    COARSE,
+    ON_THE_WAY,
+    least_violation,
+    refine,
+    solve_once,
 )
-from zeno_orbits.search.refinement import COARSE, ON_THE_WAY, Hunt
-from zeno_orbits.search.settings import Find, SearchStatus, Start, listed
-from zeno_orbits.search.trust_region import walk
+from zeno_orbits.search.search_problem import SearchProblem, listed
+from zeno_orbits.search.settings import SearchStatus
+from zeno_orbits.search.trust_region import trust_region_steps
 from zeno_orbits.simulation.simulator import SimulationSettings
 
 _AT_BOUND = 0.02
@@ -35,40 +40,57 @@ _VIOLATED = 1e-5
 """A bound that is passed by more than this part of its size cannot be kept."""
 
 
-def from_start(hunt: Hunt, start: Start) -> Find:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Start:
+    """Where a search starts.
+
+    Attributes:
+        values: The numbers.
+        near: An orbit at these numbers or near them; by default the problem is simulated.
+        easy: Numbers from which to follow orbits to these where a simulation finds none.
+    """
+
+    values: ParameterValues
+    near: ZenoOrbit | None = None
+    easy: tuple[ParameterValues, ...] = ()
+
+
+def from_start(search: SearchProblem, start: Start) -> StartOutcome:
     """Search from one start: a pure function of its arguments, whatever has been tried before."""
-    values = start.values
-    if start.known is not None:
-        known = start.known
-        path = follow(hunt, known.values, known.start, values, known.shape)
-        return _along(hunt, start, path, "the known orbit")
-    cycle, reason = simulated(hunt, values)
+    values, near = start.values, start.near
+    if near is not None:
+        state = np.array(search.problem.state_vector(near.start_state))
+        path = follow(search, near.values(search.problem), state, values, near.shape)
+        return _along(search, start, path, "the known orbit")
+    cycle, reason = simulated(search, values)
     if cycle is not None:
-        find = from_cycle(hunt, values, cycle)
-        if find.status is SearchStatus.FOUND or hunt.free:
-            return find
+        outcome = from_cycle(search, values, cycle)
+        if outcome.status is SearchStatus.FOUND or search.free:
+            return outcome
     else:
-        where = f"At {listed(hunt.numbers(values))}, " if hunt.numbers(values) else ""
+        where = f"At {listed(search.numbers(values))}, " if search.numbers(values) else ""
         detail = f"{where}{reason}."
-        find = Find(status=SearchStatus.NO_GUESS, detail=detail[0].upper() + detail[1:])
-    return _by_an_easier_way(hunt, start, find)
+        outcome = StartOutcome(status=SearchStatus.NO_GUESS, detail=detail[0].upper() + detail[1:])
+    return _by_an_easier_way(search, start, outcome)
 
 
-def simulated(hunt: Hunt, values: ParameterValues) -> tuple[Cycle | None, str]:
+def simulated(search: SearchProblem, values: ParameterValues) -> tuple[Cycle | None, str]:
     """Return a period to which the problem settles, or why there is none."""
-    dynamics = hunt.dynamics(values)
-    starts = [hunt.problem.state_vector(start) for start in hunt.problem.starts]
-    settling = settle(dynamics, starts, hunt.settings.settling, hunt.shape)
+    dynamics = search.dynamics(values)
+    starts = [search.problem.state_vector(start) for start in search.problem.starts]
+    settling = settle(dynamics, starts, search.settings.settling, search.shape)
     cycle = settling.cycle
     if cycle is None:
         return None, settling.reason
-    if hunt.shape is not None or not cycle.shape.has_one_release:
-        return _brought_nearer(hunt, dynamics, cycle)
+    if search.shape is not None or not cycle.shape.has_one_release:
+        return _brought_nearer(search, dynamics, cycle)
     # The noise of the loose settling would be meshed; one period costs little.
     return one_cycle(dynamics, cycle.start.state, 2 * cycle.period, cycle.shape) or cycle, ""
 
 
-def _brought_nearer(hunt: Hunt, dynamics: HybridDynamics, cycle: Cycle) -> tuple[Cycle | None, str]:
+def _brought_nearer(
+    search: SearchProblem, dynamics: HybridDynamics, cycle: Cycle
+) -> tuple[Cycle | None, str]:
     """Return the orbit near a period by simulation, if it closes: it may be a poor guess.
 
     A motion that settles slowly, throwing over from one period to the next, looks as if it repeated
@@ -88,204 +110,196 @@ def _brought_nearer(hunt: Hunt, dynamics: HybridDynamics, cycle: Cycle) -> tuple
     shorter = gone_round_twice(near)
     if shorter is None:
         return near, ""
-    if hunt.shape is not None:
+    if search.shape is not None:
         return None, round_again(near).removesuffix(".")
     return one_cycle(dynamics, near.start.state, near.period, shorter) or near, ""
 
 
-def _by_an_easier_way(hunt: Hunt, start: Start, find: Find) -> Find:
+def _by_an_easier_way(search: SearchProblem, start: Start, outcome: StartOutcome) -> StartOutcome:
     """Follow orbits from an easier setting to the start's, where the direct way failed."""
     for easy in start.easy:
         if easy == start.values:
             continue
-        hunt.tell(f"following orbits from {listed(_differing(easy, start.values))}")
-        cycle, _ = simulated(hunt, easy)
+        search.tell(f"following orbits from {listed(_differing(easy, start.values))}")
+        cycle, _ = simulated(search, easy)
         if cycle is None:
             continue
-        path = follow(hunt, easy, cycle.start.state, start.values, cycle.shape)
+        path = follow(search, easy, cycle.start.state, start.values, cycle.shape)
         if path.cycle is None:
             continue
-        reached = _along(hunt, start, path, listed(_differing(easy, start.values)))
+        reached = _along(search, start, path, listed(_differing(easy, start.values)))
         if reached.status is SearchStatus.FOUND:
             return reached
-        return replace(find, detail=f"{find.detail} {path.ending}".strip())
-    return find
+        return replace(outcome, detail=f"{outcome.detail} {path.ending}".strip())
+    return outcome
 
 
-def _along(hunt: Hunt, start: Start, path: Path, origin: str) -> Find:
+def _along(search: SearchProblem, start: Start, path: Path, origin: str) -> StartOutcome:
     """Return what comes of the end of a path, which may be short of the start's own numbers."""
     if path.cycle is None:
         detail = f"From {origin} no orbit could be followed."
-        return Find(status=SearchStatus.NO_GUESS, detail=detail)
+        return StartOutcome(status=SearchStatus.NO_GUESS, detail=detail)
     if path.arrived:
-        return from_cycle(hunt, start.values, path.cycle)
+        return from_cycle(search, start.values, path.cycle)
     inside = all(
-        hunt.free[name][0] <= path.values.number(name) <= hunt.free[name][1]
-        if name in hunt.free
+        search.free[name][0] <= path.values.number(name) <= search.free[name][1]
+        if name in search.free
         else path.values.number(name) == start.values.number(name)
-        for name in (*path.values.gains, *path.values.parameters)
+        for name in path.values.numbers
     )
-    if inside and hunt.free:
-        find = from_cycle(hunt, path.values, path.cycle)
-        if find.status is SearchStatus.FOUND:
-            return replace(find, detail=f"{path.ending} {find.detail}".strip())
-        return find
-    return Find(status=SearchStatus.NO_GUESS, detail=path.ending)
+    if inside and search.free:
+        outcome = from_cycle(search, path.values, path.cycle)
+        if outcome.status is SearchStatus.FOUND:
+            return replace(outcome, detail=f"{path.ending} {outcome.detail}".strip())
+        return outcome
+    return StartOutcome(status=SearchStatus.NO_GUESS, detail=path.ending)
 
 
 def _differing(values: ParameterValues, other: ParameterValues) -> dict[str, float]:
-    names = (*values.gains, *values.parameters)
-    return {n: values.number(n) for n in names if values.number(n) != other.number(n)}
+    return {n: value for n, value in values.numbers.items() if value != other.number(n)}
 
 
-def from_cycle(hunt: Hunt, values: ParameterValues, cycle: Cycle) -> Find:
+def from_cycle(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> StartOutcome:
     """Search from one simulated period."""
-    objective = hunt.objective
-    if isinstance(objective, WantedPeriod | WantedAmplitude):
-        return toward(hunt, values, cycle, objective)
-    held = replace(hunt, free={})
+    objective = search.objective
+    if isinstance(objective, Target):
+        return _to_target(search, values, cycle, objective)
+    held = replace(search, free={})
     nearest = isinstance(objective, NearestGains)
     if nearest and all(values.number(n) == v for n, v in objective.target.items()):
         # Nothing is nearer than the target itself: its gains need no freedom.
-        here = held.refine(values, cycle, objective)
-        if not hunt.bounds or not hunt.free:
+        here = refine(held, values, cycle, objective)
+        if not search.bounds or not search.free:
             return here
-    find = hunt.refine(values, cycle, objective)
-    if find.status is SearchStatus.FOUND or not hunt.free:
-        return find
-    if hunt.bounds:
-        values, cycle, lacking = where_bounds_are_kept(hunt, values, cycle)
+    outcome = refine(search, values, cycle, objective)
+    if outcome.status is SearchStatus.FOUND or not search.free:
+        return outcome
+    if search.bounds:
+        values, cycle, lacking = _where_bounds_are_kept(search, values, cycle)
         if lacking is not None:
             return replace(
-                find,
+                outcome,
                 status=lacking.status,
                 detail=lacking.detail,
-                orbit=None,
                 shortfall=lacking.shortfall,
             )
-    hunt.tell(f"walking toward {objective.wish}")
-    walked = in_small_steps(hunt, values, cycle, objective)
-    if walked.status is SearchStatus.FOUND:
-        return walked
-    if nearest and not hunt.bounds:
+    search.tell(f"small steps toward {objective.wish}")
+    stepped = _in_small_steps(search, values, cycle, objective)
+    if stepped.status is SearchStatus.FOUND:
+        return stepped
+    if nearest and not search.bounds:
         # Nearness is a wish, the orbit the point: keep the one at the gains of the start.
-        here = held.refine(values, cycle, objective)
+        here = refine(held, values, cycle, objective)
         if here.status is SearchStatus.FOUND:
             return replace(here, detail="Its gains are not the nearest: the way there was lost.")
-    return find
+    return outcome
 
 
-def in_small_steps(hunt: Hunt, values: ParameterValues, cycle: Cycle, objective: Objective) -> Find:
-    """Search on boxes around one orbit after another, then on the whole box."""
+def _in_small_steps(
+    search: SearchProblem, values: ParameterValues, cycle: Cycle, objective: Objective
+) -> StartOutcome:
+    """Search in boxes around one orbit after another, then in the whole box."""
     origin = values
 
-    def solve(near: Hunt, here: ParameterValues, around: Cycle) -> Find:
-        return near.solve_once(origin, here, around, objective, COARSE)
+    def solve(near: SearchProblem, here: ParameterValues, around: Cycle) -> StartOutcome:
+        return solve_once(near, origin, here, around, objective, COARSE)
 
-    stop = walk(hunt, values, cycle, solve)
-    return hunt.refine(stop.values, stop.cycle, objective, origin)
+    last = trust_region_steps(search, values, cycle, solve)
+    return refine(search, last.values, last.cycle, objective, origin)
 
 
-def where_bounds_are_kept(
-    hunt: Hunt, values: ParameterValues, cycle: Cycle
-) -> tuple[ParameterValues, Cycle, Find | None]:
-    """Walk to where the bounds are passed least; say by how much, if any is passed there.
+def _where_bounds_are_kept(
+    search: SearchProblem, values: ParameterValues, cycle: Cycle
+) -> tuple[ParameterValues, Cycle, StartOutcome | None]:
+    """Return where the bounds are violated least, and by how much if any is violated there.
 
-    It is the least near where the walk began: another start may come nearer.
+    It is a local minimum near the start: another start may violate them less.
     """
-    hunt.tell("looking for where the bounds are kept")
+    search.tell("looking for where the bounds are kept")
     origin = values
 
-    def solve(near: Hunt, here: ParameterValues, around: Cycle) -> Find:
-        return near.least_violation(origin, here, around)
+    def solve(near: SearchProblem, here: ParameterValues, around: Cycle) -> StartOutcome:
+        return least_violation(near, origin, here, around)
 
-    stop = walk(hunt, values, cycle, solve)
-    if stop.find is None or stop.find.solution is None:
+    last = trust_region_steps(search, values, cycle, solve)
+    if last.outcome is None or last.outcome.solution is None:
         return values, cycle, None
-    solved = stop.find.solution.values
-    slacks = [float(solved[f"slack {k}"][0, 0]) for k in range(len(hunt.bounds))]
+    unknowns = last.outcome.solution.unknowns
+    slacks = [float(unknowns[f"slack {k}"][0, 0]) for k in range(len(search.bounds))]
     broken = [
-        f"`{bound.name}` leaves {bound.text} by {float(solved[f'excess {k}'][0, 0]):.3g}"
-        for k, bound in enumerate(hunt.bounds)
+        f"`{bound.name}` leaves {bound.text} by {float(unknowns[f'excess {k}'][0, 0]):.3g}"
+        for k, bound in enumerate(search.bounds)
         if slacks[k] > _VIOLATED
     ]
-    if not broken or not stop.arrived:
-        return stop.values, stop.cycle, None
-    where = listed({name: stop.values.number(name) for name in hunt.free})
+    if not broken or not last.converged:
+        return last.values, last.cycle, None
+    where = listed({name: last.values.number(name) for name in search.free})
     detail = f"No orbit was found that keeps all bounds; nearest to it, at {where}"
-    lacking = Find(
+    lacking = StartOutcome(
         status=SearchStatus.NOT_SOLVED,
-        detail=f"{detail}{_held(hunt, stop.values)}, {', '.join(broken)}.",
+        detail=f"{detail}{_held(search, last.values)}, {', '.join(broken)}.",
         shortfall=sum(slacks),
     )
-    return stop.values, stop.cycle, lacking
+    return last.values, last.cycle, lacking
 
 
-def toward(
-    hunt: Hunt, values: ParameterValues, cycle: Cycle, wanted: WantedPeriod | WantedAmplitude
-) -> Find:
-    """Reach a wanted value: directly if it is near, else through values on the way.
+def _to_target(
+    search: SearchProblem, values: ParameterValues, cycle: Cycle, target: Target
+) -> StartOutcome:
+    """Reach a target: directly if it is near, else by steps that reduce the squared distance."""
+    if target.miss(cycle) <= search.settings.first_step:
+        search.tell(f"asking for {target.wish}")
+        outcome = refine(search, values, cycle, target)
+        if outcome.status is SearchStatus.FOUND:
+            return outcome
+    search.tell(f"small steps toward {target.wish}")
+    toward = TowardTarget(target=target)
 
-    The way goes down the squared distance from the value, so that where no step brings it nearer
-    the answer is no.
-    """
-    far = abs(wanted.measured(cycle) - wanted.target) / wanted.target
-    if far <= hunt.settings.first_step:
-        hunt.tell(f"asking for {wanted.wish}")
-        find = hunt.refine(values, cycle, wanted)
-        if find.status is SearchStatus.FOUND:
-            return find
-    hunt.tell(f"walking toward {wanted.wish}")
-    approach = Approach(wanted=wanted)
+    def solve(near: SearchProblem, here: ParameterValues, around: Cycle) -> StartOutcome:
+        return solve_once(near, values, here, around, toward, COARSE)
 
-    def solve(near: Hunt, here: ParameterValues, around: Cycle) -> Find:
-        return near.solve_once(values, here, around, approach, COARSE)
-
-    stop = walk(hunt, values, cycle, solve)
-    here = wanted.measured(stop.cycle)
-    if abs(here - wanted.target) > hunt.settings.smallest_step * wanted.target:
-        return _short_of(hunt, wanted, here, stop.values, stop.find)
-    hunt.tell(f"asking for {wanted.wish}")
-    find = hunt.refine(stop.values, stop.cycle, wanted, values)
-    if find.status is not SearchStatus.FOUND:
+    last = trust_region_steps(search, values, cycle, solve)
+    here = target.measured(last.cycle)
+    if abs(here - target.target) > search.settings.smallest_step * target.target:
+        return _short_of(search, target, here, last.values, last.outcome)
+    search.tell(f"asking for {target.wish}")
+    outcome = refine(search, last.values, last.cycle, target, values)
+    if outcome.status is not SearchStatus.FOUND:
         # The nearest numbers of that value may be far along its level line.
-        find = hunt.refine(stop.values, stop.cycle, wanted, stop.values)
-    if find.status is SearchStatus.FOUND:
-        return find
-    return replace(_short_of(hunt, wanted, here, stop.values, find), detail=find.detail)
+        outcome = refine(search, last.values, last.cycle, target, last.values)
+    if outcome.status is SearchStatus.FOUND:
+        return outcome
+    short = _short_of(search, target, here, last.values, outcome)
+    return replace(short, detail=outcome.detail)
 
 
 def _short_of(
-    hunt: Hunt,
-    wanted: WantedPeriod | WantedAmplitude,
+    search: SearchProblem,
+    target: Target,
     here: float,
     values: ParameterValues,
-    last: Find | None,
-) -> Find:
-    """Return a failure that says how near a wanted value came, and what held it."""
-    at = listed(hunt.numbers(values))
-    reached = f"The nearest that was reached is {replace(wanted, target=here).wish}, at {at}"
-    detail = f"{reached}{_held(hunt, values)}"
-    miss = abs(wanted.target - here)
+    last: StartOutcome | None,
+) -> StartOutcome:
+    """Return a failure that says how near a target the search came, and what held it."""
+    at = listed(search.numbers(values))
+    reached = f"The nearest that was reached is {replace(target, target=here).wish}, at {at}"
+    detail = f"{reached}{_held(search, values)}"
+    miss = abs(target.target - here)
+    why = "" if last is None or last.agreement < ON_THE_WAY else last.detail
     return replace(
-        last or Find(status=SearchStatus.NOT_SOLVED),
+        last or StartOutcome(status=SearchStatus.NOT_SOLVED),
         status=SearchStatus.NOT_SOLVED,
-        detail=f"{detail}; missed: `{wanted.wish}` by {miss:.3g}. {_why(last)}".strip(),
-        orbit=None,
+        detail=f"{detail}; missed: `{target.wish}` by {miss:.3g}. {why}".strip(),
         shortfall=miss,
     )
 
 
-def _held(hunt: Hunt, values: ParameterValues) -> str:
+def _held(search: SearchProblem, values: ParameterValues) -> str:
     """Return which free numbers are at a bound of their box, in brackets."""
     held = [
         f"{name} at its bound {bound:g}"
-        for name, bounds in hunt.free.items()
+        for name, bounds in search.free.items()
         for bound in bounds
         if abs(values.number(name) - bound) <= _AT_BOUND * (bounds[1] - bounds[0])
     ]
     return f" ({', '.join(held)})" if held else ""
-
-
-def _why(last: Find | None) -> str:
-    return "" if last is None or last.agreement < ON_THE_WAY else last.detail

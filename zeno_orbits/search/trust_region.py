@@ -1,7 +1,7 @@
-"""A search in small steps: one box around each orbit, as wide as the last steps allow.
+"""A search in small steps: each in a box around the last orbit, as wide as earlier steps allow.
 
-A program is drawn around one orbit and trusted near it only. Where the whole way is too far for
-one, each step is a program of its own on the orbit that the last one found, simulated.
+A program is transcribed around one orbit and trusted near it only. Where the whole way is too far
+for one program, each step solves its own around the simulated solution of the last one.
 """
 
 from __future__ import annotations
@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 
 from zeno_orbits.model.problem import ParameterValues
 from zeno_orbits.orbits.cycle import Cycle
-from zeno_orbits.search.refinement import ON_THE_WAY, Hunt
-from zeno_orbits.search.settings import Find
+from zeno_orbits.search.outcome import StartOutcome
+from zeno_orbits.search.refinement import ON_THE_WAY
+from zeno_orbits.search.search_problem import SearchProblem
 
 _FIRST, _LEAST = 0.1, 2e-3
 """Half width of a box in units of the whole range: the first, and the least that is tried."""
@@ -22,79 +23,85 @@ _TOUCHES = 1e-3
 """A number this near the side of its box, in units of its half width, is held by it."""
 
 _STILL = 1e-5
-"""A step that moves nothing by more, in units of the ranges, has arrived."""
+"""A step that moves nothing by more, in units of the ranges, has converged."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Stop:
-    """Where a walk ended.
+class LastStep:
+    """The end of a sequence of steps.
 
     Attributes:
         values: The numbers there.
         cycle: One simulated period there.
-        find: What the last step that counted found; ``None`` if none did.
-        arrived: Whether no further step would lead on, rather than none could be taken.
+        outcome: Outcome of the last accepted step; ``None`` if none was accepted.
+        converged: True if a further step would lead nowhere, rather than could not be taken.
     """
 
     values: ParameterValues
     cycle: Cycle
-    find: Find | None
-    arrived: bool = False
+    outcome: StartOutcome | None = None
+    converged: bool = False
 
 
-def walk(
-    hunt: Hunt,
+def trust_region_steps(
+    search: SearchProblem,
     values: ParameterValues,
     cycle: Cycle,
-    solve: Callable[[Hunt, ParameterValues, Cycle], Find],
-) -> Stop:
+    solve: Callable[[SearchProblem, ParameterValues, Cycle], StartOutcome],
+) -> LastStep:
     """Return where steps lead that each solve a program in a box around the last orbit.
 
     Args:
-        hunt: The search; its box is never left.
+        search: The search; its box is never left.
         values: Where to start.
         cycle: One simulated period there.
         solve: One step, given the search in a smaller box.
     """
-    half, stop = _FIRST, Stop(values=values, cycle=cycle, find=None)
+    half, last = _FIRST, LastStep(values=values, cycle=cycle)
     for _ in range(_MOST_STEPS):
-        box = _box_around(hunt, stop.values, half)
-        find = solve(replace(hunt, free=box), stop.values, stop.cycle)
-        if find.cycle is None or find.values is None or not find.agreement < ON_THE_WAY:
+        box = _box_around(search, last.values, half)
+        outcome = solve(replace(search, free=box), last.values, last.cycle)
+        there = outcome.solution
+        if there is None or not outcome.agreement < ON_THE_WAY:
             half /= 4
             if half < _LEAST:
                 break
             continue
-        moved = _moved(hunt, stop.values, find.values)
-        held = _is_held(hunt, find.values, box)
-        arrived = not held or moved < _STILL
-        stop = Stop(values=find.values, cycle=find.cycle, find=find, arrived=arrived)
-        if arrived:
+        moved = _moved(search, last.values, there.values)
+        converged = moved < _STILL or not _is_held(search, there.values, box)
+        last = LastStep(
+            values=there.values, cycle=there.cycle, outcome=outcome, converged=converged
+        )
+        if converged:
             break
         half *= 2
-    return stop
+    return last
 
 
-def _box_around(hunt: Hunt, values: ParameterValues, half: float) -> dict[str, tuple[float, float]]:
+def _box_around(
+    search: SearchProblem, values: ParameterValues, half: float
+) -> dict[str, tuple[float, float]]:
     box: dict[str, tuple[float, float]] = {}
-    for name, (low, high) in hunt.free.items():
+    for name, (low, high) in search.free.items():
         here, reach = values.number(name), half * (high - low)
         box[name] = (max(low, here - reach), min(high, here + reach))
     return box
 
 
-def _moved(hunt: Hunt, here: ParameterValues, there: ParameterValues) -> float:
+def _moved(search: SearchProblem, here: ParameterValues, there: ParameterValues) -> float:
     return max(
         abs(there.number(name) - here.number(name)) / (high - low)
-        for name, (low, high) in hunt.free.items()
+        for name, (low, high) in search.free.items()
     )
 
 
-def _is_held(hunt: Hunt, values: ParameterValues, box: dict[str, tuple[float, float]]) -> bool:
-    """Tell whether a side of the small box that is not one of the whole holds a number."""
+def _is_held(
+    search: SearchProblem, values: ParameterValues, box: dict[str, tuple[float, float]]
+) -> bool:
+    """Return True if a number is at a side of its small box that is not one of the whole."""
     for name, (low, high) in box.items():
         here, near = values.number(name), _TOUCHES * (high - low)
-        whole = hunt.free[name]
+        whole = search.free[name]
         if (here - low < near and low > whole[0]) or (high - here < near and high < whole[1]):
             return True
     return False

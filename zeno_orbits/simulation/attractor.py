@@ -1,112 +1,369 @@
-"""What a motion settles to, as numbers: the answer for one point of a map."""
+r"""What a motion settles to: one definition for searches, maps, families and rigs (theory (29)).
+
+A motion is known by its *returns*: the states in which it meets a section, mostly its releases,
+and impacts where no release comes. `outcome_of` goes from them and what happened in between to one
+answer. Nothing is simulated here, and no number has a unit: states are measured against their own
+size, times against the clock or the returns.
+
+* ``GONE``: a coordinate is beyond its bound (`bounds_of`), or has left for good (`has_left`).
+* ``RESTS``: nothing but the clock moves, and the stop does not let go in any phase of the clock
+  (`is_still`, `keeps_holding`).
+* ``REPEATS``: the last returns are those of a period before (`repetitions`).
+* ``DIES_OUT``, ``GROWS``: its amplitude falls to zero, or grows by every return (`growth_of`).
+* ``HELD``: it moves on its stop and has not left it for long.
+* ``UNDECIDED``: none of these, so far.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from enum import Enum
-from typing import Any
+from functools import lru_cache
 
-_STEADY = 1e-3
-"""A motion that changes less than this part of itself a period neither grows nor dies."""
+import numpy as np
+
+from zeno_orbits.arrays import Rows, Vector
+
+PERIODS = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 16)
+"""Numbers of returns after which a motion may repeat."""
+
+TEN_TURNS = 20 * math.pi
+"""An angle beyond this [rad] is gone, where the problem says nothing of it."""
+
+WAITING = 300
+"""Periods of the clock in which a motion has to settle, where nobody says how long to wait."""
+
+STEADY = 1e-3
+"""A motion that changes less than this part of itself a return neither grows nor dies."""
+
+_NEAR_ZERO = 1e-3
+"""A state smaller than this part of the largest of its unit is measured against that part."""
+_ROUNDING = 1e-9
+"""A state smaller than this part of all others is zero but for rounding."""
+_STILL = 1e-6
+"""Rates that have fallen to this part of the largest ones are those of a motion at rest."""
+_LEFT = 1e3
+"""A coordinate that is this many times as far as it ever was before does not come back."""
+LOOK_BACK = 8
+"""Returns that tell the size of each state."""
+_FADED = 1e-3
+"""A motion that has fallen to this part of its largest amplitude dies out."""
+_WINDOW = 6
+"""Growth factors that a law of growth is fitted to."""
+_FELL = 0.9
+"""The amplitude must have fallen by this factor over them, or their trend is not told."""
+_CLEARLY = 3e-3
+"""A logarithm of a growth factor beyond this is decay, not error."""
+_SCATTER = 0.2
+"""Largest misfit of the law, for a unit of the logarithm at rest."""
 
 
-class Fate(Enum):
-    """Where a motion ends. The value is the phrase shown to the user."""
+class Outcome(Enum):
+    """What a motion settles to. The value completes the sentence "The motion ..."."""
 
-    ZENO = "Zeno periodic orbit"
-    SIMPLE = "simple periodic orbit"
-    NO_ZENO = "periodic orbit without a Zeno point"
-    REST = "rest"
-    ESCAPE = "a coordinate runs away"
-    UNSETTLED = "not settled in the time given"
-    FAILED = "the simulation stops"
+    REPEATS = "repeats"
+    RESTS = "comes to rest"
+    HELD = "stays on its stop"
+    DIES_OUT = "dies out"
+    GROWS = "grows"
+    GONE = "runs away"
+    UNDECIDED = "has not settled"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Attractor:
-    """What a motion settles to.
+class Return:
+    """A state in which a motion meets its section.
 
     Attributes:
-        fate: Its kind. ``SIMPLE`` is an orbit that locks with the first impact: a plastic stop.
-        returns: Releases a period, 1 for a period-1 orbit, 2 after a flip; 0 where there is none.
-        period: Time after which the motion repeats [s]; NaN where it does not.
-        multipliers: Floquet multipliers over the period, the largest first.
-        margins: Name to distance from where the orbit would lose its shape, as in a certificate.
-        state: State at the release (or impact) at which the period starts, by name.
-        escaped: Name of the coordinate that runs away.
-        trend: Factor by which the motion grows a period, if it neither repeats nor has died out;
-            NaN where nothing can be said.
-        detail: The reason in words, where the fate alone does not tell.
+        time: When [s].
+        state: Where, ``(n_x,)``.
+        size: Largest modulus of each state at the events since the return before, ``(n_x,)``; by
+            default that of `state`.
     """
 
-    fate: Fate
-    returns: int = 0
-    period: float = float("nan")
-    multipliers: tuple[complex, ...] = ()
-    margins: Mapping[str, float] = field(default_factory=dict[str, float])
-    state: Mapping[str, float] = field(default_factory=dict[str, float])
+    time: float
+    state: Vector
+    size: Vector | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Motion:
+    """What has been seen of a motion.
+
+    Attributes:
+        units: Unit of each state, ``(n_x,)``: states of one unit are measured alike.
+        returns: Its last returns, in order, on one section.
+        amplitudes: Size of each return so far, of all of them; by default of `returns`.
+        gone: Name of the coordinate that is gone; empty if there is none.
+        still: Whether nothing but the clock moves, and the stop holds for ever.
+        held: Whether it has been on its stop for longer than any of its periods.
+    """
+
+    units: Sequence[str]
+    returns: Sequence[Return] = ()
+    amplitudes: Sequence[float] | None = None
+    gone: str = ""
+    still: bool = False
+    held: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settling:
+    """The answer.
+
+    Attributes:
+        outcome: Its kind.
+        repetitions: Numbers of returns after which it repeats, the shortest first.
+        period: Time that the shortest takes [s]; NaN without one.
+        trend: Factor by which the motion grows a return; NaN where nothing can be said.
+        escaped: Name of the coordinate that is gone.
+    """
+
+    outcome: Outcome
+    repetitions: tuple[Repetition, ...] = ()
+    period: float = math.nan
+    trend: float = math.nan
     escaped: str = ""
-    trend: float = float("nan")
-    detail: str = ""
-
-    @property
-    def phrase(self) -> str:
-        """What it is, in the words of a legend."""
-        if self.fate is Fate.ZENO:
-            return f"{self.fate.value}, period {self.returns}"
-        if self.fate is Fate.SIMPLE and self.returns > 1:
-            return f"{self.fate.value}, period {self.returns}"
-        if self.fate is Fate.ESCAPE:
-            return self.detail or f"{self.escaped} runs away"
-        if self.fate is Fate.UNSETTLED and self.trend > 1.0 + _STEADY:
-            return f"{self.fate.value}, growing"
-        if self.fate is Fate.UNSETTLED and self.trend < 1.0 - _STEADY:
-            return f"{self.fate.value}, dying out"
-        return self.fate.value
-
-    @property
-    def spectral_radius(self) -> float:
-        """Largest modulus of the multipliers; NaN without any."""
-        return max((abs(value) for value in self.multipliers), default=float("nan"))
 
 
-def attractor_json(attractor: Attractor) -> dict[str, Any]:
-    """Return an attractor as plain data, every bit of it; what is unknown is left out."""
-    entries = {
-        "fate": attractor.fate.name.lower(),
-        "returns": attractor.returns,
-        "period": attractor.period,
-        "multipliers": [[value.real, value.imag] for value in attractor.multipliers],
-        "margins": dict(attractor.margins),
-        "state": dict(attractor.state),
-        "escaped": attractor.escaped,
-        "trend": attractor.trend,
-        "detail": attractor.detail,
-    }
-    empty: tuple[object, ...] = ("", [], {})
-    return {
-        name: value
-        for name, value in entries.items()
-        if value not in empty and not (isinstance(value, float) and math.isnan(value))
-    }
+def outcome_of(motion: Motion, *, close: float, apart: float = 0.01) -> Settling:
+    """Return what a motion settles to, as far as can be told.
 
-
-def attractor_from_json(entries: Mapping[str, Any]) -> Attractor:
-    """Return the attractor of plain data.
-
-    Raises:
-        KeyError, TypeError, ValueError: If the data are none.
+    Args:
+        motion: What has been seen of it.
+        close: Change over a period that counts as repeating, relative to the size of the states.
+        apart: As for `repetitions`.
     """
-    return Attractor(
-        fate=Fate[str(entries["fate"]).upper()],
-        returns=int(entries.get("returns", 0)),
-        period=float(entries.get("period", math.nan)),
-        multipliers=tuple(complex(*pair) for pair in entries.get("multipliers", ())),
-        margins={str(k): float(v) for k, v in dict(entries.get("margins", {})).items()},
-        state={str(k): float(v) for k, v in dict(entries.get("state", {})).items()},
-        escaped=str(entries.get("escaped", "")),
-        trend=float(entries.get("trend", math.nan)),
-        detail=str(entries.get("detail", "")),
+    amplitudes = motion.amplitudes
+    if amplitudes is None:
+        amplitudes = amplitudes_of(motion.returns, motion.units)
+    growth = growth_of(amplitudes)
+    if motion.gone:
+        return Settling(outcome=Outcome.GONE, trend=growth.factor, escaped=motion.gone)
+    if motion.still:
+        return Settling(outcome=Outcome.RESTS, trend=growth.factor)
+    if growth.dies_out:
+        return Settling(outcome=Outcome.DIES_OUT, trend=growth.factor)
+    found = repetitions(motion.returns, motion.units, close=close, apart=apart)
+    if found:
+        period = motion.returns[-1].time - motion.returns[-1 - found[0].returns].time
+        return Settling(
+            outcome=Outcome.REPEATS, repetitions=found, period=period, trend=growth.factor
+        )
+    if motion.held:
+        return Settling(outcome=Outcome.HELD)
+    grows = growth.factor > 1.0 + STEADY
+    outcome = Outcome.GROWS if grows else Outcome.UNDECIDED
+    return Settling(outcome=outcome, trend=growth.factor)
+
+
+# ------------------------------------------------------------------ sizes
+
+
+def scale_of(states: Sequence[Vector], units: Sequence[str]) -> Vector:
+    """Return the size of each state, nowhere near zero, ``(n_x,)``.
+
+    Args:
+        states: States of the motion, or their sizes, each ``(n_x,)``.
+        units: Unit of each; one that nearly vanishes is measured against the others of its unit.
+    """
+    largest = np.max(np.abs(np.array(states)), axis=0)
+    for alike in _of_one_unit(tuple(units)):
+        largest[alike] = np.maximum(largest[alike], _NEAR_ZERO * np.max(largest[alike]))
+    # A coordinate that the stop holds at zero is rounding, if it is the only one of its unit.
+    overall = float(np.max(largest)) or 1.0
+    return np.where(largest > _ROUNDING * overall, largest, overall)
+
+
+@lru_cache(maxsize=64)
+def _of_one_unit(units: tuple[str, ...]) -> tuple[Rows, ...]:
+    """Return the places of each unit."""
+    return tuple(
+        np.array([k for k, other in enumerate(units) if other == unit], dtype=np.intp)
+        for unit in dict.fromkeys(units)
     )
+
+
+def amplitudes_of(returns: Sequence[Return], units: Sequence[str]) -> list[float]:
+    """Return the size of each return as one number, in units of the first one's states."""
+    if not returns:
+        return []
+    unit = scale_of([returns[0].state], units)
+    return [float(np.max(np.abs(one.state) / unit)) for one in returns]
+
+
+# ------------------------------------------------------------------ it repeats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Repetition:
+    """A number of returns after which a motion comes back.
+
+    Attributes:
+        returns: How many.
+        change: How near it comes, relative.
+    """
+
+    returns: int
+    change: float
+
+
+def changes(states: Sequence[Vector], scale: Vector) -> dict[int, float]:
+    """Return how far the last state is from that `n` returns before, by `n`, relative."""
+    last = states[-1]
+    return {
+        n: float(np.max(np.abs(last - states[-1 - n]) / scale)) for n in PERIODS if n < len(states)
+    }
+
+
+def repetitions(
+    returns: Sequence[Return], units: Sequence[str], *, close: float, apart: float
+) -> tuple[Repetition, ...]:
+    """Return the numbers of returns after which a motion repeats, the shortest first.
+
+    Args:
+        returns: Its last returns, in order.
+        units: Unit of each state.
+        close: Change that counts as repeating, relative.
+        apart: It repeats after several returns only if these bring it nearer than any fewer do by
+            this factor: a motion that throws over as it settles repeats after one.
+    """
+    if len(returns) < 2:
+        return ()
+    sizes = [one.state if one.size is None else one.size for one in returns[-LOOK_BACK:]]
+    scale = scale_of(sizes, units)
+    nearest = math.inf
+    found: list[Repetition] = []
+    for n, change in changes([one.state for one in returns], scale).items():
+        if change < close and change < apart * nearest:
+            found.append(Repetition(returns=n, change=change))
+        nearest = min(nearest, change)
+    return tuple(found)
+
+
+# ------------------------------------------------------------------ it grows or dies out
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Growth:
+    """How the amplitude of a motion changes.
+
+    Attributes:
+        factor: Growth over a return, fitted to the last few; NaN with too few.
+        dies_out: Whether the motion goes to rest.
+    """
+
+    factor: float
+    dies_out: bool
+
+
+def growth_of(amplitudes: Sequence[float]) -> Growth:
+    r"""Return how amplitudes at successive returns grow, and whether they fall to zero.
+
+    Near a rest at the stop a system is homogeneous of degree one but for terms of third order, so
+    :math:`\log(a_{k+1} / a_k) = c_0 + c_1 a_k^2` nearly. Where that law fits, decays here and
+    decays at :math:`a = 0`, it decays everywhere in between: the motion dies out.
+    """
+    if amplitudes and amplitudes[-1] <= _FADED * max(amplitudes):
+        return Growth(factor=_mean_factor(amplitudes), dies_out=True)
+    if len(amplitudes) <= _WINDOW + 1:
+        return Growth(factor=_mean_factor(amplitudes), dies_out=False)
+    recent = np.array(amplitudes[-_WINDOW - 1 :])
+    rates = np.log(recent[1:] / recent[:-1])
+    squares = recent[:-1] ** 2
+    factor = math.exp(float(np.mean(rates)))
+    if not (np.all(rates < -_CLEARLY) and recent[-1] < _FELL * recent[0]):
+        return Growth(factor=factor, dies_out=False)
+    slope, at_rest = np.polyfit(squares, rates, 1)
+    misfit = float(np.max(np.abs(rates - at_rest - slope * squares)))
+    dies_out = at_rest < -_CLEARLY and misfit < _SCATTER * -at_rest
+    return Growth(factor=factor, dies_out=bool(dies_out))
+
+
+def _mean_factor(amplitudes: Sequence[float]) -> float:
+    recent = amplitudes[-_WINDOW - 1 :]
+    if len(recent) < 2 or not (recent[0] > 0.0 and recent[-1] > 0.0):
+        return math.nan
+    return float((recent[-1] / recent[0]) ** (1 / (len(recent) - 1)))
+
+
+# ------------------------------------------------------------------ it rests
+
+
+def is_still(rates: Vector, largest: Vector, rounding: float = 0.0) -> Vector:
+    """Return which motions have stopped, ``(n,)``, as flags.
+
+    Args:
+        rates: Rates of coordinates and velocities, now and in the other phases of the clock,
+            ``(n, n_phases, 2 n_q)``.
+        largest: The largest that each motion has had, ``(n, 2 n_q)``.
+        rounding: Rates below this are zero.
+    """
+    limit = np.maximum(_STILL * largest, rounding)
+    return np.all(np.abs(rates) <= limit[:, None, :], axis=(1, 2))
+
+
+def keeps_holding(multiplier: Vector, rate: Vector, step: float | Vector) -> Vector:
+    """Return which stops never let go, ``(n,)``, as flags.
+
+    The cubic through values and rates at neighbouring phases lies in the hull of its Bernstein
+    coefficients; where all of these are positive the multiplier is.
+
+    Args:
+        multiplier: Of the stop at equal steps over a turn of the clock, both ends included,
+            ``(n, n_phases)``; a single one where there is no clock.
+        rate: Its time derivative there, ``(n, n_phases)``.
+        step: Time between two phases [s].
+    """
+    if multiplier.shape[1] == 1:
+        return multiplier[:, 0] > 0.0
+    third = np.reshape(np.asarray(step) / 3, (-1, 1))
+    after = multiplier[:, :-1] + third * rate[:, :-1]
+    before = multiplier[:, 1:] - third * rate[:, 1:]
+    return np.all(multiplier > 0.0, axis=1) & np.all((after > 0.0) & (before > 0.0), axis=1)
+
+
+# ------------------------------------------------------------------ it is gone
+
+
+def bounds_of(
+    names: Sequence[str], units: Sequence[str], n_q: int, declared: Mapping[str, float]
+) -> Vector:
+    """Return the largest modulus of each state of a motion that is not gone, ``(n_x,)``.
+
+    Args:
+        names: Name of each state.
+        units: Unit of each.
+        n_q: Number of coordinates; only these, and what is declared, have bounds.
+        declared: Bounds by name: what the problem's `escapes` say.
+
+    Returns:
+        What is declared; ten turns for other angles; infinity for the rest, which `has_left` tells.
+    """
+    turns = [TEN_TURNS if unit == "rad" else math.inf for unit in units[:n_q]]
+    usual = np.array([*turns, *([math.inf] * (len(names) - n_q))])
+    return np.array([declared.get(name, bound) for name, bound in zip(names, usual, strict=True)])
+
+
+def has_left(position: Vector, before: Vector) -> Vector:
+    """Return which coordinates have left for good since the last return, as flags.
+
+    Args:
+        position: Where the motion is at the end of the time given, ``(n_q,)``.
+        before: Largest modulus of each coordinate in the first half of that time, ``(n_q,)``.
+    """
+    return (before > 0.0) & (np.abs(position) > _LEFT * before)
+
+
+# ------------------------------------------------------------------ how long to wait
+
+
+def time_to_settle(clock_periods: Sequence[float]) -> float:
+    """Return how long to wait for motions to settle, by the slowest of their clocks [s].
+
+    Args:
+        clock_periods: Periods of the clock at the numbers that are looked at [s].
+    """
+    return WAITING * max(clock_periods)

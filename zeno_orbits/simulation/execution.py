@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
@@ -111,7 +111,7 @@ class Arc:
     ending: Ending
     impact_index: int
     time_unit: float
-    trajectory: Trajectory | None
+    trajectory: Trajectory | None = field(repr=False)
 
     def state_at(self, time: float) -> Vector:
         """Return the state at a time inside the arc, to the accuracy of the integration."""
@@ -177,7 +177,7 @@ class Arc:
         return self.trajectory.states
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Execution:
     """A completed execution on the hybrid time domain ``(t, j)``.
 
@@ -190,6 +190,16 @@ class Execution:
     state_names: tuple[str, ...]
     arcs: tuple[Arc, ...]
     events: tuple[Event, ...]
+
+    def __repr__(self) -> str:
+        """Return one line: the span of time and how much happens in it."""
+        if not self.arcs:
+            return "<Execution without arcs>"
+        return (
+            f"<Execution of {', '.join(self.state_names)} from {self.arcs[0].start_time:g} to "
+            f"{self.end_time:.9g} s: arcs={len(self.arcs)}, impacts={len(self.impacts)}, "
+            f"zeno_points={len(self.zeno_points)}, releases={len(self.releases)}>"
+        )
 
     @property
     def end_time(self) -> float:

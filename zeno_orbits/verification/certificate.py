@@ -21,6 +21,7 @@ RESIDUALS: Mapping[str, str] = {
     "delta_sweep": "cutting the sequence at ever slower impacts tends to the same motion",
     "penetration": "the gap is never negative in flight",
     "adhesion": "the multiplier is never negative on the stop",
+    "escape": "no coordinate goes beyond an escape of the problem",
     "closure": "the period ends where it starts",
     "period": "the period is the one that the orbit says",
     "drift": "the later periods end where the first one does",
@@ -30,6 +31,29 @@ RESIDUALS: Mapping[str, str] = {
     "integration": "a looser integration gives the same return",
 }
 """Name to what is true where it is zero, in causal order: the first to fail explains the rest."""
+
+FAILURES: Mapping[str, str] = {
+    "release": "gap, gap rate or multiplier is not zero at the release",
+    "start": "the period does not start just after an impact",
+    "first_impact": "the first impact does not come when and where the orbit says",
+    "impact_sequence": "a later impact does not come when and where the orbit says",
+    "restitution": "an impact does not reverse the gap rate by -e",
+    "impact_energy": "an impact does not lose (1 - e^2)/2 m w^2",
+    "zeno_point": "the impacts do not accumulate when and where the orbit says",
+    "phases": "another phase does not start when and where the orbit says",
+    "delta_sweep": "cutting the sequence at ever slower impacts tends to another motion",
+    "penetration": "the gap is negative in flight",
+    "adhesion": "the multiplier is negative on the stop",
+    "escape": "a coordinate goes beyond an escape of the problem",
+    "closure": "the period does not end where it starts",
+    "period": "the period is not the one that the orbit says",
+    "drift": "a later period does not end where the first one does",
+    "energy_balance": "work in differs from energy gained + copper, friction and impact losses",
+    "holonomic": "a holonomic constraint does not hold",
+    "second_model": "a second derivation of the model gives other flows or resets",
+    "integration": "a looser integration gives another return",
+}
+"""Name to what is true where it is not zero."""
 
 
 _MISSES = ("first_impact", "impact_sequence", "closure", "period")
@@ -53,7 +77,7 @@ class DeltaCut:
     error: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class OrbitCertificate:
     """What a forward integration says of an orbit.
 
@@ -79,7 +103,8 @@ class OrbitCertificate:
         period: Period that the integration found [s].
         n_periods: Periods that were integrated.
         model: Which derivation was integrated.
-        trouble: Why the integration stopped early; empty if it did not.
+        trouble: Clauses on what else is wrong: why the integration stopped early, which escape was
+            passed, a false statement of the orbit about itself; empty if nothing is.
         shape: What the orbit says of its phases, as text.
         asked: Bounds that a search was asked to keep, with what a simulation measured.
     """
@@ -101,6 +126,10 @@ class OrbitCertificate:
     shape: str = ONE_ZENO.text
     asked: tuple[Mapping[str, Any], ...] = ()
 
+    def __repr__(self) -> str:
+        """Return one line: the verdict and how stable the orbit is."""
+        return f"<OrbitCertificate: {self.verdict()} spectral_radius={self.spectral_radius:.6g}>"
+
     @property
     def failed(self) -> tuple[str, ...]:
         """Names of the residuals above the tolerance, in causal order."""
@@ -112,7 +141,7 @@ class OrbitCertificate:
 
     @property
     def passed(self) -> bool:
-        """Whether every residual is below the tolerance and every margin positive."""
+        """True if every residual is below the tolerance and every margin positive."""
         return not self.failed and not self.lost and not self.trouble
 
     @property
@@ -131,12 +160,12 @@ class OrbitCertificate:
 
     @property
     def stable(self) -> bool:
-        """Whether the multipliers, their error included, are inside the unit circle."""
+        """True if the multipliers, their error included, are inside the unit circle."""
         return self.spectral_radius + self.multiplier_error < 1.0
 
     @property
     def unstable(self) -> bool:
-        """Whether a multiplier is outside the unit circle by more than its error."""
+        """True if a multiplier is outside the unit circle by more than its error."""
         return self.spectral_radius - self.multiplier_error > 1.0
 
     @property
@@ -177,14 +206,14 @@ class OrbitCertificate:
             return f"Verified: {self._kind}; largest residual {worst:.1e}."
         if self.failed:
             name = self.failed[0]
-            size = f"`{name}` is {self.residuals[name]:.2e}, above {self.tolerance:.0e}"
-            reason = f"{size}: it is not so that {RESIDUALS[name]}"
+            size = f"`{name}` = {self.residuals[name]:.1e} exceeds {self.tolerance:.0e}"
+            reason = f"{size} ({FAILURES[name]})"
         elif self.trouble:
             reason = self.trouble
         else:
             name = self.lost[0]
-            reason = f"the margin `{name}` is {self.margins[name]:.2e}, not positive"
-        tail = f" ({self.trouble})" if self.trouble and self.failed else ""
+            reason = f"the margin `{name}` = {self.margins[name]:.1e} is not positive"
+        tail = f"; {self.trouble}" if self.trouble and self.failed else ""
         return f"Refused: {reason}{tail}."
 
     def as_json(self) -> dict[str, Any]:

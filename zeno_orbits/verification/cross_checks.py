@@ -11,9 +11,10 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model.hybrid import audited
-from zeno_orbits.model.numeric.compiled import bind, compiled_model, reference_model
+from zeno_orbits.model.library import load_reference
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
+from zeno_orbits.orbits.cycle import Cycle
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.period import placed
 from zeno_orbits.orbits.phases import Phase
@@ -22,7 +23,8 @@ from zeno_orbits.simulation.completion import Truncation, ZenoPassage
 from zeno_orbits.simulation.execution import Impact
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 from zeno_orbits.verification.certificate import DeltaCut
-from zeno_orbits.verification.integration import Claim, FirstCycle, distance
+from zeno_orbits.verification.claim import Claim
+from zeno_orbits.verification.integration import FirstCycle, distance
 
 _FINEST_CUT = 1e-9
 """Of the first impact speed: the slowest impact that a sweep cuts at."""
@@ -36,7 +38,7 @@ _LATER = 1.001
 
 def delta_sweep(
     dynamics: HybridDynamics,
-    cycle: FirstCycle,
+    first: FirstCycle,
     cuts: Sequence[float],
     simulation: SimulationSettings,
     enough: float,
@@ -47,7 +49,7 @@ def delta_sweep(
 
     Args:
         dynamics: The system.
-        cycle: The first period, completed by the extrapolated limit.
+        first: The first period, completed by the extrapolated limit.
         cuts: Thresholds in units of the first impact speed, falling.
         simulation: Accuracy.
         enough: Cuts go on, a tenth as fast each, while the last one is farther off than this and
@@ -58,8 +60,8 @@ def delta_sweep(
         do not accumulate.
     """
     sweeps = [
-        _sweep_of(dynamics, cycle, phase, cuts, simulation, enough)
-        for phase in cycle.phases
+        _sweep_of(dynamics, first, phase, cuts, simulation, enough)
+        for phase in first.cycle.phases
         if phase.kind is PhaseKind.ZENO
     ]
     return max(sweeps, key=lambda sweep: sweep[-1].error, default=())
@@ -67,26 +69,26 @@ def delta_sweep(
 
 def _sweep_of(
     dynamics: HybridDynamics,
-    cycle: FirstCycle,
+    first: FirstCycle,
     phase: Phase,
     cuts: Sequence[float],
     simulation: SimulationSettings,
     enough: float,
 ) -> tuple[DeltaCut, ...]:
     fastest = abs(phase.impacts[0].approach_rate)
-    found = [_cut(dynamics, cycle, phase, share * fastest, simulation) for share in cuts]
+    found = [_cut(dynamics, first, phase, share * fastest, simulation) for share in cuts]
     while (
         len(found) > 1
         and enough < found[-1].error < found[-2].error / _FALL
         and found[-1].delta > 10.0 * _FINEST_CUT * fastest
     ):
-        found.append(_cut(dynamics, cycle, phase, found[-1].delta / 10.0, simulation))
+        found.append(_cut(dynamics, first, phase, found[-1].delta / 10.0, simulation))
     return tuple(found)
 
 
 def _cut(
     dynamics: HybridDynamics,
-    cycle: FirstCycle,
+    first: FirstCycle,
     phase: Phase,
     delta: float,
     simulation: SimulationSettings,
@@ -103,7 +105,7 @@ def _cut(
     except ZenoOrbitsError:
         return DeltaCut(delta=delta, speed=math.nan, error=math.inf)
     last = run.impacts[-1] if run.impacts else before
-    error = distance(run.end_state, cycle.execution.state_at(when), cycle.scale)
+    error = distance(run.end_state, first.cycle.execution.state_at(when), first.scale)
     return DeltaCut(delta=delta, speed=abs(last.approach_rate), error=error)
 
 
@@ -133,11 +135,11 @@ def energies_of(
     orbit: ZenoOrbit,
     problem: Problem,
     claim: Claim,
-    cycle: FirstCycle,
+    cycle: Cycle,
     simulation: SimulationSettings,
 ) -> dict[str, float]:
     """Return the energies of one period, from an integration that carries the ledger along."""
-    dynamics = bind(compiled_model(problem, audited), orbit.values(problem).vector)
+    dynamics = problem.dynamics(orbit.values(problem), audited)
     if isinstance(simulation.completion, ZenoPassage):
         # Each impact loses its part; only a short tail loses what the last speed says.
         simulation = replace(simulation, completion=simulation.completion.one_by_one)
@@ -171,11 +173,11 @@ def imbalance(energies: Mapping[str, float]) -> float:
     return abs(energies["input_work"] - spent) / size if size > 0.0 else 0.0
 
 
-def second_model(orbit: ZenoOrbit, problem: Problem, cycle: FirstCycle) -> float:
+def second_model(orbit: ZenoOrbit, problem: Problem, cycle: Cycle) -> float:
     """Return the largest relative difference of the two derivations along the orbit."""
     values = orbit.values(problem)
-    by_hand: HybridDynamics = reference_model(problem)(values)
-    derived = bind(compiled_model(problem), values.vector)
+    by_hand: HybridDynamics = load_reference(problem).dynamics(values)
+    derived = problem.dynamics(values)
     times = np.linspace(0.0, cycle.end.time, 41)
     free = [cycle.execution.state_at(float(t)) for t in times]
     free += [impact.state_minus for impact in cycle.impacts]

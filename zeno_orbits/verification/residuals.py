@@ -8,46 +8,76 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.orbits.phases import kinds_of
-from zeno_orbits.orbits.shape import OrbitShape
+from zeno_orbits.model.problem import Problem
 from zeno_orbits.simulation.execution import Impact, Mode
-from zeno_orbits.verification.integration import Claim, FirstCycle, Observation, distance
+from zeno_orbits.verification.claim import Claim
+from zeno_orbits.verification.integration import FirstCycle, Observation, distance
 
 
-def orbit_residuals(dynamics: HybridDynamics, claim: Claim, seen: Observation) -> dict[str, float]:
-    """Return every residual that the integration itself tells, by its name in the certificate."""
-    cycle = seen.cycle
+def orbit_residuals(
+    dynamics: HybridDynamics, problem: Problem, claim: Claim, seen: Observation
+) -> dict[str, float]:
+    """Return every residual that the integration itself tells, by its name in the certificate.
+
+    Args:
+        dynamics: The system.
+        problem: Its problem.
+        claim: The orbit as claimed.
+        seen: The integration.
+    """
+    first = seen.first
     start = "release" if claim.shape.starts_at_release else "start"
-    if cycle is None:
+    if first is None:
         missing = ["first_impact", "impact_sequence", "closure"]
         missing += ["zeno_point"] if claim.shape.starts_at_release else []
         return {start: _off_section(dynamics, claim, None), **dict.fromkeys(missing, math.inf)}
-    period = claim.period
+    cycle, period = first.cycle, claim.period
     residuals = {
-        start: _off_section(dynamics, claim, cycle),
-        **_hits(claim, cycle),
-        "closure": distance(cycle.end.state, claim.start, cycle.scale),
+        start: _off_section(dynamics, claim, first),
+        **_hits(claim, first),
+        "closure": distance(cycle.end.state, claim.start, first.scale),
         "period": abs(cycle.end.time - period) / period,
-        "drift": max(distance(r.state, claim.start, cycle.scale) for r in seen.returns),
-        "penetration": _penetration(dynamics, cycle),
-        "adhesion": _adhesion(dynamics, cycle),
+        "drift": max(distance(r.state, claim.start, first.scale) for r in seen.returns),
+        "penetration": _penetration(dynamics, first),
+        "adhesion": _adhesion(dynamics, first),
         **_impact_laws(dynamics, cycle.impacts),
     }
     if len(dynamics.holonomic(claim.start)):
         residuals["holonomic"] = max(
-            float(np.max(np.abs(dynamics.holonomic(arc.end_state)))) for arc in cycle.arcs
+            float(np.max(np.abs(dynamics.holonomic(arc.end_state)))) for arc in cycle.execution.arcs
         )
+    if problem.escapes:
+        beyond = escapes_of(problem, first).values()
+        residuals["escape"] = max((excess for excess, _ in beyond), default=0.0)
     return residuals
 
 
-def _hits(claim: Claim, cycle: FirstCycle) -> dict[str, float]:
+def escapes_of(problem: Problem, first: FirstCycle) -> dict[str, tuple[float, str]]:
+    """Return the coordinates that go beyond the escapes that a problem declares.
+
+    Args:
+        problem: The problem.
+        first: The first period.
+
+    Returns:
+        Name of a coordinate to its excess, in units of the escape, and the escape in words.
+    """
+    found: dict[str, tuple[float, str]] = {}
+    for name, largest in zip(problem.state_names, first.largest, strict=True):
+        escape = problem.escapes.get(name)
+        if escape is not None and largest > escape.beyond:
+            found[name] = (float(largest) / escape.beyond - 1.0, escape.phrase)
+    return found
+
+
+def _hits(claim: Claim, first: FirstCycle) -> dict[str, float]:
     """Return how far starts of phases, impacts and Zeno points are from what the orbit says."""
-    period = claim.period
+    period, cycle = claim.period, first.cycle
 
     def miss(time: float, x: Vector, said: tuple[float, Vector]) -> float:
-        return max(abs(time - said[0]) / period, distance(x, said[1], cycle.scale))
+        return max(abs(time - said[0]) / period, distance(x, said[1], first.scale))
 
-    first, later, zenos, starts = list[float](), [0.0], list[float](), [0.0]
+    earliest, later, zenos, starts = list[float](), [0.0], list[float](), [0.0]
     for said, phase in zip(claim.phases, cycle.phases, strict=True):
         starts.append(miss(phase.start.time, phase.start.state, (said.start_time, said.start)))
         hits = [
@@ -60,9 +90,9 @@ def _hits(claim: Claim, cycle: FirstCycle) -> dict[str, float]:
             unseen = said.impacts[len(phase.impacts) :]
             hits += [max(0.0, abs(t - zeno.time) - zeno.tail) / period for t, _ in unseen]
             zenos.append(math.inf if said.zeno is None else miss(zeno.time, zeno.state, said.zeno))
-        first.append(hits[0])
+        earliest.append(hits[0])
         later += hits[1:]
-    found = {"first_impact": max(first), "impact_sequence": max(later)}
+    found = {"first_impact": max(earliest), "impact_sequence": max(later)}
     if zenos:
         found["zeno_point"] = max(zenos)
     if len(claim.phases) > 1:
@@ -70,19 +100,21 @@ def _hits(claim: Claim, cycle: FirstCycle) -> dict[str, float]:
     return found
 
 
-def margins_of(dynamics: HybridDynamics, cycle: FirstCycle | None) -> dict[str, float]:
-    """Return the distances from losing the orbit; none without a first period.
+def margins_of(dynamics: HybridDynamics, first: FirstCycle | None) -> dict[str, float]:
+    """Return the distances from losing the orbit, the smallest over the phases; none without one.
 
-    Each is the smallest over the phases.
+    ``phases_apart`` is 0 if the starts of two alike phases are no farther apart than an orbit is
+    certain: then the period is several of a shorter one.
     """
-    if cycle is None:
+    if first is None:
         return {}
+    cycle = first.cycle
     held = [phase for phase in cycle.phases if phase.zeno is not None]
     struck = [phase for phase in cycle.phases if phase.zeno is None]
     margins: dict[str, float] = {}
     if held:
-        zenos = [phase.zeno for phase in held if phase.zeno is not None]
-        margins["gap_acceleration"] = min(-dynamics.gap_acceleration(z.state) for z in zenos)
+        states = [point.state for point in cycle.zeno_points]
+        margins["gap_acceleration"] = min(-dynamics.gap_acceleration(x) for x in states)
     margins["first_impact_speed"] = min(-p.impacts[0].approach_rate for p in cycle.phases)
     if held:
         margins["release_transversality"] = min(
@@ -93,38 +125,21 @@ def margins_of(dynamics: HybridDynamics, cycle: FirstCycle | None) -> dict[str, 
         )
     if struck and dynamics.restitution == 0.0:
         margins["lets_go"] = min(dynamics.gap_acceleration(phase.end.state) for phase in struck)
-    apart = _apart(cycle)
-    if apart is not None:
-        margins["phases_apart"] = apart
+    apart = cycle.shorter_periods(first.scale)
+    if apart:
+        margins["phases_apart"] = min(apart.values())
     return margins
 
 
-_SAME = 1e-6
-"""Starts of phases that are nearer than this, relative, are the same."""
-
-
-def _apart(cycle: FirstCycle) -> float | None:
-    """Return how far the period is from several of a shorter one; nothing if it cannot be that.
-
-    It is 0 if the starts of two alike phases are no farther apart than an orbit is certain.
-    """
-    shorter = OrbitShape(phases=kinds_of(cycle.phases)).shorter
-    apart = [
-        distance(cycle.phases[one.n_phases].start.state, cycle.phases[0].start.state, cycle.scale)
-        for one in shorter
-    ]
-    return min((d if d > _SAME else 0.0 for d in apart), default=None)
-
-
-def _off_section(dynamics: HybridDynamics, claim: Claim, cycle: FirstCycle | None) -> float:
+def _off_section(dynamics: HybridDynamics, claim: Claim, first: FirstCycle | None) -> float:
     """Return how far the claimed start is from its section.
 
     At a release gap, gap rate and multiplier are zero; just after an impact the gap is, and after a
     plastic one its rate.
     """
-    speed = 1.0 if cycle is None else abs(cycle.impacts[0].approach_rate)
-    gap = 1.0 if cycle is None else cycle.gap_scale
-    force = 1.0 if cycle is None else cycle.force_scale
+    speed = 1.0 if first is None else abs(first.cycle.impacts[0].approach_rate)
+    gap = 1.0 if first is None else first.gap
+    force = 1.0 if first is None else first.force
     off = [abs(dynamics.gap(claim.start)) / gap]
     if claim.shape.starts_at_release or dynamics.restitution == 0.0:
         off.append(abs(dynamics.gap_rate(claim.start)) / speed)
@@ -133,9 +148,9 @@ def _off_section(dynamics: HybridDynamics, claim: Claim, cycle: FirstCycle | Non
     return max(off)
 
 
-def _penetration(dynamics: HybridDynamics, cycle: FirstCycle) -> float:
+def _penetration(dynamics: HybridDynamics, first: FirstCycle) -> float:
     lowest = 0.0
-    for arc in cycle.arcs:
+    for arc in first.cycle.execution.arcs:
         if arc.mode is Mode.FREE and arc.trajectory is not None:
             inside = arc.flow_states[1:-1]
             scaled = inside.shape[1] > len(arc.start_state)
@@ -143,17 +158,17 @@ def _penetration(dynamics: HybridDynamics, cycle: FirstCycle) -> float:
                 gap = float(y[-2]) * arc.time_unit**2 if scaled else dynamics.gap(y)
                 lowest = min(lowest, gap)
             lowest = min(lowest, dynamics.gap(arc.end_state))
-    return abs(lowest) / cycle.gap_scale
+    return abs(lowest) / first.gap
 
 
-def _adhesion(dynamics: HybridDynamics, cycle: FirstCycle) -> float:
+def _adhesion(dynamics: HybridDynamics, first: FirstCycle) -> float:
     forces = [
         dynamics.multiplier(x)
-        for phase in cycle.phases
+        for phase in first.cycle.phases
         if phase.locked is not None
         for x in phase.locked.flow_states
     ]
-    return max(0.0, -min(forces, default=0.0)) / cycle.force_scale
+    return max(0.0, -min(forces, default=0.0)) / first.force
 
 
 def _impact_laws(dynamics: HybridDynamics, impacts: tuple[Impact, ...]) -> dict[str, float]:

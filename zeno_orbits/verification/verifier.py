@@ -8,11 +8,12 @@ happens is held against what the orbit says. Residuals are relative (theory (19)
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.integrators.flow import Tolerance
-from zeno_orbits.model.numeric.compiled import bind, compiled_model, reference_model
+from zeno_orbits.model.library import load_reference
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
@@ -20,6 +21,7 @@ from zeno_orbits.orbits.period import placed
 from zeno_orbits.orbits.poincare import Multipliers, floquet_multipliers
 from zeno_orbits.simulation.simulator import SimulationSettings
 from zeno_orbits.verification.certificate import DeltaCut, OrbitCertificate
+from zeno_orbits.verification.claim import Claim, claim_of
 from zeno_orbits.verification.cross_checks import (
     cut_order,
     delta_sweep,
@@ -27,14 +29,14 @@ from zeno_orbits.verification.cross_checks import (
     imbalance,
     second_model,
 )
-from zeno_orbits.verification.integration import Claim, FirstCycle, claim_of, observe
-from zeno_orbits.verification.residuals import margins_of, orbit_residuals
+from zeno_orbits.verification.integration import FirstCycle, Observation, observe
+from zeno_orbits.verification.residuals import escapes_of, margins_of, orbit_residuals
 from zeno_orbits.work.progress import Progress, silent
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VerificationSettings:
-    """How to check.
+    """How thoroughly to verify.
 
     Attributes:
         tolerance: Largest residual that passes.
@@ -83,54 +85,89 @@ def verify(
     claim = claim_of(orbit, problem)
     if dynamics is None:
         dynamics = problem_dynamics(orbit, problem, use_reference=settings.use_reference)
-
     on_progress("integrating the orbit", None)
     seen = observe(dynamics, claim, settings.simulation, settings.n_periods)
-    residuals = orbit_residuals(dynamics, claim, seen)
+    residuals = orbit_residuals(dynamics, problem, claim, seen)
     multipliers: Multipliers | None = None
-    energies: dict[str, float] = {}
-    sweep: tuple[DeltaCut, ...] = ()
-    if seen.cycle is not None:
-        on_progress("cutting the impact sequence", None)
-        enough = settings.tolerance / 10.0
-        sweep = delta_sweep(dynamics, seen.cycle, settings.cuts, settings.simulation, enough)
-        if sweep:
-            residuals["delta_sweep"] = sweep[-1].error
-        on_progress("balancing the energy", None)
-        try:
-            energies = energies_of(orbit, problem, claim, seen.cycle, settings.simulation)
-            residuals["energy_balance"] = imbalance(energies)
-        except ZenoOrbitsError:
-            residuals["energy_balance"] = math.inf
+    again = _CrossChecks()
+    if seen.first is not None:
+        again = _cross_checks(orbit, problem, dynamics, claim, seen.first, settings, on_progress)
+        residuals |= again.residuals
         residuals["integration"] = seen.integration_error
-        if problem.reference is not None:
-            on_progress("comparing two derivations of the model", None)
-            residuals["second_model"] = second_model(orbit, problem, seen.cycle)
         on_progress("computing the multipliers", None)
-        multipliers = _multipliers(dynamics, claim, seen.cycle, settings, seen.integration_error)
+        multipliers = _multipliers(dynamics, claim, seen.first, settings, seen.integration_error)
     stable = multipliers is not None and multipliers.spectral_radius < 1.0
     trouble = seen.trouble
     if not stable:
         # Rounding grows along an unstable orbit: later returns say nothing of it.
         residuals.pop("drift", None)
         trouble = trouble if multipliers is None else ""
+    clauses = [trouble, *_contradictions(claim, problem, dynamics, seen)]
     return OrbitCertificate(
         tolerance=settings.tolerance,
         residuals=residuals,
-        margins=margins_of(dynamics, seen.cycle),
-        energies=energies,
+        margins=margins_of(dynamics, seen.first),
+        energies=again.energies,
         multipliers=() if multipliers is None else multipliers.values,
         multiplier_error=math.inf if multipliers is None else multipliers.error,
-        delta_sweep=sweep,
-        delta_order=cut_order(sweep, seen.integration_error),
+        delta_sweep=again.sweep,
+        delta_order=cut_order(again.sweep, seen.integration_error),
         integration_error=seen.integration_error,
-        zeno_error=math.inf if seen.cycle is None else seen.cycle.zeno_error,
-        period=math.nan if seen.cycle is None else seen.cycle.end.time,
+        zeno_error=math.inf if seen.first is None else seen.first.zeno_error,
+        period=math.nan if seen.first is None else seen.first.cycle.end.time,
         n_periods=settings.n_periods,
         model="reference" if settings.use_reference else "derived",
-        trouble=trouble,
+        trouble="; ".join(clause for clause in clauses if clause),
         shape=claim.shape.text,
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _CrossChecks:
+    """Results of the integrations that repeat the first period in another way."""
+
+    residuals: dict[str, float] = field(default_factory=dict[str, float])
+    energies: dict[str, float] = field(default_factory=dict[str, float])
+    sweep: tuple[DeltaCut, ...] = ()
+
+
+def _cross_checks(
+    orbit: ZenoOrbit,
+    problem: Problem,
+    dynamics: HybridDynamics,
+    claim: Claim,
+    first: FirstCycle,
+    settings: VerificationSettings,
+    on_progress: Progress,
+) -> _CrossChecks:
+    simulation, residuals = settings.simulation, dict[str, float]()
+    on_progress("cutting the impact sequence", None)
+    sweep = delta_sweep(dynamics, first, settings.cuts, simulation, settings.tolerance / 10.0)
+    if sweep:
+        residuals["delta_sweep"] = sweep[-1].error
+    on_progress("balancing the energy", None)
+    energies: dict[str, float] = {}
+    try:
+        energies = energies_of(orbit, problem, claim, first.cycle, simulation)
+        residuals["energy_balance"] = imbalance(energies)
+    except ZenoOrbitsError:
+        residuals["energy_balance"] = math.inf
+    if problem.reference is not None:
+        on_progress("comparing two derivations of the model", None)
+        residuals["second_model"] = second_model(orbit, problem, first.cycle)
+    return _CrossChecks(residuals=residuals, energies=energies, sweep=sweep)
+
+
+def _contradictions(
+    claim: Claim, problem: Problem, dynamics: HybridDynamics, seen: Observation
+) -> Iterator[str]:
+    """Yield the clauses on what an orbit says of itself, and on coordinates that escape."""
+    shape = claim.shape.at_restitution(dynamics.restitution)
+    if shape != claim.shape:
+        at = f"at restitution {dynamics.restitution:g} it is `{shape.text}`"
+        yield f"the orbit says that its shape is `{claim.shape.text}`, but {at}"
+    if seen.first is not None:
+        yield from (phrase for _, phrase in escapes_of(problem, seen.first).values())
 
 
 def certified(orbit: ZenoOrbit, certificate: OrbitCertificate) -> ZenoOrbit:
@@ -157,14 +194,14 @@ def problem_dynamics(
     """
     values = orbit.values(problem)
     if use_reference:
-        return reference_model(problem)(values)
-    return bind(compiled_model(problem), values.vector)
+        return load_reference(problem).dynamics(values)
+    return problem.dynamics(values)
 
 
 def _multipliers(
     dynamics: HybridDynamics,
     claim: Claim,
-    cycle: FirstCycle,
+    first: FirstCycle,
     settings: VerificationSettings,
     integration_error: float,
 ) -> Multipliers | None:
@@ -172,8 +209,8 @@ def _multipliers(
         return floquet_multipliers(
             dynamics,
             placed(dynamics, claim.shape, claim.start),
-            scale=cycle.scale,
-            period=cycle.end.time,
+            scale=first.scale,
+            period=first.cycle.end.time,
             settings=replace(
                 settings.simulation, tolerance=_no_finer(settings.simulation.tolerance)
             ),

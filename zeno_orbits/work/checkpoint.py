@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import Any, cast
 
 from zeno_orbits.errors import CheckpointError
-from zeno_orbits.work.files import write_whole
+from zeno_orbits.work.files import read_object, write_whole
 from zeno_orbits.work.plan import Lost
-from zeno_orbits.work.serialization import read_object
 
 FORMAT = 1
 """Version of the files in the folder."""

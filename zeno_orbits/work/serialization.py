@@ -256,55 +256,6 @@ def _shown(data: Any) -> str:
     return text if len(text) <= _MOST_SHOWN else f"{text[:_MOST_SHOWN]}..."
 
 
-def read_json(path: Path) -> Any:
-    """Return the data of a JSON file; a name may stand in an object only once.
-
-    Args:
-        path: The file, in UTF-8.
-
-    Raises:
-        ValueError: Why it has none, as a clause about the file.
-    """
-    try:
-        return json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_once)
-    except OSError as error:
-        raise ValueError(f"it cannot be read ({error.strerror})") from error
-    except UnicodeDecodeError as error:
-        raise ValueError("it is no text in UTF-8") from error
-    except _TwiceError:
-        raise
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"it is no complete JSON ({error})") from error
-
-
-def read_object(path: Path) -> dict[str, Any]:
-    """Return the names and values of a JSON file.
-
-    Args:
-        path: The file, in UTF-8.
-
-    Raises:
-        ValueError: Why it has none, as a clause about the file.
-    """
-    entries = read_json(path)
-    if not isinstance(entries, dict):
-        raise ValueError("it is no object with names")  # noqa: TRY004 (a fault of the file)
-    return cast("dict[str, Any]", entries)
-
-
-class _TwiceError(ValueError):
-    """A name stands twice in an object."""
-
-
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    entries = dict(pairs)
-    if len(entries) != len(pairs):
-        words = [word for word, _ in pairs]
-        twice = next(word for word in words if words.count(word) > 1)
-        raise _TwiceError(f"it names `{twice}` twice in one object")
-    return entries
-
-
 class Entries:
     """Reads entries of one file.
 

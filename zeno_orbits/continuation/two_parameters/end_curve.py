@@ -6,6 +6,7 @@ anew as one of a family along that line. Theory (40), (42).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,7 @@ from zeno_orbits.continuation.return_maps import Loss, Margin, ReturnMap
 from zeno_orbits.continuation.special_points import INSIDE, Located, TestFunction, located_near
 from zeno_orbits.continuation.two_parameters.plane import CurveSteps, OnLine, Plane, Tell
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
+from zeno_orbits.orbits.path import Step, StepControl, StepError, follow_path
 from zeno_orbits.orbits.section import Line
 
 
@@ -74,6 +76,7 @@ class SecantCurve:
     ) -> None:
         self.plane, self.on_line, self.metric, self.kind = plane, on_line, metric, kind
         self.steps, self.tell, self.place = steps, tell, place
+        self.forward = np.zeros(2)
 
     def run(self, first: Spot, *, upwards: bool) -> tuple[list[Spot], str]:
         """Return the curve from a point in one direction, and why it ends."""
@@ -81,7 +84,13 @@ class SecantCurve:
             heading = self._heading(first)
         except ZenoOrbitsError as error:
             return [first], f"{Kind.GAVE_UP.value}: {error}"
-        return self._run(first, heading if upwards else -heading)
+        self.forward = heading if upwards else -heading
+        steps = self.steps
+        control = StepControl(
+            first=steps.first, longest=steps.longest, shortest=steps.shortest, most=steps.most
+        )
+        path = follow_path(first, control, self._advance, give_up=self._last_end)
+        return list(path.points), path.end or f"{steps.most} steps"
 
     def _heading(self, first: Spot) -> Vector:
         """Return the direction in which the curve leaves its first point, upwards if it may.
@@ -108,54 +117,41 @@ class SecantCurve:
             step /= 8
         raise SimulationError(trouble, time=0.0, state=())
 
-    def _run(self, first: Spot, forward: Vector) -> tuple[list[Spot], str]:
-        spots = [first]
-        step, trouble = self.steps.first, ""
-        while len(spots) <= self.steps.most:
-            last = spots[-1]
-            at = last.at + step * forward
-            if not self.plane.holds(at):
-                reach = self._to_edge(last.at, forward)
-                if reach < self.steps.shortest or reach > step:
-                    return spots, Kind.BOUND.value
-                at = last.at + reach * forward
-            try:
-                new = self._located(last, at, forward, spots)
-            except ZenoOrbitsError as error:
-                new, trouble = None, str(error)
-            if new is not None and not self._fits(last, new, at, forward):
-                if float(np.linalg.norm(new.at - at)) < step:
-                    # A chord tells less of the direction at its end than what was just found.
-                    forward = (new.at - last.at) / np.linalg.norm(new.at - last.at)
-                new, trouble = None, "the curve bends too fast"
-            if new is not None and not 1 / _LIKE < new.located.period / last.located.period < _LIKE:
-                new, trouble = None, "the period is another one"
-            if new is not None and new.amplitude < last.amplitude / _LIKE:
-                new, trouble = None, "the orbit collapses"
-            if new is not None and not self.plane.holds(new.at):
-                # The curve leaves the plane beside the place that was predicted.
-                new, trouble = None, Kind.BOUND.value
-            if new is None:
-                step /= 2
-                if step < self.steps.shortest:
-                    return spots, self._ending(spots, trouble)
-                continue
-            strayed = float(np.linalg.norm(new.at - at))
-            forward = (new.at - last.at) / np.linalg.norm(new.at - last.at)
-            spots.append(new)
-            values = new.at * self.plane.units
-            self.tell(f"{self.kind.value} at {values[0]:.6g}, {values[1]:.6g}", None)
-            if strayed < self.steps.bend * step / 3:
-                step = min(1.5 * step, self.steps.longest)
-        return spots, f"{self.steps.most} steps"
+    def _advance(self, spots: Sequence[Spot], step: float) -> Step[Spot, str]:
+        """Return the next point on the line across the curve a step ahead."""
+        last, forward = spots[-1], self.forward
+        at = last.at + step * forward
+        if not self.plane.holds(at):
+            reach = self._to_edge(last.at, forward)
+            if reach < self.steps.shortest or reach > step:
+                return Step(end=Kind.BOUND.value)
+            at = last.at + reach * forward
+        new = self._located(last, at, forward, spots)
+        strayed = float(np.linalg.norm(new.at - at))
+        if not self._fits(last, new, at, forward):
+            if strayed < step:
+                # A chord tells less of the direction at its end than what was just found.
+                self.forward = _direction(last, new)
+            raise StepError("the curve bends too fast")
+        if not 1 / _LIKE < new.located.period / last.located.period < _LIKE:
+            raise StepError("the period is another one")
+        if new.amplitude < last.amplitude / _LIKE:
+            raise StepError("the orbit collapses")
+        if not self.plane.holds(new.at):
+            # The curve leaves the plane beside the place that was predicted.
+            raise StepError(Kind.BOUND.value)
+        self.forward = _direction(last, new)
+        values = new.at * self.plane.units
+        self.tell(f"{self.kind.value} at {values[0]:.6g}, {values[1]:.6g}", None)
+        return Step(points=(new,), easy=strayed < self.steps.bend * step / 3)
 
-    def _ending(self, spots: list[Spot], trouble: str) -> str:
-        """Return why no point follows."""
+    def _last_end(self, spots: Sequence[Spot], trouble: str) -> Step[Spot, str]:
+        """Return the end where no step is possible."""
         if trouble == Kind.BOUND.value:
-            return trouble
+            return Step(end=trouble)
         way = [Stage(z=spot.at, margins=self._others(spot)) for spot in spots]
         met = meeting(way, self.plane.restitution_at(spots[-1].at))
-        return met or f"{Kind.GAVE_UP.value}: {trouble}"
+        return Step(end=met or f"{Kind.GAVE_UP.value}: {trouble}")
 
     def _others(self, spot: Spot) -> dict[Margin, float]:
         """Return what is left at a point beside what vanishes on the curve."""
@@ -178,7 +174,7 @@ class SecantCurve:
         near = float(np.linalg.norm(new.at - at)) < self.steps.bend * step
         return near and float((new.at - last.at) @ forward) > 0.0
 
-    def _located(self, last: Spot, at: Vector, forward: Vector, spots: list[Spot]) -> Spot:
+    def _located(self, last: Spot, at: Vector, forward: Vector, spots: Sequence[Spot]) -> Spot:
         """Return the special point on the line across the curve through a place."""
         across = np.array([forward[1], -forward[0]])
         line = self.plane.line(at, across)
@@ -249,6 +245,12 @@ class SecantCurve:
         if not 1 / _LIKE < left / before.left < _LIKE:
             raise SimulationError("The family ahead of the end is another", time=0.0, state=())
         return point
+
+
+def _direction(last: Spot, new: Spot) -> Vector:
+    """Return the direction of the chord between two points, ``(2,)``."""
+    chord = new.at - last.at
+    return np.asarray(chord / np.linalg.norm(chord), dtype=np.float64)
 
 
 def _margin(kind: Kind, place: int) -> Margin:

@@ -6,24 +6,27 @@ plane, but none in the space in which it is followed. Theory (40).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.continuation.branch import jumped
-from zeno_orbits.continuation.corrector import Metric, is_back
+from zeno_orbits.continuation.branch import require_continuous
+from zeno_orbits.continuation.corrector import Metric
 from zeno_orbits.continuation.families import HalfCurve, Kind
 from zeno_orbits.continuation.margins import CLOSE, Stage, meeting
 from zeno_orbits.continuation.special_points import Located
 from zeno_orbits.continuation.two_parameters.fold_flip_point import CriticalPoint, CriticalSystem
 from zeno_orbits.continuation.two_parameters.plane import CurveSteps, OnLine, Plane, Tell
-from zeno_orbits.errors import SimulationError, ZenoOrbitsError
+from zeno_orbits.errors import SimulationError
+from zeno_orbits.orbits.path import Step, StepControl, StepError, follow_path, returns_to_start
 
 CRITICAL = {Kind.FOLD: 1.0, Kind.FLIP: -1.0}
 """Kinds of points that are followed so, and the multiplier that they have."""
 
-_GROWTH, _EASY = 1.5, 0.4
+_EASY = 0.4
+"""Part of the allowed turn and stray that an easy step uses at most."""
 _FAR = 2.0
 """How many steps off a neighbour may be, on a bound for instance."""
 _SMOOTH = 5.0
@@ -102,63 +105,66 @@ def curve_from(
     system: CriticalSystem, start: CriticalPoint, kind: Kind, steps: CurveSteps, tell: Tell
 ) -> CriticalCurve:
     """Return the curve from a point along its tangent."""
-    return _Walk(system, start, kind, steps, tell).run()
+    follower = _Follower(system, kind, steps, tell)
+    control = StepControl(
+        first=steps.first, longest=steps.longest, shortest=steps.least_arc, most=steps.most_arcs
+    )
+    path = follow_path(
+        start,
+        control,
+        follower.advance,
+        shortened=follower.end_ahead,
+        give_up=follower.last_end,
+    )
+    return CriticalCurve(
+        points=path.points,
+        cusps=tuple(follower.cusps),
+        end=path.end or f"{steps.most_arcs} steps",
+    )
 
 
-class _Walk:
-    """A curve in the making."""
+class _Follower:
+    """The steps along a curve, and the cusps passed so far."""
 
-    def __init__(
-        self,
-        system: CriticalSystem,
-        start: CriticalPoint,
-        kind: Kind,
-        steps: CurveSteps,
-        tell: Tell,
-    ) -> None:
+    def __init__(self, system: CriticalSystem, kind: Kind, steps: CurveSteps, tell: Tell) -> None:
         self.system, self.kind, self.steps, self.tell = system, kind, steps, tell
-        self.points, self.cusps = [start], list[int]()
+        self.cusps = list[int]()
 
-    def run(self) -> CriticalCurve:
-        """Return the curve."""
-        step, trouble = self.steps.first, ""
-        while len(self.points) <= self.steps.most_arcs:
-            new, at_bound, cusp = None, False, None
-            try:
-                new, at_bound = self._stepped(step)
-                trouble = "" if new is None else self._objection(new, step)
-                if new is not None and not trouble:
-                    cusp = self._cusp_before(new)
-            except ZenoOrbitsError as error:
-                new, trouble = None, str(error)
-            if new is None and at_bound:
-                return self._curve(Kind.BOUND.value)
-            if new is None or trouble:
-                step /= 2
-                if step < _REACHED:
-                    met = self._meeting(10 * _REACHED)
-                    if met:
-                        return self._curve(met)
-                if step < self.steps.least_arc:
-                    return self._curve(self._meeting() or f"{Kind.GAVE_UP.value}: {trouble}")
-                continue
-            easy = self._ease(new) < _EASY
-            self._accept(new, cusp)
-            if at_bound:
-                return self._curve(Kind.BOUND.value)
-            if is_back(self.points, self.steps.bend, self.steps.turn):
-                self.points[-1] = self.points[0]
-                return self._curve(Kind.CLOSED.value)
-            if easy:
-                step = min(_GROWTH * step, self.steps.longest)
-        return self._curve(f"{self.steps.most_arcs} steps")
+    def advance(self, points: Sequence[CriticalPoint], step: float) -> Step[CriticalPoint, str]:
+        """Return the next point, and a cusp before it if there is one."""
+        last = points[-1]
+        new, at_bound = self._predicted(last, step)
+        if new is None:
+            return Step(end=Kind.BOUND.value)
+        self._require_neighbour(last, new, step)
+        cusp = self._cusp_between(last, new)
+        if cusp is not None:
+            self.cusps.append(len(points))
+            self._tell_of("cusp", cusp)
+        self._tell_of(self.kind.value, new)
+        passed = () if cusp is None else (cusp,)
+        if at_bound:
+            return Step(points=(*passed, new), end=Kind.BOUND.value)
+        if returns_to_start((*points, *passed, new), self.steps.bend, self.steps.turn):
+            return Step(points=(*passed, points[0]), end=Kind.CLOSED.value)
+        return Step(points=(*passed, new), easy=self._effort(last, new) < _EASY)
 
-    def _stepped(self, step: float) -> tuple[CriticalPoint | None, bool]:
-        """Return the next point, and whether it lies on a bound; none if the last one does."""
-        last, plane = self.points[-1], self.system.plane
+    def end_ahead(self, points: Sequence[CriticalPoint], step: float) -> Step[CriticalPoint, str]:
+        """Return the end if the steps became short because something else is lost there."""
+        if step < _REACHED:
+            return Step(end=self._meeting(points, 10 * _REACHED) or None)
+        return Step()
+
+    def last_end(self, points: Sequence[CriticalPoint], trouble: str) -> Step[CriticalPoint, str]:
+        """Return the end where no step is possible."""
+        return Step(end=self._meeting(points) or f"{Kind.GAVE_UP.value}: {trouble}")
+
+    def _predicted(self, last: CriticalPoint, step: float) -> tuple[CriticalPoint | None, bool]:
+        """Return the next point, and True if it lies on a bound; no point if the last one does."""
+        plane = self.system.plane
         z = last.z + step * last.tangent
         if plane.holds(z[-2:]):
-            new = self._corrected(z, last.tangent)
+            new = self._corrected(last, z, last.tangent)
             if plane.holds(new.at):
                 return new, False
             z = new.z
@@ -174,58 +180,45 @@ class _Walk:
             return None, True
         normal = np.zeros(z.size)
         normal[k - 2] = 1.0
-        new = self._corrected(last.z + part * (z - last.z), normal)
+        new = self._corrected(last, last.z + part * (z - last.z), normal)
         if not plane.holds(new.at):
             raise SimulationError("The curve leaves the ranges at a corner", time=0.0, state=())
         return new, True
 
-    def _corrected(self, z: Vector, normal: Vector) -> CriticalPoint:
-        last = self.points[-1]
+    def _corrected(self, last: CriticalPoint, z: Vector, normal: Vector) -> CriticalPoint:
         return self.system.corrected(z, normal, last.gradient, last.tangent)
 
-    def _objection(self, new: CriticalPoint, step: float) -> str:
-        """Return why a point is no neighbour of the last one, or nothing."""
-        last, steps = self.points[-1], self.steps
+    def _require_neighbour(self, last: CriticalPoint, new: CriticalPoint, step: float) -> None:
+        """Refuse a point that is no neighbour of the last one."""
+        steps = self.steps
         if not 0.0 < float((new.z - last.z) @ last.tangent) < _FAR * step:
-            return "the steps lead to another point"
+            raise StepError("the steps lead to another point")
         if float(new.tangent @ last.tangent) < np.cos(steps.turn):
-            return "the curve turns too fast"
+            raise StepError("the curve turns too fast")
         if self.kind is Kind.FOLD and abs(float(new.normal @ last.normal)) < np.cos(steps.turn):
-            return "the curve turns too fast in the plane"
-        if self._stray(new) > steps.bend:
-            return "the curve bends too fast"
+            raise StepError("the curve turns too fast in the plane")
+        if _stray(last, new) > steps.bend:
+            raise StepError("the curve bends too fast")
         growth = float(np.linalg.norm(new.gradient) / np.linalg.norm(last.gradient))
         if not 1 / _SMOOTH < growth < _SMOOTH:
-            return "the test function is not smooth"
-        return jumped(last.found, new.found)
+            raise StepError("the test function is not smooth")
+        require_continuous(last.found, new.found)
 
-    def _stray(self, new: CriticalPoint) -> float:
-        """Return how far two points lie from each other's tangents, as part of their distance."""
-        last = self.points[-1]
-        step = new.z - last.z
-        length = float(np.linalg.norm(step)) or 1.0
-        return max(
-            float(np.linalg.norm(step - (step @ tangent) * tangent)) / length
-            for tangent in (last.tangent, new.tangent)
-        )
-
-    def _ease(self, new: CriticalPoint) -> float:
-        """Return how much of what a step may bend this one did."""
-        last, steps = self.points[-1], self.steps
+    def _effort(self, last: CriticalPoint, new: CriticalPoint) -> float:
+        """Return the turn and stray of a step, as part of what is allowed."""
         angles = [float(new.tangent @ last.tangent)]
         if self.kind is Kind.FOLD:
             angles.append(abs(float(new.normal @ last.normal)))
-        turn = max(float(np.arccos(min(1.0, angle))) for angle in angles) / steps.turn
-        return max(turn, self._stray(new) / steps.bend)
+        turn = max(float(np.arccos(min(1.0, angle))) for angle in angles) / self.steps.turn
+        return max(turn, _stray(last, new) / self.steps.bend)
 
-    def _cusp_before(self, new: CriticalPoint) -> CriticalPoint | None:
-        """Return the cusp between the last point and a new one, if there is one.
+    def _cusp_between(self, last: CriticalPoint, new: CriticalPoint) -> CriticalPoint | None:
+        """Return the cusp between two neighbours, if there is one.
 
         The parameters move at right angles to the normal, and stand still where two folds meet.
         """
         from scipy.optimize import brentq
 
-        last = self.points[-1]
         if self.kind is not Kind.FOLD or _speed(last, last) * _speed(new, last) >= 0.0:
             return None
         known = {0.0: last, 1.0: new}
@@ -233,31 +226,30 @@ class _Walk:
         def speed_at(part: float) -> float:
             if part not in known:
                 z = last.z + part * (new.z - last.z)
-                known[part] = self._corrected(z, new.z - last.z)
+                known[part] = self._corrected(last, z, new.z - last.z)
             return _speed(known[part], last)
 
         root = float(brentq(speed_at, 0.0, 1.0, xtol=_FOUND))
         return min(known.items(), key=lambda item: abs(item[0] - root))[1]
 
-    def _accept(self, new: CriticalPoint, cusp: CriticalPoint | None) -> None:
-        if cusp is not None:
-            self.cusps.append(len(self.points))
-            self.points.append(cusp)
-            self._tell_of("cusp", cusp)
-        self.points.append(new)
-        self._tell_of(self.kind.value, new)
-
     def _tell_of(self, word: str, point: CriticalPoint) -> None:
         values = point.at * self.system.plane.units
         self.tell(f"{word} at {values[0]:.6g}, {values[1]:.6g}", None)
 
-    def _meeting(self, within: float = CLOSE) -> str:
+    def _meeting(self, points: Sequence[CriticalPoint], within: float = CLOSE) -> str:
         """Return what else is lost near the last point, if something is."""
-        way = [Stage(z=point.z, margins=point.found.margins) for point in self.points]
-        return meeting(way, self.system.plane.restitution_at(self.points[-1].at), within)
+        way = [Stage(z=point.z, margins=point.found.margins) for point in points]
+        return meeting(way, self.system.plane.restitution_at(points[-1].at), within)
 
-    def _curve(self, end: str) -> CriticalCurve:
-        return CriticalCurve(points=tuple(self.points), cusps=tuple(self.cusps), end=end)
+
+def _stray(last: CriticalPoint, new: CriticalPoint) -> float:
+    """Return how far two points lie from each other's tangents, as part of their distance."""
+    step = new.z - last.z
+    length = float(np.linalg.norm(step)) or 1.0
+    return max(
+        float(np.linalg.norm(step - (step @ tangent) * tangent)) / length
+        for tangent in (last.tangent, new.tangent)
+    )
 
 
 def _speed(point: CriticalPoint, other: CriticalPoint) -> float:

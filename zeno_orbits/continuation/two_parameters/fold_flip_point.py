@@ -229,7 +229,7 @@ def _seen(system: CriticalSystem, x: Vector, at: Vector) -> _Look:
         x=x,
         at=at,
         z=np.concatenate([x / scale, at]),
-        missed=here.coordinates(found.end - x),
+        missed=here.components(found.end - x),
         test=_test(rows, system.multiplier),
         rows=rows,
         basis=basis,

@@ -19,7 +19,6 @@ from zeno_orbits.experiment.orbit_table import (
     measurement,
 )
 from zeno_orbits.experiment.recordings.recording import Recording
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.model.problem import Problem
 
 _AT_ONCE = 1 << 18
@@ -106,7 +105,7 @@ def gap_model(table: OrbitTable, problem: Problem, period: float) -> GapModel:
         problem: Its problem.
         period: Of the recording [s].
     """
-    dynamics = bind(compiled_model(problem), tuple(table.p.tolist()))
+    dynamics = problem.dynamics(table.p)
     column = [table.measured.names.index(GAP)]
     cycle, stretch = table.cycle, period / table.period
     starts = [cycle.start.time, *(impact.time for impact in cycle.impacts)]

@@ -24,7 +24,6 @@ from zeno_orbits.experiment.comparison.deviations import (
 )
 from zeno_orbits.experiment.comparison.stop_level import Stop
 from zeno_orbits.experiment.orbit_table import OrbitTable, measurable
-from zeno_orbits.model.numeric.compiled import compiled_model
 from zeno_orbits.model.problem import Problem
 
 _BIASED = 0.25
@@ -207,7 +206,7 @@ def portraits_of(problem: Problem, names: Sequence[str]) -> tuple[Portrait, ...]
         problem: The problem.
         names: Of the recorded signals.
     """
-    n_q = compiled_model(problem).n_q
+    n_q = problem.compiled().n_q
     coordinates, velocities = problem.state_names[:n_q], problem.state_names[n_q : 2 * n_q]
     found: list[Portrait] = []
     for first, second in problem.portraits:

@@ -34,7 +34,7 @@ from zeno_orbits.experiment.orbit_table import measurement
 from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.search.closing import close_orbit, orbit_of
+from zeno_orbits.search import close_orbit, orbit_of
 from zeno_orbits.work.progress import Progress, silent
 
 __all__ = ["Fitted", "Identification", "Sought", "UnfittableError", "identify"]

@@ -14,11 +14,10 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.identification.folding import Fold, Folded
 from zeno_orbits.experiment.identification.orbit_sensitivity import OrbitSlope, orbit_slope
 from zeno_orbits.experiment.orbit_table import Measurement, OrbitTable, tabulated
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.cycle import Cycle
-from zeno_orbits.search.closing import close_cycle
+from zeno_orbits.search import close_cycle
 from zeno_orbits.simulation.simulator import SimulationSettings
 
 _KEPT = 8
@@ -156,7 +155,7 @@ class Predictions:
         return self._moving[key]
 
     def _dynamics(self, p: Vector) -> HybridDynamics:
-        return bind(compiled_model(self._problem), tuple(p.tolist()))
+        return self._problem.dynamics(p)
 
 
 def _forget(known: dict[bytes, Any]) -> None:

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.rig.cycles import RigCycle, SettledRig
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.simulation.simulator import simulate
@@ -102,7 +101,7 @@ def orbit_curve(orbit: ZenoOrbit, problem: Problem, *, n_per_arc: int = _SAMPLES
         problem: Its problem.
         n_per_arc: Points on every arc.
     """
-    dynamics = bind(compiled_model(problem), orbit.values(problem).vector)
+    dynamics = problem.dynamics(orbit.values(problem))
     start = problem.state_vector(orbit.release_state)
     times, states = simulate(dynamics, start, until=orbit.period).sampled(n_per_arc)
     spans = np.ptp(states, axis=0)
@@ -164,7 +163,7 @@ class CycleNumbers:
 
 def numbers_of_orbit(orbit: ZenoOrbit, problem: Problem) -> CycleNumbers:
     """Return what an orbit of the model is known by."""
-    dynamics = bind(compiled_model(problem), orbit.values(problem).vector)
+    dynamics = problem.dynamics(orbit.values(problem))
     first = orbit.impacts[0]
     return CycleNumbers(
         impact_time=first.time,

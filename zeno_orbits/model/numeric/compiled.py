@@ -1,11 +1,8 @@
-"""From expressions to numbers: here and in `flows` a model becomes CasADi functions.
-
-Compiled problems, built once: to build one takes as long as to simulate a period of it.
-"""
+"""From expressions to numbers: here and in `compiled_flow` a model becomes CasADi functions."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -15,7 +12,6 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators.flow import GuardedFlow
 from zeno_orbits.model.hybrid import CompletedSystem
-from zeno_orbits.model.library import load_reference
 from zeno_orbits.model.numeric.calls import Call, ResetCall, RestingCall
 from zeno_orbits.model.numeric.compiled_derivatives import CompiledDifferentials, PointFunctions
 from zeno_orbits.model.numeric.compiled_flow import (
@@ -27,7 +23,6 @@ from zeno_orbits.model.numeric.compiled_flow import (
 )
 from zeno_orbits.model.numeric.derivatives import Differentiation
 from zeno_orbits.model.numeric.hybrid_dynamics import FusedResting, HybridDynamics
-from zeno_orbits.model.problem import ParameterValues, Problem
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,26 +76,6 @@ class CompiledSystem:
     def n_x(self) -> int:
         """Number of states."""
         return len(self.state_names)
-
-
-def compile_problem(
-    problem: Problem, transform: Callable[[CompletedSystem], CompletedSystem] | None = None
-) -> CompiledSystem:
-    """Build the functions of a problem.
-
-    Args:
-        problem: The problem.
-        transform: A change of the completed system first, ``hybrid.audited`` for instance, which
-            may append states.
-    """
-    symbols = problem.symbols()
-    system = problem.model(symbols)
-    names = problem.state_names
-    if transform is not None:
-        system = transform(system)
-        extra = system.state.numel() - len(names)
-        names = (*names, *(f"ledger{k}" for k in range(extra)))
-    return compile_system(system, symbols, names)
 
 
 def compile_system(
@@ -163,49 +138,28 @@ def compile_system(
     )
 
 
-def output_values(problem: Problem, values: ParameterValues, states: Vector) -> Vector:
-    """Return the outputs of a problem at states.
+def tabulate(
+    formula: ca.SX,
+    system: CompletedSystem,
+    symbols: Mapping[str, ca.SX],
+    values: Sequence[float],
+    states: Vector,
+) -> Vector:
+    """Return a formula's entries at states.
 
     Args:
-        problem: The problem.
-        values: Its numbers.
+        formula: A column of expressions in the system's states and named parameters, ``(m,)``.
+        system: The completed system.
+        symbols: Its named parameters, in the order of ``values``.
+        values: Their numbers.
         states: ``(n, n_x)``.
 
     Returns:
-        One column an output, ``(n, n_outputs)``.
+        One row a state, ``(n, m)``.
     """
-    symbols = problem.symbols()
-    system = problem.model(symbols)
-    formulas = ca.vertcat(*problem.output_formulas(system, symbols))
     inputs = [system.state, ca.vertcat(*symbols.values())]
-    function = dense_function("outputs", inputs, [formulas])
-    outputs = Call(function, np.asarray(values.vector, dtype=np.float64))
-    return np.array([outputs(x).copy() for x in states])
-
-
-def drawn_lines(problem: Problem, values: ParameterValues, states: Vector) -> dict[str, Vector]:
-    """Return the lines of a problem's drawing at states.
-
-    Args:
-        problem: The problem; it has a drawing.
-        values: Its numbers.
-        states: ``(n, n_x)``.
-
-    Returns:
-        Name of a line to its corners, ``(n, n_corners, 2)`` [m].
-    """
-    symbols = problem.symbols()
-    system = problem.model(symbols)
-    lines = problem.lines(system, symbols)
-    flat = ca.vertcat(*(ca.vec(corners.T) for corners in lines.values()))
-    inputs = [system.state, ca.vertcat(*symbols.values())]
-    call = Call(
-        dense_function("lines", inputs, [flat]), np.asarray(values.vector, dtype=np.float64)
-    )
-    entries = np.array([call(x).copy() for x in states])
-    ends = np.cumsum([corners.numel() for corners in lines.values()])
-    parts = np.split(entries, ends[:-1], axis=1)
-    return {name: part.reshape(len(states), -1, 2) for name, part in zip(lines, parts, strict=True)}
+    call = Call(dense_function("table", inputs, [formula]), np.asarray(values, dtype=np.float64))
+    return np.array([call(x).copy() for x in states])
 
 
 def _reset(system: CompletedSystem, approach_rate: ca.SX) -> ca.SX:
@@ -228,14 +182,14 @@ def _resting(system: CompletedSystem) -> tuple[ca.SX, ca.SX, ca.SX]:
     return resting, acceleration, locked
 
 
-def bind(compiled: CompiledSystem, values: Sequence[float]) -> HybridDynamics:
+def bind(compiled: CompiledSystem, values: Sequence[float] | Vector) -> HybridDynamics:
     """Return the system at fixed numbers for gains and parameters.
 
     Args:
         compiled: The functions.
         values: ``p``, gains then parameters.
     """
-    p = np.asarray(values, dtype=np.float64)
+    p = np.array(values, dtype=np.float64)
     contact = Call(compiled.contact, p)
     impulse = Call(compiled.impulse, p)
     energy = Call(compiled.energy, p)
@@ -275,36 +229,3 @@ def bind(compiled: CompiledSystem, values: Sequence[float]) -> HybridDynamics:
 
     derivable = Differentiation(by=derivatives, parts=plain.derivable_parts)
     return replace(plain, fused_resting=at_rest, differentiation=derivable)
-
-
-_MOST = 16
-"""Compiled problems that are remembered; a session that makes thousands must not keep them all."""
-
-
-@lru_cache(maxsize=_MOST)
-def compiled_model(
-    problem: Problem, transform: Callable[[CompletedSystem], CompletedSystem] | None = None
-) -> CompiledSystem:
-    """Return the functions of a problem, the same ones for the same problem and transform.
-
-    A problem never changes and its functions hold symbols for all numbers, so they may be shared;
-    what is bound to numbers has memory of its own.
-
-    Args:
-        problem: The problem; another object is another problem, however alike.
-        transform: A change of the completed system first, a function of a module.
-    """
-    return compile_problem(problem, transform)
-
-
-@lru_cache(maxsize=_MOST)
-def reference_model(problem: Problem) -> Callable[[ParameterValues], HybridDynamics]:
-    """Return the hand-written model of a problem as a function of its numbers.
-
-    Its file is read once for each problem, as the problem's own was.
-
-    Raises:
-        InputError: If the problem has none.
-        ProblemFileError: If its file does not load.
-    """
-    return load_reference(problem).dynamics

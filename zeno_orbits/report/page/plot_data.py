@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model.numeric.compiled import output_values
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.precision.work_precision import SAME_WORK, Trade
 from zeno_orbits.report.page.subject import Subject
@@ -118,7 +117,7 @@ def _series(subject: Subject, execution: Execution) -> dict[str, Any]:
     entries = [[states[:, row] for _, _, states in paths] for row in rows]
     if problem.outputs:
         values = subject.orbit.values(problem)
-        outputs = [output_values(problem, values, x[:, : len(names)]) for _, _, x in paths]
+        outputs = [problem.output_values(values, x[:, : len(names)]) for _, _, x in paths]
         for k, output in enumerate(problem.outputs):
             labels.append(escape(f"{output.name.replace('_', ' ')} [{output.unit}]"))
             entries.append([column[:, k] for column in outputs])

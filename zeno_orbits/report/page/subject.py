@@ -1,41 +1,35 @@
-"""What a report is about: an orbit, what a check said of it, and the motion to draw."""
+"""The subject of a report: an orbit, its fresh certificate, and the motion to draw."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.orbits.period import placed
 from zeno_orbits.precision.work_precision import Trade
+from zeno_orbits.report.orbit_motion import motion_of
 from zeno_orbits.simulation.execution import Execution
-from zeno_orbits.simulation.simulator import simulate
 from zeno_orbits.verification.certificate import OrbitCertificate
-
-_LONGER = 1e-6
-"""Part of the period to follow a motion longer, so that rounding cuts off no release."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Subject:
-    """What a report is about.
+    """The subject of a report.
 
     Attributes:
         orbit: The orbit, as its file has it.
         problem: Its problem.
         dynamics: The problem at the orbit's numbers.
-        certificate: What a forward integration said of it, just now.
-        execution: One period, simulated from the orbit's release; none if that failed.
-        trouble: Why it failed; empty if it did not.
-        trade: What accuracy costs in this problem, if that was measured.
+        certificate: Its certificate, computed afresh.
+        execution: One period, simulated from the orbit's start; ``None`` if that failed.
+        trouble: The reason of the failure; empty if there was none.
+        trade: The problem's work-precision measurements, if there are any.
         file: Name of the orbit's file.
-        scene_file: Path of the problem's file; empty for a bundled problem.
+        problem_file: Path of the problem's file; empty for a bundled problem.
         content: The orbit's file itself.
-        command: The words of the command that made the report.
+        command: The words of the command that wrote the report.
     """
 
     orbit: ZenoOrbit
@@ -63,14 +57,22 @@ def subject_of(
     content: str = "",
     command: tuple[str, ...] = (),
 ) -> Subject:
-    """Return what a report is about, one period simulated; see `Subject` for the arguments."""
+    """Return the subject of a report, one period simulated.
+
+    Args:
+        orbit: The orbit, as its file has it.
+        problem: Its problem.
+        dynamics: The problem at the orbit's numbers.
+        certificate: Its certificate, computed afresh.
+        trade: The problem's work-precision measurements, if there are any.
+        file: Name of the orbit's file.
+        problem_file: Path of the problem's file; empty for a bundled problem.
+        content: The orbit's file itself.
+        command: The words of the command that wrote the report.
+    """
     execution, trouble = None, ""
     try:
-        start = np.array(problem.state_vector(orbit.start_state))
-        shape = orbit.shape.at_restitution(dynamics.restitution)
-        # As the check does: what is off the section is refused there, and not by the simulator.
-        start = placed(dynamics, shape, start)
-        execution = simulate(dynamics, start, until=orbit.period * (1 + _LONGER))
+        execution = motion_of(orbit, problem, dynamics)
     except ZenoOrbitsError as error:
         # A false orbit may run anywhere; the page says so and does without its pictures.
         trouble = str(error)

@@ -23,7 +23,6 @@ from PIL import Image
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, ZenoOrbitsError
-from zeno_orbits.model.numeric.compiled import drawn_lines
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.report.plots.style import (
     ARCS,
@@ -87,7 +86,7 @@ def film_of(problem: Problem, values: ParameterValues, execution: Execution, per
     count = int(np.clip(round(period * _RATE), _FEWEST, _MOST))
     times = np.linspace(0.0, period, count, endpoint=False)
     states = np.array([execution.state_at(time) for time in times])
-    lines = drawn_lines(problem, values, states[:, : len(problem.state_names)])
+    lines = problem.drawn_lines(values, states[:, : len(problem.state_names)])
     figure = Figure(figsize=(FULL_WIDTH, _TALL), layout="constrained", dpi=_DOTS)
     canvas = FigureCanvasAgg(figure)
     pairs = [

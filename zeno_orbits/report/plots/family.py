@@ -188,5 +188,4 @@ def _impact_speed(point: FamilyPoint) -> float:
 
 
 def _named(problem: Problem, name: str) -> str:
-    unit = next(q.unit for q in (*problem.gains, *problem.parameters) if q.name == name)
-    return f"{name} [{unit}]"
+    return f"{name} [{problem.quantity(name).unit}]"

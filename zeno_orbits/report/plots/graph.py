@@ -10,7 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 
-from zeno_orbits.model.numeric.compiled import compiled_model
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.report.plots.style import COLUMN_WIDTH, INK, TEXT, TINTS, symbol_of
 from zeno_orbits.simulation.execution import Mode
@@ -51,7 +50,7 @@ def plot_graph(problem: Problem, values: ParameterValues, *, width: float = COLU
     for ax, height in zip(panels, _HEIGHTS, strict=True):
         ax.set(xlim=(0.0, COLUMN_WIDTH), ylim=(0.0, height))
         ax.set_axis_off()
-    has_motors = compiled_model(problem).motors.numel_out(0) > 0
+    has_motors = problem.compiled().motors.numel_out(0) > 0
     kind = "electromechanical hybrid" if has_motors else "hybrid"
     _draw_system(panels[0], f"(a) simple {kind} system", values.parameters["restitution"])
     _draw_completion(panels[1], "(b) its completion", _states(problem))

@@ -19,9 +19,10 @@ from matplotlib.path import Path
 from matplotlib.transforms import Bbox
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.maps.parameter_map import Axis, Boundary, ParameterMap
+from zeno_orbits.maps.attractors import Attractor, Fate
+from zeno_orbits.maps.parameter_map import Boundary, ParameterMap
+from zeno_orbits.maps.plane import Axis
 from zeno_orbits.report.plots.style import COLUMN_WIDTH, FULL_WIDTH, INK, TEXT
-from zeno_orbits.simulation.attractor import Attractor, Fate
 
 _PERIODS = {1: "#4393C3", 2: "#009E73", 4: "#005A43", 8: "#5D3A9B"}
 _OTHER_PERIOD = "#8C7AA9"
@@ -29,6 +30,7 @@ _PLAIN = {
     Fate.SIMPLE: "#A6D854",
     Fate.NO_ZENO: "#CC79A7",
     Fate.REST: "#FFFFFF",
+    Fate.HELD: "#C6DBEF",
     Fate.FAILED: "#000000",
 }
 _ESCAPES = ("#D55E00", "#E69F00", "#8C510A", "#B2182B")

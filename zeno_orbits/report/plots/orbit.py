@@ -11,7 +11,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model.numeric.compiled import output_values
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.report.plots.style import (
     AFTER,
@@ -27,6 +26,7 @@ from zeno_orbits.report.plots.style import (
     paths_of,
     portraits_of,
     share_time,
+    symbol_of,
 )
 from zeno_orbits.simulation.execution import Execution, Mode
 
@@ -77,6 +77,18 @@ def plot_time_series(
     return _over_time(execution, labels, lambda states: states[:, rows], width)
 
 
+def plot_states(execution: Execution, *, width: float = FULL_WIDTH) -> Figure:
+    """Return every state over time, for an execution whose problem and units are not known.
+
+    Args:
+        execution: What to draw.
+        width: Width of the picture [in].
+    """
+    names = execution.state_names
+    labels = [symbol_of(names, row) for row in range(len(names))]
+    return _over_time(execution, labels, lambda states: states[:, : len(names)], width)
+
+
 def plot_outputs(
     problem: Problem, values: ParameterValues, execution: Execution, *, width: float = FULL_WIDTH
 ) -> Figure:
@@ -91,7 +103,7 @@ def plot_outputs(
     labels = [f"{output.name.replace('_', ' ')} [{output.unit}]" for output in problem.outputs]
 
     def entries(states: Vector) -> Vector:
-        return output_values(problem, values, states[:, : len(problem.state_names)])
+        return problem.output_values(values, states[:, : len(problem.state_names)])
 
     return _over_time(execution, labels, entries, width)
 

@@ -14,6 +14,7 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model.problem import Problem
@@ -55,7 +56,7 @@ ZENO: dict[str, Any] = _SPOT | {"marker": "*", "ms": 8, "mew": 0.6, "mfc": "#F0E
 _GREEK = ("alpha", "beta", "gamma", "delta", "theta", "phi", "varphi", "psi", "eta", "xi", "omega")
 
 
-def save_figure(figure: Figure, path: Path) -> None:
+def save_figure(figure: Figure, path: str | Path) -> None:
     """Write a picture as PNG, PDF or SVG, whole or not at all, the same bytes every time.
 
     Args:
@@ -65,6 +66,7 @@ def save_figure(figure: Figure, path: Path) -> None:
     Raises:
         InputError: If the suffix is another one, or the file cannot be written.
     """
+    path = Path(path)
     require_picture(path)
     write_whole(path, rendered(figure, path.suffix.lower()[1:]))
 
@@ -129,7 +131,7 @@ def add_legend(figure: Figure, width: float) -> None:
         and sum(max(sizes[k : k + rows]) for k in range(0, len(sizes), rows)) > width
     ):
         rows += 1
-    figure.legend(
+    legend = figure.legend(
         entries.values(),
         entries.keys(),
         loc="outside upper center",
@@ -140,6 +142,20 @@ def add_legend(figure: Figure, width: float) -> None:
         handletextpad=0.5,
         columnspacing=1.2,
     )
+    legend.set_gid(_ABOVE)
+
+
+_ABOVE = "above"
+"""Name of a legend above the panels."""
+
+
+def add_title(figure: Figure, title: str) -> None:
+    """Put a title on top of a picture, above its legend if that stands above the panels."""
+    above = [legend for legend in figure.legends if legend.get_gid() == _ABOVE]
+    if above:
+        above[0].set_title(title, prop=FontProperties(size=TEXT + 1))
+    else:
+        figure.suptitle(title, fontsize=TEXT + 1)
 
 
 def paths_of(execution: Execution) -> list[tuple[Vector, Vector, dict[str, Any]]]:

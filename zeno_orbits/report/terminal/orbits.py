@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from zeno_orbits.orbits.orbit import ZenoOrbit
     from zeno_orbits.precision.accuracy import Assured
     from zeno_orbits.precision.reduced_models import ReductionCost
-    from zeno_orbits.search.search import SearchResult
+    from zeno_orbits.search import SearchResult
     from zeno_orbits.simulation.signals import Extent
     from zeno_orbits.verification.certificate import OrbitCertificate
 

@@ -10,9 +10,9 @@ from zeno_orbits.report.terminal.console import print_lines, print_table, table_
 
 if TYPE_CHECKING:
     from zeno_orbits.continuation.families import Boundary, Continuation
+    from zeno_orbits.maps.attractors import Attractor
     from zeno_orbits.maps.parameter_map import ParameterMap
     from zeno_orbits.precision.work_precision import Trade, Trial
-    from zeno_orbits.simulation.attractor import Attractor
 
 
 def print_trade(trade: Trade) -> None:

@@ -1,1 +1,9 @@
-"""search.transcription."""
+"""Write the conditions of a periodic orbit as a nonlinear program by collocation, and solve it.
+
+Rows and unknowns have names, derivatives are exact and sparse, Ipopt solves.
+
+Offers: `transcribe` (a period and its numbers to a `ProgramBuilder` with the terms of an
+objective), `solve` (a `Program` to a `Solution`), `TranscriptionSettings`, `IpoptSettings`.
+
+Imports: orbits, simulation, model, integrators, arrays, errors.
+"""

@@ -33,12 +33,12 @@ class TranscriptionSettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Stretch:
+class CollocatedArc:
     """A transcribed arc.
 
     Attributes:
         name: ``flight 0``, ``flight 1``, ... or ``locked``.
-        arc: The simulated arc that is its guess.
+        guess: The simulated arc.
         mesh: Ends of its intervals, fractions of its duration, ``(n_intervals + 1,)``.
         start: State of its flow at its start, ``(n_y, 1)``.
         stages: States at its stages, ``(n_y, n_intervals * n_stages)``.
@@ -47,7 +47,7 @@ class Stretch:
     """
 
     name: str
-    arc: Arc
+    guess: Arc
     mesh: Array
     start: ca.MX
     stages: ca.MX
@@ -60,7 +60,7 @@ class Stretch:
         return self.stages[:, -1]
 
 
-class StretchWriter:
+class ArcWriter:
     """Writes arcs into one program.
 
     Args:
@@ -86,19 +86,29 @@ class StretchWriter:
         self.scale = scale
         self._intervals: dict[str, ca.Function] = {}
 
-    def stretch(self, name: str, arc: Arc, mode: ModeFunctions, p: ca.MX, start: ca.MX) -> Stretch:
-        """Declare the stages of an arc and its continuity."""
+    def collocate(
+        self, name: str, guess: Arc, mode: ModeFunctions, p: ca.MX, start: ca.MX
+    ) -> CollocatedArc:
+        """Declare the stages of an arc and its continuity.
+
+        Args:
+            name: Its name.
+            guess: The simulated arc.
+            mode: Its flow.
+            p: Parameters of the flow, ``(n_p,)``.
+            start: State of the flow at its start, ``(n_y, 1)``.
+        """
         scheme, n_stages = self.settings.scheme, self.settings.scheme.n_stages
-        length = arc.duration
-        scale = flow_scale(arc, self.scale)
+        length = guess.duration
+        scale = flow_scale(guess, self.scale)
 
         def trajectory(fraction: float) -> Vector:
-            return arc.flow_state_at(fraction * length)
+            return guess.flow_state_at(fraction * length)
 
         mesh = graded_mesh(trajectory, scheme, scale=scale, tolerance=self.settings.mesh_tolerance)
         fractions = stage_fractions(mesh, scheme)
-        guess = np.array([trajectory(float(fraction)) for fraction in fractions]).T
-        stages = self.program.variable(f"{name} stages", guess, scale=scale)
+        first = np.array([trajectory(float(fraction)) for fraction in fractions]).T
+        stages = self.program.variable(f"{name} stages", first, scale=scale)
         duration = self.program.variable(f"{name} duration", length, scale=length)
         n_intervals = len(mesh) - 1
         starts = ca.horzcat(start, stages[:, n_stages - 1 : -1 : n_stages])
@@ -110,9 +120,9 @@ class StretchWriter:
             scale=np.repeat(scale[:, None], n_stages, axis=1),
         )
         unit = p[-1] if mode is self.compiled.flight else ca.MX(1)
-        return Stretch(
+        return CollocatedArc(
             name=name,
-            arc=arc,
+            guess=guess,
             mesh=mesh,
             start=start,
             stages=stages,

@@ -12,16 +12,17 @@ from zeno_orbits.arrays import Array, Vector, null_space
 from zeno_orbits.model.numeric.compiled import CompiledSystem
 from zeno_orbits.model.numeric.derivatives import GAP, GAP_RATE, MULTIPLIER
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.orbits.cycle import Closure, Cycle
+from zeno_orbits.orbits.cycle import Cycle
 from zeno_orbits.orbits.phases import Phase
 from zeno_orbits.orbits.section import RELEASE_ROWS, REST_ROWS, rows_of
 from zeno_orbits.orbits.shape import OrbitShape
 from zeno_orbits.search.transcription.arc import (
-    Stretch,
-    StretchWriter,
+    ArcWriter,
+    CollocatedArc,
     TranscriptionSettings,
     flow_scale,
 )
+from zeno_orbits.search.transcription.closure import Closure
 from zeno_orbits.search.transcription.program import ProgramBuilder
 from zeno_orbits.simulation.execution import Arc
 from zeno_orbits.simulation.zeno_limit import limit_weights, tail_time
@@ -42,13 +43,13 @@ class PhaseTerms:
 
     label: str
     start: ca.MX
-    flights: tuple[Stretch, ...]
+    flights: tuple[CollocatedArc, ...]
     approach_rate: ca.MX
     zeno: ca.MX | None
-    locked: Stretch | None
+    locked: CollocatedArc | None
 
     @property
-    def stretches(self) -> tuple[Stretch, ...]:
+    def arcs(self) -> tuple[CollocatedArc, ...]:
         """The transcribed arcs, in order."""
         return self.flights if self.locked is None else (*self.flights, self.locked)
 
@@ -95,7 +96,7 @@ class PhaseWriter:
         self.rebound = dynamics.restitution
         self.restitution = restitution
         self.scale = cycle.scale()
-        self.stretches = StretchWriter(program, compiled, settings, p, self.scale)
+        self.arcs = ArcWriter(program, compiled, settings, p, self.scale)
         self.cycle = cycle
         self.plastic = dynamics.restitution == 0.0
         self.dynamics = dynamics
@@ -141,7 +142,7 @@ class PhaseWriter:
             )
         zeno = program.variable(f"{label}Zeno state", phase.zeno.state, scale=self.scale)[:, 0]
         program.equal(f"{label}Zeno point", zeno - limit[2:], scale=ca.DM(self.scale))
-        locked = self.stretches.stretch(
+        locked = self.arcs.collocate(
             f"{label}locked", phase.locked, self.compiled.locked, self.p, zeno
         )
         force_scale = _largest(phase.locked, self.dynamics.multiplier, n_x)
@@ -166,39 +167,39 @@ class PhaseWriter:
             work=limit[1] + locked.work,
         )
 
-    def first_flight(self, label: str, phase: Phase, start: ca.MX) -> Stretch:
+    def first_flight(self, label: str, phase: Phase, start: ca.MX) -> CollocatedArc:
         """Declare the first flight: in its own variables, if an impact threw the state off."""
         name, arc, compiled = f"{label}flight 0", phase.flight, self.compiled
         if not is_rescaled(arc, compiled.n_x):
-            return self.stretches.stretch(name, arc, compiled.free, self.p, start)
+            return self.arcs.collocate(name, arc, compiled.free, self.p, start)
         speed = compiled.contact(start, self.p)[1]
-        return self.stretches.stretch(
+        return self.arcs.collocate(
             name, arc, compiled.flight, ca.vertcat(self.p, speed), ca.vertcat(start, 0, 1)
         )
 
-    def arrival(self, flight: Stretch, start: ca.MX) -> tuple[ca.MX, ca.MX]:
+    def arrival(self, flight: CollocatedArc, start: ca.MX) -> tuple[ca.MX, ca.MX]:
         """Return the gap that has to close at the end of a first flight, and the gap rate there."""
-        if not is_rescaled(flight.arc, self.compiled.n_x):
+        if not is_rescaled(flight.guess, self.compiled.n_x):
             contact = self.compiled.contact(flight.end, self.p)
             return contact[0], contact[1]
         return flight.end[-2], self.compiled.contact(start, self.p)[1] * flight.end[-1]
 
     def impacts(
-        self, label: str, flight: Stretch, phase: Phase, closure: Closure, gap_scale: float
-    ) -> tuple[list[Stretch], ca.MX, ca.MX]:
+        self, label: str, flight: CollocatedArc, phase: Phase, closure: Closure, gap_scale: float
+    ) -> tuple[list[CollocatedArc], ca.MX, ca.MX]:
         """Declare the flights between impacts; return them, the Zeno limit, and the last reset.
 
         The limit is ``(time, electrical work, state)``, theory (15), or nothing if the stop does
         not hold.
         """
         program, n_x = self.program, self.compiled.n_x
-        hops: list[Stretch] = []
+        hops: list[CollocatedArc] = []
         speeds: list[ca.MX] = []
         tails: list[ca.MX] = []
         here, time, work = flight.end[:n_x], flight.duration, flight.work
         gap, approach_rate = self.arrival(flight, flight.start[:n_x])
-        if is_rescaled(flight.arc, n_x):
-            gap_scale = float(flow_scale(flight.arc, self.scale)[-2])
+        if is_rescaled(flight.guess, n_x):
+            gap_scale = float(flow_scale(flight.guess, self.scale)[-2])
         program.equal(f"{label}gap closes at impact 1", gap, scale=gap_scale)
         after = here
         for k in range(closure.n_impacts):
@@ -217,7 +218,7 @@ class PhaseWriter:
                 speed + self.restitution * approach_rate,
                 scale=size,
             )
-            hop = self.stretches.stretch(
+            hop = self.arcs.collocate(
                 f"{label}flight {k + 1}",
                 phase.hops[k],
                 self.compiled.flight,
@@ -235,13 +236,13 @@ class PhaseWriter:
             limit += weight * tail
         return hops, limit, after
 
-    def keep_apart(self, label: str, flights: tuple[Stretch, ...], gap_scale: float) -> None:
+    def keep_apart(self, label: str, flights: tuple[CollocatedArc, ...], gap_scale: float) -> None:
         """Require a non-negative gap in every flight."""
         for k, flight in enumerate(flights):
-            if not is_rescaled(flight.arc, self.compiled.n_x):
+            if not is_rescaled(flight.guess, self.compiled.n_x):
                 self._never_negative(f"{label}gap >= 0 in flight {k}", 0, flight, gap_scale)
                 continue
-            size = float(flow_scale(flight.arc, self.scale)[-2])
+            size = float(flow_scale(flight.guess, self.scale)[-2])
             name = f"{label}gap >= 0 in flight {k}"
             self.program.at_least_zero(name, flight.stages[-2, :-1], scale=size)
 
@@ -303,12 +304,12 @@ class PhaseWriter:
             resting + remaining * self.compiled.locked.rate(resting, self.p),
         )
 
-    def _never_negative(self, name: str, index: int, stretch: Stretch, scale: float) -> None:
-        """Require a contact quantity to be non-negative at all stages of a stretch but its end."""
+    def _never_negative(self, name: str, index: int, arc: CollocatedArc, scale: float) -> None:
+        """Require a contact quantity to be non-negative at all stages of an arc but its end."""
         x, p = ca.SX.sym("x", self.compiled.n_x), ca.SX.sym("p", self.p.numel())
         # A function of its own: the derivatives of the other quantities are not asked for.
         quantity = ca.Function("quantity", [x, p], [self.compiled.contact(x, p)[index]])
-        states = stretch.stages[:, :-1]
+        states = arc.stages[:, :-1]
         parameters = ca.repmat(self.p, 1, states.shape[1])
         self.program.at_least_zero_along(name, quantity, (states, parameters), scale=scale)
 

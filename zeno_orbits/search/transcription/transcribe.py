@@ -18,9 +18,10 @@ from zeno_orbits.integrators.collocation import Collocation
 from zeno_orbits.model.numeric.compiled import CompiledSystem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues
-from zeno_orbits.orbits.cycle import Closure, Cycle
+from zeno_orbits.orbits.cycle import Cycle
 from zeno_orbits.orbits.shape import OrbitShape
-from zeno_orbits.search.transcription.arc import Stretch, TranscriptionSettings
+from zeno_orbits.search.transcription.arc import CollocatedArc, TranscriptionSettings
+from zeno_orbits.search.transcription.closure import Closure
 from zeno_orbits.search.transcription.motion_derivative import Motion
 from zeno_orbits.search.transcription.phase import PhaseTerms, PhaseWriter, WrittenPhase
 from zeno_orbits.search.transcription.program import ProgramBuilder
@@ -74,9 +75,9 @@ class OrbitTerms:
         return self.phases[0].start
 
     @property
-    def stretches(self) -> tuple[Stretch, ...]:
+    def arcs(self) -> tuple[CollocatedArc, ...]:
         """The transcribed arcs of all phases, in order."""
-        return tuple(stretch for phase in self.phases for stretch in phase.stretches)
+        return tuple(arc for phase in self.phases for arc in phase.arcs)
 
     def guessed(self, expression: ca.MX) -> Array:
         """Return the value of an expression in the guess."""
@@ -111,7 +112,7 @@ def transcribe(
     """
     program = ProgramBuilder()
     unknown = _declare_free(program, values, free)
-    named = {**values.gains, **values.parameters}
+    named = values.numbers
     p = ca.vertcat(*(unknown.get(name, ca.MX(value)) for name, value in named.items()))
     places = [k for k, name in enumerate(named) if name in unknown]
     restitution = _restitution(compiled, p, places, dynamics.restitution)

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from zeno_orbits.arrays import Rows, Vector
+from zeno_orbits.simulation.attractor import has_left, is_still, keeps_holding
 from zeno_orbits.simulation.batch.events import Mask, first_falls, may_fall
 from zeno_orbits.simulation.batch.lanes import FREE, LOCKED, empty_lanes
 from zeno_orbits.simulation.batch.model import BatchFlow, BatchModel
@@ -27,8 +28,8 @@ _SAFETY, _SHRINK, _GROW = 0.9, 0.2, 8.0
 _EXPONENT = -1 / 5
 _LEAVES = 1e-6
 """A guard that was never positive and is below minus this part of its change has been left."""
-_STILL = 1e-6
-"""Speeds and accelerations below this are rest, in the problem's units."""
+_PHASES = 64
+"""Phases of the clock in which a motion at rest is looked at."""
 _LOOK = 64
 """Steps of a lane between two looks whether it is at rest."""
 _FOLLOWED = 1e-10
@@ -57,7 +58,7 @@ class Batch:
         self.model = model
         self.settings = settings or BatchSettings()
         self.bounds = np.full(model.n_x, np.inf) if bounds is None else bounds
-        self._lanes = empty_lanes(n_lanes, model.n_x, model.n_p)
+        self._lanes = empty_lanes(n_lanes, model.n_x, model.n_q, model.n_p)
         self._transitions = Transitions(model, self._lanes, self.settings)
 
     @property
@@ -128,6 +129,7 @@ class Batch:
         lanes.tolerance[rows], lanes.until[rows] = tolerance, until
         lanes.restitution[rows] = self.model.restitution(np.zeros((len(p), self.model.n_x)), p)[0].T
         lanes.steps[rows] = 0
+        lanes.largest_rate[rows], lanes.reach[rows] = 0.0, 0.0
         self._transitions.forget(rows)
         return rows
 
@@ -213,11 +215,23 @@ class Batch:
             name = model.state_names[int(np.argmax(far[k]))]
             self._transitions.end(int(rows[k]), Reason.ESCAPE, name)
         horizon = (lanes.until[rows] - lanes.leg_time[rows]) / lanes.unit[rows]
-        over = rows[(lanes.offset[rows] >= horizon * (1 - 1e-14)) & lanes.alive[rows]]
-        for row in self._still(over).tolist():
-            self._transitions.end(row, Reason.REST, "")
-        for row in over.tolist():
-            self._transitions.end(row, Reason.HORIZON, "")
+        time = lanes.leg_time[rows] + lanes.unit[rows] * lanes.offset[rows]
+        early = rows[time <= lanes.until[rows] / 2]
+        lanes.reach[early] = np.maximum(lanes.reach[early], np.abs(lanes.y[early, : model.n_q]))
+        self._end_of_time(rows[(lanes.offset[rows] >= horizon * (1 - 1e-14)) & lanes.alive[rows]])
+
+    def _end_of_time(self, rows: Rows) -> None:
+        """End lanes whose time is over, each with what it has come to."""
+        lanes, n_q, end = self._lanes, self.model.n_q, self._transitions.end
+        for row in self._still(rows).tolist():
+            end(row, Reason.REST, "")
+        for row in rows.tolist():
+            left = has_left(lanes.y[row, :n_q], lanes.reach[row])
+            held = lanes.mode[row] == LOCKED and lanes.leg_time[row] < lanes.until[row] / 2
+            if left.any():
+                end(row, Reason.ESCAPE, self.model.state_names[int(np.argmax(left))])
+            else:
+                end(row, Reason.HELD if held else Reason.HORIZON, "")
 
     def _look_for_rest(self) -> None:
         lanes = self._lanes
@@ -226,17 +240,47 @@ class Batch:
             self._transitions.end(row, Reason.REST, "")
 
     def _still(self, rows: Rows) -> Rows:
-        """Return which of these lanes are at rest."""
-        lanes, n_q = self._lanes, self.model.n_q
-        slow = np.abs(lanes.y[rows, n_q : 2 * n_q]).max(axis=1, initial=0.0) < _STILL
+        """Return which of these lanes are at rest, whatever the phase of the clock."""
         found: list[int] = []
         for mode in (FREE, LOCKED):
-            still = rows[slow & (lanes.mode[rows] == mode)]
-            if len(still):
-                x, p = lanes.y[still, : self.model.n_x], lanes.p[still, :-1]
-                motion = np.abs(self._transitions.flows[mode].rate(x, p)[:, : 2 * n_q])
-                found.extend(still[motion.max(axis=1) < _STILL].tolist())
+            still = rows[self._lanes.mode[rows] == mode]
+            for phases in (1, _PHASES + 1) if self.model.clock else (1,):
+                if len(still):
+                    still = still[self._rests(mode, still, phases)]
+            found.extend(still.tolist())
         return np.array(found, dtype=np.intp)
+
+    def _rests(self, mode: int, rows: Rows, n_phases: int) -> Mask:
+        """Return which lanes of a mode rest, in this phase of the clock or over a whole turn."""
+        lanes, model, flow = self._lanes, self.model, self._transitions.flows[mode]
+        x = np.repeat(lanes.y[rows, None, : model.n_x], n_phases, axis=1)
+        p = np.repeat(lanes.p[rows, :-1], n_phases, axis=0)
+        step = np.zeros(len(rows))
+        if n_phases > 1:
+            turn = np.linspace(0.0, 2 * np.pi, n_phases)
+            x[:, :, model.clock] = _turned(x[:, 0, model.clock], turn)
+            step = turn[1] / self._clock_rate(mode, rows)
+        flat = x.reshape(-1, model.n_x)
+        rates = flow.rate(flat, p)[:, : 2 * model.n_q].reshape(len(rows), n_phases, -1)
+        rests = is_still(rates, lanes.largest_rate[rows], self.settings.contact)
+        if mode == LOCKED and n_phases > 1:
+            guard = flow.guard(flat, p).reshape(len(rows), n_phases, 2)
+            rests &= keeps_holding(guard[:, :, 0], guard[:, :, 1], step)
+        return rests
+
+    def _clock_rate(self, mode: int, rows: Rows) -> Vector:
+        """Return the frequency of the clock in each lane [rad/s]."""
+        x, p = self._lanes.y[rows, : self.model.n_x], self._lanes.p[rows, :-1]
+        c, s = x[:, self.model.clock].T
+        rate = self._transitions.flows[mode].rate(x, p)[:, self.model.clock]
+        return (c * rate[:, 1] - s * rate[:, 0]) / (c**2 + s**2)
+
+
+def _turned(clock: Vector, angle: Vector) -> Vector:
+    """Return the states of clocks turned by angles, ``(n, n_angles, 2)``."""
+    c, s = clock.T[:, :, None]
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.stack([c * cosine - s * sine, s * cosine + c * sine], axis=2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -39,6 +39,8 @@ class Lanes:
         struck: Gap rate before the first of them; negative.
         zeno_time: Time of the last Zeno point since then [s]; NaN without.
         zeno_acceleration: Gap acceleration there.
+        largest_rate: Largest rate of each coordinate and velocity at the starts of its legs.
+        reach: Largest modulus of each coordinate in the first half of its time.
     """
 
     alive: NDArray[np.bool_]
@@ -62,10 +64,12 @@ class Lanes:
     struck: Vector
     zeno_time: Vector
     zeno_acceleration: Vector
+    largest_rate: Vector
+    reach: Vector
     free_slots: list[int] = field(default_factory=list[int])
 
 
-def empty_lanes(n_lanes: int, n_x: int, n_p: int) -> Lanes:
+def empty_lanes(n_lanes: int, n_x: int, n_q: int, n_p: int) -> Lanes:
     """Return lanes none of which runs."""
 
     def zeros() -> Vector:
@@ -99,5 +103,7 @@ def empty_lanes(n_lanes: int, n_x: int, n_p: int) -> Lanes:
         struck=zeros(),
         zeno_time=zeros(),
         zeno_acceleration=zeros(),
+        largest_rate=np.zeros((n_lanes, 2 * n_q)),
+        reach=np.zeros((n_lanes, n_q)),
         free_slots=list(range(n_lanes))[::-1],
     )

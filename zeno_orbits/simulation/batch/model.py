@@ -15,7 +15,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators.dop853_step import overflow
 from zeno_orbits.integrators.rosenbrock import rosenbrock_step
-from zeno_orbits.model.numeric.compiled import CompiledSystem, compiled_model
+from zeno_orbits.model.numeric.compiled import CompiledSystem
 from zeno_orbits.model.numeric.compiled_flow import ModeFunctions, dense_function
 from zeno_orbits.model.problem import Problem
 
@@ -75,6 +75,7 @@ class BatchModel:
     Attributes:
         state_names: Name of each state.
         n_q: Number of coordinates.
+        clock: Places of the clock in the state; empty where nothing is forced.
         n_p: Number of gains and parameters.
         free: The mode off the stop.
         locked: The mode on the stop.
@@ -87,6 +88,7 @@ class BatchModel:
 
     state_names: tuple[str, ...]
     n_q: int
+    clock: tuple[int, ...]
     n_p: int
     free: BatchFlow
     locked: BatchFlow
@@ -110,6 +112,7 @@ def batch_model(compiled: CompiledSystem) -> BatchModel:
     return BatchModel(
         state_names=compiled.state_names,
         n_q=compiled.n_q,
+        clock=compiled.clock,
         n_p=n_p,
         free=BatchFlow(compiled.free),
         locked=BatchFlow(compiled.locked),
@@ -124,7 +127,7 @@ def batch_model(compiled: CompiledSystem) -> BatchModel:
 @lru_cache(maxsize=4)
 def model_in_rows(problem: Problem) -> BatchModel:
     """Return the functions of a problem for many rows, built once."""
-    return batch_model(compiled_model(problem))
+    return batch_model(problem.compiled())
 
 
 _LARGEST = 8

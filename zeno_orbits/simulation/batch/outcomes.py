@@ -54,6 +54,7 @@ class Reason(Enum):
     HORIZON = "the time was over"
     ESCAPE = "a coordinate left its bounds"
     REST = "it came to rest"
+    HELD = "it stays on its stop"
     FAILURE = "it cannot be continued"
 
 

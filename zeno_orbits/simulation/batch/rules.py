@@ -106,6 +106,9 @@ class Transitions:
         slope = flow.rate(y, p)
         ratio = np.max(np.abs(slope / (ABSOLUTE + np.abs(y))), axis=1)
         size = np.where(ratio > 1e-5, 0.01 / ratio, 1e-3)
+        n_q = self.model.n_q
+        rate = np.abs(slope[:, : 2 * n_q]) / np.reshape(unit, (-1, 1))
+        lanes.largest_rate[rows] = np.fmax(lanes.largest_rate[rows], rate)
         lead = self.lead(rows)
         lanes.size[rows] = size[lead]
         lost = ~np.isfinite(slope).all(axis=1)

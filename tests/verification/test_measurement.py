@@ -13,7 +13,7 @@ from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.simulation.simulator import simulate
 from zeno_orbits.verification.certificate import OrbitCertificate
-from zeno_orbits.verification.measure import measure, quantity_names
+from zeno_orbits.verification.measurement import measure, quantity_names
 
 SAMPLES = 20_001
 

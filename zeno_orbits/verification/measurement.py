@@ -8,16 +8,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
+from zeno_orbits.model.numeric.compiled import bind
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
+from zeno_orbits.orbits.cycle import Cycle
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.period import placed
 from zeno_orbits.orbits.poincare import floquet_multipliers
 from zeno_orbits.simulation.signals import Extent, extent_of, signal, signal_names
 from zeno_orbits.simulation.simulator import SimulationSettings
+from zeno_orbits.verification.claim import Claim, claim_of
 from zeno_orbits.verification.cross_checks import energies_of
-from zeno_orbits.verification.integration import Claim, FirstCycle, claim_of, observe
+from zeno_orbits.verification.integration import FirstCycle, observe
 from zeno_orbits.verification.residuals import margins_of
 
 MARGINS = ("gap_acceleration", "first_impact_speed", "release_transversality", "locked_time")
@@ -29,7 +31,7 @@ NUMBERS = ("period", "energy", "spectral_radius", "margin", *MARGINS)
 
 def quantity_names(problem: Problem) -> tuple[str, ...]:
     """Return the names of all that can be measured of an orbit of a problem."""
-    return (*signal_names(compiled_model(problem)), *NUMBERS)
+    return (*signal_names(problem.compiled()), *NUMBERS)
 
 
 def require_quantities(names: Sequence[str], problem: Problem, argument: str) -> None:
@@ -68,18 +70,19 @@ def measure(
     simulation = simulation or SimulationSettings()
     claim = claim_of(orbit, problem)
     values = orbit.values(problem)
-    compiled = compiled_model(problem)
+    compiled = problem.compiled()
     dynamics = bind(compiled, values.vector)
     seen = observe(dynamics, claim, simulation, 1)
-    if seen.cycle is None:
+    first = seen.first
+    if first is None:
         raise SimulationError(seen.trouble, time=0.0, state=tuple(claim.start.tolist()))
     found: dict[str, Extent] = {}
     for name in dict.fromkeys(names):
         if name in NUMBERS:
-            found[name] = _number(name, orbit, problem, dynamics, claim, seen.cycle, simulation)
+            found[name] = _number(name, orbit, problem, dynamics, claim, first, simulation)
         else:
             value = signal(compiled, name).at(values.vector)
-            found[name] = extent_of(value, seen.cycle.arcs)
+            found[name] = extent_of(value, first.cycle.execution.arcs)
     return found
 
 
@@ -89,10 +92,10 @@ def _number(
     problem: Problem,
     dynamics: HybridDynamics,
     claim: Claim,
-    cycle: FirstCycle,
+    first: FirstCycle,
     simulation: SimulationSettings,
 ) -> Extent:
-    error = 0.0
+    error, cycle = 0.0, first.cycle
     if name == "period":
         value = cycle.end.time
     elif name == "energy":
@@ -103,14 +106,14 @@ def _number(
         multipliers = floquet_multipliers(
             dynamics,
             placed(dynamics, claim.shape, claim.start),
-            scale=cycle.scale,
+            scale=first.scale,
             period=cycle.end.time,
             settings=simulation,
             shape=claim.shape,
         )
         value, error = multipliers.spectral_radius, multipliers.error
     else:
-        margins = margins_of(dynamics, cycle)
+        margins = margins_of(dynamics, first)
         if name not in margins:
             wanted = f"must name a quantity of the shape `{claim.shape.text}`"
             raise InputError(f"Argument `names` {wanted}, but it names `{name}`.")
@@ -118,7 +121,7 @@ def _number(
     return Extent(lowest=value, highest=value, error=error)
 
 
-def smallest_share(dynamics: HybridDynamics, cycle: FirstCycle) -> float:
+def smallest_share(dynamics: HybridDynamics, cycle: Cycle) -> float:
     r"""Return the smallest margin of all phases as a share of the most it could be (theory (32)).
 
     The locked arc in periods; :math:`-\ddot h` at the Zeno point and the speed of the first impact,

@@ -1,0 +1,84 @@
+"""The loop that controls steps along a path, on paths that are known by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from zeno_orbits.orbits.path import Step, StepControl, StepError, follow_path, returns_to_start
+
+CONTROL = StepControl(first=0.1, longest=0.4, shortest=0.01, most=100)
+
+
+def until(wall: float, steps: list[float]) -> Callable[[Sequence[float], float], Step[float, str]]:
+    """Return a path along the real line that refuses every step beyond a wall."""
+
+    def advance(points: Sequence[float], step: float) -> Step[float, str]:
+        steps.append(step)
+        if points[-1] + step > wall:
+            raise StepError("beyond the wall")
+        return Step(points=(points[-1] + step,), easy=True)
+
+    return advance
+
+
+def gave_up(points: Sequence[float], trouble: str) -> Step[float, str]:
+    return Step(end=f"{trouble} after {points[-1]:.4g}")
+
+
+def test_easy_steps_grow_up_to_the_longest_and_refused_ones_shrink_down_to_the_shortest() -> None:
+    steps: list[float] = []
+    path = follow_path(0.0, CONTROL, until(1.0, steps), give_up=gave_up)
+    assert steps[:5] == pytest.approx([0.1, 0.15, 0.225, 0.3375, 0.4])
+    assert max(steps) == CONTROL.longest
+    assert min(steps) >= CONTROL.shortest
+    assert 1.0 - path.points[-1] < 2 * CONTROL.shortest
+    assert path.end == f"beyond the wall after {path.points[-1]:.4g}"
+
+
+def test_a_path_ends_after_its_number_of_points_or_where_a_step_or_what_looks_ahead_says() -> None:
+    few = StepControl(first=0.1, shortest=0.01, most=3)
+    path = follow_path(0.0, few, until(9.0, []), give_up=gave_up)
+    assert (len(path.points), path.end) == (4, None)
+
+    def last(points: Sequence[float], step: float) -> Step[float, str]:
+        return Step(points=(points[-1] + step,), end="arrived")
+
+    assert follow_path(0.0, few, last, give_up=gave_up).end == "arrived"
+
+    def ahead(_points: Sequence[float], step: float) -> Step[float, str]:
+        return Step(points=(1.0,), end="the wall") if step < 0.05 else Step()
+
+    path = follow_path(0.0, CONTROL, until(1.0, []), give_up=gave_up, shortened=ahead)
+    assert (path.points[-1], path.end) == (1.0, "the wall")
+
+
+def test_an_error_that_is_no_outcome_of_a_step_is_passed_on() -> None:
+    def broken(_points: Sequence[float], _step: float) -> Step[float, str]:
+        raise TypeError
+
+    with pytest.raises(TypeError):
+        follow_path(0.0, CONTROL, broken, give_up=gave_up)
+
+
+@dataclass(frozen=True)
+class OnCircle:
+    angle: float
+
+    @property
+    def z(self) -> np.ndarray:
+        return np.array([np.cos(self.angle), np.sin(self.angle)])
+
+    @property
+    def tangent(self) -> np.ndarray:
+        return np.array([-np.sin(self.angle), np.cos(self.angle)])
+
+
+def test_a_circle_is_back_at_its_start_when_a_chord_passes_it_and_not_before() -> None:
+    points = [OnCircle(0.1 * k) for k in range(70)]
+    back = [n for n in range(1, 70) if returns_to_start(points[:n], stray=0.1, turn=0.2)]
+    # The chord from 6.2 to 6.3 passes 2 pi.
+    assert back == [64]

@@ -1,0 +1,108 @@
+"""What a result shows of itself in a terminal or a notebook: a few lines, whatever it holds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+import zeno_orbits as zo
+from zeno_orbits.continuation.families import Continuation, Family, FamilyPoint, Kind, SpecialPoint
+from zeno_orbits.maps.attractors import Attractor, Fate
+from zeno_orbits.maps.plane import Axis
+from zeno_orbits.search.search import Attempt, SearchStatus
+from zeno_orbits.simulation.simulator import simulate
+from zeno_orbits.verification.verifier import certified
+
+MOST_CHARACTERS = 600
+
+
+def shown(result: object) -> str:
+    """Return the text of a result, which fits a screen."""
+    assert len(repr(result)) < MOST_CHARACTERS
+    assert str(result) == repr(result)
+    return repr(result)
+
+
+def special(kind: Kind, value: float) -> SpecialPoint:
+    at = FamilyPoint(value=value, state={}, period=1.0, multipliers=(), margins={}, miss=0.0)
+    return SpecialPoint(kind=kind, at=at, error=0.0, index=0)
+
+
+def test_an_execution_shows_its_span_and_its_events(
+    orbit: zo.ZenoOrbit, problem: zo.Problem, machine: object
+) -> None:
+    start = problem.state_vector(orbit.release_state)
+    text = shown(simulate(machine, start, until=1.1 * orbit.period))
+    assert "from 0 to 1.99508" in text
+    assert "impacts=10, zeno_points=1, releases=1" in text
+
+
+def test_an_orbit_shows_its_gains_period_and_multipliers(
+    orbit: zo.ZenoOrbit, certificate: zo.OrbitCertificate
+) -> None:
+    text = shown(certified(orbit, certificate))
+    assert text.startswith("<ZenoOrbit of motor_pendulum: Kp=2.5, Kd=-1, period=1.813712939 s")
+    assert "verified=True" in text
+    assert "verified=False" in shown(orbit)
+
+
+def test_a_certificate_shows_its_verdict(certificate: zo.OrbitCertificate) -> None:
+    assert certificate.verdict() in shown(certificate)
+
+
+@pytest.mark.parametrize("succeeded", [True, False])
+def test_a_search_shows_how_it_ended(orbit: zo.ZenoOrbit, succeeded: bool) -> None:
+    attempts = (Attempt(gains=orbit.gains, status=SearchStatus.FOUND),) * 50
+    result = zo.SearchResult(
+        status=SearchStatus.FOUND if succeeded else SearchStatus.NO_GUESS,
+        orbit=orbit if succeeded else None,
+        residuals={str(k): 0.0 for k in range(1000)},
+        agreement=0.0,
+        closure_error=0.0,
+        n_unknowns=0,
+        iterations=0,
+        solve_time=0.0,
+        wall_time=1.0,
+        attempts=attempts,
+    )
+    text = shown(result)
+    assert "starts=50" in text
+    assert ("<ZenoOrbit of" in text) is succeeded
+
+
+def test_families_show_their_named_points() -> None:
+    family = Family(
+        problem="motor_pendulum",
+        parameter="restitution",
+        gains={},
+        parameters={},
+        n_returns=1,
+        points=(special(Kind.FOLD, 0.2).at,) * 1000,
+        special=(special(Kind.FOLD, 0.2),) * 20,
+        first=special(Kind.START, 0.1),
+        last=special(Kind.BOUND, 0.5),
+    )
+    assert "points=1000" in shown(family)
+    assert "fold at 0.2" in shown(family)
+    assert "and 14 more" in shown(family)
+    found = Continuation(families=(replace(family, special=()),) * 3)
+    assert "families=3, boundaries=0" in shown(found)
+
+
+def test_a_map_shows_its_axes_and_counts_what_motions_settle_to() -> None:
+    zeno = Attractor(fate=Fate.ZENO, returns=1)
+    found = zo.ParameterMap(
+        problem="motor_pendulum",
+        x=Axis(name="Kp", lower=1.0, upper=3.0, count=100, unit="V/rad"),
+        y=Axis(name="Kd", lower=-2.0, upper=-1.0, count=30, unit="V s/rad"),
+        gains={},
+        parameters={},
+        start={},
+        until=60.0,
+        attractors=(*(zeno,) * 2999, Attractor(fate=Fate.REST)),
+        versions={},
+    )
+    text = shown(found)
+    assert "Kp from 1 to 3 in 100 points" in text
+    assert "Zeno periodic orbit: 2999, rest: 1" in text

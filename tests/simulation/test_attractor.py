@@ -1,0 +1,172 @@
+"""What a motion settles to, from made-up sequences: no simulation, and the same in any units."""
+
+import math
+
+import numpy as np
+import pytest
+
+from zeno_orbits.simulation.attractor import (
+    TEN_TURNS,
+    WAITING,
+    Motion,
+    Outcome,
+    Return,
+    bounds_of,
+    changes,
+    growth_of,
+    has_left,
+    is_still,
+    keeps_holding,
+    outcome_of,
+    repetitions,
+    scale_of,
+    time_to_settle,
+)
+
+UNITS = ("m", "rad", "m/s", "rad/s")
+
+
+def returns(state_at, n=12, time=1.5):
+    return [Return(time=time * k, state=np.array(state_at(k))) for k in range(n)]
+
+
+def circling(period, decay=0.0):
+    """Returns that repeat after `period` of them, and come nearer by exp(-decay) each."""
+    return returns(
+        lambda k: [
+            1.0 + 0.1 * math.cos(2 * math.pi * k / period) + 0.05 * math.exp(-decay * k),
+            0.3 + 0.1 * math.sin(2 * math.pi * k / period),
+            2.0,
+            0.0,
+        ],
+        n=30,
+    )
+
+
+@pytest.mark.parametrize("period", [1, 2, 3, 5, 8])
+def test_a_motion_repeats_after_its_returns_and_no_multiple_of_them(period):
+    found = outcome_of(Motion(units=UNITS, returns=circling(period)), close=1e-6)
+    assert found.outcome is Outcome.REPEATS
+    assert found.repetitions[0].returns == period
+    assert found.period == pytest.approx(1.5 * period)
+
+
+def test_a_motion_that_throws_over_as_it_settles_repeats_after_one():
+    settling = returns(lambda k: [1.0 + 0.01 * (-0.6) ** k, 0.3, 2.0, 0.0], n=40)
+    found = outcome_of(Motion(units=UNITS, returns=settling), close=1e-6)
+    assert [one.returns for one in found.repetitions] == [1]
+
+
+def test_a_motion_that_has_not_come_near_yet_is_undecided():
+    found = outcome_of(Motion(units=UNITS, returns=circling(7.3)), close=1e-6)
+    assert found.outcome is Outcome.UNDECIDED
+    assert outcome_of(Motion(units=UNITS), close=1e-6).outcome is Outcome.UNDECIDED
+
+
+def test_the_answer_comes_in_order_of_what_is_certain():
+    steady = circling(1)
+    assert outcome_of(Motion(units=UNITS, returns=steady, gone="x"), close=1e-6).escaped == "x"
+    still = outcome_of(Motion(units=UNITS, returns=steady, still=True), close=1e-6)
+    assert still.outcome is Outcome.RESTS
+    wandering = Motion(units=UNITS, returns=circling(7.3), held=True)
+    assert outcome_of(wandering, close=1e-6).outcome is Outcome.HELD
+
+
+@pytest.mark.parametrize(
+    ("factor", "outcome"),
+    [(0.8, Outcome.DIES_OUT), (1.05, Outcome.GROWS), (1.0 + 2.9e-12, Outcome.UNDECIDED)],
+)
+def test_a_trend_is_growth_or_decay_only_beyond_rounding(factor, outcome):
+    amplitudes = [factor**k for k in range(12)]
+    found = outcome_of(Motion(units=UNITS, amplitudes=amplitudes), close=1e-6)
+    assert found.outcome is outcome
+    assert found.trend == pytest.approx(factor)
+
+
+@pytest.mark.parametrize("metre", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("second", [1e-3, 1.0, 1e3])
+def test_the_answer_is_the_same_in_any_units(metre, second):
+    unit = np.array([metre, 1.0, metre / second, 1.0 / second])
+    for period, close, decay in ((1, 1e-2, 0.3), (3, 1e-6, 2.0)):
+        plain = circling(period, decay)
+        scaled = [Return(time=second * one.time, state=unit * one.state) for one in plain]
+        expected = outcome_of(Motion(units=UNITS, returns=plain), close=close)
+        found = outcome_of(Motion(units=UNITS, returns=scaled), close=close)
+        assert found.outcome is expected.outcome is Outcome.REPEATS
+        for one, other in zip(found.repetitions, expected.repetitions, strict=True):
+            assert one.returns == other.returns
+            assert one.change == pytest.approx(other.change, rel=1e-6, abs=1e-12)
+        assert found.trend == pytest.approx(expected.trend, rel=1e-9)
+
+
+def test_sizes_between_returns_measure_states_that_vanish_at_the_returns():
+    state = np.array([1e-14, 0.3, 2.0, 0.0])
+    away = np.array([4e-14, 0.3, 2.0, 0.0])
+    size = np.array([0.1, 0.5, 3.0, 1.0])
+    met = [Return(time=float(k), state=[state, away][k % 2], size=size) for k in range(4)]
+    assert repetitions(met, UNITS, close=1e-6, apart=0.01)[0].returns == 1
+
+
+def test_changes_see_the_period_of_a_sequence_and_zero_states_do_not_blur_it():
+    states = [np.array([1.0 + 0.1 * (k % 3), 1e-17 * k, 5.0, 0.0, 0.2]) for k in range(9)]
+    found = changes(states, scale_of(states, ("rad", "rad", "rad/s", "rad/s", "A")))
+    assert found[3] < 1e-12
+    assert found[1] > 0.05
+    assert found[2] > 0.05
+
+
+def test_growth_near_rest_follows_its_law_down_to_zero():
+    def amplitudes(at_rest, bend, n=12):
+        values = [1.0]
+        for _ in range(n):
+            values.append(values[-1] * math.exp(at_rest + bend * values[-1] ** 2))
+        return values
+
+    assert growth_of(amplitudes(-0.05, -0.02)).dies_out
+    assert growth_of(amplitudes(-0.05, 0.03)).dies_out
+    # Falls to an orbit of amplitude sqrt(0.02 / 0.06), where growth begins.
+    assert not growth_of(amplitudes(0.02, -0.06)).dies_out
+    # Grows.
+    assert growth_of(amplitudes(0.05, -0.01)).factor > 1.0
+    assert not growth_of(amplitudes(0.05, -0.01)).dies_out
+
+
+def test_a_motion_is_still_only_if_it_is_in_every_phase_of_the_clock():
+    largest = np.array([[2.0, 30.0]])
+    now = np.array([[[1e-7, 1e-6]]])
+    assert is_still(now, largest).tolist() == [True]
+    assert is_still(now, 1e-3 * largest).tolist() == [False]
+    later = np.array([[[1e-7, 1e-6], [0.0, 1e-2]]])
+    assert is_still(later, largest).tolist() == [False]
+    # What has never moved is still but for rounding.
+    assert is_still(1e-10 * now, 0 * largest).tolist() == [False]
+    assert is_still(1e-10 * now, 0 * largest, 1e-12).tolist() == [True]
+
+
+@pytest.mark.parametrize(("least", "holds"), [(0.01, True), (-0.01, False), (-1e-4, False)])
+@pytest.mark.parametrize("omega", [1e-3, 30.0, -30.0])
+def test_a_stop_lets_go_if_its_force_falls_through_zero_between_two_phases(least, holds, omega):
+    # The lowest point lies in the middle between two phases.
+    angle = np.linspace(0.0, 2 * np.pi, 65) + np.pi / 64
+    force = 1 + least + np.cos(angle)
+    slope = -omega * np.sin(angle)
+    assert keeps_holding(force[None], slope[None], np.pi / 32 / omega).tolist() == [holds]
+
+
+def test_a_stop_without_a_clock_holds_while_its_force_is_positive():
+    assert keeps_holding(np.array([[0.1], [-0.1]]), np.zeros((2, 1)), 0.0).tolist() == [True, False]
+
+
+def test_what_the_problem_declares_is_gone_and_other_angles_after_ten_turns():
+    bounds = bounds_of(("x", "a", "dx", "da"), UNITS, 2, {"x": 3.0})
+    assert bounds.tolist() == [3.0, TEN_TURNS, math.inf, math.inf]
+    assert bounds_of(("x", "a", "dx", "da"), UNITS, 2, {"a": 1.0})[1] == 1.0
+
+
+def test_other_coordinates_have_left_once_they_are_far_beyond_where_they_ever_were():
+    before = np.array([1e-3, 1e6, 0.0])
+    assert has_left(np.array([2.0, 2e6, 5.0]), before).tolist() == [True, False, False]
+
+
+def test_a_motion_is_waited_for_by_the_slowest_clock():
+    assert time_to_settle([0.2, 6.0]) == 6.0 * WAITING

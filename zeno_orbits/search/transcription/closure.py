@@ -1,0 +1,66 @@
+"""Impacts that a program resolves before the Zeno limit, and those that the limit is told by."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.orbits.cycle import Cycle
+from zeno_orbits.simulation.execution import Impact
+from zeno_orbits.simulation.zeno_limit import TailEstimate, estimate_tail, extrapolate, spread_nodes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Closure:
+    """How many impacts are resolved before the Zeno limit, and which of them tell it.
+
+    Attributes:
+        n_impacts: Impacts resolved one by one.
+        nodes: Index of each impact that the extrapolation uses, the first impact being 0.
+        error: Estimated error of the limit, relative to ``1 + |x|``.
+    """
+
+    n_impacts: int
+    nodes: tuple[int, ...]
+    error: float
+
+
+def closures_of(cycle: Cycle, dynamics: HybridDynamics, tolerance: float) -> tuple[Closure, ...]:
+    """Return the closure of each phase; one impact that does not hold closes without an error."""
+    return tuple(
+        Closure(n_impacts=1, nodes=(), error=0.0)
+        if phase.zeno is None
+        else closure_of(phase.impacts, dynamics, tolerance)
+        for phase in cycle.phases
+    )
+
+
+def closure_of(impacts: Sequence[Impact], dynamics: HybridDynamics, tolerance: float) -> Closure:
+    """Return the shortest closure whose estimated error is below a tolerance.
+
+    Args:
+        impacts: The impacts of a phase.
+        dynamics: The system that made them.
+        tolerance: Largest estimated error; all impacts are used if none reaches it.
+    """
+    estimates: list[TailEstimate] = []
+    first, best = 0, Closure(n_impacts=1, nodes=(0,), error=np.inf)
+    for index, impact in enumerate(impacts):
+        speed = -dynamics.restitution * impact.approach_rate
+        estimate = estimate_tail(dynamics, impact.time, impact.state_plus, speed)
+        if estimate is None or (estimates and speed >= estimates[-1].speed):
+            estimates, first = [], index + 1
+        if estimate is None:
+            continue
+        first = index if not estimates else first
+        estimates.append(estimate)
+        limit = extrapolate(dynamics, estimates)
+        nodes = spread_nodes([one.speed for one in estimates])
+        used = tuple(first + node for node in nodes)
+        best = Closure(n_impacts=index + 1, nodes=used, error=limit.error)
+        if limit.error <= tolerance:
+            break
+    return best

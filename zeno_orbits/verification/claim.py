@@ -1,0 +1,107 @@
+"""An orbit as claimed: its numbers as vectors, in the order of the problem's states."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.orbits.orbit import OrbitPhase, ZenoOrbit
+from zeno_orbits.orbits.shape import OrbitShape, PhaseKind
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClaimedPhase:
+    """A phase of an orbit, as vectors.
+
+    Attributes:
+        start_time: [s].
+        start: ``(n_x,)``.
+        impacts: Time [s] and state before it, ``(n_x,)``, of every resolved impact.
+        zeno: Zeno time [s] and state, ``(n_x,)``, if the stop holds.
+    """
+
+    start_time: float
+    start: Vector
+    impacts: tuple[tuple[float, Vector], ...]
+    zeno: tuple[float, Vector] | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Claim:
+    """An orbit, as vectors.
+
+    Attributes:
+        shape: Its shape.
+        period: [s].
+        phases: Its phases.
+    """
+
+    shape: OrbitShape
+    period: float
+    phases: tuple[ClaimedPhase, ...]
+
+    @property
+    def start(self) -> Vector:
+        """Where the period starts, ``(n_x,)``."""
+        return self.phases[0].start
+
+
+def claim_of(orbit: ZenoOrbit, problem: Problem) -> Claim:
+    """Return an orbit's numbers as vectors.
+
+    Raises:
+        InputError: If the orbit is of another problem, or its names are not the problem's.
+    """
+    if orbit.problem != problem.name:
+        message = (
+            f"Argument `orbit` must be of problem `{problem.name}`, but it is of `{orbit.problem}`."
+        )
+        raise InputError(message)
+    for k, phase in enumerate(orbit.phases):
+        _require_impacts(phase, "" if len(orbit.phases) == 1 else f" in phase {k + 1}")
+    for name, values, known in (
+        ("gains", orbit.gains, [gain.name for gain in problem.gains]),
+        ("parameters", orbit.parameters, [quantity.name for quantity in problem.parameters]),
+    ):
+        _require_same(values, known, f"must have the {name} of its problem")
+
+    def vector(named: Mapping[str, float], where: str) -> Vector:
+        _require_same(named, problem.state_names, f"must have all states in `{where}`")
+        return np.array(problem.state_vector(named))
+
+    one = orbit.shape.has_one_release
+    return Claim(
+        shape=orbit.shape,
+        period=orbit.period,
+        phases=tuple(
+            ClaimedPhase(
+                start_time=phase.start_time,
+                start=vector(phase.start_state, "release_state" if one else "start_state"),
+                impacts=tuple((i.time, vector(i.state_minus, "impacts")) for i in phase.impacts),
+                zeno=None
+                if phase.zeno_time is None or phase.zeno_state is None
+                else (phase.zeno_time, vector(phase.zeno_state, "zeno_state")),
+            )
+            for phase in orbit.phases
+        ),
+    )
+
+
+def _require_same(names: Iterable[str], known: Iterable[str], wanted: str) -> None:
+    odd = ", ".join(sorted(set(names) ^ set(known)))
+    if odd:
+        raise InputError(f"Argument `orbit` {wanted}, but these differ: {odd}.")
+
+
+def _require_impacts(phase: OrbitPhase, where: str) -> None:
+    """Refuse a phase without an impact, or with several where the first one ends it."""
+    if not phase.impacts:
+        raise InputError(f"Argument `orbit` must have an impact{where}, but it has none.")
+    if phase.kind is not PhaseKind.ZENO and len(phase.impacts) > 1:
+        wanted = f"must have one impact{where}, which is `{phase.kind.value}`"
+        raise InputError(f"Argument `orbit` {wanted}, but it has {len(phase.impacts)}.")
