@@ -10,7 +10,6 @@ from zeno_orbits.experiment.identification.identification import Sought, identif
 from zeno_orbits.experiment.recordings.recording import Recording, cut
 from zeno_orbits.experiment.recordings.sampling import Sampling, sampled
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.compiled import bind, compiled_model
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.simulation.execution import Execution
@@ -29,7 +28,7 @@ Motion = tuple[Problem, HybridDynamics, Execution]
 @pytest.fixture(scope="module", params=SOUGHT)
 def motion(request: pytest.FixtureRequest) -> Motion:
     problem = load_problem(request.param)
-    dynamics = bind(compiled_model(problem), problem.values().vector)
+    dynamics = problem.dynamics(problem.values())
     until = SETTLED[problem.name] + 20.0
     start = problem.state_vector(problem.starts[0])
     return problem, dynamics, simulate(dynamics, start, until=until)
@@ -38,7 +37,7 @@ def motion(request: pytest.FixtureRequest) -> Motion:
 def settled(motion: Motion, rate: float, *, velocities: bool) -> Recording:
     problem, dynamics, execution = motion
     whole = sampled(problem, dynamics, execution, Sampling(rate=rate))
-    n_q = compiled_model(problem).n_q
+    n_q = problem.compiled().n_q
     rates = () if velocities else problem.state_names[n_q : 2 * n_q]
     kept = tuple(one for one in whole.signals if one.name not in rates)
     return cut(replace(whole, signals=kept), SETTLED[problem.name], None)
