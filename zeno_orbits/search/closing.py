@@ -18,7 +18,6 @@ from zeno_orbits.integrators import Taylor
 from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.model.quantities import RUNAWAY
 from zeno_orbits.orbits.cycle import Cycle, round_again
 from zeno_orbits.orbits.orbit import OrbitImpact, OrbitPhase, ZenoOrbit, versions
 from zeno_orbits.orbits.period import placed
@@ -191,10 +190,9 @@ def _settled(
         simulation,
         tolerance=tolerance,
         completion=ZenoExtrapolation(tolerance=_ROUGH),
-        far=RUNAWAY,
     )
     settings = SettlingSettings(settled=settled, simulation=rough)
-    settling = settle(dynamics, starts, settings, wanted)
+    settling = settle(dynamics, starts, settings, wanted, problem)
     if settling.cycle is None:
         raise _NoGuessError(f"{settling.reason[0].upper()}{settling.reason[1:]}.")
     return settling.cycle
