@@ -202,7 +202,7 @@ def search_gains(
         near=_read(near) if near is not None else None,
         settings=settings,
         accept=Verified(problem=known, allow_unstable=allow_unstable),
-        on_progress=lambda stage: on_progress(stage, None),
+        on_progress=on_progress,
         spread=spread,
         shape=shape,
     )
@@ -243,7 +243,7 @@ def close_orbit(
         known.values(gains=gains, parameters=parameters),
         near=_read(near) if near is not None else None,
         simulation=settings,
-        on_progress=lambda stage: on_progress(stage, None),
+        on_progress=on_progress,
         shape=shape,
     )
 
@@ -287,26 +287,30 @@ def floquet_multipliers(
         InputError: If the orbit's problem is not known, or its numbers do not fit the problem.
         SimulationError: If the orbit does not return.
     """
+    import numpy as np
+
     from zeno_orbits.orbits import poincare
+    from zeno_orbits.orbits.cycle import first_cycles
     from zeno_orbits.orbits.period import placed
-    from zeno_orbits.simulation.simulator import SimulationSettings as Settings
-    from zeno_orbits.verification.integration import claim_of, observe
-    from zeno_orbits.verification.verifier import problem_dynamics
+    from zeno_orbits.simulation import simulator
 
     orbit = _read(orbit)
     known = problem_of(orbit, problem)
-    claim, dynamics = claim_of(orbit, known), problem_dynamics(orbit, known)
-    cycle = observe(dynamics, claim, Settings(), 1).cycle
-    if cycle is None:
-        state = tuple(claim.start.tolist())
-        raise SimulationError("The orbit does not return", time=claim.period, state=state)
+    dynamics, settings = known.dynamics(orbit.values(known)), simulator.SimulationSettings()
+    shape = orbit.shape.at_restitution(dynamics.restitution)
+    release = known.state_vector(orbit.phases[0].start_state)
+    start = placed(dynamics, shape, np.array(release, dtype=np.float64))
+    motion = simulator.simulate(dynamics, start, until=1.5 * orbit.period, settings=settings)
+    found = first_cycles(motion, start, shape)
+    if not found:
+        raise SimulationError("The orbit does not return", time=motion.end_time, state=release)
     return poincare.floquet_multipliers(
         dynamics,
-        placed(dynamics, claim.shape, claim.start),
-        scale=cycle.scale,
-        period=cycle.end.time,
-        settings=Settings(),
-        shape=claim.shape,
+        start,
+        scale=found[0].scale(),
+        period=found[0].period,
+        settings=settings,
+        shape=shape,
     )
 
 
