@@ -179,3 +179,12 @@ def falling_away(acceleration: float) -> HybridDynamics:
         q=q, v=v, kinetic=v**2 / 2, potential=-acceleration * q, gap=q
     )
     return numeric(mechanism, restitution=0.5)
+
+
+def pushed_away(rate: float) -> HybridDynamics:
+    """Return a mass that is pushed off its stop the more, the farther it is: ``x'' = rate^2 x``."""
+    q, v = ca.SX.sym("q"), ca.SX.sym("v")
+    mechanism = HybridLagrangian.from_energies(
+        q=q, v=v, kinetic=v**2 / 2, potential=-((rate * q) ** 2) / 2, gap=q
+    )
+    return numeric(mechanism, restitution=0.5)

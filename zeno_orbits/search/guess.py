@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import RunawayError, SimulationError
+from zeno_orbits.errors import InputError, RunawayError, SimulationError
 from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
@@ -67,6 +67,13 @@ class SettlingSettings:
         )
     )
 
+    def __post_init__(self) -> None:
+        """Refuse times to wait that are not positive."""
+        for name, time in (("until", self.horizon), ("chunk", self.chunk)):
+            if time is not None and not 0.0 < time < math.inf:
+                wanted = "must be a positive number of seconds"
+                raise InputError(f"Argument `{name}` {wanted}, but it is {time:g}.")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Settling:
@@ -91,6 +98,7 @@ class _Watch:
         usable: As in `SettlingSettings`.
         horizon: Longest simulated time [s].
         chunk: Longest simulated time between two looks [s].
+        turn: A turn of the clock or longer [s]: what is still for so long is so for ever.
         phrases: Name of a coordinate to what its escape means.
     """
 
@@ -99,6 +107,7 @@ class _Watch:
     usable: float
     horizon: float
     chunk: float
+    turn: float
     phrases: Mapping[str, str]
 
 
@@ -170,6 +179,7 @@ def _watch(
         usable=settings.usable,
         horizon=turns * own if settings.horizon is None else settings.horizon,
         chunk=_LOOK * own if settings.chunk is None else settings.chunk,
+        turn=own,
         phrases=phrases,
     )
 
@@ -179,7 +189,7 @@ def _settle_from(
 ) -> Settling:
     """Return the last period of the motion from a state, or why there is none."""
     n_q, names = dynamics.n_q, dynamics.state_names
-    elapsed, at_release, patience, held = 0.0, False, watch.chunk, 0.0
+    elapsed, at_release, patience, still, held = 0.0, False, watch.chunk, 0.0, 0.0
     recurrence = Recurrence(settled=watch.settled, wanted=wanted)
     speeds: list[float] = []
     rates, position = np.zeros(2 * n_q), np.abs(state[:n_q])
@@ -208,10 +218,12 @@ def _settle_from(
             return Settling(cycle=None, reason="the motion dies out")
         now = _rates(dynamics, run.end_state, locked=run.arcs[-1].mode is Mode.LOCKED)
         rates = np.max([rates, now, *_rates_at_impacts(dynamics, run)], axis=0)
-        if not run.events and is_still(now[None, None], rates[None])[0]:
-            # A look is longer than a turn of the clock, so nothing will ever move it.
+        quiet = run.end_time if not run.events else -math.inf
+        still = still + quiet if is_still(now[None, None], rates[None])[0] else 0.0
+        if still >= watch.turn:
             return Settling(cycle=None, reason="the motion comes to rest")
-        held = held + run.end_time if not run.events and run.arcs[-1].mode is Mode.LOCKED else 0.0
+        held = held + quiet if run.arcs[-1].mode is Mode.LOCKED else 0.0
+        still, held = max(still, 0.0), max(held, 0.0)
         if elapsed < watch.horizon / 2:
             position = np.maximum(position, np.abs(run.end_state[:n_q]))
         at_release = run.releases[-1:] != () and run.releases[-1].time == run.end_time
