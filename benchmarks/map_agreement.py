@@ -25,7 +25,8 @@ import numpy as np
 from tests.reference.long_simulation import LongRun, attractor_of
 from zeno_orbits.maps.attractors import Attractor, Fate, attractor_from_json, attractor_json
 from zeno_orbits.maps.map_file import read_map, write_map
-from zeno_orbits.maps.parameter_map import Axis, ParameterMap, Plane, parameter_map
+from zeno_orbits.maps.mapping import ParameterMap, parameter_map
+from zeno_orbits.maps.plane import Axis, Plane
 from zeno_orbits.model.library import locate_problem
 from zeno_orbits.report.terminal import orbits as report
 from zeno_orbits.work import Plan, spread
@@ -140,8 +141,8 @@ class LongRuns:
 
     def __call__(self, points: Sequence[Sequence[float]]) -> list[dict[str, Any]]:
         """Return the attractors at some points as plain data."""
-        problem = self.plane.problem_file.load()
-        settings = [self.plane.values(problem, x, y) for x, y in points]
+        problem = self.plane.problem
+        settings = [self.plane.values(x, y) for x, y in points]
         found = [attractor_of(problem, one, self.plane.start, run=self.run) for one in settings]
         return [attractor_json(one) for one in found]
 
@@ -172,7 +173,7 @@ def main(fast: Fast = computed) -> int:
     """Compare and print."""
     options = _options()
     plane = Plane(
-        problem=locate_problem("motor_pendulum"),
+        source=locate_problem("motor_pendulum"),
         x=Axis(name="Kp", lower=1.0, upper=5.0, count=options.grid),
         y=Axis(name="Kd", lower=-2.0, upper=0.0, count=options.grid),
         start=(0.6, 0.0, 0.0, 0.0, 0.0),

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from zeno_orbits.continuation.families import Continuation
     from zeno_orbits.continuation.parallel import Crew
     from zeno_orbits.continuation.setup import ContinuationSettings
-    from zeno_orbits.maps.parameter_map import ParameterMap
+    from zeno_orbits.maps.mapping import ParameterMap
     from zeno_orbits.orbits.bounds import Bound
     from zeno_orbits.orbits.poincare import Multipliers
     from zeno_orbits.orbits.shape import OrbitShape
@@ -346,7 +346,7 @@ def continue_orbit(
     with _crew(source, workers, on_progress) as crew:
         known = problem_of(orbit, problem) if crew is None else crew.problem_file.load()
         return continuation.continue_orbit(
-            known, orbit, parameter, box, settings=settings, tell=on_progress, crew=crew
+            known, orbit, parameter, box, settings=settings, on_progress=on_progress, crew=crew
         )
 
 
@@ -361,7 +361,7 @@ def _crew(problem: Named, workers: int, on_progress: Progress) -> Generator[Crew
         return
     plan = Plan(place=Workers(count=workers))
     with open_pool(plan.place) as pool:
-        yield Crew(problem_file=_file_of(problem), plan=plan, pool=pool, tell=on_progress)
+        yield Crew(problem_file=_file_of(problem), plan=plan, pool=pool, on_progress=on_progress)
 
 
 def parameter_map(
@@ -385,28 +385,30 @@ def parameter_map(
         gains: Gains that differ from the problem's own.
         parameters: Parameters that differ from the problem's own.
         start: State name to value where every motion starts; by default the problem's first start.
-        until: How long a motion may take to settle [s].
-        workers: Processes; 0 means one a core.
+        until: How long a motion may take to settle [s]; by default 300 periods of the problem's
+            clock, or 60 s without one.
+        workers: Processes; with 1 no other than this one; 0 means one a core.
         on_progress: Called with what is being done and the part of it that is done.
 
     Raises:
         InputError: If a name is unknown, a range does not fit, or there are too many points.
         WorkError: If the work cannot be finished.
     """
-    from zeno_orbits.maps import parameter_map as maps
+    from zeno_orbits import maps
+    from zeno_orbits.maps.plane import chunk_of
     from zeno_orbits.work import Plan, Workers
 
     known = _known(problem)
     plane = maps.Plane(
-        problem_file=_file_of(problem),
+        source=known if workers == 1 else _file_of(problem),
         x=maps.Axis(name=x[0], lower=x[1], upper=x[2], count=x[3]),
         y=maps.Axis(name=y[0], lower=y[1], upper=y[2], count=y[3]),
         gains=dict(gains or {}),
         parameters=dict(parameters or {}),
         start=known.state_vector(known.starts[0] if start is None else start),
-        **({} if until is None else {"until": until}),
+        until=until,
     )
-    plan = Plan(place=Workers(count=workers), chunk=maps.chunk_of(plane))
+    plan = Plan(place=Workers(count=workers or None), chunk=chunk_of(plane))
     return maps.parameter_map(plane, plan, on_progress=on_progress)
 
 

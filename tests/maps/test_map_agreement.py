@@ -10,7 +10,8 @@ import pytest
 from benchmarks import map_agreement
 from tests.reference.long_simulation import LongRun
 from zeno_orbits.maps.attractors import Attractor, Fate
-from zeno_orbits.maps.parameter_map import Axis, Plane, parameter_map
+from zeno_orbits.maps.mapping import parameter_map
+from zeno_orbits.maps.plane import Axis, Plane
 from zeno_orbits.model.library import locate_problem
 from zeno_orbits.work import Plan, Workers
 
@@ -62,7 +63,7 @@ def test_a_long_run_that_has_not_settled_is_excused_only_if_it_moves_as_the_map_
 
 def test_a_cell_beside_another_fate_is_near_a_boundary() -> None:
     plane = Plane(
-        problem_file=locate_problem("bouncing_ball"),
+        source=locate_problem("bouncing_ball"),
         x=Axis(name="m", lower=1.0, upper=2.0, count=4),
         y=Axis(name="g", lower=1.0, upper=2.0, count=2),
         start=(1.0, 0.0),
@@ -82,7 +83,7 @@ def test_a_cell_beside_another_fate_is_near_a_boundary() -> None:
 def test_a_closer_look_excuses_only_a_fate_that_it_has_seen(fates: str, near: bool) -> None:
     kinds = {name: Attractor(fate=Fate.ESCAPE, escaped=f"theta{name}") for name in "123"}
     plane = Plane(
-        problem_file=locate_problem("bouncing_ball"),
+        source=locate_problem("bouncing_ball"),
         x=Axis(name="m", lower=1.0, upper=2.0, count=5),
         y=Axis(name="g", lower=9.0, upper=10.0, count=3),
         start=(1.0, 0.0),

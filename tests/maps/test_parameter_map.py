@@ -24,7 +24,8 @@ from zeno_orbits import work
 from zeno_orbits.errors import CheckpointError, InputError, MapFileError, ProblemFileError
 from zeno_orbits.maps.attractors import Attractor, Fate
 from zeno_orbits.maps.map_file import read_boundaries, read_map, write_map
-from zeno_orbits.maps.parameter_map import Axis, ParameterMap, Plane, parameter_map, require_plane
+from zeno_orbits.maps.mapping import ParameterMap, parameter_map
+from zeno_orbits.maps.plane import Axis, Plane, chunk_of, require_plane
 from zeno_orbits.model.library import bundled_problems, load_problem, locate_problem
 from zeno_orbits.model.problem import Escape
 from zeno_orbits.report.terminal import orbits as report
@@ -40,7 +41,7 @@ needs_two = pytest.mark.skipif(CORES < 2, reason="needs two cores")
 
 def plane(problem: str | Path = "bouncing_ball", **changes: Any) -> Plane:
     whole = Plane(
-        problem_file=locate_problem(problem),
+        source=locate_problem(problem),
         x=Axis(name="m", lower=1.0, upper=2.0, count=3),
         y=Axis(name="restitution", lower=0.0, upper=0.5, count=2),
         start=(1.0, 0.0),
@@ -50,7 +51,7 @@ def plane(problem: str | Path = "bouncing_ball", **changes: Any) -> Plane:
 
 def pendulum(**changes: Any) -> Plane:
     whole = Plane(
-        problem_file=locate_problem("motor_pendulum"),
+        source=locate_problem("motor_pendulum"),
         x=Axis(name="Kp", lower=2.0, upper=3.0, count=2),
         y=Axis(name="Kd", lower=-3.0, upper=-2.0, count=2),
         start=(0.6, 0.0, 0.0, 0.0, 0.0),
@@ -81,7 +82,7 @@ def test_every_point_of_a_map_is_the_long_run_at_its_numbers() -> None:
 def test_parameters_that_others_are_derived_from_are_derived_anew_at_every_point() -> None:
     problem = load_problem("motor_pendulum")
     crossed = pendulum(x=Axis(name="m2", lower=0.1, upper=0.12, count=2))
-    values = crossed.values(problem, 0.12, -1.0)
+    values = crossed.values(0.12, -1.0)
     assert values == problem.values(gains={"Kd": -1.0}, parameters={"m2": 0.12})
     assert values.parameters["J_rotor"] != problem.values().parameters["J_rotor"]
 
@@ -189,10 +190,10 @@ def test_a_problem_whose_file_has_changed_meanwhile_is_refused(tmp_path: Path) -
     before = plane(problem)
     problem.write_text(problem.read_text() + "\n# another thought\n")
     with pytest.raises(InputError, match="must be the same file for everybody"):
-        before.problem_file.load()
+        before.source.load()
     problem.unlink()
     with pytest.raises(InputError):
-        before.problem_file.load()
+        before.source.load()
 
 
 def test_a_problem_file_that_defines_none_is_refused(tmp_path: Path) -> None:
@@ -430,3 +431,55 @@ def test_curves_are_drawn_on_top_and_need_a_picture(tmp_path: Path) -> None:
     picture = tmp_path / "map.png"
     assert ask(*BALL, "--workers", "1", "--boundaries", curves, "--picture", picture).code == NO
     assert picture.stat().st_size > 0
+
+
+# ---------------------------------------------------------------------------- without a file
+
+
+TABLE = {"x": Axis(name="A", lower=0.0149, upper=0.0151, count=2), "start": (0.0, 0.0, 1.0, 0.0)}
+
+
+def table(**changes: Any) -> Plane:
+    y = Axis(name="omega", lower=29.9, upper=30.1, count=2)
+    return Plane(**{"source": locate_problem("vibrating_table"), "y": y, **TABLE, **changes})
+
+
+def test_a_problem_object_is_mapped_by_this_process_as_its_file_is_by_workers() -> None:
+    here = parameter_map(table(source=replace(load_problem("vibrating_table"))), ONE)
+    assert here.as_json() == parameter_map(table(), ONE).as_json()
+    assert {one.fate for one in here.attractors} == {Fate.ZENO}
+
+
+def test_a_problem_object_is_refused_where_other_processes_or_a_checkpoint_need_its_file(
+    tmp_path: Path,
+) -> None:
+    alone = table(source=load_problem("vibrating_table"))
+    for plan in (Plan(place=Workers(count=2)), replace(ONE, checkpoint=tmp_path / "kept")):
+        with pytest.raises(InputError, match="`problem` must be a name or a file"):
+            parameter_map(alone, plan)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_motions_are_waited_for_in_periods_of_the_slowest_clock() -> None:
+    assert require_plane(table()).time == pytest.approx(300 * 2 * np.pi / 29.9)
+    slow = table(y=Axis(name="omega", lower=0.1, upper=1.0, count=2))
+    assert require_plane(slow).time == pytest.approx(300 * 2 * np.pi / 0.1)
+    assert require_plane(table(until=7.0)).time == 7.0
+    assert require_plane(plane()).time == 60.0
+
+
+def test_the_command_finds_the_orbits_of_a_table_that_search_finds() -> None:
+    words = "--x A=0.0149:0.0151 --y omega=29.9:30.1 --points 3x3 --workers 1 --json"
+    answer = ask("map", "vibrating_table", *words.split())
+    assert answer.code == YES
+    assert [point["fate"] for point in answer.data["points"]] == 9 * ["zeno"]
+
+
+def test_every_core_has_points_and_a_chunk_neither_few_nor_too_many() -> None:
+    square = table(
+        x=Axis(name="A", lower=0.0149, upper=0.0151, count=50),
+        y=Axis(name="omega", lower=29.9, upper=30.1, count=50),
+    )
+    assert [chunk_of(square, cores) for cores in (1, 2, 16, 10_000)] == [625, 625, 79, 16]
+    large = replace(square, x=replace(square.x, count=1000))
+    assert chunk_of(large, 2) == 1250

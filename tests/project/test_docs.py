@@ -93,6 +93,14 @@ def test_pages_and_notebooks_import_from_the_front_door_alone() -> None:
     assert not re.findall(r"from zeno_orbits\.\w+", "\n".join(texts))
 
 
+def test_every_file_that_a_change_may_need_exists() -> None:
+    page = (ROOT / "CONTRIBUTING.md").read_text()
+    table = page[page.index("## Where to change what") : page.index("## House rules")]
+    named = re.findall(r"`((?:zeno_orbits|docs)/[\w./]+)`", table)
+    assert len(named) > 15
+    assert all((ROOT / name).exists() for name in named), named
+
+
 def test_docstrings_cite_by_links_on_the_site() -> None:
     cited = "As in theory (37) to (40), and theory (7). Source: [Keller1977]_."
     links = [f":ref:`({k}) <eq-{k}>`" for k in (37, 40, 7)]

@@ -34,7 +34,7 @@ EVERY_MODULE = (
         "zeno_orbits.report.terminal.orbits",
     ),
     *(
-        "zeno_orbits.maps.parameter_map",
+        "zeno_orbits.maps.mapping",
         "zeno_orbits.maps.map_file",
         "zeno_orbits.work",
         "zeno_orbits.report.page",
@@ -102,6 +102,6 @@ def test_json_is_printed_without_rich() -> None:
 
 
 def test_a_module_that_draws_is_seen_to_load_matplotlib() -> None:
-    assert loaded_by("import zeno_orbits.report.plots", RARE) >= {"matplotlib"}
+    assert loaded_by("import zeno_orbits.report.plots.style", RARE) >= {"matplotlib"}
     assert loaded_by("import zeno_orbits.model.formulas", RARE) >= {"sympy"}
     assert loaded_by("import scipy.stats", SCIPY) == set(SCIPY)

@@ -9,7 +9,7 @@ import pytest
 import zeno_orbits as zo
 from zeno_orbits.continuation.families import Continuation, Family, FamilyPoint, Kind, SpecialPoint
 from zeno_orbits.maps.attractors import Attractor, Fate
-from zeno_orbits.maps.parameter_map import Axis
+from zeno_orbits.maps.plane import Axis
 from zeno_orbits.search.search import Attempt, SearchStatus
 from zeno_orbits.simulation.simulator import simulate
 from zeno_orbits.verification.verifier import certified

@@ -32,9 +32,9 @@ from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.orbit_file import read_orbit, write_orbit
 from zeno_orbits.precision.work_precision import Trade, Trial, read_trade
 from zeno_orbits.report.page import Subject, load_bundle, page_of, subject_of, words
-from zeno_orbits.report.page.markup import data_of, tag
+from zeno_orbits.report.page.commands import commands_of
+from zeno_orbits.report.page.page import template_environment
 from zeno_orbits.report.page.plot_data import curves_of
-from zeno_orbits.report.page.sections import commands
 from zeno_orbits.search import find_orbit
 from zeno_orbits.verification.certificate import RESIDUALS, OrbitCertificate
 from zeno_orbits.verification.verifier import problem_dynamics, verify
@@ -161,7 +161,7 @@ def test_every_event_of_the_period_stands_on_the_page(page: str, subject: Subjec
 def test_a_long_sequence_of_hits_is_cut_in_its_middle(
     page: str, subject: Subject, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("zeno_orbits.report.page.sections._MOST_EVENTS", 4)
+    monkeypatch.setattr("zeno_orbits.report.page.tables._MOST_EVENTS", 4)
     assert subject.execution is not None
     short = page_of(subject, load_bundle())
     assert f"and {len(subject.execution.events) - 4} more" in _Reader(short).words
@@ -217,7 +217,7 @@ def test_the_commands_on_the_page_find_the_orbit_again(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     shown = unescape(re.findall(r"<code>(.*?)</code>", page, re.DOTALL)[0]).splitlines()
-    assert [tuple(shlex.split(line)) for line in shown] == list(commands(subject))
+    assert [tuple(shlex.split(line)) for line in shown] == list(commands_of(subject))
     for line in shown:
         assert ask(*shlex.split(line)[1:])[0] == YES
     again = read_orbit(tmp_path / "orbit.json")
@@ -228,7 +228,7 @@ def test_the_commands_on_the_page_find_the_orbit_again(
 def test_numbers_that_differ_from_the_problem_stand_in_the_command(subject: Subject) -> None:
     other = {**subject.orbit.parameters, "R": 2.5, "K_emf": 0.02}
     moved = replace(subject, orbit=replace(subject.orbit, parameters=other))
-    words_of = commands(moved)[0]
+    words_of = commands_of(moved)[0]
     # `K_emf` is derived, but not as it stands here; what follows from `R` is left out.
     assert [word for word in words_of if "=" in word] == [
         *("Kp=2.5", "Kd=-1.0", "R=2.5", "K_emf=0.02"),
@@ -282,20 +282,26 @@ def test_texts_that_are_html_stay_texts(hostile: Subject) -> None:
     assert reader.words.count(EVIL) > 20
 
 
+def rendered(template: str, **values: object) -> str:
+    """Return a small template, rendered as the page is."""
+    return template_environment().from_string(template).render(**values)
+
+
 def test_data_inside_a_script_element_reads_back_whatever_it_holds() -> None:
     data = {"a": EVIL, "b": ["<!--", "\u2028", "θ"], "c": [1.5e-300, None]}
-    text = data_of(data)
+    text = rendered("{{ data|tojson }}", data=data)
     assert not set("<>&") & set(text)
     assert json.loads(text) == data
 
 
 def test_what_is_not_finite_cannot_slip_into_the_data() -> None:
     with pytest.raises(ValueError, match="Out of range float"):
-        data_of({"a": math.nan})
+        rendered("{{ data|tojson }}", data={"a": math.nan})
 
 
 def test_attributes_are_escaped() -> None:
-    assert tag("a", "<", title='">') == '<a title="&quot;&gt;">&lt;</a>'
+    page = rendered('<a title="{{ title }}">{{ text }}</a>', title="\">'", text="<")
+    assert page == '<a title="&#34;&gt;&#39;">&lt;</a>'
 
 
 # ---------------------------------------------------------------------------- the command
@@ -383,8 +389,8 @@ def test_an_unstable_orbit_is_not_called_one_that_the_machine_keeps(
     assert "unstable" in words.headline(unstable)
     assert "grows" in words.stability(unstable)
     unknown = replace(certificate, multipliers=(), multiplier_error=math.inf)
-    assert "could not be told" in words.headline(unknown)
-    assert "could not be told" in words.stability(unknown)
+    assert "not known whether" in words.headline(unknown)
+    assert "not accurate enough" in words.stability(unknown)
     assert "settles" in words.headline(certificate)
 
 

@@ -19,7 +19,8 @@ from tests.support.chores import Deadly, Diary
 from tests.support.clusters import DaskCluster, dask_cluster, noted_problem, wait_until
 from zeno_orbits.errors import InputError, WorkError
 from zeno_orbits.maps.map_file import write_map
-from zeno_orbits.maps.parameter_map import Axis, Plane, parameter_map
+from zeno_orbits.maps.mapping import parameter_map
+from zeno_orbits.maps.plane import Axis, Plane
 from zeno_orbits.model.library import bundled_problems, locate_problem
 from zeno_orbits.work import Cluster, Lost, Plan, Workers, spread
 
@@ -143,7 +144,7 @@ def test_a_map_made_on_a_cluster_is_the_file_made_here(
     shutil.copy(bundled_problems()["bouncing_ball"], problem)
     cluster.start_worker("--no-nanny")
     plane = Plane(
-        problem_file=locate_problem(problem),
+        source=locate_problem(problem),
         x=Axis(name="m", lower=1.0, upper=2.0, count=3),
         y=Axis(name="restitution", lower=0.1, upper=0.5, count=3),
         start=(1.0, 0.0),

@@ -27,9 +27,8 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.report.terminal import orbits as report
 
 if TYPE_CHECKING:
-    from zeno_orbits.maps.parameter_map import Axis, Boundary, ParameterMap, Plane
-
-_UNTIL = 60.0
+    from zeno_orbits.maps.mapping import Boundary, ParameterMap
+    from zeno_orbits.maps.plane import Axis, Plane
 
 
 def add_map(commands: Any) -> None:
@@ -67,9 +66,9 @@ def add_map(commands: Any) -> None:
     parser.add_argument(
         "--until",
         type=float,
-        default=_UNTIL,
         metavar="T",
-        help=f"how long a motion may take to settle [s]; {_UNTIL:g} by default",
+        help="how long a motion may take to settle [s]; by default 300 periods of the problem's "
+        "clock, or 60 s without one",
     )
     add_place(parser)
     parser.add_argument("--picture", type=Path, help="draw the map here")
@@ -84,7 +83,8 @@ def add_map(commands: Any) -> None:
 
 def _run_map(options: argparse.Namespace) -> int:
     from zeno_orbits.maps.map_file import read_boundaries, write_map
-    from zeno_orbits.maps.parameter_map import chunk_of, parameter_map, require_plane
+    from zeno_orbits.maps.mapping import parameter_map
+    from zeno_orbits.maps.plane import chunk_of, require_plane
     from zeno_orbits.work import Plan, remove_checkpoint
 
     plane = require_plane(_plane(options))
@@ -123,12 +123,12 @@ def _show(options: argparse.Namespace, found: ParameterMap) -> int:
 
 
 def _plane(options: argparse.Namespace) -> Plane:
-    from zeno_orbits.maps.parameter_map import Plane
+    from zeno_orbits.maps.plane import Plane
     from zeno_orbits.model.library import locate_problem
 
     problem_file = locate_problem(options.problem)
     return Plane(
-        problem_file=problem_file,
+        source=problem_file,
         x=_axis(options.x, options.points[0], "x"),
         y=_axis(options.y, options.points[1], "y"),
         gains=read_numbers(options.gain, "gain"),
@@ -139,7 +139,7 @@ def _plane(options: argparse.Namespace) -> Plane:
 
 
 def _axis(entries: list[str], count: int, side: str) -> Axis:
-    from zeno_orbits.maps.parameter_map import Axis
+    from zeno_orbits.maps.plane import Axis
 
     if len(entries) != 1:
         raise InputError(f"Argument `{side}` must be given once, but it is {len(entries)} times.")

@@ -1,11 +1,13 @@
 """The report of an orbit: one HTML page that needs no server and no network.
 
-Values in, the text of the page out. The plots are drawn in the reader's browser by plotly, whose
-bundle travels inside the page; the numbers and the words are there without it.
+Values in, the text of the page out: ``page.html`` is its template, ``tables`` its tables. The
+plots are drawn in the reader's browser by plotly, whose bundle travels inside the page; the numbers
+and the words are there without it.
+
+Offers: ``subject_of`` (what to report), ``load_bundle`` (plotly's script), ``page_of`` (the page).
+Imports: precision, verification, orbits, simulation, model, arrays, errors.
 """
 
-from zeno_orbits.report.page.page import page_of
-from zeno_orbits.report.page.plotly_bundle import Bundle, load_bundle
-from zeno_orbits.report.page.subject import Subject, subject_of
+import lazy_loader as lazy
 
-__all__ = ["Bundle", "Subject", "load_bundle", "page_of", "subject_of"]
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

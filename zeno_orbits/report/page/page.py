@@ -1,73 +1,106 @@
-"""The whole page: its head, its sections, its data and its scripts."""
+"""The whole page: its template, filled with an orbit's texts, tables and data of its plots."""
 
 from __future__ import annotations
 
 import base64
 import gzip
 import hashlib
+import math
+import shlex
 from importlib.resources import files
+from typing import TYPE_CHECKING
 
-from zeno_orbits.report.page import sections
-from zeno_orbits.report.page.markup import Html, data_of, joined, tag
+from zeno_orbits.errors import InputError
+from zeno_orbits.report.page import words
+from zeno_orbits.report.page.commands import commands_of
 from zeno_orbits.report.page.plot_data import curves_of
 from zeno_orbits.report.page.plotly_bundle import Bundle
-from zeno_orbits.report.page.sections import motion, reproduction
 from zeno_orbits.report.page.subject import Subject
+from zeno_orbits.report.page.tables import tables_of, tiles_of
+from zeno_orbits.report.zeno_neighbourhood import close_up
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+_MARKS = {"refused": "✗", "passed": "✓", "unsure": "!"}
+"""Kind of an answer to the sign in front of it."""
 
 
 def page_of(subject: Subject, bundle: Bundle) -> str:
     """Return the page as text; the same subject gives the same text.
 
-    Its own policy forbids it every request and every script but its own two, so that it stays
-    offline and harmless even if a text of a problem were HTML.
+    Its content security policy forbids it every request and every script but its own two, so that
+    it stays offline and harmless even if a text of a problem were HTML.
+
+    Raises:
+        InputError: If jinja2 is not installed.
     """
-    script = files("zeno_orbits.report.page").joinpath("page.js").read_text(encoding="utf-8")
-    style = files("zeno_orbits.report.page").joinpath("page.css").read_text(encoding="utf-8")
+    from markupsafe import Markup
+
+    script, style = _text("page.js"), _text("page.css")
     library = gzip.decompress(base64.b64decode(bundle.packed)).decode()
-    title = f"Zeno periodic orbit of {subject.orbit.problem}"
-    policy = (
-        f"default-src 'none'; script-src {_hashed(script)} {_hashed(library)}; "
-        "style-src 'unsafe-inline'; img-src data: blob:; base-uri 'none'; form-action 'none'"
+    certificate, execution = subject.certificate, subject.execution
+    kind = "refused" if not certificate.passed else "passed" if certificate.stable else "unsure"
+    zoom = close_up(execution, subject.dynamics) if execution and execution.zeno_points else None
+    error = certificate.orbit_error
+    return (
+        template_environment()
+        .get_template("page.html")
+        .render(
+            title=f"Zeno periodic orbit of {subject.orbit.problem}",
+            policy=Markup(
+                f"default-src 'none'; script-src {_hashed(script)} {_hashed(library)}; "
+                "style-src 'unsafe-inline'; img-src data: blob:; "
+                "base-uri 'none'; form-action 'none'"
+            ),
+            style=Markup(style),
+            script=Markup(script),
+            bundle=bundle,
+            words=words,
+            subject=subject,
+            orbit=subject.orbit,
+            problem=subject.problem,
+            certificate=certificate,
+            execution=execution,
+            trade=subject.trade,
+            answer={"kind": kind, "mark": _MARKS[kind]},
+            tiles=tiles_of(subject),
+            tables=tables_of(subject, bundle),
+            n_flights=len(zoom.flights) if zoom else 0,
+            orbit_error=f"{error:.0e}" if math.isfinite(error) else "",
+            commands="\n".join(shlex.join(command) for command in commands_of(subject)),
+            file=base64.b64encode(subject.content.encode()).decode(),
+            curves=curves_of(subject),
+        )
     )
-    head = joined(
-        [
-            Html('<meta charset="utf-8">'),
-            Html(f'<meta http-equiv="Content-Security-Policy" content="{policy}">'),
-            Html('<meta name="viewport" content="width=device-width, initial-scale=1">'),
-            Html('<link rel="icon" href="data:,">'),
-            tag("title", title),
-            tag("style", Html(style)),
-        ]
-    )
-    body = joined(
-        [
-            tag("header", tag("h1", title), sections.banner(subject)),
-            tag("main", _main(subject, bundle)),
-            tag("script", data_of(curves_of(subject)), type="application/json", id="data"),
-            tag("script", Html(bundle.packed), type="text/plain", id="library"),
-            tag("script", Html(script)),
-        ]
-    )
-    whole = tag("html", joined(["", tag("head", head), tag("body", body), ""]), lang="en")
-    return f"<!doctype html>\n{whole}\n"
 
 
-def _main(subject: Subject, bundle: Bundle) -> Html:
-    note = "The pictures are drawn by JavaScript; all numbers and words are here without it."
-    return joined(
-        [
-            tag("p", note, id="note", class_="warning"),
-            sections.happens(subject),
-            sections.asked(subject),
-            motion(subject),
-            sections.stability(subject),
-            sections.checks(subject),
-            sections.margins(subject),
-            sections.trade(subject.trade),
-            sections.parameters(subject),
-            reproduction(subject, bundle),
-        ]
+def template_environment() -> Environment:
+    """Return the environment that renders the template; it escapes every value.
+
+    Raises:
+        InputError: If jinja2 is not installed.
+    """
+    try:
+        from jinja2 import Environment, FunctionLoader, StrictUndefined
+    except ImportError as error:
+        message = "A report needs jinja2: run `pip install 'zeno_orbits[report]'`"
+        raise InputError(f"{message} ({error}).") from error
+    environment = Environment(
+        loader=FunctionLoader(_text),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
     )
+    # A number that is not finite must not slip into the data of the plots.
+    environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
+    return environment
+
+
+def _text(name: str) -> str:
+    return files("zeno_orbits.report.page").joinpath(name).read_text(encoding="utf-8")
 
 
 def _hashed(script: str) -> str:

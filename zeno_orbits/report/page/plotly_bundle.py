@@ -6,6 +6,7 @@ import base64
 import gzip
 import importlib
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 from zeno_orbits.errors import InputError
@@ -24,6 +25,7 @@ class Bundle:
     packed: str
 
 
+@cache
 def load_bundle() -> Bundle:
     """Return plotly's own script.
 

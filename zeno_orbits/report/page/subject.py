@@ -1,4 +1,4 @@
-"""What a report is about: an orbit, what a check said of it, and the motion to draw."""
+"""The subject of a report: an orbit, its fresh certificate, and the motion to draw."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from zeno_orbits.verification.certificate import OrbitCertificate
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Subject:
-    """What a report is about.
+    """The subject of a report.
 
     Attributes:
         orbit: The orbit, as its file has it.
         problem: Its problem.
         dynamics: The problem at the orbit's numbers.
-        certificate: What a forward integration said of it, just now.
-        execution: One period, simulated from the orbit's release; none if that failed.
-        trouble: Why it failed; empty if it did not.
-        trade: What accuracy costs in this problem, if that was measured.
+        certificate: Its certificate, computed afresh.
+        execution: One period, simulated from the orbit's start; ``None`` if that failed.
+        trouble: The reason of the failure; empty if there was none.
+        trade: The problem's work-precision measurements, if there are any.
         file: Name of the orbit's file.
-        scene_file: Path of the problem's file; empty for a bundled problem.
+        problem_file: Path of the problem's file; empty for a bundled problem.
         content: The orbit's file itself.
-        command: The words of the command that made the report.
+        command: The words of the command that wrote the report.
     """
 
     orbit: ZenoOrbit
@@ -57,7 +57,19 @@ def subject_of(
     content: str = "",
     command: tuple[str, ...] = (),
 ) -> Subject:
-    """Return what a report is about, one period simulated; see `Subject` for the arguments."""
+    """Return the subject of a report, one period simulated.
+
+    Args:
+        orbit: The orbit, as its file has it.
+        problem: Its problem.
+        dynamics: The problem at the orbit's numbers.
+        certificate: Its certificate, computed afresh.
+        trade: The problem's work-precision measurements, if there are any.
+        file: Name of the orbit's file.
+        problem_file: Path of the problem's file; empty for a bundled problem.
+        content: The orbit's file itself.
+        command: The words of the command that wrote the report.
+    """
     execution, trouble = None, ""
     try:
         execution = motion_of(orbit, problem, dynamics)

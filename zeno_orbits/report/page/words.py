@@ -1,4 +1,4 @@
-"""The words of a report: what a certificate says, for a reader who knows no hybrid systems."""
+"""Sentences of a report, for a reader who knows no hybrid systems."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CHECKS: Mapping[str, str] = {
     "impact_energy": "Every hit costs as much energy as it must.",
     "zeno_point": "The hits pile up when and where the file says.",
     "phases": "Later flights start when and where the file says.",
-    "delta_sweep": "Ending the hits early matters the less, the later it is done.",
+    "delta_sweep": "The later the sequence of hits is cut off, the less the cut matters.",
     "penetration": "Nothing passes through the stop.",
     "adhesion": "The stop pushes and never pulls.",
     "escape": "Nothing goes farther than the mechanism can.",
@@ -26,10 +26,10 @@ CHECKS: Mapping[str, str] = {
     "drift": "The later periods are like the first.",
     "energy_balance": "No energy comes from nowhere, and none vanishes.",
     "holonomic": "The other constraints of the mechanism hold.",
-    "second_model": "Equations derived a second time, by another way, say the same.",
-    "integration": "A rougher calculation gives the same answer.",
+    "second_model": "Equations that were derived a second time, independently, agree.",
+    "integration": "A less accurate calculation gives the same answer.",
 }
-"""Name of a residual to what its check asks, in plain words."""
+"""Name of a residual to its check in plain words."""
 
 MARGINS: Mapping[str, tuple[str, str]] = {
     "gap_acceleration": (
@@ -43,13 +43,14 @@ MARGINS: Mapping[str, tuple[str, str]] = {
     ),
     "release_transversality": (
         "how fast the contact force falls as the stop lets go; at zero it would not let go cleanly",
-        "force per s, SI",
+        "{force}/s",
     ),
     "lets_go": ("how fast the part leaves a stop that does not hold it", "{gap}/s^2"),
     "phases_apart": ("how much the flights of a period differ; at zero it is a shorter one", "1"),
     "locked_time": ("how long the part rests on its stop; at zero it would never rest", "s"),
 }
-"""Name of a margin to its meaning and its unit, in which ``{gap}`` is that of the gap."""
+"""Name of a margin to its meaning and its unit, in which ``{gap}`` is that of the gap and
+``{force}`` that of its force."""
 
 ENERGIES: Mapping[str, str] = {
     "input_work": "put in by the source",
@@ -68,13 +69,19 @@ def headline(certificate: OrbitCertificate) -> str:
     if certificate.stable:
         return "Verified: the machine settles into this motion and keeps it."
     if certificate.unstable:
-        return "Verified, but unstable: the machine leaves this motion at the least push."
-    return "Verified; whether small pushes die out could not be told."
+        return "Verified, but unstable: the smallest push makes the machine leave this motion."
+    return "Verified; it is not known whether small pushes die out."
 
 
 def story(orbit: ZenoOrbit, certificate: OrbitCertificate, execution: Execution | None) -> str:
-    """Return what happens in one period, in the words for one Zeno point or for another number."""
-    said = "" if certificate.passed else "So the file says; the check below does not confirm it. "
+    """Return one period in words.
+
+    Args:
+        orbit: The orbit.
+        certificate: Its certificate.
+        execution: One period, if it could be simulated.
+    """
+    said = "" if certificate.passed else "So says the file; the check below does not confirm it. "
     repeats = f"The same motion repeats every {orbit.period:.4g} s."
     if execution is None:
         return f"{said}{repeats}"
@@ -110,7 +117,7 @@ def _one_zeno_point(orbit: ZenoOrbit, zeno: float) -> str:
 
 
 def stability(certificate: OrbitCertificate) -> str:
-    """Return what becomes of a small push."""
+    """Return the effect of a small push in words."""
     radius = certificate.spectral_radius
     if certificate.stable and not certificate.multipliers:
         return (
@@ -127,4 +134,4 @@ def stability(certificate: OrbitCertificate) -> str:
             f"A small push grows, in the end {radius:.3g} times from period to period. A "
             "multiplier lies outside the unit circle."
         )
-    return "The multipliers could not be told well enough to say whether a small push dies out."
+    return "The multipliers are not accurate enough to say whether a small push dies out."

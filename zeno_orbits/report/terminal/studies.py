@@ -11,7 +11,7 @@ from zeno_orbits.report.terminal.console import print_lines, print_table, table_
 if TYPE_CHECKING:
     from zeno_orbits.continuation.families import Boundary, Continuation
     from zeno_orbits.maps.attractors import Attractor
-    from zeno_orbits.maps.parameter_map import ParameterMap
+    from zeno_orbits.maps.mapping import ParameterMap
     from zeno_orbits.precision.work_precision import Trade, Trial
 
 

@@ -1,0 +1,223 @@
+"""The tables and main numbers of a report, as data: what stands in which column."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, cast
+
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.model.quantities import Quantity
+from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.precision.work_precision import Trade, Trial
+from zeno_orbits.report.page import words
+from zeno_orbits.report.page.plotly_bundle import Bundle
+from zeno_orbits.report.page.subject import Subject
+from zeno_orbits.report.table import Column, Table, number_column, table_of, text_column
+from zeno_orbits.simulation.execution import Event, Execution, Impact, Mode, ZenoPoint
+from zeno_orbits.verification.certificate import RESIDUALS, OrbitCertificate
+from zeno_orbits.work.versions import versions
+
+_ACCURACIES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
+_MOST_EVENTS = 40
+"""Rows of the table of events."""
+_FORCES = {"m": "N", "rad": "N m"}
+"""Unit of a gap to that of the force that holds it closed."""
+
+
+def tiles_of(subject: Subject) -> tuple[tuple[str, str, str], ...]:
+    """Return name, number and unit of the main numbers of one period."""
+    orbit, execution = subject.orbit, subject.execution
+    radius = subject.certificate.spectral_radius
+    points = execution.zeno_points if execution else ()
+    arcs = execution.arcs if execution else ()
+    resting = sum(arc.end_time - arc.start_time for arc in arcs if arc.mode is Mode.LOCKED)
+    push = "unknown" if math.isnan(radius) else f"{radius:.4g}"
+    return (
+        ("period", f"{orbit.period:.10g}", "s"),
+        ("first hit after", f"{orbit.impacts[0].time:.10g}", "s"),
+        *(("Zeno point after", f"{point.time:.10g}", "s") for point in points[:3]),
+        *([("rests on the stop for", f"{resting:.6g}", "s")] if points else []),
+        ("a small push is multiplied by", push, "per period"),
+    )
+
+
+def tables_of(subject: Subject, bundle: Bundle) -> dict[str, Table[Any]]:
+    """Return the tables of a report by name; those that the subject lacks are left out."""
+    certificate, problem = subject.certificate, subject.problem
+    tables: dict[str, Table[Any]] = {
+        "gains": gains_table(subject.orbit, problem),
+        "bounds": bounds_table(subject.orbit),
+        "multipliers": multipliers_table(certificate),
+        "checks": checks_table(certificate),
+        "margins": margins_table(certificate, problem.gap_unit),
+        "energies": energies_table(certificate),
+        "parameters": parameters_table(subject.orbit, problem),
+        "versions": versions_table(subject.orbit, bundle),
+    }
+    if subject.execution is not None:
+        tables["events"] = events_table(subject.execution, problem.gap_unit)
+    if subject.trade is not None:
+        tables["trade"] = trade_table(subject.trade)
+    return tables
+
+
+def _quantity_columns(kind: str, values: Mapping[str, float]) -> list[Column[Quantity]]:
+    return [
+        text_column(kind, lambda quantity: quantity.name),
+        number_column("value", lambda quantity: f"{values[quantity.name]:.12g}"),
+        text_column("unit", lambda quantity: quantity.unit),
+        text_column("meaning", lambda quantity: quantity.meaning),
+    ]
+
+
+def gains_table(orbit: ZenoOrbit, problem: Problem) -> Table[Any]:
+    """Return the gains with their units."""
+    known = {gain.name: gain for gain in problem.gains}
+    gains = [known[name] for name in orbit.gains]
+    return table_of("Gains", _quantity_columns("gain", orbit.gains), gains)
+
+
+def parameters_table(orbit: ZenoOrbit, problem: Problem) -> Table[Any]:
+    """Return the physical parameters with their units."""
+    columns = _quantity_columns("parameter", orbit.parameters)
+    return table_of("Physical parameters of the problem", columns, problem.parameters)
+
+
+def bounds_table(orbit: ZenoOrbit) -> Table[Any]:
+    """Return the bounds that a search was asked to keep, as far as the orbit's file has them."""
+    known: list[Any] = list(orbit.certificate.get("asked", ()))
+    bounds = [cast("dict[str, Any]", one) for one in known if isinstance(one, dict)]
+    columns: list[Column[dict[str, Any]]] = [
+        text_column("to be kept", lambda one: str(one.get("quantity", ""))),
+        number_column("from", lambda one: _maybe(one.get("lower"))),
+        number_column("to", lambda one: _maybe(one.get("upper"))),
+        number_column("reached from", lambda one: _maybe(one.get("lowest"))),
+        number_column("reached to", lambda one: _maybe(one.get("highest"))),
+    ]
+    return table_of("Bounds the search was asked to keep", columns, bounds)
+
+
+def events_table(execution: Execution, unit: str) -> Table[Any]:
+    """Return the events of a period; a long sequence is cut in its middle.
+
+    Args:
+        execution: The period.
+        unit: Unit of the gap.
+    """
+    columns: list[Column[Event]] = [
+        number_column("time [s]", lambda event: f"{event.time:.12g}"),
+        text_column("event", _event_name),
+        number_column(f"speed of the hit [{unit}/s]", _hit_speed),
+    ]
+    table = table_of("Events of one period, times since its start", columns, execution.events)
+    if len(table.rows) <= _MOST_EVENTS:
+        return table
+    half = _MOST_EVENTS // 2
+    between = ("...", f"and {len(table.rows) - 2 * half} more", "")
+    rows = (*table.rows[:half], between, *table.rows[-half:])
+    return Table(caption=table.caption, columns=table.columns, rows=rows)
+
+
+def _event_name(event: Event) -> str:
+    if isinstance(event, Impact):
+        return "hit"
+    if isinstance(event, ZenoPoint):
+        return f"Zeno point, {event.tail:.2g} s after the last hit followed"
+    return "release"
+
+
+def _hit_speed(event: Event) -> str:
+    return f"{-event.approach_rate:.6g}" if isinstance(event, Impact) else ""
+
+
+def multipliers_table(certificate: OrbitCertificate) -> Table[Any]:
+    """Return the Floquet multipliers."""
+    columns: list[Column[tuple[int, complex]]] = [
+        text_column("multiplier", lambda one: f"{one[0]}"),
+        number_column("real part [1]", lambda one: f"{one[1].real + 0.0:.8g}"),
+        number_column("imaginary part [1]", lambda one: f"{one[1].imag + 0.0:.8g}"),
+        number_column("modulus [1]", lambda one: f"{abs(one[1]):.8g}"),
+    ]
+    caption = f"Floquet multipliers (error of the largest: {certificate.multiplier_error:.0e})"
+    return table_of(caption, columns, enumerate(certificate.multipliers, start=1))
+
+
+def checks_table(certificate: OrbitCertificate) -> Table[Any]:
+    """Return every residual in plain words, as a number and by its name."""
+    sizes, tolerance = certificate.residuals, certificate.tolerance
+    columns: list[Column[str]] = [
+        text_column("in plain words", lambda name: words.CHECKS[name]),
+        text_column("passed", lambda name: sizes[name] <= tolerance),
+        number_column("residual [1]", lambda name: _residual(sizes[name])),
+        text_column("for the expert", lambda name: f"{name}: {RESIDUALS[name]}"),
+    ]
+    caption = f"Relative residuals; up to {tolerance:.0e} pass"
+    return table_of(caption, columns, [name for name in RESIDUALS if name in sizes])
+
+
+def _residual(size: float) -> str:
+    return f"{size:.1e}" if math.isfinite(size) else "never reached"
+
+
+def margins_table(certificate: OrbitCertificate, unit: str) -> Table[Any]:
+    """Return how far the orbit is from being lost.
+
+    Args:
+        certificate: The certificate.
+        unit: Unit of the gap.
+    """
+    force = _FORCES.get(unit, "SI")
+    columns: list[Column[str]] = [
+        text_column("margin", lambda name: name),
+        number_column("value", lambda name: f"{certificate.margins[name]:.6g}"),
+        text_column(
+            "unit",
+            lambda name: words.MARGINS[name][1].format(gap=unit, force=force),
+        ),
+        text_column("meaning", lambda name: words.MARGINS[name][0]),
+    ]
+    return table_of("Margins", columns, certificate.margins)
+
+
+def energies_table(certificate: OrbitCertificate) -> Table[Any]:
+    """Return where the energy of a period goes."""
+    columns: list[Column[str]] = [
+        text_column("where", lambda name: words.ENERGIES.get(name, name)),
+        number_column("energy [J]", lambda name: f"{certificate.energies[name]:.6g}"),
+    ]
+    return table_of("Energy over one period [J]", columns, certificate.energies)
+
+
+def trade_table(trade: Trade) -> Table[Any]:
+    """Return the cheapest setting for each accuracy."""
+    columns: list[Column[tuple[float, Trial | None]]] = [
+        text_column("accuracy [1]", lambda one: f"{one[0]:.0e}"),
+        text_column("cheapest setting", lambda one: _setting(one[1])),
+        number_column("time [ms]", lambda one: f"{1e3 * one[1].seconds:.2f}" if one[1] else ""),
+        number_column("error [1]", lambda one: f"{one[1].error:.1e}" if one[1] else ""),
+    ]
+    found = [(accuracy, trade.cheapest(accuracy)) for accuracy in _ACCURACIES]
+    return table_of("Cheapest setting that reaches an accuracy", columns, found)
+
+
+def _setting(trial: Trial | None) -> str:
+    if trial is None:
+        return "none"
+    number = f"{trial.value:g}" if trial.sweep == "impacts" else f"{trial.value:.0e}"
+    return f"{trial.label}, {number}"
+
+
+def versions_table(orbit: ZenoOrbit, bundle: Bundle) -> Table[Any]:
+    """Return the versions that found the orbit beside those that wrote the page."""
+    here = {**versions(), "plotly": bundle.version}
+    columns: list[Column[str]] = [
+        text_column("of", lambda name: name),
+        text_column("that found the orbit", lambda name: orbit.versions.get(name, "-")),
+        text_column("that wrote this page", lambda name: here.get(name, "-")),
+    ]
+    return table_of("Versions", columns, dict.fromkeys([*orbit.versions, *here]))
+
+
+def _maybe(value: object) -> str:
+    return f"{value:.8g}" if isinstance(value, int | float) else "-"

@@ -1,0 +1,75 @@
+"""Tables as data: a column is a heading and a function from an item to its cell.
+
+The terminal and the page both print these; a new column is one entry of a list.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+Item = TypeVar("Item")
+
+Cell = str | bool
+"""A text, or whether something holds."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Column(Generic[Item]):
+    """A column of a table.
+
+    Attributes:
+        heading: Its heading, with a unit in brackets where it has one.
+        cell: From an item to its cell.
+        is_number: Whether it holds numbers, which are set to the right.
+        is_whole: Whether its cells must be legible whole in a narrow terminal, as names that a
+            reader will type must be.
+    """
+
+    heading: str
+    cell: Callable[[Item], Cell]
+    is_number: bool = False
+    is_whole: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table(Generic[Item]):
+    """A table.
+
+    Attributes:
+        caption: Its subject.
+        columns: Its columns.
+        rows: The cells, row by row.
+    """
+
+    caption: str
+    columns: tuple[Column[Item], ...]
+    rows: tuple[tuple[Cell, ...], ...]
+
+
+def text_column(heading: str, cell: Callable[[Item], Cell]) -> Column[Item]:
+    """Return a column of text."""
+    return Column(heading=heading, cell=cell)
+
+
+def number_column(heading: str, cell: Callable[[Item], str]) -> Column[Item]:
+    """Return a column of numbers."""
+    return Column(heading=heading, cell=cell, is_number=True)
+
+
+def name_column(heading: str, cell: Callable[[Item], str]) -> Column[Item]:
+    """Return a column of names that a reader may type: they are never cut."""
+    return Column(heading=heading, cell=cell, is_whole=True)
+
+
+def table_of(caption: str, columns: Sequence[Column[Item]], items: Iterable[Item]) -> Table[Item]:
+    """Return a table with a row an item.
+
+    Args:
+        caption: Its subject.
+        columns: Its columns.
+        items: The items, in order.
+    """
+    rows = tuple(tuple(column.cell(item) for column in columns) for item in items)
+    return Table(caption=caption, columns=tuple(columns), rows=rows)
