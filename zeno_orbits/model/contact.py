@@ -50,7 +50,6 @@ class ImpactLaw(NamedTuple):
     """
 
     restitution: Any
-    slowness: Any = 0.0
 
     @classmethod
     def of(cls, numbers: Any) -> ImpactLaw:
@@ -59,7 +58,7 @@ class ImpactLaw(NamedTuple):
 
     def speed_after(self, approach_rate: Any) -> Any:
         """Return the gap rate just after an impact, from the one before it."""
-        return -self.restitution * approach_rate / (1 - self.slowness * approach_rate)
+        return -self.restitution * approach_rate
 
     def rate_drop(self, approach_rate: Any) -> Any:
         """Return the gap rate before an impact less the one after it."""
