@@ -165,7 +165,7 @@ class _ReturnMap:
         number, here = self._system.arithmetic.number, self._system.arithmetic.numbers(x)
         off = float("inf")
         for _ in range(_CORRECTIONS):
-            gap, gap_rate, _, multiplier, _ = self._system.contact(here)[0]
+            gap, gap_rate, _, multiplier, _ = self._system.contact(here)
             conditions = [gap, gap_rate, multiplier, *self._system.holonomic(here)[0]]
             before, off = off, max(float(abs(c)) for c in conditions)
             if off == 0.0 or (off <= self._system.smallest and off >= before / 2):
