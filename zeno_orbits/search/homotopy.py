@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,14 +12,15 @@ from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues
 from zeno_orbits.orbits.cycle import Cycle
+from zeno_orbits.orbits.path import Step, StepControl, StepError, follow_path
 from zeno_orbits.orbits.period import placed
 from zeno_orbits.orbits.shape import OrbitShape
 from zeno_orbits.search.closing import ClosedCycle, close_cycle
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.simulation.simulator import SimulationSettings
 
-_FIRST_STEP, _LAST_STEP = 0.25, 1e-4
-"""Parts of the way that are tried first, and before it is given up."""
+_STEPS = StepControl(first=0.25, shortest=1e-4)
+"""Steps in parts of the way."""
 
 _LOST = {
     "locked_time": "the locked arc shrinks to nothing",
@@ -83,19 +84,25 @@ def follow(
     here = _closed(search, 0.0, easy, wanted, start, period, shape)
     if here is None:
         return Path(cycle=None, values=easy, arrived=False)
-    before, first, step = here, here, 1.0 if easy == wanted else _FIRST_STEP
-    while here.part < 1.0 and easy != wanted and step >= _LAST_STEP:
-        part = min(1.0, here.part + step)
-        guess = here.start
-        if before.part < here.part:
-            ratio = (part - here.part) / (here.part - before.part)
-            guess = guess + ratio * (here.start - before.start)
-        search.tell(f"following orbits: {100 * part:.0f} % of the way")
-        there = _closed(search, part, easy, wanted, guess, here.closed.cycle.period, shape)
-        if there is None:
-            step /= 2
-            continue
-        before, here, step = here, there, 1.5 * step
+    first = here
+    if easy != wanted:
+
+        def advance(points: Sequence[_Point], step: float) -> Step[_Point, bool]:
+            last = points[-1]
+            part = min(1.0, last.part + step)
+            guess = last.start
+            if len(points) > 1:
+                before = points[-2]
+                ratio = (part - last.part) / (last.part - before.part)
+                guess = guess + ratio * (last.start - before.start)
+            search.tell(f"following orbits: {100 * part:.0f} % of the way")
+            there = _closed(search, part, easy, wanted, guess, last.closed.cycle.period, shape)
+            if there is None:
+                raise StepError("no orbit closes")
+            return Step(points=(there,), easy=True, end=True if part >= 1.0 else None)
+
+        path = follow_path(here, _STEPS, advance, give_up=lambda *_: Step(end=False))
+        here = path.points[-1]
     if here.part >= 1.0 or easy == wanted:
         return Path(cycle=here.closed.cycle, values=wanted, arrived=True)
     return Path(
