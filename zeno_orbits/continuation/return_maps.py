@@ -239,7 +239,7 @@ def _least_kept(dynamics: HybridDynamics, run: Execution) -> float | None:
     """
     rates = [impact.approach_rate for impact in run.impacts]
     kept = [
-        after / (dynamics.restitution * before)
+        -after / dynamics.speed_after(before)
         for before, after in pairwise(rates)
         if dynamics.restitution > 0.0
     ]
