@@ -101,7 +101,10 @@ def follow(
                 raise StepError("no orbit closes")
             return Step(points=(there,), easy=True, end=True if part >= 1.0 else None)
 
-        path = follow_path(here, _STEPS, advance, give_up=lambda *_: Step(end=False))
+        def give_up(_points: Sequence[_Point], _reason: str) -> Step[_Point, bool]:
+            return Step(end=False)
+
+        path = follow_path(here, _STEPS, advance, give_up=give_up)
         here = path.points[-1]
     if here.part >= 1.0 or easy == wanted:
         return Path(cycle=here.closed.cycle, values=wanted, arrived=True)
