@@ -50,7 +50,8 @@ class SimulationSettings:
         tolerance: Its local error.
         completion: How a Zeno point is reached.
         contact: A gap or gap rate below this counts as zero.
-        far: A coordinate beyond this ends the execution with an error.
+        far: A coordinate beyond this ends the execution with an error: one bound for all
+            coordinates, or one for each.
         most_impacts: Impacts in one sequence before it is given up.
         most_steps: Steps of all arcs before the execution is given up; each is kept for dense
             output, at about 400 bytes.
@@ -60,7 +61,7 @@ class SimulationSettings:
     tolerance: Tolerance = field(default_factory=Tolerance)
     completion: Completion = field(default_factory=ZenoPassage)
     contact: float = 1e-12
-    far: float = math.inf
+    far: float | tuple[float, ...] = math.inf
     most_impacts: int = 100_000
     most_steps: int = 2_000_000
 
@@ -389,6 +390,7 @@ class _Run:
     def _watch(self, unit: float, start: float) -> Watch:
         """Return what ends a leg that takes too long or goes too far."""
         settings, n_q = self.settings, self.dynamics.n_q
+        far = np.asarray(settings.far) if np.min(settings.far) < math.inf else None
 
         def watch(steps: int, offset: float, y: Vector) -> None:
             self.n_steps += steps
@@ -400,10 +402,13 @@ class _Run:
                     time=start + unit * offset,
                     state=tuple(y.tolist()),
                 )
-            if settings.far < math.inf and float(np.abs(y[:n_q]).max()) > settings.far:
-                name = self.dynamics.state_names[int(np.argmax(np.abs(y[:n_q])))]
+            if far is not None and float((np.abs(y[:n_q]) / far).max()) > 1.0:
+                name = self.dynamics.state_names[int(np.argmax(np.abs(y[:n_q]) / far))]
                 raise RunawayError(
-                    f"{name} runs away", time=start + unit * offset, state=tuple(y.tolist())
+                    f"{name} runs away",
+                    time=start + unit * offset,
+                    state=tuple(y.tolist()),
+                    coordinate=name,
                 )
 
         return watch

@@ -40,7 +40,7 @@ class Spot:
 
     @property
     def amplitude(self) -> float:
-        """Range of the states; NaN where it is not known, which compares as no less than anything."""
+        """Largest range of a state; NaN where it is not known, which is less than nothing."""
         margins = self.located.margins.items()
         return next((value for margin, value in margins if margin.loss is Loss.AMPLITUDE), np.nan)
 
