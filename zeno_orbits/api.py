@@ -346,7 +346,7 @@ def continue_orbit(
     with _crew(source, workers, on_progress) as crew:
         known = problem_of(orbit, problem) if crew is None else crew.problem_file.load()
         return continuation.continue_orbit(
-            known, orbit, parameter, box, settings=settings, tell=on_progress, crew=crew
+            known, orbit, parameter, box, settings=settings, on_progress=on_progress, crew=crew
         )
 
 
@@ -361,7 +361,7 @@ def _crew(problem: Named, workers: int, on_progress: Progress) -> Generator[Crew
         return
     plan = Plan(place=Workers(count=workers))
     with open_pool(plan.place) as pool:
-        yield Crew(problem_file=_file_of(problem), plan=plan, pool=pool, tell=on_progress)
+        yield Crew(problem_file=_file_of(problem), plan=plan, pool=pool, on_progress=on_progress)
 
 
 def parameter_map(
