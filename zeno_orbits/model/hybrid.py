@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import cast
 
 import casadi as ca
 
@@ -71,6 +72,11 @@ class CompletedSystem:
     def restitution(self) -> ca.SX:
         """Coefficient of restitution of the slowest impacts."""
         return self.law.restitution
+
+    @property
+    def law_numbers(self) -> ca.SX:
+        """The numbers of the law of impact, the restitution first."""
+        return cast("ca.SX", ca.vertcat(*self.law))
 
     @property
     def contact(self) -> ContactQuantities:

@@ -66,7 +66,8 @@ class ArcFollower:
         tolerance: Its local error.
         until: When to stop [s].
         contact: A gap or gap rate below this counts as zero.
-        far: A coordinate beyond this ends the execution with an error.
+        far: A coordinate beyond this ends the execution with an error: one bound for all
+            coordinates, or one for each.
         most_steps: Steps of all arcs before the execution is given up.
     """
 
@@ -75,7 +76,7 @@ class ArcFollower:
     tolerance: Tolerance
     until: float
     contact: float
-    far: float
+    far: float | tuple[float, ...]
     most_steps: int
     _n_steps: int = 0
     _looks: list[_Look] = field(default_factory=list[_Look])
@@ -140,6 +141,7 @@ class ArcFollower:
     def _watch(self, unit: float, start: float) -> Watch:
         """Return what ends a leg that takes too long or goes too far."""
         n_q = self.dynamics.n_q
+        far = np.asarray(self.far) if np.min(self.far) < math.inf else None
 
         def watch(steps: int, offset: float, y: Vector) -> None:
             self._n_steps += steps
@@ -151,10 +153,13 @@ class ArcFollower:
                     time=start + unit * offset,
                     state=tuple(y.tolist()),
                 )
-            if self.far < math.inf and float(np.abs(y[:n_q]).max()) > self.far:
-                name = self.dynamics.state_names[int(np.argmax(np.abs(y[:n_q])))]
+            if far is not None and float((np.abs(y[:n_q]) / far).max()) > 1.0:
+                name = self.dynamics.state_names[int(np.argmax(np.abs(y[:n_q]) / far))]
                 raise RunawayError(
-                    f"{name} runs away", time=start + unit * offset, state=tuple(y.tolist())
+                    f"{name} runs away",
+                    time=start + unit * offset,
+                    state=tuple(y.tolist()),
+                    coordinate=name,
                 )
 
         return watch

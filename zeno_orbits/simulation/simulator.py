@@ -44,7 +44,8 @@ class SimulationSettings:
         tolerance: Its local error.
         completion: How a Zeno point is reached.
         contact: A gap or gap rate below this counts as zero.
-        far: A coordinate beyond this ends the execution with an error.
+        far: A coordinate beyond this ends the execution with an error: one bound for all
+            coordinates, or one for each.
         most_impacts: Impacts in one sequence before it is given up.
         most_steps: Steps of all arcs before the execution is given up; each is kept for dense
             output, at about 400 bytes.
@@ -54,7 +55,7 @@ class SimulationSettings:
     tolerance: Tolerance = field(default_factory=Tolerance)
     completion: Completion = field(default_factory=ZenoPassage)
     contact: float = 1e-12
-    far: float = math.inf
+    far: float | tuple[float, ...] = math.inf
     most_impacts: int = 100_000
     most_steps: int = 2_000_000
 
