@@ -12,11 +12,11 @@ import casadi as ca
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from zeno_orbits.model.contact import ImpactLaw
 
 from tests.support.mechanisms import bound, evaluated
 from zeno_orbits.cli import main
 from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.model.contact import ImpactLaw
 from zeno_orbits.model.drives import (
     Drive,
     MotorBank,
