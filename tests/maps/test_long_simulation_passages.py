@@ -27,7 +27,7 @@ def test_equal_marks_repeat_and_too_few_tell_nothing() -> None:
     assert not settles([2.0] * 4, 2)
 
 
-@pytest.passage.parametrize("multiplier", [0.5, -0.5, 0.9, -0.99])
+@pytest.mark.parametrize("multiplier", [0.5, -0.5, 0.9, -0.99])
 def test_a_geometric_approach_repeats_once_what_is_left_of_it_is_small(multiplier: float) -> None:
     values = [1.0 + multiplier**k for k in range(4000)]
     first = next(k for k in range(5, 4000) if settles(values[:k], 1))
@@ -51,7 +51,7 @@ def test_growing_and_dying_motions_do_not_repeat() -> None:
         assert not any(repeats(passages, n, CLOSE, now=99.0) for n in range(1, 9))
 
 
-@pytest.passage.parametrize("n", [1, 2, 3, 4])
+@pytest.mark.parametrize("n", [1, 2, 3, 4])
 def test_the_smallest_period_is_the_one_that_repeats(n: int) -> None:
     values = [1.0 + 0.1 * (k % n) for k in range(30)]
     assert next(m for m in range(1, 9) if settles(values, m)) == n
