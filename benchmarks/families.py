@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 
 from zeno_orbits.continuation.continuation import (
+    SecondParameter,
     continue_orbit,
-    continue_orbit_in_two,
     start_orbit,
 )
 from zeno_orbits.continuation.families import Boundary, Continuation, Kind
@@ -50,12 +50,12 @@ PROBLEM = "motor_pendulum"
 def kept(crew: Crew, name: str) -> Crew:
     """Return the same workers for one family, which has a folder of its own in the checkpoint."""
 
-    def tell(what: str, part: float | None) -> None:
-        crew.tell(f"{name}: {what}", part)
+    def report(stage: str, part: float | None, /) -> None:
+        crew.on_progress(f"{name}: {stage}", part)
 
     folder = crew.plan.checkpoint
     own = None if folder is None else folder / name.replace(" ", "")
-    return replace(crew, plan=replace(crew.plan, checkpoint=own), tell=tell)
+    return replace(crew, plan=replace(crew.plan, checkpoint=own), on_progress=report)
 
 
 def families(problem: Problem, crew: Crew, *, curves: bool) -> dict[str, Continuation]:
@@ -66,19 +66,18 @@ def families(problem: Problem, crew: Crew, *, curves: bool) -> dict[str, Continu
     for name, box in boxes.items():
         started = time.perf_counter()
         other = {"Kd": "Kp", "Kp": "Kd"}.get(name)
+        second = None
         if curves and other is not None:
-            found[name] = continue_orbit_in_two(
-                problem,
-                orbit,
-                (name, other),
-                (box, boxes[other]),
-                kinds=KINDS,
-                settings=SETTINGS,
-                crew=kept(crew, name),
-            )
-        else:
-            one = kept(crew, name)
-            found[name] = continue_orbit(problem, orbit, name, box, settings=SETTINGS, crew=one)
+            second = SecondParameter(name=other, box=boxes[other], kinds=KINDS)
+        found[name] = continue_orbit(
+            problem,
+            orbit,
+            name,
+            box,
+            second=second,
+            settings=SETTINGS,
+            crew=kept(crew, name),
+        )
         show(name, found[name], time.perf_counter() - started)
     if curves:
         started = time.perf_counter()
@@ -91,12 +90,12 @@ def families(problem: Problem, crew: Crew, *, curves: bool) -> dict[str, Continu
 def inner_curves(problem: Problem, found: dict[str, Continuation], crew: Crew) -> Continuation:
     """Return the S-shaped family in Kd at a higher Kp, with its folds and flips that are new."""
     kp, kd = INNER
-    inner = continue_orbit_in_two(
+    inner = continue_orbit(
         problem,
         start_orbit(problem, problem.values(gains={"Kp": kp, "Kd": kd})),
-        ("Kd", "Kp"),
-        (KD, KP),
-        kinds=(Kind.FOLD, Kind.FLIP),
+        "Kd",
+        KD,
+        second=SecondParameter(name="Kp", box=KP, kinds=(Kind.FOLD, Kind.FLIP)),
         settings=replace(SETTINGS, doublings=0),
         crew=crew,
     )
@@ -173,7 +172,7 @@ def main() -> None:
         options.checkpoint.mkdir(parents=True, exist_ok=True)
     with open_pool(place) as pool, ProgressLine(lambda: None) as progress:
         plan = Plan(place=place, checkpoint=options.checkpoint)
-        crew = Crew(problem_file=problem_file, plan=plan, pool=pool, tell=progress)
+        crew = Crew(problem_file=problem_file, plan=plan, pool=pool, on_progress=progress)
         found = families(problem, crew, curves=not options.quick)
     curves = [in_gains(b) for one in found.values() for b in one.boundaries]
     if options.output is not None:

@@ -25,7 +25,7 @@ import numpy as np
 from tests.reference.long_simulation import LongRun, attractor_of
 from zeno_orbits.maps.attractors import Attractor, Fate, attractor_from_json, attractor_json
 from zeno_orbits.maps.map_file import read_map, write_map
-from zeno_orbits.maps.parameter_map import ParameterMap, parameter_map
+from zeno_orbits.maps.mapping import ParameterMap, parameter_map
 from zeno_orbits.maps.plane import Axis, Plane
 from zeno_orbits.model.library import locate_problem
 from zeno_orbits.report import terminal as report

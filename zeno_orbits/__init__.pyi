@@ -21,7 +21,7 @@ from .errors import ZenoOrbitsError as ZenoOrbitsError
 from .experiment.recordings.recording import read_recording as read_recording
 from .experiment.recordings.recording import write_recording as write_recording
 from .experiment.rig import rig_cycles as rig_cycles
-from .maps.parameter_map import ParameterMap as ParameterMap
+from .maps.mapping import ParameterMap as ParameterMap
 from .model.clock import Clock as Clock
 from .model.drawing import Lines as Lines
 from .model.drives import MotorBank as MotorBank

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from zeno_orbits.continuation.families import Continuation
     from zeno_orbits.continuation.parallel import Crew
     from zeno_orbits.continuation.setup import ContinuationSettings
-    from zeno_orbits.maps.parameter_map import ParameterMap
+    from zeno_orbits.maps.mapping import ParameterMap
     from zeno_orbits.orbits.bounds import Bound
     from zeno_orbits.orbits.poincare import Multipliers
     from zeno_orbits.orbits.shape import OrbitShape
@@ -346,7 +346,7 @@ def continue_orbit(
     with _crew(source, workers, on_progress) as crew:
         known = problem_of(orbit, problem) if crew is None else crew.problem_file.load()
         return continuation.continue_orbit(
-            known, orbit, parameter, box, settings=settings, tell=on_progress, crew=crew
+            known, orbit, parameter, box, settings=settings, on_progress=on_progress, crew=crew
         )
 
 
@@ -361,7 +361,7 @@ def _crew(problem: Named, workers: int, on_progress: Progress) -> Generator[Crew
         return
     plan = Plan(place=Workers(count=workers))
     with open_pool(plan.place) as pool:
-        yield Crew(problem_file=_file_of(problem), plan=plan, pool=pool, tell=on_progress)
+        yield Crew(problem_file=_file_of(problem), plan=plan, pool=pool, on_progress=on_progress)
 
 
 def parameter_map(
@@ -394,21 +394,21 @@ def parameter_map(
         InputError: If a name is unknown, a range does not fit, or there are too many points.
         WorkError: If the work cannot be finished.
     """
-    from zeno_orbits.maps import parameter_map as maps
-    from zeno_orbits.maps import plane as planes
+    from zeno_orbits import maps
+    from zeno_orbits.maps.plane import chunk_of
     from zeno_orbits.work import Plan, Workers
 
     known = _known(problem)
-    plane = planes.Plane(
+    plane = maps.Plane(
         source=known if workers == 1 else _file_of(problem),
-        x=planes.Axis(name=x[0], lower=x[1], upper=x[2], count=x[3]),
-        y=planes.Axis(name=y[0], lower=y[1], upper=y[2], count=y[3]),
+        x=maps.Axis(name=x[0], lower=x[1], upper=x[2], count=x[3]),
+        y=maps.Axis(name=y[0], lower=y[1], upper=y[2], count=y[3]),
         gains=dict(gains or {}),
         parameters=dict(parameters or {}),
         start=known.state_vector(known.starts[0] if start is None else start),
         until=until,
     )
-    plan = Plan(place=Workers(count=workers or None), chunk=planes.chunk_of(plane))
+    plan = Plan(place=Workers(count=workers or None), chunk=chunk_of(plane))
     return maps.parameter_map(plane, plan, on_progress=on_progress)
 
 

@@ -158,6 +158,7 @@ def dynamics(values: ParameterValues) -> HybridDynamics:
         state_names=("theta1", "theta2", "dtheta1", "dtheta2"),
         n_q=2,
         restitution=machine.restitution,
+        speed_after=lambda rate: -machine.restitution * rate,
         free=PlainFlow(
             field=machine.free_flow, guard_and_rate=lambda x: (float(x[1]), float(x[3]))
         ),

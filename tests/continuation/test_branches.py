@@ -16,6 +16,7 @@ from zeno_orbits.continuation.families import Kind
 from zeno_orbits.continuation.return_maps import Loss, Margin, Return
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.orbits.section import Line, Section
+from zeno_orbits.work.progress import silent
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,6 +28,7 @@ class Formula:
         default_factory=dict[Margin, Callable[[Vector, float], float]]
     )
     least: float = -np.inf
+    e: float = 0.0
 
     @property
     def line(self) -> Line:
@@ -61,6 +63,10 @@ class Formula:
         del s, scale
         return x
 
+    def restitution(self, s: float) -> float:
+        del s
+        return self.e
+
     def loosened(self) -> Formula:
         return self
 
@@ -80,15 +86,7 @@ def followed(
 ) -> Branch:
     metric = Metric(scale=np.ones(len(x)), unit=1.0, horizon=1.0)
     start = first_point(returns, metric, np.array(x), s, rising=True)
-    return follow(
-        returns,
-        metric,
-        start,
-        box,
-        steps or Steps(),
-        restitution=lambda _: 0.0,
-        tell=lambda *_: None,
-    )
+    return follow(returns, metric, start, box, steps or Steps(), on_progress=silent)
 
 
 def test_a_family_that_is_a_circle_closes_after_both_its_folds() -> None:
@@ -153,8 +151,7 @@ def test_an_end_is_extrapolated_in_what_vanishes_there() -> None:
         start,
         (0.0, 1.0),
         Steps(),
-        restitution=lambda _: 0.0,
-        tell=lambda *_: None,
+        on_progress=silent,
     )
     assert branch.ending is Kind.GRAZING
     assert branch.end is not None
@@ -173,8 +170,7 @@ def test_a_family_that_stops_for_no_known_reason_is_given_up_with_the_trouble() 
         start,
         (0.0, 1.0),
         Steps(),
-        restitution=lambda _: 0.0,
-        tell=lambda *_: None,
+        on_progress=silent,
     )
     assert branch.ending is Kind.GAVE_UP
     assert "Nothing returns" in branch.detail

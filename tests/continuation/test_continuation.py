@@ -12,15 +12,11 @@ import pytest
 from tests.reference.closed_forms import StoppedOscillator
 from tests.reference.reference_orbit import RELEASE
 from zeno_orbits.continuation.branch import Steps
-from zeno_orbits.continuation.continuation import (
-    continue_orbit,
-    continue_orbit_in_two,
-    start_orbit,
-)
+from zeno_orbits.continuation.continuation import SecondParameter, continue_orbit, start_orbit
 from zeno_orbits.continuation.corrector import first_point
 from zeno_orbits.continuation.families import Boundary, Family, Kind
 from zeno_orbits.continuation.return_maps import Composed
-from zeno_orbits.continuation.setup import ContinuationSettings, track_of
+from zeno_orbits.continuation.setup import ContinuationSettings, start_at_release
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model.drives import full_drive
 from zeno_orbits.model.hybrid import complete
@@ -247,10 +243,12 @@ def test_the_amplitude_vanishes_where_the_linearized_pendulum_neither_grows_nor_
 
 
 def test_two_returns_have_the_product_of_the_derivatives() -> None:
-    track = track_of(PENDULUM, pendulum_orbit(), "Kd", (-1.5, -0.5), ContinuationSettings())
-    once = first_point(track.returns, track.metric, np.array(RELEASE), -1.0, rising=True)
-    twice = Composed(maps=(track.returns, track.returns))
-    point = first_point(twice, track.metric, np.array(RELEASE), -1.0, rising=True)
+    box, settings = (-1.5, -0.5), ContinuationSettings()
+    setup = start_at_release(PENDULUM, pendulum_orbit(), "Kd", box, settings).setup
+    returns = setup.returns(PENDULUM)
+    once = first_point(returns, setup.metric, np.array(RELEASE), -1.0, rising=True)
+    twice = Composed(maps=(returns, returns))
+    point = first_point(twice, setup.metric, np.array(RELEASE), -1.0, rising=True)
     assert point.found.time == pytest.approx(2 * once.found.time, rel=1e-10)
     assert point.multipliers[0].real == pytest.approx(once.multipliers[0].real ** 2, abs=1e-9)
     # The family is the same one, so is its tangent.
@@ -260,13 +258,8 @@ def test_two_returns_have_the_product_of_the_derivatives() -> None:
 @pytest.mark.slow
 def test_a_boundary_in_two_parameters_is_where_the_closed_form_says() -> None:
     # The release is lost on the line A = -stop.
-    found = continue_orbit_in_two(
-        OSCILLATOR,
-        oscillator_orbit(),
-        ("A", "stop"),
-        ((0.7, 1.1), (-0.82, -0.78)),
-        kinds=(Kind.RELEASE_LOST,),
-    )
+    second = SecondParameter(name="stop", box=(-0.82, -0.78), kinds=(Kind.RELEASE_LOST,))
+    found = continue_orbit(OSCILLATOR, oscillator_orbit(), "A", (0.7, 1.1), second=second)
     (boundary,) = found.boundaries
     assert boundary.names == ("A", "stop")
     sums = np.array(boundary.x) + np.array(boundary.y)

@@ -10,14 +10,16 @@ import pytest
 
 from tests.reference.linear_impacts import ImpactOscillator, critical
 from zeno_orbits.continuation.branch import Steps
-from zeno_orbits.continuation.continuation import continuation_on, continue_impacts
+from zeno_orbits.continuation.continuation import continue_from, continue_impacts
 from zeno_orbits.continuation.corrector import Metric, first_point
 from zeno_orbits.continuation.families import Continuation, Kind
+from zeno_orbits.continuation.parallel import Dispatch
 from zeno_orbits.continuation.return_maps import ImpactReturns
-from zeno_orbits.continuation.setup import ContinuationSettings, Course, Root, Track
+from zeno_orbits.continuation.setup import ContinuationSettings, Setup, Start
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.simulation.simulator import SimulationSettings
+from zeno_orbits.work.progress import silent
 
 OSCILLATOR = load_problem("forced_oscillator")
 COCO = {"c": 0.1, "stop": 1.0, "restitution": 0.8}
@@ -26,32 +28,30 @@ PHASE, VELOCITY = 0.07595216493831239, -1.3565863500759056
 STATE = (0.0, -VELOCITY, math.cos(PHASE), math.sin(PHASE))
 
 
-def track_in(parameter: str, box: tuple[float, float], **numbers: float) -> Track:
-    values = OSCILLATOR.values(parameters={**COCO, **numbers})
-    course = Course(
-        values=values,
-        parameter=parameter,
-        box=box,
-        section=ImpactReturns,
-        metric=Metric(scale=np.array([2.0, 1.4, 1.0, 1.0]), unit=box[1] - box[0], horizon=25.0),
-        simulation=SimulationSettings(),
-    )
-    return Track(problem=OSCILLATOR, course=course)
+BOX = (0.05, 1.5)
+SETUP = Setup(
+    values=OSCILLATOR.values(parameters=COCO),
+    parameter="A",
+    box=BOX,
+    section=ImpactReturns,
+    metric=Metric(scale=np.array([2.0, 1.4, 1.0, 1.0]), unit=BOX[1] - BOX[0], horizon=25.0),
+    simulation=SimulationSettings(),
+)
+
+
+def followed(settings: ContinuationSettings) -> Continuation:
+    start = Start(setup=SETUP, x=np.array(STATE), s=1.0)
+    return continue_from(start, Dispatch(problem=OSCILLATOR, settings=settings, on_progress=silent))
 
 
 @cache
 def family_in_amplitude() -> Continuation:
-    track = track_in("A", (0.05, 1.5))
-    return continuation_on(published(track), settings=ContinuationSettings())
-
-
-def published(track: Track) -> Root:
-    return Root(track=track, x=np.array(STATE), s=1.0)
+    return followed(ContinuationSettings())
 
 
 def test_the_published_orbit_closes_with_the_published_multipliers() -> None:
-    track = track_in("A", (0.05, 1.5))
-    point = first_point(track.returns, track.metric, np.array(STATE), 1.0, rising=True)
+    returns = SETUP.returns(OSCILLATOR)
+    point = first_point(returns, SETUP.metric, np.array(STATE), 1.0, rising=True)
     assert np.max(np.abs(point.x - STATE)) < 1e-12
     assert point.found.time == pytest.approx(2 * math.pi, abs=1e-11)
     assert point.multipliers[0].real == pytest.approx(-0.58429531434153, abs=1e-12)
@@ -87,9 +87,8 @@ def test_its_fold_is_where_the_closed_form_has_a_multiplier_of_one() -> None:
 
 
 def test_longer_steps_find_the_same_points() -> None:
-    track = track_in("A", (0.05, 1.5))
     settings = ContinuationSettings(steps=Steps(first=0.1, longest=0.2))
-    (family,) = continuation_on(published(track), settings=settings).families
+    (family,) = followed(settings).families
     (usual,) = family_in_amplitude().families
     assert len(family.points) < len(usual.points)
     assert [s.kind for s in family.named] == [s.kind for s in usual.named]
@@ -105,8 +104,6 @@ def test_a_flip_throws_off_the_branch_of_twice_the_period() -> None:
         OSCILLATOR.state_vector({"speed": 1.0, "cosine": 1.0}),
         "omega",
         (2.3, 2.75),
-        settings=ContinuationSettings(),
-        tell=lambda *_: None,
     )
     single, double = found.families
     (flip,) = single.special
@@ -135,12 +132,11 @@ def test_a_flip_throws_off_the_branch_of_twice_the_period() -> None:
 
 
 def test_numbers_of_steps_and_giving_up_are_named_results() -> None:
-    track = track_in("A", (0.05, 1.5))
     few = ContinuationSettings(steps=Steps(most=3))
-    (family,) = continuation_on(published(track), settings=few).families
+    (family,) = followed(few).families
     assert {family.first.kind, family.last.kind} == {Kind.MOST_STEPS}
     hasty = ContinuationSettings(steps=Steps(first=0.9, longest=0.9, shortest=0.5))
-    (family,) = continuation_on(published(track), settings=hasty).families
+    (family,) = followed(hasty).families
     assert Kind.GAVE_UP in (family.first.kind, family.last.kind)
     assert family.first.detail or family.last.detail
 
@@ -154,6 +150,4 @@ def test_a_motion_that_rests_on_the_stop_has_no_family_of_impacts() -> None:
             OSCILLATOR.state_vector({"speed": 1.0, "cosine": 1.0}),
             "A",
             (0.4, 0.6),
-            settings=ContinuationSettings(),
-            tell=lambda *_: None,
         )

@@ -13,21 +13,22 @@ import pytest
 
 from tests.continuation.test_branches import Formula, formula
 from zeno_orbits.arrays import Vector
-from zeno_orbits.continuation.assembly import as_family
+from zeno_orbits.continuation.assembly import joined
 from zeno_orbits.continuation.branch import Branch, Steps, follow
-from zeno_orbits.continuation.branch_data import branch_from_json, branch_to_json
 from zeno_orbits.continuation.continuation import continue_orbit, start_orbit
 from zeno_orbits.continuation.corrector import Metric, first_point
 from zeno_orbits.continuation.ends import locate_end
 from zeno_orbits.continuation.families import Family, HalfCurve, Kind
+from zeno_orbits.continuation.jobs import FollowHalfCurve
 from zeno_orbits.continuation.margins import Stage, Threat, causes, consequences, threats
-from zeno_orbits.continuation.parallel import Half
 from zeno_orbits.continuation.return_maps import Loss, Margin, Return, ReturnMap
-from zeno_orbits.continuation.setup import ContinuationSettings, Track, track_of
-from zeno_orbits.continuation.two_parameters.plane import Plane
+from zeno_orbits.continuation.setup import ContinuationSettings, Setup, start_at_release
+from zeno_orbits.continuation.two_parameters.plane import CurveStart, Plane
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.orbits.section import Line, Section
+from zeno_orbits.work.progress import silent
+from zeno_orbits.work.serialization import plain, restored
 
 OSCILLATOR = load_problem("forced_oscillator")
 DEFAULT, SHORT = Steps(), Steps(first=0.003, longest=0.01)
@@ -163,18 +164,11 @@ def ended(margins: Mapping[Margin, float], restitution: float = 0.0) -> Branch:
             for margin, factor in margins.items()
         },
         least=0.25,
+        e=restitution,
     )
     metric = Metric(scale=np.ones(1), unit=1.0, horizon=1.0)
     start = first_point(returns, metric, np.array([0.75]), 0.5, rising=False)
-    return follow(
-        returns,
-        metric,
-        start,
-        (0.0, 1.0),
-        Steps(),
-        restitution=lambda _: restitution,
-        tell=lambda *_: None,
-    )
+    return follow(returns, metric, start, (0.0, 1.0), Steps(), on_progress=silent)
 
 
 def test_an_end_at_which_two_things_happen_says_both() -> None:
@@ -183,35 +177,28 @@ def test_an_end_at_which_two_things_happen_says_both() -> None:
         assert branch.ending is Kind.GRAZING
         assert branch.end is not None
         assert branch.end.also == (Kind.EARLIER_GRAZING,)
-        again = branch_from_json(json.loads(json.dumps(branch_to_json(branch))))
+        again = restored(Branch, json.loads(json.dumps(plain(branch))))
         assert again.end is not None
         assert again.end.also == branch.end.also
 
 
 @cache
-def plastic() -> tuple[Track, Branch]:
+def plastic() -> tuple[Setup, Branch]:
     """Return the oscillator's family with plastic impacts, down to its end in the force."""
     orbit = start_orbit(OSCILLATOR, OSCILLATOR.values(parameters={"restitution": 0.0}))
-    track = track_of(OSCILLATOR, orbit, "A", (0.7, 1.5), ContinuationSettings())
-    x = np.array(OSCILLATOR.state_vector(orbit.release_state))
-    start = first_point(track.returns, track.metric, x, 1.0, rising=False)
-    branch = follow(
-        track.returns,
-        track.metric,
-        start,
-        (0.7, 1.5),
-        LONG,
-        restitution=track.restitution,
-        tell=lambda *_: None,
-    )
-    return track, branch
+    begin = start_at_release(OSCILLATOR, orbit, "A", (0.7, 1.5), ContinuationSettings())
+    setup = begin.setup
+    returns = setup.returns(OSCILLATOR)
+    start = first_point(returns, setup.metric, begin.x, 1.0, rising=False)
+    branch = follow(returns, setup.metric, start, setup.box, LONG, on_progress=silent)
+    return setup, branch
 
 
 def test_both_are_in_the_family() -> None:
-    track, branch = plastic()
+    setup, branch = plastic()
     assert branch.end is not None
     end = replace(branch.end, also=(Kind.LOCK_VANISHES, Kind.GRAZING))
-    family = as_family(track, branch, replace(branch, end=end)).family
+    family = joined(OSCILLATOR, setup, branch, replace(branch, end=end)).family
     assert family.first.detail == ""
     assert family.last.detail == "together with: locked arc vanishes, first impact grazes"
 
@@ -222,28 +209,29 @@ def test_an_acceleration_that_seems_to_vanish_alone_ends_plastic_impacts_only() 
 
 
 def test_an_acceleration_is_not_approached_where_impacts_accumulate() -> None:
-    track, branch = plastic()
-    points, line = branch.points[-8:-6], track.returns
+    setup, branch = plastic()
+    points, returns = branch.points[-8:-6], setup.returns(OSCILLATOR)
     assert branch.end is not None
     alone = Threat(margin=ACCELERATION, distance=1.0, fall=1.0)
     # Without its cause among the margins it would be an end of its own.
-    blind = Blind(returns=line, kept=(ACCELERATION,))
-    found = locate_end(blind, track.metric, points, alone, lambda _: 0.0)
+    blind = Blind(returns=returns, kept=(ACCELERATION,))
+    found = locate_end(blind, setup.metric, points, alone)
     assert found.kind is Kind.THEOREM_LOST
     with pytest.raises(SimulationError, match="for no reason"):
-        locate_end(blind, track.metric, points, alone, lambda _: 0.3)
+        locate_end(replace(blind, e=0.3), setup.metric, points, alone)
     # With it, the end has its name, and is better known than by what follows from it.
-    caused = locate_end(line, track.metric, points, alone, lambda _: 0.0)
+    caused = locate_end(returns, setup.metric, points, alone)
     assert caused.kind is Kind.RELEASE_LOST
     assert caused.error < found.error
 
 
 @dataclass(frozen=True, kw_only=True)
 class Blind:
-    """A return map that tells some margins only."""
+    """A return map with some margins only."""
 
     returns: ReturnMap
     kept: tuple[Margin, ...]
+    e: float = 0.0
 
     @property
     def line(self) -> Line:
@@ -259,6 +247,10 @@ class Blind:
     def projected(self, x: Vector, s: float, scale: Vector) -> Vector:
         return self.returns.projected(x, s, scale)
 
+    def restitution(self, s: float) -> float:
+        del s
+        return self.e
+
     def loosened(self) -> Blind:
         return replace(self, returns=self.returns.loosened())
 
@@ -268,27 +260,25 @@ class Blind:
 
 @pytest.mark.slow
 def test_a_curve_of_ends_is_not_followed_along_ends_of_another_name() -> None:
-    track, branch = plastic()
+    setup, branch = plastic()
     assert branch.end is not None
     names = OSCILLATOR.names
     plane = Plane(
         names=("A", "stop"),
         places=(names.index("A"), names.index("stop")),
         box=np.array([(0.7, 1.5), (-0.82, -0.78)]),
-        p=np.array(track.course.values.vector),
-        restitution=names.index("restitution"),
+        p=np.array(setup.values.vector),
     )
 
     def curve(kind: Kind) -> HalfCurve:
-        half = Half(
-            course=track.course,
-            plane=plane,
-            found=replace(branch.end, kind=kind) if branch.end is not None else branch.end,
+        assert branch.end is not None
+        start = CurveStart(
+            found=replace(branch.end, kind=kind),
             value=(0.8, -0.8),
             leading=branch.points[-8:-6],
-            upwards=True,
         )
-        return half.done(OSCILLATOR, ContinuationSettings(), lambda *_: None)
+        half = FollowHalfCurve(setup=setup, plane=plane, start=start, upwards=True)
+        return half.run(OSCILLATOR, ContinuationSettings(), silent)
 
     right, wrong = curve(Kind.RELEASE_LOST), curve(Kind.THEOREM_LOST)
     assert right.end == Kind.BOUND.value

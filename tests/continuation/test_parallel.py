@@ -18,18 +18,13 @@ from tests.cli.test_cli import ask
 from tests.support.places import places_that_cannot_be_had, refuses
 from tests.support.processes import Commands, workers_of
 from zeno_orbits.continuation import parallel as dispatch
-from zeno_orbits.continuation.branch import Steps
-from zeno_orbits.continuation.branch_data import (
-    branch_from_json,
-    branch_to_json,
-    half_from_json,
-    half_to_json,
-)
-from zeno_orbits.continuation.continuation import continue_orbit, continue_orbit_in_two, start_orbit
+from zeno_orbits.continuation.branch import Branch, Steps
+from zeno_orbits.continuation.continuation import SecondParameter, continue_orbit, start_orbit
 from zeno_orbits.continuation.corrector import first_point
 from zeno_orbits.continuation.families import HalfCurve, Kind
-from zeno_orbits.continuation.parallel import Crew, Direction, Dispatch, Half
-from zeno_orbits.continuation.setup import ContinuationSettings, track_of
+from zeno_orbits.continuation.jobs import FollowDirection, FollowHalfCurve, Job
+from zeno_orbits.continuation.parallel import Crew, Dispatch
+from zeno_orbits.continuation.setup import ContinuationSettings, start_at_release
 from zeno_orbits.continuation.two_parameters.plane import CurveSteps
 from zeno_orbits.errors import CheckpointError, InputError, SimulationError, WorkError
 from zeno_orbits.model.library import load_problem, locate_problem
@@ -37,7 +32,8 @@ from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.report import terminal as report
 from zeno_orbits.work import Cluster, Lost, Plan, Workers, open_pool
 from zeno_orbits.work import scheduling as spreading_module
-from zeno_orbits.work.serialization import plain
+from zeno_orbits.work.progress import silent
+from zeno_orbits.work.serialization import plain, restored
 
 YES, MISUSE, INTERRUPTED = 0, 2, 130
 CORES = int(joblib.cpu_count())
@@ -75,22 +71,22 @@ def crewed(place: Workers | Cluster | None, folder: Path | None = None) -> Any:
     """Follow the loss of the release in two parameters; without a place, in this process."""
     problem, orbit = oscillator()
     told: dict[str, Any] = {
-        "kinds": (Kind.RELEASE_LOST,),
+        "second": SecondParameter(name="stop", box=(-0.85, -0.75), kinds=(Kind.RELEASE_LOST,)),
         "settings": ContinuationSettings(
             steps=Steps(first=0.1, longest=0.2), curve=CurveSteps(first=0.2, longest=0.2, most=2)
         ),
     }
-    asked = (problem, orbit, ("A", "stop"), ((0.7, 1.05), (-0.85, -0.75)))
+    asked = (problem, orbit, "A", (0.7, 1.05))
     if place is None:
-        return continue_orbit_in_two(*asked, **told)
+        return continue_orbit(*asked, **told)
     with open_pool(place) as pool:
         crew = Crew(
             problem_file=locate_problem(PROBLEM),
             plan=Plan(place=place, checkpoint=folder),
             pool=pool,
-            tell=lambda *_: None,
+            on_progress=silent,
         )
-        return continue_orbit_in_two(*asked, **told, crew=crew)
+        return continue_orbit(*asked, **told, crew=crew)
 
 
 # ---------------------------------------------------------------------------- the same results
@@ -121,55 +117,61 @@ def test_the_command_writes_the_same_bytes_with_one_worker_and_two(tmp_path: Pat
 def test_a_family_and_half_a_curve_pass_through_json_with_every_bit() -> None:
     problem, orbit = oscillator()
     settings = ContinuationSettings(steps=Steps(most=3))
-    track = track_of(problem, orbit, "A", (0.79, 1.2), settings)
-    x = np.array(problem.state_vector(orbit.release_state))
-    start = first_point(track.returns, track.metric, x, 1.0, rising=False)
-    piece = Direction(course=track.course, start=start)
-    branch = replace(piece.done(problem, settings, lambda *_: None), ending=Kind.FOLD)
-    again = branch_from_json(json.loads(json.dumps(branch_to_json(branch), allow_nan=False)))
+    begin = start_at_release(problem, orbit, "A", (0.79, 1.2), settings)
+    setup = begin.setup
+    start = first_point(setup.returns(problem), setup.metric, begin.x, 1.0, rising=False)
+    job = FollowDirection(setup=setup, start=start)
+    branch = replace(job.run(problem, settings, silent), ending=Kind.FOLD)
+    again = restored(Branch, json.loads(json.dumps(plain(branch), allow_nan=False)))
     assert plain(again) == plain(branch)
     assert again.points[0].multipliers == branch.points[0].multipliers
     # An oscillator without memory has no coordinates on its section, but that is a shape, too.
     assert again.points[0].jacobian.shape == branch.points[0].jacobian.shape == (0, 0)
     half = HalfCurve(x=(0.1, 5e-324), y=(-0.0, 1 / 3), errors=(float("inf"), 0.0), end="40 steps")
-    told = json.loads(json.dumps(half_to_json(half), allow_nan=False))
-    assert plain(half_from_json(told)) == plain(half)
-    assert half_from_json(told) == half
+    told = json.loads(json.dumps(plain(half), allow_nan=False))
+    assert plain(restored(HalfCurve, told)) == plain(half)
+    assert restored(HalfCurve, told) == half
 
 
 def test_a_curve_that_closes_has_no_second_half() -> None:
     here = Dispatch(
-        problem=load_problem(PROBLEM), settings=ContinuationSettings(), tell=lambda *_: None
+        problem=load_problem(PROBLEM), settings=ContinuationSettings(), on_progress=silent
     )
 
     class Loop:
-        def done(self, *_: Any) -> HalfCurve:
+        result = HalfCurve
+
+        def run(self, *_: Any) -> HalfCurve:
             return HalfCurve(x=(0.0,), y=(0.0,), errors=(0.0,), end=Kind.CLOSED.value)
 
-    assert [len(group) for group in here.done("stage", "halves", [(Loop(), Loop())])] == [1]
+        def failed(self, reason: str) -> HalfCurve:
+            raise AssertionError(reason)
+
+    loops: list[tuple[Job[HalfCurve], ...]] = [(Loop(), Loop())]
+    assert [len(group) for group in here.results("stage", "halves", loops)] == [1]
 
 
 # ---------------------------------------------------------------------------- what is lost
 
 
-def test_a_piece_that_fails_or_kills_every_worker_leaves_the_others_alone(
+def test_a_job_that_fails_or_kills_every_worker_leaves_the_others_alone(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    spread, done = dispatch.spread, Half.done
+    spread, run = dispatch.spread, FollowHalfCurve.run
 
-    def fail(half: Half, *arguments: Any) -> HalfCurve:
+    def fail(half: FollowHalfCurve, *arguments: Any) -> HalfCurve:
         if half.upwards:
             raise SimulationError("Nothing returns", time=0.0, state=())
-        return done(half, *arguments)
+        return run(half, *arguments)
 
-    monkeypatch.setattr(Half, "done", fail)
+    monkeypatch.setattr(FollowHalfCurve, "run", fail)
     (curve,) = crewed(None).boundaries
     assert curve.ends == ("2 steps", "gave up: Nothing returns (at t = 0 s)")
-    monkeypatch.setattr(Half, "done", done)
+    monkeypatch.setattr(FollowHalfCurve, "run", run)
 
     def lose_a_half(task: Any, *arguments: Any, **named: Any) -> Any:
         results = spread(task, *arguments, **named)
-        return (Lost(), *results[1:]) if isinstance(task.pieces[0], Half) else results
+        return (Lost(), *results[1:]) if isinstance(task.jobs[0], FollowHalfCurve) else results
 
     monkeypatch.setattr(dispatch, "spread", lose_a_half)
     (curve,) = crewed(Workers(count=1)).boundaries
@@ -215,7 +217,7 @@ def test_what_is_finished_is_not_done_again(
     assert contents(folder) == before
 
 
-def test_a_piece_that_was_lost_is_done_again_and_gives_the_same(
+def test_a_job_that_was_lost_is_done_again_and_gives_the_same(
     kept: tuple[Path, dict[str, Any]],
 ) -> None:
     folder, told = kept
@@ -267,7 +269,7 @@ def test_the_checkpoint_of_another_version_and_a_broken_one_are_refused(
     chunk.write_bytes(whole)
 
 
-def test_an_interrupt_keeps_the_pieces_that_are_finished(
+def test_an_interrupt_keeps_the_jobs_that_are_finished(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept: tuple[Path, dict[str, Any]]
 ) -> None:
     words = (*NEAR, "--workers", "1", "-o", tmp_path / "family.json", "--json")
@@ -322,7 +324,7 @@ def test_a_problem_that_workers_would_not_see_is_refused(tmp_path: Path) -> None
             problem_file=locate_problem("bouncing_ball"),
             plan=Plan(checkpoint=tmp_path / "kept"),
             pool=pool,
-            tell=lambda *_: None,
+            on_progress=silent,
         )
         with pytest.raises(
             InputError, match="`problem` must be what the `problem` of `crew` loads"
@@ -334,10 +336,10 @@ def test_a_problem_that_workers_would_not_see_is_refused(tmp_path: Path) -> None
 def test_a_stage_of_another_work_in_the_folder_is_refused(tmp_path: Path) -> None:
     crewed(Workers(count=1), tmp_path / "kept")
     stage = tmp_path / "kept" / "curves-1" / "identity.json"
-    entries = json.loads(stage.read_text()) | {"pieces": "others"}
+    entries = json.loads(stage.read_text()) | {"jobs": "others"}
     stage.write_text(json.dumps(entries))
     before = contents(tmp_path / "kept")
-    with pytest.raises(CheckpointError, match='`pieces` is "others"'):
+    with pytest.raises(CheckpointError, match='`jobs` is "others"'):
         crewed(Workers(count=1), tmp_path / "kept")
     assert contents(tmp_path / "kept") == before
 

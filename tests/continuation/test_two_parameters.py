@@ -10,18 +10,24 @@ import numpy as np
 import pytest
 
 from tests.continuation.test_branches import Formula
-from zeno_orbits.continuation.continuation import continue_orbit, continue_orbit_in_two, start_orbit
+from zeno_orbits.continuation.continuation import SecondParameter, continue_orbit, start_orbit
 from zeno_orbits.continuation.corrector import Metric, first_point
-from zeno_orbits.continuation.families import Boundary, Family, Kind
+from zeno_orbits.continuation.families import Boundary, Family, Kind, whole_curve
 from zeno_orbits.continuation.return_maps import Loss, Margin, Return
 from zeno_orbits.continuation.setup import ContinuationSettings
 from zeno_orbits.continuation.special_points import INSIDE, located_near
-from zeno_orbits.continuation.two_parameters.boundary import follow_boundary
-from zeno_orbits.continuation.two_parameters.plane import CurveSteps, Plane
+from zeno_orbits.continuation.two_parameters.boundary import half_boundary
+from zeno_orbits.continuation.two_parameters.plane import (
+    CurveSetup,
+    CurveStart,
+    CurveSteps,
+    Plane,
+)
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.section import Line, Section
+from zeno_orbits.work.progress import silent
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,17 +90,17 @@ def curve_of(
     metric = Metric(scale=np.ones(len(y)), unit=box[0][1] - box[0][0], horizon=1.0)
     start = first_point(returns, metric, np.array(y), p[0], rising=True)
     found = located_near(returns, metric, start, kind, INSIDE[kind])
-    plane = Plane(names=("a", "b"), places=(0, 1), box=np.array(box), p=np.zeros(2), restitution=0)
-    return follow_boundary(
-        plane,
-        returns.moved_to,
-        metric,
-        found,
-        (found.z[-1] * metric.unit, p[1]),
-        leading=(),
+    setup = CurveSetup(
+        plane=Plane(names=("a", "b"), places=(0, 1), box=np.array(box), p=np.zeros(2)),
+        returns=returns,
+        metric=metric,
         steps=steps or CurveSteps(),
-        tell=lambda *_: None,
+        on_progress=silent,
     )
+    here = CurveStart(found=found, value=(found.z[-1] * metric.unit, p[1]))
+    first = half_boundary(setup, here, upwards=True)
+    second = None if first.closes else half_boundary(setup, here, upwards=False)
+    return whole_curve(kind, setup.plane.names, first, second)
 
 
 CUSP = in_two(lambda y, p: y + p[0] + p[1] * y - y**3, 1)
@@ -261,14 +267,9 @@ def test_the_folds_and_flips_of_the_pendulum_pass_their_cusp_and_end_where_a_fam
         return continue_orbit(problem, orbit(kp), "Kd", box, settings=settings).families[0]
 
     kinds = (Kind.FOLD, Kind.FLIP)
-    found = continue_orbit_in_two(
-        problem,
-        orbit(4.3),
-        ("Kd", "Kp"),
-        (box, (3.7, 4.4)),
-        kinds=kinds,
-        settings=ContinuationSettings(doublings=0),
-    )
+    second = SecondParameter(name="Kp", box=(3.7, 4.4), kinds=kinds)
+    settings = ContinuationSettings(doublings=0)
+    found = continue_orbit(problem, orbit(4.3), "Kd", box, second=second, settings=settings)
     assert {end for curve in found.boundaries for end in curve.ends} == {Kind.BOUND.value}
     assert [len(curve.cusps) for curve in found.boundaries if curve.kind is Kind.FOLD] == [1, 0]
     assert max(error for curve in found.boundaries for error in curve.errors) < 1e-9
@@ -313,14 +314,9 @@ def test_the_grazing_of_the_pendulum_keeps_to_its_family_and_meets_an_earlier_re
     def orbit(kp: float) -> ZenoOrbit:
         return start_orbit(problem, problem.values(gains={"Kp": kp, "Kd": -1.0}))
 
-    found = continue_orbit_in_two(
-        problem,
-        orbit(2.5),
-        ("Kd", "Kp"),
-        ((-2.5, 0.0), (2.3, 4.5)),
-        kinds=(Kind.GRAZING,),
-        settings=settings,
-    )
+    second = SecondParameter(name="Kp", box=(2.3, 4.5), kinds=(Kind.GRAZING,))
+    box = (-2.5, 0.0)
+    found = continue_orbit(problem, orbit(2.5), "Kd", box, second=second, settings=settings)
     (curve,) = found.boundaries
     low, high = np.argmin(curve.y), np.argmax(curve.y)
     family = continue_orbit(problem, orbit(2.3), "Kd", (-2.5, 0.0), settings=settings).families[0]

@@ -7,7 +7,7 @@ import pytest
 
 from tests.reference.closed_forms import COCO, FORCED
 from tests.reference.reference_orbit import PERIOD, PERIODS, RELEASE
-from tests.support.mechanisms import clocked_oscillator
+from tests.support.mechanisms import clocked_oscillator, oscillator
 from zeno_orbits.continuation.return_maps import Composed, ImpactReturns
 from zeno_orbits.errors import InputError, RunawayError
 from zeno_orbits.maps.attractors import Attractor, Fate
@@ -331,3 +331,31 @@ def test_sections_that_a_small_release_state_is_off_do_not_spoil_differences():
     assert found.period == pytest.approx(2 * math.pi / 30.0, rel=1e-8)
     # As `search` verifies it: |-0.5802935 +- 0.6813662 i|.
     assert found.spectral_radius == pytest.approx(abs(-0.5802935 + 0.6813662j), rel=1e-5)
+
+
+def test_a_motion_that_never_leaves_its_stop_stays_on_it_and_neither_settles_nor_grows():
+    bowl = load_problem("curved_surface")
+    (found,) = attractors_at(bowl, [bowl.values(parameters={"A": 1e-3})], until=6.0)
+    assert found.fate is Fate.HELD
+    assert math.isnan(found.trend)
+    assert found.phrase == "stays on its stop"
+
+
+def test_a_linear_machine_settles_alike_however_hard_it_is_shaken():
+    forced = load_problem("forced_oscillator")
+    (found,) = attractors_at(forced, [forced.values(parameters={"A": 2000.0})])
+    assert found.fate is Fate.ZENO
+    # It lets go where the forcing is that of the stop, A cos t = -0.8.
+    assert found.state["cosine"] == pytest.approx(-0.8 / 2000.0, rel=1e-6)
+
+
+def test_a_length_without_a_bound_runs_away_if_it_is_far_beyond_where_it_was():
+    away = oscillator(stiffness=-1.0)
+    (found,) = attractors_at(away, [away.values()], until=40.0)
+    assert (found.fate, found.escaped) == (Fate.ESCAPE, "x")
+    # In units a million times as large it is the same motion.
+    (found,) = attractors_at(away, [away.values()], until=40.0, start={"x": 1e6})
+    assert (found.fate, found.escaped) == (Fate.ESCAPE, "x")
+    swinging = oscillator(damping=0.0)
+    (found,) = attractors_at(swinging, [swinging.values()], until=40.0, start={"x": 9.0})
+    assert (found.fate, found.detail) == (Fate.UNSETTLED, "no release comes")

@@ -6,14 +6,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
-import casadi as ca
 import numpy as np
 import pytest
 
 from tests.reference.closed_forms import StoppedOscillator
 from tests.reference.long_simulation import LongRun, attractor_of
 from tests.reference.reference_orbit import MULTIPLIER, PERIOD
-from tests.support.mechanisms import clocked_oscillator
+from tests.support.mechanisms import clocked_oscillator, oscillator
 from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.maps.attractors import (
     Attractor,
@@ -21,15 +20,10 @@ from zeno_orbits.maps.attractors import (
     attractor_from_json,
     attractor_json,
 )
-from zeno_orbits.model.drives import no_drive
-from zeno_orbits.model.hybrid import CompletedSystem, complete
-from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.problem import (
     Escape,
     Problem,
-    Quantity,
-    restitution,
 )
 from zeno_orbits.simulation.simulator import SimulationSettings
 
@@ -46,40 +40,6 @@ def at(problem: Problem, run: LongRun = QUICK, **numbers: float) -> Attractor:
         parameters={name: value for name, value in numbers.items() if name not in gains},
     )
     return attractor_of(problem, values, run=run)
-
-
-def oscillator(damping: float = 0.1, stiffness: float = 1.0) -> Problem:
-    """``x'' + c x' + k x = 0`` above a stop at ``x = -10``, far below where it starts, 1."""
-
-    def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
-        q, v = ca.SX.sym("q"), ca.SX.sym("v")
-        mechanism = HybridLagrangian.from_energies(
-            q=q,
-            v=v,
-            kinetic=v**2 / 2,
-            potential=p["k"] * q**2 / 2,
-            gap=q + 10,
-            passive_force=-p["c"] * v,
-        )
-        return complete(mechanism, no_drive(mechanism), p["restitution"])
-
-    quantities = (
-        Quantity(name="c", unit="1/s", meaning="damping", default=damping),
-        Quantity(name="k", unit="1/s^2", meaning="stiffness", default=stiffness),
-    )
-    return Problem(
-        name="oscillator",
-        title="oscillator far from its stop",
-        source="textbook",
-        state_names=("x", "dx"),
-        state_units=("m", "m/s"),
-        parameters=(*quantities, restitution(0.5)),
-        gains=(),
-        model=model,
-        starts=({"x": 1.0},),
-        portraits=(("x", "dx"),),
-        amplitude_of="x",
-    )
 
 
 def test_the_reference_orbit_is_a_zeno_orbit_of_period_one_with_its_multiplier(

@@ -10,7 +10,7 @@ import pytest
 from benchmarks import map_agreement
 from tests.reference.long_simulation import LongRun
 from zeno_orbits.maps.attractors import Attractor, Fate
-from zeno_orbits.maps.parameter_map import parameter_map
+from zeno_orbits.maps.mapping import parameter_map
 from zeno_orbits.maps.plane import Axis, Plane
 from zeno_orbits.model.library import locate_problem
 from zeno_orbits.work import Plan, Workers

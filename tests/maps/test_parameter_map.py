@@ -24,7 +24,7 @@ from zeno_orbits import work
 from zeno_orbits.errors import CheckpointError, InputError, MapFileError, ProblemFileError
 from zeno_orbits.maps.attractors import Attractor, Fate
 from zeno_orbits.maps.map_file import read_boundaries, read_map, write_map
-from zeno_orbits.maps.parameter_map import ParameterMap, parameter_map
+from zeno_orbits.maps.mapping import ParameterMap, parameter_map
 from zeno_orbits.maps.plane import Axis, Plane, chunk_of, require_plane
 from zeno_orbits.model.library import bundled_problems, load_problem, locate_problem
 from zeno_orbits.model.problem import Escape

@@ -103,7 +103,7 @@ def test_the_file_has_every_entry_of_the_contract(
     orbit: ZenoOrbit, certificate: OrbitCertificate, problem: Problem
 ) -> None:
     data = json.loads(json.dumps(certified(orbit, certificate).as_json(), allow_nan=False))
-    assert set(data) == ORBIT_KEYS
+    assert set(data) == ORBIT_KEYS | {"problem_digest"}
     assert data["format"] == ONE_RELEASE == 1
     assert data["shape"] == "zeno"
     assert data["problem"] == problem.name
@@ -170,7 +170,7 @@ def test_an_orbit_that_is_not_finite_is_not_written(tmp_path: Path, value: float
 def test_a_missing_entry_is_named(tmp_path: Path, name: str) -> None:
     data = SMALL.as_json()
     del data[name]
-    assert f"it has no `{name}`" in _refusal(tmp_path, json.dumps(data))
+    assert f"`{name}` must be " in _refusal(tmp_path, json.dumps(data))
 
 
 @pytest.mark.parametrize("name", ["certificate", "versions"])
@@ -186,49 +186,73 @@ def test_an_orbit_that_nobody_checked_may_leave_that_out(tmp_path: Path, name: s
 def test_a_missing_entry_of_an_impact_is_named(tmp_path: Path, name: str) -> None:
     data = SMALL.as_json()
     del data["impacts"][0][name]
-    assert f"it has no `{name}`" in _refusal(tmp_path, json.dumps(data))
+    assert f"`impacts[0].{name}` must be there, but it is missing" in _refusal(
+        tmp_path, json.dumps(data)
+    )
 
 
 @pytest.mark.parametrize(
     ("path", "value", "words"),
     [
-        (("format",), "1", "`format` is not a positive whole number"),
-        (("format",), True, "`format` is not a positive whole number"),
-        (("format",), 0, "`format` is not a positive whole number"),
-        (("format",), 1.5, "`format` is not a positive whole number"),
-        (("problem",), 1, "`problem` is not a text"),
-        (("parameters",), [], "`parameters` is not an object"),
-        (("parameters", "g"), "9.81", "`parameters.g` is not a number"),
-        (("gains",), None, "`gains` is not an object"),
-        (("period",), "1", "`period` is not a number"),
-        (("period",), None, "`period` is not a number"),
-        (("period",), True, "`period` is not a number"),
-        (("period",), -1.0, "`period` is not positive"),
-        (("period",), 0, "`period` is not positive"),
-        (("period",), math.nan, "`period` is not finite"),
-        (("period",), math.inf, "`period` is not finite"),
-        (("release_state",), 1, "`release_state` is not an object"),
-        (("release_state", "speed"), None, "`release_state.speed` is not a number"),
-        (("impacts",), {}, "`impacts` is not a list"),
-        (("impacts", 0), 1, "`impacts` is not an object"),
-        (("impacts", 0, "time"), "x", "`impacts[0].time` is not a number"),
-        (("impacts", 0, "time"), math.nan, "`impacts[0].time` is not finite"),
-        (("impacts", 0, "state_minus"), [], "`impacts[0].state_minus` is not an object"),
+        (("format",), "1", "`format` must be a positive whole number, but it is "),
+        (("format",), True, "`format` must be a positive whole number, but it is "),
+        (("format",), 0, "`format` must be a positive whole number, but it is "),
+        (("format",), 1.5, "`format` must be a positive whole number, but it is "),
+        (("problem",), 1, "`problem` must be a text, but it is "),
+        (("parameters",), [], "`parameters` must be an object with names, but it is "),
+        (("parameters", "g"), "9.81", "`parameters.g` must be a number, but it is "),
+        (("gains",), None, "`gains` must be an object with names, but it is "),
+        (("period",), "1", "`period` must be a number, but it is "),
+        (("period",), None, "`period` must be a number, but it is "),
+        (("period",), True, "`period` must be a number, but it is "),
+        (("period",), -1.0, "`period` must be positive, but it is "),
+        (("period",), 0, "`period` must be positive, but it is "),
+        (("period",), math.nan, "`period` must be a finite number, but it is "),
+        (("period",), math.inf, "`period` must be a finite number, but it is "),
+        (("release_state",), 1, "`release_state` must be an object with names, but it is "),
+        (("release_state", "speed"), None, "`release_state.speed` must be a number, but it is "),
+        (("impacts",), {}, "`impacts` must be a list, but it is "),
+        (("impacts", 0), 1, "`impacts[0]` must be an object with names, but it is "),
+        (("impacts", 0, "time"), "x", "`impacts[0].time` must be a number, but it is "),
+        (("impacts", 0, "time"), math.nan, "`impacts[0].time` must be a finite number, but it is "),
+        (
+            ("impacts", 0, "state_minus"),
+            [],
+            "`impacts[0].state_minus` must be an object with names, but it is ",
+        ),
         (
             ("impacts", 0, "state_minus", "speed"),
             [],
-            "`impacts[0].state_minus.speed` is not a number",
+            "`impacts[0].state_minus.speed` must be a number, but it is ",
         ),
-        (("zeno_time",), "x", "`zeno_time` is not a number"),
-        (("zeno_time",), -0.5, "`zeno_time` is not positive"),
-        (("zeno_state",), "x", "`zeno_state` is not an object"),
-        (("zeno_state", "height"), math.nan, "`zeno_state.height` is not finite"),
-        (("floquet_multipliers",), 0.5, "`floquet_multipliers` is not a list"),
-        (("floquet_multipliers", 0), 0.5, "`floquet_multipliers` is not a list of pairs"),
-        (("floquet_multipliers", 0), [1, 2, 3], "`floquet_multipliers` is not a list of pairs"),
-        (("floquet_multipliers", 0), ["a", 2], "`floquet_multipliers` is not a number"),
-        (("certificate",), [], "`certificate` is not an object"),
-        (("versions",), "1", "`versions` is not an object"),
+        (("zeno_time",), "x", "`zeno_time` must be a number, but it is "),
+        (("zeno_time",), -0.5, "`zeno_time` must be positive, but it is "),
+        (("zeno_state",), "x", "`zeno_state` must be an object with names, but it is "),
+        (
+            ("zeno_state", "height"),
+            math.nan,
+            "`zeno_state.height` must be a finite number, but it is ",
+        ),
+        (("floquet_multipliers",), 0.5, "`floquet_multipliers` must be a list, but it is "),
+        (
+            ("floquet_multipliers", 0),
+            0.5,
+            "`floquet_multipliers[0]` must be a list of 2, but it is ",
+        ),
+        (
+            ("floquet_multipliers", 0),
+            [1, 2, 3],
+            "`floquet_multipliers[0]` must be a list of 2, but it is ",
+        ),
+        (
+            ("floquet_multipliers", 0),
+            ["a", 2],
+            "`floquet_multipliers[0]` must be a number, but it is ",
+        ),
+        (("certificate",), [], "`certificate` must be an object with names, but it is "),
+        (("problem_digest",), 1.0, "`problem_digest` must be a list, but it is "),
+        (("problem_digest",), [None], "`problem_digest[0]` must be a number, but it is "),
+        (("versions",), "1", "`versions` must be an object with names, but it is "),
     ],
     ids=str,
 )
@@ -257,7 +281,7 @@ def test_a_file_that_is_no_json_is_refused(tmp_path: Path, text: str) -> None:
 
 @pytest.mark.parametrize("text", ["[]", "1", "null", '"orbit"'])
 def test_json_without_names_is_refused(tmp_path: Path, text: str) -> None:
-    assert "`the file` is not an object with names" in _refusal(tmp_path, text)
+    assert "`the file` must be an object with names" in _refusal(tmp_path, text)
 
 
 def test_binary_garbage_is_refused(tmp_path: Path) -> None:
@@ -267,6 +291,20 @@ def test_binary_garbage_is_refused(tmp_path: Path) -> None:
 def test_a_number_too_large_for_a_float_is_refused(tmp_path: Path) -> None:
     text = _changed("period", to=1.0).replace('"period": 1.0', '"period": 1' + 400 * "0")
     assert "`period`" in _refusal(tmp_path, text)
+
+
+@pytest.mark.parametrize("name", ["period", "release_state", "height", "time"])
+def test_a_name_that_occurs_twice_is_refused(tmp_path: Path, name: str) -> None:
+    text = json.dumps(SMALL.as_json()).replace(f'"{name}": ', f'"{name}": 1.0, "{name}": ', 1)
+    words = f"`{name}` must be there once, but it is there twice"
+    assert words in _refusal(tmp_path, text)
+
+
+@pytest.mark.parametrize("digest", [(), (0.1, -1 / 3)])
+def test_the_digest_of_the_problem_is_optional(tmp_path: Path, digest: tuple[float, ...]) -> None:
+    again = _round_trip(replace(SMALL, problem_digest=digest), tmp_path)
+    assert again.problem_digest == digest
+    assert ("problem_digest" in again.as_json()) == bool(digest)
 
 
 def test_deep_nesting_is_refused(tmp_path: Path) -> None:
@@ -364,24 +402,52 @@ def _spoilt(*path: str | int, to: Any) -> str:
     [
         (("shape",), "zeno", "its `shape` is `zeno`, but its phases are `zeno*2`"),
         (("shape",), "zeno*3", "its `shape` is `zeno*3`, but its phases are `zeno*2`"),
-        (("shape",), 2, "`shape` is not a text"),
-        (("shape",), None, "it has no `shape`"),
-        (("phases",), [], "`phases` is empty"),
-        (("phases",), {}, "`phases` is not a list"),
-        (("phases",), None, "it has no `phases`"),
-        (("phases", 0), 1, "`phases[0]` is not an object"),
-        (("phases", 1, "kind"), "zenon", "`phases[1].kind` is none of zeno, plastic, impact"),
+        (("shape",), 2, "`shape` must be a text, but it is "),
+        (("shape",), None, "`shape` must be there, but it is missing"),
+        (("phases",), [], "`phases` must be a list of one phase or more, but it is []"),
+        (("phases",), {}, "`phases` must be a list of one phase or more, but it is {}"),
+        (("phases",), None, "`phases` must be a list of one phase or more, but it is missing"),
+        (("phases", 0), 1, "`phases[0]` must be an object with names, but it is "),
+        (
+            ("phases", 1, "kind"),
+            "zenon",
+            "`phases[1].kind` must be one of zeno, plastic, impact, but it is ",
+        ),
         (("phases", 1, "kind"), "impact", "is `impact`, and yet there is a Zeno point"),
         (("phases", 1, "kind"), "plastic", "its phases are no shape: "),
-        (("phases", 1, "zeno_time"), None, "it has no `zeno_time`"),
-        (("phases", 1, "zeno_time"), -1.0, "`phases[1].zeno_time` is not positive"),
-        (("phases", 1, "zeno_state"), None, "it has no `zeno_state`"),
-        (("phases", 1, "start_time"), 0.0, "`phases[1].start_time` is not later than 0"),
-        (("phases", 0, "start_time"), 0.5, "`phases[0].start_time` is not 0"),
-        (("phases", 1, "start_time"), math.nan, "`phases[1].start_time` is not finite"),
-        (("phases", 1, "start_state"), None, "it has no `start_state`"),
-        (("phases", 1, "impacts", 0, "time"), "x", "`phases[1].impacts[0].time` is not a number"),
-        (("format",), 1, "it has no `release_state`"),
+        (
+            ("phases", 1, "zeno_time"),
+            None,
+            "`phases[1].zeno_time` must be there, but it is missing",
+        ),
+        (("phases", 1, "zeno_time"), -1.0, "`phases[1].zeno_time` must be positive, but it is "),
+        (
+            ("phases", 1, "zeno_state"),
+            None,
+            "`phases[1].zeno_state` must be there, but it is missing",
+        ),
+        (
+            ("phases", 1, "start_time"),
+            0.0,
+            "`phases[1].start_time` must be later than 0, but it is 0",
+        ),
+        (("phases", 0, "start_time"), 0.5, "`phases[0].start_time` must be 0, but it is 0.5"),
+        (
+            ("phases", 1, "start_time"),
+            math.nan,
+            "`phases[1].start_time` must be a finite number, but it is ",
+        ),
+        (
+            ("phases", 1, "start_state"),
+            None,
+            "`phases[1].start_state` must be there, but it is missing",
+        ),
+        (
+            ("phases", 1, "impacts", 0, "time"),
+            "x",
+            "`phases[1].impacts[0].time` must be a number, but it is ",
+        ),
+        (("format",), 1, "`release_state` must be there, but it is missing"),
         (("format",), 3, "its format 3 is newer than 2"),
     ],
 )

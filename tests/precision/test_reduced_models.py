@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from tests.support.mechanisms import bound, evaluated
 from zeno_orbits.cli import main
 from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.model.contact import ImpactLaw
 from zeno_orbits.model.drives import (
     Drive,
     MotorBank,
@@ -407,7 +408,7 @@ def test_a_wrong_restitution_of_the_layer_is_noticed_by_the_hand_written_model(
     reduced = problem.at_fidelity(CORRECTED)
 
     def careless(p: Mapping[str, ca.SX]) -> CompletedSystem:
-        return replace(reduced.model(p), restitution=ca.SX(p["restitution"]))
+        return replace(reduced.model(p), law=ImpactLaw(ca.SX(p["restitution"])))
 
     # The manifold's inertia with the bare restitution: an orbit, and a consistent one.
     wrong = replace(reduced, model=careless)

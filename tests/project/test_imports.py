@@ -34,7 +34,7 @@ EVERY_MODULE = (
         "zeno_orbits.report.terminal",
     ),
     *(
-        "zeno_orbits.maps.parameter_map",
+        "zeno_orbits.maps.mapping",
         "zeno_orbits.maps.map_file",
         "zeno_orbits.work",
         "zeno_orbits.report.page",

@@ -19,7 +19,7 @@ from matplotlib.lines import Line2D
 
 from zeno_orbits.errors import InputError
 from zeno_orbits.maps.attractors import Attractor, Fate
-from zeno_orbits.maps.parameter_map import Boundary, ParameterMap
+from zeno_orbits.maps.mapping import Boundary, ParameterMap
 from zeno_orbits.maps.plane import Axis
 from zeno_orbits.model.drives import no_drive
 from zeno_orbits.model.hybrid import CompletedSystem, complete

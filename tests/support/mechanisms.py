@@ -15,7 +15,7 @@ from zeno_orbits.model.hybrid import CompletedSystem, complete
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.numeric.compiled import bind, compile_system
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem, restitution
+from zeno_orbits.model.problem import Problem, Quantity, restitution
 
 Numbers = Sequence[float] | Vector
 
@@ -179,3 +179,37 @@ def falling_away(acceleration: float) -> HybridDynamics:
         q=q, v=v, kinetic=v**2 / 2, potential=-acceleration * q, gap=q
     )
     return numeric(mechanism, restitution=0.5)
+
+
+def oscillator(damping: float = 0.1, stiffness: float = 1.0) -> Problem:
+    """``x'' + c x' + k x = 0`` above a stop at ``x = -10``, far below where it starts, 1."""
+
+    def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
+        q, v = ca.SX.sym("q"), ca.SX.sym("v")
+        mechanism = HybridLagrangian.from_energies(
+            q=q,
+            v=v,
+            kinetic=v**2 / 2,
+            potential=p["k"] * q**2 / 2,
+            gap=q + 10,
+            passive_force=-p["c"] * v,
+        )
+        return complete(mechanism, no_drive(mechanism), p["restitution"])
+
+    quantities = (
+        Quantity(name="c", unit="1/s", meaning="damping", default=damping),
+        Quantity(name="k", unit="1/s^2", meaning="stiffness", default=stiffness),
+    )
+    return Problem(
+        name="oscillator",
+        title="oscillator far from its stop",
+        source="textbook",
+        state_names=("x", "dx"),
+        state_units=("m", "m/s"),
+        parameters=(*quantities, restitution(0.5)),
+        gains=(),
+        model=model,
+        starts=({"x": 1.0},),
+        portraits=(("x", "dx"),),
+        amplitude_of="x",
+    )

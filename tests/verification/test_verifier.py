@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.reference.closed_forms import FORCED
@@ -15,12 +16,18 @@ from tests.support.mechanisms import clocked_oscillator
 from tests.support.orbits import changed
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
+from zeno_orbits.integrators import Automatic
+from zeno_orbits.integrators.engine import Leg, Passage
+from zeno_orbits.integrators.flow import Tolerance
+from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
+from zeno_orbits.model.quantities import Escape
 from zeno_orbits.orbits.orbit import OrbitImpact, ZenoOrbit
+from zeno_orbits.orbits.shape import PhaseKind
 from zeno_orbits.search import close_orbit, find_orbit
 from zeno_orbits.simulation.completion import ZenoExtrapolation
-from zeno_orbits.simulation.simulator import SimulationSettings
+from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit
 from zeno_orbits.verification.certificate import RESIDUALS, OrbitCertificate
 from zeno_orbits.verification.cross_checks import cut_order
@@ -379,6 +386,72 @@ def test_a_second_model_with_a_wrong_sign_fails_alone(
     assert seen.failed == ("second_model",)
 
 
+def test_a_second_model_that_is_wrong_on_the_stop_fails_alone(
+    orbit: ZenoOrbit, problem: Problem, tmp_path: Path
+) -> None:
+    assert problem.reference is not None
+    text = problem.reference.read_text(encoding="utf-8")
+    right = "field=machine.locked_flow"
+    assert text.count(right) == 1
+    file = tmp_path / "reference.py"
+    wrong = "field=lambda x: machine.locked_flow(x) * (1 + 1e-6)"
+    file.write_text(text.replace(right, wrong), encoding="utf-8")
+    seen = verify(orbit, replace(problem, reference=file), settings=QUICK)
+    assert seen.failed == ("second_model",)
+
+
+def test_a_gap_that_is_negative_in_mid_flight_fails_alone(
+    check: Check, orbit: ZenoOrbit, machine: HybridDynamics
+) -> None:
+    # Far from the stop, so that no event changes; a thousandth of the largest gap inside.
+    far = 0.5 * max(abs(machine.gap(x)) for x in _flight_of(orbit, machine))
+
+    def gap(x: Vector) -> float:
+        return machine.gap(x) if machine.gap(x) < far else -1e-3 * far
+
+    seen = check(orbit, replace(machine, gap=gap))
+    assert seen.failed == ("penetration",)
+    assert seen.residuals["penetration"] == pytest.approx(1e-3, rel=0.01)
+
+
+def test_a_constraint_that_is_broken_before_the_first_impact_only_fails_alone(
+    check: Check, orbit: ZenoOrbit, machine: HybridDynamics
+) -> None:
+    fastest = min(machine.gap_rate(x) for x in _flight_of(orbit, machine))
+
+    def holonomic(x: Vector) -> Vector:
+        return np.array([0.0, -1e-6 if machine.gap_rate(x) < 0.9 * fastest else 0.0])
+
+    seen = check(orbit, replace(machine, holonomic=holonomic))
+    assert seen.failed == ("holonomic",)
+    assert seen.residuals["holonomic"] == 1e-6
+
+
+def _flight_of(orbit: ZenoOrbit, machine: HybridDynamics) -> Vector:
+    """Return states from the release to the first impact, ``(n, n_x)``."""
+    start = machine.on_stop(np.array(list(orbit.release_state.values())))
+    return simulate(machine, start, until=orbit.period, impacts=1).sampled()[1]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Careless:
+    """An engine that takes any tolerance above a hundred times the finest for a coarse one."""
+
+    def follow(self, leg: Leg) -> Passage:
+        loose = leg.tolerance.relative > 50 * Tolerance().relative
+        coarse = Tolerance(relative=1e-5, absolute=1e-6)
+        return Automatic().follow(replace(leg, tolerance=coarse) if loose else leg)
+
+
+def test_a_return_that_a_looser_integration_does_not_confirm_fails_alone(
+    orbit: ZenoOrbit, problem: Problem
+) -> None:
+    careless = SimulationSettings(engine=_Careless())
+    seen = verify(orbit, problem, settings=replace(QUICK, simulation=careless))
+    assert seen.failed == ("integration",)
+    assert seen.integration_error == seen.residuals["integration"] > 1e-8
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Late:
     """The extrapolated limit, late by a time."""
@@ -400,6 +473,35 @@ def test_a_wrong_zeno_limit_is_not_what_the_cuts_tend_to(
     assert {"zeno_point", "delta_sweep", "period"} <= set(seen.failed)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _LateOnce:
+    """The extrapolated limit, late between two times only."""
+
+    since: float
+    until: float
+
+    def limit(
+        self, dynamics: HybridDynamics, estimates: Sequence[TailEstimate]
+    ) -> ZenoLimit | None:
+        limit = ZenoExtrapolation().limit(dynamics, estimates)
+        if limit is None or not self.since < limit.time < self.until:
+            return limit
+        return replace(limit, time=limit.time + 1e-6)
+
+
+@pytest.mark.parametrize("place", [0, 1])
+def test_one_wrong_zeno_limit_of_two_is_enough(place: int) -> None:
+    table = load_problem("two_tone_table")
+    orbit = close_orbit(table, table.values()).unwrap()
+    times = [phase.zeno_time or math.nan for phase in orbit.phases]
+    assert len(times) == 2
+    assert verify(orbit, table, settings=QUICK).passed
+    late = _LateOnce(since=times[place] - 1e-3, until=times[place] + 1e-3)
+    simulation = SimulationSettings(completion=late)
+    seen = verify(orbit, table, settings=replace(QUICK, simulation=simulation))
+    assert {"zeno_point", "delta_sweep"} <= set(seen.failed)
+
+
 def test_the_cuts_go_on_where_the_locked_arc_is_about_to_vanish(problem: Problem) -> None:
     # The family in e ends at 0.41679; its cubic error there is seen at four cuts still.
     near = close_orbit(problem, problem.values(parameters={"restitution": 0.4167})).unwrap()
@@ -409,6 +511,68 @@ def test_the_cuts_go_on_where_the_locked_arc_is_about_to_vanish(problem: Problem
     assert seen.delta_sweep[-1].error < seen.tolerance / 10
     late = SimulationSettings(completion=_Late(delay=1e-6))
     assert "delta_sweep" in verify(near, problem, settings=replace(QUICK, simulation=late)).failed
+
+
+# Motions that a problem does not allow.
+
+
+@pytest.mark.parametrize(("part", "failed"), [(0.99, ("escape",)), (1.01, ())])
+@pytest.mark.parametrize("state", ["theta1", "theta2"])
+def test_a_coordinate_beyond_its_escape_fails_alone(
+    orbit: ZenoOrbit,
+    problem: Problem,
+    machine: HybridDynamics,
+    state: str,
+    part: float,
+    failed: tuple[str, ...],
+) -> None:
+    start = machine.on_stop(np.array(list(orbit.release_state.values())))
+    _, states = simulate(machine, start, until=orbit.period).sampled()
+    largest = float(np.max(np.abs(states[:, problem.state_names.index(state)])))
+    escape = Escape(beyond=part * largest, phrase="it goes over the top")
+    seen = verify(orbit, replace(problem, escapes={state: escape}), settings=QUICK)
+    assert seen.failed == failed
+    assert seen.residuals["escape"] == pytest.approx(1 / part - 1 if failed else 0.0, abs=1e-3)
+    assert seen.verdict().endswith("; it goes over the top.") == bool(failed)
+
+
+def test_a_problem_without_escapes_has_no_residual_of_them(
+    orbit: ZenoOrbit, problem: Problem
+) -> None:
+    seen = verify(orbit, replace(problem, escapes={}), settings=QUICK)
+    assert "escape" not in seen.residuals
+
+
+# False statements of an orbit about itself.
+
+
+def test_an_orbit_with_a_false_shape_is_refused(check: Check, orbit: ZenoOrbit) -> None:
+    seen = check(changed(orbit, kind=PhaseKind.PLASTIC, impacts=orbit.impacts[:1]))
+    assert seen.failed == ()
+    assert seen.verdict() == (
+        "Refused: the orbit says that its shape is `plastic`, but at restitution 0.2 it is `zeno`."
+    )
+
+
+def test_an_orbit_of_other_equations_with_the_same_name_is_refused(
+    check: Check, orbit: ZenoOrbit
+) -> None:
+    foreign = tuple(value + 1e-3 for value in orbit.problem_digest)
+    seen = check(replace(orbit, problem_digest=foreign))
+    assert seen.failed == ()
+    assert "Refused: the equations of problem `motor_pendulum` are not those" in seen.verdict()
+
+
+def test_an_orbit_of_an_older_file_is_verified_without_a_digest(
+    check: Check, orbit: ZenoOrbit
+) -> None:
+    assert check(replace(orbit, problem_digest=())).passed
+
+
+def test_a_period_near_the_largest_number_is_refused_without_a_warning(
+    check: Check, orbit: ZenoOrbit
+) -> None:
+    assert check(replace(orbit, period=1e308)).failed == ("period",)
 
 
 # Orbits that do not fit.

@@ -150,7 +150,7 @@ def _continued(
     kinds = _kinds(options)
     _require_section(options)
     with open_pool(plan.place) as pool:
-        crew = Crew(problem_file=problem_file, plan=plan, pool=pool, tell=progress)
+        crew = Crew(problem_file=problem_file, plan=plan, pool=pool, on_progress=progress)
         return _asked(options, problem_file.load(), (name, box), kinds, settings, crew)
 
 
@@ -172,12 +172,12 @@ def _asked(
     crew: Crew,
 ) -> Continuation:
     from zeno_orbits.continuation.continuation import (
+        SecondParameter,
         continue_impacts,
         continue_orbit,
-        continue_orbit_in_two,
     )
 
-    (name, box), tell = asked, crew.tell
+    name, box = asked
     if options.section == "impact":
         return continue_impacts(
             problem,
@@ -186,21 +186,21 @@ def _asked(
             name,
             box,
             settings=settings,
-            tell=tell,
+            on_progress=crew.on_progress,
             crew=crew,
         )
-    second = None if options.second is None else read_range(options.second, "second")
-    orbit = _orbit(options, problem, crew)
-    if second is None:
-        return continue_orbit(problem, orbit, name, box, settings=settings, tell=tell, crew=crew)
-    return continue_orbit_in_two(
+    second = None
+    if options.second is not None:
+        other, range_ = read_range(options.second, "second")
+        second = SecondParameter(name=other, box=range_, kinds=kinds)
+    return continue_orbit(
         problem,
-        orbit,
-        (name, second[0]),
-        (box, second[1]),
-        kinds=kinds,
+        _orbit(options, problem, crew),
+        name,
+        box,
+        second=second,
         settings=settings,
-        tell=tell,
+        on_progress=crew.on_progress,
         crew=crew,
     )
 
@@ -226,7 +226,7 @@ def _orbit(options: argparse.Namespace, problem: Problem, crew: Crew) -> ZenoOrb
 
     if options.start_orbit is None:
         values = _inside(problem, values_of(problem, options), options)
-        return start_orbit(problem, values, tell=crew.tell)
+        return start_orbit(problem, values, on_progress=crew.on_progress)
     if options.gain or options.set:
         message = "must come without --gain and --set, as the orbit has numbers"
         raise InputError(f"Argument `from` {message}, but it does not.")

@@ -27,7 +27,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
-    from zeno_orbits.maps.parameter_map import Boundary, ParameterMap
+    from zeno_orbits.maps.mapping import Boundary, ParameterMap
     from zeno_orbits.maps.plane import Axis, Plane
 
 
@@ -83,7 +83,7 @@ def add_map(commands: Any) -> None:
 
 def _run_map(options: argparse.Namespace) -> int:
     from zeno_orbits.maps.map_file import read_boundaries, write_map
-    from zeno_orbits.maps.parameter_map import parameter_map
+    from zeno_orbits.maps.mapping import parameter_map
     from zeno_orbits.maps.plane import chunk_of, require_plane
     from zeno_orbits.work import Plan, remove_checkpoint
 

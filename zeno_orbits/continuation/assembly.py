@@ -1,4 +1,4 @@
-"""Two directions of a family as one, in the names of its problem."""
+"""Both directions of a family joined, in the names of its problem."""
 
 from __future__ import annotations
 
@@ -7,59 +7,69 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.branch import Branch
 from zeno_orbits.continuation.corrector import BranchPoint
 from zeno_orbits.continuation.families import Family, FamilyPoint, SpecialPoint
 from zeno_orbits.continuation.return_maps import Margin
-from zeno_orbits.continuation.setup import ONE_RETURN, Track
+from zeno_orbits.continuation.setup import ONE_RETURN, Setup
 from zeno_orbits.continuation.special_points import Located
+from zeno_orbits.model.problem import Problem
 
 
 @dataclass(frozen=True, kw_only=True)
-class Grown:
-    """A family with what is needed to go on from it.
+class FollowedFamily:
+    """A family with what is needed to follow branches and curves from it.
 
     Attributes:
         family: The family.
-        track: What it was followed on.
+        setup: What it was followed on.
         special: Its special points.
         ends: Its located ends, each with the last points before it.
     """
 
     family: Family
-    track: Track
+    setup: Setup
     special: tuple[Located, ...]
     ends: tuple[tuple[Located, tuple[BranchPoint, ...]], ...]
 
 
-def as_family(track: Track, backward: Branch, forward: Branch) -> Grown:
-    """Return both directions as one family."""
+def joined(problem: Problem, setup: Setup, backward: Branch, forward: Branch) -> FollowedFamily:
+    """Return both directions of a family as one.
+
+    Args:
+        problem: The problem.
+        setup: What the family was followed on.
+        backward: One direction; without points if the family starts at an end.
+        forward: The other one.
+    """
+    names = _Names(problem=problem, setup=setup)
     before = len(backward.points)
     # The start is the first point of both, but a family may grow in one direction only.
     shared = 1 if before else 0
     points = (*backward.points[::-1], *forward.points[shared:])
     special = [
-        _special(track, located, max(before - 2 - index, 0))
+        names.special(located, max(before - 2 - index, 0))
         for index, located in reversed(backward.special)
     ]
     special += [
-        _special(track, located, max(before - shared, 0) + index)
+        names.special(located, max(before - shared, 0) + index)
         for index, located in forward.special
     ]
     located = [one for _, one in (*backward.special, *forward.special)]
-    return Grown(
+    return FollowedFamily(
         family=Family(
-            problem=track.problem.name,
-            parameter=track.course.parameter,
-            gains=track.course.values.gains,
-            parameters=track.course.values.parameters,
-            n_returns=track.n_returns,
-            points=tuple(family_point(track, point) for point in points),
+            problem=problem.name,
+            parameter=setup.parameter,
+            gains=setup.values.gains,
+            parameters=setup.values.parameters,
+            n_returns=setup.n_returns,
+            points=tuple(names.point(point) for point in points),
             special=tuple(special),
-            first=_end(track, backward, points[0], 0),
-            last=_end(track, forward, points[-1], len(points) - 1),
+            first=names.end(backward, points[0], 0),
+            last=names.end(forward, points[-1], len(points) - 1),
         ),
-        track=track,
+        setup=setup,
         special=tuple(located),
         ends=tuple(
             (branch.end, _leading(branch.points, branch.end))
@@ -85,50 +95,59 @@ def _leading(points: tuple[BranchPoint, ...], end: Located) -> tuple[BranchPoint
     return points[last - 1 : last + 1]
 
 
-def family_point(track: Track, point: BranchPoint) -> FamilyPoint:
-    """Return a point of a branch in names."""
-    return FamilyPoint(
-        value=point.s,
-        state=dict(zip(track.problem.state_names, point.x.tolist(), strict=True)),
-        period=point.found.time,
-        multipliers=point.multipliers,
-        margins=_named(point.found.margins, track.n_returns),
-        miss=point.miss,
-    )
+@dataclass(frozen=True, kw_only=True)
+class _Names:
+    """The names of a problem, by which points of a branch become points of a family."""
 
+    problem: Problem
+    setup: Setup
 
-def _named(margins: Mapping[Margin, float], n_returns: int) -> dict[str, float]:
-    """Return margins by their words, with the return's number where there are several."""
-    return {
-        margin.loss.value
-        if n_returns == ONE_RETURN
-        else f"{margin.loss.value}, return {margin.place + 1}": value
-        for margin, value in margins.items()
-    }
+    def point(self, point: BranchPoint) -> FamilyPoint:
+        """Return a point of a branch in names."""
+        return FamilyPoint(
+            value=point.s,
+            state=self._state(point.x),
+            period=point.found.time,
+            multipliers=point.multipliers,
+            margins=self._margins(point.found.margins),
+            miss=point.miss,
+        )
 
+    def special(self, located: Located, index: int) -> SpecialPoint:
+        """Return a special point in names, after the point of a place in the family."""
+        x, s = self.setup.metric.of_place(located.z)
+        at = replace(
+            self.point(located.point),
+            value=s,
+            state=self._state(x),
+            period=located.period,
+            margins=self._margins(located.margins),
+        )
+        also = ", ".join(kind.value for kind in located.also)
+        return SpecialPoint(
+            kind=located.kind,
+            at=at,
+            error=located.error,
+            index=index,
+            detail=f"together with: {also}" if also else "",
+        )
 
-def _special(track: Track, located: Located, index: int) -> SpecialPoint:
-    point = family_point(track, located.point)
-    x, s = track.metric.of_place(located.z)
-    at = replace(
-        point,
-        value=s,
-        state=dict(zip(track.problem.state_names, x.tolist(), strict=True)),
-        period=located.period,
-        margins=_named(located.margins, track.n_returns),
-    )
-    also = ", ".join(kind.value for kind in located.also)
-    return SpecialPoint(
-        kind=located.kind,
-        at=at,
-        error=located.error,
-        index=index,
-        detail=f"together with: {also}" if also else "",
-    )
+    def end(self, branch: Branch, last: BranchPoint, index: int) -> SpecialPoint:
+        """Return the end of a branch in names; its last point if the end was not located."""
+        if branch.end is not None:
+            return self.special(branch.end, index)
+        return SpecialPoint(
+            kind=branch.ending, at=self.point(last), error=0.0, index=index, detail=branch.detail
+        )
 
+    def _state(self, x: Vector) -> dict[str, float]:
+        return dict(zip(self.problem.state_names, x.tolist(), strict=True))
 
-def _end(track: Track, branch: Branch, last: BranchPoint, index: int) -> SpecialPoint:
-    if branch.end is not None:
-        return _special(track, branch.end, index)
-    at = family_point(track, last)
-    return SpecialPoint(kind=branch.ending, at=at, error=0.0, index=index, detail=branch.detail)
+    def _margins(self, margins: Mapping[Margin, float]) -> dict[str, float]:
+        """Return margins by their words, with the return's number where there are several."""
+        return {
+            margin.loss.value
+            if self.setup.n_returns == ONE_RETURN
+            else f"{margin.loss.value}, return {margin.place + 1}": value
+            for margin, value in margins.items()
+        }

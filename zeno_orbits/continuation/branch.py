@@ -22,6 +22,7 @@ from zeno_orbits.continuation.return_maps import Loss, Return, ReturnMap
 from zeno_orbits.continuation.special_points import Located, crossings, locate_inside
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.orbits.path import Step, StepControl, StepError, follow_path, returns_to_start
+from zeno_orbits.work.progress import Progress
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,8 +61,6 @@ class Branch:
     detail: str = ""
 
 
-Tell = Callable[[str, float | None], None]
-
 _EASY = 0.4
 """Part of the allowed turn and stray that an easy step uses at most."""
 _FAR = 4.0
@@ -77,8 +76,7 @@ def follow(
     box: tuple[float, float],
     steps: Steps,
     *,
-    restitution: Callable[[float], float],
-    tell: Tell,
+    on_progress: Progress,
     alien: Callable[[BranchPoint], bool] | None = None,
 ) -> Branch:
     """Return the family from a point along its tangent.
@@ -89,11 +87,10 @@ def follow(
         start: The first point; its tangent says in which direction.
         box: Range of the parameter.
         steps: How to step.
-        restitution: At a parameter.
-        tell: Called with what happens.
+        on_progress: Called with each point.
         alien: Returns True for a point that belongs to another family: an orbit of lower period.
     """
-    follower = _Follower(returns, metric, box, steps, restitution, tell, alien)
+    follower = _Follower(returns, metric, box, steps, on_progress, alien)
     path = follow_path(
         start,
         steps,
@@ -129,19 +126,18 @@ class _Follower:
         metric: Metric,
         box: tuple[float, float],
         steps: Steps,
-        restitution: Callable[[float], float],
-        tell: Tell,
+        on_progress: Progress,
         alien: Callable[[BranchPoint], bool] | None,
     ) -> None:
         self.returns, self.metric, self.box, self.steps = returns, metric, box, steps
-        self.restitution, self.tell, self.alien = restitution, tell, alien
+        self.on_progress, self.alien = on_progress, alien
         self.special: list[tuple[int, Located]] = []
         self.tried: dict[Loss, float] = {}
 
     def advance(self, points: Sequence[BranchPoint], step: float) -> Step[BranchPoint, _End]:
         """Return the next point, or the end if it is near."""
         last = points[-1]
-        self.tell(f"{len(points)} orbits, at {last.s:.6g}", None)
+        self.on_progress(f"{len(points)} orbits, at {last.s:.6g}", None)
         ended = self._end_within(points, _SOON * step)
         if ended is not None:
             return ended
@@ -221,7 +217,9 @@ class _Follower:
     def _pass(self, n_points: int, between: Sequence[Located]) -> None:
         """Keep the special points between the last of some points and the next."""
         for located in between:
-            self.tell(f"{located.kind.value} at {located.z[-1] * self.metric.unit:.6g}", None)
+            self.on_progress(
+                f"{located.kind.value} at {located.z[-1] * self.metric.unit:.6g}", None
+            )
             self.special.append((n_points - 1, located))
 
     def _end_within(
@@ -253,7 +251,7 @@ class _Follower:
 
     def _threats(self, points: Sequence[BranchPoint]) -> Sequence[Threat]:
         try:
-            return threats(stages(points), self.restitution(points[-1].s))
+            return threats(stages(points), self.returns.restitution(points[-1].s))
         except (ZeroDivisionError, ValueError):
             return []
 
@@ -261,7 +259,7 @@ class _Follower:
         """Return the end at which a margin vanishes, if it is where it was predicted."""
         last = points[-1]
         try:
-            end = locate_end(self.returns, self.metric, points, threat, self.restitution)
+            end = locate_end(self.returns, self.metric, points, threat)
         except (ZenoOrbitsError, ZeroDivisionError):
             return None
         s, (low, high) = end.z[-1] * self.metric.unit, self.box

@@ -178,7 +178,7 @@ def followed(returns: ReturnMap, x: Vector, s: float, metric: Metric) -> Return:
 
 def linearized(here: Section, found: Return, metric: Metric) -> tuple[Vector, Vector]:
     """Return the derivative of `P - y` and of the ambient place, by coordinates and parameter."""
-    d = here.tangent.shape[1]
+    d = here.dimension
     moved = found.by_state @ here.lift
     moved[:, d] += found.by_parameter
     rows = here.components(moved - here.lift)

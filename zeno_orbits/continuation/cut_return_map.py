@@ -22,7 +22,7 @@ from zeno_orbits.continuation.return_maps import (
 )
 from zeno_orbits.continuation.separatrix import separatrix
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.model.numeric.derivatives import GAP_ACCELERATION
+from zeno_orbits.model.contact import GAP_ACCELERATION
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.orbits.monodromy import differentials_of
 from zeno_orbits.orbits.period import first_return, to_next_release
@@ -73,6 +73,10 @@ class CutReturns:
     def projected(self, x: Vector, s: float, scale: Vector) -> Vector:
         """Return the release state nearest to a state."""
         return self.whole.projected(x, s, scale)
+
+    def restitution(self, s: float) -> float:
+        """Return the coefficient of restitution at a place on the line."""
+        return self.whole.restitution(s)
 
     def moved_to(self, line: Line) -> CutReturns:
         """Return the same map along another line."""
@@ -153,6 +157,6 @@ def _from_separatrix(dynamics: HybridDynamics, impact: Impact) -> float:
     resting = dynamics.resting(impact.state_plus)
     gradient = differentials_of(dynamics, ()).contact(resting.state)[GAP_ACCELERATION]
     fall = float(gradient @ resting.rate)
-    speed = -dynamics.restitution * impact.approach_rate
+    speed = dynamics.speed_after(impact.approach_rate)
     ratio = speed * fall / resting.gap_acceleration**2
     return 1 - ratio / separatrix(dynamics.restitution).ratio

@@ -6,7 +6,7 @@ up to the end, and the last stretch is extrapolated. Theory (39) and (40).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,7 +25,6 @@ def locate_end(
     metric: Metric,
     points: Sequence[BranchPoint],
     threat: Threat,
-    restitution: Callable[[float], float],
 ) -> Located:
     """Return the end of a family at which a margin is zero, by the name of what causes it.
 
@@ -34,19 +33,18 @@ def locate_end(
         metric: Units.
         points: Points in order, the last one near the end.
         threat: What vanishes.
-        restitution: At a parameter.
 
     Raises:
         ZenoOrbitsError: If it cannot be closed in on.
     """
-    found = _located(returns, metric, points, threat, restitution)
+    found = _located(returns, metric, points, threat)
     if not found.path:
         return found
     cause, *others = causes(stages([*points[-2:], *found.path]), threat.margin)
-    if cause.loss is Loss.ACCELERATION and restitution(float(found.point.s)) > 0.0:
+    if cause.loss is Loss.ACCELERATION and returns.restitution(found.point.s) > 0.0:
         raise SimulationError("The acceleration vanishes for no reason", time=0.0, state=())
     if cause != threat.margin:
-        found = _better(found, returns, metric, points, replace(threat, margin=cause), restitution)
+        found = _better(found, returns, metric, points, replace(threat, margin=cause))
     kinds = {ENDS[margin.loss]: None for margin in (cause, *others)}
     name, *also = kinds
     return replace(found, kind=name, place=cause.place, also=tuple(also))
@@ -57,11 +55,10 @@ def _located(
     metric: Metric,
     points: Sequence[BranchPoint],
     threat: Threat,
-    restitution: Callable[[float], float],
 ) -> Located:
-    if threat.margin.loss is Loss.LOCK and restitution(points[-1].s) > 0.0:
+    if threat.margin.loss is Loss.LOCK and returns.restitution(points[-1].s) > 0.0:
         last, margin = points[-1], threat.margin
-        return locate_cut(returns, metric, last, margin, threat.distance, restitution)
+        return locate_cut(returns, metric, last, margin, threat.distance)
     return _approach(returns, metric, points[-2], points[-1], threat.margin)
 
 
@@ -71,11 +68,10 @@ def _better(
     metric: Metric,
     points: Sequence[BranchPoint],
     cause: Threat,
-    restitution: Callable[[float], float],
 ) -> Located:
     """Return an end as its cause leads to it, if that tells better where it is."""
     try:
-        other = _located(returns, metric, points, cause, restitution)
+        other = _located(returns, metric, points, cause)
     except ZenoOrbitsError:
         return found
     return other if other.error < found.error else found

@@ -12,7 +12,7 @@ FORMAT = 1
 
 
 class Kind(Enum):
-    """What is special about a point of a family. The value is the word shown to the user."""
+    """Kinds of special points of a family. The value is the word shown to the user."""
 
     START = "start"
     FOLD = "fold"
@@ -35,11 +35,11 @@ class Kind(Enum):
 
     @property
     def located(self) -> bool:
-        """Tell whether it is a point of the problem, none of the search."""
-        return self not in _OF_THE_SEARCH
+        """True if it is a point of the problem; False where the continuation starts or stops."""
+        return self not in _OF_THE_CONTINUATION
 
 
-_OF_THE_SEARCH = (
+_OF_THE_CONTINUATION = (
     Kind.START,
     Kind.BOUND,
     Kind.CLOSED,
@@ -76,7 +76,7 @@ class FamilyPoint:
 
     @property
     def stable(self) -> bool:
-        """Tell whether the orbit attracts."""
+        """True if the orbit attracts."""
         return self.spectral_radius < 1.0
 
     def as_json(self) -> dict[str, Any]:
@@ -231,12 +231,12 @@ class HalfCurve:
 
     @property
     def closes(self) -> bool:
-        """Whether it comes back to its start, so that it is the whole curve."""
+        """True if it comes back to its start, so that it is the whole curve."""
         return self.end == Kind.CLOSED.value
 
 
 def whole_curve(
-    kind: Kind, names: tuple[str, str], first: HalfCurve, second: HalfCurve | None
+    kind: Kind, names: tuple[str, str], first: HalfCurve, second: HalfCurve | None = None
 ) -> Boundary:
     """Return a curve from its halves.
 
@@ -244,7 +244,7 @@ def whole_curve(
         kind: What it is.
         names: The two parameters.
         first: The half that the curve ends with.
-        second: The half that it begins with, backwards; none where the first closes.
+        second: The half that it begins with, backwards; not needed if the first closes.
     """
     if second is None:
         second = replace(first, x=first.x[:1], y=first.y[:1], errors=first.errors[:1], cusps=())

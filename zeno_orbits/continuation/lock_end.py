@@ -6,7 +6,6 @@ the end. Theory (39).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,7 +32,6 @@ def locate_cut(
     last: BranchPoint,
     margin: Margin,
     distance: float,
-    restitution: Callable[[float], float],
 ) -> Located:
     """Return where the locked arc vanishes beyond a point of the family.
 
@@ -43,7 +41,6 @@ def locate_cut(
         last: The last point of the family.
         margin: The locked time, of one of several returns.
         distance: How far the end is, roughly.
-        restitution: At a parameter.
 
     Raises:
         ZenoOrbitsError: If it does not vanish near.
@@ -51,7 +48,7 @@ def locate_cut(
     near = _Near(centre=last.z, reach=_REACH * distance)
     cut = Margin(loss=Loss.CUT, place=margin.place)
     n, here, step = _first_cut(returns, metric, last, margin.place, cut)
-    found = _cut_ever_later(returns, metric, here, n, step, margin.place, restitution, near)
+    found = _cut_ever_later(returns, metric, here, n, step, margin.place, near)
     return replace(found, margins={**last.found.margins, margin: 0.0})
 
 
@@ -61,7 +58,6 @@ def locate_cut_near(
     z: Vector,
     along: Vector,
     place: int,
-    restitution: Callable[[float], float],
 ) -> Located:
     """Return where the locked arc vanishes near a place at which it is expected to.
 
@@ -71,7 +67,6 @@ def locate_cut_near(
         z: The place, ``(n_x + 1,)``.
         along: Tangent of the family there, roughly, ``(n_x + 1,)``.
         place: The return in which it is.
-        restitution: At a parameter.
 
     Raises:
         ZenoOrbitsError: If it does not.
@@ -80,7 +75,7 @@ def locate_cut_near(
         try:
             here = correct(cut_after(returns, place, n), metric, z, along)
             near = _Near(centre=here.z, reach=_BESIDE)
-            return _cut_ever_later(returns, metric, here, n, 1e-4, place, restitution, near)
+            return _cut_ever_later(returns, metric, here, n, 1e-4, place, near)
         except ZenoOrbitsError:
             # Beyond the end a sequence is let go, the later the nearer: fewer impacts still are.
             continue
@@ -100,7 +95,6 @@ def _cut_ever_later(
     n: int,
     step: float,
     place: int,
-    restitution: Callable[[float], float],
     near: _Near,
 ) -> Located:
     r"""Return the limit of the points at which cut sequences are on the separatrix (theory (39)).
@@ -108,7 +102,7 @@ def _cut_ever_later(
     The root of :math:`1 - r_n / r_*` converges like :math:`(\sigma/\kappa)^n`, so every two
     give a better third.
     """
-    cut, law = Margin(loss=Loss.CUT, place=place), separatrix(restitution(here.s))
+    cut, law = Margin(loss=Loss.CUT, place=place), separatrix(returns.restitution(here.s))
     # About one decade of convergence between the cuts, so that their differences tell something.
     stride = max(1, round(-1.0 / np.log10(law.shrinking / law.repulsion)))
     found: list[BranchPoint] = []
@@ -119,7 +113,7 @@ def _cut_ever_later(
         found.append(here)
         if len(found) > 1:
             change = found[-1].z - found[-2].z
-            law = separatrix(restitution(here.s))
+            law = separatrix(returns.restitution(here.s))
             part = (law.shrinking / law.repulsion) ** stride
             limits.append(np.append(here.z + change * part / (1 - part), here.found.time))
             step = float(np.linalg.norm(change)) * part

@@ -1,16 +1,13 @@
-r"""Return maps along a line of parameters, as values that a continuation can ask.
+r"""Return maps along a line of parameters, with exact derivatives and the margins of each return.
 
-A return map takes a section to itself. Here it is asked for a return and its exact derivatives, in
-the full state, so that returns can be put one after the other:
+A return map takes a section to itself. Returns are computed in the full state, so that they can be
+composed:
 
 .. math:: D(P_2 \circ P_1) = \partial_x P_2\; D P_1 + \partial_s P_2
 
-Source: theory (37).
-
-From impact to impact: the return map of orbits without a Zeno point.
-
-The section are the states just after an impact, :math:`h = 0`, :math:`\dot h > 0`, of dimension
-:math:`n_x - 1` less the holonomic rows. A flight ends at the next impact and its reset.
+Orbits with a Zeno point return from release to release. Those without one return from impact to
+impact: the section are the states just after an impact, :math:`h = 0`, :math:`\dot h > 0`, of
+dimension :math:`n_x - 1` less the holonomic rows. Source: theory (37).
 """
 
 from __future__ import annotations
@@ -44,7 +41,12 @@ from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 
 
 class Loss(Enum):
-    """What a family can lose: a number that is positive on it. The value is the word shown."""
+    """Kinds of margins: numbers that are positive along a family. The value is the word shown.
+
+    ``AMPLITUDE`` is the largest range of any state over a few fixed phases of a return: smooth
+    along a family, and zero where the motion stands still. The amplitude that a problem names is
+    `zeno_orbits.continuation.amplitude.amplitude`.
+    """
 
     AMPLITUDE = "amplitude"
     LOCK = "locked time"
@@ -59,10 +61,10 @@ class Loss(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Margin:
-    """What is kept, and in which of several returns.
+    """A margin of one of several returns.
 
     Attributes:
-        loss: What.
+        loss: Its kind.
         place: The return, counted from 0.
     """
 
@@ -79,7 +81,7 @@ class Return:
         end: Where it ends, ``(n_x,)``.
         by_state: Derivative of the end by the start, ``(n_x, n_x)``.
         by_parameter: Derivative of the end by the place on the line, ``(n_x,)``.
-        margins: How far it is from each loss.
+        margins: Its distance from each loss.
     """
 
     time: float
@@ -113,6 +115,10 @@ class ReturnMap(Protocol):
         """Return the state of the section nearest to a state."""
         ...
 
+    def restitution(self, s: float) -> float:
+        """Return the coefficient of restitution at a place on the line."""
+        ...
+
     def loosened(self) -> ReturnMap:
         """Return the same map at a looser tolerance: what that changes is an error estimate."""
         ...
@@ -124,10 +130,10 @@ class ReturnMap(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class SectionReturns:
-    """What return maps of a problem share that live on a section of its contact.
+    """Base of the return maps on a section of the contact.
 
     Attributes:
-        compiled: The problem.
+        compiled: Functions of the problem.
         line: The parameters.
         settings: Accuracy.
         rows: Conditions of the section, of the class.
@@ -141,6 +147,10 @@ class SectionReturns:
     def dynamics(self, s: float) -> HybridDynamics:
         """Return the system at a place on the line."""
         return bind(self.compiled, self.line.at(s).tolist())
+
+    def restitution(self, s: float) -> float:
+        """Return the coefficient of restitution at a place on the line."""
+        return self.dynamics(s).restitution
 
     def frame(self, x: Vector, s: float, scale: Vector) -> Section:
         """Return the section around a state of it."""
@@ -205,7 +215,7 @@ class ReleaseReturns(SectionReturns):
 
 
 _PARTS = (0.25, 0.5, 0.75)
-"""Where arcs are looked at for the amplitude: at fixed parts, so that it is smooth."""
+"""Parts of an arc at which states are compared; fixed ones, so that their range is smooth."""
 
 
 def _inside(arc: Arc, part: float) -> Vector:
@@ -224,12 +234,12 @@ def _least_gap(dynamics: HybridDynamics, flight: Arc) -> float | None:
 def _least_kept(dynamics: HybridDynamics, run: Execution) -> float | None:
     """Return the least part of its speed at the start that a flight between impacts lands with.
 
-    It tends to one as impacts accumulate, so none of many of them is a loss but the one that
-    grazes. There is none where the first impact is the last one.
+    It tends to one as impacts accumulate, and to zero only where one of them grazes. Returns
+    ``None`` if the first impact is the last one.
     """
     rates = [impact.approach_rate for impact in run.impacts]
     kept = [
-        after / (dynamics.restitution * before)
+        -after / dynamics.speed_after(before)
         for before, after in pairwise(rates)
         if dynamics.restitution > 0.0
     ]
@@ -238,7 +248,7 @@ def _least_kept(dynamics: HybridDynamics, run: Execution) -> float | None:
 
 @dataclass(frozen=True, kw_only=True)
 class Composed:
-    """Several returns, one after the other: what an orbit of a higher period closes under.
+    """Several returns, one after the other, under which an orbit of a higher period closes.
 
     Attributes:
         maps: The return maps, all of one section and one line.
@@ -258,6 +268,10 @@ class Composed:
     def projected(self, x: Vector, s: float, scale: Vector) -> Vector:
         """Return the state of the section nearest to a state."""
         return self.maps[0].projected(x, s, scale)
+
+    def restitution(self, s: float) -> float:
+        """Return the coefficient of restitution at a place on the line."""
+        return self.maps[0].restitution(s)
 
     def moved_to(self, line: Line) -> Composed:
         """Return the same map along another line."""

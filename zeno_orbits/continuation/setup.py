@@ -1,9 +1,8 @@
-r"""What a family is followed on: a problem, the number that changes, a return map and units."""
+"""What a family is followed on: the numbers, the one that changes, the return map and the units."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -12,11 +11,11 @@ from zeno_orbits.continuation.branch import Steps
 from zeno_orbits.continuation.corrector import Metric
 from zeno_orbits.continuation.return_maps import Composed, ImpactReturns, ReleaseReturns, ReturnMap
 from zeno_orbits.continuation.two_parameters.plane import CurveSteps, Plane
-from zeno_orbits.errors import InputError
+from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.section import Line
-from zeno_orbits.simulation.simulator import SimulationSettings
+from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 
 _PATIENCE = 4.0
 """Periods of the start to wait for a return."""
@@ -28,9 +27,9 @@ class ContinuationSettings:
     """How to follow families.
 
     Attributes:
-        steps: The steps.
+        steps: Steps along a family.
         simulation: Accuracy of a return.
-        curve: Steps of a boundary in two parameters.
+        curve: Steps along a curve in two parameters.
         doublings: How often a branch of twice the period is followed where a flip throws it off.
     """
 
@@ -41,17 +40,17 @@ class ContinuationSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Course:
-    """What a family is followed on, but for the problem: that holds functions and cannot travel.
+class Setup:
+    """What a family is followed on, without the problem, which cannot be sent to a worker.
 
     Attributes:
-        values: Its numbers at the start.
+        values: The problem's numbers at the start.
         parameter: The number that changes.
         box: Its range.
-        section: From which kind of states to which its returns lead.
+        section: Return map of a single return.
         metric: Units.
         simulation: Accuracy of a return.
-        n_returns: Returns after which its orbits close.
+        n_returns: Returns after which the orbits close.
     """
 
     values: ParameterValues
@@ -62,83 +61,52 @@ class Course:
     simulation: SimulationSettings
     n_returns: int = ONE_RETURN
 
-
-@dataclass(frozen=True, kw_only=True)
-class Track:
-    """What a family is followed on: the map, the units, the box, and how to name things.
-
-    Attributes:
-        problem: The problem.
-        course: All else.
-    """
-
-    problem: Problem
-    course: Course
-
-    @cached_property
-    def returns(self) -> ReturnMap:
-        """The return map."""
-        course = self.course
-        once = course.section(
-            compiled=self.problem.compiled(),
-            line=line_in(self.problem, np.array(course.values.vector), course.parameter),
-            settings=course.simulation,
+    def returns(self, problem: Problem) -> ReturnMap:
+        """Return the return map under which the orbits close."""
+        once = self.section(
+            compiled=problem.compiled(),
+            line=line_in(problem, np.array(self.values.vector), self.parameter),
+            settings=self.simulation,
         )
-        if course.n_returns == ONE_RETURN:
+        if self.n_returns == ONE_RETURN:
             return once
-        return Composed(maps=course.n_returns * (once,))
+        return Composed(maps=self.n_returns * (once,))
 
-    @property
-    def metric(self) -> Metric:
-        """Units."""
-        return self.course.metric
-
-    @property
-    def n_returns(self) -> int:
-        """Returns after which its orbits close."""
-        return self.course.n_returns
-
-    def restitution(self, s: float) -> float:
-        """Return the restitution at a place on the line."""
-        return float(self.returns.line.at(s)[self.problem.names.index("restitution")])
-
-    def on_line(self, line: Line) -> ReturnMap:
-        """Return the same return map along another line of parameters."""
-        return self.returns.moved_to(line)
-
-    def doubled(self) -> Track:
+    def doubled(self) -> Setup:
         """Return the same for orbits that close after twice as many returns."""
-        return replace(self, course=replace(self.course, n_returns=2 * self.n_returns))
+        return replace(self, n_returns=2 * self.n_returns)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Root:
+class Start:
     """Where a family begins.
 
     Attributes:
-        track: What it is followed on.
+        setup: What it is followed on.
         x: A state near a fixed point of the return map, ``(n_x,)``.
         s: The parameter there.
     """
 
-    track: Track
+    setup: Setup
     x: Vector
     s: float
 
 
-def numbers(problem: Problem, orbit: ZenoOrbit) -> Vector:
-    """Return the parameter vector of an orbit, ``(n_p,)``."""
-    return np.array(orbit.values(problem).vector)
-
-
-def track_of(
+def start_at_release(
     problem: Problem,
     orbit: ZenoOrbit,
     parameter: str,
     box: tuple[float, float],
     settings: ContinuationSettings,
-) -> Track:
-    """Return what an orbit's family is followed on, from release to release.
+) -> Start:
+    """Return the release of an orbit as the start of its family.
+
+    Args:
+        problem: The problem.
+        orbit: An orbit of it with one release a period.
+        parameter: Name of a gain or a parameter.
+        box: Range in which to follow it, lower end first.
+        settings: How to follow the family.
 
     Raises:
         InputError: If a name or a range does not fit, or the orbit is of another problem.
@@ -148,96 +116,157 @@ def track_of(
         raise InputError(f"Argument `orbit` {message}.")
     orbit.shape.require_one_release()
     values = orbit.values(problem)
-    p = np.array(values.vector)
-    line_in(problem, p, parameter)
-    check_box(problem, parameter, box, float(p[problem.names.index(parameter)]))
-    metric = Metric(
-        scale=scale_of(problem, orbit), unit=box[1] - box[0], horizon=_PATIENCE * orbit.period
-    )
-    course = Course(
+    setup = Setup(
         values=values,
         parameter=parameter,
         box=box,
         section=ReleaseReturns,
-        metric=metric,
+        metric=Metric(
+            scale=_sizes(problem, orbit), unit=box[1] - box[0], horizon=_PATIENCE * orbit.period
+        ),
         simulation=settings.simulation,
     )
-    return Track(problem=problem, course=course)
+    x = np.array(problem.state_vector(orbit.release_state))
+    return Start(setup=setup, x=x, s=_checked(problem, values, "in", parameter, box))
 
 
-def root_of(
+def _sizes(problem: Problem, orbit: ZenoOrbit) -> Vector:
+    """Return the size of each state over the events of an orbit, nowhere near zero, ``(n_x,)``."""
+    events = [orbit.release_state, orbit.zeno_state, *(i.state_minus for i in orbit.impacts)]
+    sizes = np.max(np.abs([problem.state_vector(state) for state in events]), axis=0)
+    return _not_small(sizes, 1e-9)
+
+
+def _not_small(sizes: Vector, part: float) -> Vector:
+    """Return sizes with those replaced by the largest that are below a part of it."""
+    largest = float(np.max(sizes))
+    return np.where(sizes > part * largest, sizes, largest)
+
+
+_MOST_IMPACTS = 400
+_SETTLED = 1e-3
+"""Change of the state from impact to impact, in units of its size, at which it nearly repeats."""
+_LONGEST_FLIGHT = 100.0
+"""Longest flight [s]."""
+
+
+def start_at_impact(
     problem: Problem,
-    orbit: ZenoOrbit,
+    values: ParameterValues,
+    state: tuple[float, ...],
     parameter: str,
     box: tuple[float, float],
     settings: ContinuationSettings,
-) -> Root:
-    """Return an orbit's release as where its family begins.
+) -> Start:
+    """Return a state after an impact that nearly repeats as the start of its family.
+
+    Args:
+        problem: The problem.
+        values: Its numbers at the start.
+        state: Initial state of a motion that settles to one impact a turn, ``(n_x,)``.
+        parameter: Name of a gain or a parameter.
+        box: Range in which to follow it, lower end first.
+        settings: How to follow the family.
 
     Raises:
-        InputError: If a name or a range does not fit, or the orbit is of another problem.
+        InputError: If a name or a range does not fit.
+        SimulationError: If the impacts do not settle.
     """
-    return Root(
-        track=track_of(problem, orbit, parameter, box, settings),
-        x=np.array(problem.state_vector(orbit.release_state)),
-        s=float(numbers(problem, orbit)[problem.names.index(parameter)]),
+    s = _checked(problem, values, "in", parameter, box)
+    line = line_in(problem, np.array(values.vector), parameter)
+    returns = ImpactReturns(compiled=problem.compiled(), line=line, settings=settings.simulation)
+    x, flight, scale = _settled(returns, np.array(state), s)
+    setup = Setup(
+        values=values,
+        parameter=parameter,
+        box=box,
+        section=ImpactReturns,
+        metric=Metric(scale=scale, unit=box[1] - box[0], horizon=_PATIENCE * flight),
+        simulation=settings.simulation,
+    )
+    return Start(setup=setup, x=x, s=s)
+
+
+def _settled(returns: ImpactReturns, x: Vector, s: float) -> tuple[Vector, float, Vector]:
+    """Return a state after an impact that nearly repeats, the flight's length [s], and sizes.
+
+    Raises:
+        SimulationError: If none does.
+    """
+    dynamics = returns.dynamics(s)
+    before: Vector | None = None
+    for _ in range(_MOST_IMPACTS):
+        run = simulate(dynamics, x, until=_LONGEST_FLIGHT, settings=returns.settings, releases=1)
+        if not run.impacts:
+            break
+        impact = run.impacts[0]
+        x = impact.state_plus
+        sizes = np.max(np.abs(run.arcs[0].flow_states[:, : x.size]), axis=0)
+        scale = _not_small(sizes, _SETTLED)
+        if before is not None and float(np.max(np.abs(x - before) / scale)) < _SETTLED:
+            return x, impact.time, scale
+        before = x
+    raise SimulationError(
+        "The impacts do not settle to one a turn", time=_LONGEST_FLIGHT, state=tuple(x.tolist())
     )
 
 
 def plane_of(
-    problem: Problem,
-    orbit: ZenoOrbit,
-    names: tuple[str, str],
-    boxes: tuple[tuple[float, float], tuple[float, float]],
+    problem: Problem, values: ParameterValues, first: Setup, second: str, box: tuple[float, float]
 ) -> Plane:
-    """Return the plane of two parameters around an orbit's numbers.
+    """Return the plane of two parameters around given numbers.
+
+    Args:
+        problem: The problem.
+        values: Its numbers at the start.
+        first: What the family is followed on in the first parameter.
+        second: Name of the second parameter.
+        box: Its range, lower end first.
 
     Raises:
-        InputError: If a name or the second range does not fit.
+        InputError: If the name or the range does not fit.
     """
-    if names[0] == names[1]:
-        raise InputError(f"Argument `second` must differ from `in`, but both are `{names[0]}`.")
-    p = numbers(problem, orbit)
-    for name in names:
-        line_in(problem, p, name)
-    first, second = (problem.names.index(name) for name in names)
-    check_box(problem, names[1], boxes[1], float(p[second]))
+    if first.parameter == second:
+        raise InputError(f"Argument `second` must differ from `in`, but both are `{second}`.")
+    _checked(problem, values, "second", second, box)
+    names = (first.parameter, second)
     return Plane(
         names=names,
-        places=(first, second),
-        box=np.array(boxes),
-        p=p,
-        restitution=problem.names.index("restitution"),
+        places=(problem.names.index(names[0]), problem.names.index(names[1])),
+        box=np.array((first.box, box)),
+        p=np.array(values.vector),
     )
-
-
-def scale_of(problem: Problem, orbit: ZenoOrbit) -> Vector:
-    """Return the size of each state over the events of an orbit, nowhere near zero, ``(n_x,)``."""
-    events = [orbit.release_state, orbit.zeno_state, *(i.state_minus for i in orbit.impacts)]
-    sizes = np.max(np.abs([problem.state_vector(state) for state in events]), axis=0)
-    largest = float(np.max(sizes))
-    return np.where(sizes > 1e-9 * largest, sizes, largest)
 
 
 def line_in(problem: Problem, p: Vector, parameter: str) -> Line:
     """Return the line along which one number changes.
 
-    Raises:
-        InputError: If the problem has no such number.
+    Args:
+        problem: The problem.
+        p: All numbers, ``(n_p,)``.
+        parameter: Name of the one that changes.
     """
     direction = np.zeros(p.size)
     direction[problem.place(parameter, argument="in")] = 1.0
     return Line(origin=p * (1 - direction), direction=direction)
 
 
-def check_box(problem: Problem, parameter: str, box: tuple[float, float], value: float) -> None:
-    """Refuse a range that is none, that a parameter may not have, or without the start.
+def _checked(
+    problem: Problem,
+    values: ParameterValues,
+    argument: str,
+    parameter: str,
+    box: tuple[float, float],
+) -> float:
+    """Return the value of a parameter at the start, inside its range.
 
     Raises:
-        InputError: If it is one of these.
+        InputError: If there is no such parameter, or its range is empty, forbidden or elsewhere.
     """
-    problem.require_range(parameter, box, argument="in")
+    problem.require_range(parameter, box, argument=argument)
     low, high = box
+    value = values.number(parameter)
     if not low <= value <= high:
         message = f"must hold the start, {parameter} = {value:g}, but it is {low:g}:{high:g}"
-        raise InputError(f"Argument `in` {message}.")
+        raise InputError(f"Argument `{argument}` {message}.")
+    return value

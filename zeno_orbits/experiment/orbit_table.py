@@ -118,7 +118,7 @@ def _formula(problem: Problem, compiled: CompiledSystem, name: str, x: ca.SX, p:
     if name in problem.state_names:
         return x[problem.state_names.index(name)]
     if name == GAP:
-        return compiled.contact.call([x, p])[0][0]
+        return compiled.contact_at(x, p).gap
     for k, output in enumerate(problem.outputs):
         if output.name == name:
             symbols = problem.symbols()

@@ -169,6 +169,6 @@ def staying_rate(values: Values, left: float) -> float:
     staying = [
         abs(value)
         for value in values
-        if not (value.real < -abs(value.imag) and -value.real * left > _LONG)
+        if not (value.real < -abs(value.imag) and -float(value.real) * left > _LONG)
     ]
     return float(max(staying, default=0.0))

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 from zeno_orbits.errors import MapFileError
 from zeno_orbits.maps.attractors import attractor_from_json, attractor_json
-from zeno_orbits.maps.parameter_map import FORMAT, Boundary, ParameterMap
+from zeno_orbits.maps.mapping import FORMAT, Boundary, ParameterMap
 from zeno_orbits.maps.plane import Axis
 from zeno_orbits.work.files import read_object, write_whole
 

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import cast
 
 import casadi as ca
 
+from zeno_orbits.model.contact import ContactQuantities, ImpactLaw
 from zeno_orbits.model.drives import Drive
 from zeno_orbits.model.lagrangian import HybridLagrangian
 
@@ -20,7 +22,7 @@ class CompletedSystem:
     r"""A completed hybrid system in symbols.
 
     Attributes:
-        n_q: Number of coordinates.
+        n_q: Any of coordinates.
         state: ``x = (q, v, i)``, the clock of a forced problem and any ledger states, ``(n_x,)``.
         free_flow: :math:`\dot x` off the stop, ``(n_x,)`` (theory (5)).
         locked_flow: :math:`\dot x` on the stop, ``(n_x,)`` (theory (8)).
@@ -31,7 +33,7 @@ class CompletedSystem:
         multiplier_rate: :math:`\dot\lambda` along the locked flow.
         impulse_direction: :math:`W J^\top / (J W J^\top)` as a change of state, ``(n_x,)``.
         normal_inertia: :math:`1 / (J W J^\top)`, the inertia that an impact feels.
-        restitution: :math:`e`.
+        law: The law of an impact, its numbers in symbols.
         energy: Kinetic, potential and magnetic energy [J].
         input_power: Power delivered by the sources and by forces from outside [W].
         copper_loss: Power lost in the windings [W].
@@ -55,7 +57,7 @@ class CompletedSystem:
     multiplier_rate: ca.SX
     impulse_direction: ca.SX
     normal_inertia: ca.SX
-    restitution: ca.SX
+    law: ImpactLaw
     energy: ca.SX
     input_power: ca.SX
     copper_loss: ca.SX
@@ -65,6 +67,23 @@ class CompletedSystem:
     motor_voltage: ca.SX
     mechanism: HybridLagrangian
     drive: Drive
+
+    @property
+    def restitution(self) -> ca.SX:
+        """Coefficient of restitution of the slowest impacts."""
+        return self.law.restitution
+
+    @property
+    def law_numbers(self) -> ca.SX:
+        """The numbers of the law of impact, the restitution first."""
+        return cast("ca.SX", ca.vertcat(*self.law))
+
+    @property
+    def contact(self) -> ContactQuantities:
+        """What tells whether a state flies, strikes, rests on its stop or leaves it."""
+        return ContactQuantities(
+            self.gap, self.gap_rate, self.gap_acceleration, self.multiplier, self.multiplier_rate
+        )
 
     @property
     def clock(self) -> tuple[int, ...]:
@@ -130,7 +149,7 @@ def complete(lagrangian: HybridLagrangian, drive: Drive, restitution: ca.SX) -> 
         multiplier_rate=ca.jtimes(multiplier, state, locked_flow),
         impulse_direction=direction,
         normal_inertia=normal_inertia,
-        restitution=ca.SX(restitution),
+        law=ImpactLaw(ca.SX(restitution)),
         energy=lagrangian.kinetic + lagrangian.potential + drive.magnetic_energy,
         input_power=drive.input_power + ca.dot(lagrangian.applied_force, v),
         copper_loss=drive.copper_loss,

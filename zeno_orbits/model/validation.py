@@ -38,7 +38,7 @@ _FORMULAS = (
     "copper_loss",
     "other_loss",
     "holonomic",
-    "restitution",
+    "law_numbers",
 )
 
 

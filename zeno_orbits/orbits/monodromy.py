@@ -12,7 +12,8 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model.numeric.derivatives import GAP, GAP_RATE, Differentials
+from zeno_orbits.model.contact import GAP, GAP_RATE
+from zeno_orbits.model.numeric.derivatives import Differentials
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.orbits.looser_run import extrapolated
 from zeno_orbits.orbits.period import cycle_of, first_return, placed, to_next_release

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 from zeno_orbits.errors import InputError
 from zeno_orbits.model.problem import ParameterValues, Problem
+from zeno_orbits.orbits.digest import digest_of
 from zeno_orbits.orbits.shape import OrbitShape, PhaseKind
+from zeno_orbits.work.versions import versions
 
 FORMAT = 2
 """Version of the file format, the newest that this code reads."""
@@ -64,6 +65,8 @@ class ZenoOrbit:
         floquet_multipliers: Of the return map where the period starts; empty while unknown.
         certificate: What a verification said, as plain data; empty while unverified.
         versions: Name to version of what computed it.
+        problem_digest: Numbers that tell the equations of its problem from others
+            (`digest.digest_of`); empty in files of older versions.
     """
 
     problem: str
@@ -74,6 +77,7 @@ class ZenoOrbit:
     floquet_multipliers: tuple[complex, ...] = ()
     certificate: Mapping[str, Any]
     versions: Mapping[str, str]
+    problem_digest: tuple[float, ...] = ()
 
     def __repr__(self) -> str:
         """Return one line: the gains, the period, the phases and whether it is verified."""
@@ -143,6 +147,7 @@ class ZenoOrbit:
         shape it is of format 2, which they refuse, and has none of the entries that they read.
         """
         one = self.shape.has_one_release
+        digest = {"problem_digest": list(self.problem_digest)} if self.problem_digest else {}
         return {
             "format": ONE_RELEASE if one else FORMAT,
             "problem": self.problem,
@@ -154,6 +159,7 @@ class ZenoOrbit:
             "floquet_multipliers": [[mu.real, mu.imag] for mu in self.floquet_multipliers],
             "certificate": dict(self.certificate),
             "versions": dict(self.versions),
+            **digest,
         }
 
     def _one_release(self) -> dict[str, Any]:
@@ -171,6 +177,29 @@ class ZenoOrbit:
             InputError: If the names or values do not fit the problem.
         """
         return problem.values(gains=self.gains, parameters=self.parameters)
+
+
+def new_orbit(
+    problem: Problem, values: ParameterValues, *, period: float, phases: tuple[OrbitPhase, ...]
+) -> ZenoOrbit:
+    """Return an orbit without a certificate, computed by this version.
+
+    Args:
+        problem: Its problem.
+        values: The problem's numbers.
+        period: [s].
+        phases: What happens in a period.
+    """
+    return ZenoOrbit(
+        problem=problem.name,
+        parameters=dict(values.parameters),
+        gains=dict(values.gains),
+        period=period,
+        phases=phases,
+        certificate={},
+        versions=versions(),
+        problem_digest=digest_of(problem),
+    )
 
 
 def one_release_phase(
@@ -210,24 +239,3 @@ def _plain(phase: OrbitPhase) -> dict[str, Any]:
 
 def _plain_impacts(impacts: Sequence[OrbitImpact]) -> list[dict[str, Any]]:
     return [{"time": one.time, "state_minus": dict(one.state_minus)} for one in impacts]
-
-
-def versions() -> dict[str, str]:
-    """Return name to version of what computes an orbit."""
-    return dict(_versions())
-
-
-@cache
-def _versions() -> tuple[tuple[str, str], ...]:
-    """Ask the installation once: it takes longer than a period of simulation."""
-    # Both take as long to import as a small module of ours, and a reader needs neither.
-    import platform
-    from importlib.metadata import PackageNotFoundError, version
-
-    found = {"python": platform.python_version()}
-    for name in ("zeno_orbits", "casadi", "numpy", "scipy"):
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "not installed"
-    return tuple(found.items())

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -19,7 +19,7 @@ from zeno_orbits.orbits.orbit import (
 )
 from zeno_orbits.orbits.shape import PhaseKind
 from zeno_orbits.work.files import write_whole
-from zeno_orbits.work.serialization import Entries
+from zeno_orbits.work.serialization import EntryError, restored
 
 
 def write_orbit(orbit: ZenoOrbit, path: Path | str) -> None:
@@ -42,8 +42,8 @@ def read_orbit(path: Path | str) -> ZenoOrbit:
         path: The file.
 
     Raises:
-        OrbitFileError: If it is missing, cut short, of a wrong type or of a newer format, or if
-            its parts contradict each other.
+        OrbitFileError: If it is missing, cut short, of a wrong type or of a newer format, if a name
+            occurs twice in it, or if its parts contradict each other.
     """
     path = Path(path)
     try:
@@ -53,7 +53,9 @@ def read_orbit(path: Path | str) -> ZenoOrbit:
     except UnicodeDecodeError as error:
         raise OrbitFileError(path, "it is no text in UTF-8") from error
     try:
-        data = json.loads(text)
+        data = json.loads(text, object_pairs_hook=_unique)
+    except EntryError as error:
+        raise OrbitFileError(path, str(error)) from error
     except (ValueError, RecursionError) as error:
         raise OrbitFileError(path, f"it is no complete JSON ({error})") from error
     return orbit_from_json(data, path)
@@ -69,123 +71,170 @@ def orbit_from_json(data: object, path: Path) -> ZenoOrbit:
     Raises:
         OrbitFileError: If it is of a wrong type or of a newer format.
     """
-    return _Reader(path).orbit(data)
+    try:
+        return _orbit(data)
+    except EntryError as error:
+        raise OrbitFileError(path, str(error)) from error
+    except _ContradictionError as error:
+        raise OrbitFileError(path, str(error)) from error
 
 
-class _Reader(Entries):
-    """Turns plain data into an orbit and names the entry that does not fit."""
+class _ContradictionError(ValueError):
+    """Entries of a file do not fit each other."""
 
-    def refuse(self, reason: str) -> OrbitFileError:
-        """Return what is raised of a file."""
-        return OrbitFileError(self.path, reason)
 
-    def orbit(self, data: object) -> ZenoOrbit:
-        entries = self.mapping(data, "the file")
-        number = self._format(entries)
-        phases = (self._one_release(entries),) if number == ONE_RELEASE else self._phases(entries)
-        multipliers = tuple(
-            self._complex(pair) for pair in self.sequence(entries, "floquet_multipliers")
-        )
-        versions_found = self.mapping(entries.get("versions", {}), "versions")
-        orbit = ZenoOrbit(
-            problem=self.text(self.get(entries, "problem"), "problem"),
-            parameters=self.numbers(self.get(entries, "parameters"), "parameters"),
-            gains=self.numbers(self.get(entries, "gains"), "gains"),
-            period=self.positive(self.get(entries, "period"), "period"),
-            phases=phases,
-            floquet_multipliers=multipliers,
-            certificate=self.mapping(entries.get("certificate", {}), "certificate"),
-            versions={name: str(value) for name, value in versions_found.items()},
-        )
-        self._check_shape(entries, orbit, number)
-        return orbit
+def _unique(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
+    """Return the entries of an object of JSON; none may be there twice."""
+    found: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in found:
+            raise EntryError(name, "there once", "there twice")
+        found[name] = value
+    return found
 
-    def _one_release(self, entries: Mapping[str, Any]) -> OrbitPhase:
-        phase = one_release_phase(
-            release_state=self.numbers(self.get(entries, "release_state"), "release_state"),
-            impacts=self._impacts(entries, ""),
-            zeno_time=self.positive(self.get(entries, "zeno_time"), "zeno_time"),
-            zeno_state=self.numbers(self.get(entries, "zeno_state"), "zeno_state"),
-        )
-        said = {kind.value: kind for kind in PhaseKind if kind.holds}.get(entries.get("shape", ""))
-        return phase if said is None else replace(phase, kind=said)
 
-    def _phases(self, entries: Mapping[str, Any]) -> tuple[OrbitPhase, ...]:
-        listed = self.sequence(entries, "phases")
-        if not listed:
-            raise self.refuse("`phases` is empty")
-        return tuple(
-            self._phase(self.mapping(entry, f"phases[{k}]"), k) for k, entry in enumerate(listed)
-        )
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Entries:
+    """Entries of both formats."""
 
-    def _phase(self, entries: Mapping[str, Any], place: int) -> OrbitPhase:
-        where = f"phases[{place}]."
-        known = {kind.value: kind for kind in PhaseKind}
-        word = self.text(self.get(entries, "kind"), f"{where}kind")
-        if word not in known:
-            raise self.refuse(f"`{where}kind` is none of {', '.join(known)}")
-        kind = known[word]
-        zeno_time, zeno_state = None, None
-        if kind.holds:
-            zeno_time = self.positive(self.get(entries, "zeno_time"), f"{where}zeno_time")
-            zeno_state = self.numbers(self.get(entries, "zeno_state"), f"{where}zeno_state")
-        elif "zeno_time" in entries or "zeno_state" in entries:
-            raise self.refuse(f"`{where}kind` is `{word}`, and yet there is a Zeno point")
-        start_time = self.number(self.get(entries, "start_time"), f"{where}start_time")
-        if (start_time == 0.0) != (place == 0) or start_time < 0.0:
-            wanted = "0" if place == 0 else "later than 0"
-            raise self.refuse(f"`{where}start_time` is not {wanted}")
-        return OrbitPhase(
-            kind=kind,
-            start_time=start_time,
-            start_state=self.numbers(self.get(entries, "start_state"), f"{where}start_state"),
-            impacts=self._impacts(entries, where),
-            zeno_time=zeno_time,
-            zeno_state=zeno_state,
-        )
+    problem: str
+    parameters: Mapping[str, float]
+    gains: Mapping[str, float]
+    period: float
+    floquet_multipliers: tuple[complex, ...]
+    shape: str = ""
+    certificate: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    versions: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    problem_digest: tuple[float, ...] = ()
 
-    def _impacts(self, entries: Mapping[str, Any], where: str) -> tuple[OrbitImpact, ...]:
-        return tuple(
-            OrbitImpact(
-                time=self.number(self.get(impact, "time"), f"{where}impacts[{k}].time"),
-                state_minus=self.numbers(
-                    self.get(impact, "state_minus"), f"{where}impacts[{k}].state_minus"
-                ),
-            )
-            for k, impact in enumerate(
-                self.mapping(entry, f"{where}impacts")
-                for entry in self.sequence(entries, "impacts")
-            )
-        )
 
-    def _check_shape(self, entries: Mapping[str, Any], orbit: ZenoOrbit, number: int) -> None:
-        """Refuse phases that are no shape, another than the file says, or of the other format."""
-        try:
-            shape = orbit.shape
-        except InputError as error:
-            raise self.refuse(f"its phases are no shape: {error}".removesuffix(".")) from error
-        said = shape.text
-        if number == FORMAT or "shape" in entries:
-            said = self.text(self.get(entries, "shape"), "shape")
-        if said != shape.text:
-            raise self.refuse(f"its `shape` is `{said}`, but its phases are `{shape.text}`")
-        if shape.has_one_release and number != ONE_RELEASE:
-            raise self.refuse(f"a shape `{said}` has format {ONE_RELEASE}, but it has {number}")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _OneRelease:
+    """The period in format 1: from release to release."""
 
-    def _complex(self, pair: object) -> complex:
-        if not isinstance(pair, list) or len(cast("list[Any]", pair)) != 2:
-            raise self.refuse("`floquet_multipliers` is not a list of pairs")
-        real, imaginary = cast("list[Any]", pair)
-        return complex(
-            self.number(real, "floquet_multipliers"), self.number(imaginary, "floquet_multipliers")
-        )
+    release_state: Mapping[str, float]
+    impacts: tuple[OrbitImpact, ...]
+    zeno_time: float
+    zeno_state: Mapping[str, float]
 
-    def _format(self, entries: Mapping[str, Any]) -> int:
-        number = self.get(entries, "format")
-        if isinstance(number, bool) or not isinstance(number, int) or number < 1:
-            raise self.refuse("`format` is not a positive whole number")
-        if number > FORMAT:
-            raise self.refuse(
-                f"its format {number} is newer than {FORMAT}, the newest this version reads"
-            )
-        return number
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Phase:
+    """A phase in format 2."""
+
+    kind: str
+    start_time: float
+    start_state: Mapping[str, float]
+    impacts: tuple[OrbitImpact, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _HeldPhase(_Phase):
+    """A phase in format 2 after whose impacts the stop holds."""
+
+    zeno_time: float
+    zeno_state: Mapping[str, float]
+
+
+def _orbit(data: object) -> ZenoOrbit:
+    if not isinstance(data, dict):
+        raise EntryError("the file", "an object with names", json.dumps(data)[:40])
+    named = cast("dict[str, Any]", data)
+    number = _format(named)
+    entries = restored(_Entries, named, finite=True)
+    _require_positive("period", entries.period)
+    phases = (_one_release(named, entries.shape),) if number == ONE_RELEASE else _phases(named)
+    orbit = ZenoOrbit(
+        problem=entries.problem,
+        parameters=entries.parameters,
+        gains=entries.gains,
+        period=entries.period,
+        phases=phases,
+        floquet_multipliers=entries.floquet_multipliers,
+        certificate=entries.certificate,
+        versions={name: str(value) for name, value in entries.versions.items()},
+        problem_digest=entries.problem_digest,
+    )
+    _require_shape(named, orbit, number)
+    return orbit
+
+
+def _format(entries: Mapping[str, Any]) -> int:
+    number = entries.get("format")
+    if isinstance(number, bool) or not isinstance(number, int) or number < 1:
+        found = json.dumps(number) if "format" in entries else "missing"
+        raise EntryError("format", "a positive whole number", found)
+    if number > FORMAT:
+        newest = f"{FORMAT}, the newest this version reads"
+        raise _ContradictionError(f"its format {number} is newer than {newest}")
+    return number
+
+
+def _one_release(entries: Mapping[str, Any], shape: str) -> OrbitPhase:
+    period = restored(_OneRelease, entries, finite=True)
+    _require_positive("zeno_time", period.zeno_time)
+    phase = one_release_phase(
+        release_state=period.release_state,
+        impacts=period.impacts,
+        zeno_time=period.zeno_time,
+        zeno_state=period.zeno_state,
+    )
+    said = {kind.value: kind for kind in PhaseKind if kind.holds}.get(shape)
+    return phase if said is None else replace(phase, kind=said)
+
+
+def _phases(entries: Mapping[str, Any]) -> tuple[OrbitPhase, ...]:
+    listed = entries.get("phases")
+    if not isinstance(listed, list) or not listed:
+        found = json.dumps(listed)[:40] if "phases" in entries else "missing"
+        raise EntryError("phases", "a list of one phase or more", found)
+    return tuple(_phase(entry, k) for k, entry in enumerate(cast("list[Any]", listed)))
+
+
+def _phase(data: object, place: int) -> OrbitPhase:
+    where = f"phases[{place}]"
+    kinds = {kind.value: kind for kind in PhaseKind}
+    phase = restored(_Phase, data, where, finite=True)
+    if phase.kind not in kinds:
+        raise EntryError(f"{where}.kind", f"one of {', '.join(kinds)}", json.dumps(phase.kind))
+    if (phase.start_time == 0.0) != (place == 0) or phase.start_time < 0.0:
+        wanted = "0" if place == 0 else "later than 0"
+        raise EntryError(f"{where}.start_time", wanted, f"{phase.start_time:g}")
+    kind, zeno_time, zeno_state = kinds[phase.kind], None, None
+    if kind.holds:
+        held = restored(_HeldPhase, data, where, finite=True)
+        _require_positive(f"{where}.zeno_time", held.zeno_time)
+        zeno_time, zeno_state = held.zeno_time, held.zeno_state
+    elif {"zeno_time", "zeno_state"} & set(cast("dict[str, Any]", data)):
+        message = f"`{where}.kind` is `{phase.kind}`, and yet there is a Zeno point"
+        raise _ContradictionError(message)
+    return OrbitPhase(
+        kind=kind,
+        start_time=phase.start_time,
+        start_state=phase.start_state,
+        impacts=phase.impacts,
+        zeno_time=zeno_time,
+        zeno_state=zeno_state,
+    )
+
+
+def _require_positive(name: str, value: float) -> None:
+    if not value > 0.0:
+        raise EntryError(name, "positive", f"{value:g}")
+
+
+def _require_shape(entries: Mapping[str, Any], orbit: ZenoOrbit, number: int) -> None:
+    """Refuse phases that are no shape, another than the file says, or of the other format."""
+    try:
+        shape = orbit.shape
+    except InputError as error:
+        message = f"its phases are no shape: {error}".removesuffix(".")
+        raise _ContradictionError(message) from error
+    if number == FORMAT and "shape" not in entries:
+        raise EntryError("shape", "there", "missing")
+    said = entries.get("shape", shape.text)
+    if said != shape.text:
+        raise _ContradictionError(f"its `shape` is `{said}`, but its phases are `{shape.text}`")
+    if shape.has_one_release and number != ONE_RELEASE:
+        message = f"a shape `{said}` has format {ONE_RELEASE}, but it has {number}"
+        raise _ContradictionError(message)

@@ -163,7 +163,7 @@ class _Section:
 def _section(compiled: CompiledSystem, values: Sequence[float], x: Sequence[float]) -> _Section:
     """Return the chart around a release state."""
     state, p = ca.SX.sym("x", compiled.n_x), ca.SX.sym("p", len(values))
-    gap, gap_rate, _, multiplier, _ = ca.vertsplit(compiled.contact(state, p))
+    gap, gap_rate, _, multiplier, _ = compiled.contact_at(state, p)
     conditions = ca.vertcat(gap, gap_rate, multiplier, compiled.holonomic(state, p))
     gradient = ca.Function("gradient", [state, p], [ca.jacobian(conditions, state)])
     scale = 1.0 + np.abs(np.array(x))
@@ -198,7 +198,7 @@ class _ReturnMap:
         number, here = self._system.arithmetic.number, self._system.arithmetic.numbers(x)
         off = float("inf")
         for _ in range(_CORRECTIONS):
-            gap, gap_rate, _, multiplier, _ = self._system.contact(here)[0]
+            gap, gap_rate, _, multiplier, _ = self._system.contact(here)
             conditions = [gap, gap_rate, multiplier, *self._system.holonomic(here)[0]]
             before, off = off, max(float(abs(c)) for c in conditions)
             if off == 0.0 or (off <= self._system.smallest and off >= before / 2):

@@ -107,7 +107,7 @@ class ExtendedRun:
 
     def _admit(self, x: State) -> _Start | None:
         system, zero = self.system, self.system.arithmetic.number(0.0)
-        gap, rate = system.contact(x)[0][:2]
+        gap, rate = system.contact(x)[:2]
         if gap < -_CONTACT:
             message = f"Argument `state` must have a gap >= 0, but it is {float(gap):.6g}."
             raise InputError(message)
@@ -123,7 +123,7 @@ class ExtendedRun:
 
     def _rest(self, time: Real, x: State) -> _Start:
         """Return the mode that holds on the stop at zero gap rate."""
-        _, _, acceleration, _, multiplier_rate = self.system.contact(x)[0]
+        _, _, acceleration, _, multiplier_rate = self.system.contact(x)
         if abs(acceleration) > self.system.smallest:
             mode = Mode.LOCKED if acceleration < 0 else Mode.FREE
             return _Start(mode=mode, time=time, state=x, order=0 if acceleration < 0 else 2)
@@ -133,7 +133,7 @@ class ExtendedRun:
 
     def _carry(self, start: _Start) -> _Start | None:
         """Follow the locked flow to the release."""
-        multiplier = self.system.contact(start.state)[0][3]
+        multiplier = self.system.contact(start.state).multiplier
         order, remaining = start.order, self.until - start.time
         for step in self.system.locked.steps([*start.state, multiplier], remaining):
             root = step.fall(-1, order)
@@ -153,7 +153,7 @@ class ExtendedRun:
         """Follow a flight, rescaled if it comes from an impact, to the next impact."""
         system, number = self.system, self.system.arithmetic.number
         if start.speed is None:
-            unit, gap = number(1.0), system.contact(start.state)[0][:2]
+            unit, gap = number(1.0), system.contact(start.state)[:2]
             self._nodes.clear()
             if start.order > 0:
                 gap = [number(0.0), number(0.0)]
@@ -185,7 +185,7 @@ class ExtendedRun:
             if start.mode is Mode.LOCKED:
                 self.trace.zeno_points.append((time, resting))
             return start
-        acceleration = self.system.contact(resting)[0][2]
+        acceleration = self.system.contact(resting).gap_acceleration
         if (self._nodes and speed >= self._nodes[-1].speed) or not acceleration < 0:
             self._nodes.clear()
         if acceleration < 0:
@@ -229,7 +229,7 @@ class ExtendedRun:
         before = self._nodes[: chosen[-2] + 1]
         earlier = _combined([before[k] for k in _spread(before)])
         last = self._nodes[-1].gap_acceleration
-        now = self.system.contact(best[:-1])[0][2]
+        now = self.system.contact(best[:-1]).gap_acceleration
         if abs(now - last) > _MAY_BEND * abs(last):
             return None
         off = max(abs(a - b) / (1 + abs(a)) for a, b in zip(best, earlier, strict=True))

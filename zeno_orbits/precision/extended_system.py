@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from zeno_orbits.model.contact import ContactQuantities, ImpactLaw
 from zeno_orbits.model.numeric.compiled import CompiledSystem
 from zeno_orbits.precision.multiprecision import Arithmetic, Formula, Real, flow_of
 
@@ -30,7 +31,7 @@ class ExtendedSystem:
         self.n_x, self.n_q, self.n_values = compiled.n_x, compiled.n_q, len(values)
         self.flight = flow_of(arithmetic, compiled.flight.rate, (*values, 1.0))
         self.locked = flow_of(arithmetic, compiled.locked.rate, values, compiled.locked.guard)
-        self.contact = Formula(arithmetic, compiled.contact, values)
+        self._contact = Formula(arithmetic, compiled.contact, values)
         self.holonomic = Formula(arithmetic, compiled.holonomic, values)
         self._locked_rate = Formula(arithmetic, compiled.locked.rate, values)
         self._impulse = Formula(arithmetic, compiled.impulse, values)
@@ -40,21 +41,26 @@ class ExtendedSystem:
         """What a condition on the stop is worth zero at."""
         return 10.0 ** (_LOST - self.arithmetic.digits)
 
+    def contact(self, x: State) -> ContactQuantities:
+        """Return the contact quantities at a state."""
+        return ContactQuantities(*self._contact(x)[0])
+
     def on_stop(self, x: State) -> State:
         """Return the state moved onto the stop along the impulse, gap and gap rate zero."""
         (direction,), n_q = self._impulse(x)[:1], self.n_q
-        gap = self.contact(x)[0][0]
+        gap = self.contact(x).gap
         shifts = [gap * d for d in direction[n_q : 2 * n_q]]
         moved = [value - shift for value, shift in zip(x, shifts, strict=False)] + x[n_q:]
-        rate = self.contact(moved)[0][1]
+        rate = self.contact(moved).gap_rate
         return along(moved, -rate, self._impulse(moved)[0])
 
     def reset(self, x: State, approach_rate: Real) -> tuple[State, State, Real, Real]:
         """Return states after the impact and after a plastic one, speed and restitution."""
-        direction, _, (restitution,) = self._impulse(x)
-        after = along(x, -(1 + restitution) * approach_rate, direction)
+        direction, _, numbers = self._impulse(x)
+        law = ImpactLaw(*numbers)
+        after = along(x, -law.rate_drop(approach_rate), direction)
         resting = self.on_stop(along(x, -approach_rate, direction))
-        return after, resting, -restitution * approach_rate, restitution
+        return after, resting, law.speed_after(approach_rate), law.restitution
 
     def locked_on(self, x: State, duration: Real) -> State:
         """Return the state after a short time on the stop, to first order."""

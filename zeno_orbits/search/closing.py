@@ -20,7 +20,7 @@ from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.model.quantities import RUNAWAY
 from zeno_orbits.orbits.cycle import Cycle, round_again
-from zeno_orbits.orbits.orbit import OrbitImpact, OrbitPhase, ZenoOrbit, versions
+from zeno_orbits.orbits.orbit import OrbitImpact, OrbitPhase, ZenoOrbit, new_orbit
 from zeno_orbits.orbits.period import placed
 from zeno_orbits.orbits.phases import Phase
 from zeno_orbits.orbits.shape import OrbitShape
@@ -228,12 +228,9 @@ def orbit_of(cycle: Cycle, problem: Problem, values: ParameterValues) -> ZenoOrb
             zeno_state=None if phase.zeno is None else named(problem, phase.zeno.state),
         )
 
-    return ZenoOrbit(
-        problem=problem.name,
-        parameters=dict(values.parameters),
-        gains=dict(values.gains),
+    return new_orbit(
+        problem,
+        values,
         period=cycle.period,
         phases=tuple(map(phase_of, cycle.phases)),
-        certificate={},
-        versions=versions(),
     )

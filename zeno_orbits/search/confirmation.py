@@ -16,7 +16,7 @@ from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues
 from zeno_orbits.orbits.bounds import KEPT, Bound, excess
 from zeno_orbits.orbits.cycle import Cycle, round_again
-from zeno_orbits.orbits.orbit import OrbitImpact, OrbitPhase, ZenoOrbit, versions
+from zeno_orbits.orbits.orbit import OrbitImpact, OrbitPhase, ZenoOrbit, new_orbit
 from zeno_orbits.orbits.period import cycle_of, placed
 from zeno_orbits.orbits.phases import Moment
 from zeno_orbits.orbits.shape import ONE_ZENO, OrbitShape
@@ -129,14 +129,8 @@ def _orbit(
             zeno_state=zeno_state,
         )
 
-    return ZenoOrbit(
-        problem=problem.name,
-        parameters=dict(values.parameters),
-        gains=dict(values.gains),
-        period=period,
-        phases=tuple(phase(k) for k in range(shape.n_phases)),
-        certificate={},
-        versions=versions(),
+    return new_orbit(
+        problem, values, period=period, phases=tuple(phase(k) for k in range(shape.n_phases))
     )
 
 

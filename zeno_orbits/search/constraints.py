@@ -14,6 +14,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Array
 from zeno_orbits.errors import InputError
+from zeno_orbits.model.contact import GAP_ACCELERATION, GAP_RATE
 from zeno_orbits.orbits.bounds import Bound
 from zeno_orbits.search.spectral_radius import keep_radius_below
 from zeno_orbits.search.transcription.arc import CollocatedArc
@@ -47,11 +48,11 @@ def numbers(terms: OrbitTerms, name: str) -> list[ca.MX]:
         if name == "locked_time":
             found.append(phase.locked.duration)
         elif name == "gap_acceleration":
-            found.append(-terms.compiled.contact(phase.zeno, terms.p)[2])
+            found.append(-terms.compiled.contact_at(phase.zeno, terms.p).gap_acceleration)
         else:
             # Where the next phase starts the stop lets go.
             release = terms.phases[(place + 1) % len(terms.phases)].start
-            found.append(-terms.compiled.contact(release, terms.p)[4])
+            found.append(-terms.compiled.contact_at(release, terms.p).multiplier_rate)
     if not found:
         wanted = f"must bound what an orbit of shape `{terms.shape.text}` has"
         raise InputError(f"Argument `keep` {wanted}, but it names `{name}`.")
@@ -66,11 +67,13 @@ def smallest_share(terms: OrbitTerms) -> ca.MX:
     program = terms.program
     share = program.variable("smallest margin", 0.1, lower=-1.0, upper=1.0)[0, 0]
     for phase in terms.phases:
-        speed = (f"{phase.label}speed of the first impact", 1, phase.flights[0])
+        speed = (f"{phase.label}speed of the first impact", GAP_RATE, phase.flights[0])
         quantities: list[tuple[str, int, CollocatedArc, ca.MX]] = [(*speed, -phase.approach_rate)]
         if phase.locked is not None and phase.zeno is not None:
-            push = -terms.compiled.contact(phase.zeno, terms.p)[2]
-            quantities.append((f"{phase.label}d2h/dt2 at the Zeno point", 2, phase.locked, push))
+            push = -terms.compiled.contact_at(phase.zeno, terms.p).gap_acceleration
+            quantities.append(
+                (f"{phase.label}d2h/dt2 at the Zeno point", GAP_ACCELERATION, phase.locked, push)
+            )
         for name, index, arc, value in quantities:
             quantity = _contact(terms, name, index)
             most = largest(terms, quantity, (arc,), f"largest value beside the {name}")

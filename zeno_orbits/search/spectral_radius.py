@@ -43,7 +43,7 @@ def section_map(terms: OrbitTerms) -> ca.MX:
     # Where the stop lets go is told by the multiplier; an impact ends its flight by itself.
     ends = ca.MX(0, 1)
     if terms.shape.starts_at_release:
-        ends = terms.compiled.contact(end, terms.p)[3] / float(np.max(np.abs(slope)))
+        ends = terms.compiled.contact_at(end, terms.p).multiplier / float(np.max(np.abs(slope)))
     n_ends = ends.numel()
     targets = np.vstack([np.zeros((n_ends, d)), np.eye(d)])
     arrival = ca.mtimes(ca.DM(basis).T, end / ca.DM(terms.scale))
@@ -129,6 +129,6 @@ def _section_basis(terms: OrbitTerms, slope: Array) -> Array:
 def _multiplier_slope(terms: OrbitTerms) -> Array:
     """Return the derivative of the multiplier by the scaled states at the release, ``(1, n_x)``."""
     x, p = ca.SX.sym("x", terms.compiled.n_x), ca.SX.sym("p", terms.p.numel())
-    multiplier = terms.compiled.contact(x, p)[3]
+    multiplier = terms.compiled.contact_at(x, p).multiplier
     gradient = ca.Function("gradient", [x, p], [ca.jacobian(multiplier, x)])
     return terms.guessed(gradient(terms.start, terms.p)) * terms.scale

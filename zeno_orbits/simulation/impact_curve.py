@@ -24,6 +24,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators.collocation import Nodes, doubled_nodes, radau_nodes
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.simulation.rescaled_flight import Hop
+from zeno_orbits.simulation.zeno_limit import tail_time
 
 _NUDGE = 1e-5
 """Relative step of the differences; far above the rounding of a slope, which `1 - e` magnifies."""
@@ -77,13 +78,12 @@ class ImpactCurve:
             CurveLostError: If the stop repels there, the speed does not fall, or flights run out.
         """
         dynamics = self.dynamics
-        restitution = dynamics.restitution
         resting = self.on_stop(z[:-1])
         acceleration = dynamics.gap_acceleration(resting)
         if not acceleration < 0.0:
             raise CurveLostError
         if w == 0.0:
-            rate = 2 / (-acceleration * (1 - restitution))
+            rate = tail_time(1.0, acceleration, dynamics.restitution)
             return rate * np.append(dynamics.locked.rate(resting), 1.0), 0.0
         if self.n_hops >= self.most_hops:
             raise CurveLostError
@@ -92,7 +92,7 @@ class ImpactCurve:
         if landing is None:
             raise CurveLostError
         duration, state_minus, approach_rate = landing
-        fall = w + restitution * approach_rate
+        fall = w - dynamics.speed_after(approach_rate)
         if not fall > 0.0:
             raise CurveLostError
         after = self.on_stop(dynamics.reset_map(state_minus, approach_rate))

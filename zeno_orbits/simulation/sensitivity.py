@@ -19,11 +19,8 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators.flow import Tolerance
+from zeno_orbits.model.contact import GAP, GAP_ACCELERATION, GAP_RATE, MULTIPLIER
 from zeno_orbits.model.numeric.derivatives import (
-    GAP,
-    GAP_ACCELERATION,
-    GAP_RATE,
-    MULTIPLIER,
     Differentials,
 )
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
@@ -148,12 +145,13 @@ class Perturbations:
         """Return how the state and the gap rate after an impact move."""
         reset = self.differentials.reset(impact.state_minus, impact.approach_rate)
         inputs = np.concatenate([before.state, before.rate[None, :], self.parameters])
-        rate = -self.dynamics.restitution * before.rate - impact.approach_rate * self.restitution
+        by_rate, *by_parameters = self.differentials.speed_after(impact.approach_rate)
+        rate = by_rate * before.rate + by_parameters @ self.parameters
         return EventShift(time=before.time, state=reset @ inputs, rate=rate)
 
     def joined(self, bounces: Sequence[Bounce], impact: Impact, after: EventShift) -> list[Bounce]:
         """Return a sequence with one more impact, or a new one where it does not go on."""
-        speed = -self.dynamics.restitution * impact.approach_rate
+        speed = self.dynamics.speed_after(impact.approach_rate)
         estimate = estimate_tail(self.dynamics, impact.time, impact.state_plus, speed)
         if estimate is None:
             return []

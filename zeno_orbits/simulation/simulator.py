@@ -295,7 +295,7 @@ class _Run:
                 state=tuple(state_minus.tolist()),
             )
         state_plus = dynamics.reset_map(state_minus, approach_rate)
-        speed = -dynamics.restitution * approach_rate
+        speed = dynamics.speed_after(approach_rate)
         if dynamics.gap_rate(state_plus) < -1e-9 * (1.0 - approach_rate):
             raise PenetrationError(
                 "The reset map sends the state into the stop",

@@ -25,6 +25,7 @@ from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 from zeno_orbits.verification.certificate import DeltaCut
 from zeno_orbits.verification.claim import Claim
 from zeno_orbits.verification.integration import FirstCycle, distance
+from zeno_orbits.verification.residuals import lawful_impact
 
 _FINEST_CUT = 1e-9
 """Of the first impact speed: the slowest impact that a sweep cuts at."""
@@ -150,9 +151,7 @@ def energies_of(
     run = simulate(dynamics, start, until=until, impacts=last, settings=simulation)
     impact_loss = 0.0
     for impact in run.impacts:
-        inertia = dynamics.normal_inertia(impact.state_minus)
-        e = dynamics.restitution
-        impact_loss += (1 - e**2) / 2 * inertia * impact.approach_rate**2
+        impact_loss += lawful_impact(dynamics, impact)[1]
     for zeno in run.zeno_points:
         # The tail loses the whole normal kinetic energy that is left.
         impact_loss += dynamics.normal_inertia(zeno.state) * zeno.last_speed**2 / 2

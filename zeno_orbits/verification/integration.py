@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -78,17 +79,17 @@ def observe(
     """
     shape = claim.shape.at_restitution(dynamics.restitution)
     start = placed(dynamics, shape, claim.start)
-    horizon = (n_periods + 0.5) * claim.period
+    horizon = min((n_periods + 0.5) * claim.period, sys.float_info.max)
     try:
         run = followed(
             dynamics, start, shape, horizon=horizon, settings=simulation, n_periods=n_periods
         )
     except ZenoOrbitsError as error:
         if n_periods == 1:
-            return _nothing(str(error))
+            return _nothing(str(error).removesuffix("."))
         # A motion that leaves its orbit later has still told of the first period.
         first = observe(dynamics, claim, simulation, 1)
-        return replace(first, trouble=first.trouble or str(error))
+        return replace(first, trouble=first.trouble or str(error).removesuffix("."))
     found = first_cycles(run, start, shape)
     if not found:
         return _nothing(f"{_missing(run, start, shape)} within {horizon:.4g} s")

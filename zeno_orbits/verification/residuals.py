@@ -171,16 +171,28 @@ def _adhesion(dynamics: HybridDynamics, first: FirstCycle) -> float:
     return max(0.0, -min(forces, default=0.0)) / first.force
 
 
+def lawful_impact(dynamics: HybridDynamics, impact: Impact) -> tuple[float, float]:
+    """Return the gap rate that Newton's law asks for after an impact, and the energy that it costs.
+
+    Stated here on its own, as what is checked must not be called.
+
+    Args:
+        dynamics: The system, for its restitution and the inertia that an impact feels.
+        impact: The impact.
+    """
+    e, rate = dynamics.restitution, impact.approach_rate
+    inertia = dynamics.normal_inertia(impact.state_minus)
+    return -e * rate, (1 - e**2) / 2 * inertia * rate**2
+
+
 def _impact_laws(dynamics: HybridDynamics, impacts: tuple[Impact, ...]) -> dict[str, float]:
     """Return how far the resets are from Newton's law and from its energy loss."""
-    restitution = dynamics.restitution
     turn, loss = 0.0, 0.0
     fastest = max(abs(impact.approach_rate) for impact in impacts)
     for impact in impacts:
-        rate = impact.approach_rate
         inertia = dynamics.normal_inertia(impact.state_minus)
-        expected = -(1 - restitution**2) / 2 * inertia * rate**2
+        speed, cost = lawful_impact(dynamics, impact)
         change = dynamics.energy(impact.state_plus) - dynamics.energy(impact.state_minus)
-        turn = max(turn, abs(dynamics.gap_rate(impact.state_plus) + restitution * rate) / fastest)
-        loss = max(loss, abs(change - expected) / (inertia * fastest**2 / 2))
+        turn = max(turn, abs(dynamics.gap_rate(impact.state_plus) - speed) / fastest)
+        loss = max(loss, abs(change + cost) / (inertia * fastest**2 / 2))
     return {"restitution": turn, "impact_energy": loss}

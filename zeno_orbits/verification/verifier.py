@@ -16,6 +16,7 @@ from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.library import load_reference
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
+from zeno_orbits.orbits.digest import digest_of, same_equations
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.period import placed
 from zeno_orbits.orbits.poincare import Multipliers, floquet_multipliers
@@ -102,7 +103,7 @@ def verify(
         # Rounding grows along an unstable orbit: later returns say nothing of it.
         residuals.pop("drift", None)
         trouble = trouble if multipliers is None else ""
-    clauses = [trouble, *_contradictions(claim, problem, dynamics, seen)]
+    clauses = [trouble, *_contradictions(orbit, problem, dynamics, seen)]
     return OrbitCertificate(
         tolerance=settings.tolerance,
         residuals=residuals,
@@ -159,13 +160,15 @@ def _cross_checks(
 
 
 def _contradictions(
-    claim: Claim, problem: Problem, dynamics: HybridDynamics, seen: Observation
+    orbit: ZenoOrbit, problem: Problem, dynamics: HybridDynamics, seen: Observation
 ) -> Iterator[str]:
-    """Yield the clauses on what an orbit says of itself, and on coordinates that escape."""
-    shape = claim.shape.at_restitution(dynamics.restitution)
-    if shape != claim.shape:
+    """Yield clauses on what an orbit says of itself, and on coordinates that escape."""
+    if orbit.problem_digest and not same_equations(orbit.problem_digest, digest_of(problem)):
+        yield f"the equations of problem `{problem.name}` are not those that gave the orbit"
+    shape = orbit.shape.at_restitution(dynamics.restitution)
+    if shape != orbit.shape:
         at = f"at restitution {dynamics.restitution:g} it is `{shape.text}`"
-        yield f"the orbit says that its shape is `{claim.shape.text}`, but {at}"
+        yield f"the orbit says that its shape is `{orbit.shape.text}`, but {at}"
     if seen.first is not None:
         yield from (phrase for _, phrase in escapes_of(problem, seen.first).values())
 

@@ -1,9 +1,10 @@
 r"""Special points followed in two parameters: folds, flips and ends of families as curves.
 
-In the plane of both parameters, in units of their ranges, a curve is followed by secants. On a line
-at right angles to the secant, through the predicted place, the special point is located anew as one
-of a family along that line; so every point of the curve is located as well as a point of a family,
-with its own error estimate, and a curve may run in any direction. Theory (40).
+In the plane of both parameters, in units of their ranges, folds and flips are followed by
+pseudo-arclength (`fold_flip_curve`), other special points by secants: on a line at right angles to
+the secant, through the predicted place, the point is located anew as one of a family along that
+line (`end_curve`). So a curve may run in any direction, and every point of it has an error estimate
+of its own. Theory (40).
 """
 
 from __future__ import annotations
@@ -12,108 +13,42 @@ from dataclasses import replace
 
 import numpy as np
 
-from zeno_orbits.continuation.corrector import BranchPoint, Metric
-from zeno_orbits.continuation.families import Boundary, HalfCurve, whole_curve
-from zeno_orbits.continuation.special_points import Located
+from zeno_orbits.continuation.corrector import BranchPoint
+from zeno_orbits.continuation.families import HalfCurve
 from zeno_orbits.continuation.two_parameters.end_curve import Before, SecantCurve, Spot, left_of
-from zeno_orbits.continuation.two_parameters.fold_flip_curve import CRITICAL, half_critical
-from zeno_orbits.continuation.two_parameters.plane import CurveSteps, OnLine, Plane, Tell
+from zeno_orbits.continuation.two_parameters.fold_flip_curve import MULTIPLIERS, half_fold_flip
+from zeno_orbits.continuation.two_parameters.plane import CurveSetup, CurveStart
 
 
-def follow_boundary(
-    plane: Plane,
-    on_line: OnLine,
-    metric: Metric,
-    found: Located,
-    value: tuple[float, float],
-    *,
-    leading: tuple[BranchPoint, ...],
-    steps: CurveSteps,
-    tell: Tell,
-) -> Boundary:
-    """Return the curve of a special point of a family.
+def half_boundary(setup: CurveSetup, start: CurveStart, *, upwards: bool) -> HalfCurve:
+    """Return the curve of a special point in one direction.
 
     Args:
-        plane: The two parameters; the family is followed in the first.
-        on_line: From a line to the return map along it.
-        metric: Units of the family.
-        found: The special point.
-        value: Both parameters there.
-        leading: The last points of the family before an end.
-        steps: How to step.
-        tell: Called with what happens.
+        setup: What it is followed on.
+        start: The special point.
+        upwards: True if the second parameter rises at first, False if it falls.
 
     Raises:
-        ZenoOrbitsError: If the point is none of the curve, or its neighbours do not return.
+        ZenoOrbitsError: If the point is not on a curve, or its neighbours do not return.
     """
-
-    def half(*, upwards: bool) -> HalfCurve:
-        return half_boundary(
-            plane,
-            on_line,
-            metric,
-            found,
-            value,
-            leading=leading,
-            upwards=upwards,
-            steps=steps,
-            tell=tell,
-        )
-
-    first = half(upwards=True)
-    second = None if first.closes else half(upwards=False)
-    return whole_curve(found.kind, plane.names, first, second)
-
-
-def half_boundary(
-    plane: Plane,
-    on_line: OnLine,
-    metric: Metric,
-    found: Located,
-    value: tuple[float, float],
-    *,
-    leading: tuple[BranchPoint, ...],
-    upwards: bool,
-    steps: CurveSteps,
-    tell: Tell,
-) -> HalfCurve:
-    """Return the curve of a special point in one direction, whatever the other one is.
-
-    Args:
-        plane: As in `follow_boundary`.
-        on_line: As there.
-        metric: As there.
-        found: As there.
-        value: As there.
-        leading: As there.
-        upwards: Whether the second parameter rises at first, or falls.
-        steps: As there.
-        tell: As there.
-
-    Raises:
-        ZenoOrbitsError: If the point is none of the curve, or its neighbours do not return.
-    """
-    if found.kind in CRITICAL:
-        return half_critical(
-            plane, on_line, metric, found, value, upwards=upwards, steps=steps, tell=tell
-        )
-    scale = plane.units[0] / metric.unit
+    unit, found = setup.metric.unit, start.found
+    setup = replace(setup, metric=replace(setup.metric, unit=1.0))
+    plane, metric = setup.plane, setup.metric
+    if found.kind in MULTIPLIERS:
+        return half_fold_flip(setup, start, upwards=upwards)
 
     def relative(point: BranchPoint) -> Before:
         state = (point.x - found.z[:-1] * metric.scale) / metric.scale
-        away = (point.z[-1] - found.z[-1]) / scale
+        away = (point.z[-1] - found.z[-1]) / (plane.units[0] / unit)
         left = left_of(point, found.kind, found.place)
         return Before(state=state, away=np.array([away, 0.0]), left=left)
 
     first = Spot(
-        at=np.array(value) / plane.units,
+        at=np.array(start.value) / plane.units,
         located=replace(found, z=np.append(found.z[:-1], 0.0), error=found.error / plane.units[0]),
-        before=tuple(relative(point) for point in leading),
+        before=tuple(relative(point) for point in start.leading),
     )
-    curve = SecantCurve(
-        plane, on_line, replace(metric, unit=1.0), found.kind, found.place, steps, tell
-    )
-    spots, end = curve.run(first, upwards=upwards)
+    spots, end = SecantCurve(setup, found.kind, found.place).run(first, upwards=upwards)
     values = np.array([spot.at * plane.units for spot in spots])
     return HalfCurve(
         x=tuple(values[:, 0].tolist()),

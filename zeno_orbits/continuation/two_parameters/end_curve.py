@@ -12,17 +12,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.continuation.corrector import BranchPoint, Metric, correct
+from zeno_orbits.continuation.corrector import BranchPoint, correct
 from zeno_orbits.continuation.ends import locate_end
 from zeno_orbits.continuation.families import Kind
 from zeno_orbits.continuation.lock_end import locate_cut_near
 from zeno_orbits.continuation.margins import ENDS, Stage, Threat, meeting
 from zeno_orbits.continuation.return_maps import Loss, Margin, ReturnMap
 from zeno_orbits.continuation.special_points import INSIDE, Located, TestFunction, located_near
-from zeno_orbits.continuation.two_parameters.plane import CurveSteps, OnLine, Plane, Tell
+from zeno_orbits.continuation.two_parameters.plane import CurveSetup
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
-from zeno_orbits.orbits.path import Step, StepControl, StepError, follow_path
-from zeno_orbits.orbits.section import Line
+from zeno_orbits.orbits.path import Step, StepError, follow_path
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,33 +63,20 @@ class Before:
 class SecantCurve:
     """A boundary in the making."""
 
-    def __init__(
-        self,
-        plane: Plane,
-        on_line: OnLine,
-        metric: Metric,
-        kind: Kind,
-        place: int,
-        steps: CurveSteps,
-        tell: Tell,
-    ) -> None:
-        self.plane, self.on_line, self.metric, self.kind = plane, on_line, metric, kind
-        self.steps, self.tell, self.place = steps, tell, place
+    def __init__(self, setup: CurveSetup, kind: Kind, place: int) -> None:
+        self.setup, self.kind, self.place = setup, kind, place
+        self.plane, self.metric, self.steps = setup.plane, setup.metric, setup.steps
         self.forward = np.zeros(2)
 
-    def run(self, first: Spot, *, upwards: bool) -> tuple[list[Spot], str]:
+    def run(self, first: Spot, *, upwards: bool) -> tuple[Sequence[Spot], str]:
         """Return the curve from a point in one direction, and why it ends."""
         try:
             heading = self._heading(first)
         except ZenoOrbitsError as error:
             return [first], f"{Kind.GAVE_UP.value}: {error}"
         self.forward = heading if upwards else -heading
-        steps = self.steps
-        control = StepControl(
-            first=steps.first, longest=steps.longest, shortest=steps.shortest, most=steps.most
-        )
-        path = follow_path(first, control, self._advance, give_up=self._last_end)
-        return list(path.points), path.end or f"{steps.most} steps"
+        path = follow_path(first, self.steps, self._advance, give_up=self._last_end)
+        return path.points, path.end or f"{self.steps.most} steps"
 
     def _heading(self, first: Spot) -> Vector:
         """Return the direction in which the curve leaves its first point, upwards if it may.
@@ -141,8 +127,7 @@ class SecantCurve:
             # The curve leaves the plane beside the place that was predicted.
             raise StepError(Kind.BOUND.value)
         self.forward = _direction(last, new)
-        values = new.at * self.plane.units
-        self.tell(f"{self.kind.value} at {values[0]:.6g}, {values[1]:.6g}", None)
+        self.setup.report(self.kind.value, new.at)
         return Step(points=(new,), easy=strayed < self.steps.bend * step / 3)
 
     def _last_end(self, spots: Sequence[Spot], trouble: str) -> Step[Spot, str]:
@@ -150,7 +135,7 @@ class SecantCurve:
         if trouble == Kind.BOUND.value:
             return Step(end=trouble)
         way = [Stage(z=spot.at, margins=self._others(spot)) for spot in spots]
-        met = meeting(way, self.plane.restitution_at(spots[-1].at))
+        met = meeting(way, self.setup.restitution_at(spots[-1].at))
         return Step(end=met or f"{Kind.GAVE_UP.value}: {trouble}")
 
     def _others(self, spot: Spot) -> dict[Margin, float]:
@@ -177,8 +162,7 @@ class SecantCurve:
     def _located(self, last: Spot, at: Vector, forward: Vector, spots: Sequence[Spot]) -> Spot:
         """Return the special point on the line across the curve through a place."""
         across = np.array([forward[1], -forward[0]])
-        line = self.plane.line(at, across)
-        returns = self.on_line(line)
+        returns = self.setup.returns_on(at, across)
         z = last.located.z[:-1]
         if len(spots) > 1:
             earlier = spots[-2]
@@ -189,7 +173,7 @@ class SecantCurve:
             located = self._inside(returns, np.append(z, 0.0))
             before = last.before
         else:
-            located, before = self._end(returns, line, z, last, across)
+            located, before = self._end(returns, z, last, across)
         if located.kind is not self.kind:
             raise SimulationError("What ends there is another end", time=0.0, state=())
         if not located.error < _CERTAIN:
@@ -205,22 +189,16 @@ class SecantCurve:
         return located_near(returns, self.metric, start, self.kind, test)
 
     def _end(
-        self, returns: ReturnMap, line: Line, z: Vector, last: Spot, across: Vector
+        self, returns: ReturnMap, z: Vector, last: Spot, across: Vector
     ) -> tuple[Located, tuple[Before, ...]]:
         """Return an end, approached as the last one was from points at the same distance."""
-
-        def restitution(s: float) -> float:
-            return float(line.at(s)[self.plane.restitution])
-
-        if self.kind is Kind.LOCK_VANISHES and restitution(0.0) > 0.0:
+        if self.kind is Kind.LOCK_VANISHES and returns.restitution(0.0) > 0.0:
             along = last.located.point.tangent
-            found = locate_cut_near(
-                returns, self.metric, np.append(z, 0.0), along, self.place, restitution
-            )
+            found = locate_cut_near(returns, self.metric, np.append(z, 0.0), along, self.place)
             return found, last.before
         points = [self._ahead(returns, z, one, across) for one in last.before]
         threat = Threat(margin=_margin(self.kind, self.place), distance=np.inf, fall=1.0)
-        located = locate_end(returns, self.metric, points, threat, restitution)
+        located = locate_end(returns, self.metric, points, threat)
         before = tuple(
             Before(
                 state=point.z[:-1] - located.z[:-1],

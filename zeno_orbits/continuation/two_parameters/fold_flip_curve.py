@@ -7,23 +7,21 @@ plane, but none in the space in which it is followed. Theory (40).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.branch import require_continuous
-from zeno_orbits.continuation.corrector import Metric
 from zeno_orbits.continuation.families import HalfCurve, Kind
 from zeno_orbits.continuation.margins import CLOSE, Stage, meeting
-from zeno_orbits.continuation.special_points import Located
-from zeno_orbits.continuation.two_parameters.fold_flip_point import CriticalPoint, CriticalSystem
-from zeno_orbits.continuation.two_parameters.plane import CurveSteps, OnLine, Plane, Tell
+from zeno_orbits.continuation.two_parameters.fold_flip_point import FoldFlipPoint, FoldFlipSystem
+from zeno_orbits.continuation.two_parameters.plane import CurveSetup, CurveStart
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.orbits.path import Step, StepControl, StepError, follow_path, returns_to_start
 
-CRITICAL = {Kind.FOLD: 1.0, Kind.FLIP: -1.0}
-"""Kinds of points that are followed so, and the multiplier that they have."""
+MULTIPLIERS = {Kind.FOLD: 1.0, Kind.FLIP: -1.0}
+"""Multiplier of a fold and of a flip."""
 
 _EASY = 0.4
 """Part of the allowed turn and stray that an easy step uses at most."""
@@ -37,100 +35,53 @@ _FOUND = 1e-8
 """Part of a step to which a cusp is known: the parameters err by its square there."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class CriticalCurve:
-    """A curve in one direction.
-
-    Attributes:
-        points: In order, the first one given.
-        cusps: Which of them are cusps.
-        end: Why it ends.
-    """
-
-    points: tuple[CriticalPoint, ...]
-    cusps: tuple[int, ...]
-    end: str
-
-
-def half_critical(
-    plane: Plane,
-    on_line: OnLine,
-    metric: Metric,
-    found: Located,
-    value: tuple[float, float],
-    *,
-    upwards: bool,
-    steps: CurveSteps,
-    tell: Tell,
-) -> HalfCurve:
+def half_fold_flip(setup: CurveSetup, start: CurveStart, *, upwards: bool) -> HalfCurve:
     """Return the curve of a fold or a flip in one direction.
 
     Args:
-        plane: The two parameters.
-        on_line: From a line to the return map along it.
-        metric: Units of the family.
-        found: The point.
-        value: Both parameters there.
-        upwards: Whether the second parameter rises at first, or falls.
-        steps: How to step.
-        tell: Called with what happens.
+        setup: What it is followed on; its unit of the parameter is one, a range.
+        start: The fold or flip.
+        upwards: True if the second parameter rises at first, False if it falls.
 
     Raises:
-        ZenoOrbitsError: If the point is none of the curve, or its neighbours do not return.
+        ZenoOrbitsError: If the point is not on a curve, or its neighbours do not return.
     """
-    system = CriticalSystem(
-        plane=plane,
-        on_line=on_line,
-        metric=replace(metric, unit=1.0),
-        multiplier=CRITICAL[found.kind],
-    )
+    found, steps = start.found, setup.steps
+    system = FoldFlipSystem(setup=setup, multiplier=MULTIPLIERS[found.kind])
     along = np.zeros(found.z.size + 1)
     along[-1] = 1.0
-    at = np.array(value) / plane.units
-    start = system.point_at(found.z[:-1] * metric.scale, at, along)
+    at = np.array(start.value) / setup.plane.units
+    first = system.point_at(found.z[:-1] * setup.metric.scale, at, along)
     if not upwards:
-        start = replace(start, tangent=-start.tangent)
-    curve = curve_from(system, start, found.kind, steps, tell)
-    values = np.array([point.at * plane.units for point in curve.points])
-    return HalfCurve(
-        x=tuple(values[:, 0].tolist()),
-        y=tuple(values[:, 1].tolist()),
-        errors=tuple(point.error for point in curve.points),
-        end=curve.end,
-        cusps=curve.cusps,
-    )
-
-
-def curve_from(
-    system: CriticalSystem, start: CriticalPoint, kind: Kind, steps: CurveSteps, tell: Tell
-) -> CriticalCurve:
-    """Return the curve from a point along its tangent."""
-    follower = _Follower(system, kind, steps, tell)
-    control = StepControl(
-        first=steps.first, longest=steps.longest, shortest=steps.least_arc, most=steps.most_arcs
-    )
+        first = replace(first, tangent=-first.tangent)
+    follower = _Follower(system, found.kind)
     path = follow_path(
-        start,
-        control,
+        first,
+        StepControl(
+            first=steps.first, longest=steps.longest, shortest=steps.least_arc, most=steps.most_arcs
+        ),
         follower.advance,
         shortened=follower.end_ahead,
         give_up=follower.last_end,
     )
-    return CriticalCurve(
-        points=path.points,
-        cusps=tuple(follower.cusps),
+    values = np.array([point.at * setup.plane.units for point in path.points])
+    return HalfCurve(
+        x=tuple(values[:, 0].tolist()),
+        y=tuple(values[:, 1].tolist()),
+        errors=tuple(point.error for point in path.points),
         end=path.end or f"{steps.most_arcs} steps",
+        cusps=tuple(follower.cusps),
     )
 
 
 class _Follower:
     """The steps along a curve, and the cusps passed so far."""
 
-    def __init__(self, system: CriticalSystem, kind: Kind, steps: CurveSteps, tell: Tell) -> None:
-        self.system, self.kind, self.steps, self.tell = system, kind, steps, tell
-        self.cusps = list[int]()
+    def __init__(self, system: FoldFlipSystem, kind: Kind) -> None:
+        self.system, self.setup, self.kind = system, system.setup, kind
+        self.steps, self.cusps = system.setup.steps, list[int]()
 
-    def advance(self, points: Sequence[CriticalPoint], step: float) -> Step[CriticalPoint, str]:
+    def advance(self, points: Sequence[FoldFlipPoint], step: float) -> Step[FoldFlipPoint, str]:
         """Return the next point, and a cusp before it if there is one."""
         last = points[-1]
         new, at_bound = self._predicted(last, step)
@@ -140,8 +91,8 @@ class _Follower:
         cusp = self._cusp_between(last, new)
         if cusp is not None:
             self.cusps.append(len(points))
-            self._tell_of("cusp", cusp)
-        self._tell_of(self.kind.value, new)
+            self.setup.report("cusp", cusp.at)
+        self.setup.report(self.kind.value, new.at)
         passed = () if cusp is None else (cusp,)
         if at_bound:
             return Step(points=(*passed, new), end=Kind.BOUND.value)
@@ -149,19 +100,19 @@ class _Follower:
             return Step(points=(*passed, points[0]), end=Kind.CLOSED.value)
         return Step(points=(*passed, new), easy=self._effort(last, new) < _EASY)
 
-    def end_ahead(self, points: Sequence[CriticalPoint], step: float) -> Step[CriticalPoint, str]:
+    def end_ahead(self, points: Sequence[FoldFlipPoint], step: float) -> Step[FoldFlipPoint, str]:
         """Return the end if the steps became short because something else is lost there."""
         if step < _REACHED:
             return Step(end=self._meeting(points, 10 * _REACHED) or None)
         return Step()
 
-    def last_end(self, points: Sequence[CriticalPoint], trouble: str) -> Step[CriticalPoint, str]:
+    def last_end(self, points: Sequence[FoldFlipPoint], trouble: str) -> Step[FoldFlipPoint, str]:
         """Return the end where no step is possible."""
         return Step(end=self._meeting(points) or f"{Kind.GAVE_UP.value}: {trouble}")
 
-    def _predicted(self, last: CriticalPoint, step: float) -> tuple[CriticalPoint | None, bool]:
+    def _predicted(self, last: FoldFlipPoint, step: float) -> tuple[FoldFlipPoint | None, bool]:
         """Return the next point, and True if it lies on a bound; no point if the last one does."""
-        plane = self.system.plane
+        plane = self.setup.plane
         z = last.z + step * last.tangent
         if plane.holds(z[-2:]):
             new = self._corrected(last, z, last.tangent)
@@ -185,10 +136,10 @@ class _Follower:
             raise SimulationError("The curve leaves the ranges at a corner", time=0.0, state=())
         return new, True
 
-    def _corrected(self, last: CriticalPoint, z: Vector, normal: Vector) -> CriticalPoint:
+    def _corrected(self, last: FoldFlipPoint, z: Vector, normal: Vector) -> FoldFlipPoint:
         return self.system.corrected(z, normal, last.gradient, last.tangent)
 
-    def _require_neighbour(self, last: CriticalPoint, new: CriticalPoint, step: float) -> None:
+    def _require_neighbour(self, last: FoldFlipPoint, new: FoldFlipPoint, step: float) -> None:
         """Refuse a point that is no neighbour of the last one."""
         steps = self.steps
         if not 0.0 < float((new.z - last.z) @ last.tangent) < _FAR * step:
@@ -204,7 +155,7 @@ class _Follower:
             raise StepError("the test function is not smooth")
         require_continuous(last.found, new.found)
 
-    def _effort(self, last: CriticalPoint, new: CriticalPoint) -> float:
+    def _effort(self, last: FoldFlipPoint, new: FoldFlipPoint) -> float:
         """Return the turn and stray of a step, as part of what is allowed."""
         angles = [float(new.tangent @ last.tangent)]
         if self.kind is Kind.FOLD:
@@ -212,7 +163,7 @@ class _Follower:
         turn = max(float(np.arccos(min(1.0, angle))) for angle in angles) / self.steps.turn
         return max(turn, _stray(last, new) / self.steps.bend)
 
-    def _cusp_between(self, last: CriticalPoint, new: CriticalPoint) -> CriticalPoint | None:
+    def _cusp_between(self, last: FoldFlipPoint, new: FoldFlipPoint) -> FoldFlipPoint | None:
         """Return the cusp between two neighbours, if there is one.
 
         The parameters move at right angles to the normal, and stand still where two folds meet.
@@ -232,17 +183,13 @@ class _Follower:
         root = float(brentq(speed_at, 0.0, 1.0, xtol=_FOUND))
         return min(known.items(), key=lambda item: abs(item[0] - root))[1]
 
-    def _tell_of(self, word: str, point: CriticalPoint) -> None:
-        values = point.at * self.system.plane.units
-        self.tell(f"{word} at {values[0]:.6g}, {values[1]:.6g}", None)
-
-    def _meeting(self, points: Sequence[CriticalPoint], within: float = CLOSE) -> str:
+    def _meeting(self, points: Sequence[FoldFlipPoint], within: float = CLOSE) -> str:
         """Return what else is lost near the last point, if something is."""
         way = [Stage(z=point.z, margins=point.found.margins) for point in points]
-        return meeting(way, self.system.plane.restitution_at(points[-1].at), within)
+        return meeting(way, self.setup.restitution_at(points[-1].at), within)
 
 
-def _stray(last: CriticalPoint, new: CriticalPoint) -> float:
+def _stray(last: FoldFlipPoint, new: FoldFlipPoint) -> float:
     """Return how far two points lie from each other's tangents, as part of their distance."""
     step = new.z - last.z
     length = float(np.linalg.norm(step)) or 1.0
@@ -252,7 +199,7 @@ def _stray(last: CriticalPoint, new: CriticalPoint) -> float:
     )
 
 
-def _speed(point: CriticalPoint, other: CriticalPoint) -> float:
+def _speed(point: FoldFlipPoint, other: FoldFlipPoint) -> float:
     """Return how fast the parameters move along a curve, with the sign that another's normal has.
 
     Args:

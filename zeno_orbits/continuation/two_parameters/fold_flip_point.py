@@ -14,10 +14,9 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.corrector import CLOSED, STALLED, Metric, followed, linearized
-from zeno_orbits.continuation.return_maps import Return, ReturnMap
-from zeno_orbits.continuation.two_parameters.plane import OnLine, Plane
+from zeno_orbits.continuation.return_maps import Return
+from zeno_orbits.continuation.two_parameters.plane import CurveSetup
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
-from zeno_orbits.orbits.section import Line
 
 _MOST_ITERATIONS = 10
 _WIDTH = 1e-6
@@ -58,7 +57,7 @@ class _Look:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CriticalPoint:
+class FoldFlipPoint:
     r"""A fold or a flip in the plane of two parameters.
 
     Attributes:
@@ -84,22 +83,23 @@ class CriticalPoint:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CriticalSystem:
+class FoldFlipSystem:
     """The equations of a fold or a flip.
 
     Attributes:
-        plane: The two parameters.
-        on_line: From a line to the return map along it.
-        metric: Units; its unit of the parameter is one, a range.
+        setup: The plane, the return map and units; the unit of the parameter is one, a range.
         multiplier: 1 of a fold, -1 of a flip.
     """
 
-    plane: Plane
-    on_line: OnLine
-    metric: Metric
+    setup: CurveSetup
     multiplier: float
 
-    def point_at(self, x: Vector, at: Vector, along: Vector) -> CriticalPoint:
+    @property
+    def metric(self) -> Metric:
+        """Units."""
+        return self.setup.metric
+
+    def point_at(self, x: Vector, at: Vector, along: Vector) -> FoldFlipPoint:
         """Return the point near a state and a place, in no given plane.
 
         Args:
@@ -117,7 +117,7 @@ class CriticalSystem:
 
     def corrected(
         self, z: Vector, normal: Vector, gradient: Vector, along: Vector
-    ) -> CriticalPoint:
+    ) -> FoldFlipPoint:
         r"""Return the point in the plane through a place at right angles to a normal.
 
         Newton's method with exact derivatives of `P`; those of the test function are corrected
@@ -164,7 +164,7 @@ class CriticalSystem:
             sides: list[float] = []
             for width in (_WIDTH, -_WIDTH):
                 x, at = self._of_place(look.z + width * column)
-                returns = self.on_line(self.plane.line(at, _DIAGONALS[0]))
+                returns = self.setup.returns_on(at, _DIAGONALS[0])
                 x = returns.projected(x, 0.0, self.metric.scale)
                 here = returns.frame(x, 0.0, self.metric.scale)
                 found = followed(returns, x, 0.0, self.metric)
@@ -173,13 +173,13 @@ class CriticalSystem:
             slopes.append((sides[0] - sides[1]) / (2 * _WIDTH))
         return np.asarray(np.array(slopes) @ np.linalg.pinv(look.basis), dtype=np.float64)
 
-    def _finished(self, look: _Look, along: Vector) -> CriticalPoint:
+    def _finished(self, look: _Look, along: Vector) -> FoldFlipPoint:
         gradient = self._gradient(look)
         tangent = _tangent(look, gradient, along)
         d = len(look.rows)
         left = np.linalg.svd(look.rows[:, :d])[0][:, -1]
         normal = (left @ look.rows[:, d:]) @ _DIAGONALS
-        return CriticalPoint(
+        return FoldFlipPoint(
             x=look.x,
             at=look.at,
             z=look.z,
@@ -192,12 +192,9 @@ class CriticalSystem:
 
     def _doubt(self, look: _Look, gradient: Vector, tangent: Vector) -> float:
         """Return by how much a looser computation moves the point in the plane."""
-
-        def on_line(line: Line) -> ReturnMap:
-            return self.on_line(line).loosened()
-
+        loose = replace(self.setup, returns=self.setup.returns.loosened())
         try:
-            again = _seen(replace(self, on_line=on_line), look.x, look.at)
+            again = _seen(replace(self, setup=loose), look.x, look.at)
         except ZenoOrbitsError:
             return float("inf")
         matrix = _matrix(look, gradient, tangent)
@@ -208,16 +205,16 @@ class CriticalSystem:
         return moved + _ROUNDING * max(1.0, float(np.max(np.abs(look.at))))
 
 
-def _seen(system: CriticalSystem, x: Vector, at: Vector) -> _Look:
+def _seen(system: FoldFlipSystem, x: Vector, at: Vector) -> _Look:
     """Return what is seen at a state and a place of the plane."""
     scale, size = system.metric.scale, x.size
-    first, second = (system.on_line(system.plane.line(at, way)) for way in _DIAGONALS)
+    first, second = (system.setup.returns_on(at, way) for way in _DIAGONALS)
     x = first.projected(x, 0.0, scale)
     here, other = first.frame(x, 0.0, scale), second.frame(x, 0.0, scale)
-    d = here.tangent.shape[1]
+    d = here.dimension
     # Any rotation of a chart is as good as another, but both lines must be seen in one.
-    lift = np.column_stack([here.lift, other.lift[:, d]])
-    other = replace(here, lift=lift[:, [*range(d), d + 1]])
+    other = replace(here, drift=other.drift)
+    lift = np.column_stack([here.lift, other.drift])
     found = followed(first, x, 0.0, system.metric)
     beside = followed(second, x, 0.0, system.metric)
     rows = linearized(here, found, system.metric)[0]

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.continuation.corrector import BranchPoint, Metric
 from zeno_orbits.continuation.return_maps import ReturnMap
+from zeno_orbits.continuation.special_points import Located
+from zeno_orbits.orbits.path import StepControl
 from zeno_orbits.orbits.section import Line
-
-Tell = Callable[[str, float | None], None]
-OnLine = Callable[[Line], ReturnMap]
+from zeno_orbits.work.progress import Progress
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,14 +24,12 @@ class Plane:
         places: Their places in ``p``.
         box: Lower and upper ends, ``(2, 2)``, a row each.
         p: All numbers; the two are replaced.
-        restitution: Place of the restitution in ``p``.
     """
 
     names: tuple[str, str]
     places: tuple[int, int]
     box: Vector
     p: Vector
-    restitution: int
 
     @property
     def units(self) -> Vector:
@@ -39,18 +37,14 @@ class Plane:
         return self.box[:, 1] - self.box[:, 0]
 
     def line(self, at: Vector, direction: Vector) -> Line:
-        """Return the line through a place of the plane; both in units of the ranges, ``(2,)``."""
+        """Return the line through a place in a direction, both in units of the ranges, ``(2,)``."""
         origin, along = self.p.copy(), np.zeros(self.p.size)
         origin[list(self.places)] = at * self.units
         along[list(self.places)] = direction * self.units
         return Line(origin=origin, direction=along)
 
-    def restitution_at(self, at: Vector) -> float:
-        """Return the restitution at a place, ``(2,)``."""
-        return float(self.line(at, np.zeros(2)).origin[self.restitution])
-
     def holds(self, at: Vector) -> bool:
-        """Tell whether a place lies in the ranges."""
+        """Return True if a place, ``(2,)`` in units of the ranges, lies in them."""
         low, high = self.box[:, 0] / self.units, self.box[:, 1] / self.units
         return bool(np.all(at >= low - _EDGE) and np.all(at <= high + _EDGE))
 
@@ -59,25 +53,68 @@ _EDGE = 1e-9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CurveSteps:
-    """How a boundary is followed.
+class CurveSteps(StepControl):
+    """Steps along a curve in two parameters, in units of the ranges.
 
     Attributes:
-        first: First step, in units of the ranges.
-        longest: Longest step.
-        shortest: Shortest step.
-        most: Points in a direction.
         bend: Largest distance of a point from its prediction, as part of the step.
         turn: Largest angle between neighbouring tangents of a curve of folds or flips [rad].
-        least_arc: Shortest step along such a curve, which counts the scaled state, too.
+        least_arc: Shortest step along such a curve, in arclength that counts the scaled state, too.
         most_arcs: Points of such a curve in a direction.
     """
 
     first: float = 0.005
     longest: float = 0.05
     shortest: float = 1e-5
-    most: int = 200
+    most: float = 200
     bend: float = 0.25
     turn: float = 0.3
     least_arc: float = 1e-8
     most_arcs: int = 300
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurveSetup:
+    """What a curve in two parameters is followed on.
+
+    Attributes:
+        plane: The two parameters; the family is followed in the first.
+        returns: The return map, along any line.
+        metric: Units of the family.
+        steps: Steps along the curve.
+        on_progress: Called with each point.
+    """
+
+    plane: Plane
+    returns: ReturnMap
+    metric: Metric
+    steps: CurveSteps
+    on_progress: Progress
+
+    def returns_on(self, at: Vector, direction: Vector) -> ReturnMap:
+        """Return the return map on the line through a place in a direction, both ``(2,)``."""
+        return self.returns.moved_to(self.plane.line(at, direction))
+
+    def restitution_at(self, at: Vector) -> float:
+        """Return the coefficient of restitution at a place, ``(2,)``."""
+        return self.returns_on(at, np.zeros(2)).restitution(0.0)
+
+    def report(self, word: str, at: Vector) -> None:
+        """Report the progress to a place, ``(2,)``."""
+        x, y = at * self.plane.units
+        self.on_progress(f"{word} at {x:.6g}, {y:.6g}", None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurveStart:
+    """A special point of a family, where a curve in two parameters starts.
+
+    Attributes:
+        found: The special point.
+        value: Both parameters there.
+        leading: The last points of the family before an end.
+    """
+
+    found: Located
+    value: tuple[float, float]
+    leading: tuple[BranchPoint, ...] = ()

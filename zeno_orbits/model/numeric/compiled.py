@@ -5,12 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators.flow import GuardedFlow
+from zeno_orbits.model.contact import (
+    GAP,
+    GAP_ACCELERATION,
+    GAP_RATE,
+    MULTIPLIER,
+    MULTIPLIER_RATE,
+    ContactQuantities,
+    ImpactLaw,
+)
 from zeno_orbits.model.hybrid import CompletedSystem
 from zeno_orbits.model.numeric.calls import Call, ResetCall, RestingCall
 from zeno_orbits.model.numeric.compiled_derivatives import CompiledDifferentials, PointFunctions
@@ -31,13 +41,14 @@ class CompiledSystem:
 
     Attributes:
         state_names: Name of each state.
-        n_q: Number of coordinates.
+        n_q: Any of coordinates.
         clock: Places of the clock in the state.
         free: The mode off the stop, in ``(x, p)``.
         locked: The mode on the stop, in ``(x, p)``.
         flight: The rescaled flight, in ``((x, h / w^2, (dh/dt) / w), (p, w))`` (theory (14)).
         contact: ``(x, p) -> (gap, gap_rate, gap_acceleration, multiplier, multiplier_rate)``.
-        impulse: ``(x, p) -> (impulse_direction, normal_inertia, restitution)``.
+        impulse: ``(x, p) -> (impulse_direction, normal_inertia, numbers of the law of impact)``.
+        rebound: ``(p, approach rate) -> gap rate after the impact``.
         reset: ``(x, p, approach rate) -> x after the impact``.
         resting: ``(x, p) -> (x on the stop, its gap_acceleration, its locked flow)``.
         powers: ``(x, p) -> (input_power, copper_loss, other_loss)`` [W].
@@ -54,6 +65,7 @@ class CompiledSystem:
     flight: ModeFunctions
     contact: ca.Function
     impulse: ca.Function
+    rebound: ca.Function
     reset: ca.Function
     resting: ca.Function
     powers: ca.Function
@@ -68,6 +80,7 @@ class CompiledSystem:
             contact=self.contact,
             holonomic=self.holonomic,
             impulse=self.impulse,
+            rebound=self.rebound,
             reset=self.reset,
             resting=self.resting,
         )
@@ -76,6 +89,14 @@ class CompiledSystem:
     def n_x(self) -> int:
         """Number of states."""
         return len(self.state_names)
+
+    def contact_at(self, x: Any, p: Any) -> ContactQuantities:
+        """Return the contact quantities at symbols or numbers for state and parameters."""
+        return ContactQuantities.of(self.contact(x, p))
+
+    def law_at(self, p: Any) -> ImpactLaw:
+        """Return the law of an impact at symbols or numbers for the parameters."""
+        return ImpactLaw.of(self.impulse(ca.DM.zeros(self.n_x), p)[2])
 
 
 def compile_system(
@@ -98,13 +119,8 @@ def compile_system(
         )
         raise ValueError(message)
     parameters = ca.vertcat(*symbols.values())
-    contact = ca.vertcat(
-        system.gap,
-        system.gap_rate,
-        system.gap_acceleration,
-        system.multiplier,
-        system.multiplier_rate,
-    )
+    contact = cast(ca.SX, ca.vertcat(*system.contact))
+    law = cast(ca.SX, ca.vertcat(*system.law))
     powers = ca.vertcat(system.input_power, system.copper_loss, system.other_loss)
 
     def function(name: str, *outputs: ca.SX) -> ca.Function:
@@ -116,8 +132,12 @@ def compile_system(
         state_names=tuple(state_names),
         n_q=system.n_q,
         clock=system.clock,
-        free=mode_functions("free", system.state, parameters, system.free_flow, contact[0:2]),
-        locked=mode_functions("locked", system.state, parameters, system.locked_flow, contact[3:5]),
+        free=mode_functions(
+            "free", system.state, parameters, system.free_flow, contact[GAP : GAP_RATE + 1]
+        ),
+        locked=mode_functions(
+            "locked", system.state, parameters, system.locked_flow, contact[MULTIPLIER:]
+        ),
         flight=mode_functions(
             "flight",
             ca.vertcat(system.state, scaled_gap),
@@ -126,9 +146,8 @@ def compile_system(
             scaled_gap,
         ),
         contact=function("contact", contact),
-        impulse=function(
-            "impulse", system.impulse_direction, system.normal_inertia, system.restitution
-        ),
+        impulse=function("impulse", system.impulse_direction, system.normal_inertia, law),
+        rebound=dense_function("rebound", [parameters, speed], [system.law.speed_after(speed)]),
         reset=dense_function("reset", [system.state, parameters, speed], [_reset(system, speed)]),
         resting=function("resting", *_resting(system)),
         powers=function("powers", powers),
@@ -163,12 +182,11 @@ def tabulate(
 
 
 def _reset(system: CompletedSystem, approach_rate: ca.SX) -> ca.SX:
-    """Return the state after an impact: Newton's law along the impulse, theory (7).
+    """Return the state after an impact: the law of impact along the impulse, theory (7).
 
     The rate is given, and exact where the state holds only rounding.
     """
-    change = (1 + system.restitution) * approach_rate * system.impulse_direction
-    return system.state - change
+    return system.state - system.law.rate_drop(approach_rate) * system.impulse_direction
 
 
 def _resting(system: CompletedSystem) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -192,6 +210,7 @@ def bind(compiled: CompiledSystem, values: Sequence[float] | Vector) -> HybridDy
     p = np.array(values, dtype=np.float64)
     contact = Call(compiled.contact, p)
     impulse = Call(compiled.impulse, p)
+    law = ImpactLaw(*impulse(np.zeros(compiled.n_x), 2).tolist())
     energy = Call(compiled.energy, p)
     holonomic = Call(compiled.holonomic, p)
 
@@ -205,15 +224,16 @@ def bind(compiled: CompiledSystem, values: Sequence[float] | Vector) -> HybridDy
     plain = HybridDynamics(
         state_names=compiled.state_names,
         n_q=compiled.n_q,
-        restitution=float(impulse(np.zeros(compiled.n_x), 2)[0]),
+        restitution=law.restitution,
+        speed_after=law.speed_after,
         free=CompiledFlow(compiled.free, p),
         locked=CompiledFlow(compiled.locked, p),
         flight=flight,
-        gap=lambda x: float(contact(x)[0]),
-        gap_rate=lambda x: float(contact(x)[1]),
-        gap_acceleration=lambda x: float(contact(x)[2]),
-        multiplier=lambda x: float(contact(x)[3]),
-        multiplier_rate=lambda x: float(contact(x)[4]),
+        gap=lambda x: float(contact(x)[GAP]),
+        gap_rate=lambda x: float(contact(x)[GAP_RATE]),
+        gap_acceleration=lambda x: float(contact(x)[GAP_ACCELERATION]),
+        multiplier=lambda x: float(contact(x)[MULTIPLIER]),
+        multiplier_rate=lambda x: float(contact(x)[MULTIPLIER_RATE]),
         reset_map=ResetCall(compiled.reset, p),
         impulse_direction=lambda x: impulse(x, 0).copy(),
         normal_inertia=lambda x: float(impulse(x, 1)[0]),

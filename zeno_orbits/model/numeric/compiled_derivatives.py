@@ -45,7 +45,8 @@ class PointFunctions:
     Attributes:
         contact: ``(x, p) -> (gap, gap_rate, gap_acceleration, multiplier, multiplier_rate)``.
         holonomic: ``(x, p) -> (eta, eta_rate)``.
-        impulse: Its third output is the restitution.
+        impulse: Its third output are the numbers of the law of impact, the restitution first.
+        rebound: ``(p, approach rate) -> gap rate after the impact``.
         reset: ``(x, p, approach rate) -> x after the impact``.
         resting: ``(x, p) -> (x on the stop, its gap_acceleration, its locked flow)``.
     """
@@ -53,6 +54,7 @@ class PointFunctions:
     contact: ca.Function
     holonomic: ca.Function
     impulse: ca.Function
+    rebound: ca.Function
     reset: ca.Function
     resting: ca.Function
 
@@ -61,6 +63,7 @@ class PointFunctions:
 class _PointJacobians:
     contact: ca.Function
     holonomic: ca.Function
+    rebound: ca.Function
     reset: ca.Function
     resting: ca.Function
     restitution: ca.Function
@@ -112,11 +115,16 @@ def _point_jacobians(functions: PointFunctions, chosen: tuple[int, ...]) -> _Poi
         reset=dense_function(
             "reset_jacobian", [x, p, rate], [ca.jacobian(after, ca.vertcat(x, rate, picked))]
         ),
+        rebound=dense_function(
+            "rebound_jacobian",
+            [p, rate],
+            [ca.jacobian(functions.rebound(p, rate), ca.vertcat(rate, picked))],
+        ),
         resting=jacobian("resting", ca.vertcat(*functions.resting.call([x, p]))),
         restitution=dense_function(
             "restitution_jacobian",
             [x, p],
-            [ca.jacobian(functions.impulse.call([x, p])[2], picked)],
+            [ca.jacobian(functions.impulse.call([x, p])[2][0], picked)],
         ),
     )
 
@@ -184,6 +192,9 @@ class CompiledDifferentials:
         self._after = np.zeros(jacobians.reset.numel_out(0))
         self._reset = caller(jacobians.reset, (self._x, p, self._rate), (self._after,))
 
+        self._speeds = np.zeros(1 + len(chosen))
+        self._rebound = caller(jacobians.rebound, (p, self._rate), (self._speeds,))
+
     @property
     def _n_columns(self) -> int:
         return self._n_x + len(self._chosen)
@@ -230,6 +241,12 @@ class CompiledDifferentials:
         self._rate[0] = approach_rate
         self._reset()
         return _matrix(self._after, (self._n_x, self._n_columns + 1))
+
+    def speed_after(self, approach_rate: float) -> Vector:
+        """Of the gap rate after an impact by that before it, and by parameters, ``(1 + k,)``."""
+        self._rate[0] = approach_rate
+        self._rebound()
+        return self._speeds.copy()
 
     def resting(self, x: Vector) -> Vector:
         """Of the state on the stop, its gap acceleration and locked flow, as rows."""

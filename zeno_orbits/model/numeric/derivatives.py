@@ -11,9 +11,6 @@ from typing import Protocol
 
 from zeno_orbits.arrays import Vector
 
-GAP, GAP_RATE, GAP_ACCELERATION, MULTIPLIER, MULTIPLIER_RATE = range(5)
-"""Rows of the derivative of the contact."""
-
 
 class FlowDifferential(Protocol):
     """The variational equation of a flow: ``V' = J(y) V + F(y) Q`` along ``y' = f(y, q)``."""
@@ -61,6 +58,10 @@ class Differentials(Protocol):
 
     def reset(self, x: Vector, approach_rate: float) -> Vector:
         """Of the reset map by state, approach rate and parameters, ``(n_x, n_x + 1 + k)``."""
+        ...
+
+    def speed_after(self, approach_rate: float) -> Vector:
+        """Of the gap rate after an impact by that before it, and by parameters, ``(1 + k,)``."""
         ...
 
     def resting(self, x: Vector) -> Vector:

@@ -52,7 +52,8 @@ class HybridDynamics:
 
     Attributes:
         state_names: Name of each state.
-        restitution: :math:`e`.
+        restitution: :math:`e` of the slowest impacts.
+        speed_after: Gap rate after an impact, from the one before it.
         free: Flow off the stop; its guard is the gap.
         locked: Flow on the stop; its guard is the multiplier.
         flight: From the speed `w` after an impact to the rescaled flow of
@@ -77,6 +78,7 @@ class HybridDynamics:
     state_names: tuple[str, ...]
     n_q: int
     restitution: float
+    speed_after: Callable[[float], float]
     free: GuardedFlow
     locked: GuardedFlow
     flight: Callable[[float], GuardedFlow]
@@ -121,6 +123,7 @@ class HybridDynamics:
             self.free,
             self.flight,
             self.reset_map,
+            self.speed_after,
             self.restitution,
         )
 

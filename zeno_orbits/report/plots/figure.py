@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from zeno_orbits.continuation.families import Continuation, Family
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment.comparison.comparison import Comparison
-from zeno_orbits.maps.parameter_map import ParameterMap
+from zeno_orbits.maps.mapping import ParameterMap
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit

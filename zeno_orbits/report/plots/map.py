@@ -20,7 +20,7 @@ from matplotlib.transforms import Bbox
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.maps.attractors import Attractor, Fate
-from zeno_orbits.maps.parameter_map import Boundary, ParameterMap
+from zeno_orbits.maps.mapping import Boundary, ParameterMap
 from zeno_orbits.maps.plane import Axis
 from zeno_orbits.report.plots.style import COLUMN_WIDTH, FULL_WIDTH, INK, TEXT
 

@@ -67,17 +67,42 @@ def print_table(columns: Sequence[Column[Item]], items: Iterable[Item]) -> None:
     from rich.table import Table
 
     rows = [[column.cell(item) for column in columns] for item in items]
+    cells = [[row[k] for row in rows] for k in range(len(columns))]
+    console = plain_console()
+    widths = _widths(columns, cells, console.width)
     table = Table(box=None, pad_edge=False, header_style="bold")
-    widths = [_least_width(column, [row[k] for row in rows]) for k, column in enumerate(columns)]
     for column, width in zip(columns, widths, strict=True):
-        table.add_column(column.heading, min_width=width, overflow="fold")
+        table.add_column(column.heading, width=width, overflow="fold")
     for row in rows:
         table.add_row(*map(_shown, row))
-    least, console = sum(widths) + _GAP * len(widths), plain_console()
-    if console.width < least:
-        console = plain_console(least)
+    whole = sum(widths) + _GAP * len(widths)
+    if console.width < whole:
+        console = plain_console(whole)
     console.print(table)
     console.print()
+
+
+def _widths(
+    columns: Sequence[Column[Item]], cells: Sequence[Sequence[Cell]], room: int
+) -> list[int]:
+    """Return the widths of columns: as much as they want, or less of the widest where they can."""
+    least = [_width(*pair, whole=False) for pair in zip(columns, cells, strict=True)]
+    widths = [_width(*pair, whole=True) for pair in zip(columns, cells, strict=True)]
+    while sum(widths) + _GAP * (len(widths) - 1) > room:
+        spare = [k for k in range(len(widths)) if widths[k] > least[k]]
+        if not spare:
+            break
+        widths[max(spare, key=lambda k: widths[k])] -= 1
+    return widths
+
+
+def _width(column: Column[Item], cells: Sequence[Cell], *, whole: bool) -> int:
+    """Return the width of the longest cell, or of the longest word where text may be wrapped."""
+    texts = [cell for cell in cells if isinstance(cell, str)]
+    if not (whole or column.is_number or column.is_whole):
+        texts = [word for text in texts for word in text.split()]
+    heading = [column.heading] if whole else column.heading.split()
+    return max(map(len, [*texts, *heading, "ok"]))
 
 
 def _shown(cell: Cell) -> str | Text:
@@ -86,12 +111,3 @@ def _shown(cell: Cell) -> str | Text:
     if isinstance(cell, bool):
         return Text("ok", "green") if cell else Text("no", "red")
     return cell
-
-
-def _least_width(column: Column[Item], cells: Sequence[Cell]) -> int:
-    """Return the width of the longest cell, or of its longest word where a cell may be wrapped."""
-    texts = [cell for cell in cells if isinstance(cell, str)]
-    whole = column.is_number or column.is_whole
-    parts = texts if whole else [word for text in texts for word in text.split()]
-    words = column.heading.split()
-    return max(map(len, [*parts, *words, "ok"]))

@@ -49,7 +49,7 @@ def closure_of(impacts: Sequence[Impact], dynamics: HybridDynamics, tolerance: f
     estimates: list[TailEstimate] = []
     first, best = 0, Closure(n_impacts=1, nodes=(0,), error=np.inf)
     for index, impact in enumerate(impacts):
-        speed = -dynamics.restitution * impact.approach_rate
+        speed = dynamics.speed_after(impact.approach_rate)
         estimate = estimate_tail(dynamics, impact.time, impact.state_plus, speed)
         if estimate is None or (estimates and speed >= estimates[-1].speed):
             estimates, first = [], index + 1

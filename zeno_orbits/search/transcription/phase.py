@@ -9,8 +9,8 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Array, Vector, null_space
+from zeno_orbits.model.contact import GAP, GAP_RATE, MULTIPLIER, ImpactLaw
 from zeno_orbits.model.numeric.compiled import CompiledSystem
-from zeno_orbits.model.numeric.derivatives import GAP, GAP_RATE, MULTIPLIER
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.orbits.cycle import Cycle
 from zeno_orbits.orbits.phases import Phase
@@ -84,7 +84,7 @@ class PhaseWriter:
         compiled: CompiledSystem,
         settings: TranscriptionSettings,
         p: ca.MX,
-        restitution: ca.MX,
+        law: ImpactLaw,
         values: tuple[float, ...],
         dynamics: HybridDynamics,
         cycle: Cycle,
@@ -93,8 +93,7 @@ class PhaseWriter:
         self.compiled = compiled
         self.p = p
         self.values = values
-        self.rebound = dynamics.restitution
-        self.restitution = restitution
+        self.law = law
         self.scale = cycle.scale()
         self.arcs = ArcWriter(program, compiled, settings, p, self.scale)
         self.cycle = cycle
@@ -147,9 +146,9 @@ class PhaseWriter:
         )
         force_scale = _largest(phase.locked, self.dynamics.multiplier, n_x)
         self.keep_apart(label, flights, gap_scale)
-        self._never_negative(f"{label}multiplier >= 0 on the stop", 3, locked, force_scale)
+        self._never_negative(f"{label}multiplier >= 0 on the stop", MULTIPLIER, locked, force_scale)
         self.start(label, start, rows, gap_scale)
-        attracted = -self.compiled.contact(zeno, self.p)[2]
+        attracted = -self.compiled.contact_at(zeno, self.p).gap_acceleration
         program.at_least_zero(f"{label}Zeno point: d2h/dt2 < 0", attracted)
         return WrittenPhase(
             terms=PhaseTerms(
@@ -172,7 +171,7 @@ class PhaseWriter:
         name, arc, compiled = f"{label}flight 0", phase.flight, self.compiled
         if not is_rescaled(arc, compiled.n_x):
             return self.arcs.collocate(name, arc, compiled.free, self.p, start)
-        speed = compiled.contact(start, self.p)[1]
+        speed = compiled.contact_at(start, self.p).gap_rate
         return self.arcs.collocate(
             name, arc, compiled.flight, ca.vertcat(self.p, speed), ca.vertcat(start, 0, 1)
         )
@@ -180,9 +179,10 @@ class PhaseWriter:
     def arrival(self, flight: CollocatedArc, start: ca.MX) -> tuple[ca.MX, ca.MX]:
         """Return the gap that has to close at the end of a first flight, and the gap rate there."""
         if not is_rescaled(flight.guess, self.compiled.n_x):
-            contact = self.compiled.contact(flight.end, self.p)
-            return contact[0], contact[1]
-        return flight.end[-2], self.compiled.contact(start, self.p)[1] * flight.end[-1]
+            contact = self.compiled.contact_at(flight.end, self.p)
+            return contact.gap, contact.gap_rate
+        rate = self.compiled.contact_at(start, self.p).gap_rate
+        return flight.end[-2], rate * flight.end[-1]
 
     def impacts(
         self, label: str, flight: CollocatedArc, phase: Phase, closure: Closure, gap_scale: float
@@ -205,17 +205,18 @@ class PhaseWriter:
         for k in range(closure.n_impacts):
             program.at_least_zero(f"{label}impact {k + 1} closes the gap", -approach_rate)
             direction = self.compiled.impulse(here, self.p)[0]
-            after = here - (1 + self.restitution) * approach_rate * direction
+            drop: ca.MX = self.law.rate_drop(approach_rate)
+            after = here - drop * direction
             if k in closure.nodes:
-                speeds.append(-self.restitution * approach_rate)
+                speeds.append(self.law.speed_after(approach_rate))
                 tails.append(self._tail(here, approach_rate, direction, time, work))
             if k + 1 == closure.n_impacts:
                 break
-            size = -self.rebound * phase.impacts[k].approach_rate
+            size = self.dynamics.speed_after(phase.impacts[k].approach_rate)
             speed = program.variable(f"{label}speed after impact {k + 1}", size, scale=size)
             program.equal(
                 f"{label}restitution at impact {k + 1}",
-                speed + self.restitution * approach_rate,
+                speed - self.law.speed_after(approach_rate),
                 scale=size,
             )
             hop = self.arcs.collocate(
@@ -240,7 +241,7 @@ class PhaseWriter:
         """Require a non-negative gap in every flight."""
         for k, flight in enumerate(flights):
             if not is_rescaled(flight.guess, self.compiled.n_x):
-                self._never_negative(f"{label}gap >= 0 in flight {k}", 0, flight, gap_scale)
+                self._never_negative(f"{label}gap >= 0 in flight {k}", GAP, flight, gap_scale)
                 continue
             size = float(flow_scale(flight.guess, self.scale)[-2])
             name = f"{label}gap >= 0 in flight {k}"
@@ -248,19 +249,21 @@ class PhaseWriter:
 
     def start(self, label: str, state: ca.MX, rows: tuple[int, ...], gap_scale: float) -> None:
         """Require that a phase starts at a release, or just after an impact."""
-        contact = self.compiled.contact(state, self.p)
+        contact = self.compiled.contact_at(state, self.p)
         eta = self.compiled.holonomic(state, self.p)
         word = f"{label}release" if rows == RELEASE_ROWS else f"{label}start"
-        self.program.equal(f"{word}: gap = 0", contact[0], scale=gap_scale)
+        self.program.equal(f"{word}: gap = 0", contact.gap, scale=gap_scale)
         if GAP_RATE in rows:
-            self.program.equal(f"{word}: gap rate = 0", contact[1])
+            self.program.equal(f"{word}: gap rate = 0", contact.gap_rate)
         if MULTIPLIER in rows:
-            self.program.equal(f"{word}: multiplier = 0", contact[3], scale=self.force_scale)
+            self.program.equal(
+                f"{word}: multiplier = 0", contact.multiplier, scale=self.force_scale
+            )
         self.program.equal(f"{word}: holonomic constraints", eta)
         if MULTIPLIER in rows:
-            self.program.at_least_zero(f"{word}: multiplier falls", -contact[4])
+            self.program.at_least_zero(f"{word}: multiplier falls", -contact.multiplier_rate)
         else:
-            leaves = contact[2] if GAP_RATE in rows else contact[1]
+            leaves = contact.gap_acceleration if GAP_RATE in rows else contact.gap_rate
             self.program.at_least_zero(f"{word}: the stop is left", leaves)
 
     @property
@@ -294,9 +297,9 @@ class PhaseWriter:
     ) -> ca.MX:
         """Return ``(time, work, state)`` at the end of the tail, to first order (theory (15))."""
         resting = minus - approach_rate * direction
-        acceleration = self.compiled.contact(resting, self.p)[2]
+        acceleration = self.compiled.contact_at(resting, self.p).gap_acceleration
         remaining: ca.MX = tail_time(
-            -self.restitution * approach_rate, acceleration, self.restitution
+            self.law.speed_after(approach_rate), acceleration, self.law.restitution
         )
         return ca.vertcat(
             time + remaining,

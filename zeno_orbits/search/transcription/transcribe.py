@@ -15,6 +15,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Array, Vector
 from zeno_orbits.integrators.collocation import Collocation
+from zeno_orbits.model.contact import ImpactLaw
 from zeno_orbits.model.numeric.compiled import CompiledSystem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues
@@ -104,7 +105,7 @@ def transcribe(
         cycle: One simulated period, the guess.
         closures: Of each phase, which impacts are resolved and which tell the Zeno point.
         free: Name to bounds of the gains and parameters that are unknown.
-        first: Numbers from which the search started, for the objective.
+        first: Anys from which the search started, for the objective.
         settings: Scheme, mesh and closure.
 
     Returns:
@@ -115,10 +116,8 @@ def transcribe(
     named = values.numbers
     p = ca.vertcat(*(unknown.get(name, ca.MX(value)) for name, value in named.items()))
     places = [k for k, name in enumerate(named) if name in unknown]
-    restitution = _restitution(compiled, p, places, dynamics.restitution)
-    writer = PhaseWriter(
-        program, compiled, settings, p, restitution, values.vector, dynamics, cycle
-    )
+    law = _impact_law(compiled, p, places, values.vector)
+    writer = PhaseWriter(program, compiled, settings, p, law, values.vector, dynamics, cycle)
 
     n_free, labels = len(program.blocks), labels_of(cycle.shape)
     written: list[WrittenPhase] = []
@@ -185,11 +184,11 @@ def _declare_free(
     return unknown
 
 
-def _restitution(
-    compiled: CompiledSystem, p: ca.MX, free_places: Sequence[int], number: float
-) -> ca.MX:
-    """Return the restitution: a number, or a function of what is free if it depends on that."""
+def _impact_law(
+    compiled: CompiledSystem, p: ca.MX, free_places: Sequence[int], values: Sequence[float]
+) -> ImpactLaw:
+    """Return the law of impact: its numbers, or functions of what is free if one depends on it."""
     _, columns = compiled.impulse.jac_sparsity(2, 1).get_triplet()
     if not set(columns) & set(free_places):
-        return ca.MX(number)
-    return compiled.impulse(ca.DM.zeros(compiled.n_x), p)[2]
+        return ImpactLaw(*(ca.MX(float(number)) for number in compiled.law_at(ca.DM(values))))
+    return compiled.law_at(p)

@@ -82,6 +82,7 @@ class BatchModel:
         flight: The rescaled flight; its last parameter is the speed (theory (14)).
         contact: ``(x, p) -> (gap, gap_rate, gap_acceleration, multiplier, multiplier_rate)``.
         restitution: ``(x, p) -> restitution``.
+        rebound: ``(p, approach rate) -> gap rate after the impact``.
         reset: ``(x, p, approach rate) -> x`` after the impact.
         resting: ``(x, p) -> (x on the stop, its gap_acceleration, its locked flow)``.
     """
@@ -95,6 +96,7 @@ class BatchModel:
     flight: BatchFlow
     contact: Columns
     restitution: Columns
+    rebound: Columns
     reset: Columns
     resting: Columns
 
@@ -108,7 +110,7 @@ def batch_model(compiled: CompiledSystem) -> BatchModel:
     """Return the functions of a compiled problem for many rows."""
     n_p = compiled.contact.size1_in(1)
     x, p = ca.SX.sym("x", compiled.n_x), ca.SX.sym("p", n_p)
-    restitution = compiled.impulse(x, p)[2]
+    restitution = compiled.impulse(x, p)[2][0]
     return BatchModel(
         state_names=compiled.state_names,
         n_q=compiled.n_q,
@@ -119,6 +121,7 @@ def batch_model(compiled: CompiledSystem) -> BatchModel:
         flight=BatchFlow(compiled.flight),
         contact=Columns(compiled.contact),
         restitution=Columns(dense_function("restitution", [x, p], [restitution])),
+        rebound=Columns(compiled.rebound),
         reset=Columns(compiled.reset),
         resting=Columns(compiled.resting),
     )

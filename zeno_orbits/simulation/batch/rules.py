@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Rows, Vector
+from zeno_orbits.model.contact import GAP_RATE, MULTIPLIER_RATE
 from zeno_orbits.simulation.batch.lanes import (
     FLIGHT,
     FREE,
@@ -20,6 +21,7 @@ from zeno_orbits.simulation.batch.lanes import (
 from zeno_orbits.simulation.batch.model import ABSOLUTE, BatchFlow, BatchModel
 from zeno_orbits.simulation.batch.outcomes import Ended, Event, Reason, Released, Struck
 from zeno_orbits.simulation.batch.zeno_limit import Tails
+from zeno_orbits.simulation.zeno_limit import tail_time
 
 _MAY_BEND = 0.1
 """Largest relative change of d2h/dt2 over a Zeno tail; beyond it the tail is not geometric yet."""
@@ -196,7 +198,7 @@ class Transitions:
         slack = np.abs(acceleration) <= self.settings.contact
         holds = acceleration < 0.0
         if slack.any():
-            rate = self.model.contact(state, self.lanes.p[rows, :-1])[0][:, 4]
+            rate = self.model.contact(state, self.lanes.p[rows, :-1])[0][:, MULTIPLIER_RATE]
             holds = np.where(slack, rate > 0.0, holds)
         return holds[lead], slack[lead]
 
@@ -223,8 +225,8 @@ class Transitions:
         lanes, model, small = self.lanes, self.model, self.settings.contact
         p = lanes.p[rows, :-1]
         x_plus = model.reset(x, p, rate[:, None])[0]
-        speed = -lanes.restitution[rows] * rate
-        rate_plus = model.contact(x_plus, p)[0][:, 1]
+        speed = model.rebound(p, rate[:, None])[0][:, 0]
+        rate_plus = model.contact(x_plus, p)[0][:, GAP_RATE]
         lanes.struck[rows] = np.where(lanes.impacts[rows] == 0, rate, lanes.struck[rows])
         lanes.impacts[rows] += 1
         self.fail(rows[~(rate < 0.0)], "An impact must close the gap, but it opens")
@@ -286,7 +288,7 @@ class Transitions:
         lead = self.lead(rows)
         presses = (acceleration < 0.0)[lead]
         tails.clear(rows[~presses | (speed >= tails.last_speed(rows))[lead]])
-        remaining = 2 * speed / (-acceleration * (1 - lanes.restitution[rows]))
+        remaining = tail_time(speed, acceleration, lanes.restitution[rows])
         told = time + remaining, state + remaining[:, None] * flow
         tails.append(rows[presses], speed[presses], told[0][presses], told[1][presses])
         due = np.flatnonzero(presses & (speed <= settings.resolved * tails.speed[rows, 0])[lead])

@@ -1,0 +1,200 @@
+"""The jobs of a continuation, which do not depend on each other.
+
+A direction of a family, the branch that a flip throws off, one direction of a curve in two
+parameters: each follows from its start alone. So it is the same wherever it is done.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar, Protocol, TypeVar
+
+import numpy as np
+
+from zeno_orbits.continuation.branch import Branch, follow
+from zeno_orbits.continuation.corrector import BranchPoint, correct
+from zeno_orbits.continuation.families import HalfCurve, Kind
+from zeno_orbits.continuation.return_maps import ReturnMap
+from zeno_orbits.continuation.setup import ContinuationSettings, Setup
+from zeno_orbits.continuation.two_parameters.boundary import half_boundary
+from zeno_orbits.continuation.two_parameters.plane import CurveSetup, CurveStart, Plane
+from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.work.progress import Progress
+
+R = TypeVar("R", covariant=True)
+
+
+class Job(Protocol[R]):
+    """A part of a continuation that can be sent to a worker, as a frozen dataclass.
+
+    Attributes:
+        result: Type of its result, another frozen dataclass or ``None``.
+    """
+
+    result: ClassVar[object]
+
+    def run(self, problem: Problem, settings: ContinuationSettings, on_progress: Progress, /) -> R:
+        """Return the result.
+
+        Args:
+            problem: The problem.
+            settings: How families and curves are followed.
+            on_progress: Called with each point.
+
+        Raises:
+            ZenoOrbitsError: If there is none.
+        """
+        ...
+
+    def failed(self, reason: str, /) -> R:
+        """Return the result of a job that failed: its start alone."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class FollowDirection:
+    """Follow a family from a point along its tangent.
+
+    Attributes:
+        setup: What it is followed on.
+        start: The point.
+    """
+
+    result: ClassVar[object] = Branch
+    setup: Setup
+    start: BranchPoint
+
+    def run(
+        self, problem: Problem, settings: ContinuationSettings, on_progress: Progress
+    ) -> Branch:
+        """Return the family in that direction."""
+        returns = self.setup.returns(problem)
+        return _followed(self.setup, returns, self.start, settings, on_progress)
+
+    def failed(self, reason: str) -> Branch:
+        """Return the start alone."""
+        return _given_up(self.start, reason)
+
+
+_AWAY = (1e-3, 4e-3, 1.6e-2)
+"""Distances from a flip at which the branch of twice the period is looked for."""
+_APART = 0.2
+"""Part of that distance by which a point must differ from its own first return."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FollowDoubling:
+    r"""Follow the family of twice the period that a flip throws off.
+
+    It leaves at right angles to the parameter, along the multiplier's own direction `v`:
+    :math:`z = z_* \pm \epsilon v + O(\epsilon^2)`. One sense is enough, as a return leads from
+    either half of the family to the other.
+
+    Attributes:
+        setup: What the family with the flip was followed on.
+        flip: The flip.
+    """
+
+    result: ClassVar[object] = Branch | None
+    setup: Setup
+    flip: BranchPoint
+
+    def run(
+        self, problem: Problem, settings: ContinuationSettings, on_progress: Progress
+    ) -> Branch | None:
+        """Return the branch, or ``None`` if there is none near the flip."""
+        point, metric = self.flip, self.setup.metric
+        once, setup = self.setup.returns(problem), self.setup.doubled()
+        returns = setup.returns(problem)
+        values, vectors = np.linalg.eig(point.jacobian)
+        v = np.real(vectors[:, int(np.argmin(np.abs(values + 1)))])
+        here = once.frame(point.x, point.s, metric.scale)
+        direction = np.append(here.tangent @ v, 0.0)
+        direction /= np.linalg.norm(direction)
+
+        def closes_earlier(other: BranchPoint) -> bool:
+            """Return True for an orbit that closes after half the returns."""
+            half = once.follow(other.x, other.s, horizon=metric.horizon)
+            away = float(np.linalg.norm(other.z - point.z))
+            return float(np.max(np.abs(half.end - other.x) / metric.scale)) < min(
+                _APART * away, _APART * _AWAY[0]
+            )
+
+        for away in _AWAY:
+            try:
+                start = correct(returns, metric, point.z + away * direction, direction)
+            except ZenoOrbitsError:
+                continue
+            if not closes_earlier(start) and float(start.tangent @ direction) > 0.0:
+                on_progress(f"branch of {setup.n_returns} returns at {start.s:.6g}", None)
+                return _followed(setup, returns, start, settings, on_progress, closes_earlier)
+        return None
+
+    def failed(self, reason: str) -> Branch | None:
+        """Return the flip alone."""
+        return _given_up(self.flip, reason)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FollowHalfCurve:
+    """Follow a special point in two parameters, in one direction.
+
+    Attributes:
+        setup: What its family was followed on.
+        plane: The two parameters.
+        start: The point.
+        upwards: True if the second parameter rises at first.
+    """
+
+    result: ClassVar[object] = HalfCurve
+    setup: Setup
+    plane: Plane
+    start: CurveStart
+    upwards: bool
+
+    def run(
+        self, problem: Problem, settings: ContinuationSettings, on_progress: Progress
+    ) -> HalfCurve:
+        """Return the curve in that direction."""
+        setup = CurveSetup(
+            plane=self.plane,
+            returns=self.setup.returns(problem),
+            metric=self.setup.metric,
+            steps=settings.curve,
+            on_progress=on_progress,
+        )
+        return half_boundary(setup, self.start, upwards=self.upwards)
+
+    def failed(self, reason: str) -> HalfCurve:
+        """Return the point alone."""
+        return HalfCurve(
+            x=self.start.value[:1],
+            y=self.start.value[1:],
+            errors=(self.start.found.error / float(self.plane.units[0]),),
+            end=f"{Kind.GAVE_UP.value}: {reason}",
+        )
+
+
+def _followed(
+    setup: Setup,
+    returns: ReturnMap,
+    start: BranchPoint,
+    settings: ContinuationSettings,
+    on_progress: Progress,
+    alien: Callable[[BranchPoint], bool] | None = None,
+) -> Branch:
+    return follow(
+        returns,
+        setup.metric,
+        start,
+        setup.box,
+        settings.steps,
+        on_progress=on_progress,
+        alien=alien,
+    )
+
+
+def _given_up(point: BranchPoint, reason: str) -> Branch:
+    return Branch(points=(point,), special=(), ending=Kind.GAVE_UP, detail=reason)

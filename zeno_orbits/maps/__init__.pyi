@@ -1,0 +1,11 @@
+from .attractors import Attractor as Attractor
+from .attractors import Fate as Fate
+from .classify import attractors_at as attractors_at
+from .map_file import read_boundaries as read_boundaries
+from .map_file import read_map as read_map
+from .map_file import write_map as write_map
+from .mapping import Boundary as Boundary
+from .mapping import ParameterMap as ParameterMap
+from .mapping import parameter_map as parameter_map
+from .plane import Axis as Axis
+from .plane import Plane as Plane

@@ -1,0 +1,13 @@
+from .completion import Completion as Completion
+from .completion import Truncation as Truncation
+from .completion import ZenoExtrapolation as ZenoExtrapolation
+from .completion import ZenoPassage as ZenoPassage
+from .execution import Arc as Arc
+from .execution import Ending as Ending
+from .execution import Execution as Execution
+from .execution import Impact as Impact
+from .execution import Mode as Mode
+from .execution import Release as Release
+from .execution import ZenoPoint as ZenoPoint
+from .simulator import SimulationSettings as SimulationSettings
+from .simulator import simulate as simulate
