@@ -19,8 +19,14 @@ _GAP = 2
 """Columns of space between the columns of a table."""
 
 
+def print_text(*paragraphs: str) -> None:
+    """Print paragraphs, their lines broken between words."""
+    for paragraph in paragraphs:
+        plain_console().print(paragraph)
+
+
 def print_lines(lines: Iterable[str]) -> None:
-    """Print plain lines."""
+    """Print plain lines, however long."""
     for line in lines:
         plain_console().print(line, soft_wrap=True)
 

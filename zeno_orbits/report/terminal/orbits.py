@@ -7,7 +7,13 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from zeno_orbits.report.table import Column, name_column, number_column, text_column
-from zeno_orbits.report.terminal.console import counted, plain_console, print_lines, print_table
+from zeno_orbits.report.terminal.console import (
+    counted,
+    plain_console,
+    print_lines,
+    print_table,
+    print_text,
+)
 
 if TYPE_CHECKING:
     from zeno_orbits.model.problem import Problem
@@ -39,17 +45,15 @@ def print_execution(problem: Problem, assured: Assured) -> None:
     ]
     events = execution.events
     print_table(columns, events[:_MOST_EVENTS])
-    lines: list[str] = []
     if len(events) > _MOST_EVENTS:
-        lines.append(f"... and {len(events) - _MOST_EVENTS} more events; --json lists them all.")
+        print_text(f"... and {len(events) - _MOST_EVENTS} more events; --json lists them all.")
     counts = (
         counted(len(execution.impacts), "resolved impact"),
         counted(len(execution.zeno_points), "Zeno point"),
         counted(len(execution.releases), "release"),
     )
     last = execution.arcs[-1].mode.value
-    lines.append(f"{', '.join(counts)} in {execution.end_time:g} s; the last arc is {last}.")
-    print_lines(lines)
+    print_text(f"{', '.join(counts)} in {execution.end_time:g} s; the last arc is {last}.")
 
 
 def _event_name(event: Event, error: float) -> str:
@@ -178,7 +182,7 @@ def print_certificate(certificate: OrbitCertificate) -> None:
         name_column("residual", lambda name: name),
         number_column("size", lambda name: f"{sizes[name]:.1e}"),
         text_column("passed", lambda name: sizes[name] <= certificate.tolerance),
-        text_column("zero if and only if", lambda name: RESIDUALS[name]),
+        text_column("holds if zero", lambda name: RESIDUALS[name]),
     ]
     print_table(residual_columns, [name for name in RESIDUALS if name in sizes])
     margin_columns: list[Column[str]] = [
@@ -197,15 +201,13 @@ def print_certificate(certificate: OrbitCertificate) -> None:
         order = certificate.delta_order
         none = "none, no cut has a larger error than the integration"
         seen = f"{order:.2f}" if math.isfinite(order) else none
-        print_lines([f"Observed order of the cut's error: {seen} (theory: 3)"])
+        print_text(f"Observed order of the cut's error: {seen} (theory: 3)")
     point = "none, the section is a point" if certificate.stable else "unknown"
     multipliers = ", ".join(map(_complex, certificate.multipliers)) or point
-    print_lines(
-        [
-            f"Floquet multipliers: {multipliers} (+- {certificate.multiplier_error:.0e})",
-            f"Estimated error of the integration: {certificate.integration_error:.0e}, "
-            f"of the Zeno limit in addition: {certificate.zeno_error:.0e}",
-        ]
+    print_text(
+        f"Floquet multipliers: {multipliers} (+- {certificate.multiplier_error:.0e})",
+        f"Estimated error of the integration: {certificate.integration_error:.0e}, "
+        f"of the Zeno limit in addition: {certificate.zeno_error:.0e}",
     )
 
 

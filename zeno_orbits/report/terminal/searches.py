@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from zeno_orbits.report.table import Column, number_column, text_column
-from zeno_orbits.report.terminal.console import counted, print_lines, print_table
+from zeno_orbits.report.terminal.console import counted, print_lines, print_table, print_text
 
 if TYPE_CHECKING:
     from zeno_orbits.search.outcome import Attempt, Candidate, SearchResult
@@ -25,13 +25,11 @@ def print_search(result: SearchResult) -> None:
         ]
         print_table(columns, result.attempts)
     if result.orbit is not None:
-        print_lines(
-            [
-                f"Program: {counted(result.n_unknowns, 'unknown')}, "
-                f"{counted(result.iterations, 'iteration')}, {result.solve_time:.3f} s; it agrees "
-                f"with a simulation to {result.agreement:.0e}, its Zeno closure to "
-                f"{result.closure_error:.0e}. Search: {result.wall_time:.1f} s."
-            ]
+        print_text(
+            f"Program: {counted(result.n_unknowns, 'unknown')}, "
+            f"{counted(result.iterations, 'iteration')}, {result.solve_time:.3f} s; it agrees "
+            f"with a simulation to {result.agreement:.0e}, its Zeno closure to "
+            f"{result.closure_error:.0e}. Search: {result.wall_time:.1f} s."
         )
 
 
