@@ -312,3 +312,34 @@ def test_the_period_is_as_sure_as_is_said(seed: int, problem: Problem, table: Or
     assert found is not None
     assert abs(found.period - table.period) < SURE * found.error < 1e-3
     assert found.alternation < SURE * found.alternation_noise
+
+
+SHORT = [(0.0128, 0.1, 500.0), (0.0128, 0.3, 250.0), (0.015, 0.3, 480.0), (0.015, 0.65, 1000.0)]
+"""Amplitude of a shaken table, restitution, and samples a second: phases of few samples."""
+
+
+@pytest.mark.parametrize(("amplitude", "restitution", "rate"), SHORT)
+def test_phases_too_short_for_the_sampling_are_not_resolved_or_right(
+    amplitude: float, restitution: float, rate: float
+) -> None:
+    shaken = load_problem("vibrating_table")
+    values = shaken.values(parameters={"A": amplitude, "restitution": restitution})
+    orbit = close_orbit(shaken, values).unwrap()
+    table = table_of(orbit, shaken, shaken.state_names)
+    found = compare(orbit, shaken, recorded(table, shaken, noise=1e-3, rate=rate, n_cycles=25))
+    assert found.agrees, found.reasons
+    true = {metric.name: metric.orbit for metric in found.metrics}
+    true["restitution seen"] = restitution
+    told = 0
+    for name in names_of_contact_metrics(found):
+        metric = found.metric(name)
+        if math.isfinite(metric.data):
+            told += 1
+            assert abs(metric.data - true[name]) < SURE * metric.error, metric
+    assert told or any("not resolved" in remark for remark in found.remarks)
+
+
+def names_of_contact_metrics(found: Comparison) -> list[str]:
+    """Return the names of the numbers that contacts give."""
+    names = [metric.name for metric in found.metrics]
+    return names[1 : names.index("gap while locked")]

@@ -56,6 +56,12 @@ def test_a_whole_file_is_read(write: Write) -> None:
     assert found.remarks == ()
 
 
+def test_the_problem_of_a_file_of_version_0_1_is_its_scene(write: Write) -> None:
+    found = read_recording(write(HEAD.replace("problem", "scene", 1) + TITLES + ROWS))
+    assert found.problem == "some_problem"
+    assert dict(found.notes) == {}
+
+
 def test_the_lines_above_the_titles_may_be_missing(write: Write) -> None:
     found = read_recording(write(TITLES + ROWS))
     assert (found.source, found.problem, found.names) == (None, "", ("angle", "current"))

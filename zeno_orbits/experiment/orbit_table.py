@@ -33,8 +33,16 @@ _BETWEEN = 6
 """Nodes between two steps of the integrator."""
 _AT_ONCE = 1 << 16
 """States that are evaluated at a time: the interpreter of formulas copies them several times."""
-_JUMP = 0.02
-"""A step of this part of a signal's range is a jump."""
+_JUMP = 1e-6
+"""A step of this part of a signal's range is a jump: a table is as exact as that."""
+_LAYER = 0.005
+"""How far a signal goes in a layer, in parts of its range, at least."""
+ROUGHLY = 0.01
+"""Part of a period beside a jump that does not count while phases are known roughly; at most."""
+_BESIDE = 1e-4
+"""The same at least, however well phases are known."""
+_SURE = 4.0
+"""Standard errors of a phase within which it may be off."""
 _LEAST = 24
 """Intervals of an arc at least."""
 
@@ -216,22 +224,72 @@ class OrbitTable:
         return self.nodes.at(np.mod(phases, 1.0) * self.period)
 
 
-def near_jumps(table: OrbitTable, phases: Vector, width: float) -> NDArray[np.bool_]:
-    """Return which signals jump near which phases, ``(n, n_s)``.
+def jump_width(error: float) -> float:
+    """Return how near to a jump a sample may lie on either side of it, in periods.
+
+    Args:
+        error: Standard error of the phases of samples [periods].
+    """
+    return min(max(_SURE * error, _BESIDE), ROUGHLY)
+
+
+def beside_jumps(table: OrbitTable, phases: Vector, width: float) -> NDArray[np.bool_]:
+    """Return which samples lie beside a jump of their signal, ``(n, n_s)``.
+
+    Such a sample shows on which side of the jump it was taken, and nothing else. It does not count
+    in a fit, in a test or in a printed figure.
 
     Args:
         table: The orbit.
-        phases: In [0, 1), ``(n,)``.
-        width: How near, in periods.
+        phases: Of the samples since the release, ``(n,)`` [periods].
+        width: How near to the jump, by `jump_width`, or `ROUGHLY` [periods].
     """
     nodes = table.nodes
-    near = np.zeros((len(phases), nodes.values.shape[1]), dtype=np.bool_)
-    extent = np.ptp(nodes.values, axis=0)
-    for k in np.flatnonzero(np.diff(nodes.times) <= 0.0):
-        jumping = np.abs(nodes.values[k + 1] - nodes.values[k]) > _JUMP * extent
-        if jumping.any():
-            here = np.abs(phases - nodes.times[k] / table.period) < width
-            near[here] |= jumping
+    before = np.flatnonzero(np.diff(nodes.times) <= 0.0)
+    steps = np.abs(nodes.values[before + 1] - nodes.values[before])
+    jumps = steps > _JUMP * np.ptp(nodes.values, axis=0)
+    return _beside(phases, nodes.times[before] / table.period, jumps, width)
+
+
+def in_layers(table: OrbitTable, phases: Vector, width: float) -> NDArray[np.bool_]:
+    """Return which samples lie in a layer behind an impact, where their signal is steep.
+
+    A current follows a jump of the velocity through a layer of width `L/R`. It is a layer if, at
+    the impact, the signal is not yet on the line that it follows a little later.
+
+    Args:
+        table: The orbit.
+        phases: Of the samples since the release, ``(n,)`` [periods].
+        width: More than that of a layer [periods].
+    """
+    nodes, span = table.nodes, width * table.period
+    after = np.flatnonzero(np.diff(nodes.times) <= 0.0) + 1
+    begin = nodes.times[after]
+    later, slopes = nodes.with_slopes(np.mod(begin + span, table.period))
+    off = np.abs(later - span * slopes - nodes.values[after])
+    layers = off > _LAYER * np.ptp(nodes.values, axis=0)
+    return _beside(phases, begin / table.period, layers, width)
+
+
+def _beside(
+    phases: Vector, places: Vector, chosen: NDArray[np.bool_], width: float
+) -> NDArray[np.bool_]:
+    """Return which phases are near a chosen place, signal by signal, ``(n, n_s)``.
+
+    Args:
+        phases: ``(n,)`` [periods].
+        places: Increasing, in [0, 1], ``(m,)`` [periods].
+        chosen: Which places count for which signal, ``(m, n_s)``.
+        width: How near [periods].
+    """
+    inside = np.mod(phases, 1.0)
+    near = np.zeros((len(phases), chosen.shape[1]), dtype=np.bool_)
+    for k in np.flatnonzero(chosen.any(axis=0)):
+        own = places[chosen[:, k]]
+        # A place near the release is near the end of the cycle before it, too.
+        around = np.concatenate([own - 1.0, own, own + 1.0])
+        after = np.clip(np.searchsorted(around, inside), 1, len(around) - 1)
+        near[:, k] = np.minimum(inside - around[after - 1], around[after] - inside) < width
     return near
 
 

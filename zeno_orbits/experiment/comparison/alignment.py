@@ -16,14 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.experiment.orbit_table import OrbitTable, near_jumps
+from zeno_orbits.experiment.orbit_table import ROUGHLY, OrbitTable, beside_jumps
 from zeno_orbits.experiment.recordings.periodicity import Periodicity
 
 _PHASES = 720
 _MOST_ROWS = 60_000
 _STEPS = 6
-_NEAR = 0.01
-"""Part of a period beside a jump that does not count; the first shift is good to a tenth of it."""
 _TURNED = 0.95
 """All signs as they are count as best from this part of the best with signs turned on."""
 _OPPOSED = -0.4
@@ -81,6 +79,7 @@ class Alignment:
         release: A time at which the orbit's release falls, near the middle of the record [s].
         error: Standard error of it [s].
         period: Of the record [s].
+        phase_error: Standard error of the phases at both ends of the record [periods].
         likeness: Of each signal.
         time_suspicion: What mistake the unit of time looks like; empty if none.
     """
@@ -88,6 +87,7 @@ class Alignment:
     release: float
     error: float
     period: float
+    phase_error: float
     likeness: tuple[Likeness, ...]
     time_suspicion: str
 
@@ -124,10 +124,12 @@ def aligned(
     # In the middle of the record an error of the period moves it least.
     release += found.period * round((0.5 * (time[0] + time[-1]) - release) / found.period)
     release, error = _fine(table, time, values, found, release, weight, data)
+    half = max(time[-1] - release, release - time[0]) / found.period
     return Alignment(
         release=release,
         error=error,
         period=found.period,
+        phase_error=(error + half * found.error) / found.period,
         likeness=tuple(likeness),
         time_suspicion=_like_factor(ratio, _TIME_FACTORS),
     )
@@ -204,7 +206,7 @@ def _fine(
         )
         # A slope does not know of a jump: samples beside one would push the wrong way.
         phases = np.mod((t - release) / period, 1.0)
-        seen = known & ~near_jumps(table, phases, _NEAR)[:, : len(values)]
+        seen = known & ~beside_jumps(table, phases, ROUGHLY)[:, : len(values)]
         rest = np.where(seen, y - model, 0.0)
         count = np.maximum(seen.sum(axis=0), 1)
         # An offset of an encoder is no shift in time.

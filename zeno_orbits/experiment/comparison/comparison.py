@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,13 +18,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.experiment.comparison.alignment import Alignment
 from zeno_orbits.experiment.comparison.contact_events import CycleEvents, cycle_events
 from zeno_orbits.experiment.comparison.deviations import Deviations, deviations
-from zeno_orbits.experiment.comparison.gap_model import (
-    Stop,
-    gap_model,
-    recorded_gap,
-    refined_stop,
-    stop_level,
-)
+from zeno_orbits.experiment.comparison.gap_model import gap_model, recorded_gap
 from zeno_orbits.experiment.comparison.metrics import (
     Metric,
     contact_metrics,
@@ -31,7 +26,9 @@ from zeno_orbits.experiment.comparison.metrics import (
     portraits_of,
     signal_metrics,
 )
-from zeno_orbits.experiment.comparison.overlay import laid_over, shared_signals
+from zeno_orbits.experiment.comparison.overlay import Overlay, lay_over, shared_signals
+from zeno_orbits.experiment.comparison.stop_level import Stop, refined_stop, stop_level
+from zeno_orbits.experiment.orbit_table import GAP
 from zeno_orbits.experiment.recordings.periodicity import Periodicity
 from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.model.problem import Problem
@@ -51,35 +48,75 @@ _CLIPPED = 0.01
 """Part of the samples that sit at an extreme in a signal that is cut off there."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Contacts:
+    """What a recorded gap shows of contacts.
+
+    Attributes:
+        stop: The stop.
+        events: Of each cycle.
+    """
+
+    stop: Stop
+    events: tuple[CycleEvents, ...]
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Comparison:
     """A recording beside an orbit.
 
     Attributes:
         orbit: The orbit.
+        problem: Its problem.
         recording: The recording, whole.
         signals: Names of the signals that both have.
-        period: How the recording repeats, if it does.
-        where: Where the orbit is in it, if it does.
-        deviations: By phase, if it does.
-        stop: The stop as the gap shows it, if it does.
-        events: What each cycle shows.
-        metrics: The numbers.
+        overlay: The orbit laid over the recording, if that repeats.
+        contacts: The stop and what each cycle shows of it, if the gap rests on a stop.
+        deviations: By phase, if both are of one kind.
         reasons: Why the recording shows no such orbit; empty if it does.
-        remarks: What else is to be said.
+        remarks: Further findings.
     """
 
     orbit: ZenoOrbit
+    problem: Problem
     recording: Recording
     signals: tuple[str, ...]
-    period: Periodicity | None
-    where: Alignment | None
-    deviations: Deviations | None
-    stop: Stop | None
-    events: tuple[CycleEvents, ...]
-    metrics: tuple[Metric, ...]
-    reasons: tuple[str, ...]
-    remarks: tuple[str, ...]
+    overlay: Overlay | None = None
+    contacts: Contacts | None = None
+    deviations: Deviations | None = None
+    reasons: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def period(self) -> Periodicity | None:
+        """How the recording repeats, if it does."""
+        return None if self.overlay is None else self.overlay.found
+
+    @property
+    def where(self) -> Alignment | None:
+        """Where the orbit is in the recording, if that repeats."""
+        return None if self.overlay is None else self.overlay.where
+
+    @cached_property
+    def metrics(self) -> tuple[Metric, ...]:
+        """The numbers of the recording beside those of the orbit."""
+        if self.overlay is None:
+            return ()
+        found, table = self.overlay.found, self.overlay.table
+        metrics = [
+            Metric(
+                name="period", unit="s", orbit=table.period, data=found.period, error=found.error
+            )
+        ]
+        if self.contacts is not None and self.contacts.events:
+            stop, events = self.contacts.stop, self.contacts.events
+            unit = self.problem.gap_unit
+            metrics += contact_metrics(table, events, self.overlay.where, stop, unit)
+        if self.deviations is not None:
+            metrics += signal_metrics(self.problem, self.deviations, self.signals)
+            portraits = portraits_of(self.problem, self.signals)
+            metrics += portrait_metrics(self.deviations, portraits)
+        return tuple(metrics)
 
     @property
     def agrees(self) -> bool:
@@ -129,52 +166,44 @@ def compare(orbit: ZenoOrbit, problem: Problem, recording: Recording) -> Compari
     Args:
         orbit: The orbit.
         problem: Its problem.
-        recording: The recording; signals with names of the problem's states, motors or outputs count.
+        recording: The recording; signals named like states, motors or outputs of the problem count.
 
     Raises:
         InputError: If no signal is the problem's, or one has a unit of another kind.
         SimulationError: If the orbit does not return.
     """
     names = shared_signals(problem, recording)
-    nothing = _nothing(orbit, recording, names, _oddities(recording, problem, names))
-    overlay = laid_over(orbit, problem, recording, _more_signals(problem, names))
+    remarks = _oddities(recording, problem, names)
+    begun = Comparison(orbit=orbit, problem=problem, recording=recording, signals=names)
+    overlay = lay_over(orbit, problem, recording, names, (*_more_signals(problem, names), GAP))
     if overlay is None:
         whole = recording.time[-1] - recording.time[0]
         reason = f"no period is seen in {whole:.4g} s; the orbit's is {orbit.period:.4g} s"
-        return replace(nothing, reasons=(reason,))
-    found, where, table, reasons = overlay.found, overlay.where, overlay.table, overlay.reasons()
-    remarks = [*nothing.remarks]
+        return replace(begun, reasons=(reason,), remarks=tuple(remarks))
+    found, reasons = overlay.found, overlay.reasons()
     if found.n_cycles < 3.0:
         remarks.append(f"only {found.n_cycles:.1f} cycles were recorded: errors are rough")
-    own = table.period
-    period = Metric(name="period", unit="s", orbit=own, data=found.period, error=found.error)
-    laid = replace(nothing, period=found, where=where)
     if not overlay.holds:
         # Numbers of signals that are mistaken for others would mislead.
         said, why = tuple(remarks), tuple(reasons)
-        return replace(laid, metrics=(period,), reasons=why, remarks=said)
-    gap = recorded_gap(orbit, problem, recording)
-    stop, events = _contacts(orbit, problem, recording.time, gap, where)
+        return replace(begun, overlay=overlay, reasons=why, remarks=said)
+    gap = recorded_gap(overlay.table, problem, recording)
+    contacts = None if gap is None else _contacts(overlay, problem, gap)
     if gap is None:
         missing = "coordinates that the gap depends on were not recorded"
         remarks.append(f"impacts, locked phase and release are not told: {missing}")
     else:
-        reasons += _contact_reasons(stop, events)
+        reasons += _contact_reasons(contacts)
+        remarks += _unresolved(contacts)
     if found.repeats < 1.0 - _STRAY:
         remarks.append(f"{100 * (1 - found.repeats):.2g} % of the signals' variance do not repeat")
-    deviation = deviations(table, recording.time, overlay.values, where)
-    remarks += _settling(deviation, recording.time, where)
-    metrics = [period]
-    if stop is not None and events:
-        metrics += contact_metrics(table, events, where, stop, problem.gap_unit)
-    metrics += signal_metrics(problem, deviation, names)
-    metrics += portrait_metrics(deviation, portraits_of(problem, names))
+    deviation = deviations(overlay.table, recording.time, overlay.values, overlay.where)
+    remarks += _settling(deviation, recording.time, overlay.where)
     return replace(
-        laid,
+        begun,
+        overlay=overlay,
+        contacts=contacts,
         deviations=deviation,
-        stop=stop,
-        events=events,
-        metrics=tuple(metrics),
         reasons=tuple(reasons),
         remarks=tuple(remarks),
     )
@@ -186,18 +215,17 @@ def _more_signals(problem: Problem, names: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(second for second in seconds if second not in names))
 
 
-def _contacts(
-    orbit: ZenoOrbit, problem: Problem, time: Vector, gap: Vector | None, where: Alignment
-) -> tuple[Stop | None, tuple[CycleEvents, ...]]:
-    """Return the stop and what each cycle shows of it."""
-    stop = None if gap is None else stop_level(gap)
-    if gap is None or stop is None:
-        return None, ()
-    model = gap_model(orbit, problem, where.period)
+def _contacts(overlay: Overlay, problem: Problem, gap: Vector) -> Contacts | None:
+    """Return the stop and what each cycle shows of it, or nothing if the gap rests nowhere."""
+    stop = stop_level(gap)
+    if stop is None:
+        return None
+    time, where = overlay.time, overlay.where
+    model = gap_model(overlay.table, problem, where.period)
     events = cycle_events(time, gap, stop, model, where.release)
     rests = [(one.rest_start, one.rest_end) for one in events if math.isfinite(one.rest_start)]
     stop = refined_stop(time, gap, stop, rests, where.release, where.period)
-    return stop, cycle_events(time, gap, stop, model, where.release)
+    return Contacts(stop=stop, events=cycle_events(time, gap, stop, model, where.release))
 
 
 def _oddities(recording: Recording, problem: Problem, names: Sequence[str]) -> list[str]:
@@ -236,40 +264,31 @@ def _settling(found: Deviations, time: Vector, where: Alignment) -> list[str]:
     return [f"the motion still settles at first; leave that out with --from {until:.4g}"]
 
 
-def _contact_reasons(stop: Stop | None, events: Sequence[CycleEvents]) -> list[str]:
-    if stop is None:
+def _contact_reasons(contacts: Contacts | None) -> list[str]:
+    if contacts is None:
         return ["no locked phase is seen: the gap rests nowhere"]
-    told = [one for one in events if math.isfinite(one.rest_start)]
-    if not events:
-        return []
-    struck = [one for one in events if math.isfinite(one.first_impact)]
-    reasons: list[str] = []
-    if len(told) < _SEEN * len(events):
-        reasons.append(
-            f"no locked phase is seen in {len(events) - len(told)} of {len(events)} cycles"
-        )
-    if len(struck) < _SEEN * len(events):
-        reasons.append(f"no impact is seen in {len(events) - len(struck)} of {len(events)} cycles")
-    return reasons
+    events = contacts.events
+    rested = sum(math.isfinite(one.rest_start) for one in events)
+    struck = sum(one.closed for one in events)
+    whats = (("locked phase", rested), ("impact", struck))
+    return [
+        f"no {what} is seen in {len(events) - seen} of {len(events)} cycles"
+        for what, seen in whats
+        if seen < _SEEN * len(events)
+    ]
 
 
-def _nothing(
-    orbit: ZenoOrbit, recording: Recording, names: tuple[str, ...], remarks: Sequence[str]
-) -> Comparison:
-    """Return a comparison of which nothing is known yet."""
-    return Comparison(
-        orbit=orbit,
-        recording=recording,
-        signals=names,
-        period=None,
-        where=None,
-        deviations=None,
-        stop=None,
-        events=(),
-        metrics=(),
-        reasons=(),
-        remarks=tuple(remarks),
-    )
+def _unresolved(contacts: Contacts | None) -> list[str]:
+    """Return a remark if cycles show a contact in which the samples are too few for its numbers."""
+    events = [] if contacts is None else [one for one in contacts.events if one.closed]
+    for what, known in (
+        ("impacts", [one.first_impact for one in events]),
+        ("hops", [one.restitution for one in events]),
+    ):
+        unknown = sum(not math.isfinite(number) for number in known)
+        if events and unknown > (1.0 - _SEEN) * len(events):
+            return [f"{what} are too short for the sampling in {unknown} cycles: not resolved"]
+    return []
 
 
 def _plain(value: float) -> float | None:

@@ -24,7 +24,8 @@ from zeno_orbits.experiment.comparison.contact_fits import (
     fitted_opening,
     fitted_touch,
 )
-from zeno_orbits.experiment.comparison.gap_model import GapModel, Stop
+from zeno_orbits.experiment.comparison.gap_model import GapModel
+from zeno_orbits.experiment.comparison.stop_level import Stop
 
 _LOW = 0.2
 """A gap that turns below this part of its height has touched the stop."""
@@ -34,6 +35,8 @@ _SHARE = 0.25
 """And from this part of the orbit's own: a gap that only turns lingers, too."""
 _AT_ONCE = 0.01
 """Part of a period within which a gap that rests has stayed where it fell."""
+_UNSEEN = 0.05
+"""Part of the time of hops that are too small to be seen by which that may be off."""
 _MOST_CYCLES = 200
 _MOST_HOPS = 6
 _UNKNOWN = (math.nan, math.nan, math.nan, math.nan, math.nan)
@@ -46,6 +49,7 @@ class CycleEvents:
     What the data hide, in a gap for instance, is NaN.
 
     Attributes:
+        closed: Whether the gap is seen to close, resolved or not.
         first_impact: When the gap closes first.
         speed: Gap rate just before, negative.
         restitution: Speed after over speed before.
@@ -56,8 +60,11 @@ class CycleEvents:
         rest_end: When it is seen to open.
         errors: Standard errors of first impact, speed, restitution, chatter end and release from
             the noise alone.
+        hidden: By how much hops that the samples hide may change restitution and chatter end [s].
+            A mean over cycles does not make that smaller.
     """
 
+    closed: bool = False
     first_impact: float = math.nan
     speed: float = math.nan
     restitution: float = math.nan
@@ -67,6 +74,7 @@ class CycleEvents:
     release: float = math.nan
     rest_end: float = math.nan
     errors: tuple[float, float, float, float, float] = _UNKNOWN
+    hidden: tuple[float, float] = (0.0, 0.0)
 
 
 def cycle_events(
@@ -114,25 +122,30 @@ class _Seen:
         rest = self.rest()
         start = float(self.t[rest[0]]) if rest else self.period
         seen = (start, float(self.t[rest[1]])) if rest else (math.nan, math.nan)
-        touch = self.touch(start)
+        apex, at = self.fallen(start)
+        touch = None if at is None else self.touch(apex, at)
         if touch is None:
-            return CycleEvents(rest_start=seen[0], rest_end=seen[1])
+            return CycleEvents(closed=at is not None, rest_start=seen[0], rest_end=seen[1])
         hops = self.hops(touch.time, start if rest else touch.time + 0.3 * self.period)
-        restitution, restitution_error = math.nan, math.nan
+        restitution, restitution_error, hidden = math.nan, math.nan, (0.0, 0.0)
         end, end_error = math.nan, math.nan
         if hops:
             restitution = hops[0].up / -touch.rate
             restitution_error = (
                 math.hypot(hops[0].up_error, restitution * touch.rate_error) / -touch.rate
             )
-            end, end_error = self.chatter_end(touch, hops)
+            end, end_error, tail = self.chatter_end(touch, hops)
+            hidden = (0.0, _UNSEEN * tail)
         elif start - touch.time < _AT_ONCE * self.period:
-            restitution, restitution_error = 0.0, 0.0
-            end, end_error = touch.time, touch.time_error
+            hidden = self.hidden(touch)
+            if math.isfinite(hidden[1]):
+                restitution, restitution_error = 0.0, 0.0
+                end, end_error = touch.time, touch.time_error
         if rest is None:
             end, end_error = math.nan, math.nan
         release = (math.nan, math.nan) if rest is None else self.release(rest[1])
         return CycleEvents(
+            closed=True,
             first_impact=touch.time,
             speed=touch.rate,
             restitution=restitution,
@@ -142,6 +155,7 @@ class _Seen:
             release=release[0],
             rest_end=seen[1],
             errors=(touch.time_error, touch.rate_error, restitution_error, end_error, release[1]),
+            hidden=hidden,
         )
 
     def rest(self) -> tuple[int, int] | None:
@@ -184,15 +198,16 @@ class _Seen:
                 return at
         return None
 
-    def touch(self, before: float) -> Touch | None:
-        """Return the first impact, before a given time."""
+    def fallen(self, before: float) -> tuple[int, int | None]:
+        """Return the highest sample before a time, and the first behind the touch after it."""
         flying = (self.t > 0.0) & (self.t < before + 1e-12)
         if not flying.any():
-            return None
+            return 0, None
         apex = int(np.argmax(np.where(flying, self.h, -np.inf)))
-        at = self.fall(apex, before)
-        if at is None:
-            return None
+        return apex, self.fall(apex, before)
+
+    def touch(self, apex: int, at: int) -> Touch | None:
+        """Return the first impact, if the samples resolve it."""
         return fitted_touch(self.t, self.h, apex, at, self.stop.noise, self.model)
 
     def hops(self, impact: float, end: float) -> list[Hop]:
@@ -217,8 +232,22 @@ class _Seen:
             start += hop.length
         return found
 
-    def chatter_end(self, touch: Touch, hops: Sequence[Hop]) -> tuple[float, float]:
-        """Return where the hops end, and the error of that."""
+    def hidden(self, touch: Touch) -> tuple[float, float]:
+        """Return restitution and length of the greatest hops that noise or sampling hides.
+
+        A hop of the speed `e v` under the acceleration `a` rises by :math:`(e v)^2 / 2a` and lasts
+        :math:`2 e v / a`; all that follow it last as long over `1 - e`.
+        """
+        acceleration = abs(self.model.flights[0].acceleration)
+        step = float(np.median(np.diff(self.t)))
+        speed = max(math.sqrt(3.0 * self.stop.band * acceleration), step * acceleration)
+        restitution = speed / -touch.rate
+        if not (acceleration > 0.0 and restitution < 1.0):
+            return math.inf, math.inf
+        return restitution, 2.0 * speed / acceleration / (1.0 - restitution)
+
+    def chatter_end(self, touch: Touch, hops: Sequence[Hop]) -> tuple[float, float, float]:
+        """Return where the hops end, the error of that, and how long those last that are unseen."""
         speeds = [-touch.rate, *(-hop.down for hop in hops)]
         ratios = [hop.up / before for hop, before in zip(hops, speeds, strict=False)]
         e = float(np.clip(np.average(ratios, weights=speeds[: len(hops)]), 0.0, 0.95))
@@ -231,7 +260,8 @@ class _Seen:
         # The factor is the orbit's; the less the hop is the orbit's, the less it is known.
         other = min(1.0, abs(last.length / own - 1.0)) if own > 0.0 else 1.0
         doubt = abs(factor - 1.0) * tail / factor * other
-        return touch.time + sum(hop.length for hop in hops) + tail, math.hypot(noise, doubt)
+        end = touch.time + sum(hop.length for hop in hops) + tail
+        return end, math.hypot(noise, doubt), tail
 
     def release(self, after: int) -> tuple[float, float]:
         """Return where the gap begins to open behind a sample, and the error of that."""

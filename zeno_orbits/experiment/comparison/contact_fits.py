@@ -16,6 +16,12 @@ from zeno_orbits.experiment.comparison.gap_model import GapModel
 
 LEAST = 6
 """Samples that a fit needs."""
+_RESOLVED = 10
+"""Samples of a hop from which on its length is known."""
+_LAST = 3
+"""Last samples of a flight that may belong to the next one."""
+_SURE = 4.0
+"""Standard errors by which such a sample is too high."""
 _WINDOW = 0.08
 """Part of a period before an impact whose samples tell of it."""
 _OPENED = 0.08
@@ -77,8 +83,11 @@ def fitted_touch(
     t, h = t[near], h[near]
     if len(t) < LEAST or crossing - t[-1] > 0.25 * unit or t[0] > crossing - 0.7 * unit:
         return None
-    rest = h - model.flight(0, t)[0]
-    fit, covariance = _fitted(_square(t, crossing, unit), rest, noise)
+    columns, rest = _square(t, crossing, unit), h - model.flight(0, t)[0]
+    own = _samples_of_flight(columns, rest, noise)
+    if own < LEAST or crossing - t[own - 1] > 0.25 * unit:
+        return None
+    fit, covariance = _fitted(columns[:own], rest[:own], noise)
     impact, speed = crossing, math.nan
     for _ in range(8):
         gap, rate = model.flight(0, np.array([impact]))
@@ -109,11 +118,12 @@ def fitted_hop(
         noise: Standard deviation of the gap.
         model: The orbit's gap.
     """
-    if len(s) < LEAST or max(float(s[0]), float(np.max(np.diff(s)))) > 0.3 * length:
+    if len(s) < _RESOLVED or max(float(s[0]), float(np.max(np.diff(s)))) > 0.3 * length:
         return None
     x = s / length
-    columns = np.stack([x, x**2, x**3], axis=1)
-    fit, covariance = _fitted(columns, h - model.flight(number, s)[0], noise)
+    columns, rest = np.stack([x, x**2, x**3], axis=1), h - model.flight(number, s)[0]
+    own = _samples_of_flight(columns, rest, noise)
+    fit, covariance = _fitted(columns[:own], rest[:own], noise)
     end, down = 1.0, math.nan
     for _ in range(12):
         gap, rate = model.flight(number, np.array([end * length]))
@@ -168,6 +178,26 @@ def fitted_opening(
             return _UNKNOWN
     _, covariance = _fitted(columns, h - size * model.opening(t - shift)[0], noise)
     return period + shift, math.sqrt(max(float(covariance[1, 1]), 0.0))
+
+
+def _samples_of_flight(columns: Vector, values: Vector, noise: float) -> int:
+    """Return how many samples belong to a flight.
+
+    A hop that lasts a few samples only may hide between the flight and the first sample at the stop:
+    its samples are higher than the flight says.
+
+    Args:
+        columns: Of the fit of the flight, ``(n, m)``.
+        values: What is fitted, ``(n,)``.
+        noise: Standard deviation of the gap.
+    """
+    n = len(values) - _LAST
+    if n <= columns.shape[1]:
+        return len(values)
+    fit, covariance = _fitted(columns[:n], values[:n], noise)
+    variance = noise**2 + np.einsum("ni,ij,nj->n", columns[n:], covariance, columns[n:])
+    high = np.flatnonzero(values[n:] - columns[n:] @ fit > _SURE * np.sqrt(variance))
+    return n + int(high[0]) if len(high) else len(values)
 
 
 def _square(t: Vector | float, origin: float, unit: float) -> Vector:

@@ -15,7 +15,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment.comparison.alignment import Alignment
-from zeno_orbits.experiment.comparison.overlay import laid_over
+from zeno_orbits.experiment.comparison.overlay import lay_over, shared_signals
 from zeno_orbits.experiment.recordings.recording import Recording, cut
 from zeno_orbits.experiment.rig import rig_cycles
 from zeno_orbits.model.problem import Problem
@@ -137,11 +137,11 @@ def recording_counterpart(
         wanted = f"must last two periods, {2 * orbit.period:.4g} s, at least"
         raise InputError(f"Argument `data` {wanted}, but it lasts {whole:.4g} s.")
     late = recording.time[-1] - _LATE * (n_periods + 1) * orbit.period
-    end = cut(recording, late, None)
-    overlay = laid_over(orbit, problem, end)
+    end, names = cut(recording, late, None), shared_signals(problem, recording)
+    overlay = lay_over(orbit, problem, end, names)
     if overlay is None:
         # Time in another unit makes the end too short, and the whole tells so.
-        end, overlay = recording, laid_over(orbit, problem, recording)
+        end, overlay = recording, lay_over(orbit, problem, recording, names)
     if overlay is None or not overlay.holds:
         why = overlay.reasons()[0] if overlay else "no period is seen in it"
         raise InputError(f"Argument `data` must show such an orbit, but {why}; see `compare`.")

@@ -22,7 +22,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.comparison.alignment import Alignment
-from zeno_orbits.experiment.orbit_table import OrbitTable
+from zeno_orbits.experiment.orbit_table import OrbitTable, beside_jumps, jump_width
 
 N_BINS = 240
 """Bins of the phase."""
@@ -173,6 +173,7 @@ def deviations(table: OrbitTable, time: Vector, values: Vector, where: Alignment
         values: One row a signal, ``(n_s, n_t)``, NaN where one was not taken.
         where: Where the orbit is in the record.
     """
+    width = jump_width(where.phase_error)
     first = math.floor((time[0] - where.release) / where.period)
     n_cycles = math.floor((time[-1] - where.release) / where.period) - first + 1
     by_cycles = n_cycles > _FEW_CYCLES
@@ -185,6 +186,7 @@ def deviations(table: OrbitTable, time: Vector, values: Vector, where: Alignment
         cycles = np.floor(phases)
         inside = phases - cycles
         rest = values[:, piece].T - table.at(inside)[:, :n_s]
+        rest[beside_jumps(table, inside, width)[:, :n_s]] = np.nan
         number = cycles - first if by_cycles else np.arange(at, at + len(phases))
         bins = np.minimum((inside * N_BINS).astype(np.int64), N_BINS - 1)
         places = np.mod(number, n_groups).astype(np.int64) * N_BINS + bins

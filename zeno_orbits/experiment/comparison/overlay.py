@@ -98,10 +98,11 @@ class Overlay:
         return reasons
 
 
-def laid_over(
+def lay_over(
     orbit: ZenoOrbit,
     problem: Problem,
     recording: Recording,
+    names: Sequence[str],
     also: Sequence[str] = (),
 ) -> Overlay | None:
     """Return an orbit laid over a recording, or nothing if no period is seen in that.
@@ -110,13 +111,13 @@ def laid_over(
         orbit: The orbit.
         problem: Its problem.
         recording: The recording.
+        names: Of the signals that both have, by `shared_signals`.
         also: Names of other signals that the table of the orbit is to hold.
 
     Raises:
-        InputError: As `shared_signals` does.
         SimulationError: If the orbit does not return.
     """
-    names = shared_signals(problem, recording)
+    names = tuple(names)
     time = recording.time
     values = np.stack([recording.signal(name).values for name in names])
     found = periodicity(time, values)

@@ -10,17 +10,13 @@ from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.comparison.alignment import Alignment
-from zeno_orbits.experiment.orbit_table import OrbitTable, near_jumps
+from zeno_orbits.experiment.orbit_table import ROUGHLY, OrbitTable, beside_jumps, in_layers
 
 MOST = 40_000
 """Samples that are kept as they are; more are gathered."""
 _GATHERED = 400
 """Bins of the phase that more samples are gathered in, for each group of cycles."""
 _GROUPS = 60
-_NEAR = 0.012
-"""Part of a period on either side of an impact where a signal that jumps tells little."""
-_LAYER = 0.005
-"""How far a signal goes in a layer, in parts of its range, at least."""
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 """Where a mean over a stretch is taken: exact where the signal is a polynomial of degree five."""
 
@@ -50,6 +46,7 @@ class Folded:
         counts: How many samples each value is the mean of, ``(n, n_s)``.
         seen: Where there are any that count, ``(n, n_s)``.
         groups: Number of the cycle, or of the group of cycles, of each row, ``(n,)``.
+        turns: Number of the cycle, counted from the middle of the recording, as a mean, ``(n,)``.
         span: How long the stretch is that a value is the mean over, in periods; 0 for a sample.
     """
 
@@ -58,15 +55,18 @@ class Folded:
     counts: Vector
     seen: NDArray[np.bool_]
     groups: NDArray[np.int64]
+    turns: Vector
     span: float = 0.0
 
-    def without_jumps(self, table: OrbitTable) -> Folded:
-        """Return it without samples of signals that jump, near the impacts that make them jump.
+    def stretched(self, factor: float) -> Folded:
+        """Return the samples by the phases of a period that is longer by a factor."""
+        phases = (self.turns + self.phases) / factor - self.turns
+        return replace(self, phases=np.mod(phases, 1.0))
 
-        A current that follows a jump through a layer of width `L/R` counts as one that jumps.
-        """
-        near = near_jumps(table, self.phases, _NEAR) | _in_layers(table, self.phases)
-        return replace(self, seen=self.seen & ~near)
+    def without_jumps(self, table: OrbitTable) -> Folded:
+        """Return the samples beside no jump and in no layer of an orbit that is roughly theirs."""
+        steep = beside_jumps(table, self.phases, ROUGHLY) | in_layers(table, self.phases, ROUGHLY)
+        return self.without(steep)
 
     def without(self, left_out: NDArray[np.bool_]) -> Folded:
         """Return it without some of its values, ``(n, n_s)``."""
@@ -104,22 +104,6 @@ class Folded:
         return total
 
 
-def _in_layers(table: OrbitTable, phases: Vector) -> NDArray[np.bool_]:
-    """Return which signals pass through a layer at which phases, ``(n, n_s)``.
-
-    Behind an impact such a signal is not yet on the line that it follows a little later.
-    """
-    nodes, width = table.nodes, _NEAR * table.period
-    near = np.zeros((len(phases), nodes.values.shape[1]), dtype=np.bool_)
-    extent = np.ptp(nodes.values, axis=0)
-    for k in np.flatnonzero(np.diff(nodes.times) <= 0.0) + 1:
-        begin = nodes.times[k]
-        later, slope = nodes.with_slopes(np.array([(begin + width) % table.period]))
-        off = np.abs(later[0] - width * slope[0] - nodes.values[k]) > _LAYER * extent
-        near[np.abs(phases - begin / table.period) < _NEAR] |= off
-    return near
-
-
 def folded(time: Vector, values: Vector, where: Alignment) -> Folded:
     """Return a recording folded by its own period.
 
@@ -139,6 +123,7 @@ def folded(time: Vector, values: Vector, where: Alignment) -> Folded:
             counts=seen.astype(np.float64),
             seen=seen,
             groups=cycles - first,
+            turns=cycles.astype(np.float64),
         )
     n_cycles = int(cycles[-1]) - first + 1
     n_groups = min(n_cycles, _GROUPS)
@@ -147,7 +132,10 @@ def folded(time: Vector, values: Vector, where: Alignment) -> Folded:
     places = groups * n_bins + np.minimum(((whole - cycles) * n_bins).astype(np.int64), n_bins - 1)
     n = n_groups * n_bins
     count = np.bincount(places, minlength=n)
-    phases = np.bincount(places, weights=whole - cycles, minlength=n) / np.maximum(count, 1)
+    phases, turns = (
+        np.bincount(places, weights=row, minlength=n) / np.maximum(count, 1)
+        for row in (whole - cycles, cycles)
+    )
     means, counts = [np.zeros((n, len(values))) for _ in range(2)]
     for k, row in enumerate(values):
         known = np.isfinite(row)
@@ -161,5 +149,6 @@ def folded(time: Vector, values: Vector, where: Alignment) -> Folded:
         counts=counts[kept],
         seen=counts[kept] > 0.5,
         groups=np.arange(n)[kept] // n_bins,
+        turns=turns[kept],
         span=1.0 / n_bins,
     )

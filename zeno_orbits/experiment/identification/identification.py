@@ -47,6 +47,8 @@ _ALIEN = 0.05
 the problem's, at most."""
 _MOVED = 5e-3
 """Relative change of a number between cycles up to which it is given, with a word of that."""
+_WORTH = 1e-6
+"""Relative change of a number between cycles that is worth a word."""
 _LATE = 5.0
 """Standard errors by which a period may be off that a model follows."""
 _EDGE = 1e-6
@@ -204,7 +206,7 @@ def _unsettled(answer: Fit, where: Alignment, recording: Recording) -> list[str]
         UnfittableError: If it does, with the reason and from when on the cycles are alike.
     """
     found = unsteady(answer)
-    if found is None:
+    if found is None or found.size < _WORTH:
         return []
     hint = ""
     if found.first:

@@ -22,7 +22,8 @@ from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.experiment.identification.folding import Folded
 from zeno_orbits.experiment.identification.predictions import Predictions
 from zeno_orbits.experiment.identification.uncertainty import Spread, spread_of
-from zeno_orbits.experiment.recordings.periodicity import Periodicity
+from zeno_orbits.experiment.orbit_table import beside_jumps, jump_width
+from zeno_orbits.experiment.recordings.periodicity import Periodicity, period_error
 from zeno_orbits.work.progress import Progress
 
 _ROUNDS = 3
@@ -30,8 +31,8 @@ _ROUNDS = 3
 _FAR = 1e3
 """Residuals of unknowns that have no orbit: a trust region turns back from them."""
 _TRIALS = 40
-_LEAST_NOISE = 1e-9
-"""Noise of a signal at least, in parts of its range."""
+_LEAST_NOISE = 1e-6
+"""Noise of a signal at least, in parts of its range: a table of an orbit is as exact as that."""
 _SETTLED = 1e-8
 """Relative change of unknowns and of the sum of squares that ends a fit."""
 _ASIDE = 3.0
@@ -120,20 +121,26 @@ def fit(
         found: Its period.
         on_progress: Called with each stage and the part that is done.
     """
-    x, converged = orbits.unknowns.first, True
-    data = samples.without_jumps(orbits.table(x))
-    stage = weighed(orbits, data, found, x)
-    before = deviation(orbits, data, x)
+    first, converged = orbits.unknowns.first, True
+    x, start = first, samples.without_jumps(orbits.table(first))
+    data, stage = start, weighed(orbits, start, found, first)
     for number in range(_ROUNDS):
         on_progress("fitting", number / _ROUNDS)
         x, converged = _nearest(stage, x)
-        if number == 0:
-            data = samples.without(_bent(stage, x, samples))
+        bent = _bent(stage, x, samples) if number == 0 else ~data.seen
+        if number < _ROUNDS - 1:
+            factor, error, width = _stretch(stage, x)
+            samples = samples.stretched(factor)
+            found = replace(found, period=found.period * factor, error=found.period * error)
+            phases = samples.phases - float(x[-1])
+            data = samples.without(bent | beside_jumps(orbits.table(x), phases, width))
         stage = weighed(orbits, data, found, x)
     on_progress("how sure it is", 0.95)
     jacobian, residuals = stage.jacobian(x), stage.residuals(x)
     spread = spread_of(jacobian, residuals, data)
-    after = deviation(orbits, data, x)
+    # Both figures are of the same samples, beside no jump of either orbit.
+    plain = data.without(~start.seen).without_jumps(orbits.table(x))
+    before, after = (deviation(orbits, plain, at) for at in (first, x))
     return Fit(
         x=x,
         data=data,
@@ -145,6 +152,40 @@ def fit(
         repeating=after * spread.common,
         converged=converged,
     )
+
+
+def _stretch(stage: Weighed, x: Vector) -> tuple[float, float, float]:
+    """Return the period that the samples ask for, its error, and how unsure their phases are.
+
+    The orbit itself tells the period better than harmonics do, which cut its kinks off.
+
+    Args:
+        stage: The residuals.
+        x: The unknowns.
+
+    Returns:
+        Factor of the period, its standard error, and a width in periods.
+    """
+    data = stage.data
+    jacobian, residuals = stage.jacobian(x)[:-1], stage.residuals(x)[:-1]
+    since = np.repeat(data.turns + data.phases, data.seen.shape[1])
+    late = jacobian[:, -1]
+    columns = np.column_stack([jacobian, late * since])
+    change = np.linalg.lstsq(columns, -residuals, rcond=None)[0]
+    rest = residuals + columns @ change
+    white = max(float(np.sum(rest**2)) / max(int(data.seen.sum()), 1), 1.0)
+    covariance = white * np.linalg.pinv(columns.T @ columns, rcond=1e-14, hermitian=True)
+    groups = np.repeat(data.groups, data.seen.shape[1])
+    n = int(groups.max()) + 1
+    below = np.bincount(groups, weights=late**2, minlength=n)
+    told = below > 0.5 * np.median(below)
+    delays = np.bincount(groups, weights=late * rest, minlength=n)[told] / below[told]
+    middles = np.bincount(groups, weights=late**2 * since, minlength=n)[told] / below[told]
+    error = max(
+        math.sqrt(float(covariance[-1, -1])), period_error(middles, delays, white, below[told])
+    )
+    ends = math.sqrt(float(covariance[-2, -2])) + error * float(np.max(np.abs(since)))
+    return 1.0 + float(change[-1]), error, jump_width(ends)
 
 
 def deviation(orbits: Predictions, data: Folded, x: Vector) -> float:

@@ -34,6 +34,8 @@ _FEWEST = 3
 """Pairs of cycles that tell how much cycles scatter by themselves."""
 _LOUD = 1.5
 """Deviations of a first cycle that has settled, over those of later ones, at most."""
+_QUIET = 1e-2
+"""Square of a usual residual at least, in units of its noise."""
 _BINS = 120
 _RANK = 1e-10
 
@@ -108,8 +110,9 @@ def unsteady(found: Fit) -> Unsteady | None:
     least = float(chi2.isf(_CHANCE, cycles.gradients.shape[1]))
     place = np.arange(n)
     skip = int(cycles.numbers[0]) + 1
-    usual = math.sqrt(float(np.median(cycles.sizes[1:])))
-    loud = math.sqrt(float(cycles.sizes[0])) / usual if usual > 0.0 else 1.0
+    # Residuals that are smaller than the least noise are rounding, and loud in no cycle.
+    usual = math.sqrt(max(float(np.median(cycles.sizes[1:])), _QUIET))
+    loud = math.sqrt(float(cycles.sizes[0])) / usual
     most = least * cycles.scatter(1)
     begins, early = cycles.apart(place == 0, place > 0)
     halves, later = cycles.apart(place < n // 2, place >= n // 2)

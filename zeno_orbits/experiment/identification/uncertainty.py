@@ -33,6 +33,8 @@ _FREEDOM = 60
 _LEVEL = 0.95
 _TOLD = 0.5
 """A combination whose 95 % interval is wider than this, relative, is not told."""
+_EXACT = 0.5
+"""Mean square of the residuals below which they are smaller than the least noise."""
 _PART = 0.1
 _ROUND = 0.05
 
@@ -140,6 +142,9 @@ def _along_phase(samples: Vector, rest: Vector, data: Folded) -> tuple[Vector, f
     bins = np.minimum((data.phases * _BINS).astype(np.int64), _BINS - 1)
     total = np.zeros((m, m))
     repeated, expected, excess, heavy = 0.0, 0.0, 0.0, 0.0
+    total = float(np.sum(rest[data.seen] ** 2)) / max(int(data.seen.sum()), 1)
+    # Weights end at the least noise: what residuals are smaller than that is granted as noise.
+    granted = 1.0 - total if total < _EXACT else 0.0
     taper = 1.0 - np.arange(_REACH + 1) / (_REACH + 1)
     for s in range(samples.shape[1]):
         seen = data.seen[:, s]
@@ -156,7 +161,7 @@ def _along_phase(samples: Vector, rest: Vector, data: Folded) -> tuple[Vector, f
             ],
             axis=1,
         )
-        noise = _scatter(here + _BINS * data.groups[seen], root, rest[seen, s], mean)
+        noise = granted + _scatter(here + _BINS * data.groups[seen], root, rest[seen, s], mean)
         repeated += float(np.mean(weight[known] * mean[known] ** 2))
         expected += noise
         excess += float(np.sum(weight[known] * mean[known] ** 2 - noise))

@@ -289,7 +289,7 @@ def _described(grid: _Grid, period: float) -> Periodicity:
     white = left / max(count, 1)
     return Periodicity(
         period=period,
-        error=_period_error(numbers, delays, white, below[told]),
+        error=period_error(numbers, delays, white, below[told]),
         n_cycles=length / period,
         repeats=1.0 - left / total if total > 0.0 else 0.0,
         alternation=math.sqrt(max(odd, 0.0)),
@@ -312,7 +312,7 @@ def _alternation(phases: Vector, rest: Vector, n_harmonics: int) -> tuple[float,
     return float(np.sum(found**2)) / 2, white
 
 
-def _period_error(numbers: Vector, delays: Vector, white: float, weights: Vector) -> float:
+def period_error(numbers: Vector, delays: Vector, white: float, weights: Vector) -> float:
     """Return the standard error of the slope of the cycles' delays over their numbers.
 
     With few cycles their scatter tells little, and what noise alone does counts, if it is more.

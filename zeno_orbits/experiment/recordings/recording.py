@@ -204,7 +204,7 @@ def read_recording(path: Path, *, only: Collection[str] = ()) -> Recording:
     remarks += _missing(values[1:], [names[k] for k in chosen]) + _gaps(values[0])
     return Recording(
         source=_source(path, notes),
-        problem=notes.pop("problem", ""),
+        problem=_problem(notes),
         time=values[0],
         signals=tuple(
             Signal(name=names[k], unit=unit, values=row)
@@ -240,6 +240,12 @@ def _source(path: Path, notes: dict[str, str]) -> Source | None:
     if word not in known:
         raise DataFileError(path, f"its source must be one of {', '.join(known)}, not `{word}`")
     return known[word]
+
+
+def _problem(notes: dict[str, str]) -> str:
+    """Return the name of the problem; files of version 0.1 call it a scene."""
+    older = notes.pop("scene", "")
+    return notes.pop("problem", older)
 
 
 def _split(title: str) -> tuple[str, str | None]:

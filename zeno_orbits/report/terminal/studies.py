@@ -13,12 +13,12 @@ if TYPE_CHECKING:
     from zeno_orbits.continuation.families import Boundary, Continuation, Family, SpecialPoint
     from zeno_orbits.maps.attractors import Attractor
     from zeno_orbits.maps.mapping import ParameterMap
-    from zeno_orbits.precision.work_precision import Trade, Trial
+    from zeno_orbits.precision.work_precision import Trial, WorkPrecision
 
 _ACCURACIES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 
 
-def print_trade(trade: Trade) -> None:
+def print_trade(trade: WorkPrecision) -> None:
     """Print the trials of a trade, unbeaten ones marked, and the cheapest for each accuracy."""
     front = set(map(id, trade.front))
     columns: list[Column[Trial]] = [

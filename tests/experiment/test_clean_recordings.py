@@ -1,0 +1,72 @@
+"""Recordings without noise are the best that there are: a settled one is accepted at any rate."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from zeno_orbits.experiment.identification.identification import Sought, identify
+from zeno_orbits.experiment.recordings.recording import Recording, cut
+from zeno_orbits.experiment.recordings.sampling import Sampling, sampled
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.simulation.execution import Execution
+from zeno_orbits.simulation.simulator import simulate
+
+SOUGHT = {
+    "motor_pendulum": Sought(names=("R",), lower=1.5, upper=6.0),
+    "forced_oscillator": Sought(names=("restitution",), lower=0.2, upper=0.8),
+}
+SETTLED = {"motor_pendulum": 20.0, "forced_oscillator": 30.0}
+"""From then on both repeat to 1e-11."""
+
+Motion = tuple[Problem, HybridDynamics, Execution]
+
+
+@pytest.fixture(scope="module", params=SOUGHT)
+def motion(request: pytest.FixtureRequest) -> Motion:
+    problem = load_problem(request.param)
+    dynamics = problem.dynamics(problem.values())
+    until = SETTLED[problem.name] + 20.0
+    start = problem.state_vector(problem.starts[0])
+    return problem, dynamics, simulate(dynamics, start, until=until)
+
+
+def settled(motion: Motion, rate: float, *, velocities: bool) -> Recording:
+    problem, dynamics, execution = motion
+    whole = sampled(problem, dynamics, execution, Sampling(rate=rate))
+    n_q = problem.compiled().n_q
+    rates = () if velocities else problem.state_names[n_q : 2 * n_q]
+    kept = tuple(one for one in whole.signals if one.name not in rates)
+    return cut(replace(whole, signals=kept), SETTLED[problem.name], None)
+
+
+@pytest.mark.parametrize("velocities", [True, False], ids=["velocities", "positions"])
+@pytest.mark.parametrize(
+    "rate",
+    [
+        pytest.param(100.0, marks=pytest.mark.slow),
+        pytest.param(250.0, marks=pytest.mark.slow),
+        500.0,
+        pytest.param(1000.0, marks=pytest.mark.slow),
+    ],
+)
+def test_a_settled_recording_without_noise_gives_the_numbers(
+    motion: Motion, rate: float, velocities: bool
+) -> None:
+    problem = motion[0]
+    one = SOUGHT[problem.name]
+    recording = settled(motion, rate, velocities=velocities)
+    found = identify(problem, problem.values(), recording, [one])
+    (fitted,) = found.fitted
+    true = problem.values().number(one.label)
+    # Tables of an orbit are exact to 1e-6 of the signals' ranges, and so are the numbers.
+    assert fitted.low <= true <= fitted.high
+    assert fitted.value == pytest.approx(true, rel=1e-6)
+    assert fitted.error < 1e-5 * true
+    assert found.after < 1e-6
+    assert found.after <= found.before
+    assert found.misfit < 1.0
+    assert found.remarks == ()
