@@ -67,8 +67,8 @@ def add_map(commands: Any) -> None:
         "--until",
         type=float,
         metavar="T",
-        help="how long a motion may take to settle [s]; by default 300 periods of the problem's "
-        "clock, or 60 s without one",
+        help="how long a motion may take to settle [s]; by default 300 turns of the problem's "
+        "clock, or 35 of its slowest oscillation",
     )
     add_place(parser)
     parser.add_argument("--picture", type=Path, help="draw the map here")
