@@ -355,15 +355,3 @@ def has_left(position: Vector, before: Vector) -> Vector:
         before: Largest modulus of each coordinate in the first half of that time, ``(n_q,)``.
     """
     return (before > 0.0) & (np.abs(position) > _LEFT * before)
-
-
-# ------------------------------------------------------------------ how long to wait
-
-
-def time_to_settle(clock_periods: Sequence[float]) -> float:
-    """Return how long to wait for motions to settle, by the slowest of their clocks [s].
-
-    Args:
-        clock_periods: Periods of the clock at the numbers that are looked at [s].
-    """
-    return WAITING * max(clock_periods)
