@@ -28,7 +28,7 @@ from zeno_orbits.maps.mapping import ParameterMap, parameter_map
 from zeno_orbits.maps.plane import Axis, Plane, chunk_of, require_plane
 from zeno_orbits.model.library import bundled_problems, load_problem, locate_problem
 from zeno_orbits.model.problem import Escape
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 from zeno_orbits.work import Cluster, Plan, Workers
 
 YES, NO, MISUSE = 0, 1, 2

@@ -24,7 +24,7 @@ from zeno_orbits.cli.options import (
 )
 from zeno_orbits.cli.parsing import read_boxes, read_grid, read_numbers
 from zeno_orbits.errors import InputError
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
     from zeno_orbits.maps.mapping import Boundary, ParameterMap
