@@ -30,6 +30,7 @@ from .model.drives import full_drive as full_drive
 from .model.drives import ideal_torque_drive as ideal_torque_drive
 from .model.drives import no_drive as no_drive
 from .model.drives import quasi_static_drive as quasi_static_drive
+from .model.hybrid import CompletedSystem as CompletedSystem
 from .model.hybrid import complete as complete
 from .model.lagrangian import HybridLagrangian as HybridLagrangian
 from .model.library import bundled_problems as bundled_problems

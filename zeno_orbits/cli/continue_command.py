@@ -31,7 +31,7 @@ from zeno_orbits.cli.parsing import (
     read_range,
 )
 from zeno_orbits.errors import InputError
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

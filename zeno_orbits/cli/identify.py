@@ -20,7 +20,7 @@ from zeno_orbits.cli.options import (
     write_json,
 )
 from zeno_orbits.cli.parsing import Fit, read_fit
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
     from zeno_orbits.experiment.identification.identification import Sought

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from zeno_orbits.cli.parsing import Named, read_count, read_named_number, read_number
 from zeno_orbits.errors import InputError, did_you_mean
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 from zeno_orbits.work.files import require_picture, require_writable, write_whole
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from zeno_orbits.cli.options import (
     say_written,
     values_of,
 )
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 from zeno_orbits.work.files import require_picture
 
 if TYPE_CHECKING:
@@ -151,5 +151,5 @@ def _run_fidelity(options: argparse.Namespace) -> int:
     if options.json:
         print_json([asdict(cost) for cost in costs])
     else:
-        report.print_costs(costs)
+        report.print_reduction_costs(costs)
     return YES

@@ -24,7 +24,7 @@ from zeno_orbits.cli.simulate import add_simulate
 from zeno_orbits.cli.trade import add_trade
 from zeno_orbits.cli.verify import add_verify
 from zeno_orbits.errors import InputError, ZenoOrbitsError
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 
 _COMMANDS = (
     *(add_problems, add_new, add_conditions, add_simulate, add_fidelity),

@@ -23,7 +23,7 @@ from zeno_orbits.cli.options import (
 )
 from zeno_orbits.cli.parsing import Named, read_count, read_named_number, read_number, read_seed
 from zeno_orbits.errors import InputError
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
     from zeno_orbits.experiment.rig import RigRun, RigSettings

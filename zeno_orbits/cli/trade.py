@@ -19,7 +19,7 @@ from zeno_orbits.cli.options import (
     values_of,
 )
 from zeno_orbits.cli.parsing import read_number
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -1,8 +1,8 @@
-"""A wanted accuracy into settings, and the error that an execution was made with.
+"""Settings for a wanted accuracy, and error estimates of executions.
 
-The settings are the cheapest that `zeno-orbits trade` measured to reach an accuracy, and nobody has
-to believe them: an execution is computed twice, some times apart in tolerance, and the difference
-is reported.
+The settings are the cheapest that `zeno-orbits trade` measured to reach an accuracy. They are
+checked: an execution is computed twice, at tolerances some way apart, and the difference is its
+reported error.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Assured:
 
     Attributes:
         execution: The execution.
-        settings: What it was computed with.
+        settings: Settings of the run.
         error: Its ``difference`` from one of a looser tolerance, the error of that and so more than
             its own; what its Zeno limits expect, rounding, or the tolerance itself where that is
             more. Infinite if the looser one goes another way or does not come through.
@@ -223,9 +223,10 @@ def why_engine(dynamics: HybridDynamics, state: Sequence[float] | Vector, leg: f
     if fastest <= 0.0:
         return "explicit steps (DOP853): nothing decays."
     lasting = staying_rate(values, leg)
-    rates = f"the fastest decay is {fastest:.3g} 1/s, what lasts changes at {lasting:.3g} 1/s"
+    rates = f"the fastest mode decays at {fastest:.3g} 1/s, slow ones change at {lasting:.3g} 1/s"
     if fastest > PAYS * lasting:
-        return f"explicit steps (DOP853) in layers, then implicit (Radau IIA, order 13): {rates}."
+        steps = "explicit steps (DOP853) while it decays, then implicit ones (Radau IIA, order 13)"
+        return f"{steps}: {rates}."
     return f"explicit steps (DOP853): {rates}."
 
 
