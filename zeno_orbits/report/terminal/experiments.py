@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING
 from zeno_orbits.report.terminal.console import plain_console, print_table, table_of
 
 if TYPE_CHECKING:
-    from zeno_orbits.experiment.comparison.comparison import Comparison
-    from zeno_orbits.experiment.identification.identification import Identification
-    from zeno_orbits.experiment.recordings.recording import Recording
+    from zeno_orbits.experiment import Comparison, Identification, Recording
     from zeno_orbits.experiment.rig.cycle_comparison import RigComparison
 
 _RIG_ROWS = {
@@ -91,7 +89,7 @@ def print_identification(recording: Recording, found: Identification) -> None:
         known = math.isfinite(one.error)
         error = f"{one.error:.2g}" if known else "not told"
         interval = f"{one.low:.6g} to {one.high:.6g}" if known else "-"
-        label = one.sought.label
+        label = one.unknown.label
         table.add_row(label, f"{one.start:.6g}", f"{one.value:.7g}", error, interval)
     print_table(table)
     console = plain_console()
