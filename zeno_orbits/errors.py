@@ -82,7 +82,17 @@ class StepSizeError(SimulationError):
 
 
 class RunawayError(SimulationError):
-    """A coordinate went farther than the simulation was asked to follow it."""
+    """A coordinate went farther than the simulation was asked to follow it.
+
+    Attributes:
+        coordinate: Its name; empty where a speed grew too fast.
+    """
+
+    def __init__(
+        self, reason: str, *, time: float, state: tuple[float, ...], coordinate: str = ""
+    ) -> None:
+        super().__init__(reason, time=time, state=state)
+        self.coordinate = coordinate
 
 
 class PenetrationError(SimulationError):

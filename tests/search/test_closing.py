@@ -23,17 +23,20 @@ from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
+from zeno_orbits.model.quantities import Escape
 from zeno_orbits.orbits.monodromy import return_derivative
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.poincare import floquet_multipliers, poincare_map, return_slope
 from zeno_orbits.orbits.section import release_section
 from zeno_orbits.search import (
     OrbitNotClosedError,
+    SearchStatus,
     close_cycle,
     close_orbit,
     closing,
     cycle_near,
     find_orbit,
+    search_gains,
 )
 from zeno_orbits.search import fixed_point as closed_cycles
 from zeno_orbits.simulation.completion import Truncation
@@ -394,3 +397,21 @@ def test_a_state_that_vanishes_at_the_events_is_not_sized_by_rounding(
     others = [0, 2, 3, 4]
     assert np.all(at_events[others] <= full[others])
     assert np.all(at_events[others] > 0.1 * full[others])
+
+
+def test_an_orbit_beyond_an_escape_is_refused_in_the_words_of_the_problem(
+    problem: Problem, orbit: ZenoOrbit
+) -> None:
+    # The shoulder swings by 1.2 rad and more.
+    escapes = {"theta1": Escape(beyond=1.0, phrase="link 1 swings too far")}
+    strict = replace(problem, escapes=escapes)
+    values = strict.values()
+    closed = close_orbit(strict, values, near=orbit, simulation=SETTINGS)
+    assert closed.detail.startswith("Link 1 swings too far: `theta1` reaches 1.")
+    assert close_orbit(strict, values, simulation=SETTINGS).detail == "Link 1 swings too far."
+    near = search_gains(strict, values, free={}, near=orbit)
+    assert (near.orbit, near.status) == (None, SearchStatus.NOT_FOLLOWED)
+    assert near.detail == closed.detail
+    alone = find_orbit(strict, values)
+    assert (alone.orbit, alone.status) == (None, SearchStatus.NO_GUESS)
+    assert "link 1 swings too far" in alone.detail

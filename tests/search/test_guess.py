@@ -6,11 +6,18 @@ import math
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.reference.closed_forms import FORCED
 from tests.reference.reference_orbit import PERIOD
-from tests.support.mechanisms import falling_away, forced_oscillator, oscillator_state, spring_mass
+from tests.support.mechanisms import (
+    falling_away,
+    forced_oscillator,
+    oscillator_state,
+    pushed_away,
+    spring_mass,
+)
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
@@ -18,6 +25,7 @@ from zeno_orbits.search import guess
 from zeno_orbits.search.guess import SettlingSettings, settle
 from zeno_orbits.simulation.execution import Execution
 from zeno_orbits.simulation.simulator import simulate
+from zeno_orbits.simulation.time_scale import own_time
 
 SHORT = SettlingSettings(horizon=30.0)
 LOCKED = oscillator_state(0.0, FORCED.stop, 0.0)
@@ -40,15 +48,79 @@ def test_a_motion_that_repeats_from_the_start_is_known_at_once() -> None:
     assert settling.cycle.period == pytest.approx(2 * math.pi, abs=1e-8)
 
 
-def test_a_mass_that_leaves_for_good_runs_away() -> None:
-    settling = settle(falling_away(1.0), [(0.0, 1.0)], SHORT)
+def test_a_coordinate_beyond_its_escape_is_told_in_the_words_of_the_problem() -> None:
+    problem = load_problem("motor_pendulum")
+    whirling = problem.state_vector({"theta1": 0.6, "dtheta1": 60.0})
+    settling = settle(problem.dynamics(problem.values()), [whirling], SHORT, problem=problem)
+    assert settling.cycle is None
+    assert settling.reason in {escape.phrase for escape in problem.escapes.values()}
+
+
+def test_a_mass_that_leaves_for_good_runs_away_though_nobody_says_how_far_is_far() -> None:
+    # It grows by e^t: by more than e^7 = 1096 in the second half of 15 s.
+    settling = settle(pushed_away(1.0), [(1.0, 1.0)], SettlingSettings(horizon=15.0, chunk=1.0))
     assert settling.cycle is None
     assert settling.reason == "x0 runs away"
 
 
-def test_a_mass_at_rest_off_its_stop_dies_out() -> None:
+def test_a_mass_that_flies_far_at_a_steady_speed_has_not_run_away() -> None:
+    settling = settle(falling_away(1.0), [(0.0, 1.0)], SHORT)
+    assert settling.reason == "no release is followed by a Zeno point after 30 s"
+
+
+@pytest.mark.parametrize(
+    ("name", "numbers", "period"),
+    [
+        ("forced_oscillator", {"A": 2000.0}, 2 * math.pi),
+        # A table that tosses as high as 1.376 g at any frequency has the orbit of any other.
+        ("vibrating_table", {"omega": 0.1, "A": 1350.0}, 2 * math.pi / 0.1),
+        ("vibrating_table", {"omega": 0.03, "A": 15_000.0}, 2 * math.pi / 0.03),
+        ("torque_pendulum", {"omega": 2 * math.pi / 150.0}, 150.0),
+    ],
+)
+def test_slow_and_large_motions_are_waited_for_in_their_own_scales(
+    name: str, numbers: dict[str, float], period: float
+) -> None:
+    problem = load_problem(name)
+    dynamics = problem.dynamics(problem.values(parameters=numbers))
+    starts = [problem.state_vector(start) for start in problem.starts]
+    settling = settle(dynamics, starts, problem=problem)
+    assert settling.reason == ""
+    assert settling.cycle is not None
+    assert settling.cycle.period == pytest.approx(period, rel=1e-6)
+
+
+@pytest.mark.parametrize("omega", [0.1, 0.03])
+def test_a_table_too_slow_to_toss_anything_is_told_to_come_to_rest(omega: float) -> None:
+    problem = load_problem("vibrating_table")
+    dynamics = problem.dynamics(problem.values(parameters={"omega": omega}))
+    settling = settle(dynamics, [problem.state_vector(problem.starts[0])], problem=problem)
+    assert settling.reason == "the motion comes to rest"
+
+
+def test_a_mass_that_is_held_while_its_clock_turns_does_not_rest() -> None:
+    # It starts on its stop, which lets go after a good part of a turn: many looks later.
+    problem = load_problem("forced_oscillator")
+    dynamics = problem.dynamics(problem.values())
+    start = problem.state_vector(problem.starts[0])
+    settling = settle(dynamics, [start], SettlingSettings(chunk=0.1), problem=problem)
+    assert settling.reason == ""
+
+
+def test_the_own_time_of_a_problem_is_that_of_its_clock_or_its_slowest_oscillation() -> None:
+    table = load_problem("vibrating_table")
+    start = np.array(table.state_vector(table.starts[0]))
+    assert own_time(table.dynamics(table.values()), start) == pytest.approx(2 * math.pi / 30.0)
+    spring = spring_mass(1.0, 0.5)
+    assert own_time(spring, np.array([0.5, 0.0])) == pytest.approx(2 * math.pi)
+    ball = load_problem("bouncing_ball")
+    falling = own_time(ball.dynamics(ball.values()), np.array([1.0, 0.0]))
+    assert falling == pytest.approx(2 * math.pi / math.sqrt(9.81))
+
+
+def test_a_mass_at_rest_off_its_stop_rests() -> None:
     settling = settle(spring_mass(1.0, 0.5), [(0.0, 0.0)], SHORT)
-    assert settling.reason == "the motion dies out"
+    assert settling.reason == "the motion comes to rest"
 
 
 def test_a_mass_that_swings_without_impacts_has_no_zeno_point() -> None:
@@ -81,7 +153,7 @@ def test_every_reason_is_told_once() -> None:
     resting, swinging = (0.0, 0.0), (0.5, 0.0)
     settling = settle(spring_mass(1.0, 0.5), [resting, swinging, resting], SHORT)
     assert settling.reason == (
-        "the motion dies out / no release is followed by a Zeno point after 30 s"
+        "the motion comes to rest / no release is followed by a Zeno point after 30 s"
     )
 
 

@@ -227,7 +227,7 @@ def test_a_ball_has_no_orbit() -> None:
     ball = load_problem("bouncing_ball")
     result = find_orbit(ball, ball.values(), settings=IMPATIENT)
     assert result.status is SearchStatus.NO_GUESS
-    assert result.detail == "The motion dies out."
+    assert result.detail == "The motion comes to rest."
     with pytest.raises(OrbitNotFoundError, match="No simulation settled") as caught:
         result.unwrap()
     assert caught.value.result is result

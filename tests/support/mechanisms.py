@@ -181,6 +181,15 @@ def falling_away(acceleration: float) -> HybridDynamics:
     return numeric(mechanism, restitution=0.5)
 
 
+def pushed_away(rate: float) -> HybridDynamics:
+    """Return a mass that is pushed off its stop the more, the farther it is: ``x'' = rate^2 x``."""
+    q, v = ca.SX.sym("q"), ca.SX.sym("v")
+    mechanism = HybridLagrangian.from_energies(
+        q=q, v=v, kinetic=v**2 / 2, potential=-((rate * q) ** 2) / 2, gap=q
+    )
+    return numeric(mechanism, restitution=0.5)
+
+
 def oscillator(damping: float = 0.1, stiffness: float = 1.0) -> Problem:
     """``x'' + c x' + k x = 0`` above a stop at ``x = -10``, far below where it starts, 1."""
 

@@ -17,7 +17,7 @@ from zeno_orbits.cli.options import (
     require_outputs,
     say_written,
 )
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 
 
 def add_compare(commands: Any) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from zeno_orbits.cli.options import YES, add_command, orbit_and_problem, print_json, say_written
 from zeno_orbits.cli.parsing import read_count
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 from zeno_orbits.work.files import require_folder, write_all
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from zeno_orbits.cli.options import (
     values_of,
 )
 from zeno_orbits.cli.parsing import read_fit
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 from zeno_orbits.work.files import write_whole
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from zeno_orbits.cli.parsing import read_count, read_numbers
 from zeno_orbits.errors import InputError
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 from zeno_orbits.work.files import require_picture, require_writable
 
 if TYPE_CHECKING:

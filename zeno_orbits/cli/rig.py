@@ -22,7 +22,7 @@ from zeno_orbits.cli.options import (
 )
 from zeno_orbits.cli.parsing import read_count, read_rig
 from zeno_orbits.errors import InputError
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
     from zeno_orbits.experiment import RigSettings

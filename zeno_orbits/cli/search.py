@@ -30,7 +30,7 @@ from zeno_orbits.cli.parsing import (
 )
 from zeno_orbits.cli.search_output import answer, far_from_own, kept_as_derived
 from zeno_orbits.errors import InputError
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 from zeno_orbits.work.files import require_writable
 
 if TYPE_CHECKING:
@@ -127,6 +127,13 @@ def add_search(commands: Any) -> None:
     )
     add_accuracy(parser)
     add_place(parser)
+    parser.add_argument(
+        "--until",
+        type=float,
+        metavar="T",
+        help="longest time to wait for a motion to repeat [s]; by default some hundred turns of the "
+        "problem's clock, or of its slowest oscillation",
+    )
     parser.add_argument("--starts", type=read_count, default=12, metavar="N", help="random starts")
     parser.add_argument("--seed", type=read_seed, default=0, help="of the random starts")
     parser.add_argument("-o", "--output", type=Path, help="write the verified orbit here")
@@ -135,7 +142,7 @@ def add_search(commands: Any) -> None:
 def _run_search(options: argparse.Namespace) -> int:
     from zeno_orbits.api import Verified
     from zeno_orbits.model.library import locate_problem
-    from zeno_orbits.search import SearchSettings, Spread, search_gains
+    from zeno_orbits.search import SearchSettings, SettlingSettings, Spread, search_gains
     from zeno_orbits.work import Plan, remove_checkpoint
 
     problem_file = locate_problem(options.problem)
@@ -150,7 +157,10 @@ def _run_search(options: argparse.Namespace) -> int:
     if options.output is not None:
         require_writable(options.output)
     settings = SearchSettings(
-        n_starts=options.starts, seed=options.seed, candidates=options.candidates
+        settling=SettlingSettings(horizon=options.until),
+        n_starts=options.starts,
+        seed=options.seed,
+        candidates=options.candidates,
     )
     if options.accuracy is not None:
         settings = settings.for_accuracy(options.accuracy)

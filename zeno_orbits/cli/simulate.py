@@ -23,7 +23,7 @@ from zeno_orbits.cli.options import (
     values_of,
 )
 from zeno_orbits.cli.parsing import read_seed
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
     from zeno_orbits.experiment import Sampling

@@ -153,8 +153,13 @@ def start_orbit(
 
     By simulation alone, and where that does not close one, by the search.
 
+    Args:
+        problem: The problem.
+        values: Its numbers.
+        on_progress: Called with each stage.
+
     Raises:
-        OrbitNotFoundError: If there is none.
+        OrbitNotFoundError: If the motion settles to no such orbit.
     """
     try:
         closing = close_orbit(problem, values, on_progress=on_progress, shape=ONE_ZENO)

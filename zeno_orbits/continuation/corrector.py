@@ -19,7 +19,7 @@ from zeno_orbits.orbits.section import Section
 
 _MOST_ITERATIONS = 9
 CLOSED = 2e-11
-"""Miss of a return, in scaled states, that counts as none."""
+"""Miss of a return, in scaled states, that counts as zero."""
 STALLED = 2e-9
 """Miss that rounding may leave near an end of a family; more is no point of it."""
 _CONTRACTION = 0.5
@@ -59,7 +59,7 @@ class BranchPoint:
         tangent: Unit tangent of the family there, ``(n_x + 1,)``.
         jacobian: :math:`\partial P / \partial y`, ``(d, d)``.
         found: The return.
-        miss: What the return misses the state by, in scaled states.
+        miss: Largest difference of the return from the state, in scaled states.
     """
 
     x: Vector
@@ -156,8 +156,15 @@ def first_point(
 ) -> BranchPoint:
     """Return the point of the family at a parameter, its tangent with the parameter or against it.
 
+    Args:
+        returns: The return map.
+        metric: Units.
+        x: A state near it, ``(n_x,)``.
+        s: The parameter.
+        rising: True if the parameter rises along the tangent.
+
     Raises:
-        ZenoOrbitsError: If there is none near the state.
+        ZenoOrbitsError: If no point is near the state.
     """
     z = metric.place(x, s)
     upwards = np.zeros(z.size)
@@ -166,7 +173,17 @@ def first_point(
 
 
 def followed(returns: ReturnMap, x: Vector, s: float, metric: Metric) -> Return:
-    """Return a return, or say that the numbers ran out of range on the way."""
+    """Return the return from a state.
+
+    Args:
+        returns: The return map.
+        x: The state, ``(n_x,)``.
+        s: The parameter.
+        metric: Units, and the time to wait.
+
+    Raises:
+        SimulationError: If numbers ran out of range on the way.
+    """
     if not (np.all(np.isfinite(x)) and np.isfinite(s)):
         raise SimulationError("Newton's method diverges", time=0.0, state=tuple(x.tolist()))
     try:
@@ -177,7 +194,16 @@ def followed(returns: ReturnMap, x: Vector, s: float, metric: Metric) -> Return:
 
 
 def linearized(here: Section, found: Return, metric: Metric) -> tuple[Vector, Vector]:
-    """Return the derivative of `P - y` and of the ambient place, by coordinates and parameter."""
+    """Return the derivative of `P - y` and of the ambient place, by coordinates and parameter.
+
+    Args:
+        here: The section around the state.
+        found: The return from it.
+        metric: Units.
+
+    Returns:
+        Both derivatives, ``(d, d + 1)`` and ``(n_x + 1, d + 1)``.
+    """
     d = here.dimension
     moved = found.by_state @ here.lift
     moved[:, d] += found.by_parameter

@@ -50,7 +50,6 @@ class ImpactLaw(NamedTuple):
     """
 
     restitution: Any
-    slowness: Any = 0.0
 
     @classmethod
     def of(cls, numbers: Any) -> ImpactLaw:
@@ -59,8 +58,8 @@ class ImpactLaw(NamedTuple):
 
     def speed_after(self, approach_rate: Any) -> Any:
         """Return the gap rate just after an impact, from the one before it."""
-        return -self.restitution * approach_rate / (1 - self.slowness * approach_rate)
+        return -self.restitution * approach_rate
 
     def rate_drop(self, approach_rate: Any) -> Any:
         """Return the gap rate before an impact less the one after it."""
-        return approach_rate - self.speed_after(approach_rate)
+        return (1 + self.restitution) * approach_rate

@@ -178,10 +178,6 @@ def _require_unit(name: str, unit: str) -> None:
         raise ValueError(f"Argument `unit` must be one for `{name}`, but {error}.") from error
 
 
-RUNAWAY = 20 * math.pi
-"""Where a problem says nothing: a coordinate beyond this many radians, or metres, is gone."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Escape:
     """A coordinate that has gone too far to come back.

@@ -1,8 +1,8 @@
-"""A wanted accuracy into settings, and the error that an execution was made with.
+"""Settings for a wanted accuracy, and error estimates of executions.
 
-The settings are the cheapest that `zeno-orbits trade` measured to reach an accuracy, and nobody has
-to believe them: an execution is computed twice, some times apart in tolerance, and the difference
-is reported.
+The settings are the cheapest that `zeno-orbits trade` measured to reach an accuracy. They are
+checked: an execution is computed twice, at tolerances some way apart, and the difference is its
+reported error.
 """
 
 from __future__ import annotations
@@ -20,44 +20,14 @@ from zeno_orbits.integrators.automatic import PAYS, eigenvalues, rates_of, stayi
 from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.orbits.looser_run import at_looser_tolerance
-from zeno_orbits.precision.landmarks import (
-    Kind,
-    Landmark,
-    apart,
-    difference,
-    landmarks,
-    sizes,
-    sizes_of,
-)
+from zeno_orbits.precision.landmark import ROUNDING, difference, sizes
 from zeno_orbits.simulation.completion import ZenoPassage
 from zeno_orbits.simulation.execution import Execution, Impact, Release, ZenoPoint
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 from zeno_orbits.work.progress import Progress, silent
 
-__all__ = [
-    "COARSEST",
-    "FINEST",
-    "ROUNDING",
-    "Assured",
-    "Kind",
-    "Landmark",
-    "apart",
-    "at_tolerance",
-    "difference",
-    "landmarks",
-    "settings_for",
-    "simulate_to",
-    "simulate_with_error",
-    "sizes",
-    "sizes_of",
-    "why_engine",
-]
-
 FINEST, COARSEST = 1e-12, 1e-2
 """Accuracies that can be asked for."""
-
-ROUNDING = 4e-15
-"""Differences below this, times the number of events, are rounding: two runs may share it."""
 
 _SHARE = 0.1
 """Tolerance in units of the accuracy: errors over ten periods stay below ten tolerances."""
@@ -72,7 +42,7 @@ class Assured:
 
     Attributes:
         execution: The execution.
-        settings: What it was computed with.
+        settings: Settings of the run.
         error: Its ``difference`` from one of a looser tolerance, the error of that and so more than
             its own; what its Zeno limits expect, rounding, or the tolerance itself where that is
             more. Infinite if the looser one goes another way or does not come through.
@@ -253,9 +223,10 @@ def why_engine(dynamics: HybridDynamics, state: Sequence[float] | Vector, leg: f
     if fastest <= 0.0:
         return "explicit steps (DOP853): nothing decays."
     lasting = staying_rate(values, leg)
-    rates = f"the fastest decay is {fastest:.3g} 1/s, what lasts changes at {lasting:.3g} 1/s"
+    rates = f"the fastest mode decays at {fastest:.3g} 1/s, slow ones change at {lasting:.3g} 1/s"
     if fastest > PAYS * lasting:
-        return f"explicit steps (DOP853) in layers, then implicit (Radau IIA, order 13): {rates}."
+        steps = "explicit steps (DOP853) while it decays, then implicit ones (Radau IIA, order 13)"
+        return f"{steps}: {rates}."
     return f"explicit steps (DOP853): {rates}."
 
 

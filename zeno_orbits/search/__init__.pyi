@@ -5,6 +5,7 @@ from .closing import orbit_of as orbit_of
 from .fixed_point import ClosedCycle as ClosedCycle
 from .fixed_point import close_cycle as close_cycle
 from .fixed_point import cycle_near as cycle_near
+from .guess import SettlingSettings as SettlingSettings
 from .multistart import Spread as Spread
 from .objectives import FastestContraction as FastestContraction
 from .objectives import LeastEnergy as LeastEnergy

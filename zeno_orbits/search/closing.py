@@ -18,7 +18,6 @@ from zeno_orbits.integrators import Taylor
 from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.model.quantities import RUNAWAY
 from zeno_orbits.orbits.cycle import Cycle, round_again
 from zeno_orbits.orbits.orbit import OrbitImpact, OrbitPhase, ZenoOrbit, new_orbit
 from zeno_orbits.orbits.period import placed
@@ -164,6 +163,9 @@ def _closed(
             detail = str(error)
             continue
         detail = round_again(closed.cycle)
+        if not detail and near is not None:
+            # A motion that settles was held within the escapes all the way.
+            detail = escape_of(problem, closed.cycle)
         if detail:
             continue
         orbit = orbit_of(closed.cycle, problem, values)
@@ -191,13 +193,23 @@ def _settled(
         simulation,
         tolerance=tolerance,
         completion=ZenoExtrapolation(tolerance=_ROUGH),
-        far=RUNAWAY,
     )
     settings = SettlingSettings(settled=settled, simulation=rough)
-    settling = settle(dynamics, starts, settings, wanted)
+    settling = settle(dynamics, starts, settings, wanted, problem)
     if settling.cycle is None:
         raise _NoGuessError(f"{settling.reason[0].upper()}{settling.reason[1:]}.")
     return settling.cycle
+
+
+def escape_of(problem: Problem, cycle: Cycle) -> str:
+    """Return the escape that a period goes beyond, as a sentence; empty if there is none."""
+    for name, escape in problem.escapes.items():
+        place = problem.state_names.index(name)
+        size = max(float(np.max(np.abs(arc.flow_states[:, place]))) for arc in cycle.arcs)
+        if size > escape.beyond:
+            passed = f"`{name}` reaches {size:.4g}, beyond {escape.beyond:.4g}"
+            return f"{escape.phrase[0].upper()}{escape.phrase[1:]}: {passed}."
+    return ""
 
 
 def named(problem: Problem, state: Vector) -> dict[str, float]:

@@ -20,7 +20,7 @@ from zeno_orbits.orbits.orbit import OrbitImpact, OrbitPhase, ZenoOrbit, new_orb
 from zeno_orbits.orbits.period import cycle_of, placed
 from zeno_orbits.orbits.phases import Moment
 from zeno_orbits.orbits.shape import ONE_ZENO, OrbitShape
-from zeno_orbits.search.closing import named
+from zeno_orbits.search.closing import escape_of, named
 from zeno_orbits.search.objectives import Objective, Target
 from zeno_orbits.search.outcome import SimulatedSolution, StartOutcome
 from zeno_orbits.search.search_problem import SearchProblem
@@ -61,7 +61,7 @@ def confirm(
     if isinstance(objective, Target):
         differs = max(differs, objective.miss(cycle))
     excesses = _excesses(search, values, cycle)
-    detail = round_again(cycle)
+    detail = round_again(cycle) or escape_of(search.problem, cycle)
     if not detail and differs > search.settings.agreement:
         detail = f"Solution and simulation differ by {differs:.1e}."
     elif not detail and excesses:

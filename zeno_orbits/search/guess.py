@@ -1,33 +1,42 @@
-"""First guesses by simulation: follow a problem until its motion repeats."""
+"""First guesses by simulation: follow a motion until `attractor` says what it settles to."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import RunawayError, SimulationError
+from zeno_orbits.errors import InputError, RunawayError, SimulationError
 from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.quantities import RUNAWAY
+from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.cycle import Cycle, cycles
 from zeno_orbits.orbits.period import cycle_of, placed, to_next_release
 from zeno_orbits.orbits.shape import OrbitShape
 from zeno_orbits.search.recurrence import Recurrence, Recurring
+from zeno_orbits.simulation.attractor import (
+    WAITING,
+    bounds_of,
+    growth_of,
+    has_left,
+    is_still,
+)
 from zeno_orbits.simulation.completion import ZenoExtrapolation
 from zeno_orbits.simulation.execution import Execution, Mode
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
-
-_FADED = 1e-3
-"""A motion whose first impacts have slowed down to this part of its fastest is dying out."""
+from zeno_orbits.simulation.time_scale import own_time
 
 _DIFFERENCE = 1e-6
 """Step of a derivative; its error is that part of a correction that is small itself."""
 
-_STILL = 1e-6
-"""Speeds and accelerations below this are rest, in the problem's units."""
+_OSCILLATIONS = 115
+"""Oscillations of a problem without a clock in which a motion has to settle."""
+
+_LOOK = 6
+"""Oscillations, or turns of the clock, between two looks at a motion without releases."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,25 +44,33 @@ class SettlingSettings:
     """How long to wait for a motion to repeat.
 
     Attributes:
-        horizon: Longest simulated time from one start [s].
+        horizon: Longest simulated time from one start [s]; by default some hundred turns of the
+            problem's clock, or of its slowest oscillation.
         chunk: Longest simulated time between two looks [s]; there is one at every release, too.
             A motion that does not come back to its release so soon is waited for twice as long.
+            By default a few turns or oscillations.
         settled: Change of the release state over a period that counts as repeating, relative.
         usable: Change up to which the last period still serves as a guess.
         simulation: Accuracy; looser than a verification.
     """
 
-    horizon: float = 200.0
-    chunk: float = 10.0
+    horizon: float | None = None
+    chunk: float | None = None
     settled: float = 1e-6
     usable: float = 0.1
     simulation: SimulationSettings = field(
         default_factory=lambda: SimulationSettings(
             tolerance=Tolerance(relative=1e-8, absolute=1e-10),
             completion=ZenoExtrapolation(tolerance=1e-11),
-            far=RUNAWAY,
         )
     )
+
+    def __post_init__(self) -> None:
+        """Refuse times to wait that are not positive."""
+        for name, time in (("until", self.horizon), ("chunk", self.chunk)):
+            if time is not None and not 0.0 < time < math.inf:
+                wanted = "must be a positive number of seconds"
+                raise InputError(f"Argument `{name}` {wanted}, but it is {time:g}.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,11 +86,35 @@ class Settling:
     reason: str = ""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Watch:
+    """What ends the wait for a motion.
+
+    Attributes:
+        settings: How accurately to simulate, within the bounds of the coordinates.
+        settled: As in `SettlingSettings`.
+        usable: As in `SettlingSettings`.
+        horizon: Longest simulated time [s].
+        chunk: Longest simulated time between two looks [s].
+        turn: A turn of the clock or longer [s]: what is still for so long is so for ever.
+        phrases: Name of a coordinate to what its escape means.
+    """
+
+    settings: SimulationSettings
+    settled: float
+    usable: float
+    horizon: float
+    chunk: float
+    turn: float
+    phrases: Mapping[str, str]
+
+
 def settle(
     dynamics: HybridDynamics,
     starts: Sequence[Vector | tuple[float, ...]],
     settings: SettlingSettings | None = None,
     shape: OrbitShape | None = None,
+    problem: Problem | None = None,
 ) -> Settling:
     """Return the last period of the first start whose motion repeats.
 
@@ -83,28 +124,58 @@ def settle(
         settings: How long to wait.
         shape: The shape of the period; by default whatever the motion settles to. If it settles to
             another one, the period of this shape on the way that came nearest to repeating.
+        problem: The problem, for its escapes, units and clock.
     """
     settings = settings or SettlingSettings()
     wanted = None if shape is None else shape.at_restitution(dynamics.restitution)
     reasons: list[str] = []
     for start in starts:
-        settling = _settle_from(dynamics, np.array(start, dtype=np.float64), settings, wanted)
+        state = np.array(start, dtype=np.float64)
+        watch = _watch(dynamics, state, settings, problem)
+        settling = _settle_from(dynamics, state, watch, wanted)
         if settling.cycle is not None:
             return settling
         reasons.append(settling.reason)
     return Settling(cycle=None, reason=" / ".join(dict.fromkeys(reasons)))
 
 
+def _watch(
+    dynamics: HybridDynamics, state: Vector, settings: SettlingSettings, problem: Problem | None
+) -> _Watch:
+    """Return what ends the wait for the motion from a state, in the problem's own scales."""
+    own, turns, far, phrases = own_time(dynamics, state), _OSCILLATIONS, math.inf, {}
+    if problem is not None:
+        declared = {name: escape.beyond for name, escape in problem.escapes.items()}
+        bounds = bounds_of(problem.state_names, problem.state_units, dynamics.n_q, declared)
+        far = tuple(bounds[: dynamics.n_q].tolist())
+        phrases = {name: escape.phrase for name, escape in problem.escapes.items()}
+        turns = WAITING if problem.compiled().clock else _OSCILLATIONS
+    return _Watch(
+        settings=replace(settings.simulation, far=far),
+        settled=settings.settled,
+        usable=settings.usable,
+        horizon=turns * own if settings.horizon is None else settings.horizon,
+        chunk=_LOOK * own if settings.chunk is None else settings.chunk,
+        turn=own,
+        phrases=phrases,
+    )
+
+
 def _settle_from(
-    dynamics: HybridDynamics, state: Vector, settings: SettlingSettings, wanted: OrbitShape | None
+    dynamics: HybridDynamics, state: Vector, watch: _Watch, wanted: OrbitShape | None
 ) -> Settling:
-    elapsed, fastest, at_release, patience = 0.0, 0.0, False, settings.chunk
-    recurrence = Recurrence(settled=settings.settled, wanted=wanted)
-    while elapsed < settings.horizon:
+    """Return the last period of the motion from a state, or why there is none."""
+    n_q, names = dynamics.n_q, dynamics.state_names
+    elapsed, at_release, patience, still, held = 0.0, False, watch.chunk, 0.0, 0.0
+    recurrence = Recurrence(settled=watch.settled, wanted=wanted)
+    speeds: list[float] = []
+    rates, position = np.zeros(2 * n_q), np.abs(state[:n_q])
+    while elapsed < watch.horizon:
         try:
-            run = _to_next_look(dynamics, state, settings, patience, at_release=at_release)
+            run = _to_next_look(dynamics, state, watch, patience, at_release=at_release)
         except RunawayError as error:
-            return Settling(cycle=None, reason=error.reason)
+            phrase = watch.phrases.get(error.coordinate, error.reason)
+            return Settling(cycle=None, reason=phrase)
         except SimulationError as error:
             clause = error.reason[0].lower() + error.reason[1:]
             return Settling(cycle=None, reason=f"the simulation stops: {clause}")
@@ -114,57 +185,57 @@ def _settle_from(
         if at_release and not run.releases:
             # Whoever comes back later than this is waited for the next time.
             patience *= 2
-        speeds = [-cycle.impacts[0].approach_rate for cycle in found]
-        fastest = max(fastest, *speeds, 0.0)
+        speeds += [-cycle.impacts[0].approach_rate for cycle in found]
         settled = recurrence.settled_to()
         if settled is not None and wanted in (None, settled.shape):
-            return _period(dynamics, settled, settings)
+            return _period(dynamics, settled, watch.settings)
         if settled is not None:
             break
-        if speeds and speeds[-1] < _FADED * fastest:
+        if found and growth_of(speeds).dies_out:
             return Settling(cycle=None, reason="the motion dies out")
-        if not run.events and _is_at_rest(dynamics, run.end_state):
-            return Settling(cycle=None, reason="the motion dies out")
+        now = _rates(dynamics, run.end_state, locked=run.arcs[-1].mode is Mode.LOCKED)
+        rates = np.max([rates, now, *_rates_at_impacts(dynamics, run)], axis=0)
+        quiet = run.end_time if not run.events else -math.inf
+        still = still + quiet if is_still(now[None, None], rates[None])[0] else 0.0
+        if still >= watch.turn:
+            return Settling(cycle=None, reason="the motion comes to rest")
+        held = held + quiet if run.arcs[-1].mode is Mode.LOCKED else 0.0
+        still, held = max(still, 0.0), max(held, 0.0)
+        if elapsed < watch.horizon / 2:
+            position = np.maximum(position, np.abs(run.end_state[:n_q]))
         at_release = run.releases[-1:] != () and run.releases[-1].time == run.end_time
         state = run.releases[-1].state if at_release else run.end_state
         state = _repaired(dynamics, state, locked=run.arcs[-1].mode is Mode.LOCKED)
-    nearest = recurrence.nearest(settings.usable)
+    nearest = recurrence.nearest(watch.usable)
     if nearest is not None:
-        return _period(dynamics, nearest, settings)
-    return Settling(cycle=None, reason=recurrence.reason(settings.horizon))
+        return _period(dynamics, nearest, watch.settings)
+    left = has_left(state[:n_q], position)
+    if np.any(left):
+        return Settling(cycle=None, reason=f"{names[int(np.argmax(left))]} runs away")
+    if held > watch.horizon / 2:
+        return Settling(cycle=None, reason=f"the motion stays on its stop for {held:.4g} s")
+    return Settling(cycle=None, reason=recurrence.reason(watch.horizon))
 
 
-def _period(dynamics: HybridDynamics, found: Recurring, settings: SettlingSettings) -> Settling:
+def _period(dynamics: HybridDynamics, found: Recurring, settings: SimulationSettings) -> Settling:
     """Return the period itself: made anew, unless it was followed from its start to its end."""
     if found.cycle is not None:
         return Settling(cycle=found.cycle)
+    start = _repaired(dynamics, placed(dynamics, found.shape, found.start), locked=False)
     try:
-        return Settling(
-            cycle=cycle_of(
-                dynamics,
-                _repaired(dynamics, placed(dynamics, found.shape, found.start), locked=False),
-                found.shape,
-                horizon=2 * found.period,
-                settings=settings.simulation,
-            )
-        )
+        cycle = cycle_of(dynamics, start, found.shape, horizon=2 * found.period, settings=settings)
     except SimulationError as error:
         return Settling(cycle=None, reason=error.reason[0].lower() + error.reason[1:])
+    return Settling(cycle=cycle)
 
 
 def _to_next_look(
-    dynamics: HybridDynamics,
-    state: Vector,
-    settings: SettlingSettings,
-    patience: float,
-    *,
-    at_release: bool,
+    dynamics: HybridDynamics, state: Vector, watch: _Watch, patience: float, *, at_release: bool
 ) -> Execution:
     """Return the execution to the next release, or over a chunk without any."""
-    simulation = settings.simulation
     if at_release:
-        return to_next_release(dynamics, state, horizon=patience, settings=simulation)
-    return simulate(dynamics, state, until=settings.chunk, releases=1, settings=simulation)
+        return to_next_release(dynamics, state, horizon=patience, settings=watch.settings)
+    return simulate(dynamics, state, until=watch.chunk, releases=1, settings=watch.settings)
 
 
 def _repaired(dynamics: HybridDynamics, state: Vector, *, locked: bool) -> Vector:
@@ -181,9 +252,11 @@ def _repaired(dynamics: HybridDynamics, state: Vector, *, locked: bool) -> Vecto
     return state - np.linalg.lstsq(np.array(slopes).T, off, rcond=None)[0]
 
 
-def _is_at_rest(dynamics: HybridDynamics, state: Vector) -> bool:
-    """Tell whether velocities and accelerations have all but vanished."""
-    motion = dynamics.free.rate(state)[: 2 * dynamics.n_q]
-    if dynamics.gap(state) <= _STILL:
-        motion = dynamics.locked.rate(state)[: 2 * dynamics.n_q]
-    return float(np.max(np.abs(motion))) < _STILL
+def _rates(dynamics: HybridDynamics, state: Vector, *, locked: bool) -> Vector:
+    """Return the sizes of velocities and accelerations, ``(2 n_q,)``."""
+    mode = dynamics.locked if locked else dynamics.free
+    return np.abs(mode.rate(state)[: 2 * dynamics.n_q])
+
+
+def _rates_at_impacts(dynamics: HybridDynamics, run: Execution) -> list[Vector]:
+    return [_rates(dynamics, one.state_minus, locked=False) for one in run.impacts[:1]]

@@ -1,8 +1,8 @@
-"""Orbits followed along a straight line of settings, from one that has an orbit (theory (33))."""
+"""Follow orbits along a straight line of numbers, from where there is one (theory (33))."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,14 +12,16 @@ from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues
 from zeno_orbits.orbits.cycle import Cycle
+from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.orbits.path import Step, StepControl, StepError, follow_path
 from zeno_orbits.orbits.period import placed
 from zeno_orbits.orbits.shape import OrbitShape
 from zeno_orbits.search.closing import ClosedCycle, close_cycle
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.simulation.simulator import SimulationSettings
 
-_FIRST_STEP, _LAST_STEP = 0.25, 1e-4
-"""Parts of the way that are tried first, and before it is given up."""
+_STEPS = StepControl(first=0.25, shortest=1e-4)
+"""Parts of the way: the first that is tried, and the least before it is given up."""
 
 _LOST = {
     "locked_time": "the locked arc shrinks to nothing",
@@ -32,13 +34,13 @@ _GONE = 0.02
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Path:
+class Followed:
     """How far orbits could be followed.
 
     Attributes:
         cycle: The last orbit; ``None`` if there was none to start from.
         values: Its numbers.
-        arrived: Whether they are the ones that were wanted.
+        arrived: True if they are the ones that were wanted.
         ending: Where and why the path ends, as a sentence, if it did not arrive.
     """
 
@@ -49,7 +51,33 @@ class Path:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class _Line:
+    r"""The straight line between two sets of numbers: :math:`p(s) = (1 - s)\,p_0 + s\,p_1`.
+
+    Attributes:
+        search: The search.
+        first: :math:`p_0`.
+        last: :math:`p_1`.
+        shape: The shape of the orbits.
+    """
+
+    search: SearchProblem
+    first: ParameterValues
+    last: ParameterValues
+    shape: OrbitShape
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Point:
+    """An orbit on the line.
+
+    Attributes:
+        part: :math:`s`.
+        values: Its numbers.
+        closed: The orbit.
+        margins: Name to distance from losing it.
+    """
+
     part: float
     values: ParameterValues
     closed: ClosedCycle
@@ -62,75 +90,80 @@ class _Point:
 
 
 def follow(
-    search: SearchProblem,
-    easy: ParameterValues,
-    start: Vector,
-    wanted: ParameterValues,
-    shape: OrbitShape,
-) -> Path:
-    r"""Follow an orbit from one setting to another: :math:`p(s) = (1 - s)\,p_0 + s\,p_1`.
+    search: SearchProblem, near: Cycle | ZenoOrbit, easy: ParameterValues, wanted: ParameterValues
+) -> Followed:
+    """Follow an orbit along a straight line of numbers.
 
-    The next release is predicted by the secant of the last two and closed by simulation.
+    The next start is predicted by the secant of the last two and closed by simulation.
 
     Args:
         search: The search.
-        easy: Numbers of an orbit, exactly or nearly.
-        start: Where its period starts, ``(n_x,)``.
+        near: An orbit, exactly or nearly.
+        easy: Its numbers.
         wanted: Where to go.
-        shape: Its shape.
     """
-    period = search.settings.settling.chunk
-    here = _closed(search, 0.0, easy, wanted, start, period, shape)
-    if here is None:
-        return Path(cycle=None, values=easy, arrived=False)
-    before, first, step = here, here, 1.0 if easy == wanted else _FIRST_STEP
-    while here.part < 1.0 and easy != wanted and step >= _LAST_STEP:
+    if isinstance(near, Cycle):
+        start = near.start.state
+    else:
+        start = np.array(search.problem.state_vector(near.start_state))
+    line = _Line(search=search, first=easy, last=wanted, shape=near.shape)
+    try:
+        first = _closed(line, 1.0 if easy == wanted else 0.0, start, near.period)
+    except ZenoOrbitsError:
+        return Followed(cycle=None, values=easy, arrived=False)
+
+    def advance(points: Sequence[_Point], step: float) -> Step[_Point, bool]:
+        here, before = points[-1], points[-2:][0]
         part = min(1.0, here.part + step)
         guess = here.start
         if before.part < here.part:
             ratio = (part - here.part) / (here.part - before.part)
             guess = guess + ratio * (here.start - before.start)
         search.tell(f"following orbits: {100 * part:.0f} % of the way")
-        there = _closed(search, part, easy, wanted, guess, here.closed.cycle.period, shape)
-        if there is None:
-            step /= 2
-            continue
-        before, here, step = here, there, 1.5 * step
-    if here.part >= 1.0 or easy == wanted:
-        return Path(cycle=here.closed.cycle, values=wanted, arrived=True)
-    return Path(
-        cycle=here.closed.cycle,
-        values=here.values,
-        arrived=False,
-        ending=_ending(first, here, easy, wanted),
-    )
+        there = _closed(line, part, guess, here.closed.cycle.period)
+        return Step(points=(there,), easy=True, end=True if part >= 1.0 else None)
+
+    def give_up(_points: Sequence[_Point], _reason: str) -> Step[_Point, bool]:
+        return Step(end=False)
+
+    points: tuple[_Point, ...] = (first,)
+    if first.part < 1.0:
+        points = follow_path(first, _STEPS, advance, give_up=give_up).points
+    cycle, reached = points[-1].closed.cycle, points[-1].part >= 1.0
+    if reached:
+        return Followed(cycle=cycle, values=wanted, arrived=True)
+    ending = _ending(first, points[-1], easy, wanted)
+    return Followed(cycle=cycle, values=points[-1].values, arrived=False, ending=ending)
 
 
-def _closed(
-    search: SearchProblem,
-    part: float,
-    easy: ParameterValues,
-    wanted: ParameterValues,
-    guess: Vector,
-    period: float,
-    shape: OrbitShape,
-) -> _Point | None:
-    """Return the orbit at a part of the way, if one closes near a guess."""
-    numbers = {n: (1 - part) * x + part * wanted.number(n) for n, x in easy.numbers.items()}
-    values = wanted if part == 1.0 else easy.replaced(numbers)
+def _closed(line: _Line, part: float, guess: Vector, period: float) -> _Point:
+    """Return the orbit at a part of a line that closes near a guess.
+
+    Args:
+        line: The line.
+        part: Where on it, from 0 to 1.
+        guess: A state near its start, ``(n_x,)``.
+        period: Of the orbit, roughly [s].
+
+    Raises:
+        ZenoOrbitsError: If none closes.
+    """
+    first, last = line.first, line.last
+    numbers = {n: (1 - part) * x + part * last.number(n) for n, x in first.numbers.items()}
+    values = last if part == 1.0 else first.replaced(numbers)
     try:
-        dynamics = search.dynamics(values)
-        start = placed(dynamics, shape, guess)
+        dynamics = line.search.dynamics(values)
+        start = placed(dynamics, line.shape, guess)
         closed = close_cycle(
             dynamics,
             start,
             scale=np.maximum(np.abs(start), 1.0),
             period=period,
             settings=SimulationSettings(),
-            shape=shape,
+            shape=line.shape,
         )
-    except (ZenoOrbitsError, ValueError):
-        return None
+    except ValueError as error:
+        raise StepError(str(error)) from error
     margins = _margins(dynamics, closed.cycle)
     return _Point(part=part, values=values, closed=closed, margins=margins)
 

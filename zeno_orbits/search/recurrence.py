@@ -1,4 +1,4 @@
-"""Whether a motion repeats, after how many returns or impacts, and so of which shape it is."""
+"""After how many returns or impacts a motion repeats, and so of which shape it is."""
 
 from __future__ import annotations
 
@@ -10,23 +10,19 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.orbits.cycle import Cycle
 from zeno_orbits.orbits.shape import OrbitShape, PhaseKind
+from zeno_orbits.simulation.attractor import PERIODS, Return, repetitions
 from zeno_orbits.simulation.execution import Execution, Impact
 
-MOST_RETURNS = 8
-"""Longest period that is looked for, in returns."""
 MOST_IMPACTS = 12
-"""The same of a motion without releases, in impacts."""
+"""Longest period of a motion without releases that is looked for, in impacts."""
 
-_APART, _NOISE = 100.0, 1e-7
-"""Returns that differ by less than this, in units of what is still changing, may be the same.
-
-They may be if a motion throws over from one return to the next and settles, by a hundredth each.
-"""
+_APART = 0.01
+"""Several returns are one period if the motion comes nearer by this factor than after fewer."""
 _ANY = 1.0
 """Change of the start over a period up to which one of a shape that was asked for is a guess."""
 _BETTER = 0.1
 """Part of the change over a period that a longer one must have to be the better guess."""
-_KEPT = 4 * max(MOST_RETURNS, MOST_IMPACTS)
+_KEPT = 4 * MOST_IMPACTS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,16 +88,11 @@ class Recurrence:
 
     def settled_to(self) -> Recurring | None:
         """Return the shortest period that repeats, if one does."""
-        for n in range(1, MOST_RETURNS + 1):
-            last, before = self._after_returns(n), self._after_returns(n, back=1)
-            if last is None or not last.change < self.settled:
-                continue
-            if n == 1 or (
-                before is not None
-                and before.change < self.settled
-                and self._apart(n) > _APART * max(last.change, before.change, _NOISE)
-            ):
-                return last
+        if self.returns:
+            seen = _as_returns(self.returns)
+            found = repetitions(seen, self.returns[0].state_names, close=self.settled, apart=_APART)
+            if found:
+                return self._after_returns(found[0].returns)
         for n in range(1, MOST_IMPACTS + 1):
             last = self._after_impacts(n)
             if last is not None and last.change < self.settled:
@@ -117,7 +108,7 @@ class Recurrence:
         if self.wanted is not None:
             best = self.best
             return best if best is not None and best.change < _ANY else None
-        found = [self._after_returns(n) for n in range(1, MOST_RETURNS + 1)]
+        found = [self._after_returns(n) for n in PERIODS]
         if not self.returns:
             found = [self._after_impacts(n) for n in range(1, MOST_IMPACTS + 1)]
         usual = [one for one in found if one is not None and one.change < usable]
@@ -145,18 +136,16 @@ class Recurrence:
         if self.wanted is None:
             return []
         if self.wanted.starts_at_release:
-            numbers = range(1, MOST_RETURNS + 1)
-            found = [self._after_returns(n) for n in numbers]
+            found = [self._after_returns(n) for n in PERIODS]
         else:
             found = [self._after_impacts(self.wanted.n_phases)]
         return [one for one in found if one is not None and one.shape == self.wanted]
 
-    def _after_returns(self, n: int, *, back: int = 0) -> Recurring | None:
-        """Return the last returns as one period, some returns back."""
-        end = len(self.returns) - back
-        if end < n:
+    def _after_returns(self, n: int) -> Recurring | None:
+        """Return the last returns as one period."""
+        if len(self.returns) < n:
             return None
-        laps = self.returns[end - n : end]
+        laps = self.returns[-n:]
         scale = np.max([lap.scale_at_events() for lap in laps], axis=0)
         first, last = laps[0].start.state, laps[-1].end.state
         return Recurring(
@@ -166,11 +155,6 @@ class Recurrence:
             change=float(np.max(np.abs(last - first) / scale)),
             cycle=laps[0] if n == 1 else None,
         )
-
-    def _apart(self, n: int) -> float:
-        """Return how far the last returns are from each other."""
-        laps = self.returns[-n:]
-        return min(lap.drift(lap.scale_at_events()) for lap in laps)
 
     def _after_impacts(self, n: int) -> Recurring | None:
         """Return the last impacts as one period; it has to have repeated as long once."""
@@ -191,3 +175,14 @@ class Recurrence:
             period=last[-1].time - before[-1].time,
             change=change,
         )
+
+
+def _as_returns(laps: Sequence[Cycle]) -> list[Return]:
+    """Return the releases that laps without a break start and end at."""
+    first = Return(
+        time=laps[0].start.time, state=laps[0].start.state, size=laps[0].scale_at_events()
+    )
+    later = [
+        Return(time=lap.end.time, state=lap.end.state, size=lap.scale_at_events()) for lap in laps
+    ]
+    return [first, *later]

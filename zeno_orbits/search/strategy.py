@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues
@@ -18,7 +16,7 @@ from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.search.closing import close_cycle
 from zeno_orbits.search.confirmation import one_cycle
 from zeno_orbits.search.guess import settle
-from zeno_orbits.search.homotopy import Path, follow
+from zeno_orbits.search.homotopy import Followed, follow
 from zeno_orbits.search.objectives import NearestGains, Objective, Target, TowardTarget
 from zeno_orbits.search.outcome import StartOutcome
 from zeno_orbits.search.refinement import (
@@ -59,8 +57,7 @@ def from_start(search: SearchProblem, start: Start) -> StartOutcome:
     """Search from one start: a pure function of its arguments, whatever has been tried before."""
     values, near = start.values, start.near
     if near is not None:
-        state = np.array(search.problem.state_vector(near.start_state))
-        path = follow(search, near.values(search.problem), state, values, near.shape)
+        path = follow(search, near, near.values(search.problem), values)
         return _along(search, start, path, "the known orbit")
     cycle, reason = simulated(search, values)
     if cycle is not None:
@@ -78,7 +75,7 @@ def simulated(search: SearchProblem, values: ParameterValues) -> tuple[Cycle | N
     """Return a period to which the problem settles, or why there is none."""
     dynamics = search.dynamics(values)
     starts = [search.problem.state_vector(start) for start in search.problem.starts]
-    settling = settle(dynamics, starts, search.settings.settling, search.shape)
+    settling = settle(dynamics, starts, search.settings.settling, search.shape, search.problem)
     cycle = settling.cycle
     if cycle is None:
         return None, settling.reason
@@ -124,7 +121,7 @@ def _by_an_easier_way(search: SearchProblem, start: Start, outcome: StartOutcome
         cycle, _ = simulated(search, easy)
         if cycle is None:
             continue
-        path = follow(search, easy, cycle.start.state, start.values, cycle.shape)
+        path = follow(search, cycle, easy, start.values)
         if path.cycle is None:
             continue
         reached = _along(search, start, path, listed(_differing(easy, start.values)))
@@ -134,7 +131,7 @@ def _by_an_easier_way(search: SearchProblem, start: Start, outcome: StartOutcome
     return outcome
 
 
-def _along(search: SearchProblem, start: Start, path: Path, origin: str) -> StartOutcome:
+def _along(search: SearchProblem, start: Start, path: Followed, origin: str) -> StartOutcome:
     """Return what comes of the end of a path, which may be short of the start's own numbers."""
     if path.cycle is None:
         detail = f"From {origin} no orbit could be followed."

@@ -6,19 +6,19 @@ for one program, each step solves its own around the simulated solution of the l
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from zeno_orbits.model.problem import ParameterValues
 from zeno_orbits.orbits.cycle import Cycle
+from zeno_orbits.orbits.path import Step, StepControl, StepError, follow_path
 from zeno_orbits.search.outcome import StartOutcome
 from zeno_orbits.search.refinement import ON_THE_WAY
 from zeno_orbits.search.search_problem import SearchProblem
 
-_FIRST, _LEAST = 0.1, 2e-3
-"""Half width of a box in units of the whole range: the first, and the least that is tried."""
+_BOXES = StepControl(first=0.1, shortest=2e-3, most=40, growth=2.0, shrinkage=0.25)
+"""Half widths of boxes in units of the whole range."""
 
-_MOST_STEPS = 40
 _TOUCHES = 1e-3
 """A number this near the side of its box, in units of its half width, is held by it."""
 
@@ -57,25 +57,26 @@ def trust_region_steps(
         cycle: One simulated period there.
         solve: One step, given the search in a smaller box.
     """
-    half, last = _FIRST, LastStep(values=values, cycle=cycle)
-    for _ in range(_MOST_STEPS):
+
+    def advance(steps: Sequence[LastStep], half: float) -> Step[LastStep, bool]:
+        last = steps[-1]
         box = _box_around(search, last.values, half)
         outcome = solve(replace(search, free=box), last.values, last.cycle)
         there = outcome.solution
         if there is None or not outcome.agreement < ON_THE_WAY:
-            half /= 4
-            if half < _LEAST:
-                break
-            continue
+            raise StepError(outcome.detail)
         moved = _moved(search, last.values, there.values)
         converged = moved < _STILL or not _is_held(search, there.values, box)
-        last = LastStep(
+        step = LastStep(
             values=there.values, cycle=there.cycle, outcome=outcome, converged=converged
         )
-        if converged:
-            break
-        half *= 2
-    return last
+        return Step(points=(step,), easy=True, end=True if converged else None)
+
+    def give_up(_steps: Sequence[LastStep], _reason: str) -> Step[LastStep, bool]:
+        return Step(end=False)
+
+    start = LastStep(values=values, cycle=cycle)
+    return follow_path(start, _BOXES, advance, give_up=give_up).points[-1]
 
 
 def _box_around(

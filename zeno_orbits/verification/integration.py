@@ -29,19 +29,16 @@ class FirstCycle:
     Attributes:
         cycle: The period.
         largest: Largest size of each state over it, tails included, ``(n_x,)``.
+        scale: The same, nowhere zero, ``(n_x,)``.
         gap: Largest gap.
         force: Largest multiplier.
     """
 
     cycle: Cycle
     largest: Vector
+    scale: Vector
     gap: float
     force: float
-
-    @property
-    def scale(self) -> Vector:
-        """Size of each state, nowhere zero, ``(n_x,)``."""
-        return np.where(self.largest > 0.0, self.largest, 1.0)
 
     @property
     def zeno_error(self) -> float:
@@ -141,9 +138,11 @@ def _measured(dynamics: HybridDynamics, cycle: Cycle) -> FirstCycle:
     states = np.concatenate([arc.flow_states[:, : len(cycle.end.state)] for arc in arcs])
     locked = [x for arc in arcs if arc.mode is Mode.LOCKED for x in arc.flow_states]
     locked += [point.state for point in cycle.zeno_points]
+    largest = np.max(np.abs(states), axis=0)
     return FirstCycle(
         cycle=cycle,
-        largest=np.max(np.abs(states), axis=0),
+        largest=largest,
+        scale=np.where(largest > 0.0, largest, 1.0),
         gap=max(_largest_gap(dynamics, arc) for arc in arcs),
         force=max((abs(dynamics.multiplier(x)) for x in locked), default=1.0),
     )

@@ -119,8 +119,7 @@ def compile_system(
         )
         raise ValueError(message)
     parameters = ca.vertcat(*symbols.values())
-    contact = cast(ca.SX, ca.vertcat(*system.contact))
-    law = cast(ca.SX, ca.vertcat(*system.law))
+    contact = cast("ca.SX", ca.vertcat(*system.contact))
     powers = ca.vertcat(system.input_power, system.copper_loss, system.other_loss)
 
     def function(name: str, *outputs: ca.SX) -> ca.Function:
@@ -146,7 +145,9 @@ def compile_system(
             scaled_gap,
         ),
         contact=function("contact", contact),
-        impulse=function("impulse", system.impulse_direction, system.normal_inertia, law),
+        impulse=function(
+            "impulse", system.impulse_direction, system.normal_inertia, system.law_numbers
+        ),
         rebound=dense_function("rebound", [parameters, speed], [system.law.speed_after(speed)]),
         reset=dense_function("reset", [system.state, parameters, speed], [_reset(system, speed)]),
         resting=function("resting", *_resting(system)),

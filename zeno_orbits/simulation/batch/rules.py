@@ -1,4 +1,4 @@
-"""What becomes of lanes when something happens to them: impacts, Zeno points, release, the end.
+"""Transitions of lanes at their events: impacts, Zeno points, release, the end.
 
 The rules are those of `simulate` in rows, `completion.ZenoExtrapolation` among them.
 """
@@ -21,15 +21,13 @@ from zeno_orbits.simulation.batch.lanes import (
 from zeno_orbits.simulation.batch.model import ABSOLUTE, BatchFlow, BatchModel
 from zeno_orbits.simulation.batch.outcomes import Ended, Event, Reason, Released, Struck
 from zeno_orbits.simulation.batch.zeno_limit import Tails
+from zeno_orbits.simulation.event_rules import enters_stop, is_geometric, stop_holds
 from zeno_orbits.simulation.zeno_limit import tail_time
-
-_MAY_BEND = 0.1
-"""Largest relative change of d2h/dt2 over a Zeno tail; beyond it the tail is not geometric yet."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BatchSettings:
-    """How to advance the lanes of a batch.
+    """Accuracy and limits of a batch.
 
     Attributes:
         completion: Largest estimated error of a Zeno limit, for a unit of the lane's tolerance.
@@ -59,7 +57,13 @@ class Transitions:
         self._where = np.zeros(len(lanes.alive), dtype=np.intp)
 
     def end(self, row: int, reason: Reason, detail: str) -> None:
-        """End a lane; a follower that cannot go on is left to its leader, and holds NaN."""
+        """End a lane; a follower that cannot go on is left to its leader, and holds NaN.
+
+        Args:
+            row: The lane.
+            reason: Its end.
+            detail: Name of what escaped, or a sentence on a failure.
+        """
         lanes = self.lanes
         if not lanes.alive[row]:
             return
@@ -95,7 +99,16 @@ class Transitions:
     def begin(
         self, rows: Rows, mode: int, time: Vector, y: Vector, unit: Vector, *, on_guard: bool
     ) -> None:
-        """Start legs of a mode."""
+        """Start legs of a mode.
+
+        Args:
+            rows: The lanes, ``(n,)``.
+            mode: ``FREE``, ``FLIGHT`` or ``LOCKED``.
+            time: Their starts [s], ``(n,)``.
+            y: States of the flow there, ``(n, n_y)``.
+            unit: Length of one unit of the flow's own time [s], ``(n,)``.
+            on_guard: The starts are roots of the guard that do not count.
+        """
         if not len(rows):
             return
         lanes, flow = self.lanes, self.flows[mode]
@@ -151,7 +164,15 @@ class Transitions:
         self._rest(rows[still], time[still], x[still])
 
     def arrive(self, mode: int, rows: Rows, time: Vector, y: Vector, guard: Vector) -> None:
-        """Do what the fall of a guard means."""
+        """Apply the event that the fall of a guard means.
+
+        Args:
+            mode: Mode of the lanes.
+            rows: The lanes, ``(n,)``.
+            time: When their guards fell [s], ``(n,)``.
+            y: States of the flow there, ``(n, n_y)``.
+            guard: Guards and their rates there, ``(n, 2)``.
+        """
         lanes = self.lanes
         x = y[:, : self.model.n_x]
         lanes.y[rows, : y.shape[1]] = y
@@ -196,11 +217,10 @@ class Transitions:
         """Tell where the stop holds, and where it neither holds nor repels, to rounding."""
         lead = self.lead(rows)
         slack = np.abs(acceleration) <= self.settings.contact
-        holds = acceleration < 0.0
+        rate = np.full(len(rows), np.nan)
         if slack.any():
             rate = self.model.contact(state, self.lanes.p[rows, :-1])[0][:, MULTIPLIER_RATE]
-            holds = np.where(slack, rate > 0.0, holds)
-        return holds[lead], slack[lead]
+        return stop_holds(acceleration, rate, slack)[lead], slack[lead]
 
     def _lock(
         self,
@@ -230,7 +250,7 @@ class Transitions:
         lanes.struck[rows] = np.where(lanes.impacts[rows] == 0, rate, lanes.struck[rows])
         lanes.impacts[rows] += 1
         self.fail(rows[~(rate < 0.0)], "An impact must close the gap, but it opens")
-        inside = (rate < 0.0) & (rate_plus < -1e-9 * (1.0 - rate))
+        inside = (rate < 0.0) & enters_stop(rate_plus, rate)
         self.fail(rows[inside], "The reset map sends the state into the stop")
         chatter = lanes.impacts[rows] > self.settings.most_impacts
         most = f"More than {self.settings.most_impacts} impacts came without a release"
@@ -307,7 +327,7 @@ class Transitions:
         there = there[:, 0]
         holds, slack = self._holds(rows, state, there)
         fit = (error <= settings.completion * lanes.tolerance[rows]) & (time < lanes.until[rows])
-        fit &= np.abs(there - acceleration) <= _MAY_BEND * np.abs(acceleration)
+        fit &= is_geometric(there, acceleration)
         done = (fit & holds)[lead]
         lanes.zeno_time[rows[done]] = time[done]
         lanes.zeno_acceleration[rows[done]] = there[done]
