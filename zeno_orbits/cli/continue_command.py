@@ -34,8 +34,6 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from zeno_orbits.continuation.families import Continuation
     from zeno_orbits.continuation.parallel import Crew
     from zeno_orbits.continuation.setup import ContinuationSettings
@@ -124,13 +122,9 @@ def _run_continue(options: argparse.Namespace) -> int:
             found = _continued(options, problem_file, checkpoint, progress)
     except KeyboardInterrupt:
         return interrupted(options, checkpoint)
-
-    def draw() -> Figure:
-        from zeno_orbits.report import plots
-
-        return plots.plot_families(found, problem)
-
-    hand_out(options, found, report.print_families, draw)
+    hand_out(
+        options, found, report.print_families, lambda plots: plots.plot_families(found, problem)
+    )
     drop_checkpoint(options, checkpoint)
     ends = [end for family in found.families for end in (family.first, family.last)]
     return NO if any(end.kind is Kind.GAVE_UP for end in ends) else YES

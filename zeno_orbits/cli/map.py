@@ -27,8 +27,6 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from zeno_orbits.maps.mapping import Boundary
     from zeno_orbits.maps.plane import Axis, Plane
 
@@ -104,13 +102,13 @@ def _run_map(options: argparse.Namespace) -> int:
             found = parameter_map(plane, plan, on_progress=progress)
     except KeyboardInterrupt:
         return interrupted(options, checkpoint)
-
-    def draw() -> Figure:
-        from zeno_orbits.report import plots
-
-        return plots.plot_map(found, boundaries=boundaries)
-
-    hand_out(options, found, report.print_map, draw, write_map)
+    hand_out(
+        options,
+        found,
+        report.print_map,
+        lambda plots: plots.plot_map(found, boundaries=boundaries),
+        write_map,
+    )
     drop_checkpoint(options, checkpoint)
     return YES if found.has_zeno else NO
 

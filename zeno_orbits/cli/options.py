@@ -16,8 +16,6 @@ from zeno_orbits.report import terminal as report
 from zeno_orbits.work.files import require_picture, require_writable, write_whole
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
     from zeno_orbits.model.problem import ParameterValues, Problem
     from zeno_orbits.orbits.orbit import ZenoOrbit
@@ -326,7 +324,7 @@ def hand_out(
     options: argparse.Namespace,
     found: Any,
     show: Callable[[Any], None],
-    draw: Callable[[], Figure],
+    draw: Callable[[Any], Any],
     write: Callable[[Any, Path], None] | None = None,
 ) -> None:
     """Draw, write and print a result, as far as ``--picture``, ``-o`` and ``--json`` ask for it.
@@ -337,13 +335,13 @@ def hand_out(
         options: The parsed options.
         found: The result, with ``as_json``.
         show: Prints it for people.
-        draw: Returns its picture.
+        draw: Returns its picture; takes `report.plots`, which is loaded only for it.
         write: Writes its file; by default all of ``as_json``.
     """
     if options.picture is not None:
         from zeno_orbits.report import plots
 
-        plots.save_figure(draw(), options.picture)
+        plots.save_figure(draw(plots), options.picture)
     if options.output is not None:
         (write or write_json)(found, options.output)
     if options.json:

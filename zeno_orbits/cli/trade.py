@@ -22,8 +22,6 @@ from zeno_orbits.cli.parsing import read_number
 from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 def add_trade(commands: Any) -> None:
     """Add the command `trade`."""
@@ -60,11 +58,5 @@ def _run_trade(options: argparse.Namespace) -> int:
         settings = replace(settings, until=options.until)
     with report.ProgressLine(options.interrupts.check) as progress:
         found = trade(problem, values, state, settings=settings, on_progress=progress)
-
-    def draw() -> Figure:
-        from zeno_orbits.report import plots
-
-        return plots.plot_trade(found)
-
-    hand_out(options, found, report.print_trade, draw)
+    hand_out(options, found, report.print_trade, lambda plots: plots.plot_trade(found))
     return YES
