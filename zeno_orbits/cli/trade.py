@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from zeno_orbits.cli.options import (
     YES,
@@ -21,7 +21,6 @@ from zeno_orbits.cli.options import (
 from zeno_orbits.cli.parsing import read_number
 from zeno_orbits.report import terminal as report
 
-if TYPE_CHECKING:
 
 def add_trade(commands: Any) -> None:
     """Add the command `trade`."""
