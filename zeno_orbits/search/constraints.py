@@ -133,7 +133,7 @@ def keep(terms: OrbitTerms, bound: Bound, slack: ca.MX | float = 0.0) -> float:
 
 
 def size_of(bound: Bound, largest_value: float) -> float:
-    """Return what a bounded quantity is measured in."""
+    """Return the size in which a bounded quantity is measured."""
     ends = [abs(end) for end in (bound.lower, bound.upper) if math.isfinite(end)]
     return max(*ends, largest_value, 1e-6)
 

@@ -15,7 +15,7 @@ from zeno_orbits.simulation.execution import Arc
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Place:
-    """Where the guess has its extreme value: an interval of an arc and a place in it."""
+    """Place of the extreme value in the guess: an interval of an arc and a fraction of it."""
 
     arc: CollocatedArc
     interval: int

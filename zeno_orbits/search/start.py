@@ -42,7 +42,7 @@ def numbered_start(search: SearchProblem, number: int) -> Start:
 
 
 def try_start(search: SearchProblem, number: int, accept: Accept | None) -> StartOutcome:
-    """Search from one start and judge what comes of it.
+    """Search from one start and judge the orbit that it finds.
 
     Args:
         search: The search.
