@@ -29,6 +29,14 @@ class Judgement:
     objection: str = ""
     certificate: OrbitCertificate | None = None
 
+    @property
+    def repels(self) -> bool:
+        """Return True if the orbit is refused although it is one: it does not attract."""
+        certificate = self.certificate
+        return bool(
+            self.objection and certificate and certificate.passed and not certificate.stable
+        )
+
 
 Accept = Callable[[ZenoOrbit], Judgement]
 """A check of the orbits that a search finds."""
@@ -43,12 +51,14 @@ class Candidate:
         score: Its score; less is better.
         extents: Measured quantities, those of the objective and the bounded ones, by name.
         certificate: The certificate of the check, if it keeps one.
+        starts: Number of starts that led to it: an optimum that one start found may be local.
     """
 
     orbit: ZenoOrbit
     score: float
     extents: Mapping[str, Extent]
     certificate: OrbitCertificate | None
+    starts: int = 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -128,8 +128,7 @@ def _ranked(search: SearchProblem, outcomes: Generator[StartOutcome]) -> SearchR
             if outcome.candidate is None:
                 best = outcome if best is None else max(best, outcome, key=_merit)
             else:
-                if not any(_same(search, outcome.candidate, other) for other in candidates):
-                    candidates.append(outcome.candidate)
+                candidates = _joined(search, candidates, outcome.candidate)
                 if min(candidates, key=lambda one: one.score) is outcome.candidate:
                     best = outcome
             if len(candidates) >= search.settings.candidates:
@@ -161,6 +160,17 @@ def _attempt(search: SearchProblem, number: int, outcome: StartOutcome) -> Attem
     return Attempt(
         gains=values.gains, parameters=free, status=outcome.status, detail=outcome.detail
     )
+
+
+def _joined(
+    search: SearchProblem, candidates: Sequence[Candidate], found: Candidate
+) -> list[Candidate]:
+    """Return the candidates with another one, or with one more start that led to one of them."""
+    same = [_same(search, found, other) for other in candidates]
+    counted = [
+        replace(one, starts=one.starts + alike) for one, alike in zip(candidates, same, strict=True)
+    ]
+    return counted if any(same) else [*candidates, found]
 
 
 def _same(search: SearchProblem, one: Candidate, other: Candidate) -> bool:
