@@ -18,7 +18,8 @@ import numpy as np
 from zeno_orbits.integrators import Automatic, Engine, Radau, RungeKutta, Taylor
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.precision.accuracy import at_tolerance, difference, simulate_to
+from zeno_orbits.precision.accuracy import at_tolerance, simulate_to
+from zeno_orbits.precision.landmark import difference
 from zeno_orbits.simulation.execution import Execution
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 

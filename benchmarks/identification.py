@@ -3,8 +3,8 @@
     python benchmarks/identification.py [--seeds 60] [--noise 0.01] [--correlated]
 
 Every seed has its own truth, some per cent from the problem's numbers, its own unknown start and
-its own noise on angles and current; the fit begins at the problem's numbers. With ``--correlated`` the
-noise is that of a filtered sensor, which a fit that counts samples as independent gets wrong.
+its own noise on angles and current; the fit begins at the problem's numbers. With ``--correlated``
+the noise is that of a filtered sensor, which a fit that counts samples as independent gets wrong.
 A share of intervals that hold is given with the range in which it would be in 95 of 100 such
 benchmarks if it were 95 %. Small matrices gain nothing from threads: with OPENBLAS_NUM_THREADS=1
 in the environment a fit takes half of the processor time.

@@ -1,11 +1,11 @@
 """Whether a map agrees with long simulations at random points of the Kp-Kd plane.
 
-A map is computed by the fast function, and 500 random points of its grid are simulated for several
-times as long by `tests.reference.long_simulation`, which shares the model with it and nothing else.
-Fates must be the same, and for periodic ones the number of releases, the period and the spectral radius to
-their tolerances. Listed and excused are a point within one cell of a boundary, where a neighbour in
-the map has another fate or a closer look at its cells finds that of the long run, and one where the
-long run has not settled but moves as the map says.
+A map is computed by the fast function, and 500 random points of its grid are simulated for
+several times as long by `tests.reference.long_simulation`, which shares the model with it and
+nothing else. Fates must be the same, and for periodic ones the number of releases, the period and
+the spectral radius to their tolerances. Listed and excused are a point within one cell of a
+boundary, where a neighbour in the map has another fate or a closer look at its cells finds that
+of the long run, and one where the long run has not settled but moves as the map says.
 
 Exit 1 if another point disagrees.
 """

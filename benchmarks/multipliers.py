@@ -21,7 +21,7 @@ from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.orbits.monodromy import return_derivative
 from zeno_orbits.orbits.poincare import floquet_multipliers, poincare_map
-from zeno_orbits.precision.extended_orbit import extended_orbit
+from zeno_orbits.precision.extended_fixed_point import extended_orbit
 from zeno_orbits.search import close_orbit
 from zeno_orbits.simulation.simulator import SimulationSettings
 

@@ -10,10 +10,15 @@ from collections.abc import Mapping
 
 import casadi as ca
 
-from zeno_orbits.model.drives import no_drive
-from zeno_orbits.model.hybrid import CompletedSystem, complete
-from zeno_orbits.model.lagrangian import HybridLagrangian
-from zeno_orbits.model.problem import Problem, positive, restitution
+from zeno_orbits import (
+    CompletedSystem,
+    HybridLagrangian,
+    Problem,
+    complete,
+    no_drive,
+    positive,
+    restitution,
+)
 
 
 def lagrangian(p: Mapping[str, ca.SX]) -> HybridLagrangian:

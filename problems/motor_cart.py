@@ -11,12 +11,19 @@ from collections.abc import Mapping
 
 import casadi as ca
 
-from zeno_orbits.model.clock import Clock
-from zeno_orbits.model.drawing import Lines
-from zeno_orbits.model.drives import MotorBank, full_drive
-from zeno_orbits.model.hybrid import CompletedSystem, complete
-from zeno_orbits.model.lagrangian import HybridLagrangian
-from zeno_orbits.model.problem import Problem, Quantity, positive, restitution
+from zeno_orbits import (
+    Clock,
+    CompletedSystem,
+    HybridLagrangian,
+    Lines,
+    MotorBank,
+    Problem,
+    Quantity,
+    complete,
+    full_drive,
+    positive,
+    restitution,
+)
 
 
 def model(p: Mapping[str, ca.SX]) -> CompletedSystem:

@@ -12,10 +12,17 @@ from collections.abc import Mapping
 
 import casadi as ca
 
-from zeno_orbits.model.drives import MotorBank, full_drive
-from zeno_orbits.model.hybrid import CompletedSystem, complete
-from zeno_orbits.model.lagrangian import HybridLagrangian
-from zeno_orbits.model.problem import Problem, Quantity, positive, restitution
+from zeno_orbits import (
+    CompletedSystem,
+    HybridLagrangian,
+    MotorBank,
+    Problem,
+    Quantity,
+    complete,
+    full_drive,
+    positive,
+    restitution,
+)
 
 
 def model(p: Mapping[str, ca.SX]) -> CompletedSystem:

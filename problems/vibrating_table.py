@@ -13,12 +13,19 @@ from collections.abc import Mapping
 
 import casadi as ca
 
-from zeno_orbits.model.clock import Clock
-from zeno_orbits.model.drawing import Lines
-from zeno_orbits.model.drives import no_drive
-from zeno_orbits.model.hybrid import CompletedSystem, complete
-from zeno_orbits.model.lagrangian import HybridLagrangian
-from zeno_orbits.model.problem import Output, Problem, Quantity, positive, restitution
+from zeno_orbits import (
+    Clock,
+    CompletedSystem,
+    HybridLagrangian,
+    Lines,
+    Output,
+    Problem,
+    Quantity,
+    complete,
+    no_drive,
+    positive,
+    restitution,
+)
 
 
 def model(p: Mapping[str, ca.SX]) -> CompletedSystem:

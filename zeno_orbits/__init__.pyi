@@ -30,6 +30,7 @@ from .model.drives import full_drive as full_drive
 from .model.drives import ideal_torque_drive as ideal_torque_drive
 from .model.drives import no_drive as no_drive
 from .model.drives import quasi_static_drive as quasi_static_drive
+from .model.hybrid import CompletedSystem as CompletedSystem
 from .model.hybrid import complete as complete
 from .model.lagrangian import HybridLagrangian as HybridLagrangian
 from .model.library import bundled_problems as bundled_problems
@@ -55,11 +56,11 @@ from .orbits.orbit_file import orbit_from_json as orbit_from_json
 from .orbits.orbit_file import read_orbit as read_orbit
 from .orbits.orbit_file import write_orbit as write_orbit
 from .orbits.shape import OrbitShape as OrbitShape
-from .precision.accuracy import difference as difference
+from .precision.landmark import difference as difference
 from .precision.accuracy import simulate_to as simulate_to
 from .precision.accuracy import simulate_with_error as simulate_with_error
-from .precision.work_precision import QUICK as QUICK
-from .precision.work_precision import trade as trade
+from .precision.trials import QUICK as QUICK
+from .precision.trials import trade as trade
 from .report.plots import plot_zeno_region as plot_zeno_region
 from .report.plots import plot_zeno_zoom as plot_zeno_zoom
 from .report.plots import save_figure as save_figure

@@ -14,13 +14,30 @@ from pathlib import Path
 
 import casadi as ca
 
-from zeno_orbits.errors import InputError
-from zeno_orbits.model.drawing import Lines
-from zeno_orbits.model.drives import MotorBank, corrected_drive, full_drive, quasi_static_drive
-from zeno_orbits.model.hybrid import CompletedSystem, complete
-from zeno_orbits.model.lagrangian import HybridLagrangian
-from zeno_orbits.model.problem import Escape, Output, Problem, Quantity, positive, restitution
-from zeno_orbits.model.rig_parts import Bridge, Contact, Controller, Friction, Gear, Rig, Sensors
+from zeno_orbits import (
+    Bridge,
+    CompletedSystem,
+    Contact,
+    Controller,
+    Escape,
+    Friction,
+    Gear,
+    HybridLagrangian,
+    InputError,
+    Lines,
+    MotorBank,
+    Output,
+    Problem,
+    Quantity,
+    Rig,
+    Sensors,
+    complete,
+    corrected_drive,
+    full_drive,
+    positive,
+    quasi_static_drive,
+    restitution,
+)
 
 CURRENT_COEFFICIENT = 2.92437
 """Published: minus the factor of the current in d2h/dt2 [rad/(s^2 A)]."""

@@ -27,7 +27,7 @@ from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model import formulas as symbolic
 from zeno_orbits.model.library import bundled_problems, load_problem
 from zeno_orbits.model.problem import Problem
-from zeno_orbits.precision.extended_orbit import ExtendedOrbit, extended_orbit
+from zeno_orbits.precision.extended_fixed_point import ExtendedOrbit, extended_orbit
 from zeno_orbits.report.terminal import progress
 from zeno_orbits.search import SearchSettings
 from zeno_orbits.simulation.execution import Execution
@@ -701,7 +701,7 @@ def test_trade_where_nothing_happens_so_soon_is_a_no_in_one_line(here: Path) -> 
 
 @pytest.mark.parametrize(
     "where",
-    ["precision.work_precision.trade", "report.plots.plot_trade", "report.plots.save_figure"],
+    ["precision.trials.trade", "report.plots.plot_trade", "report.plots.save_figure"],
 )
 def test_an_interrupted_trade_writes_nothing(
     where: str, here: Path, monkeypatch: pytest.MonkeyPatch
@@ -1214,7 +1214,7 @@ def test_a_long_example_of_the_help_is_understood(
     reached = raising(ZenoOrbitsError("The work would begin here."))
     monkeypatch.setattr("zeno_orbits.search.search.search_gains", reached)
     monkeypatch.setattr("zeno_orbits.verification.verifier.verify", reached)
-    monkeypatch.setattr("zeno_orbits.precision.work_precision.trade", reached)
+    monkeypatch.setattr("zeno_orbits.precision.trials.trade", reached)
     monkeypatch.setattr("zeno_orbits.precision.reduced_models.reduction_costs", reached)
     answer = ask(*example)
     assert answer.code == NO

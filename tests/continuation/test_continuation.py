@@ -11,6 +11,7 @@ import pytest
 
 from tests.reference.closed_forms import StoppedOscillator
 from tests.reference.reference_orbit import RELEASE
+from zeno_orbits.continuation.amplitude import orbit_amplitude
 from zeno_orbits.continuation.branch import Steps
 from zeno_orbits.continuation.continuation import SecondParameter, continue_orbit, start_orbit
 from zeno_orbits.continuation.corrector import first_point
@@ -136,7 +137,7 @@ def test_the_family_in_the_restitution_ends_where_simulations_stop_closing() -> 
 @pytest.mark.slow
 def test_close_to_the_end_of_the_locked_arc_the_family_is_right_to_many_digits() -> None:
     pytest.importorskip("heyoka")
-    from zeno_orbits.precision.extended_orbit import extended_orbit
+    from zeno_orbits.precision.extended_fixed_point import extended_orbit
 
     # Where 1e-5 of the restitution is left, and some milliseconds of the lock.
     orbit, value = pendulum_orbit(restitution=0.41), 0.41678
@@ -353,3 +354,18 @@ def test_the_pendulum_doubles_its_period_between_two_flips() -> None:
         _, twice = poincare_map(dynamics, once, horizon=6, settings=SETTINGS)
         assert twice == pytest.approx(x, abs=1e-7)
         assert np.max(np.abs(once - x)) > 1e-2
+
+
+def test_the_amplitude_of_a_point_is_half_the_travel_of_the_state_that_the_problem_names() -> None:
+    orbit = oscillator_orbit()
+    settings = ContinuationSettings(steps=Steps(first=0.2, longest=0.4, most=1))
+    family = only(continue_orbit(OSCILLATOR, orbit, "A", (0.5, 1.5), settings=settings).families)
+    point = next(point for point in family.points if point.value == pytest.approx(1.0, abs=1e-12))
+    # In closed form: the first flight goes farthest from the stop.
+    motion = StoppedOscillator(damping=1.9, stop=-0.8, restitution=0.5)
+    start, (end, _) = motion.release_time, motion.next_impact(motion.release_time, 0.0)
+    farthest = max(
+        motion.stop - motion.motion(float(time), start, 0.0)[0]
+        for time in np.linspace(start, end, 4001)
+    )
+    assert orbit_amplitude(OSCILLATOR, family, point) == pytest.approx(farthest / 2, rel=1e-6)

@@ -10,11 +10,10 @@ from tests.reference.reference_orbit import PERIOD, PERIODS, RELEASE
 from tests.support.mechanisms import clocked_oscillator, oscillator
 from zeno_orbits.continuation.return_maps import Composed, ImpactReturns
 from zeno_orbits.errors import InputError, RunawayError
+from zeno_orbits.maps.attempt import Accuracy, Attempt, Lost
 from zeno_orbits.maps.attractors import Attractor, Fate
 from zeno_orbits.maps.classify import attractors_at
-from zeno_orbits.maps.newton_attempt import Lost
-from zeno_orbits.maps.newton_impacts import bundle_around
-from zeno_orbits.maps.newton_request import Accuracy
+from zeno_orbits.maps.newton import IMPACTS, bundle_at
 from zeno_orbits.maps.point import Point
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.orbits.poincare import floquet_multipliers
@@ -286,10 +285,22 @@ def test_an_orbit_that_repels_is_not_what_impacts_come_to():
     x, scale = np.array([0.3, 0.0, 1.0, 2.0, 0.1]), np.ones(5)
 
     def heard(factor):
-        bundle = bundle_around(motion, Accuracy(), x, scale, 1, 1.0)
+        bundle = bundle_at(motion, IMPACTS.rows, x, scale)
+        attempt = Attempt(
+            dynamics=motion,
+            accuracy=Accuracy(),
+            crossing=IMPACTS,
+            span=1.0,
+            period=1,
+            bundle=bundle,
+            final=True,
+            origin=x,
+            earlier=x,
+        )
+        attempt.request(neighbours=True)
         for rank, state in enumerate(bundle.states):
             away = bundle.states[0] + factor * (state - bundle.states[0])
-            answer = bundle.hear(rank, Struck(lane=rank, time=1.0, state=away, rate=-2.0))
+            answer = attempt.hear(rank, Struck(lane=rank, time=1.0, state=away, rate=-2.0))
         return answer
 
     assert heard(0.5).multipliers == pytest.approx(4 * [0.5], abs=1e-9)

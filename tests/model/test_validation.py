@@ -9,6 +9,7 @@ import casadi as ca
 import pytest
 
 from zeno_orbits.cli import main, new
+from zeno_orbits.errors import ProblemFileError
 from zeno_orbits.model.drives import MotorBank
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.library import bundled_problems, load_problem
@@ -341,6 +342,48 @@ def test_matrices_that_do_not_go_together_are_refused_by_name() -> None:
     refused(
         "`mass_matrix` must give every coordinate an inertia", mass_matrix=ca.diag(ca.SX([1, 0]))
     )
+
+
+@pytest.mark.parametrize("factor", [-1.0, 1.0 + 1e-6, 0.0])
+def test_a_potential_that_is_not_that_of_the_force_at_rest_is_refused(factor: float) -> None:
+    q, v, mass, coriolis, gravity = _links()
+    potential = -0.4 * ca.cos(q[0]) - 0.15 * ca.cos(q[0] + q[1])
+    friction = 0.1 * v + ca.vertcat(0.2 * ca.tanh(5 * v[0]), 0)
+
+    def build(factor: float) -> HybridLagrangian:
+        return HybridLagrangian.from_matrices(
+            q=q,
+            v=v,
+            mass_matrix=mass,
+            coriolis=coriolis,
+            gravity=gravity + friction,
+            gap=q[1],
+            potential=factor * potential,
+        )
+
+    with pytest.raises(ValueError, match=r"`potential` must have the gradient .* differs by "):
+        build(factor)
+    # Friction vanishes at rest, so it is no part of a potential.
+    assert build(1.0).passive_force.shape == (2, 1)
+
+
+def test_a_problem_with_a_false_potential_is_refused_when_it_is_loaded(tmp_path: Path) -> None:
+    file = tmp_path / "ball.py"
+    text = (bundled_problems()["bouncing_ball"]).read_text()
+    energies = "HybridLagrangian.from_energies("
+    assert energies in text
+    matrices = (
+        "HybridLagrangian.from_matrices(mass_matrix=ca.SX(p['m']), coriolis=ca.SX(1, 1), "
+        "gravity=p['m'] * p['g'], "
+    )
+    kinetic = re.search(r"kinetic=.*\n", text)
+    assert kinetic is not None
+    text = text.replace(energies, matrices).replace(kinetic[0], "")
+    file.write_text(text)
+    assert load_problem(file).values().numbers
+    file.write_text(re.sub(r"potential=", "potential=-", text))
+    with pytest.raises(ProblemFileError, match=r"`potential` must .* differs by .*"):
+        load_problem(file)
 
 
 def test_the_second_of_two_motors_is_named_if_it_turns_nothing() -> None:

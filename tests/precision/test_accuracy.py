@@ -24,19 +24,21 @@ from zeno_orbits.precision.accuracy import (
     COARSEST,
     FINEST,
     Assured,
+    settings_for,
+    simulate_to,
+    simulate_with_error,
+    why_engine,
+)
+from zeno_orbits.precision.extended import extended_execution
+from zeno_orbits.precision.landmark import (
     Kind,
     Landmark,
     apart,
     difference,
     landmarks,
-    settings_for,
-    simulate_to,
-    simulate_with_error,
     sizes,
     sizes_of,
-    why_engine,
 )
-from zeno_orbits.precision.extended import extended_execution
 from zeno_orbits.simulation.completion import ZenoPassage
 from zeno_orbits.simulation.execution import Execution, Release, ZenoPoint
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate

@@ -17,7 +17,7 @@ from zeno_orbits.model.hybrid import CompletedSystem, complete
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.precision.extended import ExtendedExecution, difference, extended_execution
-from zeno_orbits.precision.extended_orbit import extended_orbit
+from zeno_orbits.precision.extended_fixed_point import extended_orbit
 from zeno_orbits.precision.extended_run import ExtendedRun, Trace
 from zeno_orbits.precision.extended_system import ExtendedSystem
 from zeno_orbits.precision.multiprecision import Arithmetic

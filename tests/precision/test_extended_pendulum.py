@@ -11,7 +11,7 @@ from tests.reference.hand_pendulum import HandPendulum
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.orbits.poincare import floquet_multipliers
 from zeno_orbits.precision.extended import extended_execution
-from zeno_orbits.precision.extended_orbit import ExtendedOrbit, extended_orbit
+from zeno_orbits.precision.extended_fixed_point import ExtendedOrbit, extended_orbit
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 
 pytest.importorskip("heyoka", reason="needs the extra `taylor`")

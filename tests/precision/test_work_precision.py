@@ -16,19 +16,13 @@ from zeno_orbits.integrators import RungeKutta
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.precision import reference as truths
-from zeno_orbits.precision import work_precision as trading
-from zeno_orbits.precision.accuracy import Kind
+from zeno_orbits.precision import trials as trading
+from zeno_orbits.precision.landmark import Kind
 from zeno_orbits.precision.reference import true_landmarks
-from zeno_orbits.precision.work_precision import (
-    SAME_WORK,
-    Trade,
-    TradeSettings,
-    Trial,
-    engines,
-    trade,
-)
+from zeno_orbits.precision.trials import WorkPrecisionSettings, engines, trade
+from zeno_orbits.precision.work_precision import SAME_WORK, Trial, WorkPrecision
 
-TINY = TradeSettings(
+TINY = WorkPrecisionSettings(
     until=1.02 * PERIOD,
     repeats=1,
     tolerances=(1e-4, 1e-9),
@@ -40,7 +34,7 @@ TINY = TradeSettings(
 
 
 @pytest.fixture(name="measured", scope="module")
-def _measured(problem: Problem) -> Trade:
+def _measured(problem: Problem) -> WorkPrecision:
     """Two releases and a Zeno point, from rest."""
     return trade(
         problem, problem.values(), (0.6, 0.0, 0.0, 0.0, 0.0), settings=replace(TINY, until=3.0)
@@ -53,18 +47,18 @@ def trial(seconds: float, error: float, **others: Any) -> Trial:
     )
 
 
-def traded(*trials: Trial) -> Trade:
-    return Trade(problem="p", work="w", truth="t", truth_error=1e-25, trials=trials)
+def traded(*trials: Trial) -> WorkPrecision:
+    return WorkPrecision(problem="p", work="w", truth="t", truth_error=1e-25, trials=trials)
 
 
-def errors(found: Trade, sweep: str, name: str | None = None) -> list[float]:
+def errors(found: WorkPrecision, sweep: str, name: str | None = None) -> list[float]:
     return [t.error for t in found.trials if t.sweep == sweep and name in (None, t.name)]
 
 
 # -------------------------------------------------------------------------------- measuring
 
 
-def test_every_sweep_is_measured_and_nothing_fails(measured: Trade) -> None:
+def test_every_sweep_is_measured_and_nothing_fails(measured: WorkPrecision) -> None:
     swept = {t.sweep for t in measured.trials}
     assert swept == set(SAME_WORK)
     assert {t.name for t in measured.trials if t.sweep == "engine"} == set(engines())
@@ -73,31 +67,33 @@ def test_every_sweep_is_measured_and_nothing_fails(measured: Trade) -> None:
     assert all(t.error < math.inf for t in measured.trials)
 
 
-def test_the_truth_is_far_more_certain_than_any_trial(measured: Trade) -> None:
+def test_the_truth_is_far_more_certain_than_any_trial(measured: WorkPrecision) -> None:
     pytest.importorskip("heyoka")
     assert measured.truth == "extended precision"
     assert measured.truth_error < 1e-3 * min(t.error for t in measured.trials if t.error > 0.0)
 
 
 @pytest.mark.parametrize("name", ["automatic", "explicit", "implicit"])
-def test_a_tighter_tolerance_errs_less(name: str, measured: Trade) -> None:
+def test_a_tighter_tolerance_errs_less(name: str, measured: WorkPrecision) -> None:
     loose, tight = errors(measured, "engine", name)
     assert tight < 1e-8
     assert loose > 10 * tight
 
 
-def test_the_cut_errs_by_the_cube_of_its_speed(measured: Trade) -> None:
+def test_the_cut_errs_by_the_cube_of_its_speed(measured: WorkPrecision) -> None:
     """Theory (11): ten times slower, a thousand times better, but for where impacts fall."""
     coarse, fine = errors(measured, "cut")
     assert 30 * fine < coarse
 
 
-def test_more_impacts_before_the_limit_err_less(measured: Trade) -> None:
+def test_more_impacts_before_the_limit_err_less(measured: WorkPrecision) -> None:
     few, many = errors(measured, "impacts")
     assert many < 1e-3 * few
 
 
-def test_a_reduced_model_errs_by_its_model_and_not_by_its_tolerance(measured: Trade) -> None:
+def test_a_reduced_model_errs_by_its_model_and_not_by_its_tolerance(
+    measured: WorkPrecision,
+) -> None:
     loose, tight = errors(measured, "fidelity", "quasi_static")
     assert tight == pytest.approx(loose, rel=0.05)
     # Measured on its orbit: 2.6e-4 of the period, and more of the state.
@@ -241,7 +237,7 @@ def test_a_horizon_that_is_none_is_refused(until: float, problem: Problem) -> No
 # --------------------------------------------------------------------------------- the front
 
 
-def test_the_front_holds_what_no_other_beats(measured: Trade) -> None:
+def test_the_front_holds_what_no_other_beats(measured: WorkPrecision) -> None:
     front = measured.front
     assert front
     comparable = [t for t in measured.trials if t.sweep in SAME_WORK]

@@ -30,7 +30,7 @@ from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.orbit_file import read_orbit, write_orbit
-from zeno_orbits.precision.work_precision import Trade, Trial, read_trade
+from zeno_orbits.precision.work_precision import Trial, WorkPrecision, read_work_precision
 from zeno_orbits.report.page import Subject, load_bundle, page_of, subject_of, words
 from zeno_orbits.report.page.commands import commands_of
 from zeno_orbits.report.page.page import template_environment
@@ -57,14 +57,14 @@ def ask(*arguments: str | Path) -> tuple[int, str, str]:
     return code, out.getvalue(), err.getvalue()
 
 
-def trade_of(problem: str) -> Trade:
+def trade_of(problem: str) -> WorkPrecision:
     """Return a small trade: two engines, one of them beaten, and a trial that failed."""
     trials = (
         Trial(sweep="engine", name="fast", value=1e-6, seconds=1e-3, error=1e-7, n_impacts=9),
         Trial(sweep="engine", name="slow", value=1e-6, seconds=2e-3, error=1e-6, n_impacts=9),
         Trial(sweep="cut", name="cut", value=1e-2, seconds=math.inf, error=math.inf, trouble="no"),
     )
-    return Trade(problem=problem, work="3 s", truth="exact", truth_error=1e-20, trials=trials)
+    return WorkPrecision(problem=problem, work="3 s", truth="exact", truth_error=1e-20, trials=trials)
 
 
 @pytest.fixture(scope="module")
@@ -434,7 +434,7 @@ def test_a_trade_file_reads_back(tmp_path: Path) -> None:
     trade = trade_of("motor_pendulum")
     path = tmp_path / "trade.json"
     path.write_text(json.dumps(trade.as_json(), allow_nan=False))
-    assert read_trade(path) == trade
+    assert read_work_precision(path) == trade
 
 
 # ---------------------------------------------------------------------------- the data

@@ -27,7 +27,7 @@ from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem, restitution
-from zeno_orbits.precision.work_precision import Trade, Trial
+from zeno_orbits.precision.work_precision import Trial, WorkPrecision
 from zeno_orbits.report.plots import (
     COLUMN_WIDTH,
     FULL_WIDTH,
@@ -359,7 +359,7 @@ def measured(sweep: str, name: str, *pairs: tuple[float, float]) -> tuple[Trial,
     )
 
 
-TRADE = Trade(
+TRADE = WorkPrecision(
     problem="p",
     work="w",
     truth="t",
@@ -401,7 +401,7 @@ def test_a_trade_shows_times_in_milliseconds_and_what_is_lost_nowhere() -> None:
 
 
 def test_a_trade_without_any_result_is_an_empty_picture(tmp_path: Path) -> None:
-    lost = Trade(problem="p", work="w", truth="t", truth_error=1e-25, trials=())
+    lost = WorkPrecision(problem="p", work="w", truth="t", truth_error=1e-25, trials=())
     save_figure(plot_trade(lost), tmp_path / "lost.png")
     assert (tmp_path / "lost.png").read_bytes().startswith(b"\x89PNG")
 

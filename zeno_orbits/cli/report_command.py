@@ -24,7 +24,7 @@ from zeno_orbits.work.files import write_whole
 
 if TYPE_CHECKING:
     from zeno_orbits.orbits.orbit import ZenoOrbit
-    from zeno_orbits.precision.work_precision import Trade
+    from zeno_orbits.precision.work_precision import WorkPrecision
 
 _PAGES = (".html", ".htm")
 
@@ -104,12 +104,12 @@ def _run_report(options: argparse.Namespace) -> int:
     return YES if certificate.passed else NO
 
 
-def _trade(options: argparse.Namespace, orbit: ZenoOrbit) -> Trade | None:
-    from zeno_orbits.precision.work_precision import read_trade
+def _trade(options: argparse.Namespace, orbit: ZenoOrbit) -> WorkPrecision | None:
+    from zeno_orbits.precision.work_precision import read_work_precision
 
     if options.trade is None:
         return None
-    found = read_trade(options.trade)
+    found = read_work_precision(options.trade)
     if found.problem != orbit.problem:
         message = f"must be of the problem `{orbit.problem}`, but it is of `{found.problem}`"
         raise InputError(f"Argument `trade` {message}.")

@@ -48,13 +48,13 @@ def add_trade(commands: Any) -> None:
 
 def _run_trade(options: argparse.Namespace) -> int:
     from zeno_orbits.model.library import load_problem
-    from zeno_orbits.precision.work_precision import QUICK, TradeSettings, trade
+    from zeno_orbits.precision.trials import QUICK, WorkPrecisionSettings, trade
 
     problem = load_problem(options.problem)
     values = values_of(problem, options)
     state = start_of(problem, options)
     require_outputs(options)
-    settings = QUICK if options.quick else TradeSettings()
+    settings = QUICK if options.quick else WorkPrecisionSettings()
     if options.until is not None:
         settings = replace(settings, until=options.until)
     with report.ProgressLine(options.interrupts.check) as progress:

@@ -1,1 +1,18 @@
-"""continuation."""
+"""Follow families of periodic orbits in a parameter, with special points, ends and boundaries.
+
+A family is followed both ways from one orbit, whether its orbits attract or not. Folds, flips,
+Neimark-Sacker and branch points and ends are located, and can be followed in a second parameter
+(`two_parameters`).
+
+Offers: `continue_orbit` and `continue_impacts`, which return a `Continuation` of `Family`, with
+`SecondParameter`, `ContinuationSettings` and `Crew` (workers) to say how; `start_orbit`;
+`orbit_amplitude` of a point of a family.
+Imports: search, orbits, simulation, model, work, arrays, errors.
+
+To find a fault in a family, read in this order: `continuation` (what is asked), `setup` (where it
+starts), `branch` (steps and ends), `corrector` (one point), `return_maps` (one return).
+"""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

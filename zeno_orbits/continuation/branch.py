@@ -27,7 +27,7 @@ from zeno_orbits.work.progress import Progress
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Steps(StepControl):
-    """How a family is followed, in scaled arclength: the parameter's whole range is one.
+    """Steps along a family, in scaled arclength: the parameter's whole range is one.
 
     Attributes:
         turn: Largest angle between neighbouring tangents [rad].
@@ -50,8 +50,8 @@ class Branch:
         points: In order, the first one given.
         special: Place of the point before it, and the special point.
         ending: Why it ends.
-        end: The end as it was located, if it was.
-        detail: What else is to be said of the end.
+        end: The located end, if there is one.
+        detail: More about the end.
     """
 
     points: tuple[BranchPoint, ...]
@@ -64,9 +64,9 @@ class Branch:
 _EASY = 0.4
 """Part of the allowed turn and stray that an easy step uses at most."""
 _FAR = 4.0
-"""How many steps ahead an end may be that is sought when a step has failed."""
+"""Distance in steps within which an end is sought when a step has failed."""
 _SOON = 1.0
-"""How many steps ahead an end is sought before a step fails."""
+"""Distance in steps within which an end is sought before a step fails."""
 
 
 def follow(

@@ -154,7 +154,7 @@ def start_orbit(
     By simulation alone, and where that does not close one, by the search.
 
     Raises:
-        OrbitNotFoundError: If there is none.
+        OrbitNotFoundError: If the motion settles to no such orbit.
     """
     try:
         closing = close_orbit(problem, values, on_progress=on_progress, shape=ONE_ZENO)

@@ -19,7 +19,7 @@ from zeno_orbits.orbits.section import Section
 
 _MOST_ITERATIONS = 9
 CLOSED = 2e-11
-"""Miss of a return, in scaled states, that counts as none."""
+"""Miss of a return, in scaled states, that counts as zero."""
 STALLED = 2e-9
 """Miss that rounding may leave near an end of a family; more is no point of it."""
 _CONTRACTION = 0.5
@@ -59,7 +59,7 @@ class BranchPoint:
         tangent: Unit tangent of the family there, ``(n_x + 1,)``.
         jacobian: :math:`\partial P / \partial y`, ``(d, d)``.
         found: The return.
-        miss: What the return misses the state by, in scaled states.
+        miss: Largest difference of the return from the state, in scaled states.
     """
 
     x: Vector
@@ -157,7 +157,7 @@ def first_point(
     """Return the point of the family at a parameter, its tangent with the parameter or against it.
 
     Raises:
-        ZenoOrbitsError: If there is none near the state.
+        ZenoOrbitsError: If no point is near the state.
     """
     z = metric.place(x, s)
     upwards = np.zeros(z.size)
@@ -166,7 +166,11 @@ def first_point(
 
 
 def followed(returns: ReturnMap, x: Vector, s: float, metric: Metric) -> Return:
-    """Return a return, or say that the numbers ran out of range on the way."""
+    """Return the return from a state.
+
+    Raises:
+        SimulationError: If numbers ran out of range on the way.
+    """
     if not (np.all(np.isfinite(x)) and np.isfinite(s)):
         raise SimulationError("Newton's method diverges", time=0.0, state=tuple(x.tolist()))
     try:

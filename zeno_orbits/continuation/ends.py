@@ -1,4 +1,4 @@
-r"""Where a family ends: what runs out, and the limit at which it has.
+r"""Ends of a family: the limit at which one of its margins vanishes.
 
 At an end the family exists on one side only. It is approached in a variable in which it is smooth
 up to the end, and the last stretch is extrapolated. Theory (39) and (40).
@@ -32,7 +32,7 @@ def locate_end(
         returns: The return map.
         metric: Units.
         points: Points in order, the last one near the end.
-        threat: What vanishes.
+        threat: The margin that vanishes.
 
     Raises:
         ZenoOrbitsError: If it cannot be closed in on.

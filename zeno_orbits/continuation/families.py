@@ -58,8 +58,8 @@ class FamilyPoint:
         state: State name to value at the section.
         period: [s].
         multipliers: Of the return map, the largest first.
-        margins: What is left before each loss; its name, and the return's number where several.
-        miss: What the return misses the state by, relative.
+        margins: Margins by name, with the number of the return where there are several.
+        miss: Largest difference of the return from the state, relative.
     """
 
     value: float
@@ -101,7 +101,7 @@ class SpecialPoint:
         at: The orbit; at an end, the limit of the orbits.
         error: Estimated error of the parameter's value; zero where it is given.
         index: Place among the family's points after which it comes.
-        detail: What else is to be said.
+        detail: More about it.
     """
 
     kind: Kind
@@ -181,7 +181,7 @@ class Boundary:
     """A special point followed in two parameters.
 
     Attributes:
-        kind: What it is.
+        kind: Its kind.
         names: The two parameters.
         x: Values of the first, in order along the curve.
         y: Values of the second.
@@ -241,7 +241,7 @@ def whole_curve(
     """Return a curve from its halves.
 
     Args:
-        kind: What it is.
+        kind: Its kind.
         names: The two parameters.
         first: The half that the curve ends with.
         second: The half that it begins with, backwards; not needed if the first closes.

@@ -44,7 +44,7 @@ class Job(Protocol[R]):
             on_progress: Called with each point.
 
         Raises:
-            ZenoOrbitsError: If there is none.
+            ZenoOrbitsError: If the job fails.
         """
         ...
 
@@ -104,7 +104,7 @@ class FollowDoubling:
     def run(
         self, problem: Problem, settings: ContinuationSettings, on_progress: Progress
     ) -> Branch | None:
-        """Return the branch, or ``None`` if there is none near the flip."""
+        """Return the branch, or ``None`` if none starts near the flip."""
         point, metric = self.flip, self.setup.metric
         once, setup = self.setup.returns(problem), self.setup.doubled()
         returns = setup.returns(problem)

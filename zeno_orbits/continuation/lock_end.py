@@ -40,7 +40,7 @@ def locate_cut(
         metric: Units.
         last: The last point of the family.
         margin: The locked time, of one of several returns.
-        distance: How far the end is, roughly.
+        distance: Rough distance of the end.
 
     Raises:
         ZenoOrbitsError: If it does not vanish near.
@@ -85,7 +85,7 @@ def locate_cut_near(
 _KNOWN_CUTS = (9, 7, 5, 4)
 """Impacts of the first cut where the end is known roughly."""
 _BESIDE = 0.03
-"""How far from there the end may be."""
+"""Largest distance of the end from there."""
 
 
 def _cut_ever_later(
@@ -170,7 +170,7 @@ def _slope(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Near:
-    """Where a root is looked for: farther off it is another one, or none."""
+    """The ball in which a root is looked for; one outside is another one."""
 
     centre: Vector
     reach: float

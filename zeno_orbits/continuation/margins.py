@@ -1,4 +1,4 @@
-r"""What a family loses at its end, and which of the losses is the cause of the others.
+r"""Margins that vanish at the end of a family, and which of them causes the others.
 
 Several margins may vanish at one point. What an end is called must not depend on which of them was
 followed to it, so it is a matter of the powers in which they vanish together. Theory (40).
@@ -28,7 +28,7 @@ ENDS = {
     Loss.RELEASE_RATE: Kind.RELEASE_LOST,
     Loss.ADHESION: Kind.EARLIER_RELEASE,
 }
-"""What a loss is called when it happens."""
+"""Kind of the end at which a margin vanishes."""
 
 _NEARLY = 0.4
 """Part of a margin's largest value below which its end may be near."""
@@ -47,7 +47,7 @@ _ENTAILED: dict[Loss, dict[Loss, float]] = {
     Loss.RELEASE_RATE: {Loss.FIRST_IMPACT: 3.0, Loss.ACCELERATION: 2.0, Loss.AMPLITUDE: 3.0},
     Loss.LOCK: {Loss.ACCELERATION: 1.0, Loss.ADHESION: 2.0},
 }
-"""What else vanishes with a margin, and with which power of it (theory (40)).
+"""Margins that vanish with another one, and with which power of it (theory (40)).
 
 The amplitude does so with the release where nothing but the flight moves it.
 """
@@ -55,7 +55,7 @@ The amplitude does so with the release where nothing but the flight moves it.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Threat:
-    """A margin that runs out.
+    """A margin that is about to vanish.
 
     Attributes:
         margin: Which.
@@ -70,11 +70,11 @@ class Threat:
 
 @dataclass(frozen=True, kw_only=True)
 class Stage:
-    """A place on the way to a loss.
+    """A place on the way to an end.
 
     Attributes:
-        z: Where, in any metric.
-        margins: What is left there.
+        z: The place, in any metric.
+        margins: The margins there.
     """
 
     z: Vector
@@ -87,7 +87,7 @@ def stages(points: Sequence[BranchPoint]) -> list[Stage]:
 
 
 def threats(way: Sequence[Stage], restitution: float) -> list[Threat]:
-    """Return the margins that run out beyond the last stage, the nearest first.
+    """Return the margins that vanish beyond the last stage, the nearest first.
 
     Args:
         way: Neighbours in order, at least two.
@@ -121,14 +121,14 @@ def _n_returns(stage: Stage) -> int:
 
 
 def consequences(margin: Margin, n_returns: int) -> dict[Margin, float]:
-    """Return what vanishes with a margin, and with which power of it.
+    """Return the margins that vanish with another one, and with which power of it.
 
     Where the amplitude vanishes everything does that is no time, in proportion. Where the release
     is not transversal the flight after it, in the next return, vanishes. Where the locked arc
     vanishes, so does the acceleration at its start.
 
     Args:
-        margin: What vanishes.
+        margin: The one that vanishes.
         n_returns: Returns to a period.
     """
     later = margin.loss is Loss.RELEASE_RATE
@@ -153,7 +153,7 @@ def _without_consequences(found: dict[Margin, Threat], n_returns: int) -> list[T
 
 
 def causes(way: Sequence[Stage], gone: Margin) -> tuple[Margin, ...]:
-    r"""Return what vanishes where a margin does, without what is entailed by another of them.
+    r"""Return the margins that vanish where one does, without the consequences of others.
 
     With :math:`m` the margin, others vanish with it as :math:`m^\alpha`. Next to the end
     :math:`\alpha` no longer changes; that of a margin with something left falls to zero.
@@ -198,15 +198,15 @@ CLOSE = 0.02
 
 
 def meeting(way: Sequence[Stage], restitution: float, within: float = CLOSE) -> str:
-    """Return in words what else is lost where a curve of special points ends.
+    """Return in words which margin vanishes where a curve of special points ends.
 
-    Two things happen there at once, a point of codimension two. Nothing is said if no margin runs
-    out near.
+    Two things happen there at once, at a point of codimension two. The text is empty if no margin
+    vanishes nearby.
 
     Args:
         way: Points of the curve in order.
         restitution: At the last one.
-        within: How far ahead a loss may be.
+        within: Largest distance ahead.
     """
     found: list[Threat] = []
     for margin, value in way[-1].margins.items():

@@ -45,7 +45,7 @@ class Loss(Enum):
 
     ``AMPLITUDE`` is the largest range of any state over a few fixed phases of a return: smooth
     along a family, and zero where the motion stands still. The amplitude that a problem names is
-    `zeno_orbits.continuation.amplitude.amplitude`.
+    `orbit_amplitude`.
     """
 
     AMPLITUDE = "amplitude"

@@ -1,4 +1,4 @@
-"""What a family is followed on: the numbers, the one that changes, the return map and the units."""
+"""The setup and the start of a family: numbers, the parameter, the return map, units."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ONE_RETURN = 1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ContinuationSettings:
-    """How to follow families.
+    """Settings of a continuation.
 
     Attributes:
         steps: Steps along a family.
@@ -41,7 +41,7 @@ class ContinuationSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class Setup:
-    """What a family is followed on, without the problem, which cannot be sent to a worker.
+    """Everything a family depends on but its problem, which cannot be sent to a worker.
 
     Attributes:
         values: The problem's numbers at the start.
@@ -79,7 +79,7 @@ class Setup:
 
 @dataclass(frozen=True, kw_only=True)
 class Start:
-    """Where a family begins.
+    """The start of a family.
 
     Attributes:
         setup: What it is followed on.

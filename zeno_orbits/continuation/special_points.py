@@ -1,4 +1,4 @@
-r"""Where a family changes its character: test functions and their roots.
+r"""Special points inside a family: test functions and their roots.
 
 Inside a family every test function is smooth along it, and a sign change between two points is
 closed in on by points of the family in between. Theory (38).
@@ -23,18 +23,18 @@ TestFunction = Callable[[BranchPoint], float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Located:
-    """A special point and how well it is known.
+    """A special point and its estimated error.
 
     Attributes:
-        kind: What it is.
+        kind: Its kind.
         point: A point of the family at it, or the nearest that was computed.
         z: Its ambient place, ``(n_x + 1,)``; at an end, the limit.
         period: [s].
         error: Estimated error of the parameter.
-        margins: How far the orbit is from each loss; at an end, the limits.
+        margins: Margins of the orbit; at an end, their limits.
         place: At an end, the return in which it is, counted from 0.
         path: Points of the family on the way to an end, in order.
-        also: At an end of codimension two, what else happens there.
+        also: At an end of codimension two, the other kinds.
     """
 
     kind: Kind
@@ -97,7 +97,7 @@ def crossings(a: BranchPoint, b: BranchPoint) -> tuple[Kind, ...]:
 def locate_inside(
     returns: ReturnMap, metric: Metric, a: BranchPoint, b: BranchPoint, kind: Kind
 ) -> Located | None:
-    """Return the special point between two neighbours, or ``None`` if it is none after all.
+    """Return the special point between two neighbours, or ``None`` if nothing happens there.
 
     Raises:
         ZenoOrbitsError: If a point in between cannot be had.
@@ -178,7 +178,7 @@ def located_near(
     """Return the special point near a point of a family, by secants along it.
 
     Raises:
-        ZenoOrbitsError: If there is none near.
+        ZenoOrbitsError: If no such point is near.
     """
     here, value = start, test(start)
     other = correct(returns, metric, here.z + _NUDGE * here.tangent, here.tangent)
@@ -200,13 +200,13 @@ def located_near(
 
 
 _NEAR, _TINY = 0.3, 1e-8
-"""How far a special point may be along the family, and a secant after which rounding is left."""
+"""Largest distance of a special point along the family; length of a secant that is rounding."""
 
 
 def _doubt(
     returns: ReturnMap, metric: Metric, point: BranchPoint, test: TestFunction, slope: float
 ) -> float:
-    """Return by how much a looser computation moves a root along the parameter, in its unit."""
+    """Return the change of a root along the parameter by a looser computation, in its unit."""
     try:
         again = corrected_again(returns.loosened(), metric, point)
     except ZenoOrbitsError:

@@ -11,8 +11,8 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
+from zeno_orbits.maps.attempt import Accuracy, Request
 from zeno_orbits.maps.attractors import Attractor
-from zeno_orbits.maps.newton_request import Accuracy, Request
 from zeno_orbits.maps.point import Point
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.simulation.attractor import bounds_of

@@ -1,22 +1,30 @@
-r"""Newton's method for a periodic orbit on its release section, from returns that a batch made.
+r"""Newton's step to a periodic orbit on its section, from returns that a batch made.
 
-A *bundle* starts from a release state and from states displaced by :math:`\epsilon` along each
-section coordinate, all following the first one's steps. Where they return tells
-:math:`P` and its derivative, and with them the fixed point to second order and the multipliers
-(theory (18)).
+A *bundle* starts from a state of the section and from states displaced by :math:`\epsilon` along
+each section coordinate, all following the first one's steps. Where they return tells :math:`P` and
+its derivative, and with them the fixed point to second order and the multipliers (theory (18)).
+The section is that of the releases, or of the states just after an impact where an orbit has no
+Zeno point and so no release (theory (41)).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector, eigenvalues
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.orbits.section import Section, release_section
-from zeno_orbits.simulation.batch.outcomes import Released
+from zeno_orbits.orbits.section import (
+    IMPACT_ROWS,
+    RELEASE_ROWS,
+    Section,
+    projected,
+    section_around,
+)
+from zeno_orbits.simulation.batch.outcomes import Released, Struck
 
 _DISPLACED = 1e-6
 """Displacement in scaled section coordinates.
@@ -30,7 +38,7 @@ _OFF = 0.3 * _DISPLACED
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bundle:
-    """A release state and its displaced neighbours.
+    """A state of a section and its displaced neighbours.
 
     Attributes:
         section: The chart around the state.
@@ -47,7 +55,7 @@ class Cycle:
 
     Attributes:
         state: Where it returns, ``(n_x,)``.
-        numbers: Period first, then the margins of a certificate in order, ``(5,)``.
+        numbers: Period first, then the margins of a certificate in order, ``(n,)``.
     """
 
     state: Vector
@@ -81,17 +89,23 @@ class FixedPoint:
         return max((abs(value) for value in self.multipliers), default=0.0)
 
 
-MARGINS = ("gap_acceleration", "first_impact_speed", "release_transversality", "locked_time")
-"""As `residuals.margins_of` names them."""
+def bundle_at(dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector, scale: Vector) -> Bundle:
+    """Return a state of a section and its neighbours.
 
+    The state is off its section by what the flow drifts from the stop. Where that is no small part
+    of a displacement, it is moved there as its neighbours are.
 
-def bundle_at(dynamics: HybridDynamics, x: Vector, scale: Vector) -> Bundle:
-    """Return a release state and its neighbours.
+    Args:
+        dynamics: The system.
+        rows: Rows of the contact that vanish on the section.
+        x: The state, ``(n_x,)``.
+        scale: Size of each state, ``(n_x,)``.
 
-    The state is off its section by what the locked flow drifts from the stop. Where that is no
-    small part of a displacement, it is moved there as its neighbours are.
+    Raises:
+        SimulationError: If there is no section near the state.
     """
-    section = release_section(dynamics, x, scale)
+    x = x if rows == RELEASE_ROWS else projected(dynamics, rows, x, scale)
+    section = section_around(dynamics, rows, x, scale)
     eye = _DISPLACED * np.eye(section.dimension)
     centre = section.state(dynamics, np.zeros(section.dimension))
     off = np.max(np.abs(centre - x) / scale)
@@ -99,13 +113,8 @@ def bundle_at(dynamics: HybridDynamics, x: Vector, scale: Vector) -> Bundle:
     return Bundle(section=section, states=np.array(states))
 
 
-def cycle_of(dynamics: HybridDynamics, events: Sequence[Released]) -> Cycle:
-    """Return what the releases of one period tell, margins at their smallest.
-
-    Args:
-        dynamics: The system, for the rate of the multiplier.
-        events: The releases, times from the start of the period.
-    """
+def _of_releases(dynamics: HybridDynamics, events: Sequence[Released]) -> Cycle:
+    """Return what the releases of one period tell, margins at their smallest."""
     margins = np.array(
         [
             (
@@ -119,6 +128,48 @@ def cycle_of(dynamics: HybridDynamics, events: Sequence[Released]) -> Cycle:
     )
     numbers = np.append(events[-1].time, margins.min(axis=0))
     return Cycle(state=events[-1].state, numbers=numbers)
+
+
+def _of_impacts(_: HybridDynamics, events: Sequence[Struck]) -> Cycle:
+    """Return what the impacts of one period tell."""
+    slowest = min(-event.rate for event in events)
+    return Cycle(state=events[-1].state, numbers=np.array([events[-1].time, slowest]))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Crossing:
+    """The events at which motions meet a section.
+
+    Attributes:
+        event: Their kind.
+        rows: Rows of the contact that vanish on the section.
+        margins: Names of the margins, as in a certificate.
+        cycle: From the system and the events of one period, with times from its start, to what
+            they tell.
+        far: Longest step of Newton's method from the motion, relative; the orbit has to be here.
+    """
+
+    event: type[Released | Struck]
+    rows: tuple[int, ...]
+    margins: tuple[str, ...]
+    cycle: Callable[[HybridDynamics, Sequence[Any]], Cycle]
+    far: float
+
+
+RELEASES = Crossing(
+    event=Released,
+    rows=RELEASE_ROWS,
+    margins=("gap_acceleration", "first_impact_speed", "release_transversality", "locked_time"),
+    cycle=_of_releases,
+    far=0.8,
+)
+IMPACTS = Crossing(
+    event=Struck,
+    rows=IMPACT_ROWS,
+    margins=("first_impact_speed",),
+    cycle=_of_impacts,
+    far=0.02,
+)
 
 
 def newton_step(

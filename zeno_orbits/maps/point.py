@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.maps.attempt import SAME, Accuracy, Attempt, Lost, Request
 from zeno_orbits.maps.attractors import Attractor, Fate
-from zeno_orbits.maps.newton import bundle_at
-from zeno_orbits.maps.newton_attempt import Attempt, Lost
-from zeno_orbits.maps.newton_impacts import ImpactBundle, bundle_around
-from zeno_orbits.maps.newton_request import SAME, Accuracy, Request
+from zeno_orbits.maps.newton import IMPACTS, RELEASES, bundle_at
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.simulation.attractor import (
     LOOK_BACK,
@@ -59,13 +59,13 @@ class Point:
         self._origin = 0.0
         self._tolerance = accuracy.motion
         self._returns: list[Return] = []
-        self._strikes: list[tuple[float, Vector, float]] = []
+        self._strikes: list[Struck] = []
         self._amplitudes: list[float] = []
         self._unit: Vector | None = None
         self._failures = 0
         self._tried: dict[int, tuple[float, int]] = {}
         self._looked: dict[int, float] = {}
-        self._attempt: Attempt | ImpactBundle | None = None
+        self._attempt: Attempt | None = None
 
     def begin(self) -> Request:
         """Return the first lane to run."""
@@ -81,16 +81,14 @@ class Point:
         Returns:
             Other lanes to run in place of these, or the conclusion, or nothing to go on.
         """
-        if isinstance(self._attempt, ImpactBundle):
-            return self._between_impacts(self._attempt.hear(rank, event))
         if self._attempt is not None:
             answer = self._attempt.hear(rank, event)
-            return self._give_up() if isinstance(answer, Lost) else answer
+            return self._give_up(self._attempt) if isinstance(answer, Lost) else answer
         time = self._origin + event.time
         if isinstance(event, Ended):
             return self._ended(event)
         if isinstance(event, Struck):
-            return self._struck(event, time)
+            return self._struck(replace(event, time=time))
         if self._returns and time - self._returns[-1].time < SAME * self._until:
             return None
         return self._returned(time, event.state)
@@ -133,11 +131,12 @@ class Point:
         return later or (repeated.change < _MUCH_NEARER * before and self._failures < _PATIENCE)
 
     def _begin_attempt(self, repeated: Repetition) -> Request | None:
+        """Begin Newton's method from releases that nearly repeat."""
         period = repeated.returns
         self._tried[period] = repeated.change, len(self._amplitudes)
         now, before = self._returns[-1], self._returns[-1 - period]
         scale = scale_of([one.state for one in self._returns[-LOOK_BACK:]], self._units)
-        bundle = bundle_at(self._dynamics, now.state, scale)
+        bundle = bundle_at(self._dynamics, RELEASES.rows, now.state, scale)
         if not np.all(np.isfinite(bundle.states)):
             return None
         self._attempt = Attempt(
@@ -151,32 +150,37 @@ class Point:
         )
         return self._attempt.request(neighbours=True)
 
-    def _give_up(self) -> Request:
-        """Return to the motion, from its last release on."""
+    def _give_up(self, attempt: Attempt) -> Request:
+        """Return to the motion, from its last event on that section."""
         self._attempt = None
-        self._failures += 1
-        last = self._returns[-1]
+        if attempt.crossing is RELEASES:
+            self._failures += 1
+            return self._go_on_from(self._returns[-1])
+        return self._go_on_from(self._strikes[-1])
+
+    def _go_on_from(self, last: Return | Struck) -> Request:
+        """Follow the motion from a state on the stop that leaves it."""
         self._origin = last.time
         return Request(last.state[None, :], self._tolerance, True, self._until - last.time)
 
     def _named(self, state: Vector) -> dict[str, float]:
         return dict(zip(self._dynamics.state_names, state.tolist(), strict=True))
 
-    def _struck(self, event: Struck, time: float) -> Request | Attractor | None:
+    def _struck(self, impact: Struck) -> Request | Attractor | None:
         """Look back from the first impact of a sequence, where no release comes."""
-        self._strikes.append((time, event.state, event.rate))
+        self._strikes.append(impact)
         del self._strikes[:-_REMEMBERED]
         if len(self._strikes) < LOOK_BACK:
             return None
-        states = [x for _, x, _ in self._strikes]
+        states = [one.state for one in self._strikes]
         scale = scale_of(states[-LOOK_BACK:], self._units)
+        repeats = self._accuracy.repeats
         for period, change in changes(states, scale).items():
             earlier = changes(states[:-period], scale).get(period, np.inf)
             if change < _CLOSE and earlier < 10 * _CLOSE:
                 answer = self._look_around(period, change, scale)
                 if answer is not None:
                     return answer
-            repeats = self._accuracy.repeats
             if change < repeats and earlier < 10 * repeats:
                 return self._repeated(period)
             if change < _DISTINCT:
@@ -188,45 +192,43 @@ class Point:
         """Go on more accurately from impacts that repeat, then conclude."""
         if self._tolerance == self._accuracy.orbit:
             return self._without_zeno(period)
-        time, state, _ = self._strikes[-1]
-        self._tolerance, self._origin = self._accuracy.orbit, time
+        last = self._strikes[-1]
+        self._tolerance = self._accuracy.orbit
         self._strikes.clear()
-        # The state is on the stop and leaves it, as after a release.
-        return Request(state[None, :], self._tolerance, True, self._until - time)
+        return self._go_on_from(last)
 
     def _look_around(self, period: int, change: float, scale: Vector) -> Request | None:
         """Begin Newton's method from impacts that nearly repeat, if it has not failed there."""
         if not change < _MUCH_NEARER * self._looked.get(period, np.inf):
             return None
         self._looked[period] = change
-        time, state, _ = self._strikes[-1]
-        span = time - self._strikes[-1 - period][0]
-        bundle = bundle_around(self._dynamics, self._accuracy, state, scale, period, span)
-        self._attempt = bundle
-        return None if bundle is None else bundle.request()
-
-    def _between_impacts(
-        self, answer: ImpactBundle | Attractor | Lost | None
-    ) -> Request | Attractor | None:
-        """Go on from a step of Newton's method, or from the motion where that failed."""
-        if isinstance(answer, ImpactBundle):
-            self._attempt = answer
-            return answer.request()
-        if not isinstance(answer, Lost):
-            return answer
-        self._attempt = None
-        time, state, _ = self._strikes[-1]
-        self._origin = time
-        return Request(state[None, :], self._tolerance, True, self._until - time)
+        last, before = self._strikes[-1], self._strikes[-1 - period]
+        try:
+            bundle = bundle_at(self._dynamics, IMPACTS.rows, last.state, scale)
+        except (ZenoOrbitsError, np.linalg.LinAlgError):
+            return None
+        if not np.all(np.isfinite(bundle.states)):
+            return None
+        self._attempt = Attempt(
+            dynamics=self._dynamics,
+            accuracy=self._accuracy,
+            crossing=IMPACTS,
+            span=last.time - before.time,
+            period=period,
+            bundle=bundle,
+            final=True,
+            origin=last.state,
+            earlier=before.state,
+        )
+        return self._attempt.request(neighbours=True)
 
     def _without_zeno(self, period: int) -> Attractor:
         last, first = self._strikes[-1], self._strikes[-1 - period]
-        rates = [rate for _, _, rate in self._strikes[-period:]]
         return Attractor(
             fate=Fate.NO_ZENO,
-            period=last[0] - first[0],
-            margins={"first_impact_speed": min(-rate for rate in rates)},
-            state=self._named(last[1]),
+            period=last.time - first.time,
+            margins={"first_impact_speed": min(-one.rate for one in self._strikes[-period:])},
+            state=self._named(last.state),
         )
 
     def _ended(self, event: Ended) -> Attractor:

@@ -62,4 +62,4 @@ class ImpactLaw(NamedTuple):
 
     def rate_drop(self, approach_rate: Any) -> Any:
         """Return the gap rate before an impact less the one after it."""
-        return approach_rate - self.speed_after(approach_rate)
+        return (1 + self.restitution) * approach_rate

@@ -141,8 +141,9 @@ class HybridLagrangian:
     ) -> HybridLagrangian:
         r"""Take the matrices of :math:`M(q)\,\dot v + C(q, v)\,v + N(q, v) = F` as they are.
 
-        What of `N` is not the gradient of the potential counts as a passive force, so the energy
-        balance is right with and without a potential.
+        What of `N` is not the gradient of the potential counts as a passive force. If a potential
+        is given, nothing of that may be left at rest: else the energy balance, in which a passive
+        force is a loss like any other, would hold for a false potential, too.
 
         Args:
             q: Configuration symbols, ``(n_q,)``.
@@ -160,8 +161,8 @@ class HybridLagrangian:
             The mechanism.
 
         Raises:
-            ValueError: If a shape does not fit, the mass matrix is not symmetric, or the Coriolis
-                matrix is that of another mass matrix.
+            ValueError: If a shape does not fit, the mass matrix is not symmetric, the Coriolis
+                matrix is that of another mass matrix, or the potential that of another force.
         """
         n_q = q.numel()
         for name, matrix in (("mass_matrix", mass_matrix), ("coriolis", coriolis)):
@@ -178,6 +179,8 @@ class HybridLagrangian:
         momentum_rate = ca.jtimes(ca.mtimes(mass_matrix, v), q, v)
         power = ca.dot(v, momentum_rate - 2 * ca.mtimes(coriolis, v))
         _require_zero("coriolis", "that of the mass matrix, v'(dM/dt - 2C)v = 0", power)
+        if potential is not None:
+            _require_potential(ca.vec(gravity), ca.gradient(potential, q), v)
         derived = cls.from_energies(
             q=q,
             v=v,
@@ -222,6 +225,24 @@ def _require_inertia(name: str, mass_matrix: ca.SX) -> None:
         if mass_matrix[k, :].is_zero():
             wanted = "must give every coordinate an inertia (a mass matrix that is not singular)"
             raise ValueError(f"Argument `{name}` {wanted}, but coordinate {k + 1} has none.")
+
+
+def _require_potential(gravity: ca.SX, gradient: ca.SX, v: ca.SX) -> None:
+    """Refuse a potential whose gradient is not the force at rest, at random numbers near 1."""
+    still = ca.substitute(ca.horzcat(gravity, gradient), v, ca.SX.zeros(v.numel()))
+    symbols = ca.veccat(*ca.symvar(still))
+    values = ca.Function("rest", [symbols], [ca.densify(still)])
+    random = np.random.default_rng(0)
+    for _ in range(4):
+        force, slope = np.array(values(random.uniform(0.5, 1.5, symbols.numel())).full()).T
+        left = np.abs(force - slope)
+        k = int(np.argmax(left))
+        if left[k] > _ROUNDING * float(np.max(np.abs([force, slope]))):
+            raise ValueError(
+                "Argument `potential` must have the gradient that `gravity` is at rest, but "
+                f"coordinate {k + 1} differs by {left[k]:.3g}: {force[k]:.9g} and {slope[k]:.9g}, "
+                "with about 1 for every symbol."
+            )
 
 
 def _require_zero(name: str, wanted: str, expression: ca.SX) -> None:

@@ -1,1 +1,16 @@
-"""precision."""
+"""How exact a result is and at what price: error estimates, reduced models, work and precision.
+
+An error estimate comes from a second run at a looser tolerance; the truth that engines are compared
+with, from numbers of many digits (the modules `extended*`, `multiprecision`, `series_roots`).
+
+Offers: `simulate_to` (an execution to a wanted accuracy), `simulate_with_error`, `settings_for`,
+`difference` (of two executions); `reduction_costs`, `reduction_cost` (errors of reduced models);
+`trade`, `WorkPrecision`, `read_work_precision`; `extended_execution`, `extended_orbit` (in many
+digits).
+
+Imports: search, verification, orbits, simulation, model, integrators, work, arrays, errors.
+"""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -20,44 +20,14 @@ from zeno_orbits.integrators.automatic import PAYS, eigenvalues, rates_of, stayi
 from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.orbits.looser_run import at_looser_tolerance
-from zeno_orbits.precision.landmarks import (
-    Kind,
-    Landmark,
-    apart,
-    difference,
-    landmarks,
-    sizes,
-    sizes_of,
-)
+from zeno_orbits.precision.landmark import ROUNDING, difference, sizes
 from zeno_orbits.simulation.completion import ZenoPassage
 from zeno_orbits.simulation.execution import Execution, Impact, Release, ZenoPoint
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 from zeno_orbits.work.progress import Progress, silent
 
-__all__ = [
-    "COARSEST",
-    "FINEST",
-    "ROUNDING",
-    "Assured",
-    "Kind",
-    "Landmark",
-    "apart",
-    "at_tolerance",
-    "difference",
-    "landmarks",
-    "settings_for",
-    "simulate_to",
-    "simulate_with_error",
-    "sizes",
-    "sizes_of",
-    "why_engine",
-]
-
 FINEST, COARSEST = 1e-12, 1e-2
 """Accuracies that can be asked for."""
-
-ROUNDING = 4e-15
-"""Differences below this, times the number of events, are rounding: two runs may share it."""
 
 _SHARE = 0.1
 """Tolerance in units of the accuracy: errors over ten periods stay below ten tolerances."""

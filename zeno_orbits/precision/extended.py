@@ -1,7 +1,7 @@
 r"""Completed executions in many digits: truth for everything that is computed in doubles.
 
-Gains and parameters enter exactly as the doubles that a ``ParameterValues`` holds, calibrated ones too, and
-so do the constants of the model: ``0.1`` means the double next to it.
+Gains and parameters enter exactly as the doubles that a ``ParameterValues`` holds, calibrated ones
+too, and so do the constants of the model: ``0.1`` means the double next to it.
 
 An execution is run in two lengths of numbers, with their own orders, steps and Zeno limits; what
 they differ by is the error of the shorter one. The longer one is returned.

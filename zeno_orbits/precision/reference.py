@@ -16,12 +16,12 @@ from zeno_orbits.integrators.automatic import decay_rates
 from zeno_orbits.integrators.casadi_to_heyoka import heyoka_is_installed
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.precision.accuracy import (
+from zeno_orbits.precision.accuracy import at_tolerance
+from zeno_orbits.precision.landmark import (
     ROUNDING,
     Kind,
     Landmark,
     apart,
-    at_tolerance,
     landmarks,
     sizes,
     sizes_of,

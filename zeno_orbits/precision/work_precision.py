@@ -1,33 +1,22 @@
-"""What accuracy costs: engines, tolerances, closures, meshes and reduced models against the truth.
+"""Work-precision results: the accuracy and the price of engines, closures and reduced models.
 
-The truth is computed in extended precision, and says itself how certain it is. Errors are those of
-`accuracy.apart`; times are medians of the processor's, which other work on the machine shakes less.
-
-Trade files: read back what `trade -o` wrote.
+The command `trade` measures and writes them; `trials` makes the measurements.
 """
 
 from __future__ import annotations
 
 import json
 import math
-import statistics
-import time
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
-from zeno_orbits.errors import InputError, ZenoOrbitsError
-from zeno_orbits.integrators import Automatic, Engine, Radau, RungeKutta, SciPy, Taylor
-from zeno_orbits.integrators.casadi_to_heyoka import heyoka_is_installed
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.precision.accuracy import ROUNDING, apart, at_tolerance, landmarks
-from zeno_orbits.precision.reference import Truth, is_too_stiff, true_landmarks
-from zeno_orbits.simulation.completion import Completion, FixedImpacts, Truncation
-from zeno_orbits.simulation.execution import Execution
-from zeno_orbits.simulation.simulator import SimulationSettings, simulate
-from zeno_orbits.work.progress import Progress, silent
+from zeno_orbits.errors import InputError
+from zeno_orbits.precision.landmark import ROUNDING
+from zeno_orbits.work.serialization import EntryError, restored
+
+SAME_WORK = ("engine", "cut", "impacts", "fidelity")
+"""Sweeps whose trials follow the same motion, so that their times compare."""
 
 _CLOSURES = {"cut": "plastic below a speed", "impacts": "limit after n impacts"}
 
@@ -63,7 +52,7 @@ class Trial:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Trade:
+class WorkPrecision:
     """All trials of one piece of work.
 
     Attributes:
@@ -94,7 +83,7 @@ class Trade:
         return tuple(front)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the trade as plain data; what is not finite becomes ``null``."""
+        """Return the results as plain data; what is not finite becomes ``null``."""
         front = set(map(id, self.front))
         return {
             "problem": self.problem,
@@ -121,269 +110,66 @@ class Trade:
         return next((trial for trial in self.front if trial.error <= accuracy), None)
 
 
-SAME_WORK = ("engine", "cut", "impacts", "fidelity")
-"""Sweeps whose trials follow the same motion, so that their times compare."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TradeSettings:
-    """How much to measure.
-
-    Attributes:
-        until: Length of the execution [s].
-        repeats: Runs of each setting.
-        tolerances: Of the engines.
-        slow_from: SciPy's methods are not tried below this tolerance: minutes would not do.
-        cuts: Thresholds of the paper's rule, as gap rates.
-        impacts: Numbers of impacts before the extrapolation.
-        meshes: Mesh tolerances of the solve for a periodic orbit; none where there is no orbit.
-    """
-
-    until: float = 6.0
-    repeats: int = 5
-    tolerances: tuple[float, ...] = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
-    slow_from: float = 1e-8
-    cuts: tuple[float, ...] = (1.0, 1e-1, 1e-2, 1e-3, 1e-4)
-    impacts: tuple[int, ...] = (1, 2, 3, 4, 6, 8)
-    meshes: tuple[float, ...] = (1e-2, 1e-4, 1e-6, 3e-8)
-
-
-QUICK = TradeSettings(
-    until=3.0, repeats=1, tolerances=(1e-4, 1e-8), cuts=(1e-1, 1e-3), impacts=(2, 4), meshes=()
-)
-"""A first look: seconds instead of a minute."""
-
-
-def trade(
-    problem: Problem,
-    values: ParameterValues,
-    state: Sequence[float],
-    *,
-    settings: TradeSettings | None = None,
-    on_progress: Progress = silent,
-) -> Trade:
-    """Measure what accuracy costs in a problem.
-
-    Args:
-        problem: The problem.
-        values: Its numbers.
-        state: Initial state, ``(n_x,)``.
-        settings: How much to measure.
-        on_progress: Called with what is being measured and the part that is done.
-
-    Raises:
-        SimulationError: If the problem cannot be followed so far.
-    """
-    settings = settings or TradeSettings()
-    dynamics = _model(problem, values)
-    on_progress("computing the truth", 0.0)
-    truth = true_landmarks(problem, values, dynamics, state, settings.until)
-    plans = [*_plans(dynamics, state, settings), *_reduced(problem, values, state, settings)]
-    trials: list[Trial] = []
-    for k, plan in enumerate(plans):
-        on_progress(f"{plan.sweep}: {plan.name}, {plan.value:.0e}", (k + 1) / (len(plans) + 1))
-        trials.append(_tried(plan, truth, settings))
-    trials += _meshes(problem, values, settings, on_progress)
-    return Trade(
-        problem=problem.name,
-        work=f"{settings.until:g} s from {_named(problem, state)}",
-        truth=truth.how,
-        truth_error=truth.error,
-        trials=tuple(trials),
-    )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Plan:
-    """A trial to be made: how it runs, and which entries of the truth's state it knows."""
+class _TrialEntry:
+    """A trial in a file; what is not finite is null."""
 
     sweep: str
     name: str
     value: float
-    dynamics: HybridDynamics
-    state: Sequence[float]
-    entries: Sequence[int]
-    simulation: SimulationSettings
+    seconds: float | None
+    error: float | None
+    impacts: int
+    trouble: str
 
 
-def engines() -> dict[str, Engine]:
-    """Return name to engine, all that can be had here."""
-    from scipy.integrate import DOP853, LSODA
-    from scipy.integrate import Radau as SciPyRadau
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _File:
+    """A file of the command `trade`."""
 
-    ours: dict[str, Engine] = {
-        "automatic": Automatic(),
-        "explicit": RungeKutta(),
-        "implicit": Radau(),
-    }
-    if heyoka_is_installed():
-        ours["taylor"] = Taylor()
-    return ours | {
-        "SciPy DOP853": SciPy(method=DOP853),
-        "SciPy LSODA": SciPy(method=LSODA),
-        "SciPy Radau": SciPy(method=SciPyRadau),
-    }
+    problem: str
+    work: str
+    truth: str
+    truth_error: float | None
+    trials: tuple[_TrialEntry, ...]
 
 
-def _plans(
-    dynamics: HybridDynamics, state: Sequence[float], settings: TradeSettings
-) -> Iterator[_Plan]:
-    def plan(sweep: str, name: str, value: float, simulation: SimulationSettings) -> _Plan:
-        return _Plan(
-            sweep=sweep,
-            name=name,
-            value=value,
-            dynamics=dynamics,
-            state=state,
-            entries=range(len(state)),
-            simulation=simulation,
-        )
+def read_work_precision(path: Path) -> WorkPrecision:
+    """Read a file that the command `trade` wrote.
 
-    for name, engine in engines().items():
-        for tolerance in settings.tolerances:
-            if not isinstance(engine, SciPy) or tolerance >= settings.slow_from:
-                yield plan("engine", name, tolerance, _settings(engine, tolerance))
-    tight = _settings(Automatic(), min(settings.tolerances))
-    closures: list[tuple[str, str, float, Completion]] = [
-        *(("cut", "plastic below", delta, Truncation(delta=delta)) for delta in settings.cuts),
-        *(("impacts", "limit after", n, FixedImpacts(n_impacts=n)) for n in settings.impacts),
-    ]
-    for sweep, name, value, completion in closures:
-        yield plan(sweep, name, value, replace(tight, completion=completion))
-
-
-def _reduced(
-    problem: Problem, values: ParameterValues, state: Sequence[float], settings: TradeSettings
-) -> Iterator[_Plan]:
-    """Plan the reduced models of a problem; the truth stays that of the full one."""
-    for reduced in problem.ladder()[1:]:
-        dynamics = _model(reduced, reduced.shared(values))
-        entries = [problem.state_names.index(name) for name in reduced.state_names]
-        for tolerance in settings.tolerances:
-            yield _Plan(
-                sweep="fidelity",
-                name=reduced.name.partition("@")[2],
-                value=tolerance,
-                dynamics=dynamics,
-                state=[state[entry] for entry in entries],
-                entries=entries,
-                simulation=_settings(Automatic(), tolerance),
-            )
-
-
-def _tried(plan: _Plan, truth: Truth, settings: TradeSettings) -> Trial:
-    """Run a plan, once to warm up and then for its time, and hold it against the truth."""
-    trial = Trial(
-        sweep=plan.sweep, name=plan.name, value=plan.value, seconds=math.inf, error=math.inf
-    )
-    by_series = isinstance(plan.simulation.engine, Taylor)
-    if by_series and is_too_stiff(plan.dynamics, plan.state, settings.until):
-        return replace(trial, trouble="left out: its steps are explicit, and the problem is stiff")
-    try:
-        execution, first = _timed(plan, settings.until)
-        repeats = settings.repeats if first < _LONG else 0
-        times = [_timed(plan, settings.until)[1] for _ in range(repeats)] or [first]
-    except (ZenoOrbitsError, ArithmeticError, ValueError) as error:
-        # Other people's integrators overflow in their own words.
-        return replace(trial, trouble=str(error))
-    entries = list(plan.entries)
-    known = [replace(mark, state=mark.state[entries]) for mark in truth.marks]
-    return replace(
-        trial,
-        seconds=statistics.median(times),
-        error=apart(landmarks(execution), known, truth.scale[entries]),
-        n_impacts=len(execution.impacts),
-    )
-
-
-_LONG = 2.0
-"""A run longer than this is not repeated [s]: nothing that warms up matters then."""
-
-_MOST_STEPS = 10_000
-"""Steps for every second of motion after which a setting is given up; good ones take 1000."""
-
-
-def _timed(plan: _Plan, until: float) -> tuple[Execution, float]:
-    limited = replace(plan.simulation, most_steps=round(_MOST_STEPS * max(until, 1.0)))
-    started = time.process_time()
-    execution = simulate(plan.dynamics, plan.state, until=until, settings=limited)
-    return execution, time.process_time() - started
-
-
-def _meshes(
-    problem: Problem, values: ParameterValues, settings: TradeSettings, on_progress: Progress
-) -> Iterator[Trial]:
-    """Solve for the periodic orbit on finer and finer meshes, each held against a simulation."""
-    if not settings.meshes:
-        return
-    from zeno_orbits.search import SearchSettings, find_orbit
-    from zeno_orbits.search.transcription.arc import TranscriptionSettings
-
-    for tolerance in settings.meshes:
-        on_progress(f"mesh: {tolerance:.0e}", 0.99)
-        transcription = TranscriptionSettings(mesh_tolerance=tolerance)
-        looked = SearchSettings(transcription=transcription, agreement=math.inf, rounds=1)
-        result = find_orbit(problem, values, settings=looked)
-        found = result.orbit is not None
-        yield Trial(
-            sweep="mesh",
-            name=f"{result.n_unknowns} unknowns" if found else "no orbit",
-            value=tolerance,
-            seconds=result.solve_time if found else math.inf,
-            error=result.agreement if found else math.inf,
-            n_impacts=0 if result.orbit is None else len(result.orbit.impacts),
-            trouble="" if found else f"{result.status.value} {result.detail}".strip(),
-        )
-        if not found:
-            return
-
-
-def _settings(engine: Engine, tolerance: float) -> SimulationSettings:
-    return at_tolerance(tolerance, SimulationSettings(engine=engine))
-
-
-def _model(problem: Problem, values: ParameterValues) -> HybridDynamics:
-    return problem.dynamics(values)
-
-
-def _named(problem: Problem, state: Sequence[float]) -> str:
-    pairs = zip(problem.state_names, state, strict=True)
-    return ", ".join(f"{name} = {value:.6g}" for name, value in pairs if value) or "rest"
-
-
-def read_trade(path: Path) -> Trade:
-    """Read a trade file.
+    Args:
+        path: The file.
 
     Raises:
         InputError: If it is missing, cut short or of a wrong type.
     """
+    wanted = f"Trade file `{path}` must hold what `trade -o` wrote, but"
     try:
-        data: Any = json.loads(path.read_text(encoding="utf-8"))
-        entries = cast("Mapping[str, Any]", data)
-        return Trade(
-            problem=str(entries["problem"]),
-            work=str(entries["work"]),
-            truth=str(entries["truth"]),
-            truth_error=_number(entries["truth_error"]),
-            trials=tuple(_trial(entry) for entry in entries["trials"]),
-        )
-    except (OSError, ValueError, RecursionError, KeyError, TypeError) as error:
-        message = f"Trade file `{path}` must hold what `trade -o` wrote, but it does not"
-        raise InputError(f"{message} ({type(error).__name__}).") from error
-
-
-def _trial(entry: Mapping[str, Any]) -> Trial:
-    return Trial(
-        sweep=str(entry["sweep"]),
-        name=str(entry["name"]),
-        value=float(entry["value"]),
-        seconds=_number(entry["seconds"]),
-        error=_number(entry["error"]),
-        n_impacts=int(entry["impacts"]),
-        trouble=str(entry["trouble"]),
+        found = restored(_File, json.loads(path.read_text(encoding="utf-8")))
+    except EntryError as error:
+        raise InputError(f"{wanted} {error}.") from error
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{wanted} it does not ({type(error).__name__}).") from error
+    return WorkPrecision(
+        problem=found.problem,
+        work=found.work,
+        truth=found.truth,
+        truth_error=_number(found.truth_error),
+        trials=tuple(
+            Trial(
+                sweep=entry.sweep,
+                name=entry.name,
+                value=entry.value,
+                seconds=_number(entry.seconds),
+                error=_number(entry.error),
+                n_impacts=entry.impacts,
+                trouble=entry.trouble,
+            )
+            for entry in found.trials
+        ),
     )
 
 
 def _number(value: float | None) -> float:
-    """Return a number; what was not finite was written as null."""
-    return math.inf if value is None else float(value)
+    """Return a number of a file; what was not finite was written as null."""
+    return math.inf if value is None else value

@@ -1,13 +1,13 @@
 """Completed executions, one or many in step, through every impact and Zeno point; and attractors.
 
-`simulate` follows one motion with dense output, `batch` many at once with less; both have exact
-derivatives elsewhere (`state_transition`, `sensitivity`). `attractor` says what a motion settles to.
+`simulate` follows one motion with dense output, `batch` many at once without; `sensitivity` has
+exact derivatives of the former. `attractor` defines what a motion settles to.
 
 Offers: `simulate` with `SimulationSettings`; an `Execution` of `Arc`s (of a `Mode`, with an
 `Ending`) and events `Impact`, `ZenoPoint`, `Release`; how a Zeno point is reached: `ZenoPassage`,
 `ZenoExtrapolation`, `Truncation`.
 
-Imports: model, integrators, arrays, errors.
+Imports: model, integrators, work, arrays, errors.
 """
 
 import lazy_loader as lazy

@@ -14,12 +14,10 @@ from zeno_orbits.integrators import RungeKutta
 from zeno_orbits.integrators.engine import Stepper
 from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.simulation.event_rules import is_geometric
 from zeno_orbits.simulation.rescaled_flight import rescaled_hop
 from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit, combine, extrapolate
 from zeno_orbits.simulation.zeno_passage import is_settled, pass_through
-
-_MAY_BEND = 0.1
-"""Largest relative change of d2h/dt2 over a Zeno tail; beyond it the tail is not geometric yet."""
 
 _FIRST_TRY = 6
 """Impacts that tell whether a sequence has settled on its curve.
@@ -77,8 +75,8 @@ class ZenoExtrapolation:
         if raw.error > self.tolerance:
             return None
         limit = ZenoLimit(time=raw.time, state=dynamics.on_stop(raw.state), error=raw.error)
-        bend = abs(dynamics.gap_acceleration(limit.state) - last.gap_acceleration)
-        return limit if bend <= _MAY_BEND * abs(last.gap_acceleration) else None
+        at_limit = dynamics.gap_acceleration(limit.state)
+        return limit if is_geometric(at_limit, last.gap_acceleration) else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

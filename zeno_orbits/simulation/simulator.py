@@ -9,24 +9,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import (
-    ChatterError,
-    InputError,
-    PenetrationError,
-    RunawayError,
-    SimulationError,
-)
-from zeno_orbits.integrators import Automatic, Engine, Leg, Outcome, Trajectory
-from zeno_orbits.integrators.engine import Watch
+from zeno_orbits.errors import ChatterError, InputError, PenetrationError, SimulationError
+from zeno_orbits.integrators import Automatic, Engine, Trajectory
 from zeno_orbits.integrators.events import SteppedTrajectory
 from zeno_orbits.integrators.flow import GuardedFlow, Tolerance
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.simulation.arc_follower import ArcFollower, ArcStart
 from zeno_orbits.simulation.completion import Completion, ZenoPassage
+from zeno_orbits.simulation.event_rules import closes_at_once, enters_stop, stop_holds
 from zeno_orbits.simulation.execution import (
     Arc,
     Ending,
@@ -95,108 +89,66 @@ def simulate(
         raise InputError(
             f"Argument `until` must be a positive number of seconds, but it is {until}."
         )
-    most = _Most(
-        releases=math.inf if releases is None else releases,
-        impacts=math.inf if impacts is None else impacts,
+    chosen = settings or SimulationSettings()
+    run = _Run(
+        dynamics=dynamics,
+        settings=chosen,
+        follower=ArcFollower(
+            dynamics=dynamics,
+            engine=chosen.engine,
+            tolerance=chosen.tolerance,
+            until=until,
+            contact=chosen.contact,
+            far=chosen.far,
+            most_steps=chosen.most_steps,
+        ),
+        most_releases=math.inf if releases is None else releases,
+        most_impacts=math.inf if impacts is None else impacts,
     )
-    run = _Run(dynamics, settings or SimulationSettings(), until, most, on_progress)
-    run.follow(run.admit(np.array(state, dtype=np.float64)))
+    start = run.admitted(np.array(state, dtype=np.float64))
+    while start is not None:
+        start = run.after_phase(start)
+        reached = run.arcs[-1].end_time if run.arcs else 0.0
+        on_progress("simulating", reached / until)
     return Execution(
         state_names=dynamics.state_names, arcs=tuple(run.arcs), events=tuple(run.events)
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Start:
-    """Where the next arc starts.
-
-    Attributes:
-        mode: Its mode.
-        time: When [s].
-        state: Where, ``(n_x,)``.
-        speed: Gap rate of a start from the stop, exactly; ``None`` for any other start.
-        impact: The impact that it comes from, if any.
-    """
-
-    mode: Mode
-    time: float
-    state: Vector
-    speed: float | None = None
-    impact: Impact | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Most:
-    """Events at which an execution ends."""
-
-    releases: float
-    impacts: float
-
-
-_FIRST_LOOK = 25_000
-"""Steps before the first look at the pace of an execution; good motions take some 150 a second."""
-
-_ROUNDING = 4 * 2.0**-52
-"""Of the largest coordinate: what the gap may be off by."""
-
-_RISING, _RISE = 4, 1.5
-"""Looks in a row between which a speed grows by this factor or more: that is no oscillation."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Look:
-    """How far an execution has come.
-
-    Attributes:
-        steps: Steps so far.
-        time: When [s].
-        speed: Largest velocity.
-    """
-
-    steps: int
-    time: float
-    speed: float
-
-
+@dataclass(slots=True, kw_only=True)
 class _Run:
-    """One execution in the making."""
+    """One execution in the making: what each event leads to.
 
-    def __init__(
-        self,
-        dynamics: HybridDynamics,
-        settings: SimulationSettings,
-        until: float,
-        most: _Most,
-        on_progress: Progress,
-    ) -> None:
-        self.dynamics = dynamics
-        self.settings = settings
-        self.engine = settings.engine
-        self.until = until
-        self.most = most
-        self.on_progress = on_progress
-        self.arcs: list[Arc] = []
-        self.events: list[Event] = []
-        self.n_impacts = 0
-        self.n_steps = 0
-        self.looks: list[_Look] = []
-        self.n_releases = 0
+    Every method returns where the next arc starts, or ``None`` at the end of the execution.
 
-    def follow(self, start: _Start | None) -> None:
-        """Follow the execution from an admitted start to its end."""
-        here = start
-        while here is not None:
-            if here.mode is Mode.LOCKED:
-                here = self.carry(here)
-            elif here.speed is None:
-                here = self.fly(here)
-            else:
-                here = self.bounce(here)
-            reached = self.arcs[-1].end_time if self.arcs else 0.0
-            self.on_progress("simulating", reached / self.until)
+    Attributes:
+        dynamics: The system.
+        settings: Accuracy.
+        follower: What follows its arcs, until the end of the time.
+        most_releases: Releases at which it ends.
+        most_impacts: Impacts that end flights, likewise.
+        arcs: Arcs so far.
+        events: Events so far.
+        n_impacts: Impacts among them.
+        n_releases: Releases among them.
+    """
 
-    def admit(self, x: Vector) -> _Start | None:
-        """Return the first start, or say why the state is not admissible."""
+    dynamics: HybridDynamics
+    settings: SimulationSettings
+    follower: ArcFollower
+    most_releases: float
+    most_impacts: float
+    arcs: list[Arc] = field(default_factory=list[Arc])
+    events: list[Event] = field(default_factory=list[Event])
+    n_impacts: int = 0
+    n_releases: int = 0
+
+    def admitted(self, x: Vector) -> ArcStart | None:
+        """Return the first start.
+
+        Raises:
+            InputError: If the state is not admissible; it says why.
+        """
         dynamics, small = self.dynamics, self.settings.contact
         names = dynamics.state_names
         if x.shape != (len(names),):
@@ -214,50 +166,36 @@ class _Run:
         if gap < -small:
             raise InputError(f"Argument `state` must have a gap >= 0, but it is {gap:.6g}.")
         if gap > small:
-            return _Start(mode=Mode.FREE, time=0.0, state=x)
+            return ArcStart(mode=Mode.FREE, time=0.0, state=x)
         if rate > small:
-            return _Start(mode=Mode.FREE, time=0.0, state=x, speed=rate)
+            return ArcStart(mode=Mode.FREE, time=0.0, state=x, speed=rate)
         if rate < -small:
-            return self.hit(0.0, x, rate)
-        return self.rest(0.0, dynamics.on_stop(x))
+            return self.impact(0.0, x, rate)
+        return self.on_stop(0.0, dynamics.on_stop(x))
 
-    def rest(self, time: float, x: Vector) -> _Start:
-        """Return the mode that holds on the stop at zero gap rate: locked, or released at once."""
-        holds = -self.dynamics.gap_acceleration(x)
-        if self._slack(x):
-            holds = self.dynamics.multiplier_rate(x)
-        return _Start(mode=Mode.LOCKED if holds > 0.0 else Mode.FREE, time=time, state=x)
+    def after_phase(self, start: ArcStart) -> ArcStart | None:
+        """Follow a locked arc, a flight, or a sequence of impacts to its Zeno point."""
+        if start.mode is Mode.LOCKED:
+            return self.locked_arc(start)
+        if start.speed is None:
+            return self.free_flight(start)
+        return self.impact_sequence(start)
 
-    def _slack(self, x: Vector) -> bool:
-        """Tell whether the stop neither holds nor repels, to rounding.
-
-        With ``a = d2h/dt2 > 0`` that falls at the rate ``b`` the gap would open to
-        ``2 a^3 / (3 b^2)`` and close again: no flight, where that is lost in the gap's rounding.
-        """
-        lift = self.dynamics.gap_acceleration(x)
-        if abs(lift) <= self.settings.contact:
-            return True
-        if not lift > 0.0:
-            return False
-        fall = self.dynamics.multiplier_rate(x) / self.dynamics.normal_inertia(x)
-        lost = _ROUNDING * float(np.max(np.abs(x[: self.dynamics.n_q])))
-        return fall > 0.0 and 2.0 * lift**3 <= 3.0 * lost * fall**2
-
-    def carry(self, start: _Start) -> _Start | None:
-        """Follow the locked flow to the release."""
-        slack = self._slack(start.state)
+    def locked_arc(self, start: ArcStart) -> ArcStart | None:
+        """Follow the locked flow to the release, where the multiplier falls through zero."""
+        slack = self._is_slack(start.state)
         arc, _ = self._arc(start, self.dynamics.locked, Ending.RELEASE, on_guard=slack)
         if arc.ending is Ending.HORIZON:
             return None
         state = self.dynamics.on_stop(arc.end_state)
         self.events.append(Release(time=arc.end_time, state=state))
         self.n_releases += 1
-        if self.n_releases >= self.most.releases:
+        if self.n_releases >= self.most_releases:
             return None
-        return _Start(mode=Mode.FREE, time=arc.end_time, state=state)
+        return ArcStart(mode=Mode.FREE, time=arc.end_time, state=state)
 
-    def fly(self, start: _Start) -> _Start | None:
-        """Follow the free flow to an impact, not coming from one."""
+    def free_flight(self, start: ArcStart) -> ArcStart | None:
+        """Follow the free flow from a start or a release to an impact."""
         released = self.dynamics.gap(start.state) <= self.settings.contact
         arc, _ = self._arc(start, self.dynamics.free, Ending.IMPACT, on_guard=released)
         if arc.ending is Ending.HORIZON:
@@ -265,28 +203,10 @@ class _Run:
         rate = self.dynamics.gap_rate(arc.end_state)
         if abs(rate) <= self.settings.contact:
             # The gap closes no faster than rounding: the stop is touched, not struck.
-            return self.rest(arc.end_time, self.dynamics.on_stop(arc.end_state))
-        return self.hit(arc.end_time, arc.end_state, rate)
+            return self.on_stop(arc.end_time, self.dynamics.on_stop(arc.end_state))
+        return self.impact(arc.end_time, arc.end_state, rate)
 
-    def bounce(self, start: _Start) -> _Start | None:
-        """Follow a sequence of impacts to its Zeno point, or until it turns into a free flight."""
-        estimates: list[TailEstimate] = []
-        first = self.n_impacts
-        here: _Start | None = start
-        while here is not None and here.speed is not None:
-            zeno = self._zeno_point(here, here.speed, estimates)
-            if zeno is not None:
-                return zeno
-            if self.n_impacts - first > self.settings.most_impacts:
-                raise ChatterError(
-                    f"More than {self.settings.most_impacts} impacts came without a Zeno point",
-                    time=here.time,
-                    state=tuple(here.state.tolist()),
-                )
-            here = self._hop(here, here.speed)
-        return here
-
-    def hit(self, time: float, state_minus: Vector, approach_rate: float) -> _Start | None:
+    def impact(self, time: float, state_minus: Vector, approach_rate: float) -> ArcStart | None:
         """Apply the reset map and return what follows it, if anything is to."""
         dynamics = self.dynamics
         if not approach_rate < 0.0:
@@ -297,7 +217,7 @@ class _Run:
             )
         state_plus = dynamics.reset_map(state_minus, approach_rate)
         speed = dynamics.speed_after(approach_rate)
-        if dynamics.gap_rate(state_plus) < -1e-9 * (1.0 - approach_rate):
+        if enters_stop(dynamics.gap_rate(state_plus), approach_rate):
             raise PenetrationError(
                 "The reset map sends the state into the stop",
                 time=time,
@@ -311,30 +231,55 @@ class _Run:
         )
         self.events.append(impact)
         self.n_impacts += 1
-        if self.arcs and self.n_impacts >= self.most.impacts:
+        if self.arcs and self.n_impacts >= self.most_impacts:
             return None
         if speed <= self.settings.contact:
             state = dynamics.on_stop(state_plus)
-            after = self.rest(time, state)
+            after = self.on_stop(time, state)
             if after.mode is Mode.FREE:
                 # The stop lets go: whatever is left of the speed, the flight is the free flow's.
                 return after
             if speed == 0.0:
                 self._reach(ZenoLimit(time=time, state=state, error=0.0), impact, 0.0)
                 return after
-        return _Start(mode=Mode.FREE, time=time, state=state_plus, speed=speed, impact=impact)
+        return ArcStart(mode=Mode.FREE, time=time, state=state_plus, speed=speed, impact=impact)
 
-    def _hop(self, start: _Start, speed: float) -> _Start | None:
+    def on_stop(self, time: float, x: Vector) -> ArcStart:
+        """Return the mode that holds on the stop at zero gap rate: locked, or released at once."""
+        slack = self._is_slack(x)
+        rate = self.dynamics.multiplier_rate(x) if slack else math.nan
+        holds = stop_holds(self.dynamics.gap_acceleration(x), rate, slack)
+        return ArcStart(mode=Mode.LOCKED if holds else Mode.FREE, time=time, state=x)
+
+    def impact_sequence(self, start: ArcStart) -> ArcStart | None:
+        """Follow a sequence of impacts to its Zeno point, or until it turns into a free flight."""
+        estimates: list[TailEstimate] = []
+        first = self.n_impacts
+        here: ArcStart | None = start
+        while here is not None and here.speed is not None:
+            zeno = self._zeno_point(here, here.speed, estimates)
+            if zeno is not None:
+                return zeno
+            if self.n_impacts - first > self.settings.most_impacts:
+                raise ChatterError(
+                    f"More than {self.settings.most_impacts} impacts came without a Zeno point",
+                    time=here.time,
+                    state=tuple(here.state.tolist()),
+                )
+            here = self.rescaled_flight(here, here.speed)
+        return here
+
+    def rescaled_flight(self, start: ArcStart, speed: float) -> ArcStart | None:
         """Follow one rescaled flight from an impact to the next (theory (14))."""
         flight = self.dynamics.flight(speed)
         arc, end = self._arc(start, flight, Ending.IMPACT, on_guard=True)
         if arc.ending is Ending.HORIZON:
             return None
-        return self.hit(arc.end_time, arc.end_state, speed * float(end[-1]))
+        return self.impact(arc.end_time, arc.end_state, speed * float(end[-1]))
 
     def _zeno_point(
-        self, start: _Start, speed: float, estimates: list[TailEstimate]
-    ) -> _Start | None:
+        self, start: ArcStart, speed: float, estimates: list[TailEstimate]
+    ) -> ArcStart | None:
         """Return the start of the locked arc if the impacts so far tell the Zeno point."""
         if start.impact is None:
             return None
@@ -346,9 +291,9 @@ class _Run:
             return None
         estimates.append(estimate)
         limit = self.settings.completion.limit(self.dynamics, estimates)
-        if limit is None or limit.time >= self.until:
+        if limit is None or limit.time >= self.follower.until:
             return None
-        after = self.rest(limit.time, limit.state)
+        after = self.on_stop(limit.time, limit.state)
         if after.mode is Mode.FREE:
             return None
         self._reach(limit, start.impact, speed)
@@ -387,107 +332,33 @@ class _Run:
             return None
         return SteppedTrajectory(steps=limit.path, duration=limit.time - start, end=limit.state)
 
-    def _watch(self, unit: float, start: float) -> Watch:
-        """Return what ends a leg that takes too long or goes too far."""
-        settings, n_q = self.settings, self.dynamics.n_q
-        far = np.asarray(settings.far) if np.min(settings.far) < math.inf else None
-
-        def watch(steps: int, offset: float, y: Vector) -> None:
-            self.n_steps += steps
-            if self.n_steps >= _FIRST_LOOK * 2 ** len(self.looks):
-                self._look(start + unit * offset, y)
-            if self.n_steps > settings.most_steps:
-                raise SimulationError(
-                    f"The execution takes more than {settings.most_steps} steps",
-                    time=start + unit * offset,
-                    state=tuple(y.tolist()),
-                )
-            if far is not None and float((np.abs(y[:n_q]) / far).max()) > 1.0:
-                name = self.dynamics.state_names[int(np.argmax(np.abs(y[:n_q]) / far))]
-                raise RunawayError(
-                    f"{name} runs away",
-                    time=start + unit * offset,
-                    state=tuple(y.tolist()),
-                    coordinate=name,
-                )
-
-        return watch
-
-    def _look(self, time: float, y: Vector) -> None:
-        """End a motion that speeds up so much that its steps will not last to the horizon.
-
-        A look comes at every doubling of the steps. Speeds that grow from look to look, and the
-        pace since the last one, tell in a tenth of the steps what all of them would.
-        """
-        n_q = self.dynamics.n_q
-        rates = np.abs(y[n_q : 2 * n_q])
-        self.looks.append(_Look(steps=self.n_steps, time=time, speed=float(rates.max())))
-        last = self.looks[-_RISING:]
-        if len(last) < _RISING or any(b.speed < _RISE * a.speed for a, b in pairwise(last)):
-            return
-        before = last[-2]
-        steps, passed = self.n_steps - before.steps, time - before.time
-        needed = (self.until - time) * steps / passed if passed > 0.0 else math.inf
-        if self.n_steps + needed > self.settings.most_steps:
-            name = self.dynamics.state_names[n_q + int(np.argmax(rates))]
-            raise RunawayError(
-                f"{name} grows without end: at the pace of its last {steps} steps, "
-                f"{needed:.1g} more would be needed",
-                time=time,
-                state=tuple(y.tolist()),
-            )
+    def _is_slack(self, x: Vector) -> bool:
+        """Return True if the stop neither holds nor repels a state on it, to rounding."""
+        lift = self.dynamics.gap_acceleration(x)
+        if abs(lift) <= self.settings.contact:
+            return True
+        if not lift > 0.0:
+            return False
+        return closes_at_once(
+            lift,
+            self.dynamics.multiplier_rate(x),
+            self.dynamics.normal_inertia(x),
+            float(np.max(np.abs(x[: self.dynamics.n_q]))),
+        )
 
     def _arc(
-        self, start: _Start, flow: GuardedFlow, natural: Ending, *, on_guard: bool
+        self, start: ArcStart, flow: GuardedFlow, natural: Ending, *, on_guard: bool
     ) -> tuple[Arc, Vector]:
-        """Follow a flow until its guard falls through zero or the horizon comes.
+        """Return the next arc, recorded, and the last state of the flow itself.
 
         Args:
             start: Where it starts; its speed makes it a rescaled flight.
             flow: The flow.
             natural: What the guard means.
             on_guard: The start is a root of the guard that does not count.
-
-        Returns:
-            The arc, recorded, and the last state of the flow itself.
         """
-        n_x = len(start.state)
-        unit = 1.0 if start.speed is None else start.speed
-        leg = Leg(
-            flow=flow,
-            y=start.state if start.speed is None else _launched(start.state),
-            horizon=(self.until - start.time) / unit,
-            tolerance=self.settings.tolerance,
-            on_guard=on_guard,
-            contact=self.settings.contact,
-            watch=self._watch(unit, start.time),
-        )
-        passage = self.engine.follow(leg)
-        time = start.time + unit * passage.duration
-        if passage.outcome is Outcome.LEFT:
-            raise PenetrationError(
-                "The state leaves the admissible set from its boundary",
-                time=time,
-                state=tuple(passage.state[:n_x].tolist()),
-            )
-        over = passage.outcome is Outcome.HORIZON
-        arc = Arc(
-            mode=start.mode,
-            start_time=start.time,
-            end_time=self.until if over else time,
-            start_state=start.state,
-            end_state=passage.state[:n_x],
-            ending=Ending.HORIZON if over else natural,
-            impact_index=self.n_impacts,
-            time_unit=unit,
-            trajectory=passage.trajectory,
+        arc, end = self.follower.follow(
+            start, flow, natural, impact_index=self.n_impacts, on_guard=on_guard
         )
         self.arcs.append(arc)
-        return arc, passage.state
-
-
-def _launched(x: Vector) -> Vector:
-    """Return the state of a rescaled flight at its start, ``(x, 0, 1)``."""
-    y = np.zeros(x.size + 2)
-    y[:-2], y[-1] = x, 1.0
-    return y
+        return arc, end

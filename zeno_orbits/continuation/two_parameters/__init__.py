@@ -1,1 +1,4 @@
-"""continuation.two_parameters."""
+"""Follow special points of families as curves in the plane of two parameters.
+
+Folds and flips are followed as roots of one system, ends and other points by secants.
+"""

@@ -40,7 +40,7 @@ class Spot:
 
     @property
     def amplitude(self) -> float:
-        """How far the orbit moves; NaN where that is not known, which is no less than anything."""
+        """Largest range of a state; NaN where it is not known, which is less than nothing."""
         margins = self.located.margins.items()
         return next((value for margin, value in margins if margin.loss is Loss.AMPLITUDE), np.nan)
 
@@ -52,7 +52,7 @@ class Before:
     Attributes:
         state: In scaled terms, ``(n_x,)``.
         away: In the plane, ``(2,)``.
-        left: What is left there of what vanishes at the end.
+        left: Value there of the margin that vanishes at the end.
     """
 
     state: Vector
@@ -61,7 +61,7 @@ class Before:
 
 
 class SecantCurve:
-    """A boundary in the making."""
+    """Follow a curve by secants."""
 
     def __init__(self, setup: CurveSetup, kind: Kind, place: int) -> None:
         self.setup, self.kind, self.place = setup, kind, place
@@ -139,12 +139,12 @@ class SecantCurve:
         return Step(end=met or f"{Kind.GAVE_UP.value}: {trouble}")
 
     def _others(self, spot: Spot) -> dict[Margin, float]:
-        """Return what is left at a point beside what vanishes on the curve."""
+        """Return the margins at a point that do not vanish on the curve."""
         margins = spot.located.margins.items()
         return {margin: value for margin, value in margins if ENDS.get(margin.loss) != self.kind}
 
     def _to_edge(self, at: Vector, forward: Vector) -> float:
-        """Return how far it is to the edge of the plane."""
+        """Return the distance to the edge of the plane."""
         bounds = self.plane.box / self.plane.units[:, None]
         reach = [
             ((high if slope > 0.0 else low) - value) / slope
@@ -154,7 +154,7 @@ class SecantCurve:
         return max(0.0, min(reach))
 
     def _fits(self, last: Spot, new: Spot, at: Vector, forward: Vector) -> bool:
-        """Tell whether a point is a neighbour of the last one."""
+        """Return True if a point is a neighbour of the last one."""
         step = float(np.linalg.norm(at - last.at))
         near = float(np.linalg.norm(new.at - at)) < self.steps.bend * step
         return near and float((new.at - last.at) @ forward) > 0.0
@@ -175,9 +175,9 @@ class SecantCurve:
         else:
             located, before = self._end(returns, z, last, across)
         if located.kind is not self.kind:
-            raise SimulationError("What ends there is another end", time=0.0, state=())
+            raise SimulationError("The end has another cause", time=0.0, state=())
         if not located.error < _CERTAIN:
-            raise SimulationError("What ends there is not certain", time=0.0, state=())
+            raise SimulationError("The end is not certain", time=0.0, state=())
         new_at = at + located.z[-1] * across
         return Spot(at=new_at, located=located, before=before)
 
@@ -232,12 +232,12 @@ def _direction(last: Spot, new: Spot) -> Vector:
 
 
 def _margin(kind: Kind, place: int) -> Margin:
-    """Return what vanishes at an end."""
+    """Return the margin that vanishes at an end."""
     return Margin(loss=next(loss for loss, end in ENDS.items() if end is kind), place=place)
 
 
 def left_of(point: BranchPoint, kind: Kind, place: int) -> float:
-    """Return what a point of a family has left of what vanishes at an end."""
+    """Return the value, at a point of a family, of the margin that vanishes at an end."""
     return point.found.margins.get(_margin(kind, place), np.nan)
 
 
@@ -247,6 +247,6 @@ _UP, _ACROSS = np.array([0.0, 1.0]), np.array([1.0, 0.0])
 _GUESSES = (_UP, -_UP, _ACROSS, -_ACROSS)
 """Directions in which a curve is looked for; within half a right angle of one of them it is."""
 _CERTAIN = 1e-6
-"""Estimated error of a point, as part of the range, above which it is none."""
+"""Largest estimated error of a point, as part of the range."""
 _SLANT = 0.2
 """Least sine of the angle at which a line crosses the family that leads to an end."""

@@ -26,7 +26,7 @@ MULTIPLIERS = {Kind.FOLD: 1.0, Kind.FLIP: -1.0}
 _EASY = 0.4
 """Part of the allowed turn and stray that an easy step uses at most."""
 _FAR = 2.0
-"""How many steps off a neighbour may be, on a bound for instance."""
+"""Largest distance of a neighbour, on a bound for instance, in steps."""
 _SMOOTH = 5.0
 """Factor by which the gradient of the test function may change in a step."""
 _REACHED = 1e-6

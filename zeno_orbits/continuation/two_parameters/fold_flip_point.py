@@ -33,13 +33,13 @@ _DIAGONALS = np.array([[1.0, 1.0], [1.0, -1.0]]) / np.sqrt(2.0)
 
 @dataclass(frozen=True, kw_only=True)
 class _Look:
-    """What is seen at a place: the return, what it misses, the test function.
+    """The equations at a place: the return, its miss, the test function.
 
     Attributes:
         x: State, ``(n_x,)``.
         at: Place in the plane, in units of the ranges, ``(2,)``.
         z: Both in scaled terms, ``(n_x + 2,)``.
-        missed: What the return misses the state by, ``(d,)``.
+        missed: Difference of the return from the state in coordinates, ``(d,)``.
         test: The test function.
         rows: Derivative of `missed` by coordinates and both lines, ``(d, d + 2)``.
         basis: Derivative of `z` by the same, ``(n_x + 2, d + 2)``.
@@ -69,7 +69,7 @@ class FoldFlipPoint:
         normal: Direction of the plane in which the parameters move off the curve, ``(2,)``; of a
             fold it turns smoothly even at a cusp.
         found: The return.
-        error: What `at` moves when the return is computed less accurately.
+        error: Change of `at` when the return is computed less accurately.
     """
 
     x: Vector
@@ -108,7 +108,7 @@ class FoldFlipSystem:
             along: Sense of the tangent, ``(n_x + 2,)``.
 
         Raises:
-            ZenoOrbitsError: If there is none near.
+            ZenoOrbitsError: If no point is near.
         """
         start = _seen(self, x, at)
         gradient = self._gradient(start)
@@ -206,7 +206,7 @@ class FoldFlipSystem:
 
 
 def _seen(system: FoldFlipSystem, x: Vector, at: Vector) -> _Look:
-    """Return what is seen at a state and a place of the plane."""
+    """Return the equations at a state and a place of the plane."""
     scale, size = system.metric.scale, x.size
     first, second = (system.setup.returns_on(at, way) for way in _DIAGONALS)
     x = first.projected(x, 0.0, scale)

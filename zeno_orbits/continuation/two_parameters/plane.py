@@ -1,4 +1,4 @@
-"""The plane of two parameters in which special points are curves, and the steps along these."""
+"""The plane of two parameters, and the setup and start of a curve of special points in it."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class CurveSteps(StepControl):
 
 @dataclass(frozen=True, kw_only=True)
 class CurveSetup:
-    """What a curve in two parameters is followed on.
+    """Everything a curve in two parameters depends on but its start.
 
     Attributes:
         plane: The two parameters; the family is followed in the first.

@@ -119,7 +119,7 @@ def compile_system(
         )
         raise ValueError(message)
     parameters = ca.vertcat(*symbols.values())
-    contact = cast(ca.SX, ca.vertcat(*system.contact))
+    contact = cast("ca.SX", ca.vertcat(*system.contact))
     powers = ca.vertcat(system.input_power, system.copper_loss, system.other_loss)
 
     def function(name: str, *outputs: ca.SX) -> ca.Function:

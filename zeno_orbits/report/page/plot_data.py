@@ -15,7 +15,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model.problem import Problem
-from zeno_orbits.precision.work_precision import SAME_WORK, Trade
+from zeno_orbits.precision.work_precision import SAME_WORK, WorkPrecision
 from zeno_orbits.report.page.subject import Subject
 from zeno_orbits.report.zeno_neighbourhood import CloseUp, close_up
 from zeno_orbits.simulation.execution import Ending, Execution, Mode
@@ -163,7 +163,7 @@ def _zeno(zoom: CloseUp, unit: str) -> dict[str, Any]:
     }
 
 
-def _trade(trade: Trade) -> dict[str, Any]:
+def _trade(trade: WorkPrecision) -> dict[str, Any]:
     drawn = [t for t in trade.trials if t.sweep in SAME_WORK and math.isfinite(t.error)]
     lines: list[dict[str, Any]] = []
     for label, group in groupby(drawn, key=lambda trial: trial.label):

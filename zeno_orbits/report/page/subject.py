@@ -8,7 +8,7 @@ from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.precision.work_precision import Trade
+from zeno_orbits.precision.work_precision import WorkPrecision
 from zeno_orbits.report.orbit_motion import motion_of
 from zeno_orbits.simulation.execution import Execution
 from zeno_orbits.verification.certificate import OrbitCertificate
@@ -38,7 +38,7 @@ class Subject:
     certificate: OrbitCertificate
     execution: Execution | None
     trouble: str
-    trade: Trade | None
+    trade: WorkPrecision | None
     file: str
     problem_file: str
     content: str
@@ -51,7 +51,7 @@ def subject_of(
     dynamics: HybridDynamics,
     certificate: OrbitCertificate,
     *,
-    trade: Trade | None = None,
+    trade: WorkPrecision | None = None,
     file: str = "orbit.json",
     problem_file: str = "",
     content: str = "",

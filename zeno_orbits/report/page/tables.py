@@ -9,7 +9,7 @@ from typing import Any, cast
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.model.quantities import Quantity
 from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.precision.work_precision import Trade, Trial
+from zeno_orbits.precision.work_precision import Trial, WorkPrecision
 from zeno_orbits.report.page import words
 from zeno_orbits.report.page.plotly_bundle import Bundle
 from zeno_orbits.report.page.subject import Subject
@@ -189,7 +189,7 @@ def energies_table(certificate: OrbitCertificate) -> Table[Any]:
     return table_of("Energy over one period [J]", columns, certificate.energies)
 
 
-def trade_table(trade: Trade) -> Table[Any]:
+def trade_table(trade: WorkPrecision) -> Table[Any]:
     """Return the cheapest setting for each accuracy."""
     columns: list[Column[tuple[float, Trial | None]]] = [
         text_column("accuracy [1]", lambda one: f"{one[0]:.0e}"),

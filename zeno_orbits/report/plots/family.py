@@ -11,6 +11,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from zeno_orbits.continuation.amplitude import orbit_amplitude
 from zeno_orbits.continuation.families import (
     Boundary,
     Continuation,
@@ -18,7 +19,6 @@ from zeno_orbits.continuation.families import (
     FamilyPoint,
     Kind,
 )
-from zeno_orbits.continuation.return_maps import Loss
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.report.plots.style import COLUMN_WIDTH, FULL_WIDTH, INK, add_legend, panels_of
 
@@ -50,13 +50,10 @@ def plot_families(found: Continuation, problem: Problem, *, width: float = FULL_
         width: Width of the picture [in].
     """
     main = found.families[0]
-    amplitudes = any(Loss.AMPLITUDE.value in name for name in main.points[0].margins)
-    size: tuple[str, Callable[[FamilyPoint], float]] = (
-        ("amplitude [SI]", _amplitude) if amplitudes else ("impact speed [SI]", _impact_speed)
-    )
+    unit = problem.state_units[problem.state_names.index(problem.amplitude_of)]
     quantities: list[tuple[str, Callable[[FamilyPoint], float]]] = [
         ("period [s]", lambda point: point.period),
-        size,
+        (f"amplitude of {problem.amplitude_of} [{unit}]", _amplitudes(found, problem)),
         ("spectral radius [1]", lambda point: point.spectral_radius),
     ]
     figure, panels = panels_of(width, len(quantities), height=2.3)
@@ -179,12 +176,14 @@ def _mark_all(ax: Axes, found: Continuation, value: Callable[[FamilyPoint], floa
     ax.set_ylim(low, high)
 
 
-def _amplitude(point: FamilyPoint) -> float:
-    return max(v for name, v in point.margins.items() if name.startswith(Loss.AMPLITUDE.value))
-
-
-def _impact_speed(point: FamilyPoint) -> float:
-    return max(v for name, v in point.margins.items() if name.startswith(Loss.FIRST_IMPACT.value))
+def _amplitudes(found: Continuation, problem: Problem) -> Callable[[FamilyPoint], float]:
+    """Return the amplitude of each point, simulated once."""
+    known = {
+        id(point): orbit_amplitude(problem, family, point)
+        for family in found.families
+        for point in (*family.points, *(special.at for special in family.named))
+    }
+    return lambda point: known[id(point)]
 
 
 def _named(problem: Problem, name: str) -> str:

@@ -14,7 +14,7 @@ from zeno_orbits.maps.mapping import ParameterMap
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.precision.work_precision import Trade
+from zeno_orbits.precision.work_precision import WorkPrecision
 from zeno_orbits.report.orbit_motion import motion_of
 from zeno_orbits.report.plots.certificate import plot_certificate
 from zeno_orbits.report.plots.family import plot_boundaries, plot_families
@@ -98,7 +98,7 @@ def _of_map(found: ParameterMap, _problem: Problem | None, width: float) -> Figu
     return plot_map(found, width=width)
 
 
-def _of_trade(found: Trade, _problem: Problem | None, width: float) -> Figure:
+def _of_trade(found: WorkPrecision, _problem: Problem | None, width: float) -> Figure:
     return plot_trade(found, width=width)
 
 
@@ -114,6 +114,6 @@ _PICTURES: dict[type, Callable[[Any, Problem | None, float], Figure]] = {
     Family: _of_family,
     Continuation: _of_continuation,
     ParameterMap: _of_map,
-    Trade: _of_trade,
+    WorkPrecision: _of_trade,
     Comparison: _of_comparison,
 }

@@ -9,7 +9,7 @@ from itertools import groupby
 
 from matplotlib.figure import Figure
 
-from zeno_orbits.precision.work_precision import SAME_WORK, Trade
+from zeno_orbits.precision.work_precision import SAME_WORK, WorkPrecision
 from zeno_orbits.report.plots.style import FULL_WIDTH, INK, add_legend, panels_of
 
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F", "#000000")
@@ -19,7 +19,7 @@ _LEAST = 1e-17
 """Errors below this are drawn at it: the axis is logarithmic."""
 
 
-def plot_trade(trade: Trade, *, width: float = FULL_WIDTH) -> Figure:
+def plot_trade(trade: WorkPrecision, *, width: float = FULL_WIDTH) -> Figure:
     """Return the work-precision diagram of a trade.
 
     Args:

@@ -12,10 +12,10 @@ if TYPE_CHECKING:
     from zeno_orbits.continuation.families import Boundary, Continuation
     from zeno_orbits.maps.attractors import Attractor
     from zeno_orbits.maps.mapping import ParameterMap
-    from zeno_orbits.precision.work_precision import Trade, Trial
+    from zeno_orbits.precision.work_precision import Trial, WorkPrecision
 
 
-def print_trade(trade: Trade) -> None:
+def print_trade(trade: WorkPrecision) -> None:
     """Print the trials of a trade, those that no other beats marked, and the cheapest for each."""
     front = set(map(id, trade.front))
     table = table_of("", "sweep", "setting", "value", "time [ms]", "error", "impacts")

@@ -21,10 +21,8 @@ from zeno_orbits.simulation.batch.lanes import (
 from zeno_orbits.simulation.batch.model import ABSOLUTE, BatchFlow, BatchModel
 from zeno_orbits.simulation.batch.outcomes import Ended, Event, Reason, Released, Struck
 from zeno_orbits.simulation.batch.zeno_limit import Tails
+from zeno_orbits.simulation.event_rules import enters_stop, is_geometric, stop_holds
 from zeno_orbits.simulation.zeno_limit import tail_time
-
-_MAY_BEND = 0.1
-"""Largest relative change of d2h/dt2 over a Zeno tail; beyond it the tail is not geometric yet."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -196,11 +194,10 @@ class Transitions:
         """Tell where the stop holds, and where it neither holds nor repels, to rounding."""
         lead = self.lead(rows)
         slack = np.abs(acceleration) <= self.settings.contact
-        holds = acceleration < 0.0
+        rate = np.full(len(rows), np.nan)
         if slack.any():
             rate = self.model.contact(state, self.lanes.p[rows, :-1])[0][:, MULTIPLIER_RATE]
-            holds = np.where(slack, rate > 0.0, holds)
-        return holds[lead], slack[lead]
+        return stop_holds(acceleration, rate, slack)[lead], slack[lead]
 
     def _lock(
         self,
@@ -230,7 +227,7 @@ class Transitions:
         lanes.struck[rows] = np.where(lanes.impacts[rows] == 0, rate, lanes.struck[rows])
         lanes.impacts[rows] += 1
         self.fail(rows[~(rate < 0.0)], "An impact must close the gap, but it opens")
-        inside = (rate < 0.0) & (rate_plus < -1e-9 * (1.0 - rate))
+        inside = (rate < 0.0) & enters_stop(rate_plus, rate)
         self.fail(rows[inside], "The reset map sends the state into the stop")
         chatter = lanes.impacts[rows] > self.settings.most_impacts
         most = f"More than {self.settings.most_impacts} impacts came without a release"
@@ -307,7 +304,7 @@ class Transitions:
         there = there[:, 0]
         holds, slack = self._holds(rows, state, there)
         fit = (error <= settings.completion * lanes.tolerance[rows]) & (time < lanes.until[rows])
-        fit &= np.abs(there - acceleration) <= _MAY_BEND * np.abs(acceleration)
+        fit &= is_geometric(there, acceleration)
         done = (fit & holds)[lead]
         lanes.zeno_time[rows[done]] = time[done]
         lanes.zeno_acceleration[rows[done]] = there[done]

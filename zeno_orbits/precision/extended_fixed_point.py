@@ -18,13 +18,12 @@ from dataclasses import dataclass
 from decimal import Decimal
 from typing import Any
 
-import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from zeno_orbits.arrays import Array
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model.numeric.compiled import CompiledSystem
 from zeno_orbits.model.problem import ParameterValues, Problem
+from zeno_orbits.orbits.section import Section, release_section
 from zeno_orbits.precision.extended import (
     SPARE_DIGITS,
     ExtendedImpact,
@@ -38,8 +37,6 @@ from zeno_orbits.precision.extended import (
 from zeno_orbits.precision.extended_run import ExtendedRun, Trace
 from zeno_orbits.precision.extended_system import ExtendedSystem, State
 from zeno_orbits.precision.multiprecision import Arithmetic, decimal
-
-Matrix = NDArray[np.float64]
 
 _SCOUT_DIGITS = 20
 """Length of the numbers in which the derivative is measured."""
@@ -110,7 +107,8 @@ def extended_orbit(
     compiled = problem.compiled()
     check_state(release_guess, compiled.n_x)
     entries = values.vector
-    section = _section(compiled, entries, [float(value) for value in release_guess])
+    near = np.array([float(value) for value in release_guess])
+    section = release_section(problem.dynamics(values), near, 1.0 + np.abs(near))
     lengths = (_SCOUT_DIGITS, *(digits + spare for spare in SPARE_DIGITS))
     maps = [
         _ReturnMap(ExtendedSystem(Arithmetic(digits=length), compiled, entries), section, horizon)
@@ -146,37 +144,6 @@ def extended_orbit(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Section:
-    """A chart of the release section, in states divided by their scale, in doubles.
-
-    Attributes:
-        scale: Size of each state, ``(n_x,)``.
-        tangent: Orthonormal directions in the section, ``(n_x, n_section)``.
-        normal: Pseudo-inverse of the gradient of the conditions, ``(n_x, n_conditions)``.
-    """
-
-    scale: Matrix
-    tangent: Matrix
-    normal: Matrix
-
-
-def _section(compiled: CompiledSystem, values: Sequence[float], x: Sequence[float]) -> _Section:
-    """Return the chart around a release state."""
-    state, p = ca.SX.sym("x", compiled.n_x), ca.SX.sym("p", len(values))
-    gap, gap_rate, _, multiplier, _ = compiled.contact_at(state, p)
-    conditions = ca.vertcat(gap, gap_rate, multiplier, compiled.holonomic(state, p))
-    gradient = ca.Function("gradient", [state, p], [ca.jacobian(conditions, state)])
-    scale = 1.0 + np.abs(np.array(x))
-    left, sizes, right = np.linalg.svd(gradient(x, list(values)).full() * scale)
-    rank = int(np.count_nonzero(sizes > 1e-9 * sizes[0]))
-    return _Section(
-        scale=scale,
-        tangent=right[rank:].T,
-        normal=right[:rank].T / sizes[:rank] @ left[:, :rank].T,
-    )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class _Closed:
     """A fixed point of the return map in numbers of one length."""
 
@@ -188,7 +155,7 @@ class _Closed:
 class _ReturnMap:
     """The return map in numbers of one length."""
 
-    def __init__(self, system: ExtendedSystem, section: _Section, horizon: float) -> None:
+    def __init__(self, system: ExtendedSystem, section: Section, horizon: float) -> None:
         self._system = system
         self._section = section
         self._horizon = system.arithmetic.number(horizon)
@@ -220,9 +187,9 @@ class _ReturnMap:
             )
         return trace
 
-    def jacobian(self, x: State) -> Matrix:
+    def jacobian(self, x: State) -> Array:
         """Return the derivative of the map in section coordinates, by central differences."""
-        n_section = self._section.tangent.shape[1]
+        n_section = self._section.dimension
         jacobian = np.zeros((n_section, n_section))
         for k in range(n_section):
             shift = _DIFFERENCE * np.eye(n_section)[k]
@@ -232,7 +199,7 @@ class _ReturnMap:
             jacobian[:, k] = self._coordinates(ahead, behind) / (2 * _DIFFERENCE)
         return jacobian
 
-    def close(self, guess: Sequence[Any], jacobian: Matrix) -> _Closed:
+    def close(self, guess: Sequence[Any], jacobian: Array) -> _Closed:
         """Return the fixed point near a guess."""
         left = np.eye(len(jacobian)) - jacobian
         x, before = self.release(guess), float("inf")
@@ -252,13 +219,13 @@ class _ReturnMap:
         message = f"The return map does not close: it leaves {before:.3g}"
         raise SimulationError(message, time=horizon, state=_floats(x))
 
-    def _coordinates(self, x: State, origin: State) -> Matrix:
+    def _coordinates(self, x: State, origin: State) -> Array:
         """Return the section coordinates of a small difference of states."""
         # The difference is taken in full length; as a double it keeps 16 of its own digits.
         apart = np.array([float(a - b) for a, b in zip(x, origin, strict=True)])
-        return self._section.tangent.T @ (apart / self._section.scale)
+        return self._section.components(apart)
 
-    def _moved(self, x: State, coordinates: Matrix) -> State:
+    def _moved(self, x: State, coordinates: Array) -> State:
         shifts = self._section.scale * (self._section.tangent @ coordinates)
         number = self._system.arithmetic.number
         return self.release([a + number(float(b)) for a, b in zip(x, shifts, strict=True)])

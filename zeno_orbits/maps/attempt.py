@@ -1,8 +1,12 @@
-"""An attempt at the orbit that a motion goes to, by Newton's method (theory (29))."""
+"""An attempt at the orbit that a motion goes to, by Newton's method (theory (29)).
+
+The loop is the same on both sections; `Crossing` says what differs.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,16 +14,15 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.maps.attractors import Attractor, Fate
 from zeno_orbits.maps.newton import (
-    MARGINS,
+    RELEASES,
     Bundle,
+    Crossing,
     FixedPoint,
     bundle_at,
-    cycle_of,
     newton_step,
 )
-from zeno_orbits.maps.newton_request import SAME, Accuracy, Request
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.simulation.batch.outcomes import Ended, Event, Released
+from zeno_orbits.simulation.batch.outcomes import Ended, Event, Released, Struck
 
 _MOST_ITERATIONS = 12
 _SHRINKS = 0.9
@@ -36,6 +39,49 @@ _COARSE = 3e-4
 """Newton's steps above this are repeated at the accuracy of the motion first."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Accuracy:
+    """How accurately motions are followed to what they settle to.
+
+    Attributes:
+        motion: Local error while a motion settles.
+        orbit: Local error of the orbit that is reported.
+        near: Change of a return up to which Newton's method is tried, relative.
+        exact: Last step of Newton's method; what remains is its square, the multipliers' error
+            itself.
+        repeats: Change that counts as repeating where Newton's method is not available.
+    """
+
+    motion: float = 1e-6
+    orbit: float = 1e-8
+    near: float = 0.02
+    exact: float = 2e-6
+    repeats: float = 1e-7
+
+
+class Request(NamedTuple):
+    """Lanes that a point asks for, in place of those it has.
+
+    Attributes:
+        states: Where they start, ``(n, n_x)``; the first leads the others.
+        tolerance: Local error.
+        released: Whether they start at a release.
+        until: How long they run [s].
+    """
+
+    states: Vector
+    tolerance: float
+    released: bool
+    until: float
+
+
+SAME = 1e-8
+"""A release that soon after the last one, for a unit of the time given, is the same one.
+
+Rounding has locked the start.
+"""
+
+
 @dataclass(frozen=True, slots=True)
 class Lost:
     """There is no orbit that the motion goes to, as far as this attempt tells."""
@@ -48,15 +94,16 @@ class Attempt:
     Attributes:
         dynamics: The system.
         accuracy: How accurately.
+        crossing: The events that make its section.
         span: Time of a period, about [s].
         period: Returns a period.
         bundle: Where its lanes started.
         final: Whether they run at the accuracy of the orbit.
-        origin: The release of the motion from which it started, ``(n_x,)``.
+        origin: The state of the motion from which it started, ``(n_x,)``.
         earlier: That a period before, ``(n_x,)``.
         before: Length of the step before; the first is allowed anything.
         jacobian: Derivative from the bundle before, for a lane without neighbours.
-        returns: Releases of each lane so far.
+        returns: Events of the section on each lane so far.
         iterations: Steps made.
         contracts: Whether the return map contracts wherever a step began, and none turned back.
         last_step: The last step, in scaled states, ``(n_x,)``.
@@ -64,6 +111,7 @@ class Attempt:
 
     dynamics: HybridDynamics
     accuracy: Accuracy
+    crossing: Crossing = RELEASES
     span: float
     period: int
     bundle: Bundle
@@ -72,7 +120,9 @@ class Attempt:
     earlier: Vector
     before: float = np.inf
     jacobian: Vector | None = None
-    returns: dict[int, list[Released]] = field(default_factory=dict[int, list[Released]])
+    returns: dict[int, list[Released | Struck]] = field(
+        default_factory=dict[int, list[Released | Struck]]
+    )
     iterations: int = 0
     contracts: bool = True
     last_step: Vector | None = None
@@ -89,14 +139,14 @@ class Attempt:
         """Take an event of one of the lanes; once all have returned, make a step."""
         if isinstance(event, Ended):
             return Lost()
-        if not isinstance(event, Released):
+        if not isinstance(event, self.crossing.event):
             return None
         returns = self.returns[rank]
         if len(returns) < self.period and event.time > SAME * self.span:
             returns.append(event)
         if any(len(events) < self.period for events in self.returns.values()):
             return None
-        cycles = [cycle_of(self.dynamics, self.returns[k]) for k in sorted(self.returns)]
+        cycles = [self.crossing.cycle(self.dynamics, self.returns[k]) for k in sorted(self.returns)]
         try:
             point = newton_step(self.dynamics, self.bundle.section, cycles, self.jacobian)
         except (np.linalg.LinAlgError, ZenoOrbitsError):
@@ -110,7 +160,7 @@ class Attempt:
         if not (np.all(np.isfinite(point.jacobian)) and np.isfinite(point.distance)):
             return Lost()
         shrinks = point.distance <= max(_SHRINKS * self.before, accuracy.exact)
-        near = point.distance < accuracy.far and self.iterations <= _MOST_ITERATIONS
+        near = point.distance < self.crossing.far and self.iterations <= _MOST_ITERATIONS
         if not (shrinks and near):
             return Lost()
         if point.distance < _NEAR and point.spectral_radius > _REPELS:
@@ -123,8 +173,11 @@ class Attempt:
         coarse = not self.final and point.distance > _COARSE
         least = min((abs(1 - value) for value in point.multipliers), default=1.0)
         straight = coarse and point.distance < _STRAIGHT * least
-        scale = self.bundle.section.scale
-        self.bundle = bundle_at(self.dynamics, point.state, scale)
+        try:
+            scale = self.bundle.section.scale
+            self.bundle = bundle_at(self.dynamics, self.crossing.rows, point.state, scale)
+        except ZenoOrbitsError:
+            return Lost()
         # The fixed point moves with the accuracy: the first step at another one says nothing.
         self.before = point.distance if self.final != coarse else np.inf
         self.final = not coarse
@@ -144,7 +197,7 @@ class Attempt:
         self.last_step = step
 
     def _vanishes(self, point: FixedPoint) -> bool:
-        """Tell whether the way leads to an amplitude of zero."""
+        """Return True if the way leads to an amplitude of zero."""
         scale = self.bundle.section.scale
         left = float(np.max(np.abs(point.state) / scale))
         return left < _VANISHED * float(np.max(np.abs(self.origin) / scale))
@@ -171,7 +224,7 @@ class Attempt:
         return self.period
 
     def _is_approached(self, point: FixedPoint) -> bool:
-        """Tell whether the last step of the motion was the one that leads to the orbit."""
+        """Return True if the last step of the motion was the one that leads to the orbit."""
         section = self.bundle.section
         centre = section.coordinates(point.state)
         before = section.coordinates(self.earlier) - centre
@@ -183,13 +236,14 @@ class Attempt:
 
     def _orbit(self, point: FixedPoint) -> Attractor:
         period, *margins = point.numbers.tolist()
+        releases = self.crossing is RELEASES
         fate = Fate.ZENO if self.dynamics.restitution > 0.0 else Fate.SIMPLE
-        if not np.all(np.isfinite(margins)):
+        if not (releases and np.all(np.isfinite(margins))):
             fate = Fate.NO_ZENO
-        named = dict(zip(MARGINS, margins, strict=True))
+        named = dict(zip(self.crossing.margins, margins, strict=True))
         return Attractor(
             fate=fate,
-            returns=self.period,
+            returns=self.period if releases else 0,
             period=period,
             multipliers=point.multipliers,
             margins={name: value for name, value in named.items() if np.isfinite(value)},

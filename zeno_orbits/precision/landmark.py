@@ -13,6 +13,9 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.simulation.execution import Event, Execution, Impact, ZenoPoint
 
+ROUNDING = 4e-15
+"""Differences below this, times the number of events, are rounding: two runs may share it."""
+
 _NOTHING = 1e-12
 """A state that is never larger is zero to rounding, and no unit of its own error."""
 

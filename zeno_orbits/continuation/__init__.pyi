@@ -1,0 +1,13 @@
+from .amplitude import orbit_amplitude as orbit_amplitude
+from .continuation import SecondParameter as SecondParameter
+from .continuation import continue_impacts as continue_impacts
+from .continuation import continue_orbit as continue_orbit
+from .continuation import start_orbit as start_orbit
+from .families import Boundary as Boundary
+from .families import Continuation as Continuation
+from .families import Family as Family
+from .families import FamilyPoint as FamilyPoint
+from .families import Kind as Kind
+from .families import SpecialPoint as SpecialPoint
+from .parallel import Crew as Crew
+from .setup import ContinuationSettings as ContinuationSettings

@@ -1,0 +1,9 @@
+from .certificate import RESIDUALS as RESIDUALS
+from .certificate import DeltaCut as DeltaCut
+from .certificate import OrbitCertificate as OrbitCertificate
+from .measurement import measure as measure
+from .measurement import require_quantities as require_quantities
+from .verifier import VerificationSettings as VerificationSettings
+from .verifier import certified as certified
+from .verifier import problem_dynamics as problem_dynamics
+from .verifier import verify as verify
