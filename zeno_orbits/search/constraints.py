@@ -18,6 +18,7 @@ from zeno_orbits.model.contact import GAP_ACCELERATION, GAP_RATE
 from zeno_orbits.orbits.bounds import Bound
 from zeno_orbits.search.spectral_radius import keep_radius_below
 from zeno_orbits.search.transcription.arc import CollocatedArc
+from zeno_orbits.search.transcription.mesh import lagrange_basis
 from zeno_orbits.search.transcription.transcribe import OrbitTerms
 from zeno_orbits.simulation.signals import Signal, peaks, signal, signal_names
 
@@ -197,9 +198,5 @@ def inside(terms: OrbitTerms, arc: CollocatedArc, fraction: float) -> ca.MX:
     first = interval * n
     start = arc.start if first == 0 else arc.stages[:, first - 1]
     points = np.concatenate([[0.0], terms.scheme.nodes])
-    weights = [
-        math.prod(float((place - q) / (point - q)) for q in points if q != point)
-        for point in points
-    ]
     states = ca.horzcat(start, arc.stages[:, first : first + n])
-    return ca.mtimes(states, ca.DM(weights))
+    return ca.mtimes(states, ca.DM(lagrange_basis(points, float(place))))

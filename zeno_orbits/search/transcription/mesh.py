@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -41,7 +42,7 @@ def graded_mesh(
     """
     points = np.concatenate([[0.0], scheme.nodes])
     between = (points[1:] + points[:-1]) / 2
-    predict = _lagrange(points, between)
+    predict = np.array([lagrange_basis(points, float(place)) for place in between])
 
     def fits(left: float, right: float) -> bool:
         at = np.array([trajectory(left + (right - left) * float(c)) for c in points])
@@ -67,13 +68,14 @@ def stage_fractions(mesh: Array, scheme: Collocation) -> Array:
     return (mesh[:-1, None] + sizes[:, None] * scheme.nodes).ravel()
 
 
-def _lagrange(points: Array, targets: Array) -> Array:
-    """Return the matrix from values at points to the interpolant at targets."""
-    rows: list[list[float]] = []
-    for target in targets:
-        row: list[float] = []
-        for k, point in enumerate(points):
-            others = [other for j, other in enumerate(points) if j != k]
-            row.append(math.prod(float((target - o) / (point - o)) for o in others))
-        rows.append(row)
-    return np.array(rows)
+def lagrange_basis(points: Array, place: Any) -> list[Any]:
+    """Return the weights of values at points for the interpolant at a place.
+
+    Args:
+        points: The points of the polynomial, ``(n,)``.
+        place: Where to interpolate, a number or an expression.
+    """
+    return [
+        math.prod((place - float(q)) / float(p - q) for j, q in enumerate(points) if j != k)
+        for k, p in enumerate(points)
+    ]
