@@ -63,8 +63,9 @@ def _kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any
 
 
 def oscillator() -> tuple[Any, ZenoOrbit]:
+    # Plastic impacts, of which a return has one.
     problem = locate_problem(PROBLEM).load()
-    return problem, start_orbit(problem, problem.values())
+    return problem, start_orbit(problem, problem.values(parameters={"restitution": 0.0}))
 
 
 def crewed(place: Workers | Cluster | None, folder: Path | None = None) -> Any:

@@ -153,6 +153,11 @@ def start_orbit(
 
     By simulation alone, and where that does not close one, by the search.
 
+    Args:
+        problem: The problem.
+        values: Its numbers.
+        on_progress: Called with each stage.
+
     Raises:
         OrbitNotFoundError: If the motion settles to no such orbit.
     """

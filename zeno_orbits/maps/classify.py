@@ -1,4 +1,4 @@
-"""What motions settle to, for many settings of a problem at once: one chunk of a map."""
+"""Attractors at many parameter values of a problem at once: one chunk of a map."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def attractors_at(
 
 
 def _in_words(problem: Problem, found: Attractor) -> Attractor:
-    """Return an attractor with what the problem calls its escape."""
+    """Return an attractor whose escape has the words of the problem."""
     if found.escaped not in problem.escapes:
         return found
     return replace(found, detail=problem.escapes[found.escaped].phrase)
@@ -112,7 +112,7 @@ class _Run:
 
     @property
     def is_going(self) -> bool:
-        """Whether a point has not come to its conclusion."""
+        """True while a point has not come to its conclusion."""
         return bool(self._waiting or self._points)
 
     @property

@@ -37,7 +37,7 @@ class Boundary:
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class ParameterMap:
-    """What motions settle to over a plane.
+    """The attractors over a plane.
 
     Attributes:
         problem: Name of the problem.
@@ -88,7 +88,7 @@ class ParameterMap:
 
     @property
     def has_zeno(self) -> bool:
-        """Whether a motion settles to a Zeno periodic orbit or a simple one somewhere."""
+        """True if a motion settles to a Zeno periodic orbit or a simple one somewhere."""
         return any(one.fate in (Fate.ZENO, Fate.SIMPLE) for one in self.attractors)
 
     def header(self) -> dict[str, Any]:

@@ -27,7 +27,7 @@ _LEAST = 2
 _MOST = 10_000_000
 """Points of a plane: a day of work for a hundred cores, and gigabytes."""
 _WITHOUT_CLOCK = 60.0
-"""How long a motion may take to settle where no clock tells [s]."""
+"""Time that a motion may take to settle where there is no clock [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,7 +83,7 @@ class Plane:
 
     @property
     def time(self) -> float:
-        """How long a motion may take to settle [s]."""
+        """Time that a motion may take to settle [s]."""
         return usual_time(self) if self.until is None else self.until
 
     def __call__(self, points: Sequence[Sequence[float]]) -> list[dict[str, Any]]:

@@ -1,4 +1,4 @@
-r"""What a motion settles to: one definition for searches, maps, families and rigs (theory (29)).
+r"""The attractor of a motion: one definition for searches, maps, families and rigs (theory (29)).
 
 A motion is known by its *returns*: the states in which it meets a section, mostly its releases,
 and impacts where no release comes. `outcome_of` goes from them and what happened in between to one
@@ -61,7 +61,7 @@ _SCATTER = 0.2
 
 
 class Outcome(Enum):
-    """What a motion settles to. The value completes the sentence "The motion ..."."""
+    """Kinds of attractors. The value completes the sentence "The motion ..."."""
 
     REPEATS = "repeats"
     RESTS = "comes to rest"
@@ -90,7 +90,7 @@ class Return:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Motion:
-    """What has been seen of a motion.
+    """A motion as far as it has been seen.
 
     Attributes:
         units: Unit of each state, ``(n_x,)``: states of one unit are measured alike.
@@ -248,7 +248,7 @@ def repetitions(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Growth:
-    """How the amplitude of a motion changes.
+    """Change of the amplitude of a motion.
 
     Attributes:
         factor: Growth over a return, fitted to the last few; NaN with too few.

@@ -37,7 +37,7 @@ from zeno_orbits.work.progress import Progress, silent
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulationSettings:
-    """How accurately to simulate.
+    """Accuracy and limits of a simulation.
 
     Attributes:
         engine: The integrator.

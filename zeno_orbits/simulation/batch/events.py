@@ -1,4 +1,4 @@
-"""Where the guards of many lanes fall through zero inside a step: `engines.crossing` in rows.
+"""Falls of the guards of many lanes inside a step: `integrators.events` in rows.
 
 Every value is the guard at the end of a true, shorter step from the same start, so a root needs no
 polish, and none is looked for at the start of a lane that begins on its guard.
@@ -32,7 +32,7 @@ _GUESSES = 5
 
 
 def may_fall(size: Vector, before: Vector, after: Vector, on_guard: Mask) -> Mask:
-    """Tell which guards may have fallen through zero within their steps, ``(n,)``.
+    """Return which guards may have fallen through zero within their steps, ``(n,)``.
 
     The cubic through values and rates at both ends lies in the hull of its Bernstein coefficients.
 

@@ -1,4 +1,4 @@
-"""What becomes of lanes when something happens to them: impacts, Zeno points, release, the end.
+"""Transitions of lanes at their events: impacts, Zeno points, release, the end.
 
 The rules are those of `simulate` in rows, `completion.ZenoExtrapolation` among them.
 """
@@ -27,7 +27,7 @@ from zeno_orbits.simulation.zeno_limit import tail_time
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BatchSettings:
-    """How to advance the lanes of a batch.
+    """Accuracy and limits of a batch.
 
     Attributes:
         completion: Largest estimated error of a Zeno limit, for a unit of the lane's tolerance.
