@@ -28,7 +28,7 @@ import numpy as np
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.model.library import locate_problem
 from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 from zeno_orbits.search import SearchResult, find_orbit, search_gains
 from zeno_orbits.search.guess import settle
 from zeno_orbits.verification.verifier import verify

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.cli.test_cli import MISUSE, NO, YES, Answer, ask
-from zeno_orbits.experiment.recordings.recording import Source, read_recording
+from zeno_orbits.experiment import Source, read_recording
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.orbit_file import write_orbit
 from zeno_orbits.report.terminal import progress

@@ -29,7 +29,7 @@ from zeno_orbits.continuation.two_parameters.plane import CurveSteps
 from zeno_orbits.errors import CheckpointError, InputError, SimulationError, WorkError
 from zeno_orbits.model.library import load_problem, locate_problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 from zeno_orbits.work import Cluster, Lost, Plan, Workers, open_pool
 from zeno_orbits.work import scheduling as spreading_module
 from zeno_orbits.work.progress import silent

@@ -28,7 +28,7 @@ from zeno_orbits.maps.mapping import ParameterMap, parameter_map
 from zeno_orbits.maps.plane import Axis, Plane, chunk_of, require_plane
 from zeno_orbits.model.library import bundled_problems, load_problem, locate_problem
 from zeno_orbits.model.problem import Escape
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 from zeno_orbits.work import Cluster, Plan, Workers
 
 YES, NO, MISUSE = 0, 1, 2
@@ -460,12 +460,17 @@ def test_a_problem_object_is_refused_where_other_processes_or_a_checkpoint_need_
     assert list(tmp_path.iterdir()) == []
 
 
-def test_motions_are_waited_for_in_periods_of_the_slowest_clock() -> None:
-    assert require_plane(table()).time == pytest.approx(300 * 2 * np.pi / 29.9)
+def test_motions_are_waited_for_in_turns_of_the_slowest_clock_or_oscillation() -> None:
+    # 300 turns of the slower corner, to one digit.
+    assert require_plane(table()).time == 60.0
     slow = table(y=Axis(name="omega", lower=0.1, upper=1.0, count=2))
-    assert require_plane(slow).time == pytest.approx(300 * 2 * np.pi / 0.1)
+    assert require_plane(slow).time == 20_000.0
     assert require_plane(table(until=7.0)).time == 7.0
-    assert require_plane(plane()).time == 60.0
+    # 35 swings of 2 pi sqrt(1 / 9.81) s, and of a time scale a thousand times as long.
+    assert require_plane(plane()).time == 70.0
+    heavy = plane(x=Axis(name="g", lower=9.81e-6, upper=9.9e-6, count=2))
+    assert require_plane(heavy).time == 70_000.0
+    assert require_plane(pendulum()).time == 60.0
 
 
 def test_the_command_finds_the_orbits_of_a_table_that_search_finds() -> None:

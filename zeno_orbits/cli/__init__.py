@@ -32,7 +32,7 @@ from zeno_orbits.cli.streams import patient_streams
 from zeno_orbits.cli.trade import add_trade
 from zeno_orbits.cli.verify import add_verify
 from zeno_orbits.errors import InputError, ZenoOrbitsError
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 
 __all__ = ["build_parser", "main"]
 

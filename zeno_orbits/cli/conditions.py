@@ -16,7 +16,7 @@ from zeno_orbits.cli.options import (
     say_written,
     values_of,
 )
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 from zeno_orbits.work.files import require_picture
 
 if TYPE_CHECKING:

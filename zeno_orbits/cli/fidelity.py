@@ -14,7 +14,7 @@ from zeno_orbits.cli.options import (
     print_json,
     values_of,
 )
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 
 
 def add_fidelity(commands: Any) -> None:
@@ -46,5 +46,5 @@ def _run_fidelity(options: argparse.Namespace) -> int:
     if options.json:
         print_json([asdict(cost) for cost in costs])
     else:
-        report.print_costs(costs)
+        report.print_reduction_costs(costs)
     return YES

@@ -20,11 +20,11 @@ from zeno_orbits.cli.options import (
     values_of,
 )
 from zeno_orbits.cli.parsing import read_fit
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 from zeno_orbits.work.files import write_whole
 
 if TYPE_CHECKING:
-    from zeno_orbits.experiment.identification.identification import Sought
+    from zeno_orbits.experiment import Unknown
     from zeno_orbits.model.problem import ParameterValues, Problem
 
 
@@ -59,9 +59,9 @@ def add_identify(commands: Any) -> None:
 
 
 def _run_identify(options: argparse.Namespace) -> int:
-    from zeno_orbits.experiment.identification.identification import identify
+    from zeno_orbits.experiment import identify, read_recording
     from zeno_orbits.experiment.orbit_table import measurable
-    from zeno_orbits.experiment.recordings.recording import cut, read_recording
+    from zeno_orbits.experiment.recordings.recording import cut
     from zeno_orbits.model.library import load_problem
     from zeno_orbits.orbits.orbit_file import write_orbit
 
@@ -90,12 +90,12 @@ def _run_identify(options: argparse.Namespace) -> int:
 _DECADE = 10.0
 
 
-def _sought(problem: Problem, values: ParameterValues, text: str) -> tuple[Sought, ...]:
+def _sought(problem: Problem, values: ParameterValues, text: str) -> tuple[Unknown, ...]:
     """Return what is to be found, in ranges that the problem allows."""
-    from zeno_orbits.experiment.identification.identification import Sought
+    from zeno_orbits.experiment import Unknown
 
     known = {quantity.name: quantity for quantity in problem.parameters}
-    found: list[Sought] = []
+    found: list[Unknown] = []
     for names, box in read_fit(text):
         lower, upper = -math.inf, math.inf
         for name in names:
@@ -104,5 +104,5 @@ def _sought(problem: Problem, values: ParameterValues, text: str) -> tuple[Sough
         value = values.parameters.get(names[0], 0.0)
         around = sorted((value / _DECADE, value * _DECADE)) if value else (-1.0, 1.0)
         low, high = box if box is not None else (max(lower, around[0]), min(upper, around[1]))
-        found.append(Sought(names=names, lower=max(low, lower), upper=min(high, upper)))
+        found.append(Unknown(names=names, lower=max(low, lower), upper=min(high, upper)))
     return tuple(found)

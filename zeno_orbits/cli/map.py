@@ -24,7 +24,7 @@ from zeno_orbits.cli.options import (
 )
 from zeno_orbits.cli.parsing import read_boxes, read_grid, read_numbers
 from zeno_orbits.errors import InputError
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
     from zeno_orbits.maps.mapping import Boundary, ParameterMap
@@ -67,8 +67,8 @@ def add_map(commands: Any) -> None:
         "--until",
         type=float,
         metavar="T",
-        help="how long a motion may take to settle [s]; by default 300 periods of the problem's "
-        "clock, or 60 s without one",
+        help="how long a motion may take to settle [s]; by default 300 turns of the problem's "
+        "clock, or 35 of its slowest oscillation",
     )
     add_place(parser)
     parser.add_argument("--picture", type=Path, help="draw the map here")

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from zeno_orbits.cli.parsing import read_count, read_numbers
 from zeno_orbits.errors import InputError
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.integrators.engines import ENGINES, Selective, engine_named
+from zeno_orbits.report import terminal as report
 from zeno_orbits.work.files import require_picture, require_writable
 
 if TYPE_CHECKING:
@@ -101,8 +102,8 @@ def add_accuracy(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--engine",
-        choices=("automatic", "explicit", "implicit", "taylor"),
-        default="automatic",
+        choices=tuple(ENGINES),
+        default=next(iter(ENGINES)),
         help="the integrator; automatic steps explicitly, and implicitly where the problem is stiff; "
         "taylor needs the extra of that name",
     )
@@ -197,19 +198,9 @@ def start_of(problem: Problem, options: argparse.Namespace) -> tuple[float, ...]
 
 def simulation_of(options: argparse.Namespace) -> SimulationSettings:
     """Return the simulator's settings for the engine that was asked for."""
-    from zeno_orbits.integrators import Automatic, Radau, RungeKutta, Taylor
-    from zeno_orbits.integrators.casadi_to_heyoka import load_heyoka
     from zeno_orbits.simulation.simulator import SimulationSettings
 
-    if options.engine == "taylor":
-        load_heyoka()
-    engines = {
-        "automatic": Automatic,
-        "explicit": RungeKutta,
-        "implicit": Radau,
-        "taylor": Taylor,
-    }
-    return SimulationSettings(engine=engines[options.engine]())
+    return SimulationSettings(engine=engine_named(options.engine))
 
 
 def verification_of(options: argparse.Namespace, tolerance: float) -> VerificationSettings:
@@ -229,20 +220,17 @@ def verification_of(options: argparse.Namespace, tolerance: float) -> Verificati
 
 def require_engine(options: argparse.Namespace, dynamics: HybridDynamics) -> None:
     """Refuse an engine that cannot follow a system, before any work is done with it."""
-    if options.engine != "taylor":
+    engine = engine_named(options.engine)
+    if not isinstance(engine, Selective):
         return
     import numpy as np
-
-    from zeno_orbits.integrators.flow import Tolerance
-    from zeno_orbits.integrators.taylor_modes import carrier, symbols_of
 
     # Some state off the stop and on it: what rests there is no part of the series.
     off = np.ones(len(dynamics.state_names))
     starts = (off, dynamics.on_stop(off), np.append(off, (1.0, 1.0)))
     flows = (dynamics.free, dynamics.locked, dynamics.flight(1.0))
     for flow, start in zip(flows, starts, strict=True):
-        mode, _ = symbols_of(flow)
-        carrier(mode, Tolerance().absolute, start)
+        engine.require(flow, start)
 
 
 def orbit_and_problem(options: argparse.Namespace) -> tuple[ZenoOrbit, Problem]:

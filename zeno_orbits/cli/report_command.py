@@ -19,7 +19,7 @@ from zeno_orbits.cli.options import (
 )
 from zeno_orbits.cli.parsing import read_count
 from zeno_orbits.errors import InputError
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 from zeno_orbits.work.files import write_whole
 
 if TYPE_CHECKING:

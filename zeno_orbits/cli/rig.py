@@ -22,10 +22,11 @@ from zeno_orbits.cli.options import (
 )
 from zeno_orbits.cli.parsing import read_count, read_rig
 from zeno_orbits.errors import InputError
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
-    from zeno_orbits.experiment.rig import RigRun, RigSettings
+    from zeno_orbits.experiment import RigSettings
+    from zeno_orbits.experiment.rig import RigRun
     from zeno_orbits.model.problem import Problem
     from zeno_orbits.model.rig_parts import Rig
 
@@ -114,7 +115,7 @@ def _run_rig(options: argparse.Namespace) -> int:
 
 
 def _near_orbit(options: argparse.Namespace) -> int:
-    from zeno_orbits.experiment.rig import rig_cycles
+    from zeno_orbits.experiment import rig_cycles
     from zeno_orbits.experiment.rig.cycle_comparison import compare_cycles
 
     for name in ("gain", "set", "start", "until"):
@@ -144,7 +145,7 @@ def _near_orbit(options: argparse.Namespace) -> int:
 
 
 def _from_start(options: argparse.Namespace) -> int:
-    from zeno_orbits.experiment.rig import simulate_rig
+    from zeno_orbits.experiment import simulate_rig
     from zeno_orbits.model.library import load_problem
 
     for name in ("cycles", "problem"):
@@ -192,7 +193,7 @@ def _rig_of(options: argparse.Namespace, problem: Problem) -> Rig:
 
 def _settings(rig: Rig) -> RigSettings:
     """Return an accuracy that noise and rounding by sensors leave worth having."""
-    from zeno_orbits.experiment.rig import RigSettings
+    from zeno_orbits.experiment import RigSettings
     from zeno_orbits.integrators.flow import Tolerance
 
     if rig.controller is None:
@@ -202,7 +203,7 @@ def _settings(rig: Rig) -> RigSettings:
 
 def _write(options: argparse.Namespace, run: RigRun, problem: Problem) -> None:
     if options.output is not None:
-        from zeno_orbits.experiment.recordings.recording import write_recording
+        from zeno_orbits.experiment import write_recording
         from zeno_orbits.experiment.rig.run import recording_of
 
         notes: Mapping[str, str] = {"seed": str(options.seed)}

@@ -30,7 +30,7 @@ from zeno_orbits.cli.parsing import (
 )
 from zeno_orbits.cli.search_output import answer, far_from_own, kept_as_derived
 from zeno_orbits.errors import InputError
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 from zeno_orbits.work.files import require_writable
 
 if TYPE_CHECKING:

@@ -23,10 +23,10 @@ from zeno_orbits.cli.options import (
     values_of,
 )
 from zeno_orbits.cli.parsing import read_seed
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
-    from zeno_orbits.experiment.recordings.sampling import Sampling
+    from zeno_orbits.experiment import Sampling
     from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
     from zeno_orbits.model.problem import Problem
     from zeno_orbits.precision.accuracy import Assured
@@ -96,8 +96,7 @@ def _run_simulate(options: argparse.Namespace) -> int:
         plots.save_figure(plots.plot_time_series(problem, execution), options.output)
         say_written(options, [options.output])
     if sampling is not None and options.data is not None:
-        from zeno_orbits.experiment.recordings.recording import write_recording
-        from zeno_orbits.experiment.recordings.sampling import sampled
+        from zeno_orbits.experiment import sampled, write_recording
 
         write_recording(sampled(problem, dynamics, execution, sampling), options.data)
         say_written(options, [options.data])
@@ -105,7 +104,7 @@ def _run_simulate(options: argparse.Namespace) -> int:
 
 
 def _sampling_of(options: argparse.Namespace) -> Sampling:
-    from zeno_orbits.experiment.recordings.sampling import Sampling
+    from zeno_orbits.experiment import Sampling
 
     sampling = Sampling(rate=options.rate, noise=options.noise, seed=options.seed)
     if options.until > 0.0:

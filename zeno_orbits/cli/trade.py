@@ -20,7 +20,7 @@ from zeno_orbits.cli.options import (
     start_of,
     values_of,
 )
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 from zeno_orbits.work.files import write_whole
 
 

@@ -20,7 +20,7 @@ from zeno_orbits.cli.options import (
 )
 from zeno_orbits.cli.parsing import read_count
 from zeno_orbits.errors import InputError
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 
 
 def add_verify(commands: Any) -> None:
@@ -82,7 +82,7 @@ def _run_verify(options: argparse.Namespace) -> int:
         report.print_certificate(certificate)
         report.print_verdict(certificate)
         if options.accuracy is not None:
-            report.print_error_made(certificate.orbit_error)
+            report.print_error_estimate(certificate.orbit_error)
     certain = options.accuracy is None or certificate.orbit_error <= options.accuracy
     if certificate.passed and not certain and not options.json:
         report.print_lines([f"That is more than the accuracy {options.accuracy:.0e}."])

@@ -71,7 +71,7 @@ def reduction_cost(
             ``corrected``.
         values: Its numbers.
         fidelity: The reduced model.
-        measure: Find the orbit of the full problem, too; it costs the time that the reduction saves.
+        measure: Find the orbit of the full problem, too, in the time that the reduction saves.
 
     Raises:
         InputError: If the problem does not declare both models, or ``fidelity`` is neither.

@@ -27,6 +27,7 @@ from zeno_orbits.simulation.attractor import (
 from zeno_orbits.simulation.completion import ZenoExtrapolation
 from zeno_orbits.simulation.execution import Execution, Mode
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
+from zeno_orbits.simulation.time_scale import own_time
 
 _DIFFERENCE = 1e-6
 """Step of a derivative; its error is that part of a correction that is small itself."""
@@ -36,9 +37,6 @@ _OSCILLATIONS = 115
 
 _LOOK = 6
 """Oscillations, or turns of the clock, between two looks at a motion without releases."""
-
-_DAMPED = 1e-3
-"""An eigenvalue whose imaginary part is less than this part of it does not oscillate."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,27 +137,6 @@ def settle(
             return settling
         reasons.append(settling.reason)
     return Settling(cycle=None, reason=" / ".join(dict.fromkeys(reasons)))
-
-
-def own_time(dynamics: HybridDynamics, state: Vector) -> float:
-    r"""Return the slowest time scale of a problem [s]: of its clock or its oscillations.
-
-    It is :math:`2 \pi / |\mu|` with the smallest oscillating eigenvalue :math:`\mu` of the free
-    flow, which has those of the clock. Where nothing oscillates it is
-    :math:`2 \pi \sqrt{|q| / |\ddot q|}`.
-
-    Args:
-        dynamics: The system.
-        state: State of the linearization, ``(n_x,)``.
-    """
-    n_q = dynamics.n_q
-    eigenvalues = np.linalg.eigvals(dynamics.free.jacobian(state))
-    turning = np.abs(eigenvalues[np.abs(eigenvalues.imag) > _DAMPED * np.abs(eigenvalues)])
-    if turning.size:
-        return float(2 * math.pi / np.min(turning))
-    size = float(np.max(np.abs(state[:n_q])))
-    pull = float(np.max(np.abs(dynamics.free.rate(state)[n_q : 2 * n_q])))
-    return 2 * math.pi * math.sqrt(size / pull) if size > 0.0 and pull > 0.0 else 1.0
 
 
 def _watch(
