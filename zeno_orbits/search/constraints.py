@@ -14,11 +14,11 @@ import numpy as np
 
 from zeno_orbits.arrays import Array
 from zeno_orbits.errors import InputError
+from zeno_orbits.integrators.collocation import lagrange_basis
 from zeno_orbits.model.contact import GAP_ACCELERATION, GAP_RATE
 from zeno_orbits.orbits.bounds import Bound
 from zeno_orbits.search.spectral_radius import keep_radius_below
 from zeno_orbits.search.transcription.arc import CollocatedArc
-from zeno_orbits.search.transcription.mesh import lagrange_basis
 from zeno_orbits.search.transcription.transcribe import OrbitTerms
 from zeno_orbits.simulation.signals import Signal, peaks, signal, signal_names
 
@@ -199,4 +199,4 @@ def inside(terms: OrbitTerms, arc: CollocatedArc, fraction: float) -> ca.MX:
     start = arc.start if first == 0 else arc.stages[:, first - 1]
     points = np.concatenate([[0.0], terms.scheme.nodes])
     states = ca.horzcat(start, arc.stages[:, first : first + n])
-    return ca.mtimes(states, ca.DM(lagrange_basis(points, float(place))))
+    return ca.mtimes(states, ca.DM(lagrange_basis(points.tolist(), float(place))))

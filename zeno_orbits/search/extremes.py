@@ -8,15 +8,15 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.integrators.collocation import lagrange_basis
 from zeno_orbits.search.transcription.arc import CollocatedArc
-from zeno_orbits.search.transcription.mesh import lagrange_basis
 from zeno_orbits.search.transcription.transcribe import OrbitTerms
 from zeno_orbits.simulation.execution import Arc
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Place:
-    """Place of the extreme value in the guess: an interval of an arc and a fraction of it."""
+    """Where the guess has its extreme value: an interval of an arc and a place in it."""
 
     arc: CollocatedArc
     interval: int
@@ -43,7 +43,7 @@ def extreme(terms: OrbitTerms, index: int, sign: float) -> ca.MX:
     name = f"place where {terms.state_names[index]} is {label}"
     place = terms.program.variable(name, found.place, lower=-0.5, upper=1.5)
     points = np.concatenate([[0.0], terms.scheme.nodes])
-    height = ca.mtimes(values, ca.vertcat(*lagrange_basis(points, place)))
+    height = ca.mtimes(values, ca.vertcat(*lagrange_basis(points.tolist(), place)))
     slope = ca.jacobian(height, place)
     size = float(np.max(np.abs([_value(found.arc.guess, index, f) for f in (0.0, 0.5, 1.0)])))
     terms.program.equal(

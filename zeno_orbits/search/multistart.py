@@ -12,10 +12,9 @@ from zeno_orbits.search.outcome import Accept, StartOutcome
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.search.start import start_count, try_start
-from zeno_orbits.work import Lost, Plan, spread_in_order
+from zeno_orbits.work import Lost, Plan, spread_in_order, versions
 from zeno_orbits.work.progress import Progress, silent
 from zeno_orbits.work.serialization import plain, restored
-from zeno_orbits.work.versions import versions
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,15 +7,13 @@ from the impact outwards, and knows nothing of motors. Source: [HairerWanner1996
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
 from zeno_orbits.arrays import Array
-from zeno_orbits.integrators.collocation import Collocation
+from zeno_orbits.integrators.collocation import Collocation, lagrange_basis
 
 
 def graded_mesh(
@@ -42,7 +40,7 @@ def graded_mesh(
     """
     points = np.concatenate([[0.0], scheme.nodes])
     between = (points[1:] + points[:-1]) / 2
-    predict = np.array([lagrange_basis(points, float(place)) for place in between])
+    predict = np.array([lagrange_basis(points.tolist(), float(at)) for at in between])
 
     def fits(left: float, right: float) -> bool:
         at = np.array([trajectory(left + (right - left) * float(c)) for c in points])
@@ -66,16 +64,3 @@ def stage_fractions(mesh: Array, scheme: Collocation) -> Array:
     """Return the position of every stage in the arc, ``(n_intervals * n_stages,)``."""
     sizes = np.diff(mesh)
     return (mesh[:-1, None] + sizes[:, None] * scheme.nodes).ravel()
-
-
-def lagrange_basis(points: Array, place: Any) -> list[Any]:
-    """Return the weights of values at points for the interpolant at a place.
-
-    Args:
-        points: The points of the polynomial, ``(n,)``.
-        place: Where to interpolate, a number or an expression.
-    """
-    return [
-        math.prod((place - float(q)) / float(p - q) for j, q in enumerate(points) if j != k)
-        for k, p in enumerate(points)
-    ]
