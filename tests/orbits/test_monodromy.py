@@ -19,10 +19,10 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.integrators import Engine, RungeKutta, SciPy, Taylor
 from zeno_orbits.integrators.flow import Tolerance
+from zeno_orbits.model.contact import GAP, GAP_RATE
 from zeno_orbits.model.drives import no_drive
 from zeno_orbits.model.hybrid import complete
 from zeno_orbits.model.lagrangian import HybridLagrangian
-from zeno_orbits.model.numeric.derivatives import GAP, GAP_RATE
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.monodromy import (
