@@ -125,7 +125,7 @@ def test_the_orbits_derivatives_are_those_of_neighbouring_orbits(
 
 
 def _at(cycle, times: np.ndarray) -> np.ndarray:
-    arcs = [cycle.flight, *cycle.hops, cycle.locked]
+    arcs = [cycle.flight, *cycle.rescaled_flights, cycle.locked]
     start = cycle.start.time
     found = []
     for time in times:

@@ -50,8 +50,8 @@ def test_periods_run_from_release_to_release(turns: Execution) -> None:
 def test_a_period_has_one_flight_its_hops_and_one_locked_arc(turn: Cycle) -> None:
     assert turn.flight.start_time == turn.start.time
     assert turn.flight.end_time == turn.impacts[0].time
-    assert len(turn.impacts) == len(turn.hops) + 1
-    for hop, impact in zip(turn.hops, turn.impacts[1:], strict=True):
+    assert len(turn.impacts) == len(turn.rescaled_flights) + 1
+    for hop, impact in zip(turn.rescaled_flights, turn.impacts[1:], strict=True):
         assert hop.end_time == impact.time
         assert hop.ending is Ending.IMPACT
     assert turn.locked.mode is Mode.LOCKED

@@ -75,7 +75,7 @@ def test_a_plastic_impact_closes_alone(problem: Problem) -> None:
     plastic = problem.dynamics(values)
     run = simulate(plastic, RELEASE, until=6.0)
     cycle = cycles(run)[-1]
-    assert cycle.hops == ()
+    assert cycle.rescaled_flights == ()
     closure = closure_of(cycle.impacts, plastic, 1e-12)
     assert closure.n_impacts == 1
     assert closure.nodes == (0,)

@@ -350,7 +350,7 @@ def state_nodes(dynamics: HybridDynamics, arcs: Sequence[Arc]) -> Nodes:
 
 def arcs_of(cycle: Cycle) -> list[Arc]:
     """Return the arcs of a period in order."""
-    arcs = [cycle.flight, *cycle.hops]
+    arcs = [cycle.flight, *cycle.rescaled_flights]
     gap = cycle.zeno.time - arcs[-1].end_time
     if gap > 0.0:
         tail = Arc(

@@ -1,4 +1,4 @@
-"""What a periodic orbit is: its shape, its section, its return map, its numbers and its file.
+"""Periodic orbits: their shape, section, return map, numbers and files.
 
 A period is cut out of an execution where its section is passed: a `Cycle`, whoever needs it. The
 section has one chart, `Section`; the return map has exact derivatives, through every impact and the

@@ -1,4 +1,4 @@
-"""Bounds on what an orbit does, and whether it keeps them: plain numbers."""
+"""Bounds on quantities of an orbit, and how far these stay inside."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ KEPT = 1e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bound:
-    """What a quantity must not leave.
+    """The range that a quantity must keep to.
 
     Attributes:
         name: The quantity: a signal, bounded at all times, or a number of the whole orbit.
@@ -29,7 +29,7 @@ class Bound:
     upper: float = math.inf
 
     def __post_init__(self) -> None:
-        """Refuse bounds that bound nothing or leave nothing."""
+        """Refuse bounds that exclude nothing, or everything."""
         if math.isnan(self.lower) or math.isnan(self.upper) or not self.lower <= self.upper:
             wanted = "must have bounds LOWER <= UPPER"
             raise InputError(f"Argument `{self.name}` {wanted}, but they are {self.text}.")
@@ -50,12 +50,12 @@ def excess(bound: Bound, extent: Extent) -> float:
 
 
 def is_kept(bound: Bound, extent: Extent) -> bool:
-    """Tell whether a quantity stays within its bounds, to the accuracy of its measurement."""
+    """Return True if a quantity stays within its bounds, to the accuracy of its measurement."""
     return excess(bound, extent) <= max(KEPT * max(extent.largest, 1.0), extent.error)
 
 
 def objection_to(bounds: Sequence[Bound], extents: Mapping[str, Extent]) -> str:
-    """Return which bounds are not kept and by how much, or nothing if all are."""
+    """Return a clause on the bounds that are not kept and by how much; empty if all are."""
     broken = [
         f"`{bound.name}` leaves {bound.text} by {excess(bound, extents[bound.name]):.3g}"
         for bound in bounds
@@ -67,7 +67,7 @@ def objection_to(bounds: Sequence[Bound], extents: Mapping[str, Extent]) -> str:
 def asked_and_reached(
     bounds: Sequence[Bound], extents: Mapping[str, Extent]
 ) -> list[dict[str, Any]]:
-    """Return what was asked of an orbit and what it reaches, as plain data."""
+    """Return the bounds asked of an orbit with the range that it reaches, as plain data."""
     return [
         {
             "quantity": bound.name,

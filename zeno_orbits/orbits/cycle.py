@@ -48,12 +48,12 @@ class Cycle:
 
     @property
     def start(self) -> Moment:
-        """Where it starts: a release, or just after an impact."""
+        """Start: a release, or the state just after an impact."""
         return self.phases[0].start
 
     @property
     def end(self) -> Moment:
-        """Where it ends, likewise."""
+        """End, likewise."""
         return self.phases[-1].end
 
     @property
@@ -82,9 +82,9 @@ class Cycle:
         return self.phases[0].flight
 
     @property
-    def hops(self) -> tuple[Arc, ...]:
+    def rescaled_flights(self) -> tuple[Arc, ...]:
         """The flights between impacts that accumulate."""
-        return tuple(hop for phase in self.phases for hop in phase.hops)
+        return tuple(arc for phase in self.phases for arc in phase.rescaled_flights)
 
     @property
     def zeno(self) -> ZenoPoint:
@@ -239,7 +239,10 @@ def gone_round_twice(cycle: Cycle) -> OrbitShape | None:
 
 
 def round_again(cycle: Cycle) -> str:
-    """Return that a cycle is several periods of a shorter shape, if it is, as a sentence."""
+    """Return a sentence that names the shorter shape of which a cycle is several periods.
+
+    It is empty if the cycle is one period.
+    """
     shorter = gone_round_twice(cycle)
     if shorter is None:
         return ""

@@ -233,7 +233,7 @@ def differentials_of(dynamics: HybridDynamics, chosen: tuple[int, ...]) -> Diffe
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Passage:
-    """How the events of a phase move.
+    """Motion of the events of a phase with its start.
 
     Attributes:
         first: The first impact, before its reset.
@@ -247,7 +247,13 @@ class Passage:
 
 
 def passed(perturbations: Perturbations, phase: Phase, here: EventShift) -> Passage:
-    """Return how the events of a phase move with its start."""
+    """Return how the events of a phase move with its start.
+
+    Args:
+        perturbations: The equations of perturbations.
+        phase: The phase.
+        here: Motion of its start.
+    """
     bounces: list[Bounce] = []
     landings: list[EventShift] = []
     for arc, impact in zip(phase.flights, phase.impacts, strict=True):

@@ -33,10 +33,10 @@ class OrbitImpact:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OrbitPhase:
-    """A flight of an orbit and what ends it.
+    """A flight of an orbit and the events that end it.
 
     Attributes:
-        kind: What ends it.
+        kind: How it ends.
         start_time: Since the start of the period [s].
         start_state: State name to value at the release, or just after the impact, before it.
         impacts: The impacts that were resolved one by one.
@@ -61,10 +61,10 @@ class ZenoOrbit:
         parameters: Name to value, all of the problem's.
         gains: Name to value, all of the problem's.
         period: [s].
-        phases: What happens in a period; the first starts at time 0.
+        phases: Phases of a period; the first starts at time 0.
         floquet_multipliers: Of the return map where the period starts; empty while unknown.
-        certificate: What a verification said, as plain data; empty while unverified.
-        versions: Name to version of what computed it.
+        certificate: Result of a verification, as plain data; empty while unverified.
+        versions: Name to version of the packages that computed it.
         problem_digest: Numbers that tell the equations of its problem from others
             (`digest.digest_of`); empty in files of older versions.
     """
@@ -212,6 +212,12 @@ def one_release_phase(
     """Return the one phase of an orbit from release to release, of the kind that its impacts show.
 
     A single impact at the Zeno time itself is a plastic one.
+
+    Args:
+        release_state: State name to value at the release.
+        impacts: The resolved impacts.
+        zeno_time: Since the release [s].
+        zeno_state: State name to value at the Zeno point.
     """
     at_once = len(impacts) == 1 and impacts[0].time == zeno_time
     return OrbitPhase(

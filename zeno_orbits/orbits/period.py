@@ -1,4 +1,4 @@
-"""Simulations from where a period starts to where it ends: what the return map is made of."""
+"""Simulations of one period, from its section back to it: evaluations of the return map."""
 
 from __future__ import annotations
 
@@ -74,8 +74,13 @@ def first_return(execution: Execution) -> Release | None:
 def placed(dynamics: HybridDynamics, shape: OrbitShape, x: Vector) -> Vector:
     """Return the state moved onto the section that a shape starts on, to rounding, ``(n_x,)``.
 
-    At a release, and just after a plastic impact, the gap rate is zero; after another impact it is
-    what it is, and the gap alone is taken away.
+    At a release, and just after a plastic impact, gap and gap rate become zero; after another impact
+    the gap alone does.
+
+    Args:
+        dynamics: The system.
+        shape: The shape.
+        x: A state near the section, ``(n_x,)``.
     """
     if shape.starts_at_release or dynamics.restitution == 0.0:
         return dynamics.on_stop(x)

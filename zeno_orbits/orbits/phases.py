@@ -16,7 +16,7 @@ _AT_ONCE = 1e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Moment:
-    """Where a phase starts or ends.
+    """Start or end of a phase.
 
     Attributes:
         time: When [s].
@@ -35,8 +35,8 @@ class Phase:
         kind: What ends it.
         start: Where it starts.
         flight: The free arc to the first impact.
-        hops: The rescaled flights from impact to impact; none but in an accumulation.
-        impacts: The resolved impacts, one more than hops that ended in one.
+        rescaled_flights: The flights from impact to impact; empty outside an accumulation.
+        impacts: The resolved impacts, one more than rescaled flights.
         zeno: The Zeno point, if the stop holds.
         locked: The locked arc, likewise.
         end: Where it ends.
@@ -45,7 +45,7 @@ class Phase:
     kind: PhaseKind
     start: Moment
     flight: Arc
-    hops: tuple[Arc, ...]
+    rescaled_flights: tuple[Arc, ...]
     impacts: tuple[Impact, ...]
     zeno: ZenoPoint | None
     locked: Arc | None
@@ -54,7 +54,7 @@ class Phase:
     @property
     def flights(self) -> tuple[Arc, ...]:
         """All flights."""
-        return (self.flight, *self.hops)
+        return (self.flight, *self.rescaled_flights)
 
     @property
     def arcs(self) -> tuple[Arc, ...]:
@@ -67,14 +67,14 @@ def phases_of(
 ) -> tuple[Phase, ...]:
     """Return the phases of an execution, from the first whole one on.
 
-    A phase in which the stop is touched without an impact is none: it is left out, and the next one
-    does not start where the last one ends.
+    A phase in which the stop is touched without an impact is left out; then the next one does not
+    start where the last one ends.
 
     Args:
         execution: The execution.
         start: Its initial state, if it starts where a phase does: at a release or after an impact.
-        held: Whether phases end at releases, as do the impacts that lead to one; else every impact
-            ends one, up to the first locked arc.
+        held: True if phases end at releases, with all impacts that lead to one; else every impact
+            ends a phase, up to the first locked arc.
     """
     begin = None if start is None else Moment(time=0.0, state=start)
     if held:
@@ -83,7 +83,7 @@ def phases_of(
 
 
 def follow_each_other(phases: Sequence[Phase]) -> bool:
-    """Tell whether every phase starts where the one before it ends."""
+    """Return True if every phase starts where the one before it ends."""
     return all(one.end.time == two.start.time for one, two in pairwise(phases))
 
 
@@ -140,7 +140,7 @@ def _to_release(
     before: list[Phase] = []
     kind = PhaseKind.ZENO
     if zeno.tail == 0.0 and zeno.last_speed == 0.0:
-        # Whoever falls on a plastic stop either stays or is let go.
+        # At a plastic stop a fall ends on the stop or is thrown off at once.
         kind = PhaseKind.PLASTIC
         for arc, impact in flights[:-1]:
             before.append(_of_impact(here, arc, impact))
@@ -151,7 +151,7 @@ def _to_release(
         kind=kind,
         start=here,
         flight=arcs[0],
-        hops=tuple(arcs[1:]),
+        rescaled_flights=tuple(arcs[1:]),
         impacts=tuple(impact for _, impact in flights),
         zeno=zeno,
         locked=locked,
@@ -165,7 +165,7 @@ def _of_impact(start: Moment, arc: Arc, impact: Impact) -> Phase:
         kind=PhaseKind.IMPACT,
         start=start,
         flight=arc,
-        hops=(),
+        rescaled_flights=(),
         impacts=(impact,),
         zeno=None,
         locked=None,

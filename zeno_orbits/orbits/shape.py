@@ -16,7 +16,7 @@ from zeno_orbits.errors import InputError
 
 
 class PhaseKind(Enum):
-    """What ends the flights of a phase. The value is the word of files and commands."""
+    """End of the flights of a phase. The value is the word of files and commands."""
 
     ZENO = "zeno"
     PLASTIC = "plastic"
@@ -24,12 +24,12 @@ class PhaseKind(Enum):
 
     @property
     def holds(self) -> bool:
-        """Whether a locked arc and a release follow."""
+        """True if a locked arc and a release follow."""
         return self is not PhaseKind.IMPACT
 
 
 _MOST_PHASES = 1000
-"""Phases in a period beyond which a text is taken for a slip of the pen."""
+"""Phases in a period beyond which a text is taken for a typing error."""
 _WANTED = "must be zeno, plastic or impact, *N for N of them, joined by commas"
 
 
@@ -60,7 +60,7 @@ class OrbitShape:
         """Return the shape of a text such as ``zeno``, ``zeno*2`` or ``impact*3,plastic``.
 
         Raises:
-            InputError: If it is none.
+            InputError: If the text is no shape.
         """
         phases: list[PhaseKind] = []
         for part in text.split(","):
@@ -91,12 +91,12 @@ class OrbitShape:
 
     @property
     def starts_at_release(self) -> bool:
-        """Whether the period starts at a release, rather than just after an impact."""
+        """True if the period starts at a release, rather than just after an impact."""
         return self.phases[-1].holds
 
     @property
     def has_one_release(self) -> bool:
-        """Whether one flight, its impacts and one locked arc are the whole period."""
+        """True if one flight, its impacts and one locked arc are the whole period."""
         return self.n_phases == 1 and self.starts_at_release
 
     @property

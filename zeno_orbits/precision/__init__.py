@@ -1,4 +1,4 @@
-"""How exact a result is and at what price: error estimates, reduced models, work and precision.
+"""Errors of results and their price: error estimates, reduced models, work and precision.
 
 An error estimate comes from a second run at a looser tolerance; the truth that engines are compared
 with, from numbers of many digits (the modules `extended*`, `multiprecision`, `series_roots`).

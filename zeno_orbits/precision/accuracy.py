@@ -1,8 +1,8 @@
-"""A wanted accuracy into settings, and the error that an execution was made with.
+"""Settings for a wanted accuracy, and error estimates of executions.
 
-The settings are the cheapest that `zeno-orbits trade` measured to reach an accuracy, and nobody has
-to believe them: an execution is computed twice, some times apart in tolerance, and the difference
-is reported.
+The settings are the cheapest that `zeno-orbits trade` measured to reach an accuracy. They are
+checked: an execution is computed twice, at tolerances some way apart, and the difference is its
+reported error.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Assured:
 
     Attributes:
         execution: The execution.
-        settings: What it was computed with.
+        settings: Settings of the run.
         error: Its ``difference`` from one of a looser tolerance, the error of that and so more than
             its own; what its Zeno limits expect, rounding, or the tolerance itself where that is
             more. Infinite if the looser one goes another way or does not come through.

@@ -30,7 +30,7 @@ _MOST_IMPACTS = 100_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trace:
-    """What happened in an execution.
+    """Events and samples of an execution.
 
     Attributes:
         impacts: Time and approach rate of each impact that was resolved.
@@ -47,7 +47,7 @@ class Trace:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Start:
-    """Where the next arc starts.
+    """Start of the next arc.
 
     Attributes:
         mode: Its mode.
@@ -74,7 +74,7 @@ class _Node:
 
 
 class ExtendedRun:
-    """One execution in the making."""
+    """One execution, followed event by event."""
 
     def __init__(
         self,

@@ -38,7 +38,7 @@ class ExtendedSystem:
 
     @property
     def smallest(self) -> float:
-        """What a condition on the stop is worth zero at."""
+        """Size below which a condition on the stop counts as zero."""
         return 10.0 ** (_LOST - self.arithmetic.digits)
 
     def contact(self, x: State) -> ContactQuantities:
@@ -68,5 +68,11 @@ class ExtendedSystem:
 
 
 def along(x: State, length: Real, direction: State) -> State:
-    """Return ``x + length direction``."""
+    """Return ``x + length direction``.
+
+    Args:
+        x: A state, ``(n_x,)``.
+        length: How far.
+        direction: Direction, ``(n_x,)``.
+    """
     return [value + length * d for value, d in zip(x, direction, strict=True)]

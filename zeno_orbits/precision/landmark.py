@@ -1,4 +1,4 @@
-"""How far two executions of one motion are apart: landmark by landmark, relative."""
+"""Differences of two executions of one motion: landmark by landmark, relative."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NOTHING = 1e-12
 
 
 class Kind(Enum):
-    """What a landmark is."""
+    """Kinds of landmarks."""
 
     IMPACT = "impact"
     ZENO = "Zeno point"
@@ -45,9 +45,9 @@ class Landmark:
 
 
 def difference(first: Execution, second: Execution) -> float:
-    """Return how far two executions are apart: the largest relative difference of what they have.
+    """Return the largest relative difference of two executions, over every event and the end.
 
-    That is every event and the end. Times are relative to the last event's, states to their largest
+    Times are relative to the last event's, states to their largest
     value. Near a Zeno point one may resolve more impacts than the other. An event so late that the
     other one lacks it is held against the end of that: an end so near an impact is before it or
     after it, and no accuracy says which.
@@ -59,13 +59,15 @@ def difference(first: Execution, second: Execution) -> float:
     Returns:
         Infinity if they go different ways.
     """
-    pairs = list(_pairs(_stretches(first), _stretches(second)))
+    pairs = list(_pairs(_sections_of(first), _sections_of(second)))
     last = max((event.time for event in second.events), default=0.0)
     return _largest(pairs, sizes(second), last or second.end_time)
 
 
 def landmarks(execution: Execution) -> tuple[Landmark, ...]:
-    """Return what executions of different completions are judged by: releases, if there are any.
+    """Return the landmarks by which executions of different completions are compared.
+
+    These are the releases, if there are any.
 
     Without a release, Zeno points; without these, impacts; without these, the end. So the paper's
     rule, whose Zeno instants mean little, is judged by what comes later.
@@ -114,8 +116,8 @@ def _end(execution: Execution) -> Landmark:
     return Landmark(kind=Kind.END, time=execution.end_time, state=execution.end_state)
 
 
-def _stretches(execution: Execution) -> list[list[Landmark]]:
-    """Return the landmarks in stretches: some impacts, then a Zeno point, a release or the end."""
+def _sections_of(execution: Execution) -> list[list[Landmark]]:
+    """Return the landmarks in groups: some impacts, then a Zeno point, a release or the end."""
     marks = [*map(_landmark, execution.events), _end(execution)]
     cuts = [k for k, mark in enumerate(marks, start=1) if mark.kind is not Kind.IMPACT]
     return [marks[start:stop] for start, stop in pairwise([0, *cuts])]

@@ -28,7 +28,7 @@ Real = Any
 
 _GUARD_BITS = 8
 _FEWEST_BITS = 64
-"""Where heyoka's numbers meet Python's, the result has this length at least."""
+"""Least length of a result of heyoka's numbers and Python's."""
 _MOST_STEPS = 1_000_000
 _POLISHES = 12
 """Newton steps for a root; from a double each doubles the digits, so a few are enough."""

@@ -1,4 +1,4 @@
-r"""What a reduced model of a problem costs in accuracy: estimated before it is taken, and measured.
+r"""Errors of reduced models in an orbit: estimated from reduced models alone, and measured.
 
 The quasi-static drive is wrong by :math:`O(L/R)`, the corrected one by :math:`O((L/R)^2)`
 (theory (20)). So their difference is the error of the first, to first order, and neither has the
@@ -27,7 +27,7 @@ QUASI_STATIC, CORRECTED = "quasi_static", "corrected"
 """The words by which a problem declares the two reduced models."""
 
 LANDMARKS = ("period", "first_impact", "zeno_time", "release", "zeno_state")
-"""What two orbits are compared by."""
+"""Quantities by which two orbits are compared."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,14 +64,14 @@ def reduction_cost(
     fidelity: str = QUASI_STATIC,
     measure: bool = False,
 ) -> ReductionCost:
-    """Return what one reduced model costs in accuracy at a setting of the full problem.
+    """Return the error of one reduced model at given numbers of the full problem.
 
     Args:
         problem: The full problem; it declares both reduced models, ``quasi_static`` and
             ``corrected``.
         values: Its numbers.
-        fidelity: Which of the two is asked about.
-        measure: Find the full problem's orbit too, which is the work that the reduction saves.
+        fidelity: The reduced model.
+        measure: Find the orbit of the full problem, too; it costs the time that the reduction saves.
 
     Raises:
         InputError: If the problem does not declare both models, or ``fidelity`` is neither.
@@ -87,7 +87,7 @@ def reduction_cost(
 def reduction_costs(
     problem: Problem, values: ParameterValues, *, measure: bool = False
 ) -> dict[str, ReductionCost]:
-    """Return fidelity to what it costs, for both reduced models (theory (21)).
+    """Return fidelity to the error of its model, for both reduced models (theory (21)).
 
     The difference of their orbits is the error of the quasi-static one, to first order. Times
     ``layer * rate``, it tells the size of the corrected one's.

@@ -1,4 +1,4 @@
-"""The truth that trials are held against: an execution in extended precision, and its error."""
+"""The reference of trials: an execution in extended precision, with its error."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ _MOST_DECAYS = 1e5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Truth:
-    """What trials are held against.
+    """Reference that trials are compared with.
 
     Attributes:
         marks: The landmarks.
         scale: Size of each state, ``(n_x,)``.
-        how: How they were had, as a phrase.
-        error: How certain they are.
+        how: Way in which they were computed, as a phrase.
+        error: Their estimated error.
     """
 
     marks: tuple[Landmark, ...]
@@ -109,7 +109,13 @@ def true_landmarks(
 
 
 def is_too_stiff(dynamics: HybridDynamics, state: Sequence[float], until: float) -> bool:
-    """Tell whether Taylor series, explicit as they are, would take minutes over a horizon [s]."""
+    """Return True if Taylor series, explicit as they are, would take minutes.
+
+    Args:
+        dynamics: The system.
+        state: Initial state, ``(n_x,)``.
+        until: Length of the execution [s].
+    """
     fastest, _ = decay_rates(dynamics.free, np.array(state, dtype=np.float64))
     return fastest * until > _MOST_DECAYS
 

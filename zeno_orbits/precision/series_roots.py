@@ -58,7 +58,7 @@ def first_root(coefficients: Coefficients) -> float | None:
 
 
 def _leads_away(values: Coefficients, left: float) -> bool:
-    """Tell whether a piece is near zero only where that is no root of its own.
+    """Return True if a piece is near zero only where that is no root of its own.
 
     At the start of the whole interval it has just come from zero; where it falls to zero, the
     next piece, which starts with the same value, or the next interval sees it fall through.

@@ -109,7 +109,7 @@ class _Plan:
 
 
 def engines() -> dict[str, Engine]:
-    """Return name to engine, all that can be had here."""
+    """Return name to engine, for all that are installed."""
     from scipy.integrate import DOP853, LSODA
     from scipy.integrate import Radau as SciPyRadau
 
@@ -177,7 +177,7 @@ def _reduced(
 
 
 def _tried(plan: _Plan, truth: Truth, settings: WorkPrecisionSettings) -> Trial:
-    """Run a plan, once to warm up and then for its time, and hold it against the truth."""
+    """Run a plan, once to warm up and then for its time, and compare it with the truth."""
     trial = Trial(
         sweep=plan.sweep, name=plan.name, value=plan.value, seconds=math.inf, error=math.inf
     )
@@ -189,7 +189,7 @@ def _tried(plan: _Plan, truth: Truth, settings: WorkPrecisionSettings) -> Trial:
         repeats = settings.repeats if first < _LONG else 0
         times = [_timed(plan, settings.until)[1] for _ in range(repeats)] or [first]
     except (ZenoOrbitsError, ArithmeticError, ValueError) as error:
-        # Other people's integrators overflow in their own words.
+        # Foreign integrators raise their own errors.
         return replace(trial, trouble=str(error))
     entries = list(plan.entries)
     known = [replace(mark, state=mark.state[entries]) for mark in truth.marks]
@@ -221,7 +221,7 @@ def _meshes(
     settings: WorkPrecisionSettings,
     on_progress: Progress,
 ) -> Iterator[Trial]:
-    """Solve for the periodic orbit on finer and finer meshes, each held against a simulation."""
+    """Solve for the periodic orbit on finer and finer meshes, each compared with a simulation."""
     if not settings.meshes:
         return
     from zeno_orbits.search import SearchSettings, find_orbit

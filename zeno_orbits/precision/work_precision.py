@@ -23,16 +23,16 @@ _CLOSURES = {"cut": "plastic below a speed", "impacts": "limit after n impacts"}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trial:
-    """One setting, timed and held against the truth.
+    """One setting, timed and compared with the truth.
 
     Attributes:
-        sweep: What is varied: ``engine``, ``cut``, ``impacts``, ``mesh`` or ``fidelity``.
-        name: Which engine, closure or model.
+        sweep: Quantity that is varied: ``engine``, ``cut``, ``impacts``, ``mesh`` or ``fidelity``.
+        name: Engine, closure or model.
         value: The number that is varied: a tolerance, a threshold, a count.
         seconds: Median processor time of the work [s].
         error: Largest relative difference from the truth; infinite if the run went another way.
         n_impacts: Impacts that were resolved.
-        trouble: Why there is no result; empty if there is one.
+        trouble: Reason why there is no result; empty if there is one.
     """
 
     sweep: str
@@ -45,7 +45,7 @@ class Trial:
 
     @property
     def label(self) -> str:
-        """What a picture calls the line that the trial is on."""
+        """Name of the line of the trial in a picture."""
         if self.sweep == "engine":
             return self.name
         return _CLOSURES.get(self.sweep, f"model {self.name}")
@@ -57,8 +57,8 @@ class WorkPrecision:
 
     Attributes:
         problem: The problem.
-        work: What was done, as a phrase.
-        truth: What it was held against, as a phrase.
+        work: The simulated motion, as a phrase.
+        truth: The reference it is compared with, as a phrase.
         truth_error: Estimated error of that.
         trials: The trials, those that are other work (``mesh``) included.
     """

@@ -1,4 +1,4 @@
-"""Whether an orbit is one, from its numbers alone.
+"""Verification of an orbit from its numbers alone.
 
 The problem is rebuilt from the orbit's gains and parameters, integrated forward, and compared with
 what the orbit claims; nothing here knows how the orbit was found. In the order in which it runs:

@@ -79,7 +79,7 @@ class DeltaCut:
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class OrbitCertificate:
-    """What a forward integration says of an orbit.
+    """Result of the forward integration of an orbit.
 
     Attributes:
         tolerance: Largest residual that passes.
@@ -102,11 +102,11 @@ class OrbitCertificate:
             gives the impacts, comes on top.
         period: Period that the integration found [s].
         n_periods: Periods that were integrated.
-        model: Which derivation was integrated.
+        model: The derivation that was integrated, ``derived`` or ``reference``.
         trouble: Clauses on what else is wrong: why the integration stopped early, which escape was
             passed, a false statement of the orbit about itself; empty if nothing is.
-        shape: What the orbit says of its phases, as text.
-        asked: Bounds that a search was asked to keep, with what a simulation measured.
+        shape: Shape that the orbit claims, as text.
+        asked: Bounds that a search was asked to keep, with the range that was measured.
     """
 
     tolerance: float

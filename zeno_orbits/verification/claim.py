@@ -47,7 +47,7 @@ class Claim:
 
     @property
     def start(self) -> Vector:
-        """Where the period starts, ``(n_x,)``."""
+        """Start of the period, ``(n_x,)``."""
         return self.phases[0].start
 
 

@@ -139,7 +139,18 @@ def energies_of(
     cycle: Cycle,
     simulation: SimulationSettings,
 ) -> dict[str, float]:
-    """Return the energies of one period, from an integration that carries the ledger along."""
+    """Return the energies of one period [J], from an integration that carries the ledger along.
+
+    Args:
+        orbit: The orbit.
+        problem: Its problem.
+        claim: The orbit as claimed.
+        cycle: The first period.
+        simulation: Accuracy.
+
+    Returns:
+        Name of an energy, as in the certificate, to its size.
+    """
     dynamics = problem.dynamics(orbit.values(problem), audited)
     if isinstance(simulation.completion, ZenoPassage):
         # Each impact loses its part; only a short tail loses what the last speed says.
@@ -173,7 +184,13 @@ def imbalance(energies: Mapping[str, float]) -> float:
 
 
 def second_model(orbit: ZenoOrbit, problem: Problem, cycle: Cycle) -> float:
-    """Return the largest relative difference of the two derivations along the orbit."""
+    """Return the largest relative difference of the two derivations along the orbit.
+
+    Args:
+        orbit: The orbit.
+        problem: Its problem; it has a hand-written model.
+        cycle: The first period.
+    """
     values = orbit.values(problem)
     by_hand: HybridDynamics = load_reference(problem).dynamics(values)
     derived = problem.dynamics(values)

@@ -1,4 +1,4 @@
-"""What an orbit does, measured on a simulation from its numbers alone: the checker's side.
+"""Quantities of an orbit, measured on a simulation from its numbers alone.
 
 A search asks its program for these quantities; here nothing is known of the program.
 """
@@ -30,12 +30,17 @@ NUMBERS = ("period", "energy", "spectral_radius", "margin", *MARGINS)
 
 
 def quantity_names(problem: Problem) -> tuple[str, ...]:
-    """Return the names of all that can be measured of an orbit of a problem."""
+    """Return the names of all quantities that an orbit of a problem has."""
     return (*signal_names(problem.compiled()), *NUMBERS)
 
 
 def require_quantities(names: Sequence[str], problem: Problem, argument: str) -> None:
     """Refuse a name that is no quantity of the problem.
+
+    Args:
+        names: The names.
+        problem: The problem.
+        argument: Argument that they come from, for the message.
 
     Raises:
         InputError: It lists those that are.

@@ -1,4 +1,4 @@
-"""What has to vanish along a periodic orbit, and what has to stay positive (theory (19), (46))."""
+"""Residuals, zero along a periodic orbit, and margins, positive along it (theory (19), (46))."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ from zeno_orbits.work.progress import Progress, silent
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VerificationSettings:
-    """How thoroughly to verify.
+    """Accuracy and extent of a verification.
 
     Attributes:
         tolerance: Largest residual that passes.

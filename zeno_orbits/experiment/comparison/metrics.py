@@ -146,9 +146,9 @@ def _over_cycles(numbers: Sequence[tuple[float, float]]) -> Estimate:
 def _restitution(table: OrbitTable) -> float:
     """Return the restitution that an orbit's first impact shows."""
     cycle = table.cycle
-    if len(cycle.impacts) < 2 or not cycle.hops:
+    if len(cycle.impacts) < 2 or not cycle.rescaled_flights:
         return 0.0
-    hop = cycle.hops[0]
+    hop = cycle.rescaled_flights[0]
     # The unit of time of a rescaled flight is the speed that it starts with.
     return float(hop.time_unit / -cycle.impacts[0].approach_rate)
 

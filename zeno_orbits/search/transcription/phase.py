@@ -221,13 +221,13 @@ class PhaseWriter:
             )
             hop = self.arcs.collocate(
                 f"{label}flight {k + 1}",
-                phase.hops[k],
+                phase.rescaled_flights[k],
                 self.compiled.flight,
                 ca.vertcat(self.p, speed),
                 ca.vertcat(after, 0, 1),
             )
             hops.append(hop)
-            size = float(flow_scale(phase.hops[k], self.scale)[-2])
+            size = float(flow_scale(phase.rescaled_flights[k], self.scale)[-2])
             program.equal(f"{label}gap closes at impact {k + 2}", hop.end[-2], scale=size)
             here, approach_rate = hop.end[:-2], speed * hop.end[-1]
             time, work = time + hop.duration, work + hop.work
