@@ -28,7 +28,7 @@ from zeno_orbits.maps.map_file import read_map, write_map
 from zeno_orbits.maps.mapping import ParameterMap, parameter_map
 from zeno_orbits.maps.plane import Axis, Plane
 from zeno_orbits.model.library import locate_problem
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 from zeno_orbits.work import Plan, spread
 
 Fast = Callable[[Plane, Plan], ParameterMap]

@@ -385,8 +385,8 @@ def parameter_map(
         gains: Gains that differ from the problem's own.
         parameters: Parameters that differ from the problem's own.
         start: State name to value where every motion starts; by default the problem's first start.
-        until: How long a motion may take to settle [s]; by default 300 periods of the problem's
-            clock, or 60 s without one.
+        until: How long a motion may take to settle [s]; by default 300 turns of the problem's
+            clock, or 35 of its slowest oscillation.
         workers: Processes; with 1 no other than this one; 0 means one a core.
         on_progress: Called with what is being done and the part of it that is done.
 

@@ -22,7 +22,7 @@ from zeno_orbits.continuation.families import (
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.orbits.orbit_file import write_orbit
 from zeno_orbits.report import plots
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 from zeno_orbits.search import close_orbit
 
 PENDULUM = load_problem("motor_pendulum")

@@ -35,6 +35,7 @@ PENDULUM = load_problem("motor_pendulum")
 OSCILLATOR = load_problem("forced_oscillator")
 SCALE = np.array([1.0, 1.0, 10.0, 10.0, 2.0])
 SETTINGS = SimulationSettings()
+COARSE = ContinuationSettings(steps=Steps(first=0.05, longest=0.1))
 
 
 def pendulum(**numbers: float) -> HybridDynamics:
@@ -63,8 +64,7 @@ def only(continuation_families: tuple[Family, ...]) -> Family:
 def test_the_forced_oscillator_loses_its_release_where_the_force_just_reaches_the_stop() -> None:
     # The stop lets go where A cos t < stop, which happens at all for A > 0.8 only.
     orbit = oscillator_orbit()
-    settings = ContinuationSettings(steps=Steps(first=0.05, longest=0.1))
-    family = only(continue_orbit(OSCILLATOR, orbit, "A", (0.5, 1.2), settings=settings).families)
+    family = only(continue_orbit(OSCILLATOR, orbit, "A", (0.5, 1.2), settings=COARSE).families)
     assert family.first.kind is Kind.RELEASE_LOST
     assert family.first.at.value == pytest.approx(0.8, abs=1e-9)
     assert abs(family.first.at.value - 0.8) < 10 * family.first.error < 1e-9
@@ -99,7 +99,8 @@ def still_locks(stop: float) -> bool:
 
 
 def test_the_locked_arc_of_the_forced_oscillator_vanishes_where_the_closed_form_says() -> None:
-    family = only(continue_orbit(OSCILLATOR, oscillator_orbit(), "stop", (-0.9, 0.2)).families)
+    orbit, box = oscillator_orbit(), (-0.9, 0.2)
+    family = only(continue_orbit(OSCILLATOR, orbit, "stop", box, settings=COARSE).families)
     low, high = 0.05, 0.15
     assert still_locks(low)
     assert not still_locks(high)
@@ -152,7 +153,8 @@ def test_close_to_the_end_of_the_locked_arc_the_family_is_right_to_many_digits()
 
 def test_periods_of_the_family_in_the_restitution_are_those_measured_beforehand() -> None:
     orbit = pendulum_orbit(restitution=0.1)
-    family = only(continue_orbit(PENDULUM, orbit, "restitution", (0.0, 0.1)).families)
+    box = (0.0, 0.1)
+    family = only(continue_orbit(PENDULUM, orbit, "restitution", box, settings=COARSE).families)
     assert family.points[0].period == pytest.approx(1.82033892548, abs=1e-10)
     assert family.points[-1].period == pytest.approx(1.81767797277, abs=1e-10)
 
@@ -302,7 +304,8 @@ def test_an_orbit_of_another_problem_and_one_that_does_not_close_are_refused() -
 
 def test_derived_numbers_are_held_when_another_one_changes() -> None:
     orbit = pendulum_orbit()
-    family = only(continue_orbit(PENDULUM, orbit, "L1", (0.198, 0.202)).families)
+    box = (0.198, 0.202)
+    family = only(continue_orbit(PENDULUM, orbit, "L1", box, settings=COARSE).families)
     assert family.parameters["J_rotor"] == orbit.parameters["J_rotor"]
     # Calibrated anew the pendulum would be another one, with another orbit.
     follow = PENDULUM.values(parameters={"L1": 0.202})

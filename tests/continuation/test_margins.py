@@ -15,7 +15,7 @@ from tests.continuation.test_branches import Formula, formula
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.assembly import joined
 from zeno_orbits.continuation.branch import Branch, Steps, follow
-from zeno_orbits.continuation.continuation import continue_orbit, start_orbit
+from zeno_orbits.continuation.continuation import start_orbit
 from zeno_orbits.continuation.corrector import Metric, first_point
 from zeno_orbits.continuation.ends import locate_end
 from zeno_orbits.continuation.families import Family, HalfCurve, Kind
@@ -26,6 +26,7 @@ from zeno_orbits.continuation.setup import ContinuationSettings, Setup, start_at
 from zeno_orbits.continuation.two_parameters.plane import CurveStart, Plane
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model.library import load_problem
+from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.section import Line, Section
 from zeno_orbits.work.progress import silent
 from zeno_orbits.work.serialization import plain, restored
@@ -35,11 +36,25 @@ DEFAULT, SHORT = Steps(), Steps(first=0.003, longest=0.01)
 LONG = Steps(first=0.1, longest=0.3)
 
 
+@cache
+def orbit_at(**numbers: float) -> ZenoOrbit:
+    return start_orbit(OSCILLATOR, OSCILLATOR.values(parameters=numbers))
+
+
+def downwards(
+    box: tuple[float, float], steps: Steps, **numbers: float
+) -> tuple[Setup, Branch, Family]:
+    """Return the oscillator's family from A = 1 down to its end in the force."""
+    begin = start_at_release(OSCILLATOR, orbit_at(**numbers), "A", box, ContinuationSettings())
+    setup, returns = begin.setup, begin.setup.returns(OSCILLATOR)
+    start = first_point(returns, setup.metric, begin.x, 1.0, rising=False)
+    branch = follow(returns, setup.metric, start, box, steps, on_progress=silent)
+    nothing = Branch(points=(), special=(), ending=Kind.CLOSED)
+    return setup, branch, joined(OSCILLATOR, setup, branch, nothing).family
+
+
 def family_in_the_force(box: tuple[float, float], steps: Steps, **numbers: float) -> Family:
-    orbit = start_orbit(OSCILLATOR, OSCILLATOR.values(parameters=numbers))
-    settings = ContinuationSettings(steps=steps)
-    (family,) = continue_orbit(OSCILLATOR, orbit, "A", box, settings=settings).families
-    return family
+    return downwards(box, steps, **numbers)[2]
 
 
 @pytest.mark.parametrize(
@@ -185,13 +200,7 @@ def test_an_end_at_which_two_things_happen_says_both() -> None:
 @cache
 def plastic() -> tuple[Setup, Branch]:
     """Return the oscillator's family with plastic impacts, down to its end in the force."""
-    orbit = start_orbit(OSCILLATOR, OSCILLATOR.values(parameters={"restitution": 0.0}))
-    begin = start_at_release(OSCILLATOR, orbit, "A", (0.7, 1.5), ContinuationSettings())
-    setup = begin.setup
-    returns = setup.returns(OSCILLATOR)
-    start = first_point(returns, setup.metric, begin.x, 1.0, rising=False)
-    branch = follow(returns, setup.metric, start, setup.box, LONG, on_progress=silent)
-    return setup, branch
+    return downwards((0.7, 1.5), LONG, restitution=0.0)[:2]
 
 
 def test_both_are_in_the_family() -> None:

@@ -29,7 +29,7 @@ from zeno_orbits.continuation.two_parameters.plane import CurveSteps
 from zeno_orbits.errors import CheckpointError, InputError, SimulationError, WorkError
 from zeno_orbits.model.library import load_problem, locate_problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 from zeno_orbits.work import Cluster, Lost, Plan, Workers, open_pool
 from zeno_orbits.work import scheduling as spreading_module
 from zeno_orbits.work.progress import silent
@@ -63,8 +63,9 @@ def _kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any
 
 
 def oscillator() -> tuple[Any, ZenoOrbit]:
+    # Plastic impacts, of which a return has one.
     problem = locate_problem(PROBLEM).load()
-    return problem, start_orbit(problem, problem.values())
+    return problem, start_orbit(problem, problem.values(parameters={"restitution": 0.0}))
 
 
 def crewed(place: Workers | Cluster | None, folder: Path | None = None) -> Any:

@@ -31,7 +31,7 @@ EVERY_MODULE = (
     *(
         "zeno_orbits.orbits.orbit",
         "zeno_orbits.verification.certificate",
-        "zeno_orbits.report.terminal.orbits",
+        "zeno_orbits.report.terminal",
     ),
     *(
         "zeno_orbits.maps.mapping",
@@ -44,7 +44,7 @@ WITHOUT_CASADI = (
     "zeno_orbits.work",
     "zeno_orbits",
     "zeno_orbits.cli",
-    "zeno_orbits.report.terminal.orbits",
+    "zeno_orbits.report.terminal",
     "zeno_orbits.report.terminal.progress",
     "zeno_orbits.cli.parsing",
 )

@@ -12,10 +12,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tests.reference.long_simulation_marks import (
-    Mark,
-    Stretch,
-    marks_of,
+from tests.reference.long_simulation_passages import (
+    Passage,
+    Piece,
+    passages_of,
     repeats,
     rests,
     scale_of,
@@ -84,24 +84,24 @@ def attractor_of(
     run = run or LongRun()
     dynamics = problem.dynamics(values)
     x = np.array(problem.state_vector(problem.starts[0]) if state is None else state)
-    stretches: list[Stretch] = []
-    piece, settings = run.until / _PIECES, _bounded(problem, run.simulation)
+    pieces: list[Piece] = []
+    length, settings = run.until / _PIECES, _bounded(problem, run.simulation)
     for k in range(_PIECES):
         try:
-            execution = simulate(dynamics, x, until=piece, settings=settings)
+            execution = simulate(dynamics, x, until=length, settings=settings)
         except RunawayError as error:
             return _escape(problem, np.array(error.state[: len(x)]))
         except SimulationError as error:
             return Attractor(fate=Fate.FAILED, detail=str(error))
-        stretches.append(Stretch(start=k * piece, execution=execution))
+        pieces.append(Piece(start=k * length, execution=execution))
         far = [s for s in execution.sampled(20)[1] if problem.escaped(s)]
         if far:
             return _escape(problem, far[0])
-        settled = _settled(problem, dynamics, stretches, run)
+        settled = _settled(problem, dynamics, pieces, run)
         if settled is not None:
             return settled
         x = execution.end_state
-    return Attractor(fate=Fate.UNSETTLED, trend=trend_of(stretches, dynamics.n_q))
+    return Attractor(fate=Fate.UNSETTLED, trend=trend_of(pieces, dynamics.n_q))
 
 
 def _bounded(problem: Problem, settings: SimulationSettings) -> SimulationSettings:
@@ -121,41 +121,41 @@ def _escape(problem: Problem, state: Vector) -> Attractor:
 
 
 def _settled(
-    problem: Problem, dynamics: HybridDynamics, stretches: Sequence[Stretch], run: LongRun
+    problem: Problem, dynamics: HybridDynamics, pieces: Sequence[Piece], run: LongRun
 ) -> Attractor | None:
     """Return what the motion has settled to, if it has."""
-    if rests(stretches, run.close):
+    if rests(pieces, run.close):
         return Attractor(
             fate=Fate.REST,
             state=dict(
-                zip(problem.state_names, stretches[-1].execution.end_state.tolist(), strict=True)
+                zip(problem.state_names, pieces[-1].execution.end_state.tolist(), strict=True)
             ),
         )
-    marks = marks_of(stretches, dynamics.n_q)
+    passages = passages_of(pieces, dynamics.n_q)
     for n in range(1, run.most_returns + 1):
-        if repeats(marks, n, run.close, now=stretches[-1].end):
-            return _orbit(problem, dynamics, stretches, marks, n, run)
+        if repeats(passages, n, run.close, now=pieces[-1].end):
+            return _orbit(problem, dynamics, pieces, passages, n, run)
     return None
 
 
 def _orbit(
     problem: Problem,
     dynamics: HybridDynamics,
-    stretches: Sequence[Stretch],
-    marks: Sequence[Mark],
+    pieces: Sequence[Piece],
+    passages: Sequence[Passage],
     n: int,
     run: LongRun,
 ) -> Attractor:
-    """Return the periodic orbit that the last `n` marks belong to."""
-    first, last = marks[-n - 1], marks[-1]
+    """Return the periodic orbit that the last `n` passages belong to."""
+    first, last = passages[-n - 1], passages[-1]
     period = last.time - first.time
     state = dict(zip(problem.state_names, last.state.tolist(), strict=True))
-    if not _releases(stretches, first.time):
+    if not _releases(pieces, first.time):
         return Attractor(fate=Fate.NO_ZENO, period=period, state=state)
     round_trip = _Return(dynamics=dynamics, n=n, horizon=2.0 * period, settings=run.simulation)
     try:
         cycle = round_trip.execution(last.state)
-        multipliers = _multipliers(round_trip, last.state, scale_of(marks[-n - 1 :]))
+        multipliers = _multipliers(round_trip, last.state, scale_of(passages[-n - 1 :]))
     except SimulationError as error:
         return Attractor(fate=Fate.FAILED, period=period, state=state, detail=str(error))
     zenos = cycle.zeno_points
@@ -170,8 +170,8 @@ def _orbit(
     )
 
 
-def _releases(stretches: Sequence[Stretch], after: float) -> bool:
-    return any(mark.time >= after for s in stretches for mark in s.marks(Release))
+def _releases(pieces: Sequence[Piece], after: float) -> bool:
+    return any(passage.time >= after for s in pieces for passage in s.passages(Release))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -21,7 +21,7 @@ from tests.support.processes import Commands
 from zeno_orbits.errors import CheckpointError, InputError
 from zeno_orbits.model.library import load_problem, locate_problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 from zeno_orbits.search import (
     Judgement,
     SearchResult,

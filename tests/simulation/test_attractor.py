@@ -7,7 +7,6 @@ import pytest
 
 from zeno_orbits.simulation.attractor import (
     TEN_TURNS,
-    WAITING,
     Motion,
     Outcome,
     Return,
@@ -20,7 +19,6 @@ from zeno_orbits.simulation.attractor import (
     outcome_of,
     repetitions,
     scale_of,
-    time_to_settle,
 )
 
 UNITS = ("m", "rad", "m/s", "rad/s")
@@ -166,7 +164,3 @@ def test_what_the_problem_declares_is_gone_and_other_angles_after_ten_turns():
 def test_other_coordinates_have_left_once_they_are_far_beyond_where_they_ever_were():
     before = np.array([1e-3, 1e6, 0.0])
     assert has_left(np.array([2.0, 2e6, 5.0]), before).tolist() == [True, False, False]
-
-
-def test_a_motion_is_waited_for_by_the_slowest_clock():
-    assert time_to_settle([0.2, 6.0]) == 6.0 * WAITING

@@ -27,8 +27,8 @@ from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.simulation.completion import ZenoExtrapolation, ZenoPassage
-from zeno_orbits.simulation.execution import Execution
-from zeno_orbits.simulation.rescaled_flight import Hop, rescaled_hop
+from zeno_orbits.simulation.execution import Execution, ZenoPoint
+from zeno_orbits.simulation.rescaled_flight import Flight, rescaled_flights
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit
 from zeno_orbits.simulation.zeno_passage import is_settled, pass_through
@@ -45,15 +45,15 @@ NEAR_ZENO = (1.2, 0.0, 1.7, 0.0, -0.46)
 
 
 class _Counted:
-    """A hop that counts its flights."""
+    """A flight that counts its flights."""
 
     def __init__(self, dynamics: HybridDynamics) -> None:
-        self.hop = rescaled_hop(dynamics, RungeKutta(), FINE)
+        self.flight = rescaled_flights(dynamics, RungeKutta(), FINE)
         self.n = 0
 
     def __call__(self, state_plus: Vector, speed: float) -> tuple[float, Vector, float] | None:
         self.n += 1
-        return self.hop(state_plus, speed)
+        return self.flight(state_plus, speed)
 
 
 def _pass(
@@ -62,17 +62,17 @@ def _pass(
     speed: float,
     *,
     tolerance: float = TOLERANCE,
-    hop: Hop | None = None,
-    most_hops: int = PLENTY,
+    flight: Flight | None = None,
+    most_flights: int = PLENTY,
 ) -> ZenoLimit | None:
     return pass_through(
         dynamics,
-        hop or _Counted(dynamics),
+        flight or _Counted(dynamics),
         0.0,
         np.array(state, dtype=np.float64),
         speed,
         tolerance,
-        most_hops=most_hops,
+        most_flights=most_flights,
     )
 
 
@@ -202,10 +202,10 @@ def test_the_number_of_flights_does_not_grow_as_restitution_nears_one(passage_ti
     counts = []
     for restitution in (0.99, 0.999, 0.9999, 0.99999):
         dynamics = fading_ball(WEIGHT, 3.0, restitution)
-        hop = _Counted(dynamics)
+        flight = _Counted(dynamics)
         speed = _speed(passage_time, WEIGHT, restitution)
-        assert _pass(dynamics, (0.0, 0.0, 0.0, 1.0), speed, hop=hop) is not None
-        counts.append(hop.n)
+        assert _pass(dynamics, (0.0, 0.0, 0.0, 1.0), speed, flight=flight) is not None
+        counts.append(flight.n)
     assert max(counts) <= 100
     assert counts == sorted(counts, reverse=True)
 
@@ -214,17 +214,17 @@ def test_a_curved_stop_costs_no_more_as_restitution_nears_one() -> None:
     # A move onto the disc that is not exact would be divided by the fall of the speed, and count.
     for restitution in (0.999, 0.9999, 0.99999):
         dynamics = bead_on_disc(restitution)
-        hop = _Counted(dynamics)
+        flight = _Counted(dynamics)
         speed = _speed(0.1, 2 * GRAVITY, restitution)
-        assert _pass(dynamics, _on_disc(ANGLE, TURN), speed, hop=hop) is not None
-        assert hop.n <= 150
+        assert _pass(dynamics, _on_disc(ANGLE, TURN), speed, flight=flight) is not None
+        assert flight.n <= 150
 
 
 def test_no_more_flights_are_made_than_allowed() -> None:
     dynamics = _pendulum(0.999)
-    hop = _Counted(dynamics)
-    assert _pass(dynamics, NEAR_ZENO, 1e-3, hop=hop, most_hops=60) is None
-    assert hop.n <= 60
+    flight = _Counted(dynamics)
+    assert _pass(dynamics, NEAR_ZENO, 1e-3, flight=flight, most_flights=60) is None
+    assert flight.n <= 60
 
 
 # Error estimate.
@@ -249,15 +249,20 @@ def test_the_error_estimate_bounds_the_true_error_at_any_tolerance(
         assert abs(limit.time - truth) <= limit.error * (1 + truth)
 
 
+@pytest.fixture(name="zeno_point", scope="module")
+def _zeno_point() -> ZenoPoint:
+    """The Zeno point behind a layer of the current, by all of its impacts."""
+    dynamics, start = _pendulum(0.99), np.array(NEAR_ZENO)
+    state = start + 3e-3 * dynamics.impulse_direction(start)
+    return _simulated(dynamics, state, ZenoExtrapolation()).zeno_points[0]
+
+
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-5, 1e-7, 1e-9, 1e-11])
 def test_the_error_estimate_bounds_the_true_error_in_a_layer_of_the_current(
-    tolerance: float,
+    tolerance: float, zeno_point: ZenoPoint
 ) -> None:
-    dynamics = _pendulum(0.99)
-    start = np.array(NEAR_ZENO)
-    state = start + 3e-3 * dynamics.impulse_direction(start)
-    truth = _simulated(dynamics, state, ZenoExtrapolation()).zeno_points[0]
-    limit = _pass(dynamics, start, 3e-3, tolerance=tolerance)
+    truth = zeno_point
+    limit = _pass(_pendulum(0.99), np.array(NEAR_ZENO), 3e-3, tolerance=tolerance)
     assert limit is not None
     assert limit.error <= 10 * tolerance
     assert np.all(np.abs(limit.state - truth.state) <= limit.error * (1 + np.abs(truth.state)))
@@ -267,7 +272,7 @@ def test_the_error_estimate_bounds_the_true_error_in_a_layer_of_the_current(
 def test_flights_that_are_less_accurate_than_they_should_be_are_noticed(roughness: float) -> None:
     restitution = 0.99
     dynamics = fading_ball(WEIGHT, 3.0, restitution)
-    exact = rescaled_hop(dynamics, RungeKutta(), FINE)
+    exact = rescaled_flights(dynamics, RungeKutta(), FINE)
     random = np.random.default_rng(0)
 
     def rough(state_plus: Vector, speed: float) -> tuple[float, Vector, float] | None:
@@ -277,7 +282,7 @@ def test_flights_that_are_less_accurate_than_they_should_be_are_noticed(roughnes
         return duration, state_minus, rate * (1 + roughness * random.uniform(-1, 1))
 
     speed = _speed(0.3, WEIGHT, restitution)
-    limit = _pass(dynamics, (0.0, 0.0, 0.0, 1.0), speed, hop=rough)
+    limit = _pass(dynamics, (0.0, 0.0, 0.0, 1.0), speed, flight=rough)
     truth = FadingBall(g=WEIGHT, b=3.0, restitution=restitution).zeno_time(speed)
     assert limit is None or abs(limit.time - truth) <= limit.error
 
@@ -326,7 +331,7 @@ def test_a_bead_that_leaves_its_disc_has_no_passage() -> None:
 
 def test_a_flight_that_does_not_come_back_ends_the_passage() -> None:
     dynamics = fading_ball(WEIGHT, 0.0, 0.99)
-    assert _pass(dynamics, (0.0, 0.0, 0.0, 1.0), 0.01, hop=lambda _state, _speed: None) is None
+    assert _pass(dynamics, (0.0, 0.0, 0.0, 1.0), 0.01, flight=lambda _state, _speed: None) is None
 
 
 def test_speeds_that_do_not_fall_end_the_passage() -> None:
@@ -335,7 +340,7 @@ def test_speeds_that_do_not_fall_end_the_passage() -> None:
     def gaining(state_plus: Vector, speed: float) -> tuple[float, Vector, float]:
         return 2 * speed / WEIGHT, state_plus, -speed / 0.99
 
-    assert _pass(dynamics, (0.0, 0.0, 0.0, 1.0), 0.01, hop=gaining) is None
+    assert _pass(dynamics, (0.0, 0.0, 0.0, 1.0), 0.01, flight=gaining) is None
 
 
 # Settling.

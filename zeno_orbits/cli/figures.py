@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from zeno_orbits.cli.options import YES, add_command, orbit_and_problem, print_json, say_written
 from zeno_orbits.cli.parsing import read_count
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 from zeno_orbits.work.files import require_folder, write_all
 
 if TYPE_CHECKING:
@@ -116,12 +116,12 @@ def _material(options: argparse.Namespace, progress: report.ProgressLine) -> Mat
         raise InputError(f"Argument `orbit` {message}; see `verify`.")
 
     def other() -> Counterpart:
+        from zeno_orbits.experiment import read_recording
         from zeno_orbits.experiment.comparison.counterpart import (
             recording_counterpart,
             rig_counterpart,
         )
         from zeno_orbits.experiment.orbit_table import measurable
-        from zeno_orbits.experiment.recordings.recording import read_recording
 
         count = options.periods
         if options.data is not None:

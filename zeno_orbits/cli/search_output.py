@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from zeno_orbits.cli.options import NO, YES, print_json, say_written
 from zeno_orbits.errors import InputError
-from zeno_orbits.report.terminal import orbits as report
+from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
     from zeno_orbits.model.problem import ParameterValues, Problem
@@ -74,12 +74,14 @@ def answer(
             report.print_candidates(result)
         report.print_orbit(problem, orbit, certificate, result.attempts[0].parameters)
         if objective is not None:
-            report.print_goal(objective.wish, best.extents, objective.quantities)
-        report.print_asked(certificate.asked)
+            report.print_objective(objective.wish, best.extents, objective.quantities)
+            if objective.quantities and best.starts == 1:
+                report.print_lines([_LOCAL])
+        report.print_bounds(certificate.asked)
         if held:
             report.print_lines([f"Not free, and kept as at the start: {', '.join(held)}."])
         if options.accuracy is not None:
-            report.print_error_made(certificate.orbit_error)
+            report.print_error_estimate(certificate.orbit_error)
         report.print_verdict(certificate)
         say_written(options, [] if options.output is None else [options.output])
     return YES
@@ -135,6 +137,8 @@ def kept_as_derived(
         return [n.name for n in problem.parameters if n.default is None and n.name not in free]
     return [name for name in before if before[name] != after[name] and name not in free]
 
+
+_LOCAL = "One start led there: the optimum may be local; --candidates 3 tries other starts, too."
 
 _FAR = 100.0
 """Factor by which a number differs from the problem's own when its unit may be mistaken."""

@@ -133,7 +133,13 @@ class _Names:
         )
 
     def end(self, branch: Branch, last: BranchPoint, index: int) -> SpecialPoint:
-        """Return the end of a branch in names; its last point if the end was not located."""
+        """Return the end of a branch in names; its last point if the end was not located.
+
+        Args:
+            branch: The branch.
+            last: Its last point.
+            index: Place of that point in the family.
+        """
         if branch.end is not None:
             return self.special(branch.end, index)
         return SpecialPoint(

@@ -156,6 +156,13 @@ def first_point(
 ) -> BranchPoint:
     """Return the point of the family at a parameter, its tangent with the parameter or against it.
 
+    Args:
+        returns: The return map.
+        metric: Units.
+        x: A state near it, ``(n_x,)``.
+        s: The parameter.
+        rising: True if the parameter rises along the tangent.
+
     Raises:
         ZenoOrbitsError: If no point is near the state.
     """
@@ -167,6 +174,12 @@ def first_point(
 
 def followed(returns: ReturnMap, x: Vector, s: float, metric: Metric) -> Return:
     """Return the return from a state.
+
+    Args:
+        returns: The return map.
+        x: The state, ``(n_x,)``.
+        s: The parameter.
+        metric: Units, and the time to wait.
 
     Raises:
         SimulationError: If numbers ran out of range on the way.
@@ -181,7 +194,16 @@ def followed(returns: ReturnMap, x: Vector, s: float, metric: Metric) -> Return:
 
 
 def linearized(here: Section, found: Return, metric: Metric) -> tuple[Vector, Vector]:
-    """Return the derivative of `P - y` and of the ambient place, by coordinates and parameter."""
+    """Return the derivative of `P - y` and of the ambient place, by coordinates and parameter.
+
+    Args:
+        here: The section around the state.
+        found: The return from it.
+        metric: Units.
+
+    Returns:
+        Both derivatives, ``(d, d + 1)`` and ``(n_x + 1, d + 1)``.
+    """
     d = here.dimension
     moved = found.by_state @ here.lift
     moved[:, d] += found.by_parameter

@@ -16,6 +16,7 @@ from zeno_orbits.continuation.return_maps import (
     Composed,
     Loss,
     Margin,
+    OnSection,
     ReleaseReturns,
     Return,
     ReturnMap,
@@ -26,7 +27,7 @@ from zeno_orbits.model.contact import GAP_ACCELERATION
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.orbits.monodromy import differentials_of
 from zeno_orbits.orbits.period import first_return, to_next_release
-from zeno_orbits.orbits.section import Line, Section
+from zeno_orbits.orbits.section import Line
 from zeno_orbits.simulation.execution import Ending, Impact, Mode
 from zeno_orbits.simulation.sensitivity import EventShift, Perturbations
 from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit
@@ -50,7 +51,7 @@ class _PlasticAfter:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CutReturns:
+class CutReturns(OnSection):
     """From release to release with the impacts cut after a number.
 
     Attributes:
@@ -62,21 +63,9 @@ class CutReturns:
     n_impacts: int
 
     @property
-    def line(self) -> Line:
-        """The parameters."""
-        return self.whole.line
-
-    def frame(self, x: Vector, s: float, scale: Vector) -> Section:
-        """Return the release section around a state of it."""
-        return self.whole.frame(x, s, scale)
-
-    def projected(self, x: Vector, s: float, scale: Vector) -> Vector:
-        """Return the release state nearest to a state."""
-        return self.whole.projected(x, s, scale)
-
-    def restitution(self, s: float) -> float:
-        """Return the coefficient of restitution at a place on the line."""
-        return self.whole.restitution(s)
+    def base(self) -> ReturnMap:
+        """The return map whose section and line it has."""
+        return self.whole
 
     def moved_to(self, line: Line) -> CutReturns:
         """Return the same map along another line."""
@@ -87,7 +76,7 @@ class CutReturns:
         return replace(self, whole=self.whole.loosened())
 
     def follow(self, x: Vector, s: float, *, horizon: float) -> Return:
-        """Return what happens from a release to the next; its one margin is the cut's."""
+        """Return the motion from a release to the next; its one margin is the cut's."""
         dynamics = self.whole.dynamics(s)
         settings = replace(self.whole.settings, completion=_PlasticAfter(n_impacts=self.n_impacts))
         start = dynamics.on_stop(x)

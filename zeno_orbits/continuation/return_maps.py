@@ -100,7 +100,12 @@ class ReturnMap(Protocol):
         ...
 
     def follow(self, x: Vector, s: float, *, horizon: float) -> Return:
-        """Return what happens from a state of the section to the next.
+        """Return the motion from a state of the section to the next.
+
+        Args:
+            x: The state, ``(n_x,)``.
+            s: Place on the line.
+            horizon: Longest time to wait [s].
 
         Raises:
             ZenoOrbitsError: If nothing comes back within the horizon, or not differentiably.
@@ -108,11 +113,23 @@ class ReturnMap(Protocol):
         ...
 
     def frame(self, x: Vector, s: float, scale: Vector) -> Section:
-        """Return the section around a state of it."""
+        """Return the section around a state of it.
+
+        Args:
+            x: The state, ``(n_x,)``.
+            s: Place on the line.
+            scale: Size of each state, ``(n_x,)``.
+        """
         ...
 
     def projected(self, x: Vector, s: float, scale: Vector) -> Vector:
-        """Return the state of the section nearest to a state."""
+        """Return the state of the section nearest to a state.
+
+        Args:
+            x: The state, ``(n_x,)``.
+            s: Place on the line.
+            scale: Size of each state, ``(n_x,)``.
+        """
         ...
 
     def restitution(self, s: float) -> float:
@@ -176,7 +193,7 @@ class ReleaseReturns(SectionReturns):
     rows = RELEASE_ROWS
 
     def follow(self, x: Vector, s: float, *, horizon: float) -> Return:
-        """Return what happens from a release to the next."""
+        """Return the motion from a release to the next."""
         dynamics, line = self.dynamics(s), self.line
         found = return_derivative(
             dynamics, x, horizon=horizon, settings=self.settings, parameters=line.moving
@@ -246,8 +263,34 @@ def _least_kept(dynamics: HybridDynamics, run: Execution) -> float | None:
     return min(kept, default=None)
 
 
+class OnSection:
+    """Base of return maps that have the section and the line of another one."""
+
+    @property
+    def base(self) -> ReturnMap:
+        """The other return map."""
+        raise NotImplementedError
+
+    @property
+    def line(self) -> Line:
+        """The line of parameters."""
+        return self.base.line
+
+    def frame(self, x: Vector, s: float, scale: Vector) -> Section:
+        """Return the section around a state of it."""
+        return self.base.frame(x, s, scale)
+
+    def projected(self, x: Vector, s: float, scale: Vector) -> Vector:
+        """Return the state of the section nearest to a state."""
+        return self.base.projected(x, s, scale)
+
+    def restitution(self, s: float) -> float:
+        """Return the coefficient of restitution at a place on the line."""
+        return self.base.restitution(s)
+
+
 @dataclass(frozen=True, kw_only=True)
-class Composed:
+class Composed(OnSection):
     """Several returns, one after the other, under which an orbit of a higher period closes.
 
     Attributes:
@@ -257,21 +300,9 @@ class Composed:
     maps: tuple[ReturnMap, ...]
 
     @property
-    def line(self) -> Line:
-        """The parameters."""
-        return self.maps[0].line
-
-    def frame(self, x: Vector, s: float, scale: Vector) -> Section:
-        """Return the section around a state of it."""
-        return self.maps[0].frame(x, s, scale)
-
-    def projected(self, x: Vector, s: float, scale: Vector) -> Vector:
-        """Return the state of the section nearest to a state."""
-        return self.maps[0].projected(x, s, scale)
-
-    def restitution(self, s: float) -> float:
-        """Return the coefficient of restitution at a place on the line."""
-        return self.maps[0].restitution(s)
+    def base(self) -> ReturnMap:
+        """The return map whose section and line it has."""
+        return self.maps[0]
 
     def moved_to(self, line: Line) -> Composed:
         """Return the same map along another line."""
@@ -282,7 +313,7 @@ class Composed:
         return Composed(maps=tuple(one.loosened() for one in self.maps))
 
     def follow(self, x: Vector, s: float, *, horizon: float) -> Return:
-        """Return what happens until the last of the returns."""
+        """Return the motion until the last of the returns."""
         end, by_state, by_parameter = x, np.eye(x.size), np.zeros(x.size)
         time, margins = 0.0, dict[Margin, float]()
         for place, one in enumerate(self.maps):

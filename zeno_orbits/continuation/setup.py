@@ -196,7 +196,9 @@ def _settled(returns: ImpactReturns, x: Vector, s: float) -> tuple[Vector, float
     dynamics = returns.dynamics(s)
     before: Vector | None = None
     for _ in range(_MOST_IMPACTS):
-        run = simulate(dynamics, x, until=_LONGEST_FLIGHT, settings=returns.settings, releases=1)
+        run = simulate(
+            dynamics, x, until=_LONGEST_FLIGHT, settings=returns.settings, releases=1, impacts=1
+        )
         if not run.impacts:
             break
         impact = run.impacts[0]

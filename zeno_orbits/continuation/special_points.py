@@ -99,6 +99,13 @@ def locate_inside(
 ) -> Located | None:
     """Return the special point between two neighbours, or ``None`` if nothing happens there.
 
+    Args:
+        returns: The return map.
+        metric: Units.
+        a: A point of a family.
+        b: Its neighbour.
+        kind: Kind of a special point whose test function changes its sign in between.
+
     Raises:
         ZenoOrbitsError: If a point in between cannot be had.
     """
@@ -138,7 +145,15 @@ def _located(kind: Kind, root: Root, metric: Metric) -> Located:
 def root_between(
     returns: ReturnMap, metric: Metric, a: BranchPoint, b: BranchPoint, test: TestFunction
 ) -> Root:
-    """Return the root of a test function between two points at which its signs differ."""
+    """Return the root of a test function between two points at which its signs differ.
+
+    Args:
+        returns: The return map.
+        metric: Units.
+        a: A point of a family.
+        b: Its neighbour.
+        test: The test function.
+    """
     from scipy.optimize import brentq
 
     length = float((b.z - a.z) @ a.tangent)
@@ -176,6 +191,13 @@ def located_near(
     returns: ReturnMap, metric: Metric, start: BranchPoint, kind: Kind, test: TestFunction
 ) -> Located:
     """Return the special point near a point of a family, by secants along it.
+
+    Args:
+        returns: The return map.
+        metric: Units.
+        start: The point of the family.
+        kind: Kind of the special point.
+        test: Its test function.
 
     Raises:
         ZenoOrbitsError: If no such point is near.

@@ -34,14 +34,14 @@ _AGREES = 0.5
 _NEAR, _REPELS = 0.05, 1.2
 """An orbit this near with multipliers beyond this is not one that the motion goes to."""
 _VANISHED = 0.02
-"""Part of its amplitude that an orbit would have that is none: the motion dies out."""
+"""Part of the amplitude below which there is no orbit: the motion dies out."""
 _COARSE = 3e-4
 """Newton's steps above this are repeated at the accuracy of the motion first."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Accuracy:
-    """How accurately motions are followed to what they settle to.
+    """Accuracy with which motions are followed to their attractors.
 
     Attributes:
         motion: Local error while a motion settles.

@@ -1,4 +1,4 @@
-"""What a motion settles to, as numbers: the answer for one point of a map."""
+"""Attractors with their numbers: the answer at one point of a map, and its plain data."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from zeno_orbits.simulation.attractor import STEADY
 
 
 class Fate(Enum):
-    """Where a motion ends. The value is the phrase shown to the user."""
+    """Kinds of attractors. The value is the phrase shown to the user."""
 
     ZENO = "Zeno periodic orbit"
     SIMPLE = "simple periodic orbit"
@@ -26,11 +26,11 @@ class Fate(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attractor:
-    """What a motion settles to.
+    """The attractor of a motion.
 
     Attributes:
         fate: Its kind. ``SIMPLE`` is an orbit that locks with the first impact: a plastic stop.
-        returns: Releases a period, 1 for a period-1 orbit, 2 after a flip; 0 where there is none.
+        returns: Releases a period, 1 for a period-1 orbit, 2 after a flip; 0 without releases.
         period: Time after which the motion repeats [s]; NaN where it does not.
         multipliers: Floquet multipliers over the period, the largest first.
         margins: Name to distance from where the orbit would lose its shape, as in a certificate.
@@ -53,7 +53,7 @@ class Attractor:
 
     @property
     def phrase(self) -> str:
-        """What it is, in the words of a legend."""
+        """Its kind in the words of a legend."""
         if self.fate is Fate.ZENO:
             return f"{self.fate.value}, period {self.returns}"
         if self.fate is Fate.SIMPLE and self.returns > 1:
@@ -97,7 +97,7 @@ def attractor_from_json(entries: Mapping[str, Any]) -> Attractor:
     """Return the attractor of plain data.
 
     Raises:
-        KeyError, TypeError, ValueError: If the data are none.
+        KeyError, TypeError, ValueError: If the data are not those of an attractor.
     """
     return Attractor(
         fate=Fate[str(entries["fate"]).upper()],

@@ -1,4 +1,4 @@
-"""What motions settle to, for many settings of a problem at once: one chunk of a map."""
+"""Attractors at many parameter values of a problem at once: one chunk of a map."""
 
 from __future__ import annotations
 
@@ -15,11 +15,14 @@ from zeno_orbits.maps.attempt import Accuracy, Request
 from zeno_orbits.maps.attractors import Attractor
 from zeno_orbits.maps.point import Point
 from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.simulation.attractor import bounds_of
+from zeno_orbits.simulation.attractor import WAITING, bounds_of
 from zeno_orbits.simulation.batch.batch import Batch
 from zeno_orbits.simulation.batch.model import model_in_rows
+from zeno_orbits.simulation.time_scale import own_time
 from zeno_orbits.work.progress import Progress, silent
 
+_OSCILLATIONS = 35
+"""Oscillations in which a motion has to settle, of a problem without a clock."""
 _LANES = 2048
 """Lanes in a batch. More share the cost of a round better, until they leave the cache."""
 
@@ -29,7 +32,7 @@ def attractors_at(
     settings: Sequence[ParameterValues],
     *,
     start: Mapping[str, float] | None = None,
-    until: float = 100.0,
+    until: float | None = None,
     bounds: Mapping[str, float] | None = None,
     accuracy: Accuracy | None = None,
     on_progress: Progress = silent,
@@ -42,7 +45,7 @@ def attractors_at(
         problem: The problem.
         settings: Numbers for its gains and parameters, one a point.
         start: Where motions start; the problem's first start by default.
-        until: Longest simulated time [s].
+        until: Longest simulated time [s]; by default the `usual_time`.
         bounds: Largest modulus of coordinates by name; beyond it a motion has escaped. By default
             what the problem declares, and 20 pi for the others.
         accuracy: How accurately motions are followed.
@@ -51,14 +54,15 @@ def attractors_at(
     Raises:
         InputError: If a name is unknown or a number out of its range.
     """
-    if not (math.isfinite(until) and until > 0.0):
+    if until is not None and not (math.isfinite(until) and until > 0.0):
         raise InputError(
             f"Argument `until` must be a positive number of seconds, but it is {until}."
         )
     if not settings:
         return ()
     state = np.array(problem.state_vector(problem.starts[0] if start is None else start))
-    run = _Run(problem, settings, state, until, _limits(problem, bounds), accuracy or Accuracy())
+    time = usual_time(problem, settings, state) if until is None else until
+    run = _Run(problem, settings, state, time, _limits(problem, bounds), accuracy or Accuracy())
     done = 0
     while run.is_going:
         run.advance()
@@ -68,8 +72,26 @@ def attractors_at(
     return tuple(_in_words(problem, run.found[k]) for k in range(len(settings)))
 
 
+def usual_time(
+    problem: Problem, settings: Sequence[ParameterValues], start: Sequence[float] | Vector
+) -> float:
+    """Return how long to wait for motions to settle, in the problem's own time scale [s].
+
+    It is so many turns of the slowest clock or oscillation, to one digit.
+
+    Args:
+        problem: The problem.
+        settings: Numbers for its gains and parameters, at least one.
+        start: State at which the motions start, ``(n_x,)``.
+    """
+    state = np.array(start)
+    slowest = max(own_time(problem.dynamics(values), state) for values in settings)
+    turns = WAITING if problem.compiled().clock else _OSCILLATIONS
+    return float(f"{turns * slowest:.0e}")
+
+
 def _in_words(problem: Problem, found: Attractor) -> Attractor:
-    """Return an attractor with what the problem calls its escape."""
+    """Return an attractor whose escape has the words of the problem."""
     if found.escaped not in problem.escapes:
         return found
     return replace(found, detail=problem.escapes[found.escaped].phrase)
@@ -112,7 +134,7 @@ class _Run:
 
     @property
     def is_going(self) -> bool:
-        """Whether a point has not come to its conclusion."""
+        """True while a point has not come to its conclusion."""
         return bool(self._waiting or self._points)
 
     @property

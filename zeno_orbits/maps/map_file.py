@@ -71,7 +71,7 @@ def read_boundaries(path: Path, x: str, y: str) -> tuple[Boundary, ...]:
 
 
 def _boundary_of(curve: Mapping[str, Any], x: str, y: str) -> Boundary | None:
-    """Return a curve of two parameters, or nothing if they are others."""
+    """Return a curve in a plane, or ``None`` if it lies in another."""
     names = list(curve["parameters"])
     if sorted(names) != sorted((x, y)):
         return None

@@ -15,8 +15,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.maps.attractors import Attractor, Fate, attractor_from_json, attractor_json
 from zeno_orbits.maps.plane import Axis, Plane, require_plane
 from zeno_orbits.model.library import ProblemFile
-from zeno_orbits.work import Lost, Plan, Progress, Workers, silent, spread
-from zeno_orbits.work.versions import versions
+from zeno_orbits.work import Lost, Plan, Progress, Workers, silent, spread, versions
 
 FORMAT = 1
 """Version of the file format that this code writes, and the newest that it reads."""
@@ -37,7 +36,7 @@ class Boundary:
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class ParameterMap:
-    """What motions settle to over a plane.
+    """The attractors over a plane.
 
     Attributes:
         problem: Name of the problem.
@@ -88,7 +87,7 @@ class ParameterMap:
 
     @property
     def has_zeno(self) -> bool:
-        """Whether a motion settles to a Zeno periodic orbit or a simple one somewhere."""
+        """True if a motion settles to a Zeno periodic orbit or a simple one somewhere."""
         return any(one.fate in (Fate.ZENO, Fate.SIMPLE) for one in self.attractors)
 
     def header(self) -> dict[str, Any]:

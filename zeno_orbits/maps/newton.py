@@ -51,7 +51,7 @@ class Bundle:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cycle:
-    """What a return over a period tells; numbers behind the state are treated alike.
+    """A return over a period: its end and its numbers.
 
     Attributes:
         state: Where it returns, ``(n_x,)``.

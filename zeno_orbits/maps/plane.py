@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -11,10 +12,9 @@ import numpy as np
 
 from zeno_orbits.errors import InputError
 from zeno_orbits.maps.attractors import Attractor, Fate, attractor_json
-from zeno_orbits.maps.classify import attractors_at
+from zeno_orbits.maps.classify import attractors_at, usual_time
 from zeno_orbits.model.library import ProblemFile
 from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.simulation.attractor import time_to_settle
 from zeno_orbits.work.plan import Workers
 from zeno_orbits.work.pools import worker_count
 
@@ -26,8 +26,6 @@ _LEAST = 2
 """Points along an axis."""
 _MOST = 10_000_000
 """Points of a plane: a day of work for a hundred cores, and gigabytes."""
-_WITHOUT_CLOCK = 60.0
-"""How long a motion may take to settle where no clock tells [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,8 +62,8 @@ class Plane:
         gains: Gains elsewhere than at their defaults, but for those of the axes.
         parameters: Parameters, likewise. What is derived from others is derived at every point.
         start: State at which every motion starts, ``(n_x,)``.
-        until: How long a motion may take to settle [s]; ``None`` for the usual number of periods of
-            the problem's clock, or 60 s without one.
+        until: How long a motion may take to settle [s]; ``None`` for the usual time of the
+            slowest corner.
     """
 
     source: Problem | ProblemFile
@@ -83,8 +81,15 @@ class Plane:
 
     @property
     def time(self) -> float:
-        """How long a motion may take to settle [s]."""
-        return usual_time(self) if self.until is None else self.until
+        """Time that a motion may take to settle [s]."""
+        if self.until is not None:
+            return self.until
+        corners: list[ParameterValues] = []
+        for x in (self.x.lower, self.x.upper):
+            for y in (self.y.lower, self.y.upper):
+                with suppress(InputError):
+                    corners.append(self.values(x, y))
+        return usual_time(self.problem, corners or [self.problem.values()], self.start)
 
     def __call__(self, points: Sequence[Sequence[float]]) -> list[dict[str, Any]]:
         """Return the attractors at some points as plain data: the task of a worker.
@@ -123,25 +128,6 @@ class Plane:
         problem = self.problem
         point = {self.x.name: x, self.y.name: y}
         return problem.values(gains=self.gains, parameters=self.parameters, numbers=point)
-
-
-def usual_time(plane: Plane) -> float:
-    """Return how long to wait for motions to settle, by the slowest clock at the corners [s]."""
-    problem = plane.problem
-    clock = problem.compiled().clock
-    if not clock:
-        return _WITHOUT_CLOCK
-    start = np.array(plane.start)
-    periods: list[float] = []
-    for x in (plane.x.lower, plane.x.upper):
-        for y in (plane.y.lower, plane.y.upper):
-            try:
-                dynamics = problem.dynamics(plane.values(x, y).vector)
-            except InputError:
-                continue
-            rate = float(np.hypot(*dynamics.free.rate(start)[list(clock)]))
-            periods += [2 * math.pi / rate] if rate > 0.0 else []
-    return time_to_settle(periods) if periods else _WITHOUT_CLOCK
 
 
 def chunk_of(plane: Plane, cores: int | None = None) -> int:

@@ -79,7 +79,7 @@ class Point:
             event: What happened to it.
 
         Returns:
-            Other lanes to run in place of these, or the conclusion, or nothing to go on.
+            Other lanes to run in place of these, or the conclusion, or ``None`` to go on.
         """
         if self._attempt is not None:
             answer = self._attempt.hear(rank, event)

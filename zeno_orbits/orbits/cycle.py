@@ -234,6 +234,9 @@ def first_cycles(execution: Execution, start: Vector, shape: OrbitShape) -> tupl
 
 def gone_round_twice(cycle: Cycle) -> OrbitShape | None:
     """Return the shape of which a cycle that repeats is several periods, if it is."""
+    if not cycle.shape.shorter:
+        # The scale costs an integration with some engines.
+        return None
     shorter = cycle.shorter_periods(cycle.scale()).items()
     return next((shape for shape, apart in shorter if apart == 0.0), None)
 

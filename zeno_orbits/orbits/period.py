@@ -74,8 +74,8 @@ def first_return(execution: Execution) -> Release | None:
 def placed(dynamics: HybridDynamics, shape: OrbitShape, x: Vector) -> Vector:
     """Return the state moved onto the section that a shape starts on, to rounding, ``(n_x,)``.
 
-    At a release, and just after a plastic impact, gap and gap rate become zero; after another impact
-    the gap alone does.
+    At a release, and just after a plastic impact, gap and gap rate become zero; after another
+    impact the gap alone does.
 
     Args:
         dynamics: The system.

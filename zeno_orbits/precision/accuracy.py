@@ -223,9 +223,10 @@ def why_engine(dynamics: HybridDynamics, state: Sequence[float] | Vector, leg: f
     if fastest <= 0.0:
         return "explicit steps (DOP853): nothing decays."
     lasting = staying_rate(values, leg)
-    rates = f"the fastest decay is {fastest:.3g} 1/s, what lasts changes at {lasting:.3g} 1/s"
+    rates = f"the fastest mode decays at {fastest:.3g} 1/s, slow ones change at {lasting:.3g} 1/s"
     if fastest > PAYS * lasting:
-        return f"explicit steps (DOP853) in layers, then implicit (Radau IIA, order 13): {rates}."
+        steps = "explicit steps (DOP853) while it decays, then implicit ones (Radau IIA, order 13)"
+        return f"{steps}: {rates}."
     return f"explicit steps (DOP853): {rates}."
 
 

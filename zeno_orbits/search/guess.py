@@ -27,6 +27,7 @@ from zeno_orbits.simulation.attractor import (
 from zeno_orbits.simulation.completion import ZenoExtrapolation
 from zeno_orbits.simulation.execution import Execution, Mode
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
+from zeno_orbits.simulation.time_scale import own_time
 
 _DIFFERENCE = 1e-6
 """Step of a derivative; its error is that part of a correction that is small itself."""
@@ -37,13 +38,10 @@ _OSCILLATIONS = 115
 _LOOK = 6
 """Oscillations, or turns of the clock, between two looks at a motion without releases."""
 
-_DAMPED = 1e-3
-"""An eigenvalue whose imaginary part is less than this part of it does not oscillate."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SettlingSettings:
-    """How long to wait for a motion to repeat.
+    """Limits of the wait for a motion to repeat.
 
     Attributes:
         horizon: Longest simulated time from one start [s]; by default some hundred turns of the
@@ -77,11 +75,11 @@ class SettlingSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Settling:
-    """Where a simulation went.
+    """Outcome of following a motion.
 
     Attributes:
         cycle: Its last period, if it is fit for a guess.
-        reason: Why there is none, as a clause; empty if there is one.
+        reason: Reason why there is none, as a clause; empty if there is one.
     """
 
     cycle: Cycle | None
@@ -90,10 +88,10 @@ class Settling:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Watch:
-    """What ends the wait for a motion.
+    """Limits of the wait, as numbers.
 
     Attributes:
-        settings: How accurately to simulate, within the bounds of the coordinates.
+        settings: Accuracy of the simulation, with the bounds of the coordinates.
         settled: As in `SettlingSettings`.
         usable: As in `SettlingSettings`.
         horizon: Longest simulated time [s].
@@ -123,7 +121,7 @@ def settle(
     Args:
         dynamics: The system.
         starts: Initial states, tried in order.
-        settings: How long to wait.
+        settings: Limits of the wait.
         shape: The shape of the period; by default whatever the motion settles to. If it settles to
             another one, the period of this shape on the way that came nearest to repeating.
         problem: The problem, for its escapes, units and clock.
@@ -139,27 +137,6 @@ def settle(
             return settling
         reasons.append(settling.reason)
     return Settling(cycle=None, reason=" / ".join(dict.fromkeys(reasons)))
-
-
-def own_time(dynamics: HybridDynamics, state: Vector) -> float:
-    r"""Return the slowest time scale of a problem [s]: of its clock or its oscillations.
-
-    It is :math:`2 \pi / |\mu|` with the smallest oscillating eigenvalue :math:`\mu` of the free
-    flow, which has those of the clock. Where nothing oscillates it is
-    :math:`2 \pi \sqrt{|q| / |\ddot q|}`.
-
-    Args:
-        dynamics: The system.
-        state: Where to look, ``(n_x,)``.
-    """
-    n_q = dynamics.n_q
-    eigenvalues = np.linalg.eigvals(dynamics.free.jacobian(state))
-    turning = np.abs(eigenvalues[np.abs(eigenvalues.imag) > _DAMPED * np.abs(eigenvalues)])
-    if turning.size:
-        return float(2 * math.pi / np.min(turning))
-    size = float(np.max(np.abs(state[:n_q])))
-    pull = float(np.max(np.abs(dynamics.free.rate(state)[n_q : 2 * n_q])))
-    return 2 * math.pi * math.sqrt(size / pull) if size > 0.0 and pull > 0.0 else 1.0
 
 
 def _watch(
@@ -206,7 +183,7 @@ def _settle_from(
         recurrence = recurrence.after(run, found, since=elapsed)
         elapsed += run.end_time
         if at_release and not run.releases:
-            # Whoever comes back later than this is waited for the next time.
+            # The next wait is twice as long, for motions that return later than this.
             patience *= 2
         speeds += [-cycle.impacts[0].approach_rate for cycle in found]
         settled = recurrence.settled_to()

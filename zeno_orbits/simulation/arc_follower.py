@@ -24,7 +24,7 @@ _RISING, _RISE = 4, 1.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArcStart:
-    """Where the next arc starts.
+    """The start of the next arc.
 
     Attributes:
         mode: Its mode.
@@ -43,7 +43,7 @@ class ArcStart:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Look:
-    """How far an execution has come.
+    """A look at how far an execution has come.
 
     Attributes:
         steps: Steps so far.

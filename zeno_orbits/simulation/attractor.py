@@ -1,4 +1,4 @@
-r"""What a motion settles to: one definition for searches, maps, families and rigs (theory (29)).
+r"""The attractor of a motion: one definition for searches, maps, families and rigs (theory (29)).
 
 A motion is known by its *returns*: the states in which it meets a section, mostly its releases,
 and impacts where no release comes. `outcome_of` goes from them and what happened in between to one
@@ -23,8 +23,11 @@ from enum import Enum
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Rows, Vector
+
+Flags = NDArray[np.bool_]
 
 PERIODS = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 16)
 """Numbers of returns after which a motion may repeat."""
@@ -61,7 +64,7 @@ _SCATTER = 0.2
 
 
 class Outcome(Enum):
-    """What a motion settles to. The value completes the sentence "The motion ..."."""
+    """Kinds of attractors. The value completes the sentence "The motion ..."."""
 
     REPEATS = "repeats"
     RESTS = "comes to rest"
@@ -90,7 +93,7 @@ class Return:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Motion:
-    """What has been seen of a motion.
+    """A motion as far as it has been seen.
 
     Attributes:
         units: Unit of each state, ``(n_x,)``: states of one unit are measured alike.
@@ -248,7 +251,7 @@ def repetitions(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Growth:
-    """How the amplitude of a motion changes.
+    """Change of the amplitude of a motion.
 
     Attributes:
         factor: Growth over a return, fitted to the last few; NaN with too few.
@@ -292,7 +295,7 @@ def _mean_factor(amplitudes: Sequence[float]) -> float:
 # ------------------------------------------------------------------ it rests
 
 
-def is_still(rates: Vector, largest: Vector, rounding: float = 0.0) -> Vector:
+def is_still(rates: Vector, largest: Vector, rounding: float = 0.0) -> Flags:
     """Return which motions have stopped, ``(n,)``, as flags.
 
     Args:
@@ -302,10 +305,10 @@ def is_still(rates: Vector, largest: Vector, rounding: float = 0.0) -> Vector:
         rounding: Rates below this are zero.
     """
     limit = np.maximum(_STILL * largest, rounding)
-    return np.all(np.abs(rates) <= limit[:, None, :], axis=(1, 2))
+    return np.asarray(np.all(np.abs(rates) <= limit[:, None, :], axis=(1, 2)))
 
 
-def keeps_holding(multiplier: Vector, rate: Vector, step: float | Vector) -> Vector:
+def keeps_holding(multiplier: Vector, rate: Vector, step: float | Vector) -> Flags:
     """Return which stops never let go, ``(n,)``, as flags.
 
     The cubic through values and rates at neighbouring phases lies in the hull of its Bernstein
@@ -322,7 +325,8 @@ def keeps_holding(multiplier: Vector, rate: Vector, step: float | Vector) -> Vec
     third = np.reshape(np.asarray(step) / 3, (-1, 1))
     after = multiplier[:, :-1] + third * rate[:, :-1]
     before = multiplier[:, 1:] - third * rate[:, 1:]
-    return np.all(multiplier > 0.0, axis=1) & np.all((after > 0.0) & (before > 0.0), axis=1)
+    positive = np.all(multiplier > 0.0, axis=1)
+    return np.asarray(positive & np.all((after > 0.0) & (before > 0.0), axis=1))
 
 
 # ------------------------------------------------------------------ it is gone
@@ -347,7 +351,7 @@ def bounds_of(
     return np.array([declared.get(name, bound) for name, bound in zip(names, usual, strict=True)])
 
 
-def has_left(position: Vector, before: Vector) -> Vector:
+def has_left(position: Vector, before: Vector) -> Flags:
     """Return which coordinates have left for good since the last return, as flags.
 
     Args:
@@ -355,15 +359,3 @@ def has_left(position: Vector, before: Vector) -> Vector:
         before: Largest modulus of each coordinate in the first half of that time, ``(n_q,)``.
     """
     return (before > 0.0) & (np.abs(position) > _LEFT * before)
-
-
-# ------------------------------------------------------------------ how long to wait
-
-
-def time_to_settle(clock_periods: Sequence[float]) -> float:
-    """Return how long to wait for motions to settle, by the slowest of their clocks [s].
-
-    Args:
-        clock_periods: Periods of the clock at the numbers that are looked at [s].
-    """
-    return WAITING * max(clock_periods)

@@ -1,4 +1,4 @@
-"""When a sequence of impacts is complete: at its limit, extrapolated or followed, or at a cut.
+"""Rules that complete a sequence of impacts: at its limit, extrapolated or followed, or at a cut.
 
 Source: [OrAmes2011]_ for the cut, theory (11), (15) and (22).
 """
@@ -15,7 +15,7 @@ from zeno_orbits.integrators.engine import Stepper
 from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.simulation.event_rules import is_geometric
-from zeno_orbits.simulation.rescaled_flight import rescaled_hop
+from zeno_orbits.simulation.rescaled_flight import rescaled_flights
 from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit, combine, extrapolate
 from zeno_orbits.simulation.zeno_passage import is_settled, pass_through
 
@@ -42,7 +42,7 @@ class Completion(Protocol):
     def limit(
         self, dynamics: HybridDynamics, estimates: Sequence[TailEstimate]
     ) -> ZenoLimit | None:
-        """Return the Zeno point, or nothing if more impacts are to be resolved.
+        """Return the Zeno point, or ``None`` if more impacts are to be resolved.
 
         Args:
             dynamics: The system.
@@ -118,12 +118,12 @@ class ZenoPassage:
         last = estimates[-1]
         return pass_through(
             dynamics,
-            rescaled_hop(dynamics, self.engine, _FINEST),
+            rescaled_flights(dynamics, self.engine, _FINEST),
             last.impact_time,
             last.resting,
             last.speed,
             self.tolerance,
-            most_hops=left,
+            most_flights=left,
         )
 
     def _flights_left(self, restitution: float, estimates: Sequence[TailEstimate]) -> int:
@@ -135,7 +135,7 @@ class ZenoPassage:
 
 
 def _is_due(dynamics: HybridDynamics, estimates: Sequence[TailEstimate]) -> bool:
-    """Tell whether the curve is worth a try after the last impact."""
+    """Return True if the curve is worth a try after the last impact."""
     last, e = estimates[-1], dynamics.restitution
     again = len(estimates) in _TRIES
     if not (is_settled(estimates, e) and (again or not is_settled(estimates[:-1], e))):
@@ -178,7 +178,7 @@ class FixedImpacts:
     def limit(
         self, dynamics: HybridDynamics, estimates: Sequence[TailEstimate]
     ) -> ZenoLimit | None:
-        """Return the extrapolated Zeno point at the last impact, or nothing before."""
+        """Return the extrapolated Zeno point at the last impact, or ``None`` before."""
         if len(estimates) < self.n_impacts:
             return None
         return extrapolate(dynamics, estimates)

@@ -20,7 +20,7 @@ class Mode(Enum):
 
 
 class Ending(Enum):
-    """What ended an arc. The value is the word shown to the user."""
+    """Ends of an arc. The value is the word shown to the user."""
 
     IMPACT = "impact"
     ZENO = "Zeno point"
@@ -166,7 +166,7 @@ class Arc:
 
     @property
     def flow_times(self) -> Vector:
-        """Where the engine stepped, in the flow's own time, both ends included, ``(m,)``."""
+        """Times of the engine's steps, in the flow's own time, both ends included, ``(m,)``."""
         return np.array([0.0, self.duration]) if self.trajectory is None else self.trajectory.times
 
     @property
@@ -203,12 +203,12 @@ class Execution:
 
     @property
     def end_time(self) -> float:
-        """When it ends [s]."""
+        """Time of its end [s]."""
         return self.arcs[-1].end_time
 
     @property
     def end_state(self) -> Vector:
-        """Where it ends, ``(n_x,)``."""
+        """State at its end, ``(n_x,)``."""
         return self.arcs[-1].end_state
 
     @property

@@ -23,7 +23,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators.collocation import Nodes, doubled_nodes, radau_nodes
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.simulation.rescaled_flight import Hop
+from zeno_orbits.simulation.rescaled_flight import Flight
 from zeno_orbits.simulation.zeno_limit import tail_time
 
 _NUDGE = 1e-5
@@ -50,15 +50,15 @@ class ImpactCurve:
 
     Attributes:
         dynamics: The system.
-        hop: One rescaled flight.
-        most_hops: Flights before it gives up.
-        n_hops: Flights so far.
+        flight: One rescaled flight.
+        most_flights: Flights before it gives up.
+        n_flights: Flights so far.
     """
 
     dynamics: HybridDynamics
-    hop: Hop
-    most_hops: int
-    n_hops: int = 0
+    flight: Flight
+    most_flights: int
+    n_flights: int = 0
 
     def on_stop(self, x: Vector) -> Vector:
         """Return a state moved onto the stop to rounding: the slope divides what is left by a fall.
@@ -85,10 +85,10 @@ class ImpactCurve:
         if w == 0.0:
             rate = tail_time(1.0, acceleration, dynamics.restitution)
             return rate * np.append(dynamics.locked.rate(resting), 1.0), 0.0
-        if self.n_hops >= self.most_hops:
+        if self.n_flights >= self.most_flights:
             raise CurveLostError
-        self.n_hops += 1
-        landing = self.hop(resting + w * dynamics.impulse_direction(resting), w)
+        self.n_flights += 1
+        landing = self.flight(resting + w * dynamics.impulse_direction(resting), w)
         if landing is None:
             raise CurveLostError
         duration, state_minus, approach_rate = landing
@@ -112,7 +112,14 @@ class ImpactCurve:
         return left[:, sizes > _PROJECTED_OUT]
 
     def derivative(self, z: Vector, w: float, slope: Vector, basis: Vector) -> Vector:
-        """Return the derivative of the slope along a basis of states, ``(n_x + 1, m)``."""
+        """Return the derivative of the slope along a basis of states, ``(n_x + 1, m)``.
+
+        Args:
+            z: The point, ``(n_x + 1,)``.
+            w: Its speed.
+            slope: The slope there, ``(n_x + 1,)``.
+            basis: Directions, ``(n_x, m)``.
+        """
         nudge = _NUDGE * (1 + float(np.max(np.abs(z[:-1]))))
         columns = [self.slope(z + nudge * np.append(one, 0.0), w)[0] - slope for one in basis.T]
         return np.reshape(columns, (len(columns), len(z))).T / nudge
@@ -146,7 +153,16 @@ class Start:
 
 
 def start_at(curve: ImpactCurve, z: Vector, w: float) -> Start:
-    """Return the start of a piece; it costs a flight, and one for every direction on the stop."""
+    """Return the start of a piece; it costs a flight, and one for every direction on the stop.
+
+    Args:
+        curve: The curve.
+        z: The point, ``(n_x + 1,)``.
+        w: Its speed.
+
+    Raises:
+        CurveLostError: If the curve cannot be followed from there.
+    """
     basis = curve.tangents(z)
     slope, fall = curve.slope(z, w)
     derivative = curve.derivative(z, w, slope, basis)
@@ -177,7 +193,7 @@ class Piece:
 
     @property
     def rest(self) -> float:
-        """What further iterations would still change, at most."""
+        """Change that further iterations would still make, at most."""
         last = self.changes[-1]
         rate = last / self.changes[-2] if len(self.changes) > 1 else 1.0
         return last * min(rate / (1 - rate), 1.0) if rate < 1.0 else last
@@ -243,6 +259,12 @@ def iterated(curve: ImpactCurve, piece: Piece) -> Piece:
 
 def converged(curve: ImpactCurve, piece: Piece, tolerance: float, *, most: int = 8) -> Piece:
     """Return the piece iterated until the rest is below a tolerance.
+
+    Args:
+        curve: The curve.
+        piece: The piece.
+        tolerance: Largest relative change that may be left.
+        most: Iterations before it is given up.
 
     Raises:
         CurveLostError: If it does not converge.

@@ -12,7 +12,7 @@ from zeno_orbits.integrators.engine import Step, Stepper
 from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 
-Hop = Callable[[Vector, float], tuple[float, Vector, float] | None]
+Flight = Callable[[Vector, float], tuple[float, Vector, float] | None]
 """From the state after an impact and its gap rate to duration, state and gap rate at the next.
 
 ``None`` means that this is no flight of a sequence that accumulates.
@@ -26,7 +26,7 @@ _CLOSE = 1e-7
 """A correction of the landing after which one more reaches rounding, as part of the flight."""
 
 
-def rescaled_hop(dynamics: HybridDynamics, engine: Stepper, tolerance: Tolerance) -> Hop:
+def rescaled_flights(dynamics: HybridDynamics, engine: Stepper, tolerance: Tolerance) -> Flight:
     """Return the flights of a system, as a function.
 
     A flight is given up where the free flow no longer presses on the stop at the end of a step:
@@ -39,7 +39,7 @@ def rescaled_hop(dynamics: HybridDynamics, engine: Stepper, tolerance: Tolerance
     """
     n_x = len(dynamics.state_names)
 
-    def hop(state_plus: Vector, speed: float) -> tuple[float, Vector, float] | None:
+    def flight(state_plus: Vector, speed: float) -> tuple[float, Vector, float] | None:
         start = np.append(state_plus, (0.0, 1.0))
         steps = engine.steps(dynamics.flight(speed), start, tolerance)
         try:
@@ -52,7 +52,7 @@ def rescaled_hop(dynamics: HybridDynamics, engine: Stepper, tolerance: Tolerance
             return None
         return None
 
-    return hop
+    return flight
 
 
 def _landing(step: Step, speed: float, n_x: int) -> tuple[float, Vector, float] | None:

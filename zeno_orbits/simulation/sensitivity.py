@@ -1,4 +1,4 @@
-r"""How the events of an execution move with its start and its parameters, one after the other.
+r"""Derivatives of the events of an execution by its start and its parameters, one after the other.
 
 An event is where a guard :math:`g` vanishes along a flow :math:`f`. With the perturbation `V` at
 an equal time it moves by
@@ -38,7 +38,7 @@ from zeno_orbits.simulation.zeno_limit import (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EventShift:
-    """How an event moves.
+    """Derivatives of an event.
 
     Attributes:
         time: Of its time, ``(m,)``.
@@ -150,7 +150,13 @@ class Perturbations:
         return EventShift(time=before.time, state=reset @ inputs, rate=rate)
 
     def joined(self, bounces: Sequence[Bounce], impact: Impact, after: EventShift) -> list[Bounce]:
-        """Return a sequence with one more impact, or a new one where it does not go on."""
+        """Return a sequence with one more impact, or a new one where it does not go on.
+
+        Args:
+            bounces: The sequence so far.
+            impact: The impact.
+            after: Derivatives after its reset.
+        """
         speed = self.dynamics.speed_after(impact.approach_rate)
         estimate = estimate_tail(self.dynamics, impact.time, impact.state_plus, speed)
         if estimate is None:

@@ -1,7 +1,4 @@
-"""Signals of an orbit, states and what the motors see, and their extremes along simulated arcs.
-
-The least value that a function takes inside an arc.
-"""
+"""Signals of an orbit, states and what the motors see, and their extremes along simulated arcs."""
 
 from __future__ import annotations
 
@@ -144,7 +141,7 @@ def peaks(value: Callable[[Vector], float], arc: Arc, sign: float) -> list[Peak]
 
 _LEAST_SAMPLES = 60
 _EDGE = 1e-3
-"""Part of an arc at its ends that is none of its inside: a flight starts with its rate at zero."""
+"""Part of an arc at its ends that is not its inside: a flight starts with its rate at zero."""
 
 
 def least_inside(arc: Arc, value: Scalar, rate: Scalar) -> float | None:

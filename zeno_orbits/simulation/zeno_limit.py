@@ -140,7 +140,7 @@ class ZenoLimit:
             had the impacts been exact: the difference from the limit that the impacts a node
             earlier gave.
         path: The states on the stop on the way from the last impact, where they are known, with
-            times from that impact; the hops that are left out lie above them.
+            times from that impact; the flights that are left out lie above them.
     """
 
     time: float

@@ -12,8 +12,7 @@ current, which relaxes to the curve's own within a few `L/R`: a layer at its sta
 The impacts that are passed over are never known one by one, nor do intermediate ends of pieces
 belong to the sequence. If the end is not reached, because the stop lets go before the speed has
 fallen to zero for instance, there is no result, and the sequence must be followed flight by flight.
-
-Whether the impacts of a sequence have come onto their curve (theory (22)).
+`is_settled` decides from the impacts so far whether their curve is worth a try.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ from zeno_orbits.simulation.impact_curve import (
     start_at,
     straight_piece,
 )
-from zeno_orbits.simulation.rescaled_flight import Hop
+from zeno_orbits.simulation.rescaled_flight import Flight
 from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit
 
 _FEW, _SOME, _MANY = 4, 8, 16
@@ -80,28 +79,28 @@ _MAY_BEND = 0.5
 
 def pass_through(
     dynamics: HybridDynamics,
-    hop: Hop,
+    flight: Flight,
     time: float,
     state: Vector,
     speed: float,
     tolerance: float,
     *,
-    most_hops: int,
+    most_flights: int,
 ) -> ZenoLimit | None:
     """Return the Zeno point that an impact leads to, or ``None`` if it could not be found.
 
     Args:
         dynamics: The system.
-        hop: One rescaled flight. Its errors are magnified by ``1 / (1 - e)``, so it should be as
+        flight: One rescaled flight. Its errors are magnified by ``1 / (1 - e)``, so it should be as
             accurate as rounding lets it be.
         time: Time of the impact [s].
         state: State just after it; its gap rate may be there or not.
         speed: Gap rate just after it, exactly.
         tolerance: Largest estimated error of a piece, relative to ``1 + |x|``; the limit claims
             twice the sum over its few pieces. It is ``1e-14 / (1 - e)`` if rounding leaves that.
-        most_hops: Flights before it is given up.
+        most_flights: Flights before it is given up.
     """
-    curve = ImpactCurve(dynamics, hop, most_hops)
+    curve = ImpactCurve(dynamics, flight, most_flights)
     rounding = _ROUNDING / (1 - dynamics.restitution)
     allowed = max(tolerance, 2 * rounding)
     z, w, error = np.append(dynamics.on_stop(state), 0.0), speed, rounding
@@ -148,7 +147,7 @@ class _Layer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CurveStep:
-    """A piece of the curve, read along time: the state on the stop without the hops above it.
+    """A piece of the curve, read along time: the state on the stop, below the flights.
 
     Attributes:
         piece: The polynomial.
@@ -233,7 +232,7 @@ def _longest_piece(curve: ImpactCurve, start: Start, layer: _Layer, tolerance: f
         CurveLostError: If it would have to be shorter than is worth its cost.
     """
     length = layer.length(start)
-    while length >= _FEWEST_IMPACTS * start.fall and curve.n_hops < curve.most_hops:
+    while length >= _FEWEST_IMPACTS * start.fall and curve.n_flights < curve.most_flights:
         try:
             outcome = _attempt(curve, start, length, layer, tolerance)
         except CurveLostError:
@@ -319,7 +318,7 @@ _WORTH_WAITING = 150
 
 
 def is_settled(estimates: Sequence[TailEstimate], restitution: float) -> bool:
-    r"""Tell whether the curve of the impacts is worth a try, as far as the last six tell.
+    r"""Return True if the curve of the impacts is worth a try, as far as the last six tell.
 
     Along the curve a state changes smoothly over :math:`1 / (1 - e)` impacts, and the fourth
     difference of successive ones is of the order :math:`(1 - e)^4`. A transient

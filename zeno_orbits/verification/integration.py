@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,19 +28,16 @@ class FirstCycle:
     Attributes:
         cycle: The period.
         largest: Largest size of each state over it, tails included, ``(n_x,)``.
+        scale: The same, nowhere zero, ``(n_x,)``.
         gap: Largest gap.
         force: Largest multiplier.
     """
 
     cycle: Cycle
     largest: Vector
+    scale: Vector
     gap: float
     force: float
-
-    @property
-    def scale(self) -> Vector:
-        """Size of each state, nowhere zero, ``(n_x,)``."""
-        return np.where(self.largest > 0.0, self.largest, 1.0)
 
     @property
     def zeno_error(self) -> float:
@@ -66,6 +62,10 @@ class Observation:
     trouble: str
 
 
+_LONGEST = 1e200
+"""Longest time to wait [s]; beyond it the time of a rescaled flight overflows."""
+
+
 def observe(
     dynamics: HybridDynamics, claim: Claim, simulation: SimulationSettings, n_periods: int
 ) -> Observation:
@@ -79,7 +79,7 @@ def observe(
     """
     shape = claim.shape.at_restitution(dynamics.restitution)
     start = placed(dynamics, shape, claim.start)
-    horizon = min((n_periods + 0.5) * claim.period, sys.float_info.max)
+    horizon = min((n_periods + 0.5) * claim.period, _LONGEST)
     try:
         run = followed(
             dynamics, start, shape, horizon=horizon, settings=simulation, n_periods=n_periods
@@ -141,9 +141,11 @@ def _measured(dynamics: HybridDynamics, cycle: Cycle) -> FirstCycle:
     states = np.concatenate([arc.flow_states[:, : len(cycle.end.state)] for arc in arcs])
     locked = [x for arc in arcs if arc.mode is Mode.LOCKED for x in arc.flow_states]
     locked += [point.state for point in cycle.zeno_points]
+    largest = np.max(np.abs(states), axis=0)
     return FirstCycle(
         cycle=cycle,
-        largest=np.max(np.abs(states), axis=0),
+        largest=largest,
+        scale=np.where(largest > 0.0, largest, 1.0),
         gap=max(_largest_gap(dynamics, arc) for arc in arcs),
         force=max((abs(dynamics.multiplier(x)) for x in locked), default=1.0),
     )

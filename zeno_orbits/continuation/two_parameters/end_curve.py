@@ -237,7 +237,13 @@ def _margin(kind: Kind, place: int) -> Margin:
 
 
 def left_of(point: BranchPoint, kind: Kind, place: int) -> float:
-    """Return the value, at a point of a family, of the margin that vanishes at an end."""
+    """Return the value, at a point of a family, of the margin that vanishes at an end.
+
+    Args:
+        point: The point.
+        kind: Kind of the end.
+        place: The return in which it is, counted from 0.
+    """
     return point.found.margins.get(_margin(kind, place), np.nan)
 
 

@@ -1,21 +1,32 @@
 """Plain lines and tables on standard output, one line of error on standard error.
 
-Rich is imported with the first table: progress, errors and JSON need none of it.
+Rich is imported with the first table: progress, errors and JSON do without it.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
+
+from zeno_orbits.report.table import Cell, Column, Item
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
+    from rich.text import Text
+
+_GAP = 2
+"""Columns of space between the columns of a table."""
+
+
+def print_text(*paragraphs: str) -> None:
+    """Print paragraphs, their lines broken between words."""
+    for paragraph in paragraphs:
+        plain_console().print(paragraph)
 
 
 def print_lines(lines: Iterable[str]) -> None:
-    """Print plain lines."""
+    """Print plain lines, however long."""
     for line in lines:
         plain_console().print(line, soft_wrap=True)
 
@@ -25,32 +36,84 @@ def print_error(message: str) -> None:
     sys.stderr.write(f"zeno-orbits: {' '.join(message.split())}\n")
 
 
-def table_of(*columns: str) -> Table:
-    """Return an empty table with these heads."""
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for column in columns:
-        table.add_column(column)
-    return table
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun, such as ``1 impact`` or ``2 impacts``."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
-def plain_console() -> Console:
-    """Return a console that prints text as it is and leaves a broken pipe to the caller."""
+def plain_console(width: int | None = None) -> Console:
+    """Return a console that prints text as it is and leaves a broken pipe to the caller.
+
+    Args:
+        width: Characters of a line; by default those of the terminal.
+    """
     from rich.console import Console
 
     class Plain(Console):
         def on_broken_pipe(self) -> None:
-            """Say so; rich would exit."""
+            """Raise the error; rich would exit."""
             raise BrokenPipeError
 
-    # A file has no width of its own; a hundred columns split no cell of ours.
-    width = None if sys.stdout.isatty() else 100
+    if width is None and not sys.stdout.isatty():
+        # A file has no width of its own; a hundred columns split no cell of ours.
+        width = 100
     return Plain(highlight=False, markup=False, width=width)
 
 
-def print_table(table: Table) -> None:
-    """Print a table and a line of space."""
+def print_table(columns: Sequence[Column[Item]], items: Iterable[Item]) -> None:
+    """Print a table with a row an item, and a line of space.
+
+    Words of text may go to the next line. No word, number or name is ever cut: a table that is too
+    wide for the terminal even so is printed wider than it.
+
+    Args:
+        columns: Its columns.
+        items: The items, in order.
+    """
+    from rich.table import Table
+
+    rows = [[column.cell(item) for column in columns] for item in items]
+    cells = [[row[k] for row in rows] for k in range(len(columns))]
     console = plain_console()
+    widths = _widths(columns, cells, console.width)
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for column, width in zip(columns, widths, strict=True):
+        table.add_column(column.heading, width=width, overflow="fold")
+    for row in rows:
+        table.add_row(*map(_shown, row))
+    whole = sum(widths) + _GAP * len(widths)
+    if console.width < whole:
+        console = plain_console(whole)
     console.print(table)
     console.print()
+
+
+def _widths(
+    columns: Sequence[Column[Item]], cells: Sequence[Sequence[Cell]], room: int
+) -> list[int]:
+    """Return the widths of columns: as much as they want, or less of the widest where they can."""
+    least = [_width(*pair, whole=False) for pair in zip(columns, cells, strict=True)]
+    widths = [_width(*pair, whole=True) for pair in zip(columns, cells, strict=True)]
+    while sum(widths) + _GAP * (len(widths) - 1) > room:
+        spare = [k for k in range(len(widths)) if widths[k] > least[k]]
+        if not spare:
+            break
+        widths[max(spare, key=lambda k: widths[k])] -= 1
+    return widths
+
+
+def _width(column: Column[Item], cells: Sequence[Cell], *, whole: bool) -> int:
+    """Return the width of the longest cell, or of the longest word where text may be wrapped."""
+    texts = [cell for cell in cells if isinstance(cell, str)]
+    if not (whole or column.is_number or column.is_whole):
+        texts = [word for text in texts for word in text.split()]
+    heading = [column.heading] if whole else column.heading.split()
+    return max(map(len, [*texts, *heading, "ok"]))
+
+
+def _shown(cell: Cell) -> str | Text:
+    from rich.text import Text
+
+    if isinstance(cell, bool):
+        return Text("ok", "green") if cell else Text("no", "red")
+    return cell

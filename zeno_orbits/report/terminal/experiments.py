@@ -1,4 +1,4 @@
-"""What a person reads of a machine, simulated or measured: tables of rigs, recordings and fits."""
+"""Tables of machines, simulated or measured: rigs, recordings and fitted parameters."""
 
 from __future__ import annotations
 
@@ -6,101 +6,120 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from zeno_orbits.report.terminal.console import plain_console, print_table, table_of
+from zeno_orbits.report.table import Column, name_column, number_column, text_column
+from zeno_orbits.report.terminal.console import counted, print_lines, print_table
 
 if TYPE_CHECKING:
-    from zeno_orbits.experiment.comparison.comparison import Comparison
-    from zeno_orbits.experiment.identification.identification import Identification
-    from zeno_orbits.experiment.recordings.recording import Recording
+    from zeno_orbits.experiment import Comparison, Identification, Metric, Recording
+    from zeno_orbits.experiment.identification.identification import Fitted
     from zeno_orbits.experiment.rig.cycle_comparison import RigComparison
 
 _RIG_ROWS = {
     "impact_time": "first impact",
-    "impact_rate": "gap rate there",
+    "impact_rate": "gap rate at it",
     "lock_time": "Zeno time; end of chatter",
-    "lock_angle": "amplitude's coordinate there",
+    "lock_angle": "coordinate of the amplitude at it",
     "period": "period",
 }
 
 
 def print_rig(comparison: RigComparison) -> None:
     """Print the cycles of a simulated machine beside an orbit."""
-    table = table_of("", "unit", "orbit", "machine, simulated", "spread", "difference")
-    for name, label in _RIG_ROWS.items():
-        orbit = getattr(comparison.orbit, name)
-        mean, spread = getattr(comparison.mean, name), getattr(comparison.spread, name)
-        table.add_row(
-            *(label, comparison.units[name], f"{orbit:.6f}", f"{mean:.6f}"),
-            *(f"{spread:.1e}", f"{mean - orbit:+.1e}"),
-        )
-    print_table(table)
-    plain_console().print(
-        f"Simulated, not measured: {_settled(comparison)}. In the space of states the "
-        f"machine is farthest from the orbit, {100 * comparison.portrait:.2g} % of its size, at "
-        f"{100 * comparison.portrait_at:.0f} % of the cycle.",
-        soft_wrap=True,
+
+    def orbit(name: str) -> float:
+        return getattr(comparison.orbit, name)
+
+    def mean(name: str) -> float:
+        return getattr(comparison.mean, name)
+
+    columns: list[Column[str]] = [
+        text_column("", lambda name: _RIG_ROWS[name]),
+        text_column("unit", lambda name: comparison.units[name]),
+        number_column("orbit", lambda name: f"{orbit(name):.6f}"),
+        number_column("machine, simulated", lambda name: f"{mean(name):.6f}"),
+        number_column("spread", lambda name: f"{getattr(comparison.spread, name):.1e}"),
+        number_column("difference", lambda name: f"{mean(name) - orbit(name):+.1e}"),
+    ]
+    print_table(columns, _RIG_ROWS)
+    print_lines(
+        [
+            f"Simulated, not measured: {_settled(comparison)}. The machine's largest distance "
+            f"from the orbit in the space of states is {100 * comparison.portrait:.2g} % of the "
+            f"orbit's size, at {100 * comparison.portrait_at:.0f} % of the cycle."
+        ]
     )
 
 
 def _settled(comparison: RigComparison) -> str:
-    cycles = f"{comparison.cycles} cycle{'s' if comparison.cycles != 1 else ''}"
+    cycles = counted(comparison.cycles, "cycle")
     if comparison.drifting is None:
         return f"{cycles}, too few to tell whether it has settled"
     if comparison.drifting:
         moving = ", ".join(_RIG_ROWS[name] for name in comparison.drifting)
-        return f"{cycles}, and the machine has not settled: {moving} still move one way"
+        return f"{cycles}, and the machine has not settled: {moving} still changes in one direction"
     return f"{comparison.cycles} settled cycles"
 
 
 def print_contacts(name: str, contacts: Sequence[Mapping[str, float]]) -> None:
-    """Print the contacts of a simulated machine."""
-    table = table_of("contact from [s]", "to [s]", "gap rate before")
-    for contact in contacts:
-        numbers = (contact["start"], contact["end"], contact["approach_rate"])
-        table.add_row(*(f"{number:.6f}" for number in numbers))
-    print_table(table)
-    plain_console().print(f"Simulated, not measured: {len(contacts)} contacts of {name}.")
+    """Print the contacts of a simulated machine.
+
+    Args:
+        name: Name of the problem.
+        contacts: Start, end [s] and approach rate of each.
+    """
+    columns: list[Column[Mapping[str, float]]] = [
+        number_column("contact from [s]", lambda contact: f"{contact['start']:.6f}"),
+        number_column("to [s]", lambda contact: f"{contact['end']:.6f}"),
+        number_column("gap rate before", lambda contact: f"{contact['approach_rate']:.6f}"),
+    ]
+    print_table(columns, contacts)
+    print_lines([f"Simulated, not measured: {counted(len(contacts), 'contact')} of {name}."])
 
 
 def print_comparison(found: Comparison) -> None:
     """Print a recording beside an orbit."""
-    table = table_of("", "orbit", found.recording.label, "difference", "standard error", "unit")
-    for metric in found.metrics:
-        known = math.isfinite(metric.data)
-        difference = f"{metric.data - metric.orbit:+.3g}" if known else "-"
-        error = f"{metric.error:.2g}" if math.isfinite(metric.error) else "-"
-        data = f"{metric.data:.7g}" if known else "not seen"
-        table.add_row(metric.name, f"{metric.orbit:.7g}", data, difference, error, metric.unit)
+    columns: list[Column[Metric]] = [
+        text_column("", lambda metric: metric.name),
+        number_column("orbit", lambda metric: f"{metric.orbit:.7g}"),
+        text_column(
+            found.recording.label, lambda metric: _known(metric.data, ".7g", "not observed")
+        ),
+        number_column("difference", lambda metric: _known(metric.data - metric.orbit, "+.3g")),
+        number_column("standard error", lambda metric: _known(metric.error, ".2g")),
+        text_column("unit", lambda metric: metric.unit),
+    ]
     if found.metrics:
-        print_table(table)
-    console = plain_console()
-    for remark in (*found.recording.remarks, *found.remarks):
-        console.print(f"Note: {remark}.", soft_wrap=True)
+        print_table(columns, found.metrics)
+    print_lines(f"Note: {remark}." for remark in (*found.recording.remarks, *found.remarks))
     if found.agrees:
-        console.print("The recording shows such an orbit.")
+        print_lines(["The recording shows such an orbit."])
         return
-    console.print("The recording shows no such orbit:")
-    for reason in found.reasons:
-        console.print(f"  {reason}.", soft_wrap=True)
+    print_lines(["The recording shows no such orbit:", *(f"  {one}." for one in found.reasons)])
+
+
+def _known(value: float, form: str, otherwise: str = "-") -> str:
+    return f"{value:{form}}" if math.isfinite(value) else otherwise
 
 
 def print_identification(recording: Recording, found: Identification) -> None:
-    """Print parameters that were found from a recording."""
-    table = table_of("", "start", "fitted", "standard error", "95 % interval")
-    for one in found.fitted:
-        known = math.isfinite(one.error)
-        error = f"{one.error:.2g}" if known else "not told"
-        interval = f"{one.low:.6g} to {one.high:.6g}" if known else "-"
-        label = one.sought.label
-        table.add_row(label, f"{one.start:.6g}", f"{one.value:.7g}", error, interval)
-    print_table(table)
-    console = plain_console()
-    console.print(
-        f"Deviation of all signals, in parts of their ranges: {found.before:.2g} before, "
-        f"{found.after:.2g} after the fit. Period {found.orbit.period:.7g} s.",
-        soft_wrap=True,
+    """Print parameters that were fitted to a recording."""
+    columns: list[Column[Fitted]] = [
+        name_column("", lambda one: one.unknown.label),
+        number_column("start", lambda one: f"{one.start:.6g}"),
+        number_column("fitted", lambda one: f"{one.value:.7g}"),
+        text_column("standard error", lambda one: _known(one.error, ".2g", "not determined")),
+        text_column("95 % interval", _interval),
+    ]
+    print_table(columns, found.fitted)
+    print_lines(
+        [
+            f"Deviation of all signals relative to their ranges: {found.before:.2g} before, "
+            f"{found.after:.2g} after the fit. Period {found.orbit.period:.7g} s.",
+            *(f"Note: {remark}." for remark in (*recording.remarks, *found.remarks)),
+            *(f"Warning: {one.text}." for one in found.unseen),
+        ]
     )
-    for remark in (*recording.remarks, *found.remarks):
-        console.print(f"Note: {remark}.", soft_wrap=True)
-    for one in found.unseen:
-        console.print(f"Warning: {one.text}.", soft_wrap=True)
+
+
+def _interval(one: Fitted) -> str:
+    return f"{one.low:.6g} to {one.high:.6g}" if math.isfinite(one.error) else "-"

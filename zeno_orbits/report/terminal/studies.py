@@ -1,4 +1,4 @@
-"""Tables of what looks at many motions or orbits: trades, maps and families."""
+"""Tables of many motions or orbits: work-precision measurements, maps and families."""
 
 from __future__ import annotations
 
@@ -6,57 +6,82 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from zeno_orbits.report.terminal.console import print_lines, print_table, table_of
+from zeno_orbits.report.table import Column, number_column, text_column
+from zeno_orbits.report.terminal.console import counted, print_lines, print_table
 
 if TYPE_CHECKING:
-    from zeno_orbits.continuation.families import Boundary, Continuation
+    from zeno_orbits.continuation.families import Boundary, Continuation, Family, SpecialPoint
     from zeno_orbits.maps.attractors import Attractor
     from zeno_orbits.maps.mapping import ParameterMap
     from zeno_orbits.precision.work_precision import Trial, WorkPrecision
 
+_ACCURACIES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
+
 
 def print_trade(trade: WorkPrecision) -> None:
-    """Print the trials of a trade, those that no other beats marked, and the cheapest for each."""
+    """Print the trials of a trade, unbeaten ones marked, and the cheapest for each accuracy."""
     front = set(map(id, trade.front))
-    table = table_of("", "sweep", "setting", "value", "time [ms]", "error", "impacts")
-    for trial in trade.trials:
-        table.add_row(
-            "*" if id(trial) in front else "",
-            trial.sweep,
-            trial.name,
-            f"{trial.value:g}" if trial.sweep == "impacts" else f"{trial.value:.0e}",
-            f"{1e3 * trial.seconds:.2f}" if trial.seconds < math.inf else "-",
-            _error_of(trial),
-            trial.trouble or (str(trial.n_impacts) if trial.n_impacts else ""),
-        )
-    print_table(table)
-    table = table_of("accuracy", "cheapest setting", "value", "time [ms]", "error")
-    for accuracy in (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12):
-        best = trade.cheapest(accuracy)
-        name = "none" if best is None else f"{best.sweep}: {best.name}"
-        row = ("", "", "") if best is None else _figures(best)
-        table.add_row(f"{accuracy:.0e}", name, *row)
-    print_table(table)
+    columns: list[Column[Trial]] = [
+        text_column("", lambda trial: "*" if id(trial) in front else ""),
+        text_column("sweep", lambda trial: trial.sweep),
+        text_column("setting", lambda trial: trial.name),
+        number_column("value", _value),
+        number_column("time [ms]", _milliseconds),
+        text_column("error", _error_of),
+        text_column("impacts", lambda one: one.trouble or str(one.n_impacts or "")),
+    ]
+    print_table(columns, trade.trials)
+    cheapest: list[Column[tuple[float, Trial | None]]] = [
+        number_column("accuracy", lambda row: f"{row[0]:.0e}"),
+        text_column("cheapest setting", lambda row: _setting(row[1])),
+        number_column("value", lambda row: f"{row[1].value:.0e}" if row[1] else ""),
+        number_column("time [ms]", lambda row: _milliseconds(row[1]) if row[1] else ""),
+        number_column("error", lambda row: f"{row[1].error:.1e}" if row[1] else ""),
+    ]
+    print_table(cheapest, [(accuracy, trade.cheapest(accuracy)) for accuracy in _ACCURACIES])
     print_lines(
         [
-            f"Work: {trade.work}. Truth: {trade.truth}, certain to {trade.truth_error:.0e}.",
+            f"Work: {trade.work}. Reference: {trade.truth}, with an error of "
+            f"{trade.truth_error:.0e}.",
             "* no other setting is both faster and more accurate. Times are of this machine.",
         ]
     )
 
 
+def _value(trial: Trial) -> str:
+    return f"{trial.value:g}" if trial.sweep == "impacts" else f"{trial.value:.0e}"
+
+
+def _milliseconds(trial: Trial) -> str:
+    return f"{1e3 * trial.seconds:.2f}" if trial.seconds < math.inf else "-"
+
+
+def _error_of(trial: Trial) -> str:
+    if trial.trouble:
+        return "-"
+    return f"{trial.error:.1e}" if trial.error < math.inf else "another motion"
+
+
+def _setting(trial: Trial | None) -> str:
+    return "none" if trial is None else f"{trial.sweep}: {trial.name}"
+
+
 def print_map(found: ParameterMap) -> None:
     """Print how many points of a map settle to what."""
-    table = table_of("the motion settles to", "points", "share", "period [s]", "spectral radius")
     groups: dict[str, list[Attractor]] = {}
     for attractor in found.attractors:
         groups.setdefault(attractor.phrase, []).append(attractor)
-    for phrase, group in sorted(groups.items(), key=lambda item: -len(item[1])):
-        share = f"{100 * len(group) / len(found.attractors):.1f} %"
-        periods = _range([one.period for one in group])
-        radii = _range([one.spectral_radius for one in group])
-        table.add_row(phrase, str(len(group)), share, periods, radii)
-    print_table(table)
+    total = len(found.attractors)
+    columns: list[Column[tuple[str, list[Attractor]]]] = [
+        text_column("the motion settles to", lambda row: row[0]),
+        number_column("points", lambda row: str(len(row[1]))),
+        number_column("share", lambda row: f"{100 * len(row[1]) / total:.1f} %"),
+        number_column("period [s]", lambda row: _range([one.period for one in row[1]])),
+        number_column(
+            "spectral radius", lambda row: _range([one.spectral_radius for one in row[1]])
+        ),
+    ]
+    print_table(columns, sorted(groups.items(), key=lambda item: -len(item[1])))
     axes = (f"{a.name} = {a.lower:g} ... {a.upper:g} ({a.count})" for a in (found.x, found.y))
     print_lines([f"{' by '.join(axes)}; each motion was followed for {found.until:g} s at most."])
 
@@ -67,38 +92,36 @@ def _range(values: Sequence[float]) -> str:
 
 
 def print_families(found: Continuation) -> None:
-    """Print the special points and ends of families, and how long boundaries are."""
+    """Print the special points and ends of families, and the boundaries in two parameters."""
     for family in found.families:
-        name = family.parameter
-        returns = "" if family.n_returns == 1 else f", {family.n_returns} returns a period"
-        stable = sum(point.stable for point in family.points)
-        print_lines([f"Family in {name}{returns}: {len(family.points)} orbits, {stable} stable."])
-        table = table_of("point", name, "error", "period [s]", "multipliers")
-        for special in family.named:
-            values = special.at.multipliers[:2]
-            table.add_row(
-                special.kind.value,
-                f"{special.at.value:.12g}",
-                f"{special.error:.0e}" if special.kind.located else "",
-                f"{special.at.period:.10g}",
-                ", ".join(_short(value) for value in values),
-            )
-        print_table(table)
-        print_lines(
-            f"{special.kind.value}: {special.detail}" for special in family.named if special.detail
-        )
+        _print_family(family)
     if found.boundaries:
-        table = table_of("boundary", "points", "in", "largest error", "ends")
-        for boundary in found.boundaries:
-            table.add_row(
-                boundary.kind.value,
-                str(len(boundary.x)),
-                ", ".join(boundary.names),
-                f"{max(boundary.errors):.0e}",
-                "; ".join(boundary.ends),
-            )
-        print_table(table)
+        columns: list[Column[Boundary]] = [
+            text_column("boundary", lambda one: one.kind.value),
+            number_column("points", lambda one: str(len(one.x))),
+            text_column("in", lambda one: ", ".join(one.names)),
+            number_column("largest error", lambda one: f"{max(one.errors):.0e}"),
+            text_column("ends", lambda one: "; ".join(one.ends)),
+        ]
+        print_table(columns, found.boundaries)
         print_lines(_cusp(boundary, k) for boundary in found.boundaries for k in boundary.cusps)
+
+
+def _print_family(family: Family) -> None:
+    name = family.parameter
+    returns = "" if family.n_returns == 1 else f", {family.n_returns} returns a period"
+    stable = sum(point.stable for point in family.points)
+    orbits = counted(len(family.points), "orbit")
+    print_lines([f"Family in {name}{returns}: {orbits}, {stable} stable."])
+    columns: list[Column[SpecialPoint]] = [
+        text_column("point", lambda one: one.kind.value),
+        number_column(name, lambda one: f"{one.at.value:.12g}"),
+        number_column("error", lambda one: f"{one.error:.0e}" if one.kind.located else ""),
+        number_column("period [s]", lambda one: f"{one.at.period:.10g}"),
+        text_column("multipliers", lambda one: ", ".join(map(_short, one.at.multipliers[:2]))),
+    ]
+    print_table(columns, family.named)
+    print_lines(f"{one.kind.value}: {one.detail}" for one in family.named if one.detail)
 
 
 def _cusp(boundary: Boundary, place: int) -> str:
@@ -108,13 +131,3 @@ def _cusp(boundary: Boundary, place: int) -> str:
 
 def _short(value: complex) -> str:
     return f"{value.real:.5g}" if value.imag == 0.0 else f"{value.real:.5g} {value.imag:+.5g} i"
-
-
-def _error_of(trial: Trial) -> str:
-    if trial.trouble:
-        return "-"
-    return f"{trial.error:.1e}" if trial.error < math.inf else "another motion"
-
-
-def _figures(trial: Trial) -> tuple[str, str, str]:
-    return f"{trial.value:.0e}", f"{1e3 * trial.seconds:.2f}", f"{trial.error:.1e}"

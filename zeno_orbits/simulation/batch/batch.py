@@ -285,7 +285,7 @@ def _turned(clock: Vector, angle: Vector) -> Vector:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Start:
-    """Where the lanes of a mode stand, and steps of any size from there."""
+    """States of the lanes of a mode, and steps of any size from there."""
 
     flow: BatchFlow
     y: Vector

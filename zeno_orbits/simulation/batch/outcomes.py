@@ -1,4 +1,4 @@
-"""What a batch tells of its lanes."""
+"""Events that a batch reports of its lanes."""
 
 from __future__ import annotations
 

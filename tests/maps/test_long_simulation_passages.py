@@ -7,14 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from tests.reference.long_simulation_marks import Mark, repeats, scale_of
+from tests.reference.long_simulation_passages import Passage, repeats, scale_of
 
 CLOSE = 1e-6
 
 
-def marked(values: Sequence[float]) -> list[Mark]:
-    """A mark a second; the second state is always one."""
-    return [Mark(time=float(k), state=np.array([value, 1.0])) for k, value in enumerate(values)]
+def marked(values: Sequence[float]) -> list[Passage]:
+    """A passage a second; the second state is always one."""
+    return [Passage(time=float(k), state=np.array([value, 1.0])) for k, value in enumerate(values)]
 
 
 def settles(values: Sequence[float], n: int, late: float = 0.0) -> bool:
@@ -47,8 +47,8 @@ def test_slow_steps_that_add_up_do_not_pass_for_an_orbit() -> None:
 def test_growing_and_dying_motions_do_not_repeat() -> None:
     for factor in (1.01, 0.99):
         values = [factor**k for k in range(100)]
-        marks = [Mark(time=m.time, state=m.state[:1]) for m in marked(values)]
-        assert not any(repeats(marks, n, CLOSE, now=99.0) for n in range(1, 9))
+        passages = [Passage(time=m.time, state=m.state[:1]) for m in marked(values)]
+        assert not any(repeats(passages, n, CLOSE, now=99.0) for n in range(1, 9))
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 4])
@@ -64,5 +64,5 @@ def test_a_motion_that_has_stopped_making_marks_does_not_repeat() -> None:
 
 
 def test_a_state_that_vanishes_at_every_mark_is_measured_by_the_largest() -> None:
-    marks = [Mark(time=0.0, state=np.array([0.0, 3.0, 1e-12, -2.0]))]
-    assert scale_of(marks).tolist() == [3.0, 3.0, 3.0, 2.0]
+    passages = [Passage(time=0.0, state=np.array([0.0, 3.0, 1e-12, -2.0]))]
+    assert scale_of(passages).tolist() == [3.0, 3.0, 3.0, 2.0]

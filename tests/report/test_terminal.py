@@ -1,0 +1,55 @@
+"""Tables in the terminal: whatever its width, no name, number or word is cut."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from zeno_orbits.model.library import bundled_problems, load_problem
+from zeno_orbits.report import terminal
+from zeno_orbits.report.table import name_column, number_column, text_column
+from zeno_orbits.report.terminal.console import counted, print_table
+
+
+def plain(text: str) -> str:
+    """Return what a terminal shows, without its colours."""
+    return re.sub(r"\x1b\[[0-9;]*m", "", text)
+
+
+@pytest.mark.parametrize("width", ["20", "80", "200"])
+def test_no_name_number_or_word_of_a_table_is_cut(
+    width: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", width)
+    name, number, words = "a name that one must type", "-1.2345678901e-12", "some text to be read"
+    columns = [
+        name_column("first name", lambda _: name),
+        number_column("value [rad/s]", lambda _: number),
+        text_column("meaning", lambda _: words),
+        text_column("passed", lambda _: True),
+    ]
+    print_table(columns, [None, None])
+    printed = plain(capsys.readouterr().out)
+    assert printed.count(name) == printed.count(number) == 2
+    for word in (*words.split(), "ok"):
+        assert printed.split().count(word) == 2
+    for word in ("first", "name", "value", "[rad/s]", "meaning", "passed"):
+        assert word in printed.split()
+
+
+def test_every_problem_is_named_whole_in_eighty_columns(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "80")
+    terminal.print_problems([load_problem(name) for name in bundled_problems()])
+    lines = plain(capsys.readouterr().out).splitlines()
+    assert all(any(line.split()[:1] == [name] for line in lines) for name in bundled_problems())
+    assert max(map(len, lines)) <= 80
+
+
+def test_one_is_singular_and_everything_else_plural() -> None:
+    numbers = [counted(number, "impact") for number in (0, 1, 2)]
+    assert numbers == ["0 impacts", "1 impact", "2 impacts"]

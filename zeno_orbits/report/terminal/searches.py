@@ -1,0 +1,93 @@
+"""Tables of searches: how they ended, the orbits that they found, and what was asked of these."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from zeno_orbits.report.table import Column, number_column, text_column
+from zeno_orbits.report.terminal.console import counted, print_lines, print_table, print_text
+
+if TYPE_CHECKING:
+    from zeno_orbits.search.outcome import Attempt, Candidate, SearchResult
+    from zeno_orbits.simulation.signals import Extent
+
+
+def print_search(result: SearchResult) -> None:
+    """Print how a search went."""
+    print_lines([f"{result.status.value} {result.detail}".strip()])
+    if len(result.attempts) > 1:
+        columns: list[Column[Attempt]] = [
+            text_column("start", lambda one: _listed({**one.gains, **one.parameters}, 4)),
+            text_column("ended", lambda one: one.status.name.lower().replace("_", " ")),
+            text_column("reason", lambda one: one.detail),
+        ]
+        print_table(columns, result.attempts)
+    if result.orbit is not None:
+        print_text(
+            f"Program: {counted(result.n_unknowns, 'unknown')}, "
+            f"{counted(result.iterations, 'iteration')}, {result.solve_time:.3f} s; it agrees "
+            f"with a simulation to {result.agreement:.0e}, its Zeno closure to "
+            f"{result.closure_error:.0e}. Search: {result.wall_time:.1f} s."
+        )
+
+
+def print_candidates(result: SearchResult) -> None:
+    """Print the verified orbits, the best first."""
+    freed = result.attempts[0].parameters
+
+    def numbers(one: Candidate) -> str:
+        parameters = {name: one.orbit.parameters[name] for name in freed}
+        return _listed({**one.orbit.gains, **parameters}, 5)
+
+    columns: list[Column[tuple[int, Candidate]]] = [
+        number_column("rank", lambda row: str(row[0])),
+        number_column("score", lambda row: f"{row[1].score:.6g}"),
+        number_column("period [s]", lambda row: f"{row[1].orbit.period:.8g}"),
+        number_column("spectral radius", lambda row: f"{_radius(row[1]):.4g}"),
+        text_column("numbers", lambda row: numbers(row[1])),
+    ]
+    print_table(columns, enumerate(result.candidates, start=1))
+
+
+def _radius(one: Candidate) -> float:
+    return math.nan if one.certificate is None else one.certificate.spectral_radius
+
+
+def _listed(values: Mapping[str, float], digits: int) -> str:
+    return ", ".join(f"{name} = {value:.{digits}g}" for name, value in values.items())
+
+
+def print_objective(wish: str, extents: Mapping[str, Extent], quantities: Sequence[str]) -> None:
+    """Print an objective and what a simulation of the orbit measures of it.
+
+    Args:
+        wish: The objective in words.
+        extents: Name of a quantity to its range along the orbit.
+        quantities: The names that the objective is about.
+    """
+    for name in quantities:
+        extent = extents[name]
+        reached = f"{extent.lowest:.8g}"
+        if extent.highest > extent.lowest:
+            reached = f"{extent.lowest:.8g} to {extent.highest:.8g}"
+        print_lines([f"Asked for {wish}; measured on a simulation, {name}: {reached}."])
+
+
+def print_bounds(asked: Sequence[Mapping[str, Any]]) -> None:
+    """Print the bounds that were asked for and what a simulation reaches."""
+    if not asked:
+        return
+    columns: list[Column[Mapping[str, Any]]] = [
+        text_column("kept", lambda one: one["quantity"]),
+        number_column("from", lambda one: _limit(one["lower"])),
+        number_column("to", lambda one: _limit(one["upper"])),
+        number_column("reached from", lambda one: f"{one['lowest']:.8g}"),
+        number_column("reached to", lambda one: f"{one['highest']:.8g}"),
+    ]
+    print_table(columns, asked)
+
+
+def _limit(value: float | None) -> str:
+    return "-" if value is None else f"{value:g}"
