@@ -22,8 +22,8 @@ class Spread:
     """Workers that try the starts of a search.
 
     Attributes:
-        problem_file: Where workers find the problem; the search is given ``problem_file.load()``.
-        plan: Where they are, and where finished starts are kept. Its identity is filled in.
+        problem_file: File of the problem; the search is given ``problem_file.load()``.
+        plan: Place of the workers and of finished starts. Its identity is filled in.
         tell: Told how many starts are done, and the part of what was left at the start.
     """
 
@@ -77,7 +77,7 @@ class _Task:
     """Tries starts by their numbers; it holds all that a worker needs.
 
     Attributes:
-        problem_file: Where the worker loads the problem from.
+        problem_file: File from which the worker loads the problem.
         question: The search but for its problem.
         accept: The check of orbits.
     """
