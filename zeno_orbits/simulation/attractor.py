@@ -23,8 +23,11 @@ from enum import Enum
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Rows, Vector
+
+Flags = NDArray[np.bool_]
 
 PERIODS = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 16)
 """Numbers of returns after which a motion may repeat."""
@@ -292,7 +295,7 @@ def _mean_factor(amplitudes: Sequence[float]) -> float:
 # ------------------------------------------------------------------ it rests
 
 
-def is_still(rates: Vector, largest: Vector, rounding: float = 0.0) -> Vector:
+def is_still(rates: Vector, largest: Vector, rounding: float = 0.0) -> Flags:
     """Return which motions have stopped, ``(n,)``, as flags.
 
     Args:
@@ -302,10 +305,10 @@ def is_still(rates: Vector, largest: Vector, rounding: float = 0.0) -> Vector:
         rounding: Rates below this are zero.
     """
     limit = np.maximum(_STILL * largest, rounding)
-    return np.all(np.abs(rates) <= limit[:, None, :], axis=(1, 2))
+    return np.asarray(np.all(np.abs(rates) <= limit[:, None, :], axis=(1, 2)))
 
 
-def keeps_holding(multiplier: Vector, rate: Vector, step: float | Vector) -> Vector:
+def keeps_holding(multiplier: Vector, rate: Vector, step: float | Vector) -> Flags:
     """Return which stops never let go, ``(n,)``, as flags.
 
     The cubic through values and rates at neighbouring phases lies in the hull of its Bernstein
@@ -322,7 +325,8 @@ def keeps_holding(multiplier: Vector, rate: Vector, step: float | Vector) -> Vec
     third = np.reshape(np.asarray(step) / 3, (-1, 1))
     after = multiplier[:, :-1] + third * rate[:, :-1]
     before = multiplier[:, 1:] - third * rate[:, 1:]
-    return np.all(multiplier > 0.0, axis=1) & np.all((after > 0.0) & (before > 0.0), axis=1)
+    positive = np.all(multiplier > 0.0, axis=1)
+    return np.asarray(positive & np.all((after > 0.0) & (before > 0.0), axis=1))
 
 
 # ------------------------------------------------------------------ it is gone
@@ -347,7 +351,7 @@ def bounds_of(
     return np.array([declared.get(name, bound) for name, bound in zip(names, usual, strict=True)])
 
 
-def has_left(position: Vector, before: Vector) -> Vector:
+def has_left(position: Vector, before: Vector) -> Flags:
     """Return which coordinates have left for good since the last return, as flags.
 
     Args:

@@ -6,6 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from zeno_orbits.arrays import Vector
+from zeno_orbits.simulation.attractor import Flags
+
 _INSIDE = 1e-9
 """Gap rate after an impact below minus this part of the one before: the state enters the stop."""
 _MAY_BEND = 0.1
@@ -14,7 +17,9 @@ _ROUNDING = 4 * 2.0**-52
 """Of the largest coordinate: what the gap may be off by."""
 
 
-def stop_holds(gap_acceleration: Any, multiplier_rate: Any, slack: Any) -> Any:
+def stop_holds(
+    gap_acceleration: Vector | float, multiplier_rate: Vector | float, slack: Flags | bool
+) -> Flags:
     """Return where the stop holds a state at zero gap rate: locked if so, else released at once.
 
     Args:
@@ -22,7 +27,7 @@ def stop_holds(gap_acceleration: Any, multiplier_rate: Any, slack: Any) -> Any:
         multiplier_rate: Rate of the multiplier along the locked flow, which decides where `slack`.
         slack: Where the stop neither holds nor repels, to rounding.
     """
-    return np.where(slack, multiplier_rate, -gap_acceleration) > 0.0
+    return np.asarray(np.where(slack, multiplier_rate, -gap_acceleration) > 0.0)
 
 
 def closes_at_once(

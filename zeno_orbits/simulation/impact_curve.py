@@ -112,7 +112,14 @@ class ImpactCurve:
         return left[:, sizes > _PROJECTED_OUT]
 
     def derivative(self, z: Vector, w: float, slope: Vector, basis: Vector) -> Vector:
-        """Return the derivative of the slope along a basis of states, ``(n_x + 1, m)``."""
+        """Return the derivative of the slope along a basis of states, ``(n_x + 1, m)``.
+
+        Args:
+            z: The point, ``(n_x + 1,)``.
+            w: Its speed.
+            slope: The slope there, ``(n_x + 1,)``.
+            basis: Directions, ``(n_x, m)``.
+        """
         nudge = _NUDGE * (1 + float(np.max(np.abs(z[:-1]))))
         columns = [self.slope(z + nudge * np.append(one, 0.0), w)[0] - slope for one in basis.T]
         return np.reshape(columns, (len(columns), len(z))).T / nudge
@@ -146,7 +153,16 @@ class Start:
 
 
 def start_at(curve: ImpactCurve, z: Vector, w: float) -> Start:
-    """Return the start of a piece; it costs a flight, and one for every direction on the stop."""
+    """Return the start of a piece; it costs a flight, and one for every direction on the stop.
+
+    Args:
+        curve: The curve.
+        z: The point, ``(n_x + 1,)``.
+        w: Its speed.
+
+    Raises:
+        CurveLostError: If the curve cannot be followed from there.
+    """
     basis = curve.tangents(z)
     slope, fall = curve.slope(z, w)
     derivative = curve.derivative(z, w, slope, basis)
@@ -243,6 +259,12 @@ def iterated(curve: ImpactCurve, piece: Piece) -> Piece:
 
 def converged(curve: ImpactCurve, piece: Piece, tolerance: float, *, most: int = 8) -> Piece:
     """Return the piece iterated until the rest is below a tolerance.
+
+    Args:
+        curve: The curve.
+        piece: The piece.
+        tolerance: Largest relative change that may be left.
+        most: Iterations before it is given up.
 
     Raises:
         CurveLostError: If it does not converge.

@@ -150,7 +150,13 @@ class Perturbations:
         return EventShift(time=before.time, state=reset @ inputs, rate=rate)
 
     def joined(self, bounces: Sequence[Bounce], impact: Impact, after: EventShift) -> list[Bounce]:
-        """Return a sequence with one more impact, or a new one where it does not go on."""
+        """Return a sequence with one more impact, or a new one where it does not go on.
+
+        Args:
+            bounces: The sequence so far.
+            impact: The impact.
+            after: Derivatives after its reset.
+        """
         speed = self.dynamics.speed_after(impact.approach_rate)
         estimate = estimate_tail(self.dynamics, impact.time, impact.state_plus, speed)
         if estimate is None:

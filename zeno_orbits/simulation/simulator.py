@@ -207,7 +207,16 @@ class _Run:
         return self.impact(arc.end_time, arc.end_state, rate)
 
     def impact(self, time: float, state_minus: Vector, approach_rate: float) -> ArcStart | None:
-        """Apply the reset map and return what follows it, if anything is to."""
+        """Apply the reset map and return what follows it, if anything is to.
+
+        Args:
+            time: Time of the impact [s].
+            state_minus: State before it, ``(n_x,)``.
+            approach_rate: Gap rate before it, exactly.
+
+        Raises:
+            SimulationError: If the gap does not close, or the reset sends the state into the stop.
+        """
         dynamics = self.dynamics
         if not approach_rate < 0.0:
             raise SimulationError(

@@ -70,7 +70,14 @@ class Lanes:
 
 
 def empty_lanes(n_lanes: int, n_x: int, n_q: int, n_p: int) -> Lanes:
-    """Return lanes none of which runs."""
+    """Return lanes none of which runs.
+
+    Args:
+        n_lanes: How many.
+        n_x: Number of states.
+        n_q: Number of coordinates.
+        n_p: Number of gains and parameters.
+    """
 
     def zeros() -> Vector:
         return np.zeros(n_lanes)

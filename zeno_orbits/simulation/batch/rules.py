@@ -57,7 +57,13 @@ class Transitions:
         self._where = np.zeros(len(lanes.alive), dtype=np.intp)
 
     def end(self, row: int, reason: Reason, detail: str) -> None:
-        """End a lane; a follower that cannot go on is left to its leader, and holds NaN."""
+        """End a lane; a follower that cannot go on is left to its leader, and holds NaN.
+
+        Args:
+            row: The lane.
+            reason: Its end.
+            detail: Name of what escaped, or a sentence on a failure.
+        """
         lanes = self.lanes
         if not lanes.alive[row]:
             return
@@ -93,7 +99,16 @@ class Transitions:
     def begin(
         self, rows: Rows, mode: int, time: Vector, y: Vector, unit: Vector, *, on_guard: bool
     ) -> None:
-        """Start legs of a mode."""
+        """Start legs of a mode.
+
+        Args:
+            rows: The lanes, ``(n,)``.
+            mode: ``FREE``, ``FLIGHT`` or ``LOCKED``.
+            time: Their starts [s], ``(n,)``.
+            y: States of the flow there, ``(n, n_y)``.
+            unit: Length of one unit of the flow's own time [s], ``(n,)``.
+            on_guard: The starts are roots of the guard that do not count.
+        """
         if not len(rows):
             return
         lanes, flow = self.lanes, self.flows[mode]
@@ -149,7 +164,15 @@ class Transitions:
         self._rest(rows[still], time[still], x[still])
 
     def arrive(self, mode: int, rows: Rows, time: Vector, y: Vector, guard: Vector) -> None:
-        """Do what the fall of a guard means."""
+        """Apply the event that the fall of a guard means.
+
+        Args:
+            mode: Mode of the lanes.
+            rows: The lanes, ``(n,)``.
+            time: When their guards fell [s], ``(n,)``.
+            y: States of the flow there, ``(n, n_y)``.
+            guard: Guards and their rates there, ``(n, 2)``.
+        """
         lanes = self.lanes
         x = y[:, : self.model.n_x]
         lanes.y[rows, : y.shape[1]] = y

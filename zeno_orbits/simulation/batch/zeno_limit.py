@@ -34,7 +34,14 @@ class Tails:
         return np.where(count > 0, self.speed[lanes, np.maximum(count - 1, 0)], np.inf)
 
     def append(self, lanes: Rows, speed: Vector, time: Vector, state: Vector) -> None:
-        """Add an impact and the Zeno point to first order that it tells."""
+        """Add an impact and the Zeno point to first order that it tells.
+
+        Args:
+            lanes: The lanes, ``(n,)``.
+            speed: Gap rates after the impacts, ``(n,)``.
+            time: Zeno times [s], ``(n,)``.
+            state: Zeno states, ``(n, n_x)``.
+        """
         at = self.count[lanes]
         if len(at) and int(at.max()) >= self.speed.shape[1]:
             self.speed = np.concatenate([self.speed, np.zeros_like(self.speed)], axis=1)
