@@ -29,9 +29,7 @@ from zeno_orbits.report import terminal as report
 from zeno_orbits.work.files import write_whole
 
 if TYPE_CHECKING:
-    from zeno_orbits.continuation.families import Continuation
-    from zeno_orbits.continuation.parallel import Crew
-    from zeno_orbits.continuation.setup import ContinuationSettings
+    from zeno_orbits.continuation import Continuation, ContinuationSettings, Crew
     from zeno_orbits.model.library import ProblemFile
     from zeno_orbits.model.problem import ParameterValues, Problem
     from zeno_orbits.orbits.orbit import ZenoOrbit
@@ -102,7 +100,7 @@ def add_continue(commands: Any) -> None:
 
 
 def _run_continue(options: argparse.Namespace) -> int:
-    from zeno_orbits.continuation.families import Kind
+    from zeno_orbits.continuation import Kind
     from zeno_orbits.model.library import locate_problem
     from zeno_orbits.work import remove_checkpoint
 
@@ -139,12 +137,10 @@ def _continued(
     progress: report.ProgressLine,
 ) -> Continuation:
     """Return what was asked for, by the workers that were asked for."""
-    from zeno_orbits.continuation.branch import Steps
-    from zeno_orbits.continuation.parallel import Crew
-    from zeno_orbits.continuation.setup import ContinuationSettings
+    from zeno_orbits.continuation import ContinuationSettings, Crew, FamilySteps
     from zeno_orbits.work import Plan, open_pool
 
-    settings = ContinuationSettings(steps=Steps(most=options.steps))
+    settings = ContinuationSettings(steps=FamilySteps(most=options.steps))
     plan = Plan(place=place_of(options), checkpoint=checkpoint)
     name, box = read_range(options.range, "in")
     kinds = _kinds(options)
@@ -171,11 +167,7 @@ def _asked(
     settings: ContinuationSettings,
     crew: Crew,
 ) -> Continuation:
-    from zeno_orbits.continuation.continuation import (
-        SecondParameter,
-        continue_impacts,
-        continue_orbit,
-    )
+    from zeno_orbits.continuation import SecondParameter, continue_impacts, continue_orbit
 
     name, box = asked
     if options.section == "impact":
@@ -207,7 +199,7 @@ def _asked(
 
 def _kinds(options: argparse.Namespace) -> tuple[Any, ...]:
     """Return the kinds of points that were asked for by words, all without any."""
-    from zeno_orbits.continuation.families import Kind
+    from zeno_orbits.continuation import Kind
 
     if options.point and options.second is None:
         raise InputError("Argument `point` must come with --second, but it does not.")
@@ -221,7 +213,7 @@ def _kinds(options: argparse.Namespace) -> tuple[Any, ...]:
 
 def _orbit(options: argparse.Namespace, problem: Problem, crew: Crew) -> ZenoOrbit:
     """Return the orbit to start from."""
-    from zeno_orbits.continuation.continuation import start_orbit
+    from zeno_orbits.continuation import start_orbit
     from zeno_orbits.orbits.orbit_file import read_orbit
 
     if options.start_orbit is None:

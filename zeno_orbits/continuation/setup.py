@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.continuation.branch import Steps
+from zeno_orbits.continuation.branch import FamilySteps
 from zeno_orbits.continuation.corrector import Metric
 from zeno_orbits.continuation.return_maps import Composed, ImpactReturns, ReleaseReturns, ReturnMap
 from zeno_orbits.continuation.two_parameters.plane import CurveSteps, Plane
@@ -34,7 +34,7 @@ class ContinuationSettings:
         doublings: How often a branch of twice the period is followed where a flip throws it off.
     """
 
-    steps: Steps = field(default_factory=Steps)
+    steps: FamilySteps = field(default_factory=FamilySteps)
     simulation: SimulationSettings = field(default_factory=SimulationSettings)
     curve: CurveSteps = field(default_factory=CurveSteps)
     doublings: int = 1
