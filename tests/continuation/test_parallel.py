@@ -314,7 +314,7 @@ def test_a_place_that_cannot_be_had_is_refused_and_the_checkpoint_left_untouched
 ) -> None:
     folder, _ = kept
     before = contents(folder)
-    begins = "zeno_orbits.continuation.continuation.continue_impacts"
+    begins = "zeno_orbits.continuation.continue_impacts"
     refuses(monkeypatch, (*NEAR, "--checkpoint", folder, *place), told, work_of=begins)
     assert contents(folder) == before
 
