@@ -1,10 +1,16 @@
 """How often the 95 % intervals of `identify` hold the truth, on recordings whose truth is known.
 
     python benchmarks/identification.py [--seeds 60] [--noise 0.01] [--correlated]
+        [--problem forced_oscillator] [--rate 500] [--cycles 12] [--velocities]
 
 Every seed has its own truth, some per cent from the problem's numbers, its own unknown start and
+<<<<<<< HEAD
+its own noise on every signal; the fit begins at the problem's numbers. With ``--correlated`` the
+noise is that of a filtered sensor, which a fit that counts samples as independent gets wrong.
+=======
 its own noise on angles and current; the fit begins at the problem's numbers. With ``--correlated``
 the noise is that of a filtered sensor, which a fit that counts samples as independent gets wrong.
+>>>>>>> main
 A share of intervals that hold is given with the range in which it would be in 95 of 100 such
 benchmarks if it were 95 %. Small matrices gain nothing from threads: with OPENBLAS_NUM_THREADS=1
 in the environment a fit takes half of the processor time.
@@ -15,26 +21,68 @@ from __future__ import annotations
 import argparse
 import statistics
 import time
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binom
 
-from zeno_orbits.experiment.identification.identification import Sought, UnfittableError, identify
-from zeno_orbits.experiment.orbit_table import table_of
-from zeno_orbits.experiment.recordings.recording import Recording, Signal, Source
+from zeno_orbits.experiment import Recording, Signal, Source, UnfittableError, Unknown, identify
+from zeno_orbits.experiment.orbit_table import tabulate_orbit
 from zeno_orbits.model.library import load_problem
+from zeno_orbits.model.problem import Problem
 from zeno_orbits.search import close_orbit
 
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """A problem whose parameters are found.
+
+    Attributes:
+        signals: What is recorded.
+        velocities: What is recorded as well with ``--velocities``.
+        unknowns: What is found.
+        spread: How far the truth is from the problem's numbers: relative standard deviations.
+    """
+
+    signals: tuple[str, ...]
+    velocities: tuple[str, ...]
+    unknowns: tuple[Unknown, ...]
+    spread: tuple[float, ...]
+
+
 PROBLEM = "motor_pendulum"
-SIGNALS = ("theta1", "theta2", "current")
-SOUGHT = (
-    Sought(names=("R",), lower=2.0, upper=4.0),
-    Sought(names=("K_torque", "K_emf"), lower=0.02, upper=0.05),
-    Sought(names=("restitution",), lower=0.0, upper=0.4),
-)
-SPREAD = (0.03, 0.02, 0.05)
-"""How far the truth is from the problem's numbers: relative standard deviations."""
+CASES = {
+    PROBLEM: Case(
+        signals=("theta1", "theta2", "current"),
+        velocities=("dtheta1", "dtheta2"),
+        unknowns=(
+            Unknown(names=("R",), lower=2.0, upper=4.0),
+            Unknown(names=("K_torque", "K_emf"), lower=0.02, upper=0.05),
+            Unknown(names=("restitution",), lower=0.0, upper=0.4),
+        ),
+        spread=(0.03, 0.02, 0.05),
+    ),
+    "forced_oscillator": Case(
+        signals=("distance",),
+        velocities=("speed",),
+        unknowns=(
+            Unknown(names=("c",), lower=1.0, upper=3.0),
+            Unknown(names=("restitution",), lower=0.2, upper=0.8),
+        ),
+        spread=(0.02, 0.03),
+    ),
+    "vibrating_table": Case(
+        signals=("height",),
+        velocities=("speed",),
+        unknowns=(
+            Unknown(names=("A",), lower=0.013, upper=0.018),
+            Unknown(names=("restitution",), lower=0.1, upper=0.6),
+        ),
+        spread=(0.01, 0.05),
+    ),
+}
+SIGNALS, SOUGHT = CASES[PROBLEM].signals, CASES[PROBLEM].unknowns
 CYCLES = 12
 RATE = 250.0
 MEMORY = 8
@@ -57,28 +105,32 @@ def noise_of(
 
 
 def recorded(
-    seed: int, noise: float, *, correlated: bool
+    options: argparse.Namespace, problem: Problem, seed: int
 ) -> tuple[Recording, dict[str, float]] | None:
     """Return a recording and its truth, or nothing if there is no orbit at that truth."""
+    case = CASES[options.problem]
     rng = np.random.default_rng(seed)
-    problem = load_problem(PROBLEM)
     truth = dict(problem.values().parameters)
-    for one, spread in zip(SOUGHT, SPREAD, strict=True):
+    for one, spread in zip(case.unknowns, case.spread, strict=True):
         factor = 1.0 + spread * rng.normal()
         truth |= {name: truth[name] * factor for name in one.names}
     orbit = close_orbit(problem, problem.values(parameters=truth)).orbit
     if orbit is None:
         return None
-    table = table_of(orbit, problem, SIGNALS)
-    times = np.arange(int(CYCLES * orbit.period * RATE)) / RATE
+    names = (*case.signals, *(case.velocities if options.velocities else ()))
+    table = tabulate_orbit(orbit, problem, names)
+    times = np.arange(int(options.cycles * orbit.period * options.rate)) / options.rate
     values = table.at(times / orbit.period + rng.random())
-    values += noise * np.ptp(values, axis=0) * noise_of(rng, values.shape, correlated=correlated)
+    noise = noise_of(rng, values.shape, correlated=options.correlated)
+    values += options.noise * np.ptp(values, axis=0) * noise
     units = dict(zip(problem.state_names, problem.state_units, strict=True))
     signals = tuple(
         Signal(name=name, unit=units[name], values=values[:, k].copy())
-        for k, name in enumerate(SIGNALS)
+        for k, name in enumerate(names)
     )
-    recording = Recording(source=Source.SIMULATED, problem=PROBLEM, time=times, signals=signals)
+    recording = Recording(
+        source=Source.SIMULATED, problem=problem.name, time=times, signals=signals
+    )
     return recording, truth
 
 
@@ -88,16 +140,20 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=60)
     parser.add_argument("--noise", type=float, default=0.01)
     parser.add_argument("--correlated", action="store_true")
+    parser.add_argument("--problem", choices=CASES, default=PROBLEM)
+    parser.add_argument("--rate", type=float, default=RATE, help="samples a second [Hz]")
+    parser.add_argument("--cycles", type=int, default=CYCLES)
+    parser.add_argument("--velocities", action="store_true", help="record velocities as well")
     options = parser.parse_args()
-    problem = load_problem(PROBLEM)
-    labels = [one.label for one in SOUGHT]
+    problem, unknowns = load_problem(options.problem), CASES[options.problem].unknowns
+    labels = [one.label for one in unknowns]
     inside, whole, tried = dict.fromkeys(labels, 0), 0, 0
     scores: dict[str, list[float]] = {label: [] for label in labels}
     errors: dict[str, list[float]] = {label: [] for label in labels}
     times: list[float] = []
     print("seed  " + "".join(f"{label:>22}" for label in labels) + "   (error in standard errors)")
     for seed in range(options.seeds):
-        made = recorded(seed, options.noise, correlated=options.correlated)
+        made = recorded(options, problem, seed)
         if made is None:
             print(f"{seed:4d}  no orbit at this truth")
             continue
@@ -105,24 +161,24 @@ def main() -> None:
         began = time.process_time()
         tried += 1
         try:
-            found = identify(problem, problem.values(), recording, SOUGHT)
+            found = identify(problem, problem.values(), recording, unknowns)
         except UnfittableError as error:
             print(f"{seed:4d}  {error}")
             continue
         times.append(time.process_time() - began)
         row, all_in = "", True
         for one in found.fitted:
-            true = truth[one.sought.names[0]]
+            true = truth[one.unknown.names[0]]
             here = one.low <= true <= one.high
-            inside[one.sought.label] += here
+            inside[one.unknown.label] += here
             all_in &= here
-            scores[one.sought.label].append((one.value - true) / one.error)
-            errors[one.sought.label].append(one.error / true)
-            row += f"{one.value / true - 1:+14.2e} ({scores[one.sought.label][-1]:+.1f})"
+            scores[one.unknown.label].append((one.value - true) / one.error)
+            errors[one.unknown.label].append(one.error / true)
+            row += f"{one.value / true - 1:+14.2e} ({scores[one.unknown.label][-1]:+.1f})"
         whole += all_in
         print(f"{seed:4d}  {row}{'' if all_in else '   outside'}", flush=True)
     low, high = binom.interval(0.95, tried, 0.95)
-    print(f"\ntruth inside the 95 % interval, of {tried}: {inside}; all three at once: {whole}")
+    print(f"\ntruth inside the 95 % interval, of {tried}: {inside}; all at once: {whole}")
     print(f"expected {low:.0f} to {high:.0f}; errors, in standard errors and relative, as medians:")
     for label in labels:
         own = np.array(scores[label])

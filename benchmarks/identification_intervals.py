@@ -25,10 +25,11 @@ from identification import CYCLES, PROBLEM, RATE, SIGNALS, SOUGHT, noise_of
 from zeno_orbits.experiment.comparison.alignment import aligned
 from zeno_orbits.experiment.identification.folding import folded
 from zeno_orbits.experiment.identification.least_squares import Fit, weighed
-from zeno_orbits.experiment.identification.predictions import Predictions, Unknowns
+from zeno_orbits.experiment.identification.predictions import Predictions
 from zeno_orbits.experiment.identification.stationarity import unsteady
 from zeno_orbits.experiment.identification.uncertainty import spread_of
-from zeno_orbits.experiment.orbit_table import measurement, table_of
+from zeno_orbits.experiment.identification.unknowns import Unknowns
+from zeno_orbits.experiment.orbit_table import measurement, tabulate_orbit
 from zeno_orbits.experiment.recordings.periodicity import periodicity
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.search import close_orbit
@@ -48,7 +49,7 @@ def main() -> None:
     names = [name for one in SOUGHT for name in one.names]
     truth = {n: v for one, v in zip(SOUGHT, TRUTH, strict=True) for n in one.names}
     values = problem.values(parameters=truth)
-    table = table_of(close_orbit(problem, values).unwrap(), problem, SIGNALS)
+    table = tabulate_orbit(close_orbit(problem, values).unwrap(), problem, SIGNALS)
     start = np.array(TRUTH)
     unknowns = Unknowns(
         base=np.array(values.vector),

@@ -19,7 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
-from zeno_orbits.experiment.rig import RigSettings, SettledRig, default_rig, rig_cycles
+from zeno_orbits.experiment import RigSettings, rig_cycles
+from zeno_orbits.experiment.rig import SettledRig, default_rig
 from zeno_orbits.experiment.rig.convergence import (
     OrbitCurve,
     OrbitDistance,

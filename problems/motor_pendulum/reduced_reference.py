@@ -27,8 +27,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators.flow import PlainFlow, plain_flight
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.integrators.flow import PlainFlow
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics, plain_flight
 
 if TYPE_CHECKING:
     from zeno_orbits.model.problem import ParameterValues
@@ -151,7 +151,7 @@ def dynamics(values: ParameterValues) -> HybridDynamics:
     """Return the hand-written reduced pendulum as numeric functions of the state.
 
     Args:
-        setting: Numbers for every gain and parameter of the reduced problem.
+        values: Numbers for every gain and parameter of the reduced problem.
     """
     machine = pendulum(values)
     return HybridDynamics(

@@ -26,8 +26,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators.flow import PlainFlow, plain_flight
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.integrators.flow import PlainFlow
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics, plain_flight
 
 if TYPE_CHECKING:
     from zeno_orbits.model.problem import ParameterValues
@@ -215,7 +215,7 @@ def dynamics(values: ParameterValues) -> HybridDynamics:
     ``multiplier_rate`` holds on the stop only, which is where a simulator asks for it.
 
     Args:
-        setting: Numbers for every gain and parameter of the problem.
+        values: Numbers for every gain and parameter of the problem.
     """
     machine = pendulum(values)
     return HybridDynamics(

@@ -6,9 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from zeno_orbits.experiment.identification.identification import Sought, identify
-from zeno_orbits.experiment.recordings.recording import Recording, cut
-from zeno_orbits.experiment.recordings.sampling import Sampling, sampled
+from zeno_orbits.experiment import Recording, Sampling, Unknown, identify, sampled
+from zeno_orbits.experiment.recordings.recording import cut
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
@@ -16,8 +15,8 @@ from zeno_orbits.simulation.execution import Execution
 from zeno_orbits.simulation.simulator import simulate
 
 SOUGHT = {
-    "motor_pendulum": Sought(names=("R",), lower=1.5, upper=6.0),
-    "forced_oscillator": Sought(names=("restitution",), lower=0.2, upper=0.8),
+    "motor_pendulum": Unknown(names=("R",), lower=1.5, upper=6.0),
+    "forced_oscillator": Unknown(names=("restitution",), lower=0.2, upper=0.8),
 }
 SETTLED = {"motor_pendulum": 20.0, "forced_oscillator": 30.0}
 """From then on both repeat to 1e-11."""

@@ -16,10 +16,9 @@ import pytest
 
 from tests.support.recordings_of import recorded, recording_of
 from zeno_orbits.errors import InputError
-from zeno_orbits.experiment.comparison.comparison import Comparison, compare
-from zeno_orbits.experiment.orbit_table import OrbitTable, gap_coordinates, table_of
+from zeno_orbits.experiment import Comparison, Recording, Signal, compare
+from zeno_orbits.experiment.orbit_table import OrbitTable, gap_coordinates, tabulate_orbit
 from zeno_orbits.experiment.recordings.periodicity import periodicity
-from zeno_orbits.experiment.recordings.recording import Recording, Signal
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
@@ -33,7 +32,7 @@ SURE = 5.0
 
 @pytest.fixture(scope="module")
 def table(orbit: ZenoOrbit, problem: Problem) -> OrbitTable:
-    return table_of(orbit, problem, SIGNALS)
+    return tabulate_orbit(orbit, problem, SIGNALS)
 
 
 def changed(recording: Recording, change: Callable[[np.ndarray, np.ndarray], Any]) -> Recording:
@@ -229,7 +228,7 @@ def test_signals_that_jump_are_aligned_as_well() -> None:
     # The speed of this problem jumps by two thirds of its range; its slope knows nothing of that.
     problem = load_problem("forced_oscillator")
     orbit = close_orbit(problem, problem.values()).unwrap()
-    table = table_of(orbit, problem, ("distance", "speed"))
+    table = tabulate_orbit(orbit, problem, ("distance", "speed"))
     found = compare(orbit, problem, recorded(table, problem, noise=1e-3, rate=60.0))
     assert found.agrees, found.reasons
     for what in ("first impact time", "end of chatter", "release time", "locked duration"):
@@ -280,7 +279,7 @@ def test_the_data_are_plain_and_finite(
 def test_a_table_of_the_orbit_is_the_orbit(
     orbit: ZenoOrbit, problem: Problem, machine: HybridDynamics
 ) -> None:
-    whole = table_of(orbit, problem, problem.state_names)
+    whole = tabulate_orbit(orbit, problem, problem.state_names)
     execution = simulate(machine, problem.state_vector(orbit.release_state), until=orbit.period)
     phases = np.random.default_rng(0).random(500)
     true = np.array([execution.state_at(phase * orbit.period) for phase in phases])
@@ -297,7 +296,7 @@ def test_the_period_is_none_of_its_multiples_wherever_a_record_is_cut_off(
     n_cycles: float, start: float, orbit: ZenoOrbit, problem: Problem
 ) -> None:
     # What overlaps at the end of a record may hold more of the motion's energy than its share.
-    table = table_of(orbit, problem, ("theta1", "theta2"))
+    table = tabulate_orbit(orbit, problem, ("theta1", "theta2"))
     whole = recorded(table, problem, n_cycles=n_cycles, start=start, rate=200.0, noise=2e-3)
     found = periodicity(whole.time, np.stack([one.values for one in whole.signals]))
     assert found is not None
@@ -325,7 +324,7 @@ def test_phases_too_short_for_the_sampling_are_not_resolved_or_right(
     shaken = load_problem("vibrating_table")
     values = shaken.values(parameters={"A": amplitude, "restitution": restitution})
     orbit = close_orbit(shaken, values).unwrap()
-    table = table_of(orbit, shaken, shaken.state_names)
+    table = tabulate_orbit(orbit, shaken, shaken.state_names)
     found = compare(orbit, shaken, recorded(table, shaken, noise=1e-3, rate=rate, n_cycles=25))
     assert found.agrees, found.reasons
     true = {metric.name: metric.orbit for metric in found.metrics}

@@ -11,26 +11,20 @@ import pytest
 
 from tests.support.recordings_of import recorded, recording_of
 from zeno_orbits.errors import InputError
+from zeno_orbits.experiment import Identification, Recording, UnfittableError, Unknown, identify
 from zeno_orbits.experiment.identification.folding import folded
-from zeno_orbits.experiment.identification.identification import (
-    Identification,
-    Sought,
-    UnfittableError,
-    identify,
-)
 from zeno_orbits.experiment.identification.orbit_sensitivity import orbit_slope
 from zeno_orbits.experiment.identification.uncertainty import unseen_combinations
-from zeno_orbits.experiment.orbit_table import table_of
-from zeno_orbits.experiment.recordings.recording import Recording
+from zeno_orbits.experiment.orbit_table import tabulate_orbit
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.search import close_cycle, close_orbit
 from zeno_orbits.simulation.simulator import SimulationSettings
 
 SOUGHT = (
-    Sought(names=("R",), lower=2.0, upper=4.0),
-    Sought(names=("K_torque", "K_emf"), lower=0.02, upper=0.05),
-    Sought(names=("restitution",), lower=0.0, upper=0.4),
+    Unknown(names=("R",), lower=2.0, upper=4.0),
+    Unknown(names=("K_torque", "K_emf"), lower=0.02, upper=0.05),
+    Unknown(names=("restitution",), lower=0.0, upper=0.4),
 )
 TRUTH = {"R": 3.12, "K_torque": 0.0303, "K_emf": 0.0303, "restitution": 0.215}
 
@@ -42,7 +36,7 @@ def other(problem: Problem) -> ZenoOrbit:
 
 
 def record(other: ZenoOrbit, problem: Problem, seed: int, noise: float = 5e-3) -> Recording:
-    table = table_of(other, problem, ("theta1", "theta2", "current"))
+    table = tabulate_orbit(other, problem, ("theta1", "theta2", "current"))
     return recorded(table, problem, n_cycles=8, rate=200.0, noise=noise, seed=seed, start=0.4)
 
 
@@ -53,7 +47,7 @@ def fitted(other: ZenoOrbit, problem: Problem) -> Identification:
 
 def test_the_true_parameters_are_found(fitted: Identification) -> None:
     for one in fitted.fitted:
-        true = TRUTH[one.sought.names[0]]
+        true = TRUTH[one.unknown.names[0]]
         # Five standard errors, and those are small: the recording tells all three to a per cent.
         assert abs(one.value - true) < 5 * one.error < 0.05 * true, one
         assert one.low < one.value < one.high
@@ -79,7 +73,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(other: ZenoOrbit, problem
     inside = 0
     for seed in range(1, 9):
         found = identify(problem, problem.values(), record(other, problem, seed), SOUGHT)
-        inside += sum(one.low <= TRUTH[one.sought.names[0]] <= one.high for one in found.fitted)
+        inside += sum(one.low <= TRUTH[one.unknown.names[0]] <= one.high for one in found.fitted)
     assert inside >= 20
 
 
@@ -89,7 +83,7 @@ def test_the_orbits_derivatives_are_those_of_neighbouring_orbits(
     names = ("R", "K_torque", "restitution", "J_rotor")
     places = tuple(problem.names.index(name) for name in names)
     p = np.array(orbit.values(problem).vector)
-    table = table_of(orbit, problem, problem.state_names)
+    table = tabulate_orbit(orbit, problem, problem.state_names)
     cycle, settings = table.cycle, SimulationSettings()
 
     def closed(values: np.ndarray):
@@ -138,8 +132,8 @@ def test_what_a_recording_cannot_tell_is_named(other: ZenoOrbit, problem: Proble
     # Only the ratio of both inertial terms I2 and m2 lc2^2 enters with lc2 as it does... I1 and
     # J_rotor enter as their sum alone, so a change of one is undone by the other.
     sought = (
-        Sought(names=("I1",), lower=0.0005, upper=0.002),
-        Sought(names=("J_rotor",), lower=0.01, upper=0.03),
+        Unknown(names=("I1",), lower=0.0005, upper=0.002),
+        Unknown(names=("J_rotor",), lower=0.01, upper=0.03),
     )
     found = identify(problem, problem.values(parameters=TRUTH), record(other, problem, 2), sought)
     assert len(found.unseen) == 1
@@ -165,14 +159,14 @@ def test_unseen_combinations_are_read_off_the_information() -> None:
     ("sought", "reason"),
     [
         ((), "must name a parameter, but it names none"),
-        ((Sought(names=("Kp",), lower=1, upper=3),), "names `Kp`; gains are known"),
-        ((Sought(names=("x",), lower=1, upper=3),), "but it names `x`"),
-        ((Sought(names=("R", "R"), lower=1, upper=3),), "must name `R` once"),
-        ((Sought(names=("R",), lower=3, upper=3),), "must have a range LOW:HIGH for `R`"),
+        ((Unknown(names=("Kp",), lower=1, upper=3),), "names `Kp`; gains are known"),
+        ((Unknown(names=("x",), lower=1, upper=3),), "but it names `x`"),
+        ((Unknown(names=("R", "R"), lower=1, upper=3),), "must name `R` once"),
+        ((Unknown(names=("R",), lower=3, upper=3),), "must have a range LOW:HIGH for `R`"),
     ],
 )
 def test_a_question_that_cannot_be_is_refused(
-    sought: tuple[Sought, ...], reason: str, problem: Problem
+    sought: tuple[Unknown, ...], reason: str, problem: Problem
 ) -> None:
     time = np.arange(100) * 0.1
     recording = recording_of(problem, ("theta1",), time, np.sin(time)[None])
@@ -198,9 +192,9 @@ def test_a_start_without_an_orbit_is_told(other: ZenoOrbit, problem: Problem) ->
 
 
 def test_gathering_many_samples_changes_no_mean(other: ZenoOrbit, problem: Problem) -> None:
-    from zeno_orbits.experiment.comparison.comparison import compare
+    from zeno_orbits.experiment import compare
 
-    table = table_of(other, problem, ("theta1",))
+    table = tabulate_orbit(other, problem, ("theta1",))
     long = recorded(table, problem, n_cycles=20, rate=2000.0)
     where = compare(other, problem, long).where
     assert where is not None

@@ -11,8 +11,9 @@ from tests.support.recordings_of import recorded
 from zeno_orbits.experiment.comparison.alignment import aligned
 from zeno_orbits.experiment.identification.folding import MOST, Folded, folded
 from zeno_orbits.experiment.identification.least_squares import Fit, fit, weighed
-from zeno_orbits.experiment.identification.predictions import Predictions, Unknowns
-from zeno_orbits.experiment.orbit_table import OrbitTable, measurement, table_of
+from zeno_orbits.experiment.identification.predictions import Predictions
+from zeno_orbits.experiment.identification.unknowns import Unknowns
+from zeno_orbits.experiment.orbit_table import OrbitTable, measurement, tabulate_orbit
 from zeno_orbits.experiment.recordings.periodicity import Periodicity, periodicity
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
@@ -23,7 +24,7 @@ NAMES = ("R", "restitution")
 
 @pytest.fixture(scope="module")
 def table(orbit: ZenoOrbit, problem: Problem) -> OrbitTable:
-    return table_of(orbit, problem, SIGNALS)
+    return tabulate_orbit(orbit, problem, SIGNALS)
 
 
 @pytest.fixture(scope="module")

@@ -14,13 +14,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 from zeno_orbits.errors import DataFileError, InputError
-from zeno_orbits.experiment.recordings.recording import (
-    Recording,
-    Signal,
-    Source,
-    read_recording,
-    write_recording,
-)
+from zeno_orbits.experiment import Recording, Signal, Source, read_recording, write_recording
 from zeno_orbits.model.units import in_si
 
 HEAD = "# zeno-orbits data 1\n# source: measured\n# problem: some_problem\n"

@@ -15,15 +15,12 @@ from scipy.linalg import expm
 from benchmarks.rig_convergence import spring_contact
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, RunawayError, SimulationError
-from zeno_orbits.experiment.recordings.recording import Source
+from zeno_orbits.experiment import RigSettings, Source, rig_cycles, simulate_rig
 from zeno_orbits.experiment.rig import (
-    RigSettings,
     cut_cycles,
     damping_number,
     default_rig,
     effective_restitution,
-    rig_cycles,
-    simulate_rig,
 )
 from zeno_orbits.experiment.rig.convergence import (
     OrbitCurve,

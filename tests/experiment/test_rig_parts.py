@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment.rig import damping_number, effective_restitution
-from zeno_orbits.experiment.rig.controller import Leg, Reader, level, pulse
+from zeno_orbits.experiment.rig.controller import Encoders, Leg, level, pulse
 from zeno_orbits.experiment.rig.forces import (
     averaged_voltage,
     contact_force,
@@ -208,9 +208,9 @@ def test_full_and_no_voltage_need_no_edges() -> None:
 # -------------------------------------------------------------------------------- readings
 
 
-def reader(sensors: Sensors | None, seed: int = 0) -> Reader:
+def reader(sensors: Sensors | None, seed: int = 0) -> Encoders:
     """Return a reader of one coordinate every millisecond."""
-    return Reader(sensors, Controller(period=1e-3), 1, np.random.default_rng(seed))
+    return Encoders(sensors, Controller(period=1e-3), 1, np.random.default_rng(seed))
 
 
 def test_without_sensors_the_state_itself_is_read() -> None:

@@ -8,19 +8,18 @@ import numpy as np
 import pytest
 
 from tests.support.recordings_of import recorded, recording_of
+from zeno_orbits.experiment import Recording, Sampling, UnfittableError, Unknown, identify, sampled
 from zeno_orbits.experiment.identification import identification
-from zeno_orbits.experiment.identification.identification import Sought, UnfittableError, identify
-from zeno_orbits.experiment.orbit_table import table_of
-from zeno_orbits.experiment.recordings.recording import Recording, cut
-from zeno_orbits.experiment.recordings.sampling import Sampling, sampled
+from zeno_orbits.experiment.orbit_table import tabulate_orbit
+from zeno_orbits.experiment.recordings.recording import cut
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.search import close_orbit
 from zeno_orbits.simulation.simulator import simulate
 
 SOUGHT = (
-    Sought(names=("R",), lower=2.0, upper=4.0),
-    Sought(names=("restitution",), lower=0.0, upper=0.4),
+    Unknown(names=("R",), lower=2.0, upper=4.0),
+    Unknown(names=("restitution",), lower=0.0, upper=0.4),
 )
 TRUTH = {"R": 3.12, "restitution": 0.215}
 SIGNALS = ("theta1", "theta2", "current")
@@ -65,7 +64,7 @@ def test_without_that_check_a_transient_gives_wrong_numbers(
 def test_a_drift_is_told(other: ZenoOrbit, problem: Problem) -> None:
     # What is drawn from one current to the other over the cycles passes for no other problem.
     last = close_orbit(problem, problem.values(parameters={**TRUTH, "R": 3.24})).unwrap()
-    tables = [table_of(orbit, problem, SIGNALS) for orbit in (other, last)]
+    tables = [tabulate_orbit(orbit, problem, SIGNALS) for orbit in (other, last)]
     period = other.period
     time = np.arange(int(8 * period * 200.0)) / 200.0
     share = (time / time[-1])[:, None]
@@ -81,7 +80,7 @@ def test_a_drift_is_told(other: ZenoOrbit, problem: Problem) -> None:
 
 def test_cycles_that_differ_in_turn_are_told(other: ZenoOrbit, problem: Problem) -> None:
     second = close_orbit(problem, problem.values(parameters={**TRUTH, "R": 3.16})).unwrap()
-    tables = [table_of(orbit, problem, SIGNALS) for orbit in (other, second)]
+    tables = [tabulate_orbit(orbit, problem, SIGNALS) for orbit in (other, second)]
     time = np.arange(int(8 * other.period * 200.0)) / 200.0
     phases = time / other.period
     odd = (np.floor(phases) % 2 == 1)[:, None]
@@ -93,11 +92,13 @@ def test_cycles_that_differ_in_turn_are_told(other: ZenoOrbit, problem: Problem)
 
 
 def test_a_settled_machine_is_not_refused(other: ZenoOrbit, problem: Problem) -> None:
-    table = table_of(other, problem, SIGNALS)
+    table = tabulate_orbit(other, problem, SIGNALS)
     for cycles, start in ((2.3, 0.1), (3.5, 0.9)):
         settled = recorded(table, problem, n_cycles=cycles, rate=200.0, noise=5e-3, start=start)
         found = identify(problem, problem.values(parameters=TRUTH), settled, SOUGHT)
-        assert all(abs(one.value - TRUTH[one.sought.label]) < 5 * one.error for one in found.fitted)
+        assert all(
+            abs(one.value - TRUTH[one.unknown.label]) < 5 * one.error for one in found.fitted
+        )
 
 
 @pytest.mark.parametrize("names", [SIGNALS, ("theta1", "current")])
@@ -118,7 +119,7 @@ def test_a_stop_that_is_never_touched_gives_no_parameters(
 
 
 def test_another_machine_is_told_by_what_repeats(other: ZenoOrbit, problem: Problem) -> None:
-    table = table_of(other, problem, SIGNALS)
+    table = tabulate_orbit(other, problem, SIGNALS)
     good = recorded(table, problem, n_cycles=8, rate=200.0, noise=5e-3)
     # Its first arm and its current have other shapes: of the same period, locked as long, and
     # like the orbit's enough to be compared with it.

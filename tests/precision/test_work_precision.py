@@ -192,8 +192,8 @@ def test_meshes_are_solved_where_there_is_an_orbit_and_say_why_where_there_is_no
 def test_without_heyoka_the_truth_is_in_doubles_and_says_so(
     problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in (truths, trading):
-        monkeypatch.setattr(module, "heyoka_is_installed", lambda: False)
+    monkeypatch.setattr(truths, "heyoka_is_installed", lambda: False)
+    monkeypatch.setattr("zeno_orbits.integrators.engines.find_spec", lambda _: None)
     assert "taylor" not in engines()
     dynamics = problem.dynamics(problem.values())
     truth = true_landmarks(problem, problem.values(), dynamics, RELEASE, 1.02 * PERIOD)

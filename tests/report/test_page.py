@@ -64,7 +64,9 @@ def trade_of(problem: str) -> WorkPrecision:
         Trial(sweep="engine", name="slow", value=1e-6, seconds=2e-3, error=1e-6, n_impacts=9),
         Trial(sweep="cut", name="cut", value=1e-2, seconds=math.inf, error=math.inf, trouble="no"),
     )
-    return WorkPrecision(problem=problem, work="3 s", truth="exact", truth_error=1e-20, trials=trials)
+    return WorkPrecision(
+        problem=problem, work="3 s", truth="exact", truth_error=1e-20, trials=trials
+    )
 
 
 @pytest.fixture(scope="module")

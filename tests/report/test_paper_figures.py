@@ -28,6 +28,7 @@ from tests.support.recordings_of import recorded
 from zeno_orbits.arrays import Vector
 from zeno_orbits.cli import main
 from zeno_orbits.errors import InputError, SimulationError, ZenoOrbitsError
+from zeno_orbits.experiment import Recording, Source
 from zeno_orbits.experiment.comparison import counterpart as counterparts
 from zeno_orbits.experiment.comparison.counterpart import (
     RIG,
@@ -35,8 +36,8 @@ from zeno_orbits.experiment.comparison.counterpart import (
     counterpart_of,
     recording_counterpart,
 )
-from zeno_orbits.experiment.orbit_table import OrbitTable, table_of
-from zeno_orbits.experiment.recordings.recording import Recording, Source, cut
+from zeno_orbits.experiment.orbit_table import OrbitTable, tabulate_orbit
+from zeno_orbits.experiment.recordings.recording import cut
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
@@ -118,7 +119,7 @@ def parts(
         if not path.exists():
             raise InputError(f"Data file `{path}` must hold a recording, but it is missing.")
         assert set(only) > set(problem.state_names)
-        table = table_of(orbit, problem, ("theta1", "theta2"))
+        table = tabulate_orbit(orbit, problem, ("theta1", "theta2"))
         return replace(recorded(table, problem, n_cycles=8.0), source=Source.MEASURED)
 
     monkeypatch.setattr(counterparts, "rig_cycles", rig_cycles)
@@ -351,7 +352,7 @@ def test_gaps_where_a_coordinate_is_missing_stay_gaps(
 
 @pytest.fixture(scope="module")
 def table(orbit: ZenoOrbit, problem: Problem) -> OrbitTable:
-    return table_of(orbit, problem, ("theta1", "theta2"))
+    return tabulate_orbit(orbit, problem, ("theta1", "theta2"))
 
 
 @pytest.mark.parametrize("stretch", [1.0, 1.1, 0.93])
@@ -380,7 +381,7 @@ def test_a_recording_is_laid_over_the_orbit_by_its_phase_in_its_own_time(
 def test_the_figures_and_the_comparison_lay_a_recording_over_the_orbit_alike(
     problem: Problem, orbit: ZenoOrbit, table: OrbitTable
 ) -> None:
-    from zeno_orbits.experiment.comparison.comparison import compare
+    from zeno_orbits.experiment import compare
 
     # No longer than what the figures look at.
     whole = recorded(table, problem, n_cycles=7.5, stretch=1.02, noise=2e-3, seed=5)
@@ -430,7 +431,7 @@ def test_over_the_phase_each_motion_has_its_own_period(
 def test_the_picture_of_a_comparison_is_by_phase_and_names_both_periods(
     problem: Problem, orbit: ZenoOrbit, table: OrbitTable
 ) -> None:
-    from zeno_orbits.experiment.comparison.comparison import compare
+    from zeno_orbits.experiment import compare
 
     found = compare(orbit, problem, recorded(table, problem, n_cycles=6.0, stretch=1.1, noise=1e-3))
     figure = plots.plot_comparison(problem, found)
@@ -752,7 +753,7 @@ def test_a_problem_is_searched_at_its_own_numbers(
         (("motor_pendulum", "--problem", "a.py", "-o", "f"), "must come with an orbit file"),
         (("orbit.json", "-o", "f", "--kind", "graph", "--data", "a.csv"), "the kind `beside`"),
         (("orbit.json", "-o", "f", "--data", "a.csv"), "must hold a recording"),
-        (("orbit.json", "-o", "f", "--kind", "film"), "invalid choice: 'film'"),
+        (("orbit.json", "-o", "f", "--kind", "film"), "`kind` must be one of graph"),
         (("orbit.json",), "required: -o/--output"),
     ],
 )

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from zeno_orbits.experiment import Recording, Signal, Source
 from zeno_orbits.experiment.orbit_table import OrbitTable
-from zeno_orbits.experiment.recordings.recording import Recording, Signal, Source
 from zeno_orbits.model.problem import Problem
 
 

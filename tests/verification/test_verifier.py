@@ -16,7 +16,8 @@ from tests.support.mechanisms import clocked_oscillator
 from tests.support.orbits import changed
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
-from zeno_orbits.integrators import Automatic
+from zeno_orbits.integrators import Automatic, Taylor
+from zeno_orbits.integrators.casadi_to_heyoka import heyoka_is_installed
 from zeno_orbits.integrators.engine import Leg, Passage
 from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.library import load_problem
@@ -34,6 +35,11 @@ from zeno_orbits.verification.cross_checks import cut_order
 from zeno_orbits.verification.verifier import VerificationSettings, certified, verify
 
 QUICK = VerificationSettings(n_periods=1)
+FAST = replace(
+    QUICK,
+    simulation=SimulationSettings(engine=Taylor() if heyoka_is_installed() else Automatic()),
+)
+"""The same residuals ten times as fast, for the many orbits that are false."""
 MOTION = {"first_impact", "impact_sequence", "zeno_point", "closure", "period", "drift"}
 """What changes when the motion does."""
 
@@ -43,7 +49,7 @@ Check = Callable[..., OrbitCertificate]
 @pytest.fixture(name="check", scope="module")
 def _check(problem: Problem) -> Check:
     def check(orbit: ZenoOrbit, dynamics: HybridDynamics | None = None) -> OrbitCertificate:
-        return verify(orbit, problem, settings=QUICK, dynamics=dynamics)
+        return verify(orbit, problem, settings=FAST, dynamics=dynamics)
 
     return check
 
@@ -382,7 +388,7 @@ def test_a_second_model_with_a_wrong_sign_fails_alone(
     assert text.count(right) == 1
     file = tmp_path / "reference.py"
     file.write_text(text.replace(right, wrong), encoding="utf-8")
-    seen = verify(orbit, replace(problem, reference=file), settings=QUICK)
+    seen = verify(orbit, replace(problem, reference=file), settings=FAST)
     assert seen.failed == ("second_model",)
 
 
@@ -396,7 +402,7 @@ def test_a_second_model_that_is_wrong_on_the_stop_fails_alone(
     file = tmp_path / "reference.py"
     wrong = "field=lambda x: machine.locked_flow(x) * (1 + 1e-6)"
     file.write_text(text.replace(right, wrong), encoding="utf-8")
-    seen = verify(orbit, replace(problem, reference=file), settings=QUICK)
+    seen = verify(orbit, replace(problem, reference=file), settings=FAST)
     assert seen.failed == ("second_model",)
 
 
@@ -530,7 +536,7 @@ def test_a_coordinate_beyond_its_escape_fails_alone(
     _, states = simulate(machine, start, until=orbit.period).sampled()
     largest = float(np.max(np.abs(states[:, problem.state_names.index(state)])))
     escape = Escape(beyond=part * largest, phrase="it goes over the top")
-    seen = verify(orbit, replace(problem, escapes={state: escape}), settings=QUICK)
+    seen = verify(orbit, replace(problem, escapes={state: escape}), settings=FAST)
     assert seen.failed == failed
     assert seen.residuals["escape"] == pytest.approx(1 / part - 1 if failed else 0.0, abs=1e-3)
     assert seen.verdict().endswith("; it goes over the top.") == bool(failed)
@@ -539,7 +545,7 @@ def test_a_coordinate_beyond_its_escape_fails_alone(
 def test_a_problem_without_escapes_has_no_residual_of_them(
     orbit: ZenoOrbit, problem: Problem
 ) -> None:
-    seen = verify(orbit, replace(problem, escapes={}), settings=QUICK)
+    seen = verify(orbit, replace(problem, escapes={}), settings=FAST)
     assert "escape" not in seen.residuals
 
 

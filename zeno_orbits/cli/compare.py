@@ -39,9 +39,9 @@ def add_compare(commands: Any) -> None:
 
 
 def _run_compare(options: argparse.Namespace) -> int:
-    from zeno_orbits.experiment.comparison.comparison import compare
+    from zeno_orbits.experiment import compare, read_recording
     from zeno_orbits.experiment.orbit_table import measurable
-    from zeno_orbits.experiment.recordings.recording import cut, read_recording
+    from zeno_orbits.experiment.recordings.recording import cut
 
     require_outputs(options, files=(), reads=[options.orbit, options.data])
     orbit, problem = orbit_and_problem(options)

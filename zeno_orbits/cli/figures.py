@@ -116,12 +116,12 @@ def _material(options: argparse.Namespace, progress: report.ProgressLine) -> Mat
         raise InputError(f"Argument `orbit` {message}; see `verify`.")
 
     def other() -> Counterpart:
+        from zeno_orbits.experiment import read_recording
         from zeno_orbits.experiment.comparison.counterpart import (
             recording_counterpart,
             rig_counterpart,
         )
         from zeno_orbits.experiment.orbit_table import measurable
-        from zeno_orbits.experiment.recordings.recording import read_recording
 
         count = options.periods
         if options.data is not None:

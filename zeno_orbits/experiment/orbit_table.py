@@ -293,7 +293,7 @@ def _beside(
     return near
 
 
-def table_of(orbit: ZenoOrbit, problem: Problem, names: Sequence[str]) -> OrbitTable:
+def tabulate_orbit(orbit: ZenoOrbit, problem: Problem, names: Sequence[str]) -> OrbitTable:
     """Return the period of an orbit, simulated from its release.
 
     Args:

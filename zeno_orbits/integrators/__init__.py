@@ -1,21 +1,16 @@
-"""Engines: how a flow is carried forward until its guard falls."""
+"""Follow a flow until its guard falls through zero: explicitly, implicitly, by Taylor series.
 
-from zeno_orbits.integrators.automatic import Automatic
-from zeno_orbits.integrators.dop853 import RungeKutta
-from zeno_orbits.integrators.engine import Engine, Leg, Outcome, Passage, Trajectory
-from zeno_orbits.integrators.radau import Radau
-from zeno_orbits.integrators.scipy import SciPy
-from zeno_orbits.integrators.taylor import Taylor
+A flow is a vector field with a guard; what they stand for is not known here. An engine follows a
+`Leg` of a flow and returns a `Passage`. `events` finds where a guard falls inside a step; the
+formulas of single steps are in `dop853_step`, `radau_step`, `rosenbrock` and `collocation`.
 
-__all__ = [
-    "Automatic",
-    "Engine",
-    "Leg",
-    "Outcome",
-    "Passage",
-    "Radau",
-    "RungeKutta",
-    "SciPy",
-    "Taylor",
-    "Trajectory",
-]
+Offers: the engines `Automatic`, `RungeKutta`, `Radau`, `Taylor`, `SciPy`, by name in `ENGINES`;
+an `Engine` takes a `Leg` and gives a `Passage` with its `Outcome` and `Trajectory`, made of `Step`s;
+a `GuardedFlow`, a `PlainFlow` of plain functions, and the `Tolerance` of a step.
+
+Imports: arrays, errors.
+"""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

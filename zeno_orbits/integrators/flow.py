@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from zeno_orbits.arrays import Scalar, Vector
+from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators.collocation import Collocation
 from zeno_orbits.integrators.dop853_step import error_norm, explicit_attempt, overflow
 
@@ -224,18 +224,3 @@ class PlainNewton:
         tolerance = self._tolerance
         scale = tolerance.absolute + tolerance.relative * np.abs(self._y)
         return float(np.sqrt(np.mean((change / scale) ** 2)))
-
-
-def plain_flight(
-    free_flow: Callable[[Vector], Vector], gap_acceleration: Scalar
-) -> Callable[[float], GuardedFlow]:
-    """Return the rescaled flights of a system given by plain functions."""
-
-    def flight(speed: float) -> GuardedFlow:
-        def field(y: Vector) -> Vector:
-            x = y[:-2]
-            return np.concatenate([speed * free_flow(x), [y[-1], gap_acceleration(x)]])
-
-        return PlainFlow(field=field, guard_and_rate=lambda y: (float(y[-2]), float(y[-1])))
-
-    return flight

@@ -50,6 +50,19 @@ class Taylor:
     it is below the smaller of the two tolerances, times that entry where that is above 1.
     """
 
+    def require(self, flow: GuardedFlow, y: Vector) -> None:
+        """Refuse a flow that has no formulas, or not analytic ones.
+
+        Args:
+            flow: The flow.
+            y: Where a leg may start: what is zero there and stays so is left out of the series.
+
+        Raises:
+            InputError: It says why.
+        """
+        mode, _ = symbols_of(flow)
+        carrier(mode, _single(Tolerance()), y)
+
     def follow(self, leg: Leg) -> Passage:
         """Follow a flow until its guard falls through zero or the time is over.
 

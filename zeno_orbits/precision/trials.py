@@ -13,8 +13,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.integrators import Automatic, Engine, Radau, RungeKutta, SciPy, Taylor
-from zeno_orbits.integrators.casadi_to_heyoka import heyoka_is_installed
+from zeno_orbits.integrators import (
+    Automatic,
+    Engine,
+    SciPy,
+    Taylor,
+    engine_named,
+    installed_engines,
+)
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.precision.accuracy import at_tolerance
@@ -113,14 +119,7 @@ def engines() -> dict[str, Engine]:
     from scipy.integrate import DOP853, LSODA
     from scipy.integrate import Radau as SciPyRadau
 
-    ours: dict[str, Engine] = {
-        "automatic": Automatic(),
-        "explicit": RungeKutta(),
-        "implicit": Radau(),
-    }
-    if heyoka_is_installed():
-        ours["taylor"] = Taylor()
-    return ours | {
+    return {name: engine_named(name) for name in installed_engines()} | {
         "SciPy DOP853": SciPy(method=DOP853),
         "SciPy LSODA": SciPy(method=LSODA),
         "SciPy Radau": SciPy(method=SciPyRadau),

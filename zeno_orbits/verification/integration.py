@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -63,6 +62,10 @@ class Observation:
     trouble: str
 
 
+_LONGEST = 1e200
+"""Longest time to wait [s]; beyond it the time of a rescaled flight overflows."""
+
+
 def observe(
     dynamics: HybridDynamics, claim: Claim, simulation: SimulationSettings, n_periods: int
 ) -> Observation:
@@ -76,7 +79,7 @@ def observe(
     """
     shape = claim.shape.at_restitution(dynamics.restitution)
     start = placed(dynamics, shape, claim.start)
-    horizon = min((n_periods + 0.5) * claim.period, sys.float_info.max)
+    horizon = min((n_periods + 0.5) * claim.period, _LONGEST)
     try:
         run = followed(
             dynamics, start, shape, horizon=horizon, settings=simulation, n_periods=n_periods

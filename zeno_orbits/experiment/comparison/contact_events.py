@@ -18,11 +18,11 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.comparison.contact_fits import (
     LEAST,
-    Hop,
-    Touch,
-    fitted_hop,
-    fitted_opening,
-    fitted_touch,
+    HopFit,
+    ImpactFit,
+    fit_hop,
+    fit_impact,
+    fit_release,
 )
 from zeno_orbits.experiment.comparison.gap_model import GapModel
 from zeno_orbits.experiment.comparison.stop_level import Stop
@@ -206,13 +206,13 @@ class _Seen:
         apex = int(np.argmax(np.where(flying, self.h, -np.inf)))
         return apex, self.fall(apex, before)
 
-    def touch(self, apex: int, at: int) -> Touch | None:
+    def touch(self, apex: int, at: int) -> ImpactFit | None:
         """Return the first impact, if the samples resolve it."""
-        return fitted_touch(self.t, self.h, apex, at, self.stop.noise, self.model)
+        return fit_impact(self.t, self.h, apex, at, self.stop.noise, self.model)
 
-    def hops(self, impact: float, end: float) -> list[Hop]:
+    def hops(self, impact: float, end: float) -> list[HopFit]:
         """Return each hop that rises above the noise."""
-        found: list[Hop] = []
+        found: list[HopFit] = []
         start = impact
         for number in range(1, _MOST_HOPS + 1):
             inside = (self.t > start) & (self.t < end)
@@ -225,14 +225,14 @@ class _Seen:
             chosen = (self.t > start) & (np.arange(len(self.t)) < at)
             length = float(self.t[at]) - start
             since, h = self.t[chosen] - start, self.h[chosen]
-            hop = fitted_hop(number, since, h, length, self.stop.noise, self.model)
+            hop = fit_hop(number, since, h, length, self.stop.noise, self.model)
             if hop is None:
                 break
             found.append(hop)
             start += hop.length
         return found
 
-    def hidden(self, touch: Touch) -> tuple[float, float]:
+    def hidden(self, touch: ImpactFit) -> tuple[float, float]:
         """Return restitution and length of the greatest hops that noise or sampling hides.
 
         A hop of the speed `e v` under the acceleration `a` rises by :math:`(e v)^2 / 2a` and lasts
@@ -246,7 +246,7 @@ class _Seen:
             return math.inf, math.inf
         return restitution, 2.0 * speed / acceleration / (1.0 - restitution)
 
-    def chatter_end(self, touch: Touch, hops: Sequence[Hop]) -> tuple[float, float, float]:
+    def chatter_end(self, touch: ImpactFit, hops: Sequence[HopFit]) -> tuple[float, float, float]:
         """Return where the hops end, the error of that, and how long those last that are unseen."""
         speeds = [-touch.rate, *(-hop.down for hop in hops)]
         ratios = [hop.up / before for hop, before in zip(hops, speeds, strict=False)]
@@ -265,4 +265,4 @@ class _Seen:
 
     def release(self, after: int) -> tuple[float, float]:
         """Return where the gap begins to open behind a sample, and the error of that."""
-        return fitted_opening(self.t, self.h, after, self.stop.noise, self.model)
+        return fit_release(self.t, self.h, after, self.stop.noise, self.model)

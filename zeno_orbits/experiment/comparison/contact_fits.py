@@ -30,7 +30,7 @@ _UNKNOWN = (math.nan, math.nan)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Touch:
+class ImpactFit:
     """A gap that closes.
 
     Attributes:
@@ -47,7 +47,7 @@ class Touch:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Hop:
+class HopFit:
     """A hop that rises above the noise.
 
     Attributes:
@@ -65,9 +65,9 @@ class Hop:
     length_error: float
 
 
-def fitted_touch(
+def fit_impact(
     t: Vector, h: Vector, apex: int, at: int, noise: float, model: GapModel
-) -> Touch | None:
+) -> ImpactFit | None:
     """Return the touch that ends the orbit's first flight, or nothing if the samples do not tell.
 
     Args:
@@ -97,7 +97,7 @@ def fitted_touch(
             return None
         impact -= float(np.clip(value / speed, -0.2 * unit, 0.2 * unit))
     row, slope = _square(impact, crossing, unit), _square_slope(impact, crossing, unit)
-    return Touch(
+    return ImpactFit(
         time=impact,
         rate=speed,
         time_error=math.sqrt(float(row @ covariance @ row)) / -speed,
@@ -105,9 +105,9 @@ def fitted_touch(
     )
 
 
-def fitted_hop(
+def fit_hop(
     number: int, s: Vector, h: Vector, length: float, noise: float, model: GapModel
-) -> Hop | None:
+) -> HopFit | None:
     """Return a hop, the orbit's own and a cubic that is zero at its start, or nothing if too few.
 
     Args:
@@ -136,7 +136,7 @@ def fitted_hop(
     if not (0.5 < end < 1.5 and up > 0.0):
         return None
     row = np.array([end, end**2, end**3])
-    return Hop(
+    return HopFit(
         length=end * length,
         up=up,
         down=down / length,
@@ -145,7 +145,7 @@ def fitted_hop(
     )
 
 
-def fitted_opening(
+def fit_release(
     t: Vector, h: Vector, after: int, noise: float, model: GapModel
 ) -> tuple[float, float]:
     """Return when a gap begins to open, and the error of that; NaN where the samples do not tell.
@@ -183,8 +183,8 @@ def fitted_opening(
 def _samples_of_flight(columns: Vector, values: Vector, noise: float) -> int:
     """Return how many samples belong to a flight.
 
-    A hop that lasts a few samples only may hide between the flight and the first sample at the stop:
-    its samples are higher than the flight says.
+    A hop of a few samples may hide between the flight and the first sample at the stop. Its samples
+    are higher than the flight predicts.
 
     Args:
         columns: Of the fit of the flight, ``(n, m)``.

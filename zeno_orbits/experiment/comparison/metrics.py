@@ -32,6 +32,10 @@ _OUTLIER = 6.0
 """Cycles this far from the middle one, in standard deviations, do not count."""
 
 
+Number = Callable[[CycleEvents], tuple[float, float]]
+"""A number of one cycle and its standard error; NaN where it is not known."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Metric:
     """One number of the record beside the orbit's.
@@ -64,50 +68,45 @@ def contact_metrics(
         unit: Of the gap.
     """
     first, zeno, period = table.first_impact, table.zeno_time, table.period
+    restitution_hidden, chatter_hidden = np.max([one.hidden for one in events], axis=0).tolist()
+    late, opening = where.error, _opening_bias(events)
 
-    hidden = np.max([one.hidden for one in events], axis=0)
-
-    def row(
-        name: str,
-        own: float,
-        number: Callable[[CycleEvents], tuple[float, float]],
-        unit: str = "s",
-        *systematic: float,
-    ) -> Metric:
+    def row(name: str, own: float, number: Number, *shared: float, unit: str = "s") -> Metric:
         found = _over_cycles([number(one) for one in events])
         # What all cycles share does not fall with their number.
         random = found.error if math.isfinite(found.error) else 0.0
-        error = math.hypot(random, *systematic) or math.nan
+        error = math.hypot(random, *shared) or math.nan
         return Metric(name=name, unit=unit, orbit=own, data=found.value, error=error)
 
-    late = where.error
-    yield row("first impact time", first, lambda one: (one.first_impact, one.errors[0]), "s", late)
-    speed = table.cycle.impacts[0].approach_rate
-    yield row("first impact speed", speed, lambda one: (one.speed, one.errors[1]), f"{unit}/s")
-    e, smallest = _restitution(table), float(hidden[0])
-    yield row("restitution seen", e, lambda one: (one.restitution, one.errors[2]), "1", smallest)
-    short, opening = float(hidden[1]), _opening_bias(events)
-    yield row(
-        *("end of chatter", zeno, lambda one: (one.chatter_end, one.errors[3]), "s", late, short)
-    )
-    yield row(
-        "chatter duration",
-        zeno - first,
-        lambda one: (one.chatter_end - one.first_impact, one.errors[3]),
-        "s",
-        short,
-    )
-    yield row(
-        "locked duration",
-        period - zeno,
-        lambda one: (one.release - one.chatter_end, math.hypot(one.errors[3], one.errors[4])),
-        "s",
-        short,
-        opening,
-    )
-    yield row(
-        *("release time", period, lambda one: (one.release, one.errors[4]), "s", late, opening)
-    )
+    def impact(one: CycleEvents) -> tuple[float, float]:
+        return one.first_impact, one.errors[0]
+
+    def speed(one: CycleEvents) -> tuple[float, float]:
+        return one.speed, one.errors[1]
+
+    def restitution(one: CycleEvents) -> tuple[float, float]:
+        return one.restitution, one.errors[2]
+
+    def chatter_end(one: CycleEvents) -> tuple[float, float]:
+        return one.chatter_end, one.errors[3]
+
+    def chatter(one: CycleEvents) -> tuple[float, float]:
+        return one.chatter_end - one.first_impact, one.errors[3]
+
+    def locked(one: CycleEvents) -> tuple[float, float]:
+        return one.release - one.chatter_end, math.hypot(one.errors[3], one.errors[4])
+
+    def release(one: CycleEvents) -> tuple[float, float]:
+        return one.release, one.errors[4]
+
+    own_speed, e = table.cycle.impacts[0].approach_rate, _restitution(table)
+    yield row("first impact time", first, impact, late)
+    yield row("first impact speed", own_speed, speed, unit=f"{unit}/s")
+    yield row("restitution seen", e, restitution, restitution_hidden, unit="1")
+    yield row("end of chatter", zeno, chatter_end, late, chatter_hidden)
+    yield row("chatter duration", zeno - first, chatter, chatter_hidden)
+    yield row("locked duration", period - zeno, locked, chatter_hidden, opening)
+    yield row("release time", period, release, late, opening)
     error = stop.noise / math.sqrt(len(events))
     yield Metric(name="gap while locked", unit=unit, orbit=0.0, data=stop.level, error=error)
 

@@ -15,7 +15,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment.comparison.alignment import Alignment, aligned
-from zeno_orbits.experiment.orbit_table import OrbitTable, measurable, table_of
+from zeno_orbits.experiment.orbit_table import OrbitTable, measurable, tabulate_orbit
 from zeno_orbits.experiment.recordings.periodicity import Periodicity, periodicity
 from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.model.problem import Problem
@@ -123,7 +123,7 @@ def lay_over(
     found = periodicity(time, values)
     if found is None or found.n_cycles < 1.0:
         return None
-    table = table_of(orbit, problem, (*names, *also))
+    table = tabulate_orbit(orbit, problem, (*names, *also))
     where = aligned(table, time, values, found, names)
     return Overlay(names=names, time=time, values=values, found=found, table=table, where=where)
 

@@ -26,10 +26,15 @@ from zeno_orbits.experiment.comparison.alignment import Alignment
 from zeno_orbits.experiment.comparison.comparison import compare
 from zeno_orbits.experiment.identification.folding import folded
 from zeno_orbits.experiment.identification.least_squares import Fit, fit
-from zeno_orbits.experiment.identification.predictions import Predictions, Unknowns
+from zeno_orbits.experiment.identification.predictions import Predictions
 from zeno_orbits.experiment.identification.stationarity import unsteady
 from zeno_orbits.experiment.identification.uncertainty import Unseen, unseen_combinations
-from zeno_orbits.experiment.identification.unknowns import Sought, begin_of, unknowns_of
+from zeno_orbits.experiment.identification.unknowns import (
+    Unknown,
+    Unknowns,
+    begin_of,
+    unknowns_of,
+)
 from zeno_orbits.experiment.orbit_table import measurement
 from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.model.problem import ParameterValues, Problem
@@ -37,7 +42,7 @@ from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.search import close_orbit, orbit_of
 from zeno_orbits.work.progress import Progress, silent
 
-__all__ = ["Fitted", "Identification", "Sought", "UnfittableError", "identify"]
+__all__ = ["Fitted", "Identification", "UnfittableError", "identify"]
 
 _LEAST_CYCLES = 2.0
 _MISFIT = 2.0
@@ -61,7 +66,7 @@ class Fitted:
     """A number that was found.
 
     Attributes:
-        sought: What it is.
+        unknown: The parameter, or parameters, that it is the value of.
         start: Where the fit began.
         value: The number.
         error: Its standard error; infinite if the recording does not tell it.
@@ -69,7 +74,7 @@ class Fitted:
         high: Upper end.
     """
 
-    sought: Sought
+    unknown: Unknown
     start: float
     value: float
     error: float
@@ -114,7 +119,7 @@ class Identification:
             "gains": dict(self.values.gains),
             "parameters": dict(self.values.parameters),
             "fitted": {
-                one.sought.label: {
+                one.unknown.label: {
                     "value": one.value,
                     "standard_error": one.error if math.isfinite(one.error) else None,
                     "interval": [one.low, one.high] if math.isfinite(one.error) else None,
@@ -140,7 +145,7 @@ def identify(
     problem: Problem,
     values: ParameterValues,
     recording: Recording,
-    sought: Sequence[Sought],
+    sought: Sequence[Unknown],
     *,
     on_progress: Progress = silent,
 ) -> Identification:
@@ -183,7 +188,7 @@ def identify(
     fitted = _fitted(unknowns, sought, answer)
     parameters = dict(begin.parameters)
     for one in fitted:
-        parameters |= dict.fromkeys(one.sought.names, one.value)
+        parameters |= dict.fromkeys(one.unknown.names, one.value)
     at = problem.values(gains=begin.gains, parameters=parameters)
     return Identification(
         problem=problem.name,
@@ -220,7 +225,7 @@ def _unsettled(answer: Fit, where: Alignment, recording: Recording) -> list[str]
     return [f"{found.reason}, by {100 * found.size:.1g} % of the numbers{hint}"]
 
 
-def _fitted(unknowns: Unknowns, sought: Sequence[Sought], found: Fit) -> tuple[Fitted, ...]:
+def _fitted(unknowns: Unknowns, sought: Sequence[Unknown], found: Fit) -> tuple[Fitted, ...]:
     """Return the numbers with their errors, without those of what is not seen."""
     numbers, spread = unknowns.numbers(found.x), found.spread
     hidden = {
@@ -236,7 +241,7 @@ def _fitted(unknowns: Unknowns, sought: Sequence[Sought], found: Fit) -> tuple[F
         value = float(numbers[k])
         answers.append(
             Fitted(
-                sought=one,
+                unknown=one,
                 start=float(unknowns.start[k]),
                 value=value,
                 error=float(spread.errors[k] * unknowns.scale[k]) if known else math.inf,
@@ -247,7 +252,7 @@ def _fitted(unknowns: Unknowns, sought: Sequence[Sought], found: Fit) -> tuple[F
     return tuple(answers)
 
 
-def _unseen(sought: Sequence[Sought], found: Fit) -> tuple[Unseen, ...]:
+def _unseen(sought: Sequence[Unknown], found: Fit) -> tuple[Unseen, ...]:
     spread = found.spread
     return unseen_combinations([one.label for one in sought], spread.information, spread.inflation)
 
@@ -256,9 +261,9 @@ def _remarks(fitted: Sequence[Fitted], found: Fit) -> list[str]:
     """Return what else is to be said of a fit."""
     remarks: list[str] = []
     for one in fitted:
-        low, high = one.sought.lower, one.sought.upper
+        low, high = one.unknown.lower, one.unknown.upper
         if min(one.value - low, high - one.value) < _EDGE * (high - low):
-            remarks.append(f"`{one.sought.label}` ended at an end of its range")
+            remarks.append(f"`{one.unknown.label}` ended at an end of its range")
     if not found.converged:
         remarks.append("the fit did not come to its end: other numbers may be nearer")
     if found.spread.misfit > _MISFIT:

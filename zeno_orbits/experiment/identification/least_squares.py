@@ -177,7 +177,7 @@ def _stretch(stage: Weighed, x: Vector) -> tuple[float, float, float]:
     covariance = white * np.linalg.pinv(columns.T @ columns, rcond=1e-14, hermitian=True)
     groups = np.repeat(data.groups, data.seen.shape[1])
     n = int(groups.max()) + 1
-    below = np.bincount(groups, weights=late**2, minlength=n)
+    below: Vector = np.bincount(groups, weights=late**2, minlength=n).astype(np.float64)
     told = below > 0.5 * np.median(below)
     delays = np.bincount(groups, weights=late * rest, minlength=n)[told] / below[told]
     middles = np.bincount(groups, weights=late**2 * since, minlength=n)[told] / below[told]

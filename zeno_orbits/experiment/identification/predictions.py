@@ -1,7 +1,4 @@
-"""What an orbit says of samples, and its exact derivatives by the numbers that are sought.
-
-Unknown are the sought numbers, relative to where they start, and a shift of the phase.
-"""
+"""Predictions of an orbit for samples, and their exact derivatives by the unknowns of a fit."""
 
 from __future__ import annotations
 
@@ -13,6 +10,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.identification.folding import Fold, Folded
 from zeno_orbits.experiment.identification.orbit_sensitivity import OrbitSlope, orbit_slope
+from zeno_orbits.experiment.identification.unknowns import Unknowns
 from zeno_orbits.experiment.orbit_table import Measurement, OrbitTable, tabulated
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
@@ -22,49 +20,6 @@ from zeno_orbits.simulation.simulator import SimulationSettings
 
 _KEPT = 8
 """Orbits that are remembered."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Unknowns:
-    """What is sought, as places in the gains and parameters.
-
-    Attributes:
-        base: Gains, then parameters, at the start, ``(n_p,)``.
-        places: Of the parameters that move, ``m`` of them.
-        ties: Which sought number moves which of them, ``(m, k)``.
-        start: The sought numbers at the start, ``(k,)``.
-        scale: Their sizes, ``(k,)``.
-        lower: Their least values, ``(k,)``.
-        upper: Their greatest values, ``(k,)``.
-    """
-
-    base: Vector
-    places: tuple[int, ...]
-    ties: Vector
-    start: Vector
-    scale: Vector
-    lower: Vector
-    upper: Vector
-
-    @property
-    def first(self) -> Vector:
-        """The unknowns at the start, ``(k + 1,)``: numbers over their sizes, and no shift."""
-        return np.append(self.start / self.scale, 0.0)
-
-    @property
-    def bounds(self) -> tuple[Vector, Vector]:
-        """Least and greatest unknowns, each ``(k + 1,)``."""
-        return np.append(self.lower / self.scale, -0.5), np.append(self.upper / self.scale, 0.5)
-
-    def numbers(self, x: Vector) -> Vector:
-        """Return the sought numbers at unknowns, ``(k,)``."""
-        return x[:-1] * self.scale
-
-    def p_at(self, x: Vector) -> Vector:
-        """Return gains and parameters with the sought numbers in their places."""
-        p = self.base.copy()
-        p[list(self.places)] = self.ties @ self.numbers(x)
-        return p
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

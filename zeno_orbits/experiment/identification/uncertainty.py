@@ -142,9 +142,9 @@ def _along_phase(samples: Vector, rest: Vector, data: Folded) -> tuple[Vector, f
     bins = np.minimum((data.phases * _BINS).astype(np.int64), _BINS - 1)
     total = np.zeros((m, m))
     repeated, expected, excess, heavy = 0.0, 0.0, 0.0, 0.0
-    total = float(np.sum(rest[data.seen] ** 2)) / max(int(data.seen.sum()), 1)
+    square = float(np.sum(rest[data.seen] ** 2)) / max(int(data.seen.sum()), 1)
     # Weights end at the least noise: what residuals are smaller than that is granted as noise.
-    granted = 1.0 - total if total < _EXACT else 0.0
+    granted = 1.0 - square if square < _EXACT else 0.0
     taper = 1.0 - np.arange(_REACH + 1) / (_REACH + 1)
     for s in range(samples.shape[1]):
         seen = data.seen[:, s]

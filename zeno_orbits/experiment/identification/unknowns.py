@@ -1,4 +1,4 @@
-"""What is asked of a fit: the numbers that are sought, and where they begin."""
+"""The unknowns of a fit: parameters with their ranges, where they begin, and their places."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
-from zeno_orbits.experiment.identification.predictions import Unknowns
 from zeno_orbits.model.problem import ParameterValues, Problem
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sought:
-    """A number to be found.
+class Unknown:
+    """A parameter of a fit.
 
     Attributes:
         names: The parameters that it is the value of; more than one if they are tied together.
@@ -32,10 +32,60 @@ class Sought:
         return "+".join(self.names)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Unknowns:
+    """The unknowns of a fit as places in gains and parameters.
+
+    The fit itself moves the numbers, relative to their sizes, and a shift of the phase.
+
+    Attributes:
+        base: Gains, then parameters, at the start, ``(n_p,)``.
+        places: Of the parameters that move, ``m`` of them.
+        ties: Which unknown moves which of them, ``(m, k)``.
+        start: The unknown numbers at the start, ``(k,)``.
+        scale: Their sizes, ``(k,)``.
+        lower: Their least values, ``(k,)``.
+        upper: Their greatest values, ``(k,)``.
+    """
+
+    base: Vector
+    places: tuple[int, ...]
+    ties: Vector
+    start: Vector
+    scale: Vector
+    lower: Vector
+    upper: Vector
+
+    @property
+    def first(self) -> Vector:
+        """The unknowns at the start, ``(k + 1,)``: numbers over their sizes, and no shift."""
+        return np.append(self.start / self.scale, 0.0)
+
+    @property
+    def bounds(self) -> tuple[Vector, Vector]:
+        """Least and greatest unknowns, each ``(k + 1,)``."""
+        return np.append(self.lower / self.scale, -0.5), np.append(self.upper / self.scale, 0.5)
+
+    def numbers(self, x: Vector) -> Vector:
+        """Return the numbers at unknowns of the fit, ``(k,)``."""
+        return x[:-1] * self.scale
+
+    def p_at(self, x: Vector) -> Vector:
+        """Return gains and parameters at unknowns of the fit."""
+        p = self.base.copy()
+        p[list(self.places)] = self.ties @ self.numbers(x)
+        return p
+
+
 def begin_of(
-    problem: Problem, values: ParameterValues, sought: Sequence[Sought]
+    problem: Problem, values: ParameterValues, sought: Sequence[Unknown]
 ) -> ParameterValues:
-    """Return the numbers to start from: every sought one inside its range, tied ones equal.
+    """Return the numbers to start from: every unknown inside its range, tied ones equal.
+
+    Args:
+        problem: The problem.
+        values: All numbers of it.
+        sought: The unknowns.
 
     Raises:
         InputError: If a name or a range cannot be.
@@ -65,8 +115,14 @@ def begin_of(
     return problem.values(gains=values.gains, parameters=parameters)
 
 
-def unknowns_of(problem: Problem, begin: ParameterValues, sought: Sequence[Sought]) -> Unknowns:
-    """Return what is sought as places in gains and parameters."""
+def unknowns_of(problem: Problem, begin: ParameterValues, sought: Sequence[Unknown]) -> Unknowns:
+    """Return the unknowns as places in gains and parameters.
+
+    Args:
+        problem: The problem.
+        begin: All numbers of it where the fit begins.
+        sought: The unknowns.
+    """
     names = [name for one in sought for name in one.names]
     ties = np.array([[float(name in one.names) for one in sought] for name in names])
     start = np.array([begin.parameters[one.names[0]] for one in sought])

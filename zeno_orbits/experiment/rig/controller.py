@@ -18,7 +18,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.model.rig_parts import Bridge, Controller, Rig, Sensors, Switching
 
 
-class Pilot:
+class ControlLoop:
     """Reads, computes and switches; between two of its edges every voltage is constant.
 
     Args:
@@ -43,7 +43,7 @@ class Pilot:
         exact = rig.bridge is not None and rig.bridge.switching is Switching.EXACT
         self._bridge: Bridge | None = rig.bridge if exact else None
         self._controller = rig.controller or _as_fast_as(rig.bridge)
-        self._reader = Reader(rig.sensors, self._controller, n_q, random)
+        self._reader = Encoders(rig.sensors, self._controller, n_q, random)
         self._readings, self._periods = 0, 0
         self._waiting: deque[tuple[float, Vector]] = deque()
         self._edges: deque[tuple[float, int, Leg, float]] = deque()
@@ -106,7 +106,7 @@ def _as_fast_as(bridge: Bridge | None) -> Controller:
     return Controller(period=1.0 / bridge.frequency)
 
 
-class Reader:
+class Encoders:
     r"""Turns true states into measured ones, reading by reading (theory (52)).
 
     .. math:: q_k = r\,\mathrm{round}\!\left(\frac{q(t_k) + \nu_k}{r}\right),\qquad

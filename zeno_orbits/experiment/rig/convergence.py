@@ -34,7 +34,7 @@ class OrbitDistance:
         impact_time: First contact less first impact, from release [s].
         impact_rate: Gap rate at the first contact less that at the first impact.
         lock_time: End of the chatter less Zeno time, from release [s].
-        lock_angle: Coordinate that the problem measures amplitudes of, there less at the Zeno point.
+        lock_angle: The same difference of the coordinate whose amplitude the problem measures.
         release: Largest difference of a state at release, over the state's range on the orbit.
         period: Of the cycle less that of the orbit [s].
         portrait: Largest distance of a point of the cycle from the orbit's curve, resets included

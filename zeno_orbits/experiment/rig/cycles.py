@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
+import numpy as np
+
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.experiment.rig.run import Record, RigRun, RigSettings, Touch
@@ -18,6 +20,7 @@ from zeno_orbits.experiment.rig.simulator import simulate_rig
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.model.rig_parts import Rig
 from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.simulation.attractor import Motion, Outcome, Return, outcome_of
 from zeno_orbits.work.progress import Progress, silent
 
 _CLOSE = 0.02
@@ -28,6 +31,8 @@ _SETTLE = 8
 """Cycles that a machine gets to settle if its orbit does not tell its multipliers."""
 _FEWEST, _MOST = 4, 60
 """Cycles that it gets at least, and at most."""
+_CLOSE_TO = 1e-2
+"""Change of a machine's release over some cycles, relative, that counts as repeating."""
 _LEFT = 1e-8
 """Part of a deviation that may be left then, if it falls as on the orbit."""
 
@@ -129,10 +134,28 @@ def rig_cycles(
             # More time will not make them: the machine moves otherwise.
             break
     raise SimulationError(
-        f"The machine made {len(found)} cycles with a lock where {wanted} were expected",
+        f"The machine made {len(found)} cycles with a lock where {wanted} were expected: "
+        f"it {_outcome(run, found, orbit, problem).value}",
         time=until,
         state=tuple(run.states[-1].tolist()),
     )
+
+
+def _outcome(
+    run: RigRun, cycles: Sequence[RigCycle], orbit: ZenoOrbit, problem: Problem
+) -> Outcome:
+    """Return what a machine settles to that does not move in cycles like the orbit's."""
+    n_x, swing = len(problem.state_names), run.of(problem.amplitude_of)
+    edges = np.arange(run.times[0], run.times[-1], orbit.period)
+    windows = np.split(swing, np.searchsorted(run.times, edges[1:]))
+    touching = bool(run.touches) and math.isinf(run.touches[-1].end)
+    motion = Motion(
+        units=problem.state_units,
+        returns=[Return(time=one.end, state=one.end_state[:n_x]) for one in cycles],
+        amplitudes=[float(np.ptp(window)) for window in windows[:-1]],
+        held=touching and float(run.times[-1]) - run.touches[-1].start > orbit.period,
+    )
+    return outcome_of(motion, close=_CLOSE_TO).outcome
 
 
 def settling_cycles(orbit: ZenoOrbit) -> int:

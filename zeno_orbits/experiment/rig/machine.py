@@ -1,4 +1,4 @@
-r"""A problem as a machine: one flow off the stop, one in a contact that gives way, no reset anywhere.
+r"""The functions of a machine: one flow off the stop, one in a compliant contact, no reset.
 
 The state is that of the problem, ``(q, v, i)`` and its clock, then angle and rate of every rotor
 behind a gear. Where the problem has a restitution, the machine has a contact force along

@@ -17,7 +17,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, RunawayError, SimulationError
 from zeno_orbits.experiment.rig.contact_damping import damping_number
-from zeno_orbits.experiment.rig.controller import Pilot
+from zeno_orbits.experiment.rig.controller import ControlLoop
 from zeno_orbits.experiment.rig.machine import Machine, machine
 from zeno_orbits.experiment.rig.run import Record, RigRun, RigSettings, Touch
 from zeno_orbits.integrators import Leg, Outcome, Passage
@@ -51,7 +51,7 @@ def simulate_rig(
         problem: The problem.
         values: Its numbers; the restitution is what the contact is damped for.
         rig: The parts of the machine.
-        start: State of the problem, ``(n_x,)``; rotors behind gears begin in the middle of the play.
+        start: State of the problem, ``(n_x,)``; rotors behind gears begin amid their play.
         until: How long [s].
         seed: Of the noise.
         settings: How accurately.
@@ -101,16 +101,16 @@ class _Follower:
         self._memories = {False: FlowMemory(built.free), True: FlowMemory(built.contact)}
         self._observe = Call(built.observe, self._numbers)
         self._motors = Call(built.motors, self._numbers)
-        self._pilot = self._hired(np.random.default_rng(seed)) if built.holds else None
+        self._loop = self._control_loop(np.random.default_rng(seed)) if built.holds else None
         self._time = 0.0
         self._row = math.ceil(settings.keep_from / settings.spacing)
         self._rows: list[tuple[float, Vector, Vector, bool]] = []
         self._touches: list[Touch] = []
         self._began: tuple[float, Vector, float] | None = None
 
-    def _hired(self, random: np.random.Generator) -> Pilot:
+    def _control_loop(self, random: np.random.Generator) -> ControlLoop:
         command = Call(self._machine.command, self._p)
-        return Pilot(
+        return ControlLoop(
             self._rig,
             lambda x: command(x).copy(),
             lambda y: self._motors(y, 0).copy(),
@@ -144,11 +144,11 @@ class _Follower:
         at_once = 0
         while self._time < until:
             edge = until
-            if self._pilot is not None:
-                while self._pilot.next_edge <= self._time:
-                    self._pilot.act(self._time, self._y)
-                self._numbers[self._p.size : -1] = self._pilot.held
-                edge = min(until, self._pilot.next_edge)
+            if self._loop is not None:
+                while self._loop.next_edge <= self._time:
+                    self._loop.act(self._time, self._y)
+                self._numbers[self._p.size : -1] = self._loop.held
+                edge = min(until, self._loop.next_edge)
             before = self._time
             self._leg(edge)
             at_once = at_once + 1 if self._time == before else 0
@@ -220,7 +220,7 @@ class _Follower:
             self._row += 1
         if self._touching and end >= settings.keep_from:
             own = start + passage.trajectory.times
-            if self._pilot is None:
+            if self._loop is None:
                 # A curve through an impact wants more points than its smooth flow has steps.
                 own = np.concatenate([own, np.linspace(start, end, _IN_CONTACT)])
             kept = own[own >= settings.keep_from]
@@ -259,11 +259,11 @@ class _Follower:
     def _record(self, times: Vector, states: Vector, current: Vector) -> Record:
         """Return what the computer wrote down; without one, the states at even times."""
         n_q = self._machine.n_q
-        if self._pilot is None:
+        if self._loop is None:
             spacing = self._settings.spacing
             even = times == np.round(times / spacing) * spacing
             return Record(times=times[even], coordinates=states[even, :n_q], currents=current[even])
-        read = [entry for entry in self._pilot.log if entry[0] >= self._settings.keep_from]
+        read = [entry for entry in self._loop.log if entry[0] >= self._settings.keep_from]
         width = (len(read), -1)
         return Record(
             times=np.array([entry[0] for entry in read]),

@@ -10,9 +10,11 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from zeno_orbits.arrays import Scalar, Vector
 from zeno_orbits.errors import InputError
-from zeno_orbits.integrators.flow import GuardedFlow
+from zeno_orbits.integrators.flow import GuardedFlow, PlainFlow
 from zeno_orbits.model.numeric.derivatives import Differentiation
 
 _BEYOND = ": the drive's correction is as large as what it corrects; take the full problem."
@@ -153,3 +155,23 @@ class HybridDynamics:
             direction = self.impulse_direction(projected)
         projected -= self.gap_rate(projected) * direction
         return projected
+
+
+def plain_flight(
+    free_flow: Callable[[Vector], Vector], gap_acceleration: Scalar
+) -> Callable[[float], GuardedFlow]:
+    """Return the rescaled flights (theory (14)) of a system given by plain functions.
+
+    Args:
+        free_flow: From a state to ``dx/dt`` off the stop.
+        gap_acceleration: From a state to the second time derivative of the gap.
+    """
+
+    def flight(speed: float) -> GuardedFlow:
+        def field(y: Vector) -> Vector:
+            x = y[:-2]
+            return np.concatenate([speed * free_flow(x), [y[-1], gap_acceleration(x)]])
+
+        return PlainFlow(field=field, guard_and_rate=lambda y: (float(y[-2]), float(y[-1])))
+
+    return flight

@@ -20,7 +20,14 @@ from zeno_orbits.continuation import (
     orbit_amplitude,
 )
 from zeno_orbits.model.problem import Problem
-from zeno_orbits.report.plots.style import COLUMN_WIDTH, FULL_WIDTH, INK, add_legend, panels_of
+from zeno_orbits.report.plots.style import (
+    COLUMN_WIDTH,
+    FULL_WIDTH,
+    INK,
+    add_legend,
+    panels_of,
+    symbol_of,
+)
 
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 _SPOT: dict[str, Any] = {"ls": "", "ms": 6.5, "mew": 1.0, "mec": INK, "zorder": 5}
@@ -50,10 +57,11 @@ def plot_families(found: Continuation, problem: Problem, *, width: float = FULL_
         width: Width of the picture [in].
     """
     main = found.families[0]
-    unit = problem.state_units[problem.state_names.index(problem.amplitude_of)]
+    index = problem.state_names.index(problem.amplitude_of)
+    symbol, unit = symbol_of(problem.state_names, index), problem.state_units[index]
     quantities: list[tuple[str, Callable[[FamilyPoint], float]]] = [
         ("period [s]", lambda point: point.period),
-        (f"amplitude of {problem.amplitude_of} [{unit}]", _amplitudes(found, problem)),
+        (f"amplitude of {symbol} [{unit}]", _amplitudes(found, problem)),
         ("spectral radius [1]", lambda point: point.spectral_radius),
     ]
     figure, panels = panels_of(width, len(quantities), height=2.3)
@@ -65,8 +73,8 @@ def plot_families(found: Continuation, problem: Problem, *, width: float = FULL_
         ax.margins(0.06)
     _show_radii(panels[-1], found)
     _show_period(panels[0], found)
-    for ax in panels:
-        _mark_all(ax, found, quantities[panels.index(ax)][1])
+    for ax, (_, value) in zip(panels, quantities, strict=True):
+        _mark_all(ax, found, value)
     add_legend(figure, width)
     return figure
 
@@ -169,8 +177,9 @@ def _mark_all(ax: Axes, found: Continuation, value: Callable[[FamilyPoint], floa
     for family in found.families:
         for special in family.named:
             rooted = special is family.first and special.kind is Kind.FLIP
-            if special.kind in _MARKS and not rooted:
-                place = min(max(value(special.at), low), high)
+            place = value(special.at)
+            # A value outside the panel, or an unknown one, has no place to mark.
+            if special.kind in _MARKS and not rooted and low <= place <= high:
                 look = _SPOT | _MARKS[special.kind]
                 ax.plot(special.at.value, place, label=special.kind.value, clip_on=False, **look)
     ax.set_ylim(low, high)

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from zeno_orbits.continuation.families import Continuation, Family
 from zeno_orbits.errors import InputError
-from zeno_orbits.experiment.comparison.comparison import Comparison
+from zeno_orbits.experiment import Comparison
 from zeno_orbits.maps.mapping import ParameterMap
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.problem import Problem

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.experiment.comparison.comparison import Comparison
+from zeno_orbits.experiment import Comparison
 from zeno_orbits.experiment.comparison.deviations import Deviations
 from zeno_orbits.experiment.orbit_table import OrbitTable, measurable
 from zeno_orbits.model.problem import Problem

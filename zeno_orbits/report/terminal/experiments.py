@@ -10,10 +10,8 @@ from zeno_orbits.report.table import Column, name_column, number_column, text_co
 from zeno_orbits.report.terminal.console import counted, print_lines, print_table
 
 if TYPE_CHECKING:
-    from zeno_orbits.experiment.comparison.comparison import Comparison
-    from zeno_orbits.experiment.comparison.metrics import Metric
-    from zeno_orbits.experiment.identification.identification import Fitted, Identification
-    from zeno_orbits.experiment.recordings.recording import Recording
+    from zeno_orbits.experiment import Comparison, Identification, Metric, Recording
+    from zeno_orbits.experiment.identification.identification import Fitted
     from zeno_orbits.experiment.rig.cycle_comparison import RigComparison
 
 _RIG_ROWS = {
@@ -106,7 +104,7 @@ def _known(value: float, form: str, otherwise: str = "-") -> str:
 def print_identification(recording: Recording, found: Identification) -> None:
     """Print parameters that were fitted to a recording."""
     columns: list[Column[Fitted]] = [
-        name_column("", lambda one: one.sought.label),
+        name_column("", lambda one: one.unknown.label),
         number_column("start", lambda one: f"{one.start:.6g}"),
         number_column("fitted", lambda one: f"{one.value:.7g}"),
         text_column("standard error", lambda one: _known(one.error, ".2g", "not determined")),

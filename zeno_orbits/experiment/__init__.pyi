@@ -1,0 +1,17 @@
+from .comparison.comparison import Comparison as Comparison
+from .comparison.comparison import compare as compare
+from .comparison.metrics import Metric as Metric
+from .identification.identification import Identification as Identification
+from .identification.identification import UnfittableError as UnfittableError
+from .identification.identification import identify as identify
+from .identification.unknowns import Unknown as Unknown
+from .recordings.recording import Recording as Recording
+from .recordings.recording import Signal as Signal
+from .recordings.recording import Source as Source
+from .recordings.recording import read_recording as read_recording
+from .recordings.recording import write_recording as write_recording
+from .recordings.sampling import Sampling as Sampling
+from .recordings.sampling import sampled as sampled
+from .rig.cycles import rig_cycles as rig_cycles
+from .rig.run import RigSettings as RigSettings
+from .rig.simulator import simulate_rig as simulate_rig

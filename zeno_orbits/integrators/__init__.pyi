@@ -1,0 +1,17 @@
+from .automatic import Automatic as Automatic
+from .dop853 import RungeKutta as RungeKutta
+from .engine import Engine as Engine
+from .engine import Leg as Leg
+from .engine import Outcome as Outcome
+from .engine import Passage as Passage
+from .engine import Step as Step
+from .engine import Trajectory as Trajectory
+from .engines import ENGINES as ENGINES
+from .engines import engine_named as engine_named
+from .engines import installed_engines as installed_engines
+from .flow import GuardedFlow as GuardedFlow
+from .flow import PlainFlow as PlainFlow
+from .flow import Tolerance as Tolerance
+from .radau import Radau as Radau
+from .scipy import SciPy as SciPy
+from .taylor import Taylor as Taylor
