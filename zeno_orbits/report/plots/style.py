@@ -1,6 +1,6 @@
 # pyright: reportUnknownMemberType=false
 # The stubs of matplotlib leave most keyword arguments untyped.
-"""The style of every picture: Okabe and Ito's colours, labels with units, one legend, safe files."""
+"""The style of pictures: Okabe and Ito's colours, labels with units, one legend, safe files."""
 
 from __future__ import annotations
 
