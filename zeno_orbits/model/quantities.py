@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from zeno_orbits.errors import InputError
+from zeno_orbits.errors import InputError, did_you_mean
 from zeno_orbits.model.units import powers_of
 
 
@@ -255,5 +255,6 @@ def _is_below_one(quantity: Quantity) -> bool:
 
 
 def unknown(kind: str, name: str, known: tuple[str, ...]) -> str:
-    """Return the refusal of a name, with the known ones."""
-    return f"Argument `{kind}` must be one of {', '.join(known) or 'none'}, but it is `{name}`."
+    """Return the refusal of a name: the known names, and the nearest of them if one is near."""
+    refusal = f"Argument `{kind}` must be one of {', '.join(known) or 'none'}, but it is `{name}`."
+    return refusal + did_you_mean(name, known)
