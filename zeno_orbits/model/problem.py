@@ -221,7 +221,7 @@ class Problem:
         return lines_of(self.drawing, states, symbols)
 
     def _derives_from(self, name: str, values: ParameterValues) -> bool:
-        """Tell whether derived parameters change with a parameter."""
+        """Return True if derived parameters change with a parameter."""
         if self.derive is None or name not in values.parameters:
             return False
         given = {q.name for q in self.parameters if q.default is not None}
