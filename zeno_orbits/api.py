@@ -343,8 +343,19 @@ def continue_orbit(
     source = problem or orbit.problem
     with _crew(source, workers, on_progress) as crew:
         known = problem_of(orbit, problem) if crew is None else crew.problem_file.load()
-        return continuation.continue_orbit(
-            known, orbit, parameter, box, settings=settings, on_progress=on_progress, crew=crew
+        if orbit.shape.starts_at_release:
+            return continuation.continue_orbit(
+                known, orbit, parameter, box, settings=settings, on_progress=on_progress, crew=crew
+            )
+        return continuation.continue_impacts(
+            known,
+            orbit.values(known),
+            known.state_vector(orbit.phases[0].start_state),
+            parameter,
+            box,
+            settings=settings,
+            on_progress=on_progress,
+            crew=crew,
         )
 
 
