@@ -11,13 +11,13 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from zeno_orbits.continuation.amplitude import orbit_amplitude
-from zeno_orbits.continuation.families import (
+from zeno_orbits.continuation import (
     Boundary,
     Continuation,
     Family,
     FamilyPoint,
     Kind,
+    orbit_amplitude,
 )
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.report.plots.style import (
