@@ -34,9 +34,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
-    from zeno_orbits.continuation.families import Continuation
-    from zeno_orbits.continuation.parallel import Crew
-    from zeno_orbits.continuation.setup import ContinuationSettings
+    from zeno_orbits.continuation import Continuation, ContinuationSettings, Crew
     from zeno_orbits.model.library import ProblemFile
     from zeno_orbits.model.problem import ParameterValues, Problem
     from zeno_orbits.orbits.orbit import ZenoOrbit
@@ -110,7 +108,7 @@ def add_continue(commands: Any) -> None:
 
 
 def _run_continue(options: argparse.Namespace) -> int:
-    from zeno_orbits.continuation.families import Kind
+    from zeno_orbits.continuation import Kind
     from zeno_orbits.model.library import locate_problem
 
     problem_file = locate_problem(options.problem)
@@ -137,12 +135,10 @@ def _continued(
     progress: report.ProgressLine,
 ) -> Continuation:
     """Return what was asked for, by the workers that were asked for."""
-    from zeno_orbits.continuation.branch import Steps
-    from zeno_orbits.continuation.parallel import Crew
-    from zeno_orbits.continuation.setup import ContinuationSettings
+    from zeno_orbits.continuation import ContinuationSettings, Crew, FamilySteps
     from zeno_orbits.work import Plan, open_pool
 
-    settings = ContinuationSettings(steps=Steps(most=options.steps))
+    settings = ContinuationSettings(steps=FamilySteps(most=options.steps))
     plan = Plan(place=place_of(options), checkpoint=checkpoint)
     _require_agreement(options)
     with open_pool(plan.place) as pool:
@@ -168,11 +164,7 @@ def _asked(
     settings: ContinuationSettings,
     crew: Crew,
 ) -> Continuation:
-    from zeno_orbits.continuation.continuation import (
-        SecondParameter,
-        continue_impacts,
-        continue_orbit,
-    )
+    from zeno_orbits.continuation import SecondParameter, continue_impacts, continue_orbit
 
     name, box = options.range
     if options.section == "impact":
@@ -204,7 +196,7 @@ def _asked(
 
 def _orbit(options: argparse.Namespace, problem: Problem, crew: Crew) -> ZenoOrbit:
     """Return the orbit to start from."""
-    from zeno_orbits.continuation.continuation import start_orbit
+    from zeno_orbits.continuation import start_orbit
     from zeno_orbits.orbits.orbit_file import read_orbit
 
     if options.start_orbit is None:

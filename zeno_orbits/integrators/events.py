@@ -1,4 +1,4 @@
-"""Where the guard of a flow falls through zero inside a step.
+"""The place in a step at which the guard of a flow falls through zero.
 
 Ends of steps alone would miss a fall and return between them, and a root finder that starts on
 the guard would report its own start. So the guard is looked at through its cubic Hermite
@@ -271,7 +271,7 @@ class SteppedTrajectory:
 
     @property
     def times(self) -> Vector:
-        """Where the steps start, and the end, ``(m,)``."""
+        """Starts of the steps, and the end, ``(m,)``."""
         return np.array([*(step.start for step in self.steps), self.duration])
 
     @property

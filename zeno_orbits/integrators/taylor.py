@@ -196,7 +196,7 @@ class TaylorTrajectory:
 
     @property
     def times(self) -> Vector:
-        """Where the steps of the second integration start, and the end, ``(m,)``."""
+        """Starts of the steps of the second integration, and the end, ``(m,)``."""
         return self._way.times
 
     @property

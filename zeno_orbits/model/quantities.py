@@ -1,6 +1,6 @@
 """The named numbers of a problem: quantities with units and ranges, outputs, and what must be said.
 
-Every refusal here is of a declaration alone; the model is looked at in ``soundness``.
+Every refusal here is of a declaration alone; the model is looked at in ``validation``.
 """
 
 from __future__ import annotations
@@ -202,6 +202,11 @@ def require_names(
     states: Sequence[str], state_units: Sequence[str], quantities: Sequence[Quantity]
 ) -> None:
     """Refuse names that are there twice or cannot be typed, and states without a unit.
+
+    Args:
+        states: Names of the states.
+        state_units: Their units.
+        quantities: Gains and parameters.
 
     Raises:
         ValueError: With the name at fault.
