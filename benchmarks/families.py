@@ -20,15 +20,17 @@ from typing import Any
 
 import numpy as np
 
-from zeno_orbits.continuation.continuation import (
+from zeno_orbits.continuation import (
+    Boundary,
+    Continuation,
+    ContinuationSettings,
+    Crew,
+    CurveSteps,
+    Kind,
     SecondParameter,
     continue_orbit,
     start_orbit,
 )
-from zeno_orbits.continuation.families import Boundary, Continuation, Kind
-from zeno_orbits.continuation.parallel import Crew
-from zeno_orbits.continuation.setup import ContinuationSettings
-from zeno_orbits.continuation.two_parameters.plane import CurveSteps
 from zeno_orbits.model.library import locate_problem
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.report import plots

@@ -19,7 +19,7 @@ from tests.support.one_story import story_of
 
 MACHINES = sorted((Path(__file__).parents[1] / "tests/support/machines").glob("[a-z]*.py"))
 WITHOUT = ("bouncing_ball", "falling_pendulum")
-NOT_FOLLOWED = ("impact_oscillator", "two_tone_table")
+NOT_FOLLOWED = ("two_tone_table",)
 LARGEST = 1e-8
 
 

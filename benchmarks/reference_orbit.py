@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from decimal import Decimal
 
-from zeno_orbits.cli.parsing import read_numbers
+from zeno_orbits.cli.parsing import Named, read_named_number
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.problem import ParameterValues, Problem
@@ -61,16 +61,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Compute and print the orbit; 1 if there is none to these digits, 2 if asked wrongly."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("problem", nargs="?", default="motor_pendulum", help="name or path")
-    parser.add_argument("--gain", action="append", default=[], metavar="NAME=VALUE")
-    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
+    parser.add_argument("--gain", action=Named, type=read_named_number, metavar="NAME=VALUE")
+    parser.add_argument("--set", action=Named, type=read_named_number, metavar="NAME=VALUE")
     parser.add_argument("--digits", type=int, default=25, metavar="N", help="certain decimals")
     parser.add_argument("--json", action="store_true", help="print JSON for programs")
     options = parser.parse_args(arguments)
     try:
         problem = load_problem(options.problem)
-        values = problem.values(
-            gains=read_numbers(options.gain, "gain"), parameters=read_numbers(options.set, "set")
-        )
+        values = problem.values(gains=options.gain, parameters=options.set)
         started = time.process_time()
         found = find_orbit(problem, values).unwrap()
         guess = problem.state_vector(found.release_state)

@@ -398,7 +398,7 @@ def draw(sweeps: Mapping[float, tuple[list[float], list[Row], list[Row]]], path:
             color="#999999",
             lw=1.0,
             ls=":",
-            label="numerical error but of the portrait, largest",
+            label="largest numerical error, portrait excluded",
         )
         ax.set_xscale("log")
         ax.set_yscale("log")

@@ -32,8 +32,7 @@ from zeno_orbits.report import terminal as report
 from zeno_orbits.search import SearchResult, find_orbit, search_gains
 from zeno_orbits.search.guess import settle
 from zeno_orbits.verification.verifier import verify
-from zeno_orbits.work import Cluster, Lost, Plan, Workers, spread_in_order
-from zeno_orbits.work.versions import versions
+from zeno_orbits.work import Cluster, Lost, Plan, Workers, spread_in_order, versions
 
 SETTLED = 1e-6
 FIXED_GOAL, FREE_GOAL = 0.98, 0.95

@@ -1,8 +1,8 @@
 """Find, verify and follow Zeno periodic orbits of electromechanical hybrid systems.
 
 ``import zeno_orbits as zo`` offers ``zo.simulate``, ``zo.find_orbit``, ``zo.verify``,
-``zo.Problem`` and the other names of ``__init__.pyi``. Each is imported when it is first used: importing the
-package loads neither NumPy nor CasADi.
+``zo.Problem`` and the other names of ``__init__.pyi``. Each is imported when it is first used:
+importing the package loads neither NumPy nor CasADi.
 
 The rooms, top first; each imports from those below it:
 ``cli``, ``api`` (the functions of this door), ``report``, ``experiment`` and ``precision``,

@@ -32,9 +32,7 @@ from zeno_orbits.work.progress import Progress, silent
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from zeno_orbits.continuation.families import Continuation
-    from zeno_orbits.continuation.parallel import Crew
-    from zeno_orbits.continuation.setup import ContinuationSettings
+    from zeno_orbits.continuation import Continuation, ContinuationSettings, Crew
     from zeno_orbits.maps.mapping import ParameterMap
     from zeno_orbits.orbits.bounds import Bound
     from zeno_orbits.orbits.poincare import Multipliers
@@ -339,21 +337,32 @@ def continue_orbit(
         InputError: If a name is unknown or the range does not fit.
         SimulationError: If the orbit does not close.
     """
-    from zeno_orbits.continuation import continuation
+    from zeno_orbits import continuation
 
     orbit = _read(orbit)
     source = problem or orbit.problem
     with _crew(source, workers, on_progress) as crew:
         known = problem_of(orbit, problem) if crew is None else crew.problem_file.load()
-        return continuation.continue_orbit(
-            known, orbit, parameter, box, settings=settings, on_progress=on_progress, crew=crew
+        if orbit.shape.starts_at_release:
+            return continuation.continue_orbit(
+                known, orbit, parameter, box, settings=settings, on_progress=on_progress, crew=crew
+            )
+        return continuation.continue_impacts(
+            known,
+            orbit.values(known),
+            known.state_vector(orbit.phases[0].start_state),
+            parameter,
+            box,
+            settings=settings,
+            on_progress=on_progress,
+            crew=crew,
         )
 
 
 @contextmanager
 def _crew(problem: Named, workers: int, on_progress: Progress) -> Generator[Crew | None]:
     """Open the workers of a continuation, if there are to be any."""
-    from zeno_orbits.continuation.parallel import Crew
+    from zeno_orbits.continuation import Crew
     from zeno_orbits.work import Plan, Workers, open_pool
 
     if workers == 1:

@@ -1,4 +1,4 @@
-"""What is missing in NumPy's linear algebra.
+"""Types of arrays, and what linear algebra NumPy lacks.
 
 ``scipy.linalg`` has the null space too, but takes a tenth of a second to import.
 """

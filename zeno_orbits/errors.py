@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 
@@ -137,3 +138,18 @@ class DataFileError(InputError):
     def __init__(self, path: Path, reason: str) -> None:
         super().__init__(f"Data file `{path}` must hold a recording, but {reason}.")
         self.path = path
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Return a question that ends a message about an unknown name, or nothing.
+
+    Args:
+        name: The name that is not known.
+        known: The names that are.
+    """
+    # Rarely needed, and start-up counts.
+    from difflib import get_close_matches
+
+    words = {word.casefold(): word for word in known}
+    near = get_close_matches(name.casefold(), words, n=1)
+    return f" Did you mean `{words[near[0]]}`?" if near else ""

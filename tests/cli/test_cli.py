@@ -20,6 +20,7 @@ from typing import Any, NoReturn
 
 import pytest
 
+import zeno_orbits
 from tests.reference.reference_orbit import ORBIT_KEYS, PERIOD, RELEASE
 from zeno_orbits.cli import build_parser, main
 from zeno_orbits.errors import PenetrationError, ZenoOrbitsError
@@ -263,7 +264,7 @@ def test_search_at_gains_without_an_orbit_answers_no_with_the_reason(here: Path)
     answer = ask("search", "motor_pendulum", *gains, "-o", "f.json")
     assert answer.code == NO
     assert "No simulation settled" in answer.out
-    assert "the motion comes to rest" in answer.out
+    assert "the motion dies out" in answer.out
     assert ".." not in answer.out
     assert contents(here) == {}
 
@@ -293,7 +294,7 @@ def test_a_search_that_misses_says_which_conditions_by_name(
 ) -> None:
     """One gain, a narrow box, no small steps: a quick no, with all that a long one says."""
     impatient = partial(SearchSettings, smallest_step=0.02)
-    monkeypatch.setattr("zeno_orbits.search.settings.SearchSettings", impatient)
+    monkeypatch.setattr("zeno_orbits.search.SearchSettings", impatient)
     answer = ask(
         *("search", "motor_pendulum", "--fix", "Kd=-1", "--gain", "Kp=2.49:2.51"),
         *("--objective", "period=1.95", "--starts", "1", "-o", "f.json"),
@@ -776,8 +777,15 @@ def searching(*arguments: str) -> tuple[str, ...]:
 
 
 BAD_ARGUMENTS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "no command": ((), ("COMMAND",)),
     "unknown command": (("frobnicate",), ("frobnicate", "search")),
+    "command with a slip": (("serach", "motor_pendulum"), ("`serach`. Did you mean `search`?",)),
+    "option with a slip": (searching("--gian", "Kp=2"), ("--gian", "Did you mean `--gain`?")),
+    "choice with a slip": (simulating("--engine", "explict"), ("Did you mean `explicit`?",)),
+    "problem with a slip": (("search", "motor_pendulm"), ("Did you mean `motor_pendulum`?",)),
+    "gain with a slip": (simulating("--gain", "kp=1"), ("`kp`. Did you mean `Kp`?",)),
+    "parameter with a slip": (simulating("--set", "restution=0"), ("mean `restitution`?",)),
+    "state with a slip": (simulating("--start", "thta2=1"), ("Did you mean `theta2`?",)),
+    "objective with a slip": (searching("--objective", "enrgy"), ("Did you mean `energy`?",)),
     "unknown option": (("problems", "--frobnicate"), ("--frobnicate",)),
     "no problem": (("simulate",), ("PROBLEM",)),
     "unknown problem": (("search", "pendulum"), ("`pendulum`", "motor_pendulum")),
@@ -813,7 +821,7 @@ BAD_ARGUMENTS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
         ("`objective`", "contraction"),
     ),
     "from nowhere": (searching("--from", "none.json"), ("none.json",)),
-    "candidates 0": (searching("--candidates", "0"), ("--candidates", "`0`")),
+    "candidates 0": (searching("--candidates", "0"), ("`candidates`", "`0`")),
     "bounds without colon": (searching("--gain", "Kp=1"), ("LOW:HIGH", "`Kp=1`")),
     "bounds not numbers": (searching("--gain", "Kp=a:b"), ("`Kp`", "`a`")),
     "mass negative": (simulating("--set", "m1=-0.3"), ("`m1`", "greater than 0", "-0.3")),
@@ -844,7 +852,7 @@ BAD_ARGUMENTS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "until negative": (simulating("--until", "-1"), ("`until`", "positive")),
     "until nan": (simulating("--until", "nan"), ("`until`", "nan")),
     "until infinite": (simulating("--until", "inf"), ("`until`", "inf")),
-    "until not a number": (simulating("--until", "soon"), ("--until", "soon")),
+    "until not a number": (simulating("--until", "soon"), ("`until`", "`soon`")),
     "unknown state": (simulating("--start", "phi=1"), ("`phi`", "theta1")),
     "start not finite": (simulating("--start", "theta1=nan"), ("`theta1`", "nan")),
     "start inside the stop": (simulating("--start", "theta2=-0.1"), ("gap >= 0", "-0.1")),
@@ -876,9 +884,9 @@ BAD_ARGUMENTS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
         searching(*PUBLISHED_GAINS, "--objective", "period=1.8"),
         ("`objective`", "free"),
     ),
-    "starts 0": (searching("--starts", "0"), ("--starts", "`0`")),
-    "starts negative": (searching("--starts", "-3"), ("--starts",)),
-    "seed not a number": (searching("--seed", "x"), ("--seed",)),
+    "starts 0": (searching("--starts", "0"), ("`starts`", "`0`")),
+    "starts negative": (searching("--starts", "-3"), ("`starts`", "`-3`")),
+    "seed not a number": (searching("--seed", "x"), ("`seed`", "`x`")),
     "seed negative": (searching("--seed", "-1"), ("seed",)),
     "search into a missing folder": (
         ("search", "motor_pendulum", "-o", "none/f.json"),
@@ -924,8 +932,8 @@ BAD_ARGUMENTS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
         for command in (simulating("-o", "f.png"), searching(*PUBLISHED_GAINS))
         for value in ("nan", "inf", "0", "-1", "1e-20", "1", "2")
     },
-    "accuracy not a number": (simulating("--accuracy", "good"), ("--accuracy", "good")),
-    "engine unknown": (simulating("--engine", "euler"), ("--engine", "euler", "implicit")),
+    "accuracy not a number": (simulating("--accuracy", "good"), ("`accuracy`", "`good`")),
+    "engine unknown": (simulating("--engine", "euler"), ("`engine`", "`euler`", "implicit")),
     "plot into an unknown format": (("plot", "o.json", "--format", "gif"), ("gif", "svg")),
     "plot an unknown kind": (("plot", "o.json", "--kind", "pie"), ("pie", "portraits")),
     "verify nothing": (("verify",), ("ORBIT.json",)),
@@ -951,8 +959,8 @@ def test_bad_arguments_are_refused_in_one_line(case: str, here: Path) -> None:
         (("verify", "orbit.json", "--tolerance=-1e-9"), ("`tolerance`",)),
         (("verify", "orbit.json", "--tolerance", "nan"), ("`tolerance`",)),
         (("verify", "orbit.json", "--tolerance", "1"), ("`tolerance`",)),
-        (("verify", "orbit.json", "--periods", "0"), ("--periods",)),
-        (("verify", "orbit.json", "--model", "guessed"), ("--model", "reference")),
+        (("verify", "orbit.json", "--periods", "0"), ("`periods`", "`0`")),
+        (("verify", "orbit.json", "--model", "guessed"), ("`model`", "reference")),
         (("verify", "orbit.json", "--problem", "bouncing_ball"), ("bouncing_ball",)),
         (("verify", "orbit.json", "--problem", "none.py"), ("`none.py`",)),
         *(
@@ -1180,6 +1188,14 @@ def test_the_help_of_a_command_shows_examples_of_it(command: str) -> None:
     assert all(example[0] in EVERY for example in shown)
 
 
+def test_the_bare_command_prints_the_help_and_is_misuse() -> None:
+    assert ask() == Answer(MISUSE, ask("--help").out, "")
+
+
+def test_the_program_tells_its_version() -> None:
+    assert ask("--version") == Answer(YES, f"zeno-orbits {zeno_orbits.__version__}\n", "")
+
+
 def test_the_help_of_the_program_names_every_command_and_the_exit_codes() -> None:
     answer = ask("--help")
     assert answer.code == YES
@@ -1212,7 +1228,7 @@ def test_a_long_example_of_the_help_is_understood(
 ) -> None:
     assert orbit.exists()
     reached = raising(ZenoOrbitsError("The work would begin here."))
-    monkeypatch.setattr("zeno_orbits.search.search.search_gains", reached)
+    monkeypatch.setattr("zeno_orbits.search.search_gains", reached)
     monkeypatch.setattr("zeno_orbits.verification.verifier.verify", reached)
     monkeypatch.setattr("zeno_orbits.precision.trials.trade", reached)
     monkeypatch.setattr("zeno_orbits.precision.reduced_models.reduction_costs", reached)
@@ -1283,7 +1299,7 @@ def test_work_that_is_done_at_once_shows_no_progress(monkeypatch: pytest.MonkeyP
     assert ask("simulate", "bouncing_ball", "--until", "0.1").err == ""
 
 
-@pytest.mark.parametrize("where", ["search.search.search_gains", "verification.verifier.verify"])
+@pytest.mark.parametrize("where", ["search.search_gains", "verification.verifier.verify"])
 def test_an_interrupted_search_says_so_and_writes_nothing(
     where: str, here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

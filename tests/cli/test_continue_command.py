@@ -98,11 +98,10 @@ def test_a_family_starts_at_an_orbit_file_and_prints_json(
         (["motor_pendulum", "--in", "Kd=-2:0", "--picture", "a.jpg"], "must end in .png"),
     ],
 )
-def test_what_does_not_fit_is_refused_before_any_work(
-    words: list[str], reason: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["continue", *words]) == 2
-    assert reason in capsys.readouterr().err
+def test_what_does_not_fit_is_refused_before_any_work(words: list[str], reason: str) -> None:
+    answer = ask("continue", *words)
+    assert answer.code == 2
+    assert reason in answer.err
 
 
 def point(value: float, radius: float) -> FamilyPoint:
@@ -186,9 +185,7 @@ def test_giving_up_is_an_answer_of_no(
 ) -> None:
     lost = replace(family(Kind.GAVE_UP).last, detail="the tangent turns too fast")
     found = Continuation(families=(replace(family(Kind.BOUND), last=lost),))
-    monkeypatch.setattr(
-        "zeno_orbits.continuation.continuation.continue_impacts", lambda *_, **__: found
-    )
+    monkeypatch.setattr("zeno_orbits.continuation.continue_impacts", lambda *_, **__: found)
     assert main(["continue", *IMPACTS, "--in", "A=0.5:1.1"]) == 1
     told = capsys.readouterr().out
     assert "gave up: the tangent turns too fast" in told

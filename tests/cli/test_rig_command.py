@@ -139,8 +139,8 @@ def test_exact_pulses_tell_nearly_what_their_mean_tells() -> None:
         (("--start", "theta1=2"), "`start` must not be given with an orbit"),
         (("--until", "0"), "`until` must not be given with an orbit"),
         (("--only", "sensors"), "`only` must name the controller with the sensors"),
-        (("--seed", "-1"), "`seed` must be at least 0, but it is -1."),
-        (("--only", "motor"), "invalid choice"),
+        (("--seed", "-1"), "`seed` must be a whole number of at least 0, but it is `-1`."),
+        (("--only", "motor"), "`only` must be one of friction, gears"),
         (("-o", "no/such/folder/run.csv"), "`output` must be in a writable folder"),
     ],
 )

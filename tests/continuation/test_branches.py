@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.continuation.branch import Branch, Steps, follow
+from zeno_orbits.continuation.branch import Branch, FamilySteps, follow
 from zeno_orbits.continuation.corrector import Metric, first_point
 from zeno_orbits.continuation.families import Kind
 from zeno_orbits.continuation.return_maps import Loss, Margin, Return
@@ -82,11 +82,15 @@ def formula(make: Callable[[ca.SX, ca.SX], ca.SX], size: int) -> ca.Function:
 
 
 def followed(
-    returns: Formula, x: list[float], s: float, box: tuple[float, float], steps: Steps | None = None
+    returns: Formula,
+    x: list[float],
+    s: float,
+    box: tuple[float, float],
+    steps: FamilySteps | None = None,
 ) -> Branch:
     metric = Metric(scale=np.ones(len(x)), unit=1.0, horizon=1.0)
     start = first_point(returns, metric, np.array(x), s, rising=True)
-    return follow(returns, metric, start, box, steps or Steps(), on_progress=silent)
+    return follow(returns, metric, start, box, steps or FamilySteps(), on_progress=silent)
 
 
 def test_a_family_that_is_a_circle_closes_after_both_its_folds() -> None:
@@ -124,7 +128,7 @@ def test_steps_longer_than_the_distance_to_another_family_do_not_jump(apart: flo
     # Two arcs that come close at s = 0 and part again: u v = apart^2 with u = y - s, v = y + s.
     arcs = Formula(function=formula(lambda y, s: y + ((y - s) * (y + s) - apart**2) / 4, 1))
     branch = followed(
-        arcs, [np.hypot(1.0, apart)], -1.0, (-1.0, 1.0), Steps(first=0.2, longest=0.3)
+        arcs, [np.hypot(1.0, apart)], -1.0, (-1.0, 1.0), FamilySteps(first=0.2, longest=0.3)
     )
     assert branch.ending is Kind.BOUND
     assert all(float(point.x[0]) >= apart * (1 - 1e-9) for point in branch.points)
@@ -150,7 +154,7 @@ def test_an_end_is_extrapolated_in_what_vanishes_there() -> None:
         metric,
         start,
         (0.0, 1.0),
-        Steps(),
+        FamilySteps(),
         on_progress=silent,
     )
     assert branch.ending is Kind.GRAZING
@@ -169,7 +173,7 @@ def test_a_family_that_stops_for_no_known_reason_is_given_up_with_the_trouble() 
         metric,
         start,
         (0.0, 1.0),
-        Steps(),
+        FamilySteps(),
         on_progress=silent,
     )
     assert branch.ending is Kind.GAVE_UP

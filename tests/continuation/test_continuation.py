@@ -12,7 +12,7 @@ import pytest
 from tests.reference.closed_forms import StoppedOscillator
 from tests.reference.reference_orbit import RELEASE
 from zeno_orbits.continuation.amplitude import orbit_amplitude
-from zeno_orbits.continuation.branch import Steps
+from zeno_orbits.continuation.branch import FamilySteps
 from zeno_orbits.continuation.continuation import SecondParameter, continue_orbit, start_orbit
 from zeno_orbits.continuation.corrector import first_point
 from zeno_orbits.continuation.families import Boundary, Family, Kind
@@ -35,7 +35,7 @@ PENDULUM = load_problem("motor_pendulum")
 OSCILLATOR = load_problem("forced_oscillator")
 SCALE = np.array([1.0, 1.0, 10.0, 10.0, 2.0])
 SETTINGS = SimulationSettings()
-COARSE = ContinuationSettings(steps=Steps(first=0.05, longest=0.1))
+COARSE = ContinuationSettings(steps=FamilySteps(first=0.05, longest=0.1))
 
 
 def pendulum(**numbers: float) -> HybridDynamics:
@@ -361,7 +361,7 @@ def test_the_pendulum_doubles_its_period_between_two_flips() -> None:
 
 def test_the_amplitude_of_a_point_is_half_the_travel_of_the_state_that_the_problem_names() -> None:
     orbit = oscillator_orbit()
-    settings = ContinuationSettings(steps=Steps(first=0.2, longest=0.4, most=1))
+    settings = ContinuationSettings(steps=FamilySteps(first=0.2, longest=0.4, most=1))
     family = only(continue_orbit(OSCILLATOR, orbit, "A", (0.5, 1.5), settings=settings).families)
     point = next(point for point in family.points if point.value == pytest.approx(1.0, abs=1e-12))
     # In closed form: the first flight goes farthest from the stop.

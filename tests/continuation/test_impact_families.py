@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.reference.linear_impacts import ImpactOscillator, critical
-from zeno_orbits.continuation.branch import Steps
+from zeno_orbits.continuation.branch import FamilySteps
 from zeno_orbits.continuation.continuation import continue_from, continue_impacts
 from zeno_orbits.continuation.corrector import Metric, first_point
 from zeno_orbits.continuation.families import Continuation, Kind
@@ -87,7 +87,7 @@ def test_its_fold_is_where_the_closed_form_has_a_multiplier_of_one() -> None:
 
 
 def test_longer_steps_find_the_same_points() -> None:
-    settings = ContinuationSettings(steps=Steps(first=0.1, longest=0.2))
+    settings = ContinuationSettings(steps=FamilySteps(first=0.1, longest=0.2))
     (family,) = followed(settings).families
     (usual,) = family_in_amplitude().families
     assert len(family.points) < len(usual.points)
@@ -132,10 +132,10 @@ def test_a_flip_throws_off_the_branch_of_twice_the_period() -> None:
 
 
 def test_numbers_of_steps_and_giving_up_are_named_results() -> None:
-    few = ContinuationSettings(steps=Steps(most=3))
+    few = ContinuationSettings(steps=FamilySteps(most=3))
     (family,) = followed(few).families
     assert {family.first.kind, family.last.kind} == {Kind.MOST_STEPS}
-    hasty = ContinuationSettings(steps=Steps(first=0.9, longest=0.9, shortest=0.5))
+    hasty = ContinuationSettings(steps=FamilySteps(first=0.9, longest=0.9, shortest=0.5))
     (family,) = followed(hasty).families
     assert Kind.GAVE_UP in (family.first.kind, family.last.kind)
     assert family.first.detail or family.last.detail

@@ -14,7 +14,7 @@ import pytest
 from tests.continuation.test_branches import Formula, formula
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.assembly import joined
-from zeno_orbits.continuation.branch import Branch, Steps, follow
+from zeno_orbits.continuation.branch import Branch, FamilySteps, follow
 from zeno_orbits.continuation.continuation import start_orbit
 from zeno_orbits.continuation.corrector import Metric, first_point
 from zeno_orbits.continuation.ends import locate_end
@@ -32,8 +32,8 @@ from zeno_orbits.work.progress import silent
 from zeno_orbits.work.serialization import plain, restored
 
 OSCILLATOR = load_problem("forced_oscillator")
-DEFAULT, SHORT = Steps(), Steps(first=0.003, longest=0.01)
-LONG = Steps(first=0.1, longest=0.3)
+DEFAULT, SHORT = FamilySteps(), FamilySteps(first=0.003, longest=0.01)
+LONG = FamilySteps(first=0.1, longest=0.3)
 
 
 @cache
@@ -42,7 +42,7 @@ def orbit_at(**numbers: float) -> ZenoOrbit:
 
 
 def downwards(
-    box: tuple[float, float], steps: Steps, **numbers: float
+    box: tuple[float, float], steps: FamilySteps, **numbers: float
 ) -> tuple[Setup, Branch, Family]:
     """Return the oscillator's family from A = 1 down to its end in the force."""
     begin = start_at_release(OSCILLATOR, orbit_at(**numbers), "A", box, ContinuationSettings())
@@ -53,7 +53,7 @@ def downwards(
     return setup, branch, joined(OSCILLATOR, setup, branch, nothing).family
 
 
-def family_in_the_force(box: tuple[float, float], steps: Steps, **numbers: float) -> Family:
+def family_in_the_force(box: tuple[float, float], steps: FamilySteps, **numbers: float) -> Family:
     return downwards(box, steps, **numbers)[2]
 
 
@@ -68,7 +68,7 @@ def family_in_the_force(box: tuple[float, float], steps: Steps, **numbers: float
     ],
 )
 def test_the_end_of_a_flight_has_one_name_for_every_range_and_step(
-    box: tuple[float, float], steps: Steps
+    box: tuple[float, float], steps: FamilySteps
 ) -> None:
     # With A = 0.8 + eps^2 the stop lets go for a time of order eps, and the acceleration at the
     # next contact is of order eps^2: in arclength it is the nearer one to vanish.
@@ -88,7 +88,7 @@ def test_so_it_has_with_impacts_that_accumulate() -> None:
     [(0.0, 1.5, DEFAULT), (0.0, 1.1, SHORT), (0.3, 1.5, LONG), (0.3, 3.0, DEFAULT)],
 )
 def test_a_motion_in_proportion_to_its_force_ends_with_its_amplitude(
-    restitution: float, top: float, steps: Steps
+    restitution: float, top: float, steps: FamilySteps
 ) -> None:
     # With the stop where the spring is relaxed, x(t) / A does not depend on A at all.
     family = family_in_the_force((0.0, top), steps, restitution=restitution, stop=0.0)
@@ -183,7 +183,7 @@ def ended(margins: Mapping[Margin, float], restitution: float = 0.0) -> Branch:
     )
     metric = Metric(scale=np.ones(1), unit=1.0, horizon=1.0)
     start = first_point(returns, metric, np.array([0.75]), 0.5, rising=False)
-    return follow(returns, metric, start, (0.0, 1.0), Steps(), on_progress=silent)
+    return follow(returns, metric, start, (0.0, 1.0), FamilySteps(), on_progress=silent)
 
 
 def test_an_end_at_which_two_things_happen_says_both() -> None:

@@ -8,7 +8,7 @@ import signal
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import joblib
 import numpy as np
@@ -18,7 +18,7 @@ from tests.cli.test_cli import ask
 from tests.support.places import places_that_cannot_be_had, refuses
 from tests.support.processes import Commands, workers_of
 from zeno_orbits.continuation import parallel as dispatch
-from zeno_orbits.continuation.branch import Branch, Steps
+from zeno_orbits.continuation.branch import Branch, FamilySteps
 from zeno_orbits.continuation.continuation import SecondParameter, continue_orbit, start_orbit
 from zeno_orbits.continuation.corrector import first_point
 from zeno_orbits.continuation.families import HalfCurve, Kind
@@ -74,7 +74,8 @@ def crewed(place: Workers | Cluster | None, folder: Path | None = None) -> Any:
     told: dict[str, Any] = {
         "second": SecondParameter(name="stop", box=(-0.85, -0.75), kinds=(Kind.RELEASE_LOST,)),
         "settings": ContinuationSettings(
-            steps=Steps(first=0.1, longest=0.2), curve=CurveSteps(first=0.2, longest=0.2, most=2)
+            steps=FamilySteps(first=0.1, longest=0.2),
+            curve=CurveSteps(first=0.2, longest=0.2, most=2),
         ),
     }
     asked = (problem, orbit, "A", (0.7, 1.05))
@@ -117,7 +118,7 @@ def test_the_command_writes_the_same_bytes_with_one_worker_and_two(tmp_path: Pat
 
 def test_a_family_and_half_a_curve_pass_through_json_with_every_bit() -> None:
     problem, orbit = oscillator()
-    settings = ContinuationSettings(steps=Steps(most=3))
+    settings = ContinuationSettings(steps=FamilySteps(most=3))
     begin = start_at_release(problem, orbit, "A", (0.79, 1.2), settings)
     setup = begin.setup
     start = first_point(setup.returns(problem), setup.metric, begin.x, 1.0, rising=False)
@@ -140,7 +141,7 @@ def test_a_curve_that_closes_has_no_second_half() -> None:
     )
 
     class Loop:
-        result = HalfCurve
+        result: ClassVar[object] = HalfCurve
 
         def run(self, *_: Any) -> HalfCurve:
             return HalfCurve(x=(0.0,), y=(0.0,), errors=(0.0,), end=Kind.CLOSED.value)
@@ -313,7 +314,7 @@ def test_a_place_that_cannot_be_had_is_refused_and_the_checkpoint_left_untouched
 ) -> None:
     folder, _ = kept
     before = contents(folder)
-    begins = "zeno_orbits.continuation.continuation.continue_impacts"
+    begins = "zeno_orbits.continuation.continue_impacts"
     refuses(monkeypatch, (*NEAR, "--checkpoint", folder, *place), told, work_of=begins)
     assert contents(folder) == before
 

@@ -370,3 +370,26 @@ def test_a_length_without_a_bound_runs_away_if_it_is_far_beyond_where_it_was():
     swinging = oscillator(damping=0.0)
     (found,) = attractors_at(swinging, [swinging.values()], until=40.0, start={"x": 9.0})
     assert (found.fate, found.detail) == (Fate.UNSETTLED, "no release comes")
+
+
+@pytest.mark.parametrize(
+    ("name", "metre", "second"),
+    [
+        ("vibrating_table", 1e6, 1.0),
+        ("vibrating_table", 1e-6, 1.0),
+        ("vibrating_table", 1.0, 1e3),
+        ("vibrating_table", 1e2, 1e-3),
+        ("curved_surface", 1e3, 1e3),
+        ("curved_surface", 1e-3, 1.0),
+    ],
+)
+def test_the_same_machine_in_other_units_settles_to_the_same_orbit(name, metre, second):
+    shaken = load_problem(name)
+    own = shaken.values().parameters
+    scaled = {"A": metre, "omega": 1 / second, "g": metre / second**2}
+    scaled |= {"rho": metre, "c": 1 / second} if name == "curved_surface" else {}
+    numbers = {key: unit * own[key] for key, unit in scaled.items()}
+    (found,) = attractors_at(shaken, [shaken.values(parameters=numbers)])
+    assert (found.fate, found.returns) == (Fate.ZENO, 1)
+    # A local error of 1e-8, of which the clock keeps the hundredth part.
+    assert found.period == pytest.approx(second * 2 * math.pi / own["omega"], rel=1e-9)

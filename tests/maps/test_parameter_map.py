@@ -59,6 +59,11 @@ def pendulum(**changes: Any) -> Plane:
     return replace(whole, **changes)
 
 
+def computed_here(whole: Plane) -> ParameterMap:
+    """Return a map that this process computes by itself."""
+    return parameter_map(replace(whole, source=whole.problem), ONE)
+
+
 # ---------------------------------------------------------------------------- the grid
 
 
@@ -71,7 +76,7 @@ def test_the_grid_runs_row_by_row_from_below_and_holds_both_ends() -> None:
 
 def test_every_point_of_a_map_is_the_long_run_at_its_numbers() -> None:
     problem = load_problem("motor_pendulum")
-    found = parameter_map(pendulum(), ONE)
+    found = computed_here(pendulum())
     for (kp, kd), attractor in zip(pendulum().points(), found.attractors, strict=True):
         alone = attractor_of(problem, problem.values(gains={"Kp": kp, "Kd": kd}), pendulum().start)
         # A representation holds every bit, and NaN equals itself.
@@ -90,7 +95,7 @@ def test_parameters_that_others_are_derived_from_are_derived_anew_at_every_point
 def test_a_point_whose_derived_numbers_do_not_exist_fails_by_itself() -> None:
     # The calibration needs lc2 below 0.3558 m, roughly.
     crossed = pendulum(x=Axis(name="lc2", lower=0.15, upper=0.9, count=2))
-    found = parameter_map(crossed, ONE)
+    found = computed_here(crossed)
     fates = [[one.fate is Fate.FAILED for one in found.attractors[k : k + 2]] for k in (0, 2)]
     assert fates == [[False, True], [False, True]]
     assert "no rotor inertia" in found.attractors[1].detail
@@ -234,7 +239,7 @@ def test_a_checkpoint_of_another_problem_of_the_same_name_is_refused(tmp_path: P
 
 @pytest.fixture(name="found", scope="module")
 def _found() -> ParameterMap:
-    return parameter_map(plane(), ONE)
+    return computed_here(plane())
 
 
 def test_a_map_file_holds_every_bit_of_the_map(found: ParameterMap, tmp_path: Path) -> None:
@@ -488,3 +493,18 @@ def test_every_core_has_points_and_a_chunk_neither_few_nor_too_many() -> None:
     assert [chunk_of(square, cores) for cores in (1, 2, 16, 10_000)] == [625, 625, 79, 16]
     large = replace(square, x=replace(square.x, count=1000))
     assert chunk_of(large, 2) == 1250
+
+
+def test_the_problem_that_new_writes_has_its_orbit_on_a_map(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert ask("new", "mine").code == YES
+    mine = table(
+        source=load_problem("mine.py"),
+        x=Axis(name="F", lower=0.95, upper=1.05, count=2),
+        y=Axis(name="omega", lower=0.98, upper=1.02, count=2),
+    )
+    start = mine.problem.state_vector(mine.problem.starts[0])
+    found = parameter_map(replace(mine, start=start), ONE)
+    assert {one.fate for one in found.attractors} == {Fate.ZENO}

@@ -8,14 +8,15 @@ from pathlib import Path
 import casadi as ca
 import pytest
 
-from zeno_orbits.cli import main, new
+from zeno_orbits.cli import main
+from zeno_orbits.cli.new import template
 from zeno_orbits.errors import ProblemFileError
 from zeno_orbits.model.drives import MotorBank
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.library import bundled_problems, load_problem
 from zeno_orbits.model.units import is_rate_of, powers_of
 
-FORCED, MOTOR = new._FORCED, new._MOTOR
+FORCED, MOTOR = (template(with_motor=with_motor) for with_motor in (False, True))
 
 # Name: template, what is replaced, by what, and the words that have to name it.
 BROKEN: dict[str, tuple[str, str, str, str]] = {

@@ -37,7 +37,6 @@ from zeno_orbits.precision.reduced_models import (
     ReductionCost,
     layer_time,
     orbit_near,
-    reduction_cost,
     reduction_costs,
 )
 from zeno_orbits.search import find_orbit, search_gains
@@ -362,13 +361,14 @@ def test_the_correction_pays_a_hundredfold_at_the_declared_inductance(
 
 def test_the_estimate_holds_on_another_machine(problem: Problem) -> None:
     values = _with_inductance(problem, 6e-3, restitution=0.35)
-    cost = reduction_cost(problem, values, measure=True)
+    cost = reduction_costs(problem, values, measure=True)[QUASI_STATIC]
     for landmark in LANDMARKS:
         assert cost.estimate[landmark] == pytest.approx(cost.measured[landmark], rel=0.1)
 
 
 def test_a_plastic_impact_has_no_zeno_state_to_compare(problem: Problem) -> None:
-    cost = reduction_cost(problem, _with_inductance(problem, 2e-3, restitution=0.0), measure=True)
+    values = _with_inductance(problem, 2e-3, restitution=0.0)
+    cost = reduction_costs(problem, values, measure=True)[QUASI_STATIC]
     assert set(cost.measured) == set(LANDMARKS) - {"zeno_state"}
     for landmark, error in cost.measured.items():
         assert cost.estimate[landmark] == pytest.approx(error, rel=0.05)
@@ -416,11 +416,6 @@ def test_a_wrong_restitution_of_the_layer_is_noticed_by_the_hand_written_model(
     certificate = verify(orbit, wrong)
     assert not certificate.passed
     assert certificate.failed == ("second_model",)
-
-
-def test_an_unknown_reduction_has_no_cost(problem: Problem) -> None:
-    with pytest.raises(InputError, match="must be quasi_static or corrected"):
-        reduction_cost(problem, problem.values(), fidelity="ideal")
 
 
 def test_gains_are_searched_with_the_restitution_that_they_change(problem: Problem) -> None:

@@ -43,6 +43,8 @@ if not os.environ.get(browsers.REQUIRED):
     pytest.importorskip("plotly", reason="the extra `report` is not installed")
 
 YES, NO, MISUSE = 0, 1, 2
+ONE = ("--periods", "1")
+"""Enough to see what a page says."""
 EVIL = "</script><script>window.taken = 1</script><img src=x onerror='window.taken = 1'>\"'&"
 
 
@@ -310,7 +312,7 @@ def test_attributes_are_escaped() -> None:
 
 
 def test_report_writes_a_page_and_says_yes(orbit_file: Path) -> None:
-    code, out, _ = ask("report", orbit_file, "-o", "report.html")
+    code, out, _ = ask("report", orbit_file, "-o", "report.html", *ONE)
     assert code == YES
     assert "Verified" in out
     assert "Written: report.html" in out
@@ -333,7 +335,7 @@ def test_every_example_of_the_help_runs(orbit_file: Path) -> None:
 
 
 def test_report_as_json_tells_where_the_page_is_and_its_weight(orbit_file: Path) -> None:
-    code, out, _ = ask("report", orbit_file, "-o", "report.html", "--json")
+    code, out, _ = ask("report", orbit_file, "-o", "report.html", "--json", *ONE)
     assert code == YES
     data = json.loads(out)
     assert data["passed"]
@@ -344,7 +346,7 @@ def test_report_as_json_tells_where_the_page_is_and_its_weight(orbit_file: Path)
 def test_a_false_orbit_gets_a_page_that_says_so_and_a_no(orbit_file: Path) -> None:
     orbit = read_orbit(orbit_file)
     write_orbit(replace(orbit, period=1.01 * orbit.period), orbit_file)
-    code, out, _ = ask("report", orbit_file, "-o", "report.html")
+    code, out, _ = ask("report", orbit_file, "-o", "report.html", *ONE)
     assert code == NO
     assert "Refused" in out
     page = Path("report.html").read_text(encoding="utf-8")
@@ -375,7 +377,7 @@ def test_an_orbit_that_cannot_be_followed_gets_a_page_without_pictures(
 
     monkeypatch.setattr("zeno_orbits.orbits.period.simulate", fail)
     monkeypatch.setattr("zeno_orbits.report.orbit_motion.simulate", fail)
-    code, _, _ = ask("report", orbit_file, "-o", "report.html")
+    code, _, _ = ask("report", orbit_file, "-o", "report.html", *ONE)
     assert code == NO
     page = Path("report.html").read_text(encoding="utf-8")
     assert "The motion could not be followed" in page
@@ -421,11 +423,13 @@ def test_misuse_is_one_line_and_writes_nothing(
     assert {path.name: path.read_bytes() for path in orbit_file.parent.iterdir()} == before
 
 
-def test_without_plotly_one_line_says_what_to_install(
-    orbit_file: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("library", ["plotly", "jinja2"])
+def test_without_a_library_one_line_says_what_to_install(
+    orbit_file: Path, monkeypatch: pytest.MonkeyPatch, library: str
 ) -> None:
-    monkeypatch.setitem(sys.modules, "plotly", None)
-    code, _, err = ask("report", orbit_file, "-o", "report.html")
+    load_bundle.cache_clear()
+    monkeypatch.setitem(sys.modules, library, None)
+    code, _, err = ask("report", orbit_file, "-o", "report.html", *ONE)
     assert code == MISUSE
     assert "pip install 'zeno_orbits[report]'" in err
     assert err.count("\n") == 1

@@ -753,7 +753,7 @@ def test_a_problem_is_searched_at_its_own_numbers(
         (("motor_pendulum", "--problem", "a.py", "-o", "f"), "must come with an orbit file"),
         (("orbit.json", "-o", "f", "--kind", "graph", "--data", "a.csv"), "the kind `beside`"),
         (("orbit.json", "-o", "f", "--data", "a.csv"), "must hold a recording"),
-        (("orbit.json", "-o", "f", "--kind", "film"), "invalid choice: 'film'"),
+        (("orbit.json", "-o", "f", "--kind", "film"), "`kind` must be one of graph"),
         (("orbit.json",), "required: -o/--output"),
     ],
 )

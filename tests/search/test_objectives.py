@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from zeno_orbits.api import Verified
 from zeno_orbits.errors import InputError
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.problem import Problem
@@ -16,6 +17,7 @@ from zeno_orbits.orbits.bounds import Bound
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.poincare import floquet_multipliers
 from zeno_orbits.search import (
+    Judgement,
     SearchSettings,
     SearchStatus,
     close_orbit,
@@ -36,6 +38,7 @@ from zeno_orbits.search.outcome import StartOutcome
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.search.start import try_start
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
+from zeno_orbits.verification.certificate import OrbitCertificate
 from zeno_orbits.verification.measurement import measure
 from zeno_orbits.verification.verifier import problem_dynamics
 
@@ -326,8 +329,57 @@ def test_candidates_are_ranked_and_the_best_is_the_orbit(problem: Problem) -> No
     assert scores == sorted(scores)
     assert result.orbit is result.candidates[0].orbit
     # Every start leads to the one orbit of that period on this line.
-    assert len(result.candidates) == 1
+    assert [one.starts for one in result.candidates] == [3]
     assert [one.status for one in result.attempts] == [SearchStatus.FOUND] * 3
+
+
+# Orbits that do not attract.
+
+
+def test_the_best_orbit_that_attracts_is_taken_where_the_best_of_all_lies_on_a_fold(
+    problem: Problem, certificate: OrbitCertificate
+) -> None:
+    on_fold = replace(certificate, multipliers=(1.0 + 0.0j,))
+    seen: list[ZenoOrbit] = []
+
+    def refuse_the_first(orbit: ZenoOrbit) -> Judgement:
+        seen.append(orbit)
+        if len(seen) == 1:
+            return Judgement(objection="It does not attract.", certificate=on_fold)
+        return Judgement(certificate=certificate)
+
+    result = search_gains(
+        problem,
+        problem.values(),
+        free={"Kd": (-1.1, -0.9)},
+        accept=refuse_the_first,
+        settings=ONCE,
+    )
+    assert result.status is SearchStatus.FOUND
+    assert len(seen) == 2
+    assert result.candidates[0].extents["spectral_radius"].highest < 0.99
+    assert result.detail.startswith("The best orbit, at Kp = 2.5, Kd = -1, lies on a fold of the")
+    assert "the best one with a spectral radius up to 0.99" in result.detail
+
+
+@pytest.mark.slow
+def test_gains_beyond_a_fold_lead_to_the_nearest_orbit_that_attracts(problem: Problem) -> None:
+    target = {"Kp": 2.5, "Kd": -1.8}
+    result = search_gains(
+        problem,
+        problem.values(),
+        free={"Kp": (2.0, 3.0), "Kd": (-1.9, -1.2)},
+        objective=NearestGains(target=target),
+        accept=Verified(problem=problem),
+        settings=ONCE,
+    )
+    gains = result.unwrap().gains
+    # Along Kp = 2.5 a simulation attracts up to Kd = -1.6219.
+    assert gains == pytest.approx({"Kp": 2.5, "Kd": -1.622}, abs=0.02)
+    certificate = result.candidates[0].certificate
+    assert certificate is not None
+    assert certificate.stable
+    assert "lies on a fold of the family" in result.detail
 
 
 # Misuse.

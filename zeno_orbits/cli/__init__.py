@@ -1,116 +1,15 @@
-"""The command line, one module a command.
+"""The command line: words to values, a call of the rooms below, and an answer for people or JSON.
 
-Exit codes: 0, yes; 1, searched or checked and the answer is no; 2, wrong usage or input;
-130, interrupted.
+One module a command. Exit codes: 0, yes; 1, searched or checked and the answer is no; 2, wrong
+usage or input; 130, interrupted. A command imports what it runs when it runs: `--help` and a
+mistyped option need no CasADi.
 
-A command imports what it runs when it runs: `--help` and a mistyped option need no CasADi.
+Offers: `main` runs one command, `build_parser` returns the parser of all of them.
+
+Imports: api, report, experiment, precision, continuation, maps, search, verification, orbits,
+simulation, model, integrators, work, arrays, errors.
 """
 
-from __future__ import annotations
+import lazy_loader as lazy
 
-import argparse
-import sys
-from collections.abc import Sequence
-
-from zeno_orbits.cli.compare import add_compare
-from zeno_orbits.cli.conditions import add_conditions
-from zeno_orbits.cli.continue_command import add_continue
-from zeno_orbits.cli.fidelity import add_fidelity
-from zeno_orbits.cli.figures import add_figures
-from zeno_orbits.cli.identify import add_identify
-from zeno_orbits.cli.interrupts import Interrupts
-from zeno_orbits.cli.map import add_map
-from zeno_orbits.cli.new import add_new
-from zeno_orbits.cli.options import INTERRUPTED, MISUSE, NO, Parser
-from zeno_orbits.cli.plot import add_plot
-from zeno_orbits.cli.problems import add_problems
-from zeno_orbits.cli.report_command import add_report
-from zeno_orbits.cli.rig import add_rig
-from zeno_orbits.cli.search import add_search
-from zeno_orbits.cli.simulate import add_simulate
-from zeno_orbits.cli.streams import patient_streams
-from zeno_orbits.cli.trade import add_trade
-from zeno_orbits.cli.verify import add_verify
-from zeno_orbits.errors import InputError, ZenoOrbitsError
-from zeno_orbits.report import terminal as report
-
-__all__ = ["build_parser", "main"]
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit code."""
-    with patient_streams():
-        try:
-            options = build_parser().parse_args(arguments)
-        except InputError as error:
-            # There is no room for what `--help` says.
-            report.print_error(str(error))
-            return MISUSE
-        return _answer(options)
-
-
-def _answer(options: argparse.Namespace) -> int:
-    """Run one command; whatever is wrong is one line on standard error, and an exit code."""
-    try:
-        with Interrupts() as interrupts:
-            options.interrupts = interrupts
-            code: int = options.run(options)
-            # A disk may turn out to be full as late as here.
-            sys.stdout.flush()
-            return code
-    except InputError as error:
-        return _end(error, MISUSE, options)
-    except ZenoOrbitsError as error:
-        return _end(error, NO, options)
-    except KeyboardInterrupt:
-        report.print_error("interrupted; nothing was written")
-        return INTERRUPTED
-    except Exception as error:
-        # The last line of defence against a raw traceback.
-        if options.debug:
-            raise
-        text = f"internal error, please report it ({type(error).__name__}: {error}); see --debug"
-        report.print_error(text)
-        return MISUSE
-
-
-def _end(error: Exception, code: int, options: argparse.Namespace) -> int:
-    if options.debug:
-        raise error
-    report.print_error(str(error))
-    return code
-
-
-def build_parser() -> argparse.ArgumentParser:
-    """Return the parser of the whole command line."""
-    parser = Parser(
-        prog="zeno-orbits",
-        description="Find, verify and follow Zeno periodic orbits.",
-        epilog=(
-            "exit codes: 0 yes; 1 searched or checked, and the answer is no; 2 wrong usage or "
-            "input\n\n"
-            "example:\n"
-            "  zeno-orbits search motor_pendulum -o orbit.json\n"
-            "  zeno-orbits verify orbit.json\n"
-            "  zeno-orbits plot orbit.json -o pictures"
-        ),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    add_problems(commands)
-    add_new(commands)
-    add_conditions(commands)
-    add_simulate(commands)
-    add_fidelity(commands)
-    add_search(commands)
-    add_verify(commands)
-    add_map(commands)
-    add_continue(commands)
-    add_trade(commands)
-    add_rig(commands)
-    add_plot(commands)
-    add_report(commands)
-    add_figures(commands)
-    add_compare(commands)
-    add_identify(commands)
-    return parser
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

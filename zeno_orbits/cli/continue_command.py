@@ -10,28 +10,31 @@ from zeno_orbits.cli.options import (
     NO,
     YES,
     add_command,
-    add_gain_values,
+    add_gains,
     add_place,
     add_problem,
     checkpoint_of,
+    drop_checkpoint,
+    hand_out,
     interrupted,
-    json_text,
     place_of,
-    print_json,
     require_outputs,
-    say_written,
     start_of,
     values_of,
 )
-from zeno_orbits.cli.parsing import read_count, read_numbers, read_range
+from zeno_orbits.cli.parsing import (
+    Named,
+    point_kinds,
+    read_count,
+    read_named_number,
+    read_point_kind,
+    read_range,
+)
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
-from zeno_orbits.work.files import write_whole
 
 if TYPE_CHECKING:
-    from zeno_orbits.continuation.families import Continuation
-    from zeno_orbits.continuation.parallel import Crew
-    from zeno_orbits.continuation.setup import ContinuationSettings
+    from zeno_orbits.continuation import Continuation, ContinuationSettings, Crew
     from zeno_orbits.model.library import ProblemFile
     from zeno_orbits.model.problem import ParameterValues, Problem
     from zeno_orbits.orbits.orbit import ZenoOrbit
@@ -53,10 +56,11 @@ def add_continue(commands: Any) -> None:
         ],
     )
     add_problem(parser)
-    add_gain_values(parser)
+    add_gains(parser)
     parser.add_argument(
         "--in",
         dest="range",
+        type=read_range,
         required=True,
         metavar="NAME=LOW:HIGH",
         help="the gain or parameter to follow the family in; the start must lie in the range",
@@ -76,8 +80,8 @@ def add_continue(commands: Any) -> None:
     )
     parser.add_argument(
         "--start",
-        action="append",
-        default=[],
+        action=Named,
+        type=read_named_number,
         metavar="STATE=VALUE",
         help="with --section impact: where a motion starts that settles to the orbit",
     )
@@ -86,12 +90,14 @@ def add_continue(commands: Any) -> None:
     )
     parser.add_argument(
         "--second",
+        type=read_range,
         metavar="NAME=LOW:HIGH",
         help="follow the special points in this parameter, too",
     )
     parser.add_argument(
         "--point",
         action="append",
+        type=read_point_kind,
         default=[],
         metavar="KIND",
         help="with --second: only points of this kind, fold for instance; may be repeated",
@@ -102,9 +108,8 @@ def add_continue(commands: Any) -> None:
 
 
 def _run_continue(options: argparse.Namespace) -> int:
-    from zeno_orbits.continuation.families import Kind
+    from zeno_orbits.continuation import Kind
     from zeno_orbits.model.library import locate_problem
-    from zeno_orbits.work import remove_checkpoint
 
     problem_file = locate_problem(options.problem)
     problem = problem_file.load()
@@ -115,19 +120,10 @@ def _run_continue(options: argparse.Namespace) -> int:
             found = _continued(options, problem_file, checkpoint, progress)
     except KeyboardInterrupt:
         return interrupted(options, checkpoint)
-    if options.picture is not None:
-        from zeno_orbits.report import plots
-
-        plots.save_figure(plots.plot_families(found, problem), options.picture)
-    if options.output is not None:
-        write_whole(options.output, json_text(found.as_json()) + "\n")
-        if options.checkpoint is None and checkpoint is not None:
-            remove_checkpoint(checkpoint)
-    if options.json:
-        print_json(found.as_json())
-    else:
-        report.print_families(found)
-    say_written(options, [path for path in (options.output, options.picture) if path is not None])
+    hand_out(
+        options, found, report.print_families, lambda plots: plots.plot_families(found, problem)
+    )
+    drop_checkpoint(options, checkpoint)
     ends = [end for family in found.families for end in (family.first, family.last)]
     return NO if any(end.kind is Kind.GAVE_UP for end in ends) else YES
 
@@ -139,22 +135,21 @@ def _continued(
     progress: report.ProgressLine,
 ) -> Continuation:
     """Return what was asked for, by the workers that were asked for."""
-    from zeno_orbits.continuation.branch import Steps
-    from zeno_orbits.continuation.parallel import Crew
-    from zeno_orbits.continuation.setup import ContinuationSettings
+    from zeno_orbits.continuation import ContinuationSettings, Crew, FamilySteps
     from zeno_orbits.work import Plan, open_pool
 
-    settings = ContinuationSettings(steps=Steps(most=options.steps))
+    settings = ContinuationSettings(steps=FamilySteps(most=options.steps))
     plan = Plan(place=place_of(options), checkpoint=checkpoint)
-    name, box = read_range(options.range, "in")
-    kinds = _kinds(options)
-    _require_section(options)
+    _require_agreement(options)
     with open_pool(plan.place) as pool:
         crew = Crew(problem_file=problem_file, plan=plan, pool=pool, on_progress=progress)
-        return _asked(options, problem_file.load(), (name, box), kinds, settings, crew)
+        return _asked(options, problem_file.load(), settings, crew)
 
 
-def _require_section(options: argparse.Namespace) -> None:
+def _require_agreement(options: argparse.Namespace) -> None:
+    """Refuse options that contradict each other."""
+    if options.point and options.second is None:
+        raise InputError("Argument `point` must come with --second, but it does not.")
     if options.section == "impact":
         if options.start_orbit is not None or options.second is not None or not options.start:
             message = "must come with --start, and without --from and --second"
@@ -166,18 +161,12 @@ def _require_section(options: argparse.Namespace) -> None:
 def _asked(
     options: argparse.Namespace,
     problem: Problem,
-    asked: tuple[str, tuple[float, float]],
-    kinds: tuple[Any, ...],
     settings: ContinuationSettings,
     crew: Crew,
 ) -> Continuation:
-    from zeno_orbits.continuation.continuation import (
-        SecondParameter,
-        continue_impacts,
-        continue_orbit,
-    )
+    from zeno_orbits.continuation import SecondParameter, continue_impacts, continue_orbit
 
-    name, box = asked
+    name, box = options.range
     if options.section == "impact":
         return continue_impacts(
             problem,
@@ -191,8 +180,8 @@ def _asked(
         )
     second = None
     if options.second is not None:
-        other, range_ = read_range(options.second, "second")
-        second = SecondParameter(name=other, box=range_, kinds=kinds)
+        kinds = tuple(options.point) or tuple(point_kinds().values())
+        second = SecondParameter(name=options.second.name, box=options.second.box, kinds=kinds)
     return continue_orbit(
         problem,
         _orbit(options, problem, crew),
@@ -205,23 +194,9 @@ def _asked(
     )
 
 
-def _kinds(options: argparse.Namespace) -> tuple[Any, ...]:
-    """Return the kinds of points that were asked for by words, all without any."""
-    from zeno_orbits.continuation.families import Kind
-
-    if options.point and options.second is None:
-        raise InputError("Argument `point` must come with --second, but it does not.")
-    words = {kind.name.lower().replace("_", "-"): kind for kind in Kind if kind.located}
-    for word in options.point:
-        if word not in words:
-            known = ", ".join(words)
-            raise InputError(f"Argument `point` must be one of {known}, but it is `{word}`.")
-    return tuple(words[word] for word in options.point) or tuple(words.values())
-
-
 def _orbit(options: argparse.Namespace, problem: Problem, crew: Crew) -> ZenoOrbit:
     """Return the orbit to start from."""
-    from zeno_orbits.continuation.continuation import start_orbit
+    from zeno_orbits.continuation import start_orbit
     from zeno_orbits.orbits.orbit_file import read_orbit
 
     if options.start_orbit is None:
@@ -237,12 +212,10 @@ def _inside(
     problem: Problem, values: ParameterValues, options: argparse.Namespace
 ) -> ParameterValues:
     """Return the setting to start at: mid-range for what nobody has set and lies outside."""
-    numbers = read_numbers(options.gain, "gain") | read_numbers(options.set, "set")
-    named = {*numbers}
-    for entry, option in ((options.range, "in"), (options.second, "second")):
-        if entry is None:
-            continue
-        name, (low, high) = read_range(entry, option)
+    named = options.gain | options.set
+    numbers = dict(named)
+    for asked in filter(None, (options.range, options.second)):
+        name, (low, high) = asked
         value = values.numbers.get(name)
         if value is None or name in named or low <= value <= high:
             continue

@@ -10,18 +10,17 @@ from typing import TYPE_CHECKING, Any
 from zeno_orbits.cli.options import (
     YES,
     add_command,
-    add_gain_values,
+    add_gains,
     add_problem,
     add_recording,
-    json_text,
     print_json,
     require_outputs,
     say_written,
     values_of,
+    write_json,
 )
-from zeno_orbits.cli.parsing import read_fit
+from zeno_orbits.cli.parsing import Fit, read_fit
 from zeno_orbits.report import terminal as report
-from zeno_orbits.work.files import write_whole
 
 if TYPE_CHECKING:
     from zeno_orbits.experiment import Unknown
@@ -46,9 +45,10 @@ def add_identify(commands: Any) -> None:
     )
     add_problem(parser)
     add_recording(parser)
-    add_gain_values(parser)
+    add_gains(parser)
     parser.add_argument(
         "--fit",
+        type=read_fit,
         required=True,
         metavar="NAME[=LOW:HIGH],...",
         help="parameters to find, between these ends; A+B has one value for both; "
@@ -75,7 +75,7 @@ def _run_identify(options: argparse.Namespace) -> int:
         recording = cut(recording, options.since, options.to)
         found = identify(problem, values, recording, sought, on_progress=progress)
     if options.output is not None:
-        write_whole(options.output, json_text(found.as_json()) + "\n")
+        write_json(found, options.output)
     if options.orbit is not None:
         write_orbit(found.orbit, options.orbit)
     if options.json:
@@ -90,13 +90,13 @@ def _run_identify(options: argparse.Namespace) -> int:
 _DECADE = 10.0
 
 
-def _sought(problem: Problem, values: ParameterValues, text: str) -> tuple[Unknown, ...]:
+def _sought(problem: Problem, values: ParameterValues, fit: Fit) -> tuple[Unknown, ...]:
     """Return what is to be found, in ranges that the problem allows."""
     from zeno_orbits.experiment import Unknown
 
     known = {quantity.name: quantity for quantity in problem.parameters}
     found: list[Unknown] = []
-    for names, box in read_fit(text):
+    for names, box in fit:
         lower, upper = -math.inf, math.inf
         for name in names:
             if name in known:

@@ -10,24 +10,24 @@ from zeno_orbits.cli.options import (
     NO,
     YES,
     add_command,
-    add_gain_values,
+    add_gains,
     add_place,
     add_problem,
     add_start,
     checkpoint_of,
+    drop_checkpoint,
+    hand_out,
     interrupted,
     place_of,
-    print_json,
     require_outputs,
-    say_written,
     start_of,
 )
-from zeno_orbits.cli.parsing import read_boxes, read_grid, read_numbers
+from zeno_orbits.cli.parsing import Once, Range, read_grid, read_number, read_range
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
-    from zeno_orbits.maps.mapping import Boundary, ParameterMap
+    from zeno_orbits.maps.mapping import Boundary
     from zeno_orbits.maps.plane import Axis, Plane
 
 
@@ -46,12 +46,13 @@ def add_map(commands: Any) -> None:
         ],
     )
     add_problem(parser)
-    add_gain_values(parser)
+    add_gains(parser)
     add_start(parser)
     for side, where in (("x", "across"), ("y", "upwards")):
         parser.add_argument(
             f"--{side}",
-            action="append",
+            action=Once,
+            type=read_range,
             required=True,
             metavar="NAME=LOW:HIGH",
             help=f"the gain or parameter that goes {where}",
@@ -65,7 +66,7 @@ def add_map(commands: Any) -> None:
     )
     parser.add_argument(
         "--until",
-        type=float,
+        type=read_number,
         metavar="T",
         help="how long a motion may take to settle [s]; by default 300 turns of the problem's "
         "clock, or 35 of its slowest oscillation",
@@ -85,7 +86,7 @@ def _run_map(options: argparse.Namespace) -> int:
     from zeno_orbits.maps.map_file import read_boundaries, write_map
     from zeno_orbits.maps.mapping import parameter_map
     from zeno_orbits.maps.plane import chunk_of, require_plane
-    from zeno_orbits.work import Plan, remove_checkpoint
+    from zeno_orbits.work import Plan
 
     plane = require_plane(_plane(options))
     require_outputs(options)
@@ -101,24 +102,14 @@ def _run_map(options: argparse.Namespace) -> int:
             found = parameter_map(plane, plan, on_progress=progress)
     except KeyboardInterrupt:
         return interrupted(options, checkpoint)
-    # The file comes last: drawing takes long enough to be interrupted.
-    if options.picture is not None:
-        from zeno_orbits.report import plots
-
-        plots.save_figure(plots.plot_map(found, boundaries=boundaries), options.picture)
-    if options.output is not None:
-        write_map(found, options.output)
-        if options.checkpoint is None and checkpoint is not None:
-            remove_checkpoint(checkpoint)
-    return _show(options, found)
-
-
-def _show(options: argparse.Namespace, found: ParameterMap) -> int:
-    if options.json:
-        print_json(found.as_json())
-    else:
-        report.print_map(found)
-    say_written(options, [path for path in (options.output, options.picture) if path is not None])
+    hand_out(
+        options,
+        found,
+        report.print_map,
+        lambda plots: plots.plot_map(found, boundaries=boundaries),
+        write_map,
+    )
+    drop_checkpoint(options, checkpoint)
     return YES if found.has_zeno else NO
 
 
@@ -129,19 +120,17 @@ def _plane(options: argparse.Namespace) -> Plane:
     problem_file = locate_problem(options.problem)
     return Plane(
         source=problem_file,
-        x=_axis(options.x, options.points[0], "x"),
-        y=_axis(options.y, options.points[1], "y"),
-        gains=read_numbers(options.gain, "gain"),
-        parameters=read_numbers(options.set, "set"),
+        x=_axis(options.x, options.points[0]),
+        y=_axis(options.y, options.points[1]),
+        gains=options.gain,
+        parameters=options.set,
         start=start_of(problem_file.load(), options),
         until=options.until,
     )
 
 
-def _axis(entries: list[str], count: int, side: str) -> Axis:
+def _axis(asked: Range, count: int) -> Axis:
     from zeno_orbits.maps.plane import Axis
 
-    if len(entries) != 1:
-        raise InputError(f"Argument `{side}` must be given once, but it is {len(entries)} times.")
-    ((name, (lower, upper)),) = read_boxes(entries, side).items()
-    return Axis(name=name, lower=lower, upper=upper, count=count)
+    lower, upper = asked.box
+    return Axis(name=asked.name, lower=lower, upper=upper, count=count)

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from zeno_orbits.cli.parsing import read_count, read_numbers
-from zeno_orbits.errors import InputError
+from zeno_orbits.cli.parsing import Named, read_count, read_named_number, read_number
+from zeno_orbits.errors import InputError, did_you_mean
 from zeno_orbits.integrators.engines import ENGINES, Selective, engine_named
 from zeno_orbits.report import terminal as report
-from zeno_orbits.work.files import require_picture, require_writable
+from zeno_orbits.work.files import require_picture, require_writable, write_whole
 
 if TYPE_CHECKING:
     from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
@@ -26,12 +27,37 @@ YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser that complains in one line."""
+    """A parser that refuses bad input in one line, and asks whether a near name is meant."""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Return the options; a word that belongs to none of them is an error of this command."""
+        found, rest = super().parse_known_args(args, namespace)
+        if rest:
+            known = [word for action in self._actions for word in action.option_strings]
+            near = did_you_mean(rest[0].partition("=")[0], known)
+            self.error(f"unrecognized arguments: {' '.join(rest)}.{near}")
+        return found, rest
 
     def error(self, message: str) -> NoReturn:
         """Exit with the code of misuse."""
-        report.print_error(f"{message} (see `{self.prog} --help`)")
+        report.print_error(f"{_sentence(message)} (see `{self.prog} --help`)")
         sys.exit(MISUSE)
+
+
+def _sentence(message: str) -> str:
+    """Return a message of ``argparse`` in the form of the package's own messages."""
+    found = re.fullmatch(r"argument (?:-\w/)?(?:--)?([^:]+): (.*)", message, flags=re.DOTALL)
+    if found is None:
+        return message[0].upper() + message[1:]
+    option, clause = found.groups()
+    choice = re.fullmatch(r"invalid choice: '(.*)' \(choose from (.*)\)", clause, flags=re.DOTALL)
+    if choice is not None:
+        given, known = choice[1], re.findall(r"'([^']*)'", choice[2])
+        clause = f"must be one of {', '.join(known)}, but it is `{given}`."
+        clause += did_you_mean(given, known)
+    if clause.startswith("Argument "):
+        return clause
+    return f"Argument `{option}` {clause}{'' if clause.endswith(('.', '?')) else '.'}"
 
 
 def add_command(
@@ -60,21 +86,26 @@ def add_problem(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "problem", metavar="PROBLEM", help="a problem's name or Python file, or problem@fidelity"
     )
+    add_parameters(parser)
+
+
+def add_parameters(parser: argparse.ArgumentParser) -> None:
+    """Add the parameters of a problem."""
     parser.add_argument(
         "--set",
-        action="append",
-        default=[],
+        action=Named,
+        type=read_named_number,
         metavar="NAME=VALUE",
         help="change a parameter of the problem; may be repeated",
     )
 
 
-def add_gain_values(parser: argparse.ArgumentParser) -> None:
-    """Add the gains at which a problem is looked at."""
+def add_gains(parser: argparse.ArgumentParser) -> None:
+    """Add the gains of a problem."""
     parser.add_argument(
         "--gain",
-        action="append",
-        default=[],
+        action=Named,
+        type=read_named_number,
         metavar="NAME=VALUE",
         help="change a gain; may be repeated",
     )
@@ -84,8 +115,8 @@ def add_start(parser: argparse.ArgumentParser) -> None:
     """Add the initial state."""
     parser.add_argument(
         "--start",
-        action="append",
-        default=[],
+        action=Named,
+        type=read_named_number,
         metavar="STATE=VALUE",
         help="initial state; what is not named is zero; by default the problem's first start",
     )
@@ -95,7 +126,7 @@ def add_accuracy(parser: argparse.ArgumentParser) -> None:
     """Add the accuracy and the engine."""
     parser.add_argument(
         "--accuracy",
-        type=float,
+        type=read_number,
         metavar="A",
         help="take the cheapest settings measured to reach this relative error, 1e-6 for instance, "
         "and report the error that was made; by default as accurate as is cheap",
@@ -104,8 +135,8 @@ def add_accuracy(parser: argparse.ArgumentParser) -> None:
         "--engine",
         choices=tuple(ENGINES),
         default=next(iter(ENGINES)),
-        help="the integrator; automatic steps explicitly, and implicitly where the problem is stiff; "
-        "taylor needs the extra of that name",
+        help="the integrator; automatic steps explicitly, and implicitly where the problem is "
+        "stiff; taylor needs the extra of that name",
     )
 
 
@@ -148,6 +179,14 @@ def checkpoint_of(options: argparse.Namespace) -> Path | None:
     return None if output is None else output.with_name(f"{output.name}.checkpoint")
 
 
+def drop_checkpoint(options: argparse.Namespace, checkpoint: Path | None) -> None:
+    """Remove the checkpoint of finished work, unless its folder was named by the user."""
+    from zeno_orbits.work import remove_checkpoint
+
+    if options.checkpoint is None and checkpoint is not None:
+        remove_checkpoint(checkpoint)
+
+
 def interrupted(options: argparse.Namespace, checkpoint: Path | None) -> int:
     """Say what is kept of interrupted work, and return the exit code."""
     from zeno_orbits.work import keeps_nothing, remove_checkpoint
@@ -178,22 +217,19 @@ def add_recording(parser: argparse.ArgumentParser) -> None:
         help="a table of signals over time; its titles are `name [unit]`, one of them `time`",
     )
     parser.add_argument(
-        "--from", dest="since", type=float, metavar="T", help="leave out what is earlier [s]"
+        "--from", dest="since", type=read_number, metavar="T", help="leave out what is earlier [s]"
     )
-    parser.add_argument("--to", type=float, metavar="T", help="leave out what is later [s]")
+    parser.add_argument("--to", type=read_number, metavar="T", help="leave out what is later [s]")
 
 
 def values_of(problem: Problem, options: argparse.Namespace) -> ParameterValues:
     """Return the numbers that were asked for."""
-    return problem.values(
-        gains=read_numbers(options.gain, "gain"), parameters=read_numbers(options.set, "set")
-    )
+    return problem.values(gains=options.gain, parameters=options.set)
 
 
 def start_of(problem: Problem, options: argparse.Namespace) -> tuple[float, ...]:
     """Return the initial state that was asked for, ``(n_x,)``."""
-    named = read_numbers(options.start, "start") if options.start else problem.starts[0]
-    return problem.state_vector(named)
+    return problem.state_vector(options.start or problem.starts[0])
 
 
 def simulation_of(options: argparse.Namespace) -> SimulationSettings:
@@ -282,6 +318,42 @@ def json_text(data: Any) -> str:
     import json
 
     return json.dumps(data, indent=2, allow_nan=False)
+
+
+def hand_out(
+    options: argparse.Namespace,
+    found: Any,
+    show: Callable[[Any], None],
+    draw: Callable[[Any], Any],
+    write: Callable[[Any, Path], None] | None = None,
+) -> None:
+    """Draw, write and print a result, as far as ``--picture``, ``-o`` and ``--json`` ask for it.
+
+    The file comes after the picture: drawing takes long enough to be interrupted.
+
+    Args:
+        options: The parsed options.
+        found: The result, with ``as_json``.
+        show: Prints it for people.
+        draw: Returns its picture; takes `report.plots`, which is loaded only for it.
+        write: Writes its file; by default all of ``as_json``.
+    """
+    if options.picture is not None:
+        from zeno_orbits.report import plots
+
+        plots.save_figure(draw(plots), options.picture)
+    if options.output is not None:
+        (write or write_json)(found, options.output)
+    if options.json:
+        print_json(found.as_json())
+    else:
+        show(found)
+    say_written(options, [path for path in (options.output, options.picture) if path is not None])
+
+
+def write_json(found: Any, path: Path) -> None:
+    """Write the JSON of a result."""
+    write_whole(path, json_text(found.as_json()) + "\n")
 
 
 def say_written(options: argparse.Namespace, paths: Sequence[Path]) -> None:

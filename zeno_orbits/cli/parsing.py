@@ -1,75 +1,164 @@
-"""Words of the command line as values: the border at which strings stand for choices."""
+"""Convert words of the command line to values: converters and actions for ``argparse``.
+
+Each option is converted once, while it is parsed. A converter raises ``ArgumentTypeError`` with the
+clause that follows the name of the option: ``must be a number, but it is `x```.
+"""
 
 from __future__ import annotations
 
 import argparse
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from zeno_orbits.errors import InputError
+from zeno_orbits.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
+    from zeno_orbits.continuation.families import Kind
     from zeno_orbits.model.problem import Problem
-    from zeno_orbits.model.rig_parts import Rig
     from zeno_orbits.orbits.bounds import Bound
     from zeno_orbits.orbits.shape import OrbitShape
-    from zeno_orbits.search.objectives import Objective
+    from zeno_orbits.search.objectives import Objective, ObjectiveWord
 
 
-def read_numbers(entries: Sequence[str], option: str) -> dict[str, float]:
-    """Return name to value from ``NAME=VALUE`` entries."""
-    numbers: dict[str, float] = {}
-    for entry in entries:
-        name, sign, value = entry.partition("=")
-        if not sign or not name:
-            raise InputError(f"Argument `{option}` must be NAME=VALUE, but it is `{entry}`.")
-        if name in numbers:
-            raise InputError(f"Argument `{option}` must name `{name}` once, but it does so twice.")
-        numbers[name] = read_number(value, name)
-    return numbers
+class Named(argparse.Action):
+    """Collect the pairs of a repeated option in a mapping; each name may stand once."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str, **kwargs: Any) -> None:
+        super().__init__(option_strings, dest, default={}, **kwargs)
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,  # noqa: ARG002 (the form that `argparse` calls)
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,  # noqa: ARG002
+    ) -> None:
+        """Add one pair."""
+        name, value = values
+        known = getattr(namespace, self.dest)
+        if name in known:
+            raise argparse.ArgumentError(self, f"must name `{name}` once, but it does so twice")
+        setattr(namespace, self.dest, {**known, name: value})
 
 
-def read_rig(rig: Rig, entries: Sequence[str], only: Sequence[str] | None) -> Rig:
-    """Return a rig with other parts and other numbers.
+class Once(argparse.Action):
+    """Store the value of an option that may be given once; ``argparse`` keeps the last silently."""
 
-    Args:
-        rig: What is changed.
-        entries: ``contact.stiffness=1e5``, ``friction.COORDINATE.coulomb=0.01``,
-            ``gears.MOTOR.play=0.01``; a part that is not there yet is added.
-        only: Names of the parts to keep beside the contact; all of them if ``None``.
-    """
-    from zeno_orbits.model.rig_parts import PART_NAMES, with_numbers, without_parts
-
-    if only is not None:
-        if "sensors" in only and "controller" not in only:
-            wanted = "must name the controller with the sensors, which it reads"
-            raise InputError(f"Argument `only` {wanted}, but it does not.")
-        rig = without_parts(rig, [name for name in PART_NAMES if name not in only])
-    return with_numbers(rig, read_numbers(entries, "part"))
-
-
-def read_boxes(entries: Sequence[str], option: str = "gain") -> dict[str, tuple[float, float]]:
-    """Return name to bounds from ``NAME=LOW:HIGH`` entries."""
-    boxes: dict[str, tuple[float, float]] = {}
-    for entry in entries:
-        name, box = read_range(entry, option)
-        if name in boxes:
-            raise InputError(f"Argument `{option}` must name `{name}` once, but it does so twice.")
-        boxes[name] = box
-    return boxes
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,  # noqa: ARG002 (the form that `argparse` calls)
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,  # noqa: ARG002
+    ) -> None:
+        """Store the value."""
+        known = getattr(namespace, self.dest)
+        if known is not None:
+            message = f"must be given once, but it is {known}, {values}"
+            raise argparse.ArgumentError(self, message)
+        setattr(namespace, self.dest, values)
 
 
-def read_shape(text: str | None) -> OrbitShape | None:
-    """Return the shape that a text such as ``zeno*2`` names, if there is one."""
-    from zeno_orbits.orbits.shape import OrbitShape
+class Range(NamedTuple):
+    """A name with the ends of its range."""
 
-    return None if text is None else OrbitShape.parsed(text)
+    name: str
+    box: tuple[float, float]
+
+    def __str__(self) -> str:
+        """Return the words that `read_range` reads."""
+        return f"{self.name}={self.box[0]:g}:{self.box[1]:g}"
 
 
-def read_fit(
-    text: str,
-) -> tuple[tuple[tuple[str, ...], tuple[float, float] | None], ...]:
+def read_number(text: str) -> float:
+    """Return a number."""
+    return _number(text, "be a number")
+
+
+def _number(text: str, wanted: str) -> float:
+    try:
+        # Python reads 1_5 as 15; whoever types it means 1.5 or a range.
+        return float("" if "_" in text else text)
+    except ValueError:
+        message = f"must {wanted}, but it is `{text}`"
+        raise argparse.ArgumentTypeError(message) from None
+
+
+def read_share(text: str) -> float:
+    """Return a number between 0 and 1, the ends left out."""
+    number = read_number(text)
+    if not 0.0 < number < 1.0:
+        raise argparse.ArgumentTypeError(f"must lie in (0, 1), but it is {number:g}")
+    return number
+
+
+def read_count(text: str) -> int:
+    """Return a positive whole number."""
+    if not text.isdigit() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"must be a positive whole number, but it is `{text}`")
+    return int(text)
+
+
+def read_seed(text: str) -> int:
+    """Return a whole number that is not negative."""
+    if not text.isdigit():
+        raise argparse.ArgumentTypeError(
+            f"must be a whole number of at least 0, but it is `{text}`"
+        )
+    return int(text)
+
+
+def read_grid(text: str) -> tuple[int, int]:
+    """Return two positive whole numbers from ``NxM``."""
+    first, sign, second = text.partition("x")
+    if not sign:
+        raise argparse.ArgumentTypeError(f"must be NxM, 50x50 for instance, but it is `{text}`")
+    return read_count(first), read_count(second)
+
+
+def read_named_number(text: str) -> tuple[str, float]:
+    """Return name and value from ``NAME=VALUE``."""
+    name, sign, value = text.partition("=")
+    if not sign or not name:
+        raise argparse.ArgumentTypeError(f"must be NAME=VALUE, but it is `{text}`")
+    return name, _number(value, f"have a number for `{name}`")
+
+
+def read_range(text: str) -> Range:
+    """Return name and bounds from ``NAME=LOW:HIGH``."""
+    name, low, high = _ends(text, "NAME=LOW:HIGH")
+    wanted = f"have numbers for `{name}`"
+    return Range(name, (_number(low, wanted), _number(high, wanted)))
+
+
+def read_bound(text: str) -> tuple[str, Bound]:
+    """Return name and bound from ``NAME=LOWER:UPPER``, an open end left empty."""
+    from zeno_orbits.orbits.bounds import Bound
+
+    name, low, high = _ends(text, "NAME=LOWER:UPPER, one end may be empty")
+    wanted = f"have numbers for `{name}`"
+    lower = _number(low, wanted) if low else -math.inf
+    upper = _number(high, wanted) if high else math.inf
+    try:
+        return name, Bound(name=name, lower=lower, upper=upper)
+    except InputError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+
+
+def _ends(text: str, form: str) -> tuple[str, str, str]:
+    name, sign, ends = text.partition("=")
+    low, colon, high = ends.partition(":")
+    if not sign or not colon or not name:
+        raise argparse.ArgumentTypeError(f"must be {form}, but it is `{text}`")
+    return name, low, high
+
+
+Fit = tuple[tuple[tuple[str, ...], tuple[float, float] | None], ...]
+"""Names that share one value, and the range of that value, if it is given."""
+
+
+def read_fit(text: str) -> Fit:
     """Return names, those tied by ``+`` together, and bounds from ``NAME[=LOW:HIGH],...``."""
     found: list[tuple[tuple[str, ...], tuple[float, float] | None]] = []
     for entry in text.split(","):
@@ -77,117 +166,105 @@ def read_fit(
         names = tuple(part.strip() for part in name.split("+"))
         if not all(names):
             wanted = "must be NAME or NAME=LOW:HIGH, or several of them with commas between"
-            raise InputError(f"Argument `fit` {wanted}, but it is `{text}`.")
-        found.append((names, read_range(entry.strip(), "fit")[1] if sign else None))
+            raise argparse.ArgumentTypeError(f"{wanted}, but it is `{text}`")
+        found.append((names, read_range(entry.strip()).box if sign else None))
     return tuple(found)
 
 
-def read_bounds(entries: Sequence[str]) -> tuple[Bound, ...]:
-    """Return bounds from ``NAME=LOWER:UPPER`` entries, an open end left empty."""
-    from zeno_orbits.orbits.bounds import Bound
+def read_shape(text: str) -> OrbitShape:
+    """Return the shape that a text such as ``zeno*2`` names."""
+    from zeno_orbits.orbits.shape import OrbitShape
 
-    found: list[Bound] = []
-    for entry in entries:
-        name, sign, ends = entry.partition("=")
-        low, colon, high = ends.partition(":")
-        if not sign or not colon or not name:
-            wanted = "must be NAME=LOWER:UPPER, one end may be empty"
-            raise InputError(f"Argument `keep` {wanted}, but it is `{entry}`.")
-        if name in [bound.name for bound in found]:
-            raise InputError(f"Argument `keep` must name `{name}` once, but it does so twice.")
-        lower = read_number(low, name) if low else -math.inf
-        upper = read_number(high, name) if high else math.inf
-        found.append(Bound(name=name, lower=lower, upper=upper))
-    return tuple(found)
-
-
-def read_range(entry: str, option: str) -> tuple[str, tuple[float, float]]:
-    """Return name and bounds from ``NAME=LOW:HIGH``."""
-    name, sign, bounds = entry.partition("=")
-    low, colon, high = bounds.partition(":")
-    if not sign or not colon or not name:
-        raise InputError(f"Argument `{option}` must be NAME=LOW:HIGH, but it is `{entry}`.")
-    return name, (read_number(low, name), read_number(high, name))
-
-
-def read_number(text: str, name: str) -> float:
-    """Return a number, or say which name has none."""
     try:
-        # Python reads 1_5 as 15; whoever types it means 1.5 or a range.
-        return float("" if "_" in text else text)
-    except ValueError:
-        raise InputError(f"Argument `{name}` must be a number, but it is `{text}`.") from None
+        return OrbitShape.parsed(text)
+    except InputError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
 
 
-def read_count(text: str) -> int:
-    """Return a positive whole number, for ``argparse``."""
-    if not text.isdigit() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"must be a positive whole number, but it is `{text}`")
-    return int(text)
+def read_point_kind(text: str) -> Kind:
+    """Return the kind of special points that a word such as ``fold`` names."""
+    words = point_kinds()
+    if text not in words:
+        message = f"must be one of {', '.join(words)}, but it is `{text}`."
+        raise argparse.ArgumentTypeError(message + did_you_mean(text, words))
+    return words[text]
 
 
-def read_grid(text: str) -> tuple[int, int]:
-    """Return two positive whole numbers from ``NxM``, for ``argparse``."""
-    first, sign, second = text.partition("x")
-    if not sign:
-        raise argparse.ArgumentTypeError(f"must be NxM, 50x50 for instance, but it is `{text}`")
-    return read_count(first), read_count(second)
+def point_kinds() -> dict[str, Kind]:
+    """Return word to kind of the special points that can be located."""
+    from zeno_orbits.continuation.families import Kind
+
+    return {kind.name.lower().replace("_", "-"): kind for kind in Kind if kind.located}
 
 
-def read_once(texts: Sequence[str], option: str, otherwise: str) -> str:
-    """Return what an option says that may be given once only, where the last would win silently."""
-    if len(texts) > 1:
-        raise InputError(f"Argument `{option}` must be given once, but it is {', '.join(texts)}.")
-    return texts[0] if texts else otherwise
+class Wish(NamedTuple):
+    """An objective as it is asked for: a row of `OBJECTIVES` with its operand."""
+
+    text: str
+    word: str
+    row: ObjectiveWord
+    operand: Any
+
+    def __str__(self) -> str:
+        """Return the words that `read_wish` reads."""
+        return self.text
+
+    def objective(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> Objective:
+        """Return the objective.
+
+        Args:
+            problem: The problem.
+            free: Name to bounds of what is free.
+
+        Raises:
+            InputError: If nothing is free that could serve it, or a target lies out of its range.
+        """
+        if isinstance(self.operand, dict):
+            _check_targets(self.operand, free)
+        elif not free:
+            message = f"must leave a gain or a parameter free for the {self.word}, but none is"
+            raise InputError(f"Argument `objective` {message}.")
+        return self.row.objective(problem, self.operand)
 
 
-def read_seed(text: str) -> int:
-    """Return a whole number that is not negative, for ``argparse``."""
-    if not text.isdigit():
-        raise argparse.ArgumentTypeError(f"must be a whole number from 0 on, but it is `{text}`")
-    return int(text)
-
-
-def read_objective(
-    wish: str, problem: Problem, free: Mapping[str, tuple[float, float]]
-) -> Objective:
-    """Return the objective that a wish on the command line stands for.
-
-    Args:
-        wish: A word of `OBJECTIVES`, with its operand.
-        problem: The problem.
-        free: Name to bounds of what is free.
-    """
+def read_wish(text: str) -> Wish:
+    """Return what the words of ``--objective`` ask for."""
     from zeno_orbits.search.objectives import OBJECTIVES, Operand
 
-    word, _, text = wish.partition(":") if wish.startswith("nearest") else wish.partition("=")
+    word, _, rest = text.partition(":") if text.startswith("nearest") else text.partition("=")
     known = OBJECTIVES.get(word)
     takes = Operand.NOTHING if known is None else known.operand
     if (
         known is None
-        or (takes is Operand.NOTHING and text)
-        or (takes is Operand.SIGNAL and not text)
+        or (takes is Operand.NOTHING and rest)
+        or (takes is Operand.SIGNAL and not rest)
     ):
         *most, last = (one.usage for one in OBJECTIVES.values())
-        wishes = f"{', '.join(most)} or {last}"
-        raise InputError(f"Argument `objective` must be {wishes}, but it is `{wish}`.")
+        message = f"must be {', '.join(most)} or {last}, but it is `{text}`."
+        raise argparse.ArgumentTypeError(message + did_you_mean(word, OBJECTIVES))
+    operand: Any = rest
     if takes is Operand.NUMBERS:
-        return known.objective(problem, _targets(text, free))
-    operand: str | float = text
-    if takes is Operand.NUMBER:
-        operand = read_number(text, f"objective {word}")
+        operand = _targets(rest)
+    elif takes is Operand.NUMBER:
+        operand = _number(rest, f"have a number for the {word}")
         if not 0.0 < operand < math.inf:
             message = f"must have a positive {word}, but it is {operand:g}"
-            raise InputError(f"Argument `objective` {message}.")
-    if not free:
-        message = f"must leave a gain or a parameter free for the {word}, but none is"
-        raise InputError(f"Argument `objective` {message}.")
-    return known.objective(problem, operand)
+            raise argparse.ArgumentTypeError(message)
+    return Wish(text, word, known, operand)
 
 
-def _targets(text: str, free: Mapping[str, tuple[float, float]]) -> dict[str, float]:
-    """Return name to target from ``NAME=VALUE,...``, each in the range of what is free."""
-    targets = read_numbers([part for part in text.split(",") if part], "objective")
+def _targets(text: str) -> dict[str, float]:
+    """Return name to target from ``NAME=VALUE,...``."""
+    targets: dict[str, float] = {}
+    for part in filter(None, text.split(",")):
+        name, value = read_named_number(part)
+        if name in targets:
+            raise argparse.ArgumentTypeError(f"must name `{name}` once, but it does so twice")
+        targets[name] = value
+    return targets
+
+
+def _check_targets(targets: Mapping[str, float], free: Mapping[str, tuple[float, float]]) -> None:
     for name, value in targets.items():
         if name not in free:
             known = ", ".join(free) or "none"
@@ -197,4 +274,3 @@ def _targets(text: str, free: Mapping[str, tuple[float, float]]) -> dict[str, fl
         if not low <= value <= high:
             bounds = f"must lie in the range of `{name}`, [{low:g}, {high:g}]"
             raise InputError(f"Argument `objective` {bounds}, but it is {value:g}.")
-    return targets

@@ -1,15 +1,27 @@
-"""The command `problems`."""
+"""The commands `problems`, `conditions` and `fidelity`: what a problem is, before any orbit."""
 
 from __future__ import annotations
 
 import argparse
+from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from zeno_orbits.cli.options import YES, add_command, print_json
+from zeno_orbits.cli.options import (
+    NO,
+    YES,
+    add_command,
+    add_gains,
+    add_problem,
+    print_json,
+    say_written,
+    values_of,
+)
 from zeno_orbits.report import terminal as report
+from zeno_orbits.work.files import require_picture
 
 if TYPE_CHECKING:
-    from zeno_orbits.model.problem import Problem
+    from zeno_orbits.model.problem import ParameterValues, Problem
 
 
 def add_problems(commands: Any) -> None:
@@ -46,3 +58,98 @@ def _problem_json(problem: Problem) -> dict[str, Any]:
         },
         "parameters": dict(problem.values().parameters),
     }
+
+
+def add_conditions(commands: Any) -> None:
+    """Add the command `conditions`."""
+    parser = add_command(
+        commands,
+        "conditions",
+        _run_conditions,
+        "Theorem 1: d2h/dt2 at the Zeno equilibria, in symbols and numbers",
+        [
+            "zeno-orbits conditions motor_pendulum",
+            "zeno-orbits conditions motor_pendulum --set m2=0.12 -o region.png",
+        ],
+    )
+    add_problem(parser)
+    add_gains(parser)
+    parser.add_argument("-o", "--output", type=Path, help="draw the region d2h/dt2 < 0 here")
+
+
+def _run_conditions(options: argparse.Namespace) -> int:
+    from zeno_orbits.model.formulas import (
+        equilibrium_acceleration,
+        six_digits,
+        with_numbers,
+    )
+    from zeno_orbits.model.library import load_problem
+
+    problem = load_problem(options.problem)
+    values = values_of(problem, options)
+    # What cannot be drawn is refused before anything is printed.
+    if options.output is not None:
+        _draw_region(problem, values, options.output)
+    formula = equilibrium_acceleration(problem)
+    numbers = with_numbers(formula, values)
+    always = bool(numbers < 0) if numbers.is_number else None
+    if options.json:
+        print_json(
+            {
+                "problem": problem.name,
+                "restitution": values.parameters["restitution"],
+                "formula": str(formula),
+                "numbers": six_digits(numbers),
+                "coefficients": {
+                    str(term): float(factor)
+                    for term, factor in numbers.as_coefficients_dict().items()
+                },
+                "parameters": dict(values.parameters),
+            }
+        )
+    else:
+        report.print_conditions(problem, values, str(formula), six_digits(numbers), always=always)
+    if options.output is not None:
+        say_written(options, [options.output])
+    return NO if always is False else YES
+
+
+def _draw_region(problem: Problem, values: ParameterValues, path: Path) -> None:
+    from zeno_orbits.report import plots
+
+    require_picture(path)
+    dynamics = problem.dynamics(values)
+    plots.save_figure(plots.plot_zeno_region(problem, dynamics), path)
+
+
+def add_fidelity(commands: Any) -> None:
+    """Add the command `fidelity`."""
+    parser = add_command(
+        commands,
+        "fidelity",
+        _run_fidelity,
+        "what a problem's reduced models cost in accuracy, before one is taken",
+        [
+            "zeno-orbits fidelity motor_pendulum",
+            "zeno-orbits fidelity motor_pendulum --set L=0.02 --measure --json",
+        ],
+    )
+    add_problem(parser)
+    add_gains(parser)
+    parser.add_argument(
+        "--measure", action="store_true", help="find the full problem's orbit, too, and compare"
+    )
+
+
+def _run_fidelity(options: argparse.Namespace) -> int:
+    from zeno_orbits.model.library import load_problem
+    from zeno_orbits.precision.reduced_models import reduction_costs
+
+    problem = load_problem(options.problem)
+    values = values_of(problem, options)
+    costs = list(reduction_costs(problem, values, measure=options.measure).values())
+    if options.json:
+        print_json([asdict(cost) for cost in costs])
+    else:
+        report.print_reduction_costs(costs)
+    return YES

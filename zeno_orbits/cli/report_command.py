@@ -17,7 +17,7 @@ from zeno_orbits.cli.options import (
     require_outputs,
     say_written,
 )
-from zeno_orbits.cli.parsing import read_count
+from zeno_orbits.cli.parsing import read_count, read_share
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 from zeno_orbits.work.files import write_whole
@@ -51,7 +51,7 @@ def add_report(commands: Any) -> None:
     )
     parser.add_argument(
         "--tolerance",
-        type=float,
+        type=read_share,
         default=1e-9,
         metavar="TOL",
         help="largest relative residual that passes; 1e-9 by default",
@@ -65,9 +65,6 @@ def _run_report(options: argparse.Namespace) -> int:
     from zeno_orbits.report.page import load_bundle, page_of, subject_of
     from zeno_orbits.verification.verifier import VerificationSettings, problem_dynamics, verify
 
-    if not 0.0 < options.tolerance < 1.0:
-        message = f"must lie in (0, 1), but it is {options.tolerance:g}"
-        raise InputError(f"Argument `tolerance` {message}.")
     reads = [path for path in (options.orbit, options.trade) if path is not None]
     require_outputs(options, pictures=(), reads=reads)
     if options.output.suffix.lower() not in _PAGES:

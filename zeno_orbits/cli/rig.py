@@ -11,7 +11,8 @@ from zeno_orbits.cli.options import (
     NO,
     YES,
     add_command,
-    add_gain_values,
+    add_gains,
+    add_parameters,
     add_start,
     orbit_and_problem,
     print_json,
@@ -20,7 +21,7 @@ from zeno_orbits.cli.options import (
     start_of,
     values_of,
 )
-from zeno_orbits.cli.parsing import read_count, read_rig
+from zeno_orbits.cli.parsing import Named, read_count, read_named_number, read_number, read_seed
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 
@@ -58,19 +59,13 @@ def add_rig(commands: Any) -> None:
     parser.add_argument(
         "--problem", metavar="FILE.py", help="the problem of an orbit, if not bundled"
     )
-    add_gain_values(parser)
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="change a parameter of the problem; may be repeated",
-    )
+    add_gains(parser)
+    add_parameters(parser)
     add_start(parser)
     parser.add_argument(
         "--part",
-        action="append",
-        default=[],
+        action=Named,
+        type=read_named_number,
         metavar="PART.NAME=VALUE",
         help="change a number of the machine, contact.stiffness=1e5, friction.COORDINATE.coulomb="
         "0.01 or gears.MOTOR.play=0.01 for instance; may be repeated; docs/rig.md lists them",
@@ -79,7 +74,7 @@ def add_rig(commands: Any) -> None:
         "--only",
         action="append",
         choices=(*_PARTS, "contact"),
-        help="the only part beside the contact; may be repeated; by default all that the problem has",
+        help="the only part beside the contact; may be repeated; by default all that there are",
     )
     parser.add_argument(
         "--without", action="append", default=[], choices=_PARTS, help="leave out a part"
@@ -87,7 +82,7 @@ def add_rig(commands: Any) -> None:
     parser.add_argument(
         "--exact", action="store_true", help="follow the bridge's pulses edge by edge"
     )
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the noise")
+    parser.add_argument("--seed", type=read_seed, default=0, metavar="N", help="seed of the noise")
     parser.add_argument(
         "--cycles",
         type=read_count,
@@ -96,7 +91,7 @@ def add_rig(commands: Any) -> None:
     )
     parser.add_argument(
         "--until",
-        type=float,
+        type=read_number,
         metavar="T",
         help=f"how long, from a start [s]; {_UNTIL:g} by default",
     )
@@ -109,8 +104,6 @@ def _run_rig(options: argparse.Namespace) -> int:
     near_orbit = options.target.endswith(".json")
     reads = [Path(options.target)] if near_orbit else []
     require_outputs(options, pictures=(), reads=reads)
-    if options.seed < 0:
-        raise InputError(f"Argument `seed` must be at least 0, but it is {options.seed}.")
     return _near_orbit(options) if near_orbit else _from_start(options)
 
 
@@ -119,7 +112,7 @@ def _near_orbit(options: argparse.Namespace) -> int:
     from zeno_orbits.experiment.rig.cycle_comparison import compare_cycles
 
     for name in ("gain", "set", "start", "until"):
-        if getattr(options, name) not in (None, []):
+        if getattr(options, name) not in (None, {}):
             has = "which has a period to count in" if name == "until" else "which has its own"
             raise InputError(f"Argument `{name}` must not be given with an orbit, {has}.")
     options.orbit = Path(options.target)
@@ -181,9 +174,15 @@ def _rig_of(options: argparse.Namespace, problem: Problem) -> Rig:
     from dataclasses import replace
 
     from zeno_orbits.experiment.rig import default_rig
-    from zeno_orbits.model.rig_parts import Switching, without_parts
+    from zeno_orbits.model.rig_parts import PART_NAMES, Switching, with_numbers, without_parts
 
-    rig = read_rig(without_parts(default_rig(problem), options.without), options.part, options.only)
+    left_out = options.without
+    if options.only is not None:
+        if "sensors" in options.only and "controller" not in options.only:
+            wanted = "must name the controller with the sensors, which it reads"
+            raise InputError(f"Argument `only` {wanted}, but it does not.")
+        left_out = [*left_out, *(name for name in PART_NAMES if name not in options.only)]
+    rig = with_numbers(without_parts(default_rig(problem), left_out), options.part)
     if not options.exact:
         return rig
     if rig.bridge is None:

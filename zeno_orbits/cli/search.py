@@ -13,20 +13,23 @@ from zeno_orbits.cli.options import (
     add_place,
     add_problem,
     checkpoint_of,
+    drop_checkpoint,
     interrupted,
     place_of,
     require_engine,
     verification_of,
 )
 from zeno_orbits.cli.parsing import (
-    read_bounds,
-    read_boxes,
+    Named,
+    Once,
+    read_bound,
     read_count,
-    read_numbers,
-    read_objective,
-    read_once,
+    read_named_number,
+    read_number,
+    read_range,
     read_seed,
     read_shape,
+    read_wish,
 )
 from zeno_orbits.cli.search_output import answer, far_from_own, kept_as_derived
 from zeno_orbits.errors import InputError
@@ -61,30 +64,30 @@ def add_search(commands: Any) -> None:
     add_problem(parser)
     parser.add_argument(
         "--gain",
-        action="append",
-        default=[],
+        action=Named,
+        type=read_range,
         metavar="NAME=LOW:HIGH",
-        help="search a gain in this range; one that is not named is searched in the problem's range",
+        help="search a gain in this range; by default every gain in its range in the problem",
     )
     parser.add_argument(
         "--free",
-        action="append",
-        default=[],
+        action=Named,
+        type=read_range,
         metavar="NAME=LOW:HIGH",
         help="search a physical parameter (or a gain) in this range, too; what the problem derives "
         "from it stays as it is at the start",
     )
     parser.add_argument(
         "--fix",
-        action="append",
-        default=[],
+        action=Named,
+        type=read_named_number,
         metavar="NAME=VALUE",
         help="hold a gain; may be repeated",
     )
     parser.add_argument(
         "--objective",
-        action="append",
-        default=[],
+        action=Once,
+        type=read_wish,
         metavar="WISH",
         help=(
             "nearest (to the problem's gains), nearest:NAME=VALUE,..., period=SECONDS, "
@@ -94,8 +97,8 @@ def add_search(commands: Any) -> None:
     )
     parser.add_argument(
         "--keep",
-        action="append",
-        default=[],
+        action=Named,
+        type=read_bound,
         metavar="NAME=LOWER:UPPER",
         help="bounds that the orbit must keep, an open end left empty (NAME=:1.2): a state, "
         "current or voltage at all times; period, energy, spectral_radius, or a margin of the "
@@ -110,6 +113,7 @@ def add_search(commands: Any) -> None:
     )
     parser.add_argument(
         "--shape",
+        type=read_shape,
         metavar="SHAPE",
         help="phases of a period: zeno (impacts accumulate, the stop holds, and lets go), impact "
         "(one impact, off the stop again), plastic (the stop holds at once, e = 0); *N for N of "
@@ -129,10 +133,10 @@ def add_search(commands: Any) -> None:
     add_place(parser)
     parser.add_argument(
         "--until",
-        type=float,
+        type=read_number,
         metavar="T",
-        help="longest time to wait for a motion to repeat [s]; by default some hundred turns of the "
-        "problem's clock, or of its slowest oscillation",
+        help="longest time to wait for a motion to repeat [s]; by default some hundred turns of "
+        "the problem's clock, or of its slowest oscillation",
     )
     parser.add_argument("--starts", type=read_count, default=12, metavar="N", help="random starts")
     parser.add_argument("--seed", type=read_seed, default=0, help="of the random starts")
@@ -143,17 +147,17 @@ def _run_search(options: argparse.Namespace) -> int:
     from zeno_orbits.api import Verified
     from zeno_orbits.model.library import locate_problem
     from zeno_orbits.search import SearchSettings, SettlingSettings, Spread, search_gains
-    from zeno_orbits.work import Plan, remove_checkpoint
+    from zeno_orbits.work import Plan
 
     problem_file = locate_problem(options.problem)
     problem = problem_file.load()
     near = _known_orbit(options, problem)
     values, free = _numbers(options, problem, near)
-    objective = read_objective(read_once(options.objective, "objective", "nearest"), problem, free)
-    bounds = read_bounds(options.keep)
-    shape = read_shape(options.shape)
+    wish = options.objective or read_wish("nearest")
+    objective = wish.objective(problem, free)
+    bounds = tuple(options.keep.values())
     if near is not None:
-        near.shape.agreed(shape)
+        near.shape.agreed(options.shape)
     if options.output is not None:
         require_writable(options.output)
     settings = SearchSettings(
@@ -186,15 +190,14 @@ def _run_search(options: argparse.Namespace) -> int:
                 accept=judge,
                 on_progress=progress,
                 spread=Spread(problem_file=problem_file, plan=plan, tell=progress),
-                shape=shape,
+                shape=options.shape,
             )
     except KeyboardInterrupt:
         return interrupted(options, checkpoint)
     held = kept_as_derived(problem, values, free)
     far = far_from_own(problem, values)
     code = answer(options, problem, result, objective if free else None, bounds, held, far)
-    if options.checkpoint is None and checkpoint is not None:
-        remove_checkpoint(checkpoint)
+    drop_checkpoint(options, checkpoint)
     return code
 
 
@@ -221,15 +224,13 @@ def _numbers(
     options: argparse.Namespace, problem: Problem, near: ZenoOrbit | None
 ) -> tuple[ParameterValues, dict[str, tuple[float, float]]]:
     """Return the numbers to start from and what is free."""
-    fixed = read_numbers(options.fix, "fix")
-    boxes = read_boxes(options.gain, "gain")
+    from zeno_orbits.model.quantities import unknown
+
+    fixed, given, boxes, named = options.fix, options.set, options.gain, options.free
     gains = {gain.name: (gain.lower, gain.upper) for gain in problem.gains}
     for name in boxes:
         if name not in gains:
-            known = ", ".join(gains) or "none"
-            raise InputError(f"Argument `gain` must be one of {known}, but it is `{name}`.")
-    named = read_boxes(options.free, "free")
-    given = read_numbers(options.set, "set")
+            raise InputError(unknown("gain", name, tuple(gains)))
     for option, names in (("gain", {*boxes}), ("free", {*named})):
         for held, taken in (("fix", {*fixed}), ("set", {*given})):
             both = sorted(names & taken)

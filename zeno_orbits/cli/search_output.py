@@ -75,6 +75,8 @@ def answer(
         report.print_orbit(problem, orbit, certificate, result.attempts[0].parameters)
         if objective is not None:
             report.print_objective(objective.wish, best.extents, objective.quantities)
+            if objective.quantities and best.starts == 1:
+                report.print_lines([_LOCAL])
         report.print_bounds(certificate.asked)
         if held:
             report.print_lines([f"Not free, and kept as at the start: {', '.join(held)}."])
@@ -135,6 +137,8 @@ def kept_as_derived(
         return [n.name for n in problem.parameters if n.default is None and n.name not in free]
     return [name for name in before if before[name] != after[name] and name not in free]
 
+
+_LOCAL = "One start led there: the optimum may be local; --candidates 3 tries other starts, too."
 
 _FAR = 100.0
 """Factor by which a number differs from the problem's own when its unit may be mistaken."""

@@ -12,7 +12,7 @@ from zeno_orbits.cli.options import (
     YES,
     add_accuracy,
     add_command,
-    add_gain_values,
+    add_gains,
     add_problem,
     add_start,
     print_json,
@@ -22,7 +22,7 @@ from zeno_orbits.cli.options import (
     start_of,
     values_of,
 )
-from zeno_orbits.cli.parsing import read_seed
+from zeno_orbits.cli.parsing import read_number, read_seed
 from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
@@ -48,20 +48,24 @@ def add_simulate(commands: Any) -> None:
         ],
     )
     add_problem(parser)
-    add_gain_values(parser)
+    add_gains(parser)
     add_accuracy(parser)
-    parser.add_argument("--until", type=float, default=10.0, metavar="T", help="how long [s]")
+    parser.add_argument("--until", type=read_number, default=10.0, metavar="T", help="how long [s]")
     add_start(parser)
     parser.add_argument("-o", "--output", type=Path, help="draw the states over time here")
     parser.add_argument(
         "--data", type=Path, metavar="DATA.csv", help="write samples of the states here"
     )
     parser.add_argument(
-        "--rate", type=float, default=500.0, metavar="HZ", help="samples a second; 500 by default"
+        "--rate",
+        type=read_number,
+        default=500.0,
+        metavar="HZ",
+        help="samples a second; 500 by default",
     )
     parser.add_argument(
         "--noise",
-        type=float,
+        type=read_number,
         default=0.0,
         metavar="SHARE",
         help="noise on the samples, in parts of the range of each state; none by default",

@@ -10,18 +10,16 @@ from typing import Any
 from zeno_orbits.cli.options import (
     YES,
     add_command,
-    add_gain_values,
+    add_gains,
     add_problem,
     add_start,
-    json_text,
-    print_json,
+    hand_out,
     require_outputs,
-    say_written,
     start_of,
     values_of,
 )
+from zeno_orbits.cli.parsing import read_number
 from zeno_orbits.report import terminal as report
-from zeno_orbits.work.files import write_whole
 
 
 def add_trade(commands: Any) -> None:
@@ -38,9 +36,9 @@ def add_trade(commands: Any) -> None:
         ],
     )
     add_problem(parser)
-    add_gain_values(parser)
+    add_gains(parser)
     add_start(parser)
-    parser.add_argument("--until", type=float, metavar="T", help="how long an execution [s]")
+    parser.add_argument("--until", type=read_number, metavar="T", help="how long an execution [s]")
     parser.add_argument("--quick", action="store_true", help="a first look: few settings, one run")
     parser.add_argument("--picture", type=Path, help="draw the work-precision diagram here")
     parser.add_argument("-o", "--output", type=Path, help="write all figures here, as JSON")
@@ -59,16 +57,5 @@ def _run_trade(options: argparse.Namespace) -> int:
         settings = replace(settings, until=options.until)
     with report.ProgressLine(options.interrupts.check) as progress:
         found = trade(problem, values, state, settings=settings, on_progress=progress)
-    # The file comes last: drawing takes long enough to be interrupted.
-    if options.picture is not None:
-        from zeno_orbits.report import plots
-
-        plots.save_figure(plots.plot_trade(found), options.picture)
-    if options.output is not None:
-        write_whole(options.output, json_text(found.as_json()) + "\n")
-    if options.json:
-        print_json(found.as_json())
-    else:
-        report.print_trade(found)
-    say_written(options, [path for path in (options.output, options.picture) if path is not None])
+    hand_out(options, found, report.print_trade, lambda plots: plots.plot_trade(found))
     return YES

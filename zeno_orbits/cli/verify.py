@@ -18,8 +18,7 @@ from zeno_orbits.cli.options import (
     require_engine,
     verification_of,
 )
-from zeno_orbits.cli.parsing import read_count
-from zeno_orbits.errors import InputError
+from zeno_orbits.cli.parsing import read_count, read_share
 from zeno_orbits.report import terminal as report
 
 
@@ -38,7 +37,7 @@ def add_verify(commands: Any) -> None:
     add_orbit(parser)
     parser.add_argument(
         "--tolerance",
-        type=float,
+        type=read_share,
         metavar="TOL",
         help="largest relative residual that passes; the accuracy by default, or 1e-9",
     )
@@ -58,8 +57,6 @@ def _run_verify(options: argparse.Namespace) -> int:
     from zeno_orbits.verification.verifier import problem_dynamics, verify
 
     tolerance = options.tolerance
-    if tolerance is not None and not 0.0 < tolerance < 1.0:
-        raise InputError(f"Argument `tolerance` must lie in (0, 1), but it is {tolerance:g}.")
     orbit, problem = orbit_and_problem(options)
     settings = replace(
         verification_of(options, 1e-9 if tolerance is None else tolerance),

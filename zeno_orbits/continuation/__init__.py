@@ -4,9 +4,10 @@ A family is followed both ways from one orbit, whether its orbits attract or not
 Neimark-Sacker and branch points and ends are located, and can be followed in a second parameter
 (`two_parameters`).
 
-Offers: `continue_orbit` and `continue_impacts`, which return a `Continuation` of `Family`, with
-`SecondParameter`, `ContinuationSettings` and `Crew` (workers) to say how; `start_orbit`;
-`orbit_amplitude` of a point of a family.
+Offers: `continue_orbit` and `continue_impacts`, which return a `Continuation` of `Family`; how to
+follow: `SecondParameter`, `ContinuationSettings`, `FamilySteps`, `CurveSteps`, `Crew` (workers);
+`start_orbit`; `orbit_amplitude` of a point of a family.
+
 Imports: search, orbits, simulation, model, work, arrays, errors.
 
 To find a fault in a family, read in this order: `continuation` (what is asked), `setup` (where it

@@ -1,4 +1,5 @@
 from .amplitude import orbit_amplitude as orbit_amplitude
+from .branch import FamilySteps as FamilySteps
 from .continuation import SecondParameter as SecondParameter
 from .continuation import continue_impacts as continue_impacts
 from .continuation import continue_orbit as continue_orbit
@@ -11,3 +12,4 @@ from .families import Kind as Kind
 from .families import SpecialPoint as SpecialPoint
 from .parallel import Crew as Crew
 from .setup import ContinuationSettings as ContinuationSettings
+from .two_parameters.plane import CurveSteps as CurveSteps

@@ -26,7 +26,7 @@ from zeno_orbits.work.progress import Progress
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Steps(StepControl):
+class FamilySteps(StepControl):
     """Steps along a family, in scaled arclength: the parameter's whole range is one.
 
     Attributes:
@@ -74,10 +74,10 @@ def follow(
     metric: Metric,
     start: BranchPoint,
     box: tuple[float, float],
-    steps: Steps,
+    steps: FamilySteps,
     *,
     on_progress: Progress,
-    alien: Callable[[BranchPoint], bool] | None = None,
+    excluded: Callable[[BranchPoint], bool] | None = None,
 ) -> Branch:
     """Return the family from a point along its tangent.
 
@@ -88,9 +88,9 @@ def follow(
         box: Range of the parameter.
         steps: How to step.
         on_progress: Called with each point.
-        alien: Returns True for a point that belongs to another family: an orbit of lower period.
+        excluded: Returns True for a point that belongs to another family: an orbit of lower period.
     """
-    follower = _Follower(returns, metric, box, steps, on_progress, alien)
+    follower = _Follower(returns, metric, box, steps, on_progress, excluded)
     path = follow_path(
         start,
         steps,
@@ -125,12 +125,12 @@ class _Follower:
         returns: ReturnMap,
         metric: Metric,
         box: tuple[float, float],
-        steps: Steps,
+        steps: FamilySteps,
         on_progress: Progress,
-        alien: Callable[[BranchPoint], bool] | None,
+        excluded: Callable[[BranchPoint], bool] | None,
     ) -> None:
         self.returns, self.metric, self.box, self.steps = returns, metric, box, steps
-        self.on_progress, self.alien = on_progress, alien
+        self.on_progress, self.excluded = on_progress, excluded
         self.special: list[tuple[int, Located]] = []
         self.tried: dict[Loss, float] = {}
 
@@ -186,7 +186,7 @@ class _Follower:
 
     def _require_neighbour(self, last: BranchPoint, new: BranchPoint, step: float) -> None:
         """Refuse a point that is no neighbour of the last one."""
-        if self.alien is not None and self.alien(new):
+        if self.excluded is not None and self.excluded(new):
             raise StepError(_LOWER)
         if float(new.tangent @ last.tangent) < np.cos(self.steps.turn):
             raise StepError("the tangent turns too fast")

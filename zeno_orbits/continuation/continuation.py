@@ -31,9 +31,9 @@ from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.shape import ONE_ZENO
 from zeno_orbits.search.closing import close_orbit
 from zeno_orbits.search.search import find_orbit
+from zeno_orbits.work import versions
 from zeno_orbits.work.progress import Progress, silent
 from zeno_orbits.work.serialization import plain
-from zeno_orbits.work.versions import versions
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

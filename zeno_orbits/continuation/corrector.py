@@ -75,11 +75,6 @@ class BranchPoint:
         """Floquet multipliers, the largest first."""
         return eigenvalues(self.jacobian)
 
-    @property
-    def spectral_radius(self) -> float:
-        """Largest modulus of a multiplier."""
-        return max((abs(value) for value in self.multipliers), default=0.0)
-
 
 def correct(
     returns: ReturnMap, metric: Metric, z: Vector, along: Vector, *, fixed: Vector | None = None

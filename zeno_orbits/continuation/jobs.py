@@ -183,7 +183,7 @@ def _followed(
     start: BranchPoint,
     settings: ContinuationSettings,
     on_progress: Progress,
-    alien: Callable[[BranchPoint], bool] | None = None,
+    excluded: Callable[[BranchPoint], bool] | None = None,
 ) -> Branch:
     return follow(
         returns,
@@ -192,7 +192,7 @@ def _followed(
         setup.box,
         settings.steps,
         on_progress=on_progress,
-        alien=alien,
+        excluded=excluded,
     )
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.continuation.branch import Steps
+from zeno_orbits.continuation.branch import FamilySteps
 from zeno_orbits.continuation.corrector import Metric
 from zeno_orbits.continuation.return_maps import Composed, ImpactReturns, ReleaseReturns, ReturnMap
 from zeno_orbits.continuation.two_parameters.plane import CurveSteps, Plane
@@ -16,6 +16,7 @@ from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.section import Line
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
+from zeno_orbits.simulation.time_scale import own_time
 
 _PATIENCE = 4.0
 """Periods of the start to wait for a return."""
@@ -33,7 +34,7 @@ class ContinuationSettings:
         doublings: How often a branch of twice the period is followed where a flip throws it off.
     """
 
-    steps: Steps = field(default_factory=Steps)
+    steps: FamilySteps = field(default_factory=FamilySteps)
     simulation: SimulationSettings = field(default_factory=SimulationSettings)
     curve: CurveSteps = field(default_factory=CurveSteps)
     doublings: int = 1
@@ -146,8 +147,8 @@ def _not_small(sizes: Vector, part: float) -> Vector:
 _MOST_IMPACTS = 400
 _SETTLED = 1e-3
 """Change of the state from impact to impact, in units of its size, at which it nearly repeats."""
-_LONGEST_FLIGHT = 100.0
-"""Longest flight [s]."""
+_LONGEST_FLIGHT = 20.0
+"""Longest flight, in the problem's own time."""
 
 
 def start_at_impact(
@@ -194,11 +195,10 @@ def _settled(returns: ImpactReturns, x: Vector, s: float) -> tuple[Vector, float
         SimulationError: If none does.
     """
     dynamics = returns.dynamics(s)
+    longest = _LONGEST_FLIGHT * own_time(dynamics, x)
     before: Vector | None = None
     for _ in range(_MOST_IMPACTS):
-        run = simulate(
-            dynamics, x, until=_LONGEST_FLIGHT, settings=returns.settings, releases=1, impacts=1
-        )
+        run = simulate(dynamics, x, until=longest, settings=returns.settings, releases=1, impacts=1)
         if not run.impacts:
             break
         impact = run.impacts[0]
@@ -209,7 +209,7 @@ def _settled(returns: ImpactReturns, x: Vector, s: float) -> tuple[Vector, float
             return x, impact.time, scale
         before = x
     raise SimulationError(
-        "The impacts do not settle to one a turn", time=_LONGEST_FLIGHT, state=tuple(x.tolist())
+        "The impacts do not settle to one a turn", time=longest, state=tuple(x.tolist())
     )
 
 

@@ -68,7 +68,13 @@ class Automatic:
     def steps(
         self, flow: GuardedFlow, y: Vector, tolerance: Tolerance, horizon: float = FAR
     ) -> Iterator[Step]:
-        """Yield steps from ``y`` on, without end, none longer than the horizon.
+        """Yield steps from ``y`` on, without end.
+
+        Args:
+            flow: The flow.
+            y: State at the start, ``(n_y,)``.
+            tolerance: Local error of a step.
+            horizon: No step is longer.
 
         Raises:
             StepSizeError: If the step size falls to rounding level.
@@ -91,7 +97,7 @@ class Automatic:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Limits:
-    """What holds the steps of a flow back.
+    """The limits of the steps of a flow.
 
     Attributes:
         fastest: The decay that holds explicit steps back [1/time]; zero if nothing else is slower
@@ -105,7 +111,7 @@ class _Limits:
     values: Values
 
     def pay(self, left: float) -> bool:
-        """Tell whether implicit steps pay for what is left of a leg."""
+        """Return True if implicit steps pay for what is left of a leg."""
         return self.fastest > PAYS * staying_rate(self.values, left)
 
 

@@ -16,7 +16,7 @@ import casadi as ca
 from zeno_orbits.errors import InputError, TranslationError
 
 _SPELLED = {"lt": "<", "le": "<=", "eq": "==", "ne": "!=", "if_else_zero": "if_else"}
-"""How a user writes an operation, where CasADi's own name is another."""
+"""Operations as a user writes them, where CasADi's own name is another."""
 
 _OTHER_REASONS = {
     "erfinv": "which heyoka does not have",
@@ -28,7 +28,7 @@ _OTHER_REASONS = {
 
 
 def heyoka_is_installed() -> bool:
-    """Tell whether the extra is there, without loading it."""
+    """Return True if heyoka is installed; it is not loaded."""
     return find_spec("heyoka") is not None
 
 

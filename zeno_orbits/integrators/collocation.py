@@ -13,14 +13,33 @@ section IV.5.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Array, Vector
+
+
+def lagrange_basis(points: Sequence[float], at: Any) -> list[Any]:
+    r"""Return the Lagrange basis of points at a place, one entry a point.
+
+    .. math:: \ell_k(x) = \prod_{j \ne k} \frac{x - x_j}{x_k - x_j}
+
+    Args:
+        points: The points :math:`x_j`, all different.
+        at: The place :math:`x`, a number or a symbol.
+    """
+    places = [float(point) for point in points]
+    return [
+        math.prod((at - other) / (point - other) for j, other in enumerate(places) if j != k)
+        for k, point in enumerate(places)
+    ]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

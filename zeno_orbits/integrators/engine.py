@@ -23,7 +23,7 @@ def unwatched(_steps: int, _time: float, _state: Vector) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Leg:
-    """What an engine is asked: a flow, where to start, and when to stop.
+    """A task of an engine: a flow, its start and its end.
 
     Attributes:
         flow: The flow, autonomous.
@@ -31,7 +31,7 @@ class Leg:
         horizon: Longest time, in the flow's own.
         tolerance: Local error of a step.
         on_guard: The start is a root of the guard that does not count.
-        contact: A guard that was never positive and falls below minus this has been left.
+        rounding: A guard that was never positive and falls below minus this has been left.
         watch: Told of the progress; it ends a leg that takes too long or goes too far.
     """
 
@@ -40,12 +40,12 @@ class Leg:
     horizon: float
     tolerance: Tolerance
     on_guard: bool
-    contact: float = 0.0
+    rounding: float = 0.0
     watch: Watch = unwatched
 
 
 class Outcome(Enum):
-    """How a leg ended. The value is the phrase shown to the user."""
+    """The end of a leg. The value is the phrase shown to the user."""
 
     FALL = "the guard fell through zero"
     HORIZON = "the time was over"
@@ -57,12 +57,12 @@ class Trajectory(Protocol):
 
     @property
     def duration(self) -> float:
-        """Where the leg ends, in the flow's own time from the start."""
+        """The end of the leg, in the flow's own time from the start."""
         ...
 
     @property
     def times(self) -> Vector:
-        """Where the steps start, and the end, in the flow's own time from the start, ``(m,)``."""
+        """Starts of the steps, and the end, in the flow's own time from the start, ``(m,)``."""
         ...
 
     @property
@@ -77,7 +77,7 @@ class Trajectory(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Passage:
-    """What came of a leg.
+    """The result of a leg.
 
     Attributes:
         outcome: How it ended.
@@ -141,6 +141,11 @@ class Stepper(Protocol):
 
     def steps(self, flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> Iterator[Step]:
         """Yield steps from ``y`` on, without end.
+
+        Args:
+            flow: The flow.
+            y: State at the start, ``(n_y,)``.
+            tolerance: Local error of a step.
 
         Raises:
             StepSizeError: If the step size falls to rounding level.

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class EngineRow:
-    """Where an engine is.
+    """The place of an engine.
 
     Attributes:
         module: Its module in this room.

@@ -1,4 +1,4 @@
-"""Where the guard of a flow falls through zero inside a step.
+"""The place in a step at which the guard of a flow falls through zero.
 
 Ends of steps alone would miss a fall and return between them, and a root finder that starts on
 the guard would report its own start. So the guard is looked at through its cubic Hermite
@@ -13,6 +13,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -24,11 +25,45 @@ from zeno_orbits.integrators.flow import GuardedFlow
 Guard = tuple[float, float]
 """A guard and its time derivative."""
 
-_FRACTIONS = tuple(k / 8 for k in range(1, 8))
-_HALVINGS = 50
+FRACTIONS = tuple(k / 8 for k in range(1, 8))
+"""Parts of a step at which the guard is looked at, where its ends do not tell enough."""
+
+HALVINGS = 50
 """A rise shorter than the step by more than this power of two is no rise."""
 
-_TINY = 4 * float(np.finfo(np.float64).eps)
+TINY = 4 * float(np.finfo(np.float64).eps)
+"""A bracket narrower than this part of its first width holds its root to rounding."""
+
+
+def inner_coefficients(size: Any, before: Any, after: Any) -> tuple[Any, Any]:
+    """Return the second and third Bernstein coefficient of a guard's cubic interpolant in a step.
+
+    The interpolant lies in the hull of its four coefficients, of which the guards at the ends are
+    the first and the last, and it has no more roots than they have changes of sign.
+
+    Args:
+        size: Of the step; or of many, ``(n,)``.
+        before: Guard and its rate at the start; of many steps ``(2, n)``.
+        after: The same at the end.
+    """
+    return before[0] + size / 3 * before[1], after[0] - size / 3 * after[1]
+
+
+def is_cubic(middle: Any, size: Any, before: Any, after: Any) -> Any:
+    """Return True if the cubic interpolant of a guard tells its value in the middle of a step.
+
+    Args:
+        middle: The guard there, or those of many steps, ``(n,)``.
+        size: As for `inner_coefficients`.
+        before: As for `inner_coefficients`.
+        after: As for `inner_coefficients`.
+    """
+    expected = (before[0] + after[0]) / 2 + size * (before[1] - after[1]) / 8
+    return abs(middle - expected) < _CUBIC * (abs(before[0]) + abs(after[0]))
+
+
+_CUBIC = 0.1
+"""Part of a guard's size by which the middle of a step may differ from its cubic interpolant."""
 
 
 def first_fall(
@@ -47,9 +82,7 @@ def first_fall(
         The offset, in ``(0, size]``, or ``None``.
     """
     size = step.size
-    # The cubic interpolant lies in the hull of its four Bernstein coefficients, and has no more
-    # roots than they have changes of sign.
-    second, third = before[0] + size / 3 * before[1], after[0] - size / 3 * after[1]
+    second, third = inner_coefficients(size, before, after)
     started = before[0] > 0.0 or (on_guard and before[0] == 0.0 and before[1] > 0.0)
     # A rate that changes sign may hide a dip, but not one to zero where the cubic falls by less
     # than half.
@@ -65,11 +98,11 @@ def first_fall(
     falls_once = before[0] > 0.0 > after[0] and (second > 0.0 or third < 0.0)
     if not on_guard and falls_once:
         middle = dense(size / 2)
-        if _is_cubic(middle[0], size, before, after):
+        if is_cubic(middle[0], size, before, after):
             return _polished(flow, step, _halved_root(dense, size, before, middle, after))
     left, left_pair = 0.0, before
     armed = not on_guard
-    for offset in (*(size * fraction for fraction in _FRACTIONS), size):
+    for offset in (*(size * fraction for fraction in FRACTIONS), size):
         pair = dense(offset)
         if armed and pair[0] < 0.0:
             return _polished(flow, step, _root(dense, left, offset, left_pair, pair))
@@ -86,20 +119,10 @@ def first_fall(
     return _short_rise(flow, step, dense)
 
 
-def _is_cubic(middle: float, size: float, before: Guard, after: Guard) -> bool:
-    """Tell whether the cubic interpolant of a guard tells its value in the middle of a step."""
-    expected = (before[0] + after[0]) / 2 + size * (before[1] - after[1]) / 8
-    return abs(middle - expected) < _CUBIC * (abs(before[0]) + abs(after[0]))
-
-
-_CUBIC = 0.1
-"""Part of a guard's size by which the middle of a step may differ from its cubic interpolant."""
-
-
 def _short_rise(flow: GuardedFlow, step: Step, dense: Callable[[float], Guard]) -> float | None:
     """Return the fall after a rise from the guard that is far shorter than the step, if any."""
     right, right_pair = step.size, dense(step.size)
-    for _ in range(_HALVINGS):
+    for _ in range(HALVINGS):
         left = right / 2
         left_pair = dense(left)
         if left_pair[0] > 0.0:
@@ -179,7 +202,7 @@ def _root(
         return left
     if high[0] == 0.0:
         return right
-    accuracy = _TINY * (right - left)
+    accuracy = TINY * (right - left)
     close = _DOUBLES * (right - left)
     at, last = _cubic_root(left, right, low, high), right - left
     while right - left > accuracy:
@@ -248,7 +271,7 @@ class SteppedTrajectory:
 
     @property
     def times(self) -> Vector:
-        """Where the steps start, and the end, ``(m,)``."""
+        """Starts of the steps, and the end, ``(m,)``."""
         return np.array([*(step.start for step in self.steps), self.duration])
 
     @property
@@ -284,7 +307,7 @@ def follow_steps(steps: Iterator[Step], leg: Leg) -> Passage:
             return _passage(Outcome.FALL, taken, step.start + fall, end_state(step, fall))
         if on_guard:
             largest = max(largest, abs(before[1]) * step.size, abs(after[1]) * step.size)
-            if after[0] < -max(_LEAVES * largest, leg.contact):
+            if after[0] < -max(_LEAVES * largest, leg.rounding):
                 return _passage(Outcome.LEFT, taken, step.start, step.before)
             on_guard = after[0] <= 0.0
         before = after

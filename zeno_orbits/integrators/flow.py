@@ -27,7 +27,7 @@ class Tolerance:
 
 
 class StageGuess(NamedTuple):
-    """Where the stages of a step may start from: the polynomial of another step, continued.
+    """A guess of the stages of a step: the polynomial of another step, continued.
 
     Attributes:
         coefficients: Of that polynomial, powers 1 up, ``(n_stages, n_y)``.
@@ -106,7 +106,13 @@ class GuardedFlow(Protocol):
         ...
 
     def attempt(self, y: Vector, size: float, tolerance: Tolerance) -> tuple[Vector, float]:
-        """Return the state after one step of DOP853 and its error, in units of the tolerance."""
+        """Return the state after one step of DOP853 and its error, in units of the tolerance.
+
+        Args:
+            y: State before the step, ``(n_y,)``.
+            size: Its size, in the flow's own time.
+            tolerance: Unit of the error.
+        """
         ...
 
     def jacobian(self, y: Vector) -> Vector:

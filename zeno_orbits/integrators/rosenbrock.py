@@ -16,6 +16,8 @@ from collections.abc import Callable
 
 import casadi as ca
 
+from zeno_orbits.integrators.triangular import TriangularFactors, factorized_matrix
+
 _GAMMA = 0.21193756319429014
 
 _STAGE = (
@@ -79,7 +81,10 @@ def rosenbrock_step(
         y: State before the step, ``(n_y,)``.
         size: Step size; at zero the state stays.
     """
-    factors = _factorized(ca.SX.eye(y.numel()) - _GAMMA * size * jacobian)
+    n, matrix = y.numel(), ca.SX.eye(y.numel()) - _GAMMA * size * jacobian
+    entries = [[matrix[i, j] for j in range(n)] for i in range(n)]
+    # At small steps the matrix is near one; a zero pivot gives NaN, and the step is refused.
+    factors = factorized_matrix(TriangularFactors(real=entries, imaginary=None))
     stages: list[ca.SX] = []
     inside = y
     for k, coupling in enumerate(_COUPLING):
@@ -92,39 +97,5 @@ def rosenbrock_step(
         right = _GAMMA * size * rate(inside)
         for weight, stage in zip(coupling, stages, strict=True):
             right += _GAMMA * weight * stage
-        stages.append(_solved(factors, right))
+        stages.append(factors.solve(right, None)[0])
     return inside + stages[-1], stages[-1]
-
-
-def _factorized(matrix: ca.SX) -> list[list[ca.SX]]:
-    """Return the triangular factors without pivoting, inverse pivots on the diagonal.
-
-    A zero pivot gives NaN, and the step is refused; at small steps the matrix is near one.
-    """
-    n = matrix.shape[0]
-    rows = [[matrix[i, j] for j in range(n)] for i in range(n)]
-    for k in range(n):
-        rows[k][k] = 1 / rows[k][k]
-        right = [j for j in range(k + 1, n) if not rows[k][j].is_zero()]
-        for i in range(k + 1, n):
-            if rows[i][k].is_zero():
-                continue
-            rows[i][k] = rows[i][k] * rows[k][k]
-            for j in right:
-                rows[i][j] = rows[i][j] - rows[i][k] * rows[k][j]
-    return rows
-
-
-def _solved(factors: list[list[ca.SX]], right: ca.SX) -> ca.SX:
-    n = len(factors)
-    x = [right[i] for i in range(n)]
-    for i in range(n):
-        for j in range(i):
-            if not factors[i][j].is_zero():
-                x[i] = x[i] - factors[i][j] * x[j]
-    for i in reversed(range(n)):
-        for j in range(i + 1, n):
-            if not factors[i][j].is_zero():
-                x[i] = x[i] - factors[i][j] * x[j]
-        x[i] = x[i] * factors[i][i]
-    return ca.vertcat(*x)

@@ -131,6 +131,11 @@ class Carrier:
     def advance(self, until: float, largest: float, steps: int) -> tuple[int, int, float]:
         """Take steps until an event, the time or their number ends it.
 
+        Args:
+            until: Time to stop at.
+            largest: No step is longer.
+            steps: Number of steps at most.
+
         Returns:
             The outcome as heyoka numbers it, the steps taken and the time reached.
         """

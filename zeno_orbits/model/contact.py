@@ -14,7 +14,7 @@ GAP, GAP_RATE, GAP_ACCELERATION, MULTIPLIER, MULTIPLIER_RATE = range(5)
 
 
 class ContactQuantities(NamedTuple):
-    r"""What tells whether a state flies, strikes, rests on its stop or leaves it.
+    r"""The five quantities by which a state flies, strikes, rests on its stop or leaves it.
 
     Attributes:
         gap: :math:`h`.

@@ -1,4 +1,4 @@
-"""How a machine is drawn: a problem says it itself, as lines in the plane of the picture."""
+"""Drawings of a machine: a problem gives its links as lines in the plane of the picture."""
 
 from __future__ import annotations
 

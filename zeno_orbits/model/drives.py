@@ -61,7 +61,7 @@ class MotorBank:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drive:
-    """What a mechanism sees of its motors.
+    """The effect of motors on a mechanism, and their powers.
 
     Attributes:
         current: Current states, ``(n_i,)`` [A]; empty below full fidelity.

@@ -80,7 +80,7 @@ class CompletedSystem:
 
     @property
     def contact(self) -> ContactQuantities:
-        """What tells whether a state flies, strikes, rests on its stop or leaves it."""
+        """The five quantities by which a state flies, strikes, rests on its stop or leaves it."""
         return ContactQuantities(
             self.gap, self.gap_rate, self.gap_acceleration, self.multiplier, self.multiplier_rate
         )

@@ -13,7 +13,7 @@ import numpy as np
 from zeno_orbits.model.clock import Clock
 
 _ROUNDING = 1e-10
-"""What is left of a formula that vanishes, at numbers of about 1."""
+"""Rounding of a formula that vanishes, at numbers of about 1."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

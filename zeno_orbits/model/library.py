@@ -59,7 +59,7 @@ def load_problem(name_or_path: str | Path) -> Problem:
 
 
 def _is_there(path: Path) -> bool:
-    """Tell whether there is a file or folder; a name that no file can have has none."""
+    """Return True if there is a file or folder of that name."""
     try:
         return path.exists()
     except (OSError, ValueError):
@@ -147,7 +147,7 @@ def _reason(error: BaseException) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProblemFile:
-    """Where a problem comes from. A problem itself holds functions, which cannot be sent.
+    """The file of a problem, which can be sent; a problem itself holds functions, which cannot.
 
     Attributes:
         word: Its name, or the absolute path of its file, with ``@fidelity`` if it has one.

@@ -75,10 +75,10 @@ class Problem:
         portraits: Pairs of state names to draw against each other.
         amplitude_of: State whose amplitude a search may prescribe.
         derive: From the given and default values to those that have no default.
-        reference: A hand-written numeric model of the same problem, if there is one: a function of a
-            ``ParameterValues`` that returns a ``HybridDynamics``.
-        fidelities: Reduced models of the same problem, by the word after the ``@``. A parameter that
-            a reduced model does not have has no influence there.
+        reference: Path of a hand-written numeric model of the same problem, if there is one: its
+            ``dynamics`` takes a ``ParameterValues`` and returns a ``HybridDynamics``.
+        fidelities: Reduced models of the same problem, by the word after the ``@``. A parameter
+            that a reduced model lacks has no influence there.
         escapes: Coordinates that may run away, by name. Others are followed as far as they go.
         outputs: What else is to be drawn over time.
         drawing: How the machine looks, if that is to be seen: its links as lines.
@@ -221,7 +221,7 @@ class Problem:
         return lines_of(self.drawing, states, symbols)
 
     def _derives_from(self, name: str, values: ParameterValues) -> bool:
-        """Tell whether derived parameters change with a parameter."""
+        """Return True if derived parameters change with a parameter."""
         if self.derive is None or name not in values.parameters:
             return False
         given = {q.name for q in self.parameters if q.default is not None}

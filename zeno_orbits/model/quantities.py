@@ -1,6 +1,6 @@
 """The named numbers of a problem: quantities with units and ranges, outputs, and what must be said.
 
-Every refusal here is of a declaration alone; the model is looked at in ``soundness``.
+Every refusal here is of a declaration alone; the model is looked at in ``validation``.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from zeno_orbits.errors import InputError
+from zeno_orbits.errors import InputError, did_you_mean
 from zeno_orbits.model.units import powers_of
 
 
@@ -203,6 +203,11 @@ def require_names(
 ) -> None:
     """Refuse names that are there twice or cannot be typed, and states without a unit.
 
+    Args:
+        states: Names of the states.
+        state_units: Their units.
+        quantities: Gains and parameters.
+
     Raises:
         ValueError: With the name at fault.
     """
@@ -255,5 +260,6 @@ def _is_below_one(quantity: Quantity) -> bool:
 
 
 def unknown(kind: str, name: str, known: tuple[str, ...]) -> str:
-    """Return the refusal of a name, with the known ones."""
-    return f"Argument `{kind}` must be one of {', '.join(known) or 'none'}, but it is `{name}`."
+    """Return the refusal of a name: the known names, and the nearest of them if one is near."""
+    refusal = f"Argument `{kind}` must be one of {', '.join(known) or 'none'}, but it is `{name}`."
+    return refusal + did_you_mean(name, known)

@@ -1,4 +1,4 @@
-"""What a machine has and its model has not, part by part, each with units and checked ranges.
+"""Parts of a machine that its model leaves out, each with units and checked ranges.
 
 Every part may be missing, so that the effect of each can be seen alone. A problem may declare the
 parts of its own machine (``Problem.rig``); what they do is in the package ``rig``.
@@ -116,7 +116,7 @@ class Gear:
 
 
 class Switching(Enum):
-    """How the transistors of a bridge are followed."""
+    """Ways to follow the transistors of a bridge."""
 
     AVERAGED = "averaged over a period"
     EXACT = "edge by edge"
@@ -183,7 +183,7 @@ class Controller:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sensors:
-    """What a controller knows of the state: rounded coordinates, and rates made of them.
+    """Measurements of the state for a controller: rounded coordinates, and rates made of them.
 
     Attributes:
         resolution: Step of the encoders of all coordinates; 0 for none [rad].
@@ -243,7 +243,7 @@ class Rig:
 
 
 PART_NAMES = ("friction", "gears", "bridge", "controller", "sensors")
-"""What a rig may have beside its contact."""
+"""Parts of a rig beside its contact."""
 _ONE = {"contact": Contact, "bridge": Bridge, "controller": Controller, "sensors": Sensors}
 _MANY = {"friction": Friction, "gears": Gear}
 

@@ -1,4 +1,4 @@
-"""Units as text: what a word like ``N m s/rad`` is made of, so that one that cannot be is caught.
+"""Parse unit strings such as ``N m s/rad``; reject malformed ones.
 
 A unit is a product of SI symbols with whole powers and at most one slash: ``kg m^2``, ``V s/rad``,
 ``m/s^2``, ``1``. The radian counts as a unit of its own, for an angle is not a length.
@@ -50,7 +50,7 @@ def powers_of(text: str) -> dict[str, int]:
 
 
 def is_rate_of(rate: str, unit: str) -> bool:
-    """Tell whether one unit is another one per second."""
+    """Return True if one unit is another one per second."""
     wanted = powers_of(unit)
     wanted["s"] = wanted.get("s", 0) - 1
     return powers_of(rate) == {base: power for base, power in wanted.items() if power}
@@ -93,7 +93,7 @@ _SCALED: Mapping[str, tuple[str, float]] = {
     "kN": ("N", 1e3),
     "g": ("kg", 1e-3),
 }
-"""What instruments write, as so many of a unit that this toolkit computes in."""
+"""Units that instruments write, as so many of a unit that this toolkit computes in."""
 
 _SPELLED: Mapping[str, str] = {
     "sec": "s",

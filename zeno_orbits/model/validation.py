@@ -1,4 +1,4 @@
-"""Whether a model holds together: what is wrong with it is said before anything is computed.
+"""Checks of a model when it is loaded, before anything is computed with it.
 
 Every mistake is a ``ValueError`` that names the thing at fault. A model is looked at as a formula
 and, where formulas do not tell, at the states that the problem starts from and at others near them.
@@ -19,11 +19,11 @@ from zeno_orbits.model.units import is_rate_of
 _TRIALS = 24
 """States near each start at which the mass matrix is tried."""
 _SPREAD = 1.0
-"""How far from a start they are, in each coordinate [m or rad]."""
+"""Distance of these from a start, in each coordinate [m or rad]."""
 _SINGULAR = 1e-12
 """Least eigenvalue of a mass matrix, relative to its largest one, that is not rounding."""
 _OFF = 1e-9
-"""How far a start may be off the stop or a constraint: what a simulation admits."""
+"""Distance of a start from the stop or a constraint that a simulation admits."""
 
 _FORMULAS = (
     "free_flow",
@@ -70,7 +70,16 @@ def built(
 def require_states(
     system: CompletedSystem, state_names: Sequence[str], state_units: Sequence[str]
 ) -> None:
-    """Refuse names that do not fit the states, and velocities in units that are not."""
+    """Refuse names that do not fit the states, and velocities whose units are no rates.
+
+    Args:
+        system: The completed system.
+        state_names: Names of the states, ``(n_x,)``.
+        state_units: Their units.
+
+    Raises:
+        ValueError: With the name at fault.
+    """
     n_x, n_q = system.state.numel(), system.n_q
     if n_x != len(state_names):
         named = f"but it names {len(state_names)}: {', '.join(state_names)}"
@@ -103,7 +112,13 @@ def require_known_symbols(system: CompletedSystem, symbols: Mapping[str, ca.SX])
 def unused_symbols(
     system: CompletedSystem, symbols: Mapping[str, ca.SX], outputs: Sequence[ca.SX]
 ) -> tuple[str, ...]:
-    """Return the names of the symbols that appear nowhere."""
+    """Return the names of the symbols that appear nowhere.
+
+    Args:
+        system: The completed system.
+        symbols: Its gains and parameters by name.
+        outputs: Expressions beside the system's own.
+    """
     formulas = [*(getattr(system, formula) for formula in _FORMULAS), *outputs]
     used = {symbol.element_hash() for symbol in _symbols_in(ca.veccat(*formulas))}
     return tuple(name for name, symbol in symbols.items() if symbol.element_hash() not in used)
@@ -117,6 +132,13 @@ def require_sound_numbers(
     starts: Sequence[Sequence[float]],
 ) -> None:
     """Refuse a model that fails at its own numbers, and starts that are not admissible.
+
+    Args:
+        system: The completed system.
+        symbols: Its gains and parameters by name.
+        values: Their numbers, in the same order.
+        state_names: Names of the states, ``(n_x,)``.
+        starts: Initial states, each ``(n_x,)``.
 
     Raises:
         ValueError: If a formula is not finite at a start, if a start is beyond the stop or off a

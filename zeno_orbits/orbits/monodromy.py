@@ -12,14 +12,13 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model.contact import GAP, GAP_RATE
 from zeno_orbits.model.numeric.derivatives import Differentials
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.orbits.looser_run import extrapolated
 from zeno_orbits.orbits.period import cycle_of, first_return, placed, to_next_release
 from zeno_orbits.orbits.phases import Phase, phases_of
 from zeno_orbits.orbits.shape import OrbitShape
-from zeno_orbits.simulation.execution import Arc, Execution, Impact, Mode
+from zeno_orbits.simulation.execution import Arc, Execution, Mode
 from zeno_orbits.simulation.sensitivity import Bounce, EventShift, Perturbations
 from zeno_orbits.simulation.simulator import SimulationSettings
 
@@ -179,41 +178,6 @@ def period_derivative(
         by_state=here.state,
         period=Sensitivity(value=end.time, by_state=here.time, by_parameters=np.zeros(0)),
     )
-
-
-def monodromy_matrix(dynamics: HybridDynamics, derivative: ReturnDerivative) -> Vector:
-    r"""Return the state transition over a period of fixed length, ``(n_x, n_x)``.
-
-    .. math:: \Phi(T) = \frac{\partial P}{\partial x} - f(P)\,\frac{\partial T}{\partial x}
-
-    On a periodic orbit its eigenvalues are 1, for :math:`f` itself, the multipliers, and zeros.
-    """
-    along = dynamics.locked.rate(derivative.end)
-    return derivative.by_state - np.outer(along, derivative.period.by_state)
-
-
-def saltation_matrix(dynamics: HybridDynamics, impact: Impact) -> Vector:
-    r"""Return what an impact makes of a perturbation at an equal time, ``(n_x, n_x)``.
-
-    .. math:: \Xi = R_x + \frac{(f(x^+) - R_x f(x^-))\,\nabla h^\top}{\dot h^-}, \qquad
-        R_x = \frac{\partial R}{\partial x}
-
-    Args:
-        dynamics: The system; it must have formulas.
-        impact: The impact.
-
-    Raises:
-        InputError: If the system has no formulas.
-
-    Source: [LeineNijmeijer2004]_, theory (25).
-    """
-    differentials = differentials_of(dynamics, ())
-    x, n_x = impact.state_minus, len(impact.state_minus)
-    contact = differentials.contact(x)
-    reset = differentials.reset(x, impact.approach_rate)
-    jump = reset[:, :n_x] + reset[:, n_x, None] * contact[GAP_RATE]
-    before, after = dynamics.free.rate(x), dynamics.free.rate(impact.state_plus)
-    return jump + (after - jump @ before)[:, None] * contact[GAP] / impact.approach_rate
 
 
 _AT_ONCE = 1e-6

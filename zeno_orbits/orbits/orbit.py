@@ -10,7 +10,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.digest import digest_of
 from zeno_orbits.orbits.shape import OrbitShape, PhaseKind
-from zeno_orbits.work.versions import versions
+from zeno_orbits.work import versions
 
 FORMAT = 2
 """Version of the file format, the newest that this code reads."""

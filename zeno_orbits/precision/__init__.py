@@ -4,7 +4,7 @@ An error estimate comes from a second run at a looser tolerance; the truth that 
 with, from numbers of many digits (the modules `extended*`, `multiprecision`, `series_roots`).
 
 Offers: `simulate_to` (an execution to a wanted accuracy), `simulate_with_error`, `settings_for`,
-`difference` (of two executions); `reduction_costs`, `reduction_cost` (errors of reduced models);
+`difference` (of two executions); `reduction_costs` (errors of reduced models);
 `trade`, `WorkPrecision`, `read_work_precision`; `extended_execution`, `extended_orbit` (in many
 digits).
 

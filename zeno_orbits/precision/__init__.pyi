@@ -8,7 +8,6 @@ from .extended_fixed_point import ExtendedOrbit as ExtendedOrbit
 from .extended_fixed_point import extended_orbit as extended_orbit
 from .landmark import difference as difference
 from .reduced_models import ReductionCost as ReductionCost
-from .reduced_models import reduction_cost as reduction_cost
 from .reduced_models import reduction_costs as reduction_costs
 from .trials import QUICK as QUICK
 from .trials import WorkPrecisionSettings as WorkPrecisionSettings

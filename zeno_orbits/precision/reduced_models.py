@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.errors import SimulationError
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.cycle import Cycle
@@ -57,33 +57,6 @@ class ReductionCost:
     measured: Mapping[str, float]
 
 
-def reduction_cost(
-    problem: Problem,
-    values: ParameterValues,
-    *,
-    fidelity: str = QUASI_STATIC,
-    measure: bool = False,
-) -> ReductionCost:
-    """Return the error of one reduced model at given numbers of the full problem.
-
-    Args:
-        problem: The full problem; it declares both reduced models, ``quasi_static`` and
-            ``corrected``.
-        values: Its numbers.
-        fidelity: The reduced model.
-        measure: Find the orbit of the full problem, too, in the time that the reduction saves.
-
-    Raises:
-        InputError: If the problem does not declare both models, or ``fidelity`` is neither.
-        OrbitNotFoundError: If the quasi-static problem has no orbit at these numbers.
-        SimulationError: If another one has none near it: the reduction is not allowed there.
-    """
-    if fidelity not in (QUASI_STATIC, CORRECTED):
-        known = f"{QUASI_STATIC} or {CORRECTED}"
-        raise InputError(f"Argument `fidelity` must be {known}, but it is `{fidelity}`.")
-    return reduction_costs(problem, values, measure=measure)[fidelity]
-
-
 def reduction_costs(
     problem: Problem, values: ParameterValues, *, measure: bool = False
 ) -> dict[str, ReductionCost]:
@@ -98,7 +71,9 @@ def reduction_costs(
         measure: Find the full problem's orbit, too.
 
     Raises:
-        InputError, OrbitNotFoundError, SimulationError: As `reduction_cost` does.
+        InputError: If the problem does not declare both models.
+        OrbitNotFoundError: If the quasi-static problem has no orbit at these numbers.
+        SimulationError: If another one has none near it: the reduction is not allowed there.
     """
     reduced = {word: problem.at_fidelity(word) for word in (QUASI_STATIC, CORRECTED)}
     quasi_static = reduced[QUASI_STATIC]

@@ -40,7 +40,7 @@ __all__ = [
 ]
 
 _NEAR = (1e-2, 1e-4)
-"""How far a motion has settled when it is closed: early, and if that fails, late."""
+"""Change over a period at which a motion is closed: early, and if that fails, late."""
 _ROUGH = 1e-6
 """Accuracy of the motion on its way there."""
 
@@ -76,7 +76,7 @@ class OrbitNotClosedError(ZenoOrbitsError):
     """No simulation was closed to an orbit.
 
     Attributes:
-        result: How it ended.
+        result: The outcome.
     """
 
     def __init__(self, result: Closing) -> None:

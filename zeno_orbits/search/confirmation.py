@@ -43,10 +43,10 @@ def confirm(
 
     Args:
         search: The search.
-        outcome: What is known of the program.
+        outcome: Outcome of the program so far.
         unknowns: Name of each block of unknowns and each report to its values in the solution.
         values: Numbers of the solution.
-        objective: What was asked, if anything was free.
+        objective: The objective, if anything was free.
         shape: The shape of the solution.
     """
     dynamics = search.dynamics(values)

@@ -14,6 +14,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Array
 from zeno_orbits.errors import InputError
+from zeno_orbits.integrators.collocation import lagrange_basis
 from zeno_orbits.model.contact import GAP_ACCELERATION, GAP_RATE
 from zeno_orbits.orbits.bounds import Bound
 from zeno_orbits.search.spectral_radius import keep_radius_below
@@ -133,7 +134,7 @@ def keep(terms: OrbitTerms, bound: Bound, slack: ca.MX | float = 0.0) -> float:
 
 
 def size_of(bound: Bound, largest_value: float) -> float:
-    """Return what a bounded quantity is measured in."""
+    """Return the size in which a bounded quantity is measured."""
     ends = [abs(end) for end in (bound.lower, bound.upper) if math.isfinite(end)]
     return max(*ends, largest_value, 1e-6)
 
@@ -197,9 +198,5 @@ def inside(terms: OrbitTerms, arc: CollocatedArc, fraction: float) -> ca.MX:
     first = interval * n
     start = arc.start if first == 0 else arc.stages[:, first - 1]
     points = np.concatenate([[0.0], terms.scheme.nodes])
-    weights = [
-        math.prod(float((place - q) / (point - q)) for q in points if q != point)
-        for point in points
-    ]
     states = ca.horzcat(start, arc.stages[:, first : first + n])
-    return ca.mtimes(states, ca.DM(weights))
+    return ca.mtimes(states, ca.DM(lagrange_basis(points.tolist(), float(place))))

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.integrators.collocation import lagrange_basis
 from zeno_orbits.search.transcription.arc import CollocatedArc
 from zeno_orbits.search.transcription.transcribe import OrbitTerms
 from zeno_orbits.simulation.execution import Arc
@@ -42,7 +43,7 @@ def extreme(terms: OrbitTerms, index: int, sign: float) -> ca.MX:
     name = f"place where {terms.state_names[index]} is {label}"
     place = terms.program.variable(name, found.place, lower=-0.5, upper=1.5)
     points = np.concatenate([[0.0], terms.scheme.nodes])
-    height = ca.mtimes(values, _basis(points, place))
+    height = ca.mtimes(values, ca.vertcat(*lagrange_basis(points.tolist(), place)))
     slope = ca.jacobian(height, place)
     size = float(np.max(np.abs([_value(found.arc.guess, index, f) for f in (0.0, 0.5, 1.0)])))
     terms.program.equal(
@@ -66,15 +67,3 @@ def _highest_place(arc: CollocatedArc, index: int, sign: float) -> tuple[float, 
 def _value(arc: Arc, index: int, fraction: float) -> float:
     state: Vector = arc.flow_state_at(fraction * arc.duration)
     return float(state[index])
-
-
-def _basis(points: Vector, place: ca.MX) -> ca.MX:
-    """Return the Lagrange basis of the points at a place, ``(n_points, 1)``."""
-    entries: list[ca.MX] = []
-    for k, point in enumerate(points):
-        entry = ca.MX(1)
-        for j, other in enumerate(points):
-            if j != k:
-                entry *= (place - float(other)) / float(point - other)
-        entries.append(entry)
-    return ca.vertcat(*entries)

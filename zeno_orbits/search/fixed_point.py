@@ -133,7 +133,7 @@ class _Trial:
 
     @property
     def change(self) -> float:
-        """How far the return is from repeating."""
+        """Distance of the return from repeating."""
         return float(np.max(np.abs(self.miss), initial=0.0))
 
 
@@ -163,7 +163,10 @@ def _tried(
     *,
     needed: bool,
 ) -> _Trial | None:
-    """Return the return from a point; where there is none, nothing, unless it is needed."""
+    """Simulate one return from section coordinates.
+
+    Returns None if the motion does not come back; raises if `needed`.
+    """
     start = placed(dynamics, shape, section.state(dynamics, at))
     try:
         cycle = cycle_of(dynamics, start, shape, horizon=2 * period, settings=settings)

@@ -41,7 +41,7 @@ _LOOK = 6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SettlingSettings:
-    """How long to wait for a motion to repeat.
+    """Limits of the wait for a motion to repeat.
 
     Attributes:
         horizon: Longest simulated time from one start [s]; by default some hundred turns of the
@@ -75,11 +75,11 @@ class SettlingSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Settling:
-    """Where a simulation went.
+    """Outcome of following a motion.
 
     Attributes:
         cycle: Its last period, if it is fit for a guess.
-        reason: Why there is none, as a clause; empty if there is one.
+        reason: Reason why there is none, as a clause; empty if there is one.
     """
 
     cycle: Cycle | None
@@ -88,10 +88,10 @@ class Settling:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Watch:
-    """What ends the wait for a motion.
+    """Limits of the wait, as numbers.
 
     Attributes:
-        settings: How accurately to simulate, within the bounds of the coordinates.
+        settings: Accuracy of the simulation, with the bounds of the coordinates.
         settled: As in `SettlingSettings`.
         usable: As in `SettlingSettings`.
         horizon: Longest simulated time [s].
@@ -121,7 +121,7 @@ def settle(
     Args:
         dynamics: The system.
         starts: Initial states, tried in order.
-        settings: How long to wait.
+        settings: Limits of the wait.
         shape: The shape of the period; by default whatever the motion settles to. If it settles to
             another one, the period of this shape on the way that came nearest to repeating.
         problem: The problem, for its escapes, units and clock.
@@ -183,7 +183,7 @@ def _settle_from(
         recurrence = recurrence.after(run, found, since=elapsed)
         elapsed += run.end_time
         if at_release and not run.releases:
-            # Whoever comes back later than this is waited for the next time.
+            # The next wait is twice as long, for motions that return later than this.
             patience *= 2
         speeds += [-cycle.impacts[0].approach_rate for cycle in found]
         settled = recurrence.settled_to()

@@ -35,13 +35,13 @@ _GONE = 0.02
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Followed:
-    """How far orbits could be followed.
+    """Last orbit on a line of numbers.
 
     Attributes:
         cycle: The last orbit; ``None`` if there was none to start from.
         values: Its numbers.
         arrived: True if they are the ones that were wanted.
-        ending: Where and why the path ends, as a sentence, if it did not arrive.
+        ending: Place and reason of the end, as a sentence, if it did not arrive.
     """
 
     cycle: Cycle | None
@@ -85,7 +85,7 @@ class _Point:
 
     @property
     def start(self) -> Vector:
-        """Where the period starts, ``(n_x,)``."""
+        """Start of the period, ``(n_x,)``."""
         return self.closed.cycle.start.state
 
 
@@ -100,7 +100,7 @@ def follow(
         search: The search.
         near: An orbit, exactly or nearly.
         easy: Its numbers.
-        wanted: Where to go.
+        wanted: The numbers to reach.
     """
     if isinstance(near, Cycle):
         start = near.start.state
@@ -141,7 +141,7 @@ def _closed(line: _Line, part: float, guess: Vector, period: float) -> _Point:
 
     Args:
         line: The line.
-        part: Where on it, from 0 to 1.
+        part: Place on it, from 0 to 1.
         guess: A state near its start, ``(n_x,)``.
         period: Of the orbit, roughly [s].
 
@@ -178,7 +178,7 @@ def _margins(dynamics: HybridDynamics, cycle: Cycle) -> dict[str, float]:
 
 
 def _ending(first: _Point, last: _Point, easy: ParameterValues, wanted: ParameterValues) -> str:
-    """Return where a path ends and which margin is lost there."""
+    """Return the end of a path and the margin that is lost there, as a sentence."""
     names = [n for n in easy.numbers if easy.number(n) != wanted.number(n)]
     numbers = ", ".join(f"{name} = {last.values.number(name):.5g}" for name in names)
     where = f"Orbits could be followed to {numbers}, not beyond"

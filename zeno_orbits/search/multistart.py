@@ -12,10 +12,9 @@ from zeno_orbits.search.outcome import Accept, StartOutcome
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.search.start import start_count, try_start
-from zeno_orbits.work import Lost, Plan, spread_in_order
+from zeno_orbits.work import Lost, Plan, spread_in_order, versions
 from zeno_orbits.work.progress import Progress, silent
 from zeno_orbits.work.serialization import plain, restored
-from zeno_orbits.work.versions import versions
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,8 +22,8 @@ class Spread:
     """Workers that try the starts of a search.
 
     Attributes:
-        problem_file: Where workers find the problem; the search is given ``problem_file.load()``.
-        plan: Where they are, and where finished starts are kept. Its identity is filled in.
+        problem_file: File of the problem; the search is given ``problem_file.load()``.
+        plan: Place of the workers and of finished starts. Its identity is filled in.
         tell: Told how many starts are done, and the part of what was left at the start.
     """
 
@@ -78,7 +77,7 @@ class _Task:
     """Tries starts by their numbers; it holds all that a worker needs.
 
     Attributes:
-        problem_file: Where the worker loads the problem from.
+        problem_file: File from which the worker loads the problem.
         question: The search but for its problem.
         accept: The check of orbits.
     """

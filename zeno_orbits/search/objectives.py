@@ -1,4 +1,4 @@
-"""What a search asks of an orbit when numbers are free: one class an objective.
+"""Objectives of a search with free numbers: one class an objective.
 
 Each adds its rows to a program and returns the cost to minimise. One that asks for a property keeps
 the free numbers near where they started, each in units of its own size, so that the answer is
@@ -42,7 +42,7 @@ class Objective(ABC):
     @property
     @abstractmethod
     def wish(self) -> str:
-        """What is asked, as a clause for the user."""
+        """The objective as a clause for the user."""
 
     @property
     def quantities(self) -> tuple[str, ...]:
@@ -95,7 +95,7 @@ class NearestGains(Objective):
 
     @property
     def wish(self) -> str:
-        """What is asked."""
+        """The objective in words."""
         wanted = ", ".join(f"{name} = {value:g}" for name, value in self.target.items())
         return f"gains near {wanted}" if wanted else "gains near the start"
 
@@ -161,7 +161,7 @@ class TargetPeriod(Target):
 
     @property
     def wish(self) -> str:
-        """What is asked."""
+        """The objective in words."""
         return f"a period of {self.target:.10g} s"
 
     def value(self, terms: OrbitTerms) -> ca.MX:
@@ -185,7 +185,7 @@ class TargetAmplitude(Target):
 
     @property
     def wish(self) -> str:
-        """What is asked."""
+        """The objective in words."""
         return f"an amplitude of {self.target:.10g} of {self.state}"
 
     def value(self, terms: OrbitTerms) -> ca.MX:
@@ -223,7 +223,7 @@ class TowardTarget(Objective):
 
     @property
     def wish(self) -> str:
-        """What is asked."""
+        """The objective in words."""
         return f"{self.target.wish}, or near it"
 
     def cost(self, terms: OrbitTerms) -> ca.MX:
@@ -238,7 +238,7 @@ class LeastEnergy(Objective):
 
     @property
     def wish(self) -> str:
-        """What is asked."""
+        """The objective in words."""
         return "the least electrical energy a period"
 
     @property
@@ -264,7 +264,7 @@ class LeastPeak(Objective):
 
     @property
     def wish(self) -> str:
-        """What is asked."""
+        """The objective in words."""
         return f"the least peak of {self.signal}"
 
     @property
@@ -300,7 +300,7 @@ class FastestContraction(Objective):
 
     @property
     def wish(self) -> str:
-        """What is asked."""
+        """The objective in words."""
         return "the fastest contraction"
 
     @property
@@ -332,7 +332,7 @@ class WidestMargin(Objective):
 
     @property
     def wish(self) -> str:
-        """What is asked."""
+        """The objective in words."""
         return "the widest margin to losing the orbit"
 
     @property
@@ -352,7 +352,7 @@ class WidestMargin(Objective):
 
 
 class Operand(Enum):
-    """What follows the word of an objective on the command line."""
+    """Operand of an objective on the command line."""
 
     NOTHING = ""
     NUMBER = "a positive number"
@@ -365,9 +365,9 @@ class ObjectiveWord:
     """An objective on the command line.
 
     Attributes:
-        usage: How it is typed.
-        meaning: What it means, if its name does not say it; for the help.
-        operand: What follows the word.
+        usage: The words as typed.
+        meaning: Explanation for the help, if the name is not enough.
+        operand: Kind of the operand.
         objective: From the problem and the operand to the objective.
     """
 

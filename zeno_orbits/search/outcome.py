@@ -1,4 +1,4 @@
-"""What comes of a search: of each start, and of all of them."""
+"""Outcomes of a search: of each start, and of all of them."""
 
 from __future__ import annotations
 
@@ -22,12 +22,20 @@ class Judgement:
     """The verdict of a check on an orbit.
 
     Attributes:
-        objection: Why the orbit is refused; empty if it is accepted.
+        objection: Reason of a refusal; empty if the orbit is accepted.
         certificate: The certificate of the check, if it keeps one.
     """
 
     objection: str = ""
     certificate: OrbitCertificate | None = None
+
+    @property
+    def repels(self) -> bool:
+        """Return True if the orbit is refused although it is one: it does not attract."""
+        certificate = self.certificate
+        return bool(
+            self.objection and certificate and certificate.passed and not certificate.stable
+        )
 
 
 Accept = Callable[[ZenoOrbit], Judgement]
@@ -41,14 +49,16 @@ class Candidate:
     Attributes:
         orbit: The orbit.
         score: Its score; less is better.
-        extents: What was measured of it: what is asked, and what is bounded.
+        extents: Measured quantities, those of the objective and the bounded ones, by name.
         certificate: The certificate of the check, if it keeps one.
+        starts: Number of starts that led to it: an optimum that one start found may be local.
     """
 
     orbit: ZenoOrbit
     score: float
     extents: Mapping[str, Extent]
     certificate: OrbitCertificate | None
+    starts: int = 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,10 +82,10 @@ class SimulatedSolution:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StartOutcome:
-    """What comes of one start, or of one of its programs.
+    """Outcome of one start, or of one of its programs.
 
     Attributes:
-        status: How it ended.
+        status: The end.
         detail: The reason in words, if nothing was accepted.
         residuals: Row name to scaled violation in its last program.
         agreement: Relative difference of program and simulation over one period.
@@ -110,7 +120,7 @@ class Attempt:
     Attributes:
         gains: Gains where it started.
         parameters: Free parameters where it started.
-        status: How it ended.
+        status: The end.
         detail: The reason in words, for a start that found nothing.
     """
 
@@ -125,7 +135,7 @@ class SearchResult:
     """Outcome of a search, successful or not.
 
     Attributes:
-        status: How it ended.
+        status: The end.
         orbit: The best orbit, if there is one.
         residuals: Row name to scaled violation in the program of the best.
         agreement: Relative difference of program and simulation over one period.
@@ -176,7 +186,7 @@ class OrbitNotFoundError(ZenoOrbitsError):
     """A search ended without an orbit.
 
     Attributes:
-        result: How it ended.
+        result: The outcome.
     """
 
     def __init__(self, result: SearchResult) -> None:

@@ -31,7 +31,7 @@ class Recurring:
 
     Attributes:
         shape: Its shape.
-        start: Where the next one starts, ``(n_x,)``.
+        start: Start of the next period, ``(n_x,)``.
         period: [s].
         change: Change of the start over it, relative.
         cycle: The period itself, if it was followed in one piece.
@@ -54,7 +54,7 @@ class Struck:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recurrence:
-    """What has been seen of a motion, as far as it tells whether it repeats.
+    """Events of a motion so far, as far as repetition is concerned.
 
     Attributes:
         settled: Change that counts as none, relative.
@@ -71,7 +71,7 @@ class Recurrence:
     best: Recurring | None = None
 
     def after(self, run: Execution, found: Sequence[Cycle], *, since: float) -> Recurrence:
-        """Return what has been seen after another piece of the motion.
+        """Return the events after another piece of the motion.
 
         Args:
             run: The piece.
@@ -118,7 +118,7 @@ class Recurrence:
         return next((one for one in usual if one.change < _BETTER * usual[0].change), usual[0])
 
     def reason(self, horizon: float) -> str:
-        """Return why there is no guess, as a clause."""
+        """Return the reason why there is no guess, as a clause."""
         settled = self.settled_to()
         if settled is not None:
             return f"the motion settles to an orbit of shape `{settled.shape.text}`"
@@ -132,7 +132,7 @@ class Recurrence:
         return f"{what} after {horizon:g} s"
 
     def of_wanted_shape(self) -> list[Recurring]:
-        """Return what the last event tells of the shape that is wanted."""
+        """Return the periods of the wanted shape that the last event ends."""
         if self.wanted is None:
             return []
         if self.wanted.starts_at_release:

@@ -59,8 +59,8 @@ def refine(
         search: The search.
         values: Numbers of the cycle.
         cycle: One simulated period.
-        objective: What is asked.
-        origin: Where the search started, by default here.
+        objective: The objective.
+        origin: Numbers at the start of the search, by default these.
     """
     outcome = StartOutcome(status=SearchStatus.NOT_SOLVED)
     origin = origin or values
@@ -93,10 +93,10 @@ def solve_once(
 
     Args:
         search: The search.
-        origin: Where it started.
+        origin: Numbers at its start.
         values: Numbers of the cycle.
         cycle: One simulated period, the guess.
-        objective: What is asked.
+        objective: The objective.
         coarseness: Mesh tolerance in units of that of the settings.
     """
     terms, closure_error = _transcribed(search, origin, values, cycle, objective, coarseness)
@@ -114,7 +114,7 @@ def least_violation(
 
     Args:
         search: The search.
-        origin: Where it started.
+        origin: Numbers at its start.
         values: Numbers of the cycle.
         cycle: One simulated period, the guess.
     """

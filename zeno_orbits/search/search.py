@@ -43,7 +43,7 @@ def find_orbit(
     Args:
         problem: The problem.
         values: Its numbers; there is one start.
-        settings: How hard to look.
+        settings: Limits and tolerances.
         shape: The shape of the orbit; by default whatever a simulation settles to.
     """
     settings = replace(settings or SearchSettings(), n_starts=0)
@@ -70,16 +70,16 @@ def search_gains(
         problem: The problem.
         values: Its numbers; what is free starts here, then at quasi-random places in its box.
         free: Name to bounds of the gains and parameters to be found; none at fixed numbers. What
-            the problem derives from a free parameter keeps its number in ``setting``.
-        objective: What is asked; by default numbers near their start.
-        bounds: What the orbit must keep, whatever is asked.
+            the problem derives from a free parameter keeps its number in ``values``.
+        objective: The objective; by default numbers near their start.
+        bounds: Bounds that the orbit must keep, whatever the objective.
         near: A known orbit of the problem to start from, at these numbers or near them.
-        settings: How hard to look, and how many orbits to rank.
-        accept: Says why an orbit will not do, or nothing if it will; any orbit does by default.
-        on_progress: Called with what is being done.
-        spread: By whom starts after the first are tried; by default one after another in this
-            process. The result is the same bit for bit for any number of workers, times apart:
-            starts count in their order, whoever is first. With a checkpoint, ``accept`` must be
+        settings: Limits, tolerances and the number of orbits to rank.
+        accept: Check of the orbits; by default all are accepted.
+        on_progress: Receives progress reports.
+        spread: Workers for the starts after the first; by default all are tried in this process.
+            The result is the same bit for bit for any number of workers, times apart: starts count
+            in their order. With a checkpoint, ``accept`` must be
             a function of a module, or a frozen dataclass with ``__call__``.
         shape: The shape of the orbits that are wanted; by default that of ``near``, or whatever a
             simulation settles to.
@@ -128,8 +128,7 @@ def _ranked(search: SearchProblem, outcomes: Generator[StartOutcome]) -> SearchR
             if outcome.candidate is None:
                 best = outcome if best is None else max(best, outcome, key=_merit)
             else:
-                if not any(_same(search, outcome.candidate, other) for other in candidates):
-                    candidates.append(outcome.candidate)
+                candidates = _joined(search, candidates, outcome.candidate)
                 if min(candidates, key=lambda one: one.score) is outcome.candidate:
                     best = outcome
             if len(candidates) >= search.settings.candidates:
@@ -161,6 +160,17 @@ def _attempt(search: SearchProblem, number: int, outcome: StartOutcome) -> Attem
     return Attempt(
         gains=values.gains, parameters=free, status=outcome.status, detail=outcome.detail
     )
+
+
+def _joined(
+    search: SearchProblem, candidates: Sequence[Candidate], found: Candidate
+) -> list[Candidate]:
+    """Return the candidates with another one, or with one more start that led to one of them."""
+    same = [_same(search, found, other) for other in candidates]
+    counted = [
+        replace(one, starts=one.starts + alike) for one, alike in zip(candidates, same, strict=True)
+    ]
+    return counted if any(same) else [*candidates, found]
 
 
 def _same(search: SearchProblem, one: Candidate, other: Candidate) -> bool:

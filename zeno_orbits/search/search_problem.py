@@ -1,4 +1,4 @@
-"""A search as a value: what is asked of which problem, and how hard to look."""
+"""A search as a value: its problem, its question and its settings."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ _OF_THIS_PROCESS = ("problem", "on_progress")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchProblem:
-    """What a search is asked.
+    """A search: its problem, its question and its settings.
 
     Attributes:
         problem: The problem.
         values: Its numbers; what is free stays near them if nothing else is asked.
         free: Name to bounds of the gains and parameters to be found.
-        objective: What is asked of the orbit.
-        bounds: What the orbit must keep.
+        objective: The objective.
+        bounds: Bounds that the orbit must keep.
         near: A known orbit to start from.
         shape: The shape of the orbit; any by default.
-        settings: How hard to look.
+        settings: Limits and tolerances of the search.
         on_progress: Receives progress reports.
     """
 

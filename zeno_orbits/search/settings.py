@@ -1,4 +1,4 @@
-"""How hard a search looks, and how it may end."""
+"""Settings of a search, and the ways in which it may end."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from zeno_orbits.search.transcription.ipopt import IpoptSettings
 
 
 class SearchStatus(Enum):
-    """How a search ended. The value is the sentence shown to the user."""
+    """End of a search. The value is the sentence shown to the user."""
 
     FOUND = "The search found an orbit."
     NO_GUESS = "No simulation settled to a motion that an orbit could be sought near."
@@ -26,10 +26,10 @@ _BY_ITERATIONS = IpoptSettings(most_iterations=60, most_seconds=1e9)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchSettings:
-    """How hard to look.
+    """Limits and tolerances of a search.
 
     Attributes:
-        settling: How long a simulation may take to repeat itself.
+        settling: Limits of the wait for a simulated motion to repeat.
         transcription: Scheme, mesh and closure.
         ipopt: Solver settings; the square case approximates the Hessian whatever they say.
         agreement: Largest relative difference of program and simulation over one period.

@@ -88,7 +88,7 @@ def _characteristic(matrix: ca.SX) -> list[ca.SX]:
 
 
 def _jury(a: list[ca.SX]) -> list[ca.SX]:
-    r"""Return what is positive exactly if all roots of a polynomial lie inside the unit circle.
+    r"""Return numbers that are positive if and only if all roots lie inside the unit circle.
 
     .. math:: p(1), \quad (-1)^d p(-1), \quad \text{and the inners of}\quad
         X \pm Y, \quad X_{ij} = a_{d-j+i}, \quad Y_{ij} = a_{i+j-d+2}

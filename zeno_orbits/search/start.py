@@ -9,11 +9,11 @@ from functools import lru_cache
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.orbits.bounds import objection_to
+from zeno_orbits.orbits.bounds import Bound, objection_to
 from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.search.outcome import Accept, Candidate, StartOutcome
+from zeno_orbits.search.outcome import Accept, Candidate, Judgement, StartOutcome
 from zeno_orbits.search.search_problem import SearchProblem, clipped, listed
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.search.strategy import Start, from_start
@@ -42,7 +42,7 @@ def numbered_start(search: SearchProblem, number: int) -> Start:
 
 
 def try_start(search: SearchProblem, number: int, accept: Accept | None) -> StartOutcome:
-    """Search from one start and judge what comes of it.
+    """Search from one start and judge the orbit that it finds.
 
     Args:
         search: The search.
@@ -52,35 +52,80 @@ def try_start(search: SearchProblem, number: int, accept: Accept | None) -> Star
     start = numbered_start(search, number)
     name = f"start {number + 1}"
     search.tell(f"{name}: simulating {listed(search.numbers(start.values))}")
+    outcome, judgement = _tried(search, start, accept, name)
+    if judgement is not None and judgement.repels and search.free:
+        outcome = _attracting(search, start, accept, name, outcome, judgement)
+    return replace(outcome, solution=None)
+
+
+def _tried(
+    search: SearchProblem, start: Start, accept: Accept | None, name: str
+) -> tuple[StartOutcome, Judgement | None]:
+    """Search from one start, measure the orbit on a simulation, and accept or refuse it."""
     outcome = from_start(search, start)
     orbit = None if outcome.solution is None else outcome.solution.orbit
     if outcome.status is not SearchStatus.FOUND or orbit is None:
-        return replace(outcome, solution=None)
-    return replace(_judged(search, outcome, orbit, accept, name), solution=None)
-
-
-def _judged(
-    search: SearchProblem,
-    outcome: StartOutcome,
-    orbit: ZenoOrbit,
-    accept: Accept | None,
-    name: str,
-) -> StartOutcome:
-    """Measure an orbit on a simulation, and let it be accepted or refused."""
+        return outcome, None
     try:
         extents = _measured(search, orbit, name)
     except ZenoOrbitsError as error:
-        return replace(outcome, status=SearchStatus.NOT_ACCEPTED, detail=str(error))
-    objection, certificate = objection_to(search.bounds, extents), None
-    if not objection and accept is not None:
+        return replace(outcome, status=SearchStatus.NOT_ACCEPTED, detail=str(error)), None
+    judgement = Judgement(objection=objection_to(search.bounds, extents))
+    if not judgement.objection and accept is not None:
         search.tell(f"{name}: verifying")
         judgement = accept(orbit)
-        objection, certificate = judgement.objection, judgement.certificate
-    if objection:
-        return replace(outcome, status=SearchStatus.NOT_ACCEPTED, detail=objection)
-    score = _score(search, orbit, extents)
+    if judgement.objection:
+        refused = replace(outcome, status=SearchStatus.NOT_ACCEPTED, detail=judgement.objection)
+        return refused, judgement
+    score, certificate = _score(search, orbit, extents), judgement.certificate
     candidate = Candidate(orbit=orbit, score=score, extents=extents, certificate=certificate)
-    return replace(outcome, candidate=candidate)
+    return replace(outcome, candidate=candidate), judgement
+
+
+_ATTRACTS = 0.99
+"""Spectral radius that is asked for where the best orbit of all does not attract."""
+
+_AT_LIMIT = 0.01
+"""Distance of a multiplier from 1 or -1 at which an orbit is on a fold or a period doubling."""
+
+
+def _attracting(
+    search: SearchProblem,
+    start: Start,
+    accept: Accept | None,
+    name: str,
+    refused: StartOutcome,
+    judgement: Judgement,
+) -> StartOutcome:
+    """Search for the best orbit that attracts, where the best one of all does not.
+
+    Args:
+        search: The search.
+        start: The start.
+        accept: The check of orbits.
+        name: The start in words.
+        refused: Outcome of the search without regard to stability.
+        judgement: The refusal of its orbit.
+    """
+    if refused.solution is None or any(one.name == "spectral_radius" for one in search.bounds):
+        return refused
+    where = listed(search.numbers(refused.solution.values))
+    search.tell(f"{name}: looking for an orbit that attracts")
+    bound = Bound(name="spectral_radius", upper=_ATTRACTS)
+    try:
+        outcome, _ = _tried(replace(search, bounds=(*search.bounds, bound)), start, accept, name)
+    except InputError:
+        # Only a few multipliers can be bounded.
+        return refused
+    if outcome.candidate is None:
+        return refused
+    limit = "does not attract"
+    multipliers = () if judgement.certificate is None else judgement.certificate.multipliers
+    for value, word in ((1.0, "a fold of the family"), (-1.0, "a period doubling")):
+        if any(abs(multiplier - value) < _AT_LIMIT for multiplier in multipliers):
+            limit = f"lies on {word}, where orbits cease to attract"
+    detail = f"The best orbit, at {where}, {limit}; this is the best one with a spectral radius"
+    return replace(outcome, detail=f"{detail} up to {_ATTRACTS:g}.")
 
 
 def _measured(search: SearchProblem, orbit: ZenoOrbit, name: str) -> Mapping[str, Extent]:

@@ -40,7 +40,7 @@ _VIOLATED = 1e-5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Start:
-    """Where a search starts.
+    """Start of a search.
 
     Attributes:
         values: The numbers.
@@ -132,7 +132,7 @@ def _by_an_easier_way(search: SearchProblem, start: Start, outcome: StartOutcome
 
 
 def _along(search: SearchProblem, start: Start, path: Followed, origin: str) -> StartOutcome:
-    """Return what comes of the end of a path, which may be short of the start's own numbers."""
+    """Search from the end of a path, which may be short of the start's own numbers."""
     if path.cycle is None:
         detail = f"From {origin} no orbit could be followed."
         return StartOutcome(status=SearchStatus.NO_GUESS, detail=detail)

@@ -53,7 +53,7 @@ def trust_region_steps(
 
     Args:
         search: The search; its box is never left.
-        values: Where to start.
+        values: Numbers of the first orbit.
         cycle: One simulated period there.
         solve: One step, given the search in a smaller box.
     """

@@ -1,30 +1,18 @@
-"""Work spread over many processes, here or on a cluster, that survives being killed.
+"""Run work in processes, here or on a cluster, keep what is finished, and write files whole.
 
-A task is a pure function of a chunk of points. Chunks are cut without regard to who computes them,
-every result passes through JSON, and a finished chunk is kept in a checkpoint. So the same results
-come out for any number of workers, and after any number of new starts.
+A task is a pure function of a chunk of points. Chunks do not depend on who computes them, every
+result passes through JSON, and a finished chunk is kept in a checkpoint. So the results are the
+same for any number of workers, and after any number of restarts.
+
+Offers: `spread` and `spread_in_order` run a `Task` as a `Plan` says, at a `Place` (`Workers` or a
+`Cluster`), in a pool that `open_pool` opens (`Pool`), with `Lost` for a point that kills workers;
+`claim`, `keeps_nothing` and `remove_checkpoint` for checkpoints; `Progress` and `silent` for
+progress reports; `write_whole` for files; `plain` and `restored` between values and JSON;
+`versions` of the software.
+
+Imports: arrays, errors.
 """
 
-from zeno_orbits.work.checkpoint import keeps_nothing, remove_checkpoint
-from zeno_orbits.work.plan import Cluster, Lost, Place, Plan, Workers
-from zeno_orbits.work.pools import Pool, open_pool
-from zeno_orbits.work.progress import Progress, silent
-from zeno_orbits.work.scheduling import Task, claim, spread, spread_in_order
+import lazy_loader as lazy
 
-__all__ = [
-    "Cluster",
-    "Lost",
-    "Place",
-    "Plan",
-    "Pool",
-    "Progress",
-    "Task",
-    "Workers",
-    "claim",
-    "keeps_nothing",
-    "open_pool",
-    "remove_checkpoint",
-    "silent",
-    "spread",
-    "spread_in_order",
-]
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -13,7 +13,8 @@ from typing import Any
 
 from zeno_orbits.errors import InputError, WorkError
 from zeno_orbits.work.plan import Cluster
-from zeno_orbits.work.tasks import Task, code_digest, run_chunk
+from zeno_orbits.work.software import code_digest
+from zeno_orbits.work.tasks import Task, run_chunk
 
 _PAUSE = 1.0
 """Between two questions to the scheduler [s]."""

@@ -19,7 +19,8 @@ from typing import Any, Protocol
 from zeno_orbits.errors import InputError, WorkError
 from zeno_orbits.work.cluster import open_cluster
 from zeno_orbits.work.plan import Cluster, Place, Workers
-from zeno_orbits.work.tasks import Task, code_digest, run_chunk
+from zeno_orbits.work.software import code_digest
+from zeno_orbits.work.tasks import Task, run_chunk
 
 _ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS"), "1"

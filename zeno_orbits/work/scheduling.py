@@ -15,7 +15,8 @@ from zeno_orbits.work.checkpoint import Checkpoint, open_checkpoint
 from zeno_orbits.work.plan import Lost, Plan, Workers
 from zeno_orbits.work.pools import Pool, open_pool
 from zeno_orbits.work.progress import Progress, silent
-from zeno_orbits.work.tasks import Task, code_digest, results_of
+from zeno_orbits.work.software import code_digest
+from zeno_orbits.work.tasks import Task, results_of
 
 _TICK = 0.2
 """Longest time between two progress reports; a report may look for an interrupt [s]."""

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import threading
 import traceback
 from collections.abc import Callable, Sequence
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 from zeno_orbits.errors import InputError, WorkError
+from zeno_orbits.work.software import code_digest
 
 Task = Callable[[Sequence[Any]], Sequence[Any]]
 """From a chunk of points to their results, all plain data; it can be pickled."""
@@ -70,16 +68,3 @@ def results_of(answer: str) -> list[Any]:
 
 def _told(error: Exception) -> str:
     return str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
-
-
-@cache
-def code_digest() -> str:
-    """Return a digest of the package's own source, by which two installations can be compared."""
-    package = Path(__file__).resolve().parents[1]
-    digest = hashlib.sha256()
-    for file in sorted(package.rglob("*.py")):
-        name = file.relative_to(package)
-        # Problems are installed inside the package, and stand beside it in the source.
-        if name.parts[0] != "problems":
-            digest.update(f"{name.as_posix()}\n".encode() + file.read_bytes())
-    return digest.hexdigest()

@@ -99,7 +99,13 @@ class RestingCall:
 def caller(
     function: ca.Function, arguments: Sequence[Vector], results: Sequence[Vector]
 ) -> Callable[[], None]:
-    """Return a call without arguments that reads and writes the given arrays in place."""
+    """Return a call without arguments that reads and writes the given arrays in place.
+
+    Args:
+        function: The function.
+        arguments: One array an input; it is read at every call.
+        results: One array an output; it is written at every call.
+    """
     # CasADi's stubs ask for a size that the call takes from the memory itself.
     buffer: Any
     buffer, evaluate = function.buffer()

@@ -75,7 +75,7 @@ class CompiledSystem:
 
     @cached_property
     def points(self) -> PointFunctions:
-        """What is differentiated at a point."""
+        """The functions that are differentiated at a point."""
         return PointFunctions(
             contact=self.contact,
             holonomic=self.holonomic,

@@ -93,6 +93,11 @@ def mode_functions(name: str, y: ca.SX, p: ca.SX, rate: ca.SX, guard: ca.SX) -> 
 def dense_function(name: str, inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.Function:
     """Return a function with dense outputs: a buffer receives the stored entries only.
 
+    Args:
+        name: How the function is called.
+        inputs: Symbols.
+        outputs: Expressions in them.
+
     Raises:
         ValueError: If an output depends on a symbol that is no input.
     """

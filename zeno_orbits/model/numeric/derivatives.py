@@ -1,4 +1,4 @@
-"""What a system at fixed numbers tells of its own derivatives, exactly, by states and parameters.
+"""Exact derivatives of a system at fixed numbers, by states and parameters.
 
 Columns of every matrix here count states first, then the chosen parameters. Theory (24) to (27).
 """

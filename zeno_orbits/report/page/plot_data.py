@@ -25,9 +25,9 @@ _POINTS = 4000
 _SEEN = 0.004
 """A tail shorter than this part of the motion is too short to see."""
 _TAIL = 1e-4
-"""How far the flights behind the last resolved impact are continued, as a part of its speed."""
+"""Part of the last resolved impact's speed down to which the flights after it are continued."""
 _MOST_TAIL = 60
-"""And how many of them at most: near e = 1 there are thousands."""
+"""Largest number of these flights: near e = 1 there are thousands."""
 _SERIES_DECADES = 5
 """Decades of zoom that the digits of the states over time can bear."""
 _LEAST = 1e-17
@@ -69,7 +69,13 @@ def curves_of(subject: Subject) -> dict[str, Any]:
 
 
 def label_of(names: Sequence[str], index: int, unit: str) -> str:
-    """Return the label of an axis that shows a state, with its unit, as HTML."""
+    """Return the label of an axis that shows a state, with its unit, as HTML.
+
+    Args:
+        names: Names of all states.
+        index: Place of the state among them.
+        unit: Its unit.
+    """
     name = names[index]
     dotted = name[0] == "d" and name[1:] in names
     stem = name[1:] if dotted else name

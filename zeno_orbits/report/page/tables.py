@@ -16,7 +16,7 @@ from zeno_orbits.report.page.subject import Subject
 from zeno_orbits.report.table import Column, Table, number_column, table_of, text_column
 from zeno_orbits.simulation.execution import Event, Execution, Impact, Mode, ZenoPoint
 from zeno_orbits.verification.certificate import RESIDUALS, OrbitCertificate
-from zeno_orbits.work.versions import versions
+from zeno_orbits.work import versions
 
 _ACCURACIES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 _MOST_EVENTS = 40

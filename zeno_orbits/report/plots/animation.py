@@ -166,7 +166,7 @@ def gif_of(film: Film) -> bytes:
 
 
 def has_ffmpeg() -> bool:
-    """Tell whether ffmpeg is there to make an MP4."""
+    """Return True if ffmpeg, which makes the MP4, is installed."""
     return shutil.which("ffmpeg") is not None
 
 

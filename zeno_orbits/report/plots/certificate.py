@@ -10,12 +10,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from zeno_orbits.report.plots.style import COLUMN_WIDTH, FULL_WIDTH, INK, add_legend
+from zeno_orbits.report.plots.style import (
+    COLUMN_WIDTH,
+    FULL_WIDTH,
+    INK,
+    LEAST_ERROR,
+    PALETTE,
+    add_legend,
+)
 from zeno_orbits.verification.certificate import RESIDUALS, OrbitCertificate
 
-_PASSED, _FAILED = "#0072B2", "#D55E00"
-_LEAST = 1e-17
-"""Residuals below this are drawn at it: the axis is logarithmic."""
+_PASSED, _FAILED = PALETTE[:2]
 
 
 def plot_certificate(certificate: OrbitCertificate, *, width: float = FULL_WIDTH) -> Figure:
@@ -46,7 +51,7 @@ def _draw_residuals(ax: Axes, certificate: OrbitCertificate) -> None:
     for row, size in enumerate(sizes):
         passed = size <= certificate.tolerance
         ax.plot(
-            [_LEAST, min(max(size, _LEAST), right)],
+            [LEAST_ERROR, min(max(size, LEAST_ERROR), right)],
             [row, row],
             color=_PASSED if passed else _FAILED,
             lw=4.0,
@@ -54,7 +59,7 @@ def _draw_residuals(ax: Axes, certificate: OrbitCertificate) -> None:
             label="residual, passed" if passed else "residual, failed",
         )
     ax.axvline(certificate.tolerance, color=INK, lw=1.0, ls="--", label="tolerance")
-    ax.set(xscale="log", xlim=(_LEAST, right), xlabel="relative residual [1]")
+    ax.set(xscale="log", xlim=(LEAST_ERROR, right), xlabel="relative residual [1]")
     ax.set_yticks(range(len(names)), labels=[name.replace("_", " ") for name in names])
     ax.invert_yaxis()
 

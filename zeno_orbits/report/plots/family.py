@@ -11,18 +11,27 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from zeno_orbits.continuation.amplitude import orbit_amplitude
-from zeno_orbits.continuation.families import (
+from zeno_orbits.continuation import (
     Boundary,
     Continuation,
     Family,
     FamilyPoint,
     Kind,
+    orbit_amplitude,
 )
 from zeno_orbits.model.problem import Problem
-from zeno_orbits.report.plots.style import COLUMN_WIDTH, FULL_WIDTH, INK, add_legend, panels_of
+from zeno_orbits.report.plots.style import (
+    COLUMN_WIDTH,
+    FULL_WIDTH,
+    INK,
+    PALETTE,
+    add_legend,
+    panels_of,
+    symbol_of,
+)
 
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
+_DOUBLINGS = 4
+"""Period doublings that have a colour of their own."""
 _SPOT: dict[str, Any] = {"ls": "", "ms": 6.5, "mew": 1.0, "mec": INK, "zorder": 5}
 _MARKS: dict[Kind, dict[str, Any]] = {
     Kind.FOLD: {"marker": "o", "mfc": "#F0E442"},
@@ -50,23 +59,24 @@ def plot_families(found: Continuation, problem: Problem, *, width: float = FULL_
         width: Width of the picture [in].
     """
     main = found.families[0]
-    unit = problem.state_units[problem.state_names.index(problem.amplitude_of)]
+    index = problem.state_names.index(problem.amplitude_of)
+    symbol, unit = symbol_of(problem.state_names, index), problem.state_units[index]
     quantities: list[tuple[str, Callable[[FamilyPoint], float]]] = [
         ("period [s]", lambda point: point.period),
-        (f"amplitude of {problem.amplitude_of} [{unit}]", _amplitudes(found, problem)),
+        (f"amplitude of {symbol} [{unit}]", _amplitudes(found, problem)),
         ("spectral radius [1]", lambda point: point.spectral_radius),
     ]
     figure, panels = panels_of(width, len(quantities), height=2.3)
     for ax, (label, value) in zip(panels, quantities, strict=True):
         for family in found.families:
             doublings = family.n_returns.bit_length() - 1
-            _draw(ax, family, value, _COLOURS[doublings % len(_COLOURS)])
+            _draw(ax, family, value, PALETTE[doublings % _DOUBLINGS])
         ax.set(xlabel=_named(problem, main.parameter), ylabel=label)
         ax.margins(0.06)
     _show_radii(panels[-1], found)
     _show_period(panels[0], found)
-    for ax in panels:
-        _mark_all(ax, found, quantities[panels.index(ax)][1])
+    for ax, (_, value) in zip(panels, quantities, strict=True):
+        _mark_all(ax, found, value)
     add_legend(figure, width)
     return figure
 
@@ -123,14 +133,14 @@ _MOST_RADIUS = 3.0
 
 
 def _show_radii(ax: Axes, found: Continuation) -> None:
-    """Draw the circle's radius and keep it in sight where an end makes multipliers diverge."""
+    """Draw the radius of the unit circle; keep it in sight where multipliers diverge at an end."""
     ax.axhline(1.0, color=INK, lw=0.6, ls=(0, (1, 2)), zorder=1)
     largest = max(p.spectral_radius for family in found.families for p in family.points)
     ax.set_ylim(-0.04 * min(largest, _MOST_RADIUS), min(1.08 * max(largest, 1.0), _MOST_RADIUS))
 
 
 def _show_period(ax: Axes, found: Continuation) -> None:
-    """Keep a period that never changes from being drawn as its rounding."""
+    """Widen the axis of a period that does not change, so that its rounding is not seen."""
     periods = [point.period for family in found.families for point in family.points]
     low, high = min(periods), max(periods)
     if high - low < _CONSTANT * high:
@@ -169,8 +179,9 @@ def _mark_all(ax: Axes, found: Continuation, value: Callable[[FamilyPoint], floa
     for family in found.families:
         for special in family.named:
             rooted = special is family.first and special.kind is Kind.FLIP
-            if special.kind in _MARKS and not rooted:
-                place = min(max(value(special.at), low), high)
+            place = value(special.at)
+            # A value outside the panel, or an unknown one, has no place to mark.
+            if special.kind in _MARKS and not rooted and low <= place <= high:
                 look = _SPOT | _MARKS[special.kind]
                 ax.plot(special.at.value, place, label=special.kind.value, clip_on=False, **look)
     ax.set_ylim(low, high)

@@ -173,7 +173,7 @@ def _label_lines(ax: Axes, lines: QuadContourSet) -> None:
 
 
 _PLACES = (0.3, 0.5, 0.7)
-"""Where along an axis contour lines are labelled, in turn."""
+"""Places along an axis at which contour lines are labelled, in turn."""
 _EDGE = 0.05
 """Part of an axis at its ends where no label fits."""
 

@@ -27,7 +27,7 @@ from zeno_orbits.simulation.execution import Execution
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Material:
-    """What the figures show.
+    """The subject of the figures.
 
     Attributes:
         problem: The problem.
@@ -36,7 +36,7 @@ class Material:
         period: Of the orbit [s].
         one: The motion over one period, from the release on.
         several: The same over some periods.
-        other: What makes the motion to be shown beside the model's; called if it is needed.
+        other: Returns the motion to be shown beside the model's; called if it is needed.
     """
 
     problem: Problem

@@ -81,7 +81,7 @@ def plot_zeno_region(
 
 
 def has_zeno_region(dynamics: HybridDynamics) -> bool:
-    """Tell whether the Zeno equilibria fill a plane of states: no constraint, no clock."""
+    """Return True if the Zeno equilibria fill a plane of states: no constraint, no clock."""
     return not dynamics.holonomic(np.zeros(len(dynamics.state_names))).size
 
 

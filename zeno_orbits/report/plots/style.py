@@ -1,6 +1,6 @@
 # pyright: reportUnknownMemberType=false
 # The stubs of matplotlib leave most keyword arguments untyped.
-"""How every picture looks: colours of Okabe and Ito, labels with units, one legend, safe files."""
+"""The style of pictures: Okabe and Ito's colours, labels with units, one legend, safe files."""
 
 from __future__ import annotations
 
@@ -27,7 +27,15 @@ FULL_WIDTH = 7.0
 """Width of a page of two columns [in]."""
 
 TEXT = 8.0
+"""Size of the text [pt]."""
 INK = "#333333"
+PALETTE = (
+    *("#0072B2", "#D55E00", "#009E73", "#CC79A7"),
+    *("#E69F00", "#56B4E9", "#7F7F7F", "#000000"),
+)
+"""Colours of lines, in turn."""
+LEAST_ERROR = 1e-17
+"""Errors below this are drawn at it: their axis is logarithmic."""
 TINTS = {Mode.FREE: "#E3F0F8", Mode.LOCKED: "#F9DBC6"}
 BLUES = LinearSegmentedColormap.from_list("depth", ["#3C8DC0", "#E6F2F9"])
 ARCS: dict[Mode, dict[str, Any]] = {
@@ -88,7 +96,14 @@ def rendered(figure: Figure, kind: str) -> bytes:
 def panels_of(
     width: float, n: int, *, height: float, columns: int | None = None
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure of equal panels, side by side on a page and stacked in a column."""
+    """Return a figure of equal panels, side by side on a page and stacked in a column.
+
+    Args:
+        width: Width of the figure [in].
+        n: Number of panels.
+        height: Height of a panel [in].
+        columns: Panels in a row; by default up to three where the figure is wide.
+    """
     across = columns or (min(n, 3) if width > 1.5 * COLUMN_WIDTH else 1)
     down = -(-n // across)
     figure = Figure(figsize=(width, height * down + 0.5), layout="constrained")
@@ -99,7 +114,16 @@ def panels_of(
 def portraits_of(
     problem: Problem, width: float, *, height: float
 ) -> tuple[Figure, list[tuple[Axes, list[int]]]]:
-    """Return a figure with a labelled panel a portrait of a problem, and which states it shows."""
+    """Return a figure with a labelled panel for each portrait of a problem.
+
+    Args:
+        problem: The problem.
+        width: Width of the figure [in].
+        height: Height of a panel [in].
+
+    Returns:
+        The figure; each panel with the places of the two states that it shows.
+    """
     pairs = [[problem.state_names.index(name) for name in pair] for pair in problem.portraits]
     figure, panels = panels_of(width, len(pairs), height=height)
     for ax, (across, up) in zip(panels, pairs, strict=True):
@@ -108,7 +132,13 @@ def portraits_of(
 
 
 def share_time(figure: Figure, panels: Sequence[Axes], label: str) -> None:
-    """Give stacked panels one axis of time, which the lowest shows, and align what they measure."""
+    """Give stacked panels one axis of time, shown below the lowest, and align their labels.
+
+    Args:
+        figure: The figure.
+        panels: Its panels, from top to bottom.
+        label: Label of the axis of time.
+    """
     for ax in panels:
         ax.tick_params(labelbottom=ax is panels[-1])
     panels[-1].set_xlabel(label)
@@ -171,7 +201,13 @@ def paths_of(execution: Execution) -> list[tuple[Vector, Vector, dict[str, Any]]
 
 
 def mark_completion(ax: Axes, execution: Execution, pair: Sequence[int]) -> None:
-    """Mark releases and Zeno points in the plane of two states."""
+    """Mark releases and Zeno points in the plane of two states.
+
+    Args:
+        ax: The panel.
+        execution: The execution.
+        pair: Places of the two states.
+    """
     for release in execution.releases:
         ax.plot(*release.state[list(pair)], label="release", **RELEASE)
     for zeno in execution.zeno_points:

@@ -42,7 +42,7 @@ _MODEL: dict[Mode, dict[str, Any]] = {
 """Wide, so that the other motion is seen on top; told apart by shade and width in grey, too."""
 _TIME = "time since a release [s]"
 _CLOSER = 15.0
-"""How much the gap is enlarged to show what happens on the stop."""
+"""Factor by which the gap is enlarged to show the contact with the stop."""
 
 
 def plot_beside_over_time(

@@ -10,13 +10,17 @@ from itertools import groupby
 from matplotlib.figure import Figure
 
 from zeno_orbits.precision.work_precision import SAME_WORK, WorkPrecision
-from zeno_orbits.report.plots.style import FULL_WIDTH, INK, add_legend, panels_of
+from zeno_orbits.report.plots.style import (
+    FULL_WIDTH,
+    INK,
+    LEAST_ERROR,
+    PALETTE,
+    add_legend,
+    panels_of,
+)
 
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F", "#000000")
 _FULL, _OPEN = "osD^vP*", "<>dph"
 """Markers of engines, and of what else is varied."""
-_LEAST = 1e-17
-"""Errors below this are drawn at it: the axis is logarithmic."""
 
 
 def plot_trade(trade: WorkPrecision, *, width: float = FULL_WIDTH) -> Figure:
@@ -33,9 +37,9 @@ def plot_trade(trade: WorkPrecision, *, width: float = FULL_WIDTH) -> Figure:
         engine = trials[0].sweep == "engine"
         markers = _FULL if engine else _OPEN
         ax.plot(
-            [max(trial.error, _LEAST) for trial in trials],
+            [max(trial.error, LEAST_ERROR) for trial in trials],
             [1e3 * trial.seconds for trial in trials],
-            color=_COLOURS[k % len(_COLOURS)],
+            color=PALETTE[k % len(PALETTE)],
             marker=markers[k % len(markers)],
             ls="-" if engine else ":",
             lw=1.0,
@@ -45,7 +49,7 @@ def plot_trade(trade: WorkPrecision, *, width: float = FULL_WIDTH) -> Figure:
         )
     front = trade.front
     ax.plot(
-        [max(trial.error, _LEAST) for trial in front],
+        [max(trial.error, LEAST_ERROR) for trial in front],
         [1e3 * trial.seconds for trial in front],
         color=INK,
         lw=3.0,
@@ -56,7 +60,7 @@ def plot_trade(trade: WorkPrecision, *, width: float = FULL_WIDTH) -> Figure:
     ax.set(xscale="log", yscale="log", xlabel="relative error [1]", ylabel="processor time [ms]")
     if not drawn:
         # Logarithmic axes find no limits of their own where nothing is.
-        ax.set(xlim=(_LEAST, 1.0), ylim=(1.0, 1e3))
+        ax.set(xlim=(LEAST_ERROR, 1.0), ylim=(1.0, 1e3))
     ax.invert_xaxis()
     ax.grid(visible=True, which="major", lw=0.4, alpha=0.5)
     add_legend(figure, width)

@@ -1,4 +1,4 @@
-"""What a person reads in a terminal: tables, sentences, errors and the progress of long work.
+"""Output in a terminal: tables, sentences, errors and the progress of long work.
 
 Offers: one ``print_*`` a kind of result, ``print_lines``, ``print_error``, ``ProgressLine``.
 Imports: the types of all results; rich with the first table.

@@ -18,7 +18,7 @@ from zeno_orbits.simulation.execution import Arc
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TranscriptionSettings:
-    """How finely an orbit is transcribed.
+    """Scheme and tolerances of a transcription.
 
     Attributes:
         scheme: The collocation scheme of every interval.

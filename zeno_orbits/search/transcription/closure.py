@@ -15,7 +15,7 @@ from zeno_orbits.simulation.zeno_limit import TailEstimate, estimate_tail, extra
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Closure:
-    """How many impacts are resolved before the Zeno limit, and which of them tell it.
+    """Impacts that are resolved before the Zeno limit, and those that determine it.
 
     Attributes:
         n_impacts: Impacts resolved one by one.

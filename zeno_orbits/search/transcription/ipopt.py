@@ -19,7 +19,7 @@ from zeno_orbits.search.transcription.program import Program
 
 
 class SolveStatus(Enum):
-    """How Ipopt ended. The value is the sentence shown to the user."""
+    """End of a solve. The value is the sentence shown to the user."""
 
     SOLVED = "the solver converged"
     ACCEPTABLE = "the solver converged to a looser tolerance only"
@@ -64,7 +64,7 @@ class Hessian(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IpoptSettings:
-    """What Ipopt is asked for.
+    """Tolerances and limits of Ipopt.
 
     Attributes:
         tolerance: Largest violation of a row, scaled.
@@ -116,7 +116,7 @@ class Solution:
     """The end of a solve, successful or not; residuals are recomputed from the rows.
 
     Attributes:
-        status: How it ended.
+        status: The end.
         values: Block or report name to its values, in its own units and shape.
         residuals: Row name to its violation, scaled; rows of the same name give their largest.
         objective: Value of the objective.
@@ -144,7 +144,7 @@ def _quiet_about_interrupts() -> contextlib.AbstractContextManager[object]:
 
 
 def row_rounding(program: Program) -> Array:
-    r"""Return to what each row can be met at all, ``(m,)``: the rounding of its terms at the guess.
+    r"""Return the rounding of the terms of each row at the guess, ``(m,)``: it is met no better.
 
     .. math:: \epsilon \sum_j |J_{ij} x_j|
 

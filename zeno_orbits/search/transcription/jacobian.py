@@ -25,7 +25,7 @@ class MappedRows:
             output, before they are scaled.
         parts: The parts of all columns; a part of ``m`` entries is a matrix of ``n m`` entries.
         n_columns: Number of columns, ``n``.
-        scale: What the rows are divided by, ``(n n_rows,)``.
+        scale: Divisor of each row, ``(n n_rows,)``.
     """
 
     function: ca.Function

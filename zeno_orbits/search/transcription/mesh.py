@@ -7,14 +7,13 @@ from the impact outwards, and knows nothing of motors. Source: [HairerWanner1996
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
 
 from zeno_orbits.arrays import Array
-from zeno_orbits.integrators.collocation import Collocation
+from zeno_orbits.integrators.collocation import Collocation, lagrange_basis
 
 
 def graded_mesh(
@@ -41,7 +40,7 @@ def graded_mesh(
     """
     points = np.concatenate([[0.0], scheme.nodes])
     between = (points[1:] + points[:-1]) / 2
-    predict = _lagrange(points, between)
+    predict = np.array([lagrange_basis(points.tolist(), float(at)) for at in between])
 
     def fits(left: float, right: float) -> bool:
         at = np.array([trajectory(left + (right - left) * float(c)) for c in points])
@@ -65,15 +64,3 @@ def stage_fractions(mesh: Array, scheme: Collocation) -> Array:
     """Return the position of every stage in the arc, ``(n_intervals * n_stages,)``."""
     sizes = np.diff(mesh)
     return (mesh[:-1, None] + sizes[:, None] * scheme.nodes).ravel()
-
-
-def _lagrange(points: Array, targets: Array) -> Array:
-    """Return the matrix from values at points to the interpolant at targets."""
-    rows: list[list[float]] = []
-    for target in targets:
-        row: list[float] = []
-        for k, point in enumerate(points):
-            others = [other for j, other in enumerate(points) if j != k]
-            row.append(math.prod(float((target - o) / (point - o)) for o in others))
-        rows.append(row)
-    return np.array(rows)

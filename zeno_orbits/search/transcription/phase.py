@@ -33,8 +33,8 @@ class PhaseTerms:
     """The expressions of one phase.
 
     Attributes:
-        label: What goes before the names of its blocks and rows; empty if it is the only phase.
-        start: Where it starts, ``(n_x,)``.
+        label: Prefix of the names of its blocks and rows; empty if it is the only phase.
+        start: Its start, ``(n_x,)``.
         flights: The transcribed flights.
         approach_rate: Gap rate before its first impact, negative.
         zeno: Zeno state, ``(n_x,)``, if the stop holds.
@@ -60,7 +60,7 @@ class WrittenPhase:
 
     Attributes:
         terms: Its terms.
-        end: Where it ends, ``(n_x,)``.
+        end: Its end, ``(n_x,)``.
         rows: Rows of the contact that vanish where it ends by themselves.
         limit_time: Time from its start to its Zeno point, or to its impact [s].
         duration: Its length [s].
@@ -326,7 +326,7 @@ class PhaseWriter:
 
 
 def is_rescaled(arc: Arc, n_x: int) -> bool:
-    """Tell whether an arc is a flight in its own variables (theory (14))."""
+    """Return True if an arc is a flight in rescaled variables (theory (14))."""
     return arc.flow_state_at(0.0).size > n_x
 
 

@@ -72,8 +72,8 @@ class Equation:
 
     Attributes:
         names: One name for all columns, or one a column.
-        origin: What vanishes.
-        scale: What it is measured in.
+        origin: The expression that vanishes.
+        scale: Its unit.
     """
 
     names: str | Sequence[str]
@@ -200,7 +200,7 @@ class ProgramBuilder:
             names: One name for all columns, or one a column.
             function: From a column, one input a part, to its rows and whatever else.
             parts: The parts of all columns, side by side.
-            scale: What the rows of a column are measured in, in the shape of the output.
+            scale: Unit of the rows of a column, in the shape of the output.
 
         Returns:
             The other outputs, side by side.

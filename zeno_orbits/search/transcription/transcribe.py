@@ -30,7 +30,7 @@ from zeno_orbits.search.transcription.program import ProgramBuilder
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OrbitTerms:
-    """What an objective or a bound may speak of, as expressions in the unknowns of the program.
+    """Quantities of an orbit, for objectives and bounds, as expressions in the unknowns.
 
     Attributes:
         program: The program, open for more rows.
@@ -42,7 +42,7 @@ class OrbitTerms:
         period: [s].
         electrical_work: Work of the sources in one period [J].
         phases: The terms of each phase.
-        end: Where the period ends, ``(n_x,)``; on an orbit, where it starts.
+        end: End of the period, ``(n_x,)``; on an orbit, its start.
         scale: Size of each state, ``(n_x,)``.
         tangent: Basis of the scaled states near the start that the closure compares.
         motion: From any start on its section to the end, not closed.
@@ -72,7 +72,7 @@ class OrbitTerms:
 
     @property
     def start(self) -> ca.MX:
-        """Where the period starts, ``(n_x,)``."""
+        """Start of the period, ``(n_x,)``."""
         return self.phases[0].start
 
     @property
@@ -159,7 +159,7 @@ def transcribe(
 
 
 def labels_of(shape: OrbitShape) -> tuple[str, ...]:
-    """Return what goes before the names of the blocks and rows of each phase."""
+    """Return the prefix of the names of blocks and rows of each phase."""
     if shape.n_phases == 1:
         return ("",)
     return tuple(f"phase {k + 1}: " for k in range(shape.n_phases))

@@ -12,17 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Rows, Vector
+from zeno_orbits.integrators.events import (
+    FRACTIONS,
+    HALVINGS,
+    TINY,
+    inner_coefficients,
+    is_cubic,
+)
 
 Mask = NDArray[np.bool_]
 
 Dense = Callable[[Rows, Vector], Vector]
 """From rows and offsets in their steps to guards and their rates there, ``(n, 2)``."""
 
-_FRACTIONS = tuple(k / 8 for k in range(1, 8))
-_HALVINGS = 50
-"""A rise shorter than the step by more than this power of two is no rise."""
-
-_TINY = 4 * float(np.finfo(np.float64).eps)
 _SQUARED = 1e-10
 """After a correction of this part of the step, Newton's next one is rounding."""
 _MOST = 100
@@ -42,8 +44,7 @@ def may_fall(size: Vector, before: Vector, after: Vector, on_guard: Mask) -> Mas
         after: The same at the ends.
         on_guard: Whether the start is on the guard, a root that does not count.
     """
-    second = before[:, 0] + size / 3 * before[:, 1]
-    third = after[:, 0] - size / 3 * after[:, 1]
+    second, third = inner_coefficients(size, before.T, after.T)
     started = (before[:, 0] > 0.0) | (on_guard & (before[:, 0] == 0.0) & (before[:, 1] > 0.0))
     dips = (before[:, 1] < 0.0) & (after[:, 1] > 0.0)
     return ~(started & (second > 0.0) & (third > 0.0) & (after[:, 0] > 0.0) & ~dips)
@@ -62,16 +63,12 @@ def first_falls(
         on_guard: As for `may_fall`.
     """
     n = len(size)
-    third = after[:, 0] - size / 3 * after[:, 1]
-    second = before[:, 0] + size / 3 * before[:, 1]
+    second, third = inner_coefficients(size, before.T, after.T)
     once = ~on_guard & (before[:, 0] > 0.0) & (after[:, 0] < 0.0) & ((second > 0) | (third < 0))
     rows = np.flatnonzero(once)
     if len(rows):
         middle = dense(rows, size[rows] / 2)[:, 0]
-        cubic = (before[rows, 0] + after[rows, 0]) / 2
-        cubic += size[rows] * (before[rows, 1] - after[rows, 1]) / 8
-        span = np.abs(before[rows, 0]) + np.abs(after[rows, 0])
-        once[rows[~(np.abs(middle - cubic) < _CUBIC * span)]] = False
+        once[rows[~is_cubic(middle, size[rows], before[rows].T, after[rows].T)]] = False
     left, low = np.zeros(n), before.copy()
     right, high = size.copy(), after.copy()
     bracketed = once.copy()
@@ -80,10 +77,6 @@ def first_falls(
     falls = np.full(n, np.nan)
     falls[rows] = _roots(dense, rows, left[rows], low[rows], right[rows], high[rows])
     return falls
-
-
-_CUBIC = 0.1
-"""Part of a guard's size by which the middle of a step may differ from its cubic interpolant."""
 
 
 def _search(
@@ -102,10 +95,10 @@ def _search(
     at, here = np.zeros(len(rows)), low[rows].copy()
     end = high[rows].copy()
     open_ = np.ones(len(rows), dtype=bool)
-    offsets = np.array([*_FRACTIONS, 1.0])[:, None] * size[rows]
+    offsets = np.array([*FRACTIONS, 1.0])[:, None] * size[rows]
     # One call for all eighths: a call costs as much as many rows.
-    inside = dense(np.tile(rows, len(_FRACTIONS)), offsets[:-1].ravel())
-    pairs = np.concatenate([inside, end]).reshape(len(_FRACTIONS) + 1, len(rows), 2)
+    inside = dense(np.tile(rows, len(FRACTIONS)), offsets[:-1].ravel())
+    pairs = np.concatenate([inside, end]).reshape(len(FRACTIONS) + 1, len(rows), 2)
     for offset, pair in zip(offsets, pairs, strict=True):
         falls = open_ & armed & (pair[:, 0] < 0.0)
         dips = open_ & armed & ~falls & (here[:, 1] < 0.0) & (pair[:, 1] > 0.0)
@@ -129,7 +122,7 @@ def _lowest(dense: Dense, row: int, left: float, right: float) -> tuple[float, V
     """Return where in between a guard that falls and then rises is lowest, and its value there."""
     rows = np.array([row])
     pair = np.zeros(2)
-    for _ in range(_HALVINGS):
+    for _ in range(HALVINGS):
         middle = (left + right) / 2
         pair = dense(rows, np.array([middle]))[0]
         if pair[0] < 0.0:
@@ -155,7 +148,7 @@ def _short_rise(
     left, low, right, high = bracket
     rows = np.array([row])
     to, value = right[row], high[row].copy()
-    for _ in range(_HALVINGS):
+    for _ in range(HALVINGS):
         at = to / 2
         pair = dense(rows, np.array([at]))[0]
         if pair[0] > 0.0:
@@ -193,7 +186,7 @@ def _roots(
         target = np.where(newton | done, at[open_] + change, middle)
         last[open_] = np.where(newton, np.abs(change), (right[open_] - left[open_]) / 2)
         at[open_] = np.clip(target, left[open_], right[open_])
-        done |= right[open_] - left[open_] <= _TINY * size[open_]
+        done |= right[open_] - left[open_] <= TINY * size[open_]
         open_ = open_[~done]
     return at
 

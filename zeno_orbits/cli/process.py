@@ -1,16 +1,21 @@
-"""Standard streams that may be closed, full or unread: none of that changes an answer.
+"""The process around a command: an interrupt that cannot be lost, and streams that may be closed.
 
-A reader who has seen enough (`| head`) does not stop a command before its exit code is known, a
-closed stream takes nothing, and a full disk is told in one line.
+An interrupt that arrives while CasADi looks at a Python object is lost in it; so it is also
+remembered, and raised again at the next occasion. A reader who has seen enough (`| head`) does not
+stop a command before its exit code is known, a closed stream takes nothing, and a full disk is an
+error of one line.
 """
 
 from __future__ import annotations
 
 import io
 import os
+import signal
 import sys
+import threading
 from collections.abc import Generator
 from contextlib import contextmanager
+from types import FrameType, TracebackType
 from typing import Any, TextIO, cast
 
 from zeno_orbits.errors import InputError
@@ -45,7 +50,7 @@ class _Patient(io.TextIOBase):
         return getattr(self._stream, "encoding", None) or "utf-8"
 
     def isatty(self) -> bool:
-        """Tell whether it is a terminal."""
+        """Return True if it is a terminal."""
         return self._stream is not None and self._stream.isatty()
 
     def fileno(self) -> int:
@@ -91,3 +96,40 @@ class _Patient(io.TextIOBase):
         if self._may_fail and not isinstance(error, BrokenPipeError):
             message = "Standard output must take what is written to it, but it does not"
             raise InputError(f"{message} ({error.strerror}).") from error
+
+
+class Interrupts:
+    """Remember an interrupt for as long as the context lasts."""
+
+    def __init__(self) -> None:
+        self._seen = False
+        self._before: Any = None
+
+    def __enter__(self) -> Interrupts:
+        """Begin to watch; only the main thread may."""
+        if threading.current_thread() is threading.main_thread():
+            self._before = signal.signal(signal.SIGINT, self._see)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Hand the signal back."""
+        if self._before is not None:
+            signal.signal(signal.SIGINT, self._before)
+
+    def check(self) -> None:
+        """Raise if an interrupt was seen.
+
+        Raises:
+            KeyboardInterrupt: Once more, should the first have been lost.
+        """
+        if self._seen:
+            raise KeyboardInterrupt
+
+    def _see(self, _number: int, _frame: FrameType | None) -> None:
+        self._seen = True
+        raise KeyboardInterrupt

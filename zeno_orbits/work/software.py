@@ -1,8 +1,10 @@
-"""Versions of the software that computes results, for their files."""
+"""What computes a result: versions of packages for files, a digest of the code for workers."""
 
 from __future__ import annotations
 
+import hashlib
 from functools import cache
+from pathlib import Path
 
 
 def versions() -> dict[str, str]:
@@ -24,3 +26,16 @@ def _versions() -> tuple[tuple[str, str], ...]:
         except PackageNotFoundError:
             found[name] = "not installed"
     return tuple(found.items())
+
+
+@cache
+def code_digest() -> str:
+    """Return a digest of the package's own source, by which two installations can be compared."""
+    package = Path(__file__).resolve().parents[1]
+    digest = hashlib.sha256()
+    for file in sorted(package.rglob("*.py")):
+        name = file.relative_to(package)
+        # Problems are installed inside the package, and stand beside it in the source.
+        if name.parts[0] != "problems":
+            digest.update(f"{name.as_posix()}\n".encode() + file.read_bytes())
+    return digest.hexdigest()

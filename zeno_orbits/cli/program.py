@@ -1,0 +1,110 @@
+"""The command line as a whole: its parser, and how a command runs and ends."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+import zeno_orbits
+from zeno_orbits.cli.compare import add_compare
+from zeno_orbits.cli.continue_command import add_continue
+from zeno_orbits.cli.figures import add_figures
+from zeno_orbits.cli.identify import add_identify
+from zeno_orbits.cli.map import add_map
+from zeno_orbits.cli.new import add_new
+from zeno_orbits.cli.options import INTERRUPTED, MISUSE, NO, Parser
+from zeno_orbits.cli.plot import add_plot
+from zeno_orbits.cli.problems import add_conditions, add_fidelity, add_problems
+from zeno_orbits.cli.process import Interrupts, patient_streams
+from zeno_orbits.cli.report_command import add_report
+from zeno_orbits.cli.rig import add_rig
+from zeno_orbits.cli.search import add_search
+from zeno_orbits.cli.simulate import add_simulate
+from zeno_orbits.cli.trade import add_trade
+from zeno_orbits.cli.verify import add_verify
+from zeno_orbits.errors import InputError, ZenoOrbitsError
+from zeno_orbits.report import terminal as report
+
+_COMMANDS = (
+    *(add_problems, add_new, add_conditions, add_simulate, add_fidelity),
+    *(add_search, add_verify, add_map, add_continue, add_trade, add_rig),
+    *(add_plot, add_report, add_figures, add_compare, add_identify),
+)
+"""In the order of the help."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code.
+
+    Args:
+        arguments: Its words; by default those of the process.
+    """
+    with patient_streams():
+        try:
+            parser = build_parser()
+            options = parser.parse_args(arguments)
+            if options.run is None:
+                parser.print_help()
+                return MISUSE
+        except InputError as error:
+            # There is no room for what `--help` says.
+            report.print_error(str(error))
+            return MISUSE
+        return _answer(options)
+
+
+def _answer(options: argparse.Namespace) -> int:
+    """Run one command; an error is one line on standard error, and an exit code."""
+    try:
+        with Interrupts() as interrupts:
+            options.interrupts = interrupts
+            code: int = options.run(options)
+            # A disk may turn out to be full as late as here.
+            sys.stdout.flush()
+            return code
+    except InputError as error:
+        return _end(error, MISUSE, options)
+    except ZenoOrbitsError as error:
+        return _end(error, NO, options)
+    except KeyboardInterrupt:
+        report.print_error("interrupted; nothing was written")
+        return INTERRUPTED
+    except Exception as error:
+        # The last line of defence against a raw traceback.
+        if options.debug:
+            raise
+        text = f"internal error, please report it ({type(error).__name__}: {error}); see --debug"
+        report.print_error(text)
+        return MISUSE
+
+
+def _end(error: Exception, code: int, options: argparse.Namespace) -> int:
+    if options.debug:
+        raise error
+    report.print_error(str(error))
+    return code
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Return the parser of the whole command line."""
+    parser = Parser(
+        prog="zeno-orbits",
+        description="Find, verify and follow Zeno periodic orbits.",
+        epilog=(
+            "exit codes: 0 yes; 1 searched or checked, and the answer is no; 2 wrong usage or "
+            "input\n\n"
+            "example:\n"
+            "  zeno-orbits search motor_pendulum -o orbit.json\n"
+            "  zeno-orbits verify orbit.json\n"
+            "  zeno-orbits plot orbit.json -o pictures"
+        ),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    version = f"%(prog)s {zeno_orbits.__version__}"
+    parser.add_argument("--version", action="version", version=version)
+    parser.set_defaults(run=None)
+    commands = parser.add_subparsers(metavar="COMMAND")
+    for add in _COMMANDS:
+        add(commands)
+    return parser

@@ -1,0 +1,6 @@
+from .page import load_bundle as load_bundle
+from .page import page_of as page_of
+from .page import subject_of as subject_of
+from .plots import figure_of as figure_of
+from .plots import save_figure as save_figure
+from .terminal import ProgressLine as ProgressLine
