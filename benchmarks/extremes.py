@@ -1,4 +1,4 @@
-"""What the extremes give now: runs every row of `tests/extremes.py` and prints the table.
+"""What the extremes give now: runs every row of `tests/support/extremes.py` and prints the table.
 
 Prints the rows of `docs/extremes.md`, the error seen in each, rounded up to two digits; exit 1 if
 one breaks its promise. Rows whose name contains an argument are enough for a first look.

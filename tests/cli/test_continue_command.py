@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.test_cli import YES, ask, examples
 from tests.reference.reference_orbit import RELEASE
+from tests.support.commands import YES, ask, examples
 from zeno_orbits.cli import main
 from zeno_orbits.continuation.families import (
     Boundary,
@@ -98,11 +98,10 @@ def test_a_family_starts_at_an_orbit_file_and_prints_json(
         (["motor_pendulum", "--in", "Kd=-2:0", "--picture", "a.jpg"], "must end in .png"),
     ],
 )
-def test_what_does_not_fit_is_refused_before_any_work(
-    words: list[str], reason: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["continue", *words]) == 2
-    assert reason in capsys.readouterr().err
+def test_what_does_not_fit_is_refused_before_any_work(words: list[str], reason: str) -> None:
+    answer = ask("continue", *words)
+    assert answer.code == 2
+    assert reason in answer.err
 
 
 def point(value: float, radius: float) -> FamilyPoint:

@@ -229,18 +229,18 @@ def test_a_start_with_third_order_contact_does_not_fall_by_rounding(
     rate: float, bend: float
 ) -> None:
     flow = _clock(lambda t: rate * t + bend * t**2 + t**3 * (1 - t))
-    passage = _follow(flow, [0.0], on_guard=True, contact=1e-12)
+    passage = _follow(flow, [0.0], on_guard=True, rounding=1e-12)
     assert passage.outcome is Outcome.FALL
     # Near 1 the guard falls at the rate -1.
     assert passage.duration == pytest.approx(1.0 + rate + bend, abs=2 * LOCATED)
 
 
 def test_a_flow_that_leaves_the_guard_on_the_wrong_side_is_told(walked: list[Leg]) -> None:
-    passage = _follow(falling_away(-1.0).free, (0.0, 0.0), on_guard=True, contact=1e-12)
+    passage = _follow(falling_away(-1.0).free, (0.0, 0.0), on_guard=True, rounding=1e-12)
     assert passage.outcome is Outcome.LEFT
     assert passage.duration < 1e-3
     assert walked
-    slow = _follow(_clock(lambda t: -(t**3)), [0.0], on_guard=True, contact=1e-12)
+    slow = _follow(_clock(lambda t: -(t**3)), [0.0], on_guard=True, rounding=1e-12)
     assert slow.outcome is Outcome.LEFT
 
 
@@ -360,18 +360,18 @@ def test_new_gains_compile_nothing() -> None:
 def test_a_large_model_is_compiled_as_calls_and_moves_the_same(
     pendulum: HybridDynamics, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    inlined = _follow(pendulum.free, RELEASE, on_guard=True, contact=1e-12)
+    inlined = _follow(pendulum.free, RELEASE, on_guard=True, rounding=1e-12)
     monkeypatch.setattr(series, "_LARGE", 0)
     series._carrier.cache_clear()
-    called = _follow(pendulum.free, RELEASE, on_guard=True, contact=1e-12)
+    called = _follow(pendulum.free, RELEASE, on_guard=True, rounding=1e-12)
     series._carrier.cache_clear()
     assert called.duration == pytest.approx(inlined.duration, abs=1e-13)
     assert called.state == pytest.approx(inlined.state, abs=1e-12)
 
 
 def test_the_way_is_integrated_again_when_it_is_asked_for(pendulum: HybridDynamics) -> None:
-    own = _follow(pendulum.free, RELEASE, on_guard=True, contact=1e-12)
-    leg = _leg(pendulum.free, RELEASE, on_guard=True, contact=1e-12)
+    own = _follow(pendulum.free, RELEASE, on_guard=True, rounding=1e-12)
+    leg = _leg(pendulum.free, RELEASE, on_guard=True, rounding=1e-12)
     theirs = RungeKutta().follow(leg)
     times, states = own.trajectory.times, own.trajectory.states
     assert times[0] == 0.0
@@ -387,7 +387,7 @@ def test_the_way_is_integrated_again_when_it_is_asked_for(pendulum: HybridDynami
 
 
 def test_the_tolerance_is_that_of_the_leg(pendulum: HybridDynamics) -> None:
-    exact = _follow(pendulum.free, RELEASE, on_guard=True, contact=1e-12)
+    exact = _follow(pendulum.free, RELEASE, on_guard=True, rounding=1e-12)
     errors: list[float] = []
     for digits in (3, 5, 7):
         tolerance = Tolerance(relative=10.0**-digits, absolute=10.0**-digits)

@@ -17,8 +17,8 @@ import joblib
 import numpy as np
 import pytest
 
-from tests.cli.test_cli import ask
 from tests.reference.long_simulation import attractor_of
+from tests.support.commands import ask
 from tests.support.processes import Commands, workers_of
 from zeno_orbits import work
 from zeno_orbits.errors import CheckpointError, InputError, MapFileError, ProblemFileError
@@ -493,3 +493,18 @@ def test_every_core_has_points_and_a_chunk_neither_few_nor_too_many() -> None:
     assert [chunk_of(square, cores) for cores in (1, 2, 16, 10_000)] == [625, 625, 79, 16]
     large = replace(square, x=replace(square.x, count=1000))
     assert chunk_of(large, 2) == 1250
+
+
+def test_the_problem_that_new_writes_has_its_orbit_on_a_map(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert ask("new", "mine").code == YES
+    mine = table(
+        source=load_problem("mine.py"),
+        x=Axis(name="F", lower=0.95, upper=1.05, count=2),
+        y=Axis(name="omega", lower=0.98, upper=1.02, count=2),
+    )
+    start = mine.problem.state_vector(mine.problem.starts[0])
+    found = parameter_map(replace(mine, start=start), ONE)
+    assert {one.fate for one in found.attractors} == {Fate.ZENO}

@@ -418,7 +418,7 @@ def test_the_zeno_time_of_a_ball_moves_as_its_closed_form(e: float) -> None:
 
 @pytest.mark.parametrize("e", [0.5, 0.9, 0.95])
 def test_a_clock_that_is_not_acted_on_has_its_multiplier_whatever_the_restitution(e: float) -> None:
-    # Its circle attracts with exp(-2 pi) a turn, see tests/test_poincare.py.
+    # Its circle attracts with exp(-2 pi) a turn, see tests/orbits/test_poincare.py.
     problem = clocked_oscillator(replace(FORCED, restitution=e), attracting=True)
     machine = problem.dynamics(problem.values())
     x = np.array(oscillator_state(FORCED.release_time, FORCED.stop, 0.0))

@@ -423,10 +423,12 @@ def test_misuse_is_one_line_and_writes_nothing(
     assert {path.name: path.read_bytes() for path in orbit_file.parent.iterdir()} == before
 
 
-def test_without_plotly_one_line_says_what_to_install(
-    orbit_file: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("library", ["plotly", "jinja2"])
+def test_without_a_library_one_line_says_what_to_install(
+    orbit_file: Path, monkeypatch: pytest.MonkeyPatch, library: str
 ) -> None:
-    monkeypatch.setitem(sys.modules, "plotly", None)
+    load_bundle.cache_clear()
+    monkeypatch.setitem(sys.modules, library, None)
     code, _, err = ask("report", orbit_file, "-o", "report.html", *ONE)
     assert code == MISUSE
     assert "pip install 'zeno_orbits[report]'" in err

@@ -15,7 +15,7 @@ from typing import Any
 import joblib
 import pytest
 
-from tests.cli.test_cli import ask
+from tests.support.commands import ask
 from tests.support.places import places_that_cannot_be_had, refuses
 from tests.support.processes import Commands
 from zeno_orbits.errors import CheckpointError, InputError

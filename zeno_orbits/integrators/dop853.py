@@ -42,7 +42,13 @@ class RungeKutta:
     def steps(
         self, flow: GuardedFlow, y: Vector, tolerance: Tolerance, horizon: float = FAR
     ) -> Iterator[ExplicitStep]:
-        """Yield steps from ``y`` on, without end, none longer than the horizon.
+        """Yield steps from ``y`` on, without end.
+
+        Args:
+            flow: The flow.
+            y: State at the start, ``(n_y,)``.
+            tolerance: Local error of a step.
+            horizon: No step is longer.
 
         Raises:
             StepSizeError: If the step size falls to rounding level.
@@ -98,6 +104,11 @@ class ExplicitStep:
 
 def first_size(flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> float:
     """Return a first step from the sizes of state and slope ([HairerNorsettWanner1993]_, II.4).
+
+    Args:
+        flow: The flow.
+        y: State at the start, ``(n_y,)``.
+        tolerance: Local error of a step.
 
     Raises:
         StepSizeError: If the flow is not finite at its start.

@@ -31,7 +31,7 @@ class Leg:
         horizon: Longest time, in the flow's own.
         tolerance: Local error of a step.
         on_guard: The start is a root of the guard that does not count.
-        contact: A guard that was never positive and falls below minus this has been left.
+        rounding: A guard that was never positive and falls below minus this has been left.
         watch: Told of the progress; it ends a leg that takes too long or goes too far.
     """
 
@@ -40,7 +40,7 @@ class Leg:
     horizon: float
     tolerance: Tolerance
     on_guard: bool
-    contact: float = 0.0
+    rounding: float = 0.0
     watch: Watch = unwatched
 
 

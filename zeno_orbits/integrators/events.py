@@ -307,7 +307,7 @@ def follow_steps(steps: Iterator[Step], leg: Leg) -> Passage:
             return _passage(Outcome.FALL, taken, step.start + fall, end_state(step, fall))
         if on_guard:
             largest = max(largest, abs(before[1]) * step.size, abs(after[1]) * step.size)
-            if after[0] < -max(_LEAVES * largest, leg.contact):
+            if after[0] < -max(_LEAVES * largest, leg.rounding):
                 return _passage(Outcome.LEFT, taken, step.start, step.before)
             on_guard = after[0] <= 0.0
         before = after

@@ -130,7 +130,7 @@ def _carried(leg: Leg, mode: SymbolicMode, p: Vector, kept: Carrier) -> Passage 
     before = kept.begin(leg.y, p)
     if not (leg.on_guard or before[0] > 0.0):
         return None
-    kept.set_net(max(leg.contact, _SHALLOW, _NET * (abs(before[0]) + abs(before[1]))))
+    kept.set_net(max(leg.rounding, _SHALLOW, _NET * (abs(before[0]) + abs(before[1]))))
     bound, batch, last, false_falls = _FIRST_BOUND, _FEWEST, 0.0, 0
     while True:
         outcome, steps, time = kept.advance(leg.horizon, bound, batch)
@@ -147,7 +147,7 @@ def _carried(leg: Leg, mode: SymbolicMode, p: Vector, kept: Carrier) -> Passage 
         if outcome == kept.time_limit:
             return _passage(leg, mode, p, Outcome.HORIZON, leg.horizon, end) if value > 0 else None
         height = -rate * time
-        if not leg.on_guard or height > max(leg.contact, _SHALLOW):
+        if not leg.on_guard or height > max(leg.rounding, _SHALLOW):
             sound = rate < 0.0 and abs(value) <= _ON_ROOT * max(before[0], height)
             return _passage(leg, mode, p, Outcome.FALL, time, end) if sound else None
         # The start is a root to rounding only, and the guard fell from less than that.

@@ -113,7 +113,7 @@ class ArcFollower:
             horizon=(self.until - start.time) / unit,
             tolerance=self.tolerance,
             on_guard=on_guard,
-            contact=self.contact,
+            rounding=self.contact,
             watch=self._watch(unit, start.time),
         )
         passage = self.engine.follow(leg)

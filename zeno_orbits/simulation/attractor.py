@@ -98,7 +98,7 @@ class Motion:
     Attributes:
         units: Unit of each state, ``(n_x,)``: states of one unit are measured alike.
         returns: Its last returns, in order, on one section.
-        amplitudes: Size of each return so far, of all of them; by default of `returns`.
+        amplitudes: Size of each return so far as one number, of all of them.
         gone: Name of the coordinate that is gone; empty if there is none.
         still: Whether nothing but the clock moves, and the stop holds for ever.
         held: Whether it has been on its stop for longer than any of its periods.
@@ -106,7 +106,7 @@ class Motion:
 
     units: Sequence[str]
     returns: Sequence[Return] = ()
-    amplitudes: Sequence[float] | None = None
+    amplitudes: Sequence[float] = ()
     gone: str = ""
     still: bool = False
     held: bool = False
@@ -119,14 +119,12 @@ class Settling:
     Attributes:
         outcome: Its kind.
         repetitions: Numbers of returns after which it repeats, the shortest first.
-        period: Time that the shortest takes [s]; NaN without one.
         trend: Factor by which the motion grows a return; NaN where nothing can be said.
         escaped: Name of the coordinate that is gone.
     """
 
     outcome: Outcome
     repetitions: tuple[Repetition, ...] = ()
-    period: float = math.nan
     trend: float = math.nan
     escaped: str = ""
 
@@ -139,10 +137,7 @@ def outcome_of(motion: Motion, *, close: float, apart: float = 0.01) -> Settling
         close: Change over a period that counts as repeating, relative to the size of the states.
         apart: As for `repetitions`.
     """
-    amplitudes = motion.amplitudes
-    if amplitudes is None:
-        amplitudes = amplitudes_of(motion.returns, motion.units)
-    growth = growth_of(amplitudes)
+    growth = growth_of(motion.amplitudes)
     if motion.gone:
         return Settling(outcome=Outcome.GONE, trend=growth.factor, escaped=motion.gone)
     if motion.still:
@@ -151,10 +146,7 @@ def outcome_of(motion: Motion, *, close: float, apart: float = 0.01) -> Settling
         return Settling(outcome=Outcome.DIES_OUT, trend=growth.factor)
     found = repetitions(motion.returns, motion.units, close=close, apart=apart)
     if found:
-        period = motion.returns[-1].time - motion.returns[-1 - found[0].returns].time
-        return Settling(
-            outcome=Outcome.REPEATS, repetitions=found, period=period, trend=growth.factor
-        )
+        return Settling(outcome=Outcome.REPEATS, repetitions=found, trend=growth.factor)
     if motion.held:
         return Settling(outcome=Outcome.HELD)
     grows = growth.factor > 1.0 + STEADY
@@ -187,14 +179,6 @@ def _of_one_unit(units: tuple[str, ...]) -> tuple[Rows, ...]:
         np.array([k for k, other in enumerate(units) if other == unit], dtype=np.intp)
         for unit in dict.fromkeys(units)
     )
-
-
-def amplitudes_of(returns: Sequence[Return], units: Sequence[str]) -> list[float]:
-    """Return the size of each return as one number, in units of the first one's states."""
-    if not returns:
-        return []
-    unit = scale_of([returns[0].state], units)
-    return [float(np.max(np.abs(one.state) / unit)) for one in returns]
 
 
 # ------------------------------------------------------------------ it repeats
