@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.test_cli import YES, ask, examples
 from tests.reference.reference_orbit import RELEASE
+from tests.support.commands import YES, ask, examples
 from zeno_orbits.cli import main
 from zeno_orbits.continuation.families import (
     Boundary,

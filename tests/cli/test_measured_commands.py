@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.test_cli import MISUSE, NO, YES, ask, examples
+from tests.support.commands import MISUSE, NO, YES, ask, examples
 from zeno_orbits.experiment import Source, read_recording
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.orbit_file import read_orbit, write_orbit

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.cli.test_cli import MISUSE, NO, YES, Answer, ask
+from tests.support.commands import MISUSE, NO, YES, Answer, ask
 from zeno_orbits.experiment import Source, read_recording
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.orbit_file import write_orbit

@@ -14,7 +14,7 @@ import joblib
 import numpy as np
 import pytest
 
-from tests.cli.test_cli import ask
+from tests.support.commands import ask
 from tests.support.places import places_that_cannot_be_had, refuses
 from tests.support.processes import Commands, workers_of
 from zeno_orbits.continuation import parallel as dispatch

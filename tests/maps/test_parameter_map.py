@@ -17,8 +17,8 @@ import joblib
 import numpy as np
 import pytest
 
-from tests.cli.test_cli import ask
 from tests.reference.long_simulation import attractor_of
+from tests.support.commands import ask
 from tests.support.processes import Commands, workers_of
 from zeno_orbits import work
 from zeno_orbits.errors import CheckpointError, InputError, MapFileError, ProblemFileError

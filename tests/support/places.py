@@ -8,7 +8,7 @@ from pathlib import Path
 import joblib
 import pytest
 
-from tests.cli.test_cli import ask
+from tests.support.commands import ask
 from zeno_orbits import work
 from zeno_orbits.work import Cluster
 

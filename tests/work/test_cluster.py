@@ -13,10 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.test_cli import ask
 from tests.support import chores
 from tests.support.chores import Deadly, Diary
 from tests.support.clusters import DaskCluster, dask_cluster, noted_problem, wait_until
+from tests.support.commands import ask
 from zeno_orbits.errors import InputError, WorkError
 from zeno_orbits.maps.map_file import write_map
 from zeno_orbits.maps.mapping import parameter_map

@@ -49,7 +49,7 @@ _LEAST = 24
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Measurement:
-    """What instruments see of a state.
+    """Signals that instruments see of a state.
 
     Attributes:
         names: Of the signals.
@@ -315,7 +315,14 @@ def tabulate_orbit(orbit: ZenoOrbit, problem: Problem, names: Sequence[str]) -> 
 def tabulated(
     dynamics: HybridDynamics, cycle: Cycle, measured: Measurement, p: Vector
 ) -> OrbitTable:
-    """Return the signals of a period."""
+    """Return the signals of a period.
+
+    Args:
+        dynamics: The system.
+        cycle: The period.
+        measured: The signals.
+        p: Gains, then parameters.
+    """
     whole = state_nodes(dynamics, arcs_of(cycle))
     whole = replace(whole, times=whole.times - cycle.start.time)
     slopes = measured.derivatives(whole.values, p)[:, :, : whole.values.shape[1]]

@@ -1,4 +1,4 @@
-r"""Where in its cycle an orbit is when a record begins, and whether both show the same motion.
+r"""Alignment of an orbit with a recording, and a check that both show the same motion.
 
 The first value of the shift is where all signals together correlate best, each in units of its own
 spread, so that a false unit does not hide it; the last is the least-squares shift of the record
@@ -54,7 +54,7 @@ _LIKE = 0.25
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Likeness:
-    """How a recorded signal is like the orbit's.
+    """Likeness of a recorded signal to the orbit's.
 
     Attributes:
         name: Of the signal.
@@ -73,7 +73,7 @@ class Likeness:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Alignment:
-    """Where the orbit is in a record.
+    """Position of the orbit in a recording.
 
     Attributes:
         release: A time at which the orbit's release falls, near the middle of the record [s].
@@ -99,7 +99,7 @@ class Alignment:
 def aligned(
     table: OrbitTable, time: Vector, values: Vector, found: Periodicity, names: Sequence[str]
 ) -> Alignment:
-    """Return where the orbit is in a record.
+    """Return the position of the orbit in a recording.
 
     Args:
         table: The orbit, its first signals in the order of the rows.
@@ -173,7 +173,7 @@ def _likeness(name: str, model: Vector, data: Vector, opposed: bool) -> Likeness
 
 
 def _like_factor(factor: float, known: Sequence[tuple[float, str]]) -> str:
-    """Return what mistake a factor looks like; near one it is none."""
+    """Return the mistake of a unit that a factor looks like; empty near one."""
     if not 0.0 < factor < math.inf or 0.5 < factor < 2.0:
         return ""
     distances = [abs(math.log(factor / one)) for one, _ in known]

@@ -50,7 +50,7 @@ _CLIPPED = 0.01
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Contacts:
-    """What a recorded gap shows of contacts.
+    """Contacts as a recorded gap shows them.
 
     Attributes:
         stop: The stop.
@@ -89,12 +89,12 @@ class Comparison:
 
     @property
     def period(self) -> Periodicity | None:
-        """How the recording repeats, if it does."""
+        """Periodicity of the recording, if it repeats."""
         return None if self.overlay is None else self.overlay.found
 
     @property
     def where(self) -> Alignment | None:
-        """Where the orbit is in the recording, if that repeats."""
+        """Position of the orbit in the recording, if that repeats."""
         return None if self.overlay is None else self.overlay.where
 
     @cached_property
@@ -120,14 +120,14 @@ class Comparison:
 
     @property
     def agrees(self) -> bool:
-        """Whether the recording shows such an orbit, however far its numbers are off."""
+        """True if the recording shows such an orbit, however far its numbers are off."""
         return not self.reasons
 
     def metric(self, name: str) -> Metric:
         """Return a number by its name.
 
         Raises:
-            InputError: If there is none.
+            InputError: If no metric has this name.
         """
         for metric in self.metrics:
             if metric.name == name:
@@ -251,7 +251,7 @@ def _oddities(recording: Recording, problem: Problem, names: Sequence[str]) -> l
 
 
 def _settling(found: Deviations, time: Vector, where: Alignment) -> list[str]:
-    """Say so if the first cycles are farther from the mean of the others than those are."""
+    """Return a remark if the first cycles are farther from the mean than the others are."""
     sizes = found.sizes_in_turn()
     if len(sizes) < _FEWEST_CYCLES:
         return []

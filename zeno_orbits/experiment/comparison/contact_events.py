@@ -44,7 +44,7 @@ _UNKNOWN = (math.nan, math.nan, math.nan, math.nan, math.nan)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CycleEvents:
-    """What one recorded cycle shows; times count from the orbit's release as aligned [s].
+    """Events of one recorded cycle; times count from the orbit's release as aligned [s].
 
     What the data hide, in a gap for instance, is NaN.
 
@@ -173,7 +173,7 @@ class _Seen:
         longest = max(_LOCKED * self.period, _SHARE * own)
         for a, after in zip(edges[::2], edges[1::2], strict=True):
             b = after - 1
-            # Where nothing was recorded nobody knows whether it rested.
+            # A rest that was hardly recorded is not known to be one.
             if b - a + 1 >= LEAST and self.t[b] - self.t[a] > longest:
                 if float(np.max(np.diff(self.t[a : b + 1]))) > 0.25 * (self.t[b] - self.t[a]):
                     continue

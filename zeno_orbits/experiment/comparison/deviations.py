@@ -1,4 +1,4 @@
-r"""How a recorded cycle deviates from an orbit's, phase by phase, and how sure that is.
+r"""Deviations of a recorded cycle from an orbit's, phase by phase, with their errors.
 
 What is averaged over the cycles are the deviations :math:`r = y - Y(\varphi)`, in bins of the
 phase, not the signals: they vary little within a bin, so a bin blurs nothing. Errors are those of
@@ -251,7 +251,13 @@ def greatest(found: Deviations, signal: int) -> tuple[Estimate, float]:
 
 
 def apex(found: Deviations, signal: int, sign: float) -> Estimate:
-    """Return the highest (sign 1) or lowest (sign -1) value of a signal over the cycle."""
+    """Return the highest or lowest value of a signal over the cycle.
+
+    Args:
+        found: The deviations.
+        signal: Its number.
+        sign: 1 for the highest, -1 for the lowest.
+    """
     values: Vector = sign * found.fine[:, :, signal]
     mean: Vector = values.mean(axis=1)
     own: Vector = values.max(axis=1)

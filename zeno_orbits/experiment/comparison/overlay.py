@@ -56,7 +56,7 @@ class Overlay:
 
     @property
     def holds(self) -> bool:
-        """Whether its phases mean something: signals repeat, and none is mistaken for another."""
+        """True if phases mean something: signals repeat and no unit or sign is mistaken."""
         mistaken = any(one.suspicion for one in self.where.likeness)
         return self.found.repeats >= _REPEATS and not (self.where.time_suspicion or mistaken)
 
@@ -132,7 +132,7 @@ def shared_signals(problem: Problem, recording: Recording) -> tuple[str, ...]:
     """Return the names of the recorded signals that a problem has.
 
     Raises:
-        InputError: If there is none, or one has a unit of another kind, holds nothing or nonsense.
+        InputError: If no signal is shared, or one has a unit of another kind or no sound values.
     """
     known = measurable(problem)
     names = tuple(name for name in recording.names if name in known)

@@ -189,7 +189,13 @@ def _stretch(stage: Weighed, x: Vector) -> tuple[float, float, float]:
 
 
 def deviation(orbits: Predictions, data: Folded, x: Vector) -> float:
-    """Return the root mean square deviation of all signals, in parts of their ranges."""
+    """Return the root mean square deviation of all signals, in parts of their ranges.
+
+    Args:
+        orbits: Predictions.
+        data: The samples that count.
+        x: The unknowns, ``(k + 1,)``.
+    """
     fold = orbits.fold(x, data)
     extent = np.ptp(fold.values, axis=0)
     rest = (data.values - fold.values) / np.where(extent > 0.0, extent, 1.0)
@@ -199,7 +205,14 @@ def deviation(orbits: Predictions, data: Folded, x: Vector) -> float:
 
 
 def weighed(orbits: Predictions, data: Folded, found: Periodicity, x: Vector) -> Weighed:
-    """Return the residuals in units of their size at some unknowns, signal by signal."""
+    """Return the residuals in units of their size at some unknowns, signal by signal.
+
+    Args:
+        orbits: Predictions.
+        data: The samples that count.
+        found: The period of the recording.
+        x: The unknowns, ``(k + 1,)``.
+    """
     fold = orbits.fold(x, data)
     weights = np.empty_like(data.values)
     for k in range(weights.shape[1]):

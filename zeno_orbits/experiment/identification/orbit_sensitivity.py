@@ -1,4 +1,4 @@
-r"""How a whole periodic orbit moves with the parameters, at equal times since its release.
+r"""Derivatives of a whole periodic orbit by parameters, at equal times since its release.
 
 The release state of the orbit obeys :math:`y = P(y, p)` in section coordinates, so
 

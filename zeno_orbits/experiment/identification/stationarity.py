@@ -1,4 +1,4 @@
-r"""Whether all cycles of a recording ask for the same numbers, as those of a settled machine do.
+r"""Test that all cycles of a recording give the same parameters, as in a settled machine.
 
 Parts `A` and `B` of the cycles, with gradients :math:`g = \sum J^\top r` and information
 :math:`H = \sum J^\top J` of their own, would each move the fitted unknowns by
@@ -42,7 +42,7 @@ _RANK = 1e-10
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Unsteady:
-    """How cycles differ that should not.
+    """A difference between cycles that should be alike.
 
     Attributes:
         reason: In words.
@@ -60,7 +60,7 @@ class Unsteady:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Cycles:
-    """What each cycle asks for.
+    """Changes of the parameters that each cycle alone asks for.
 
     Attributes:
         numbers: Of the cycles that are long enough, ``(n_c,)``.
@@ -121,14 +121,14 @@ def unsteady(found: Fit) -> Unsteady | None:
         size = math.inf if loud > _LOUD else early
         return Unsteady(reason=reason, first=True, skip=skip, size=size)
     if halves > most:
-        reason = "its first half asks for other numbers than its second: the motion still settles, "
+        reason = "its two halves give different parameters: the motion may not have settled, "
         skip = int(cycles.numbers[n // 2])
-        return Unsteady(reason=reason + "or the machine changes", first=True, skip=skip, size=later)
+        return Unsteady(reason=reason + "or the machine drifted", first=True, skip=skip, size=later)
     odd = cycles.numbers % 2 == 1
     if n > 2 and not found.data.span and 0 < odd.sum() < n:
         turns, size = cycles.apart(odd, ~odd)
         if turns > least * cycles.scatter(2):
-            reason = "every other cycle asks for other numbers: the period is doubled"
+            reason = "every other cycle gives different parameters: the period is doubled"
             return Unsteady(reason=reason, first=False, skip=0, size=size)
     return None
 

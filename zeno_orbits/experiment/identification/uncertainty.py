@@ -1,4 +1,4 @@
-r"""How sure fitted numbers are where residuals are correlated, and what a fit cannot tell.
+r"""Uncertainty of fitted numbers with correlated residuals, and combinations that a fit cannot see.
 
 With residuals `r`, their derivative `J` and :math:`H = J^\top J` the numbers err like
 
@@ -32,7 +32,7 @@ _FREEDOM = 60
 """Degrees of freedom of an estimate from all samples together."""
 _LEVEL = 0.95
 _TOLD = 0.5
-"""A combination whose 95 % interval is wider than this, relative, is not told."""
+"""A combination whose 95 % interval is wider than this, relative, is not determined."""
 _EXACT = 0.5
 """Mean square of the residuals below which they are smaller than the least noise."""
 _PART = 0.1
@@ -41,7 +41,7 @@ _ROUND = 0.05
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Spread:
-    """How sure fitted numbers are.
+    """Uncertainty of fitted numbers.
 
     Attributes:
         errors: Standard errors, ``(k,)``.
@@ -237,7 +237,7 @@ def _positive(matrix: Vector) -> Vector:
 def unseen_combinations(
     names: Sequence[str], information: Vector, inflation: float
 ) -> tuple[Unseen, ...]:
-    """Return the combinations of numbers that are not told.
+    """Return the combinations of numbers that are not determined.
 
     Args:
         names: Of the numbers.

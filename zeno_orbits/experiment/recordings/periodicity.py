@@ -32,7 +32,7 @@ _SHARP = 24.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Periodicity:
-    """How recorded signals repeat.
+    """Period of recorded signals and their average over it.
 
     Attributes:
         period: [s].
@@ -315,7 +315,13 @@ def _alternation(phases: Vector, rest: Vector, n_harmonics: int) -> tuple[float,
 def period_error(numbers: Vector, delays: Vector, white: float, weights: Vector) -> float:
     """Return the standard error of the slope of the cycles' delays over their numbers.
 
-    With few cycles their scatter tells little, and what noise alone does counts, if it is more.
+    With few cycles their scatter says little; the error of the noise alone counts if it is larger.
+
+    Args:
+        numbers: Of the cycles, ``(n,)``.
+        delays: Of the cycles, ``(n,)``.
+        white: Variance of the residuals.
+        weights: Information of each cycle on its delay, ``(n,)``.
     """
     n = len(numbers)
     if n < 2:

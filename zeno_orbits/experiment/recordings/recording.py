@@ -40,7 +40,7 @@ _GAP = 5.0
 
 
 class Source(Enum):
-    """Where a recording comes from; the value is the word in its file."""
+    """Origin of a recording; the value is the word in its file."""
 
     MEASURED = "measured"
     SIMULATED = "simulated"
@@ -96,7 +96,7 @@ class Recording:
 
     @property
     def label(self) -> str:
-        """What it is called beside an orbit: what was simulated says so."""
+        """Name beside an orbit, which says if it was simulated."""
         return "recording" if self.source is None else f"recording, {self.source.value}"
 
     @property
@@ -108,7 +108,7 @@ class Recording:
         """Return a signal by its name.
 
         Raises:
-            InputError: If there is none.
+            InputError: If no signal has this name.
         """
         for signal in self.signals:
             if signal.name == name:

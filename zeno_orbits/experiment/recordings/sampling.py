@@ -22,7 +22,7 @@ _MOST_NOISE = 1e6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sampling:
-    """How a motion is recorded.
+    """Rate and noise of a simulated recording.
 
     Attributes:
         rate: Samples a second [Hz].

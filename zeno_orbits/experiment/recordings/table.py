@@ -33,7 +33,7 @@ _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Head:
-    """What stands above the numbers.
+    """The lines above the numbers.
 
     Attributes:
         comments: The lines that begin with ``#``, without it.

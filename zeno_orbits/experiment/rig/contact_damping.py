@@ -1,4 +1,4 @@
-r"""How much a compliant contact must be damped for a given restitution, exactly (theory (49)).
+r"""Damping of a compliant contact for a given restitution, exactly (theory (49)).
 
 With :math:`g(z) = z - \ln(1 + z)` and the damping number :math:`u = \alpha v`, a contact that
 begins at the speed `v` ends at :math:`e v` where

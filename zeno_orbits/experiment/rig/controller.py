@@ -1,8 +1,7 @@
-"""When a machine's voltages change, and to what: readings, delays and pulses in order of time.
+"""The digital controller of a machine: readings, delays and pulses in order of time.
 
-What a controller reads: coordinates rounded by encoders, rates from their differences.
-
-The pulses of a bridge, edge by edge (theory (51)).
+Encoders round coordinates, and rates are their differences (theory (52)); the pulses of a bridge
+come edge by edge (theory (51)).
 """
 
 from __future__ import annotations
@@ -53,7 +52,7 @@ class ControlLoop:
 
     @property
     def next_edge(self) -> float:
-        """When something happens next [s]."""
+        """Time of the next event [s]."""
         times = [self._readings * self._controller.period]
         times += [self._waiting[0][0]] if self._waiting else []
         if self._bridge is not None:

@@ -1,4 +1,4 @@
-r"""How far a machine is from the Zeno orbit of its model, and how that falls as its stop stiffens.
+r"""Distance of a machine from the Zeno orbit of its model, as a power of its stiffness.
 
 A distance `d` over stiffnesses `k` is fitted by :math:`d = c\,k^{-p}`. Theory (53) expects
 :math:`p = 1/(n+1)` for a contact force of power `n`: 1/2 for a spring, as contacts last that long.
@@ -28,7 +28,7 @@ _POSTS = 8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OrbitDistance:
-    """How far a cycle of a machine is from the Zeno orbit of its model; differences are signed.
+    """Distances of a machine's cycle from the Zeno orbit of its model; differences are signed.
 
     Attributes:
         impact_time: First contact less first impact, from release [s].
@@ -144,7 +144,7 @@ def orbit_distance(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CycleNumbers:
-    """What a cycle is known by, of a machine or of the orbit of its model.
+    """Characteristic numbers of a cycle, of a machine or of the orbit of its model.
 
     Attributes:
         impact_time: First contact, or first impact, from release [s].

@@ -102,6 +102,11 @@ def machine(problem: Problem, rig: Rig) -> Machine:
 def require_place(problem: Problem, system: CompletedSystem, rig: Rig) -> None:
     """Refuse parts that a problem has no place for.
 
+    Args:
+        problem: The problem.
+        system: Its completed system.
+        rig: The parts.
+
     Raises:
         InputError: With the part at fault.
     """

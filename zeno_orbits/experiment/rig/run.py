@@ -1,7 +1,4 @@
-"""What a run of a machine gives: states, forces and voltages over time, contacts, and a record.
-
-What a machine's computer wrote down, as a recording: simulated, and labelled so.
-"""
+"""Results of a run of a machine: states, forces and voltages over time, contacts, and a record."""
 
 from __future__ import annotations
 
@@ -19,7 +16,7 @@ from zeno_orbits.model.rig_parts import Rig
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RigSettings:
-    """How accurately to follow a machine, and what to keep of it.
+    """Accuracy of a run, and the part of it to keep.
 
     Attributes:
         engine: The integrator.
@@ -57,7 +54,7 @@ class Touch:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Record:
-    """What the machine's own computer wrote down, reading by reading: simulated, not measured.
+    """Readings of the machine's own controller: simulated, not measured.
 
     Attributes:
         times: ``(n,)`` [s].

@@ -246,7 +246,7 @@ class _Follower:
             times=np.array(times),
             states=y,
             in_contact=in_contact,
-            # A root of the gap is rounded to either side; the force of the outside is none.
+            # A root of the gap is rounded to either side; off the stop there is no force.
             contact_force=np.where(in_contact, np.maximum(seen[:, 0], 0.0), 0.0),
             gap=seen[:, 1],
             gap_rate=seen[:, 2],

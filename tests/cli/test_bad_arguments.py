@@ -1,0 +1,277 @@
+"""Bad arguments: each is refused in one line that names it, and leaves nothing behind."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+from tests.support.commands import (
+    MISUSE,
+    PUBLISHED_GAINS,
+    ask,
+    assert_refused,
+    contents,
+)
+
+pytestmark = pytest.mark.usefixtures("here")
+
+
+def simulating(*arguments: str) -> tuple[str, ...]:
+    return ("simulate", "motor_pendulum", *arguments)
+
+
+def searching(*arguments: str) -> tuple[str, ...]:
+    return ("search", "motor_pendulum", "-o", "f.json", *arguments)
+
+
+BAD_ARGUMENTS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "unknown command": (("frobnicate",), ("frobnicate", "search")),
+    "command with a slip": (("serach", "motor_pendulum"), ("`serach`. Did you mean `search`?",)),
+    "option with a slip": (searching("--gian", "Kp=2"), ("--gian", "Did you mean `--gain`?")),
+    "choice with a slip": (simulating("--engine", "explict"), ("Did you mean `explicit`?",)),
+    "problem with a slip": (("search", "motor_pendulm"), ("Did you mean `motor_pendulum`?",)),
+    "gain with a slip": (simulating("--gain", "kp=1"), ("`kp`. Did you mean `Kp`?",)),
+    "parameter with a slip": (simulating("--set", "restution=0"), ("mean `restitution`?",)),
+    "state with a slip": (simulating("--start", "thta2=1"), ("Did you mean `theta2`?",)),
+    "objective with a slip": (searching("--objective", "enrgy"), ("Did you mean `energy`?",)),
+    "unknown option": (("problems", "--frobnicate"), ("--frobnicate",)),
+    "no problem": (("simulate",), ("PROBLEM",)),
+    "unknown problem": (("search", "pendulum"), ("`pendulum`", "motor_pendulum")),
+    "unknown problem, conditions": (("conditions", "pendulum"), ("`pendulum`", "motor_pendulum")),
+    "unknown parameter": (simulating("--set", "m3=1"), ("`m3`", "m2")),
+    "unknown gain": (simulating("--gain", "Ki=1"), ("`Ki`", "Kp")),
+    "unknown gain to search": (searching("--gain", "Ki=1:2"), ("`Ki`", "Kp")),
+    "unknown gain to fix": (searching("--fix", "Ki=1"), ("`Ki`", "Kp")),
+    "gain of a problem without gains": (("simulate", "bouncing_ball", "--gain", "Kp=1"), ("`Kp`",)),
+    "gain fixed and searched": (searching("--fix", "Kp=2", "--gain", "Kp=1:3"), ("`gain`", "Kp")),
+    "gain not a number": (searching("--fix", "Kp=abc"), ("`Kp`", "`abc`")),
+    "gain not finite": (searching("--fix", "Kp=inf"), ("`Kp`", "finite")),
+    "bounds reversed": (searching("--gain", "Kp=5:1"), ("`Kp`", "5:1")),
+    "bounds equal": (searching("--gain", "Kp=2:2"), ("`Kp`", "2:2")),
+    "bounds not finite": (searching("--gain", "Kp=1:inf"), ("`Kp`", "inf")),
+    "bounds twice": (searching("--gain", "Kp=1:5", "--gain", "Kp=2:3"), ("`Kp`", "twice")),
+    "parameter unknown": (searching("--free", "Q=1:2"), ("`free`", "`Q`", "restitution")),
+    "parameter beyond its range": (searching("--free", "restitution=0.1:1"), ("`restitution`",)),
+    "parameter reversed": (searching("--free", "R=4:2"), ("`R`", "4:2")),
+    "parameter starts outside": (searching("--free", "R=2:4", "--set", "R=9"), ("`R`", "9")),
+    "parameter without colon": (searching("--free", "R=1"), ("`free`", "LOW:HIGH")),
+    "gain free twice": (searching("--free", "Kp=1:2", "--gain", "Kp=1:2"), ("`free`", "Kp")),
+    "free and fixed": (searching("--free", "Kp=1:2", "--fix", "Kp=1"), ("`free`", "Kp")),
+    "bound unknown": (searching("--keep", "angle=:1"), ("`keep`", "`angle`", "theta2")),
+    "bound without colon": (searching("--keep", "theta2=1"), ("`keep`", "LOWER:UPPER")),
+    "bound of nothing": (searching("--keep", "theta2=:"), ("`theta2`", "finite")),
+    "bound reversed": (searching("--keep", "theta2=2:1"), ("`theta2`", "2:1")),
+    "bound twice": (searching("--keep", "period=:2", "--keep", "period=1:"), ("`keep`", "twice")),
+    "peak of nothing": (searching("--objective", "peak"), ("`objective`", "peak=SIGNAL")),
+    "peak unknown": (searching("--objective", "peak=torque"), ("`torque`", "voltage")),
+    "contraction of what is fixed": (
+        searching(*PUBLISHED_GAINS, "--objective", "contraction"),
+        ("`objective`", "contraction"),
+    ),
+    "from nowhere": (searching("--from", "none.json"), ("none.json",)),
+    "candidates 0": (searching("--candidates", "0"), ("`candidates`", "`0`")),
+    "bounds without colon": (searching("--gain", "Kp=1"), ("LOW:HIGH", "`Kp=1`")),
+    "bounds not numbers": (searching("--gain", "Kp=a:b"), ("`Kp`", "`a`")),
+    "mass negative": (simulating("--set", "m1=-0.3"), ("`m1`", "greater than 0", "-0.3")),
+    "mass zero": (simulating("--set", "m1=0"), ("`m1`", "greater than 0")),
+    "restitution 1": (simulating("--set", "restitution=1"), ("`restitution`", "[0, 1)")),
+    "restitution 1.2": (simulating("--set", "restitution=1.2"), ("`restitution`", "1.2")),
+    "restitution -0.1": (simulating("--set", "restitution=-0.1"), ("`restitution`", "-0.1")),
+    "restitution nan": (simulating("--set", "restitution=nan"), ("`restitution`", "nan")),
+    "restitution inf": (simulating("--set", "restitution=inf"), ("`restitution`", "inf")),
+    "restitution 1, conditions": (
+        ("conditions", "motor_pendulum", "--set", "restitution=1"),
+        ("`restitution`",),
+    ),
+    "parameter without value": (simulating("--set", "m1"), ("NAME=VALUE", "`m1`")),
+    "parameter without name": (simulating("--set", "=1"), ("NAME=VALUE", "`=1`")),
+    "parameter not a number": (simulating("--set", "m1=abc"), ("`m1`", "`abc`")),
+    "parameter empty": (simulating("--set", "m1="), ("`m1`", "number")),
+    "parameter twice": (simulating("--set", "m1=1", "--set", "m1=2"), ("`m1`", "twice")),
+    "no rotor inertia: link 2 too long": (
+        simulating("--set", "I2=0.02"),
+        ("no rotor inertia", "0.355825", "1.48333"),
+    ),
+    "no rotor inertia: link 1 too long": (
+        simulating("--set", "lc1=3"),
+        ("no rotor inertia", "J_rotor must not be negative"),
+    ),
+    "until 0": (simulating("--until", "0"), ("`until`", "positive")),
+    "until negative": (simulating("--until", "-1"), ("`until`", "positive")),
+    "until nan": (simulating("--until", "nan"), ("`until`", "nan")),
+    "until infinite": (simulating("--until", "inf"), ("`until`", "inf")),
+    "until not a number": (simulating("--until", "soon"), ("`until`", "`soon`")),
+    "unknown state": (simulating("--start", "phi=1"), ("`phi`", "theta1")),
+    "start not finite": (simulating("--start", "theta1=nan"), ("`theta1`", "nan")),
+    "start inside the stop": (simulating("--start", "theta2=-0.1"), ("gap >= 0", "-0.1")),
+    "objective unknown": (searching("--objective", "speed"), ("`objective`", "`speed`", "energy")),
+    "objective empty": (searching("--objective", ""), ("`objective`", "energy")),
+    "objective twice": (
+        searching("--objective", "energy", "--objective", "margin"),
+        ("`objective`", "once", "energy, margin"),
+    ),
+    "number with an underscore": (searching("--fix", "Kp=2_5"), ("`Kp`", "`2_5`")),
+    "bounds with an underscore": (searching("--gain", "Kp=1_0:20"), ("`Kp`", "`1_0`")),
+    "radius too small": (
+        searching("--keep", "spectral_radius=:1e-5"),
+        ("`spectral_radius`", "0.0001", ":1e-05"),
+    ),
+    "period without target": (searching("--objective", "period"), ("period", "number")),
+    "period negative": (searching("--objective", "period=-1"), ("`objective`", "-1")),
+    "period zero": (searching("--objective", "period=0"), ("`objective`", "positive")),
+    "period not finite": (searching("--objective", "period=nan"), ("`objective`", "nan")),
+    "amplitude negative": (searching("--objective", "amplitude=-2"), ("`objective`", "-2")),
+    "energy with a target": (searching("--objective", "energy=3"), ("`objective`",)),
+    "nearest an unknown gain": (searching("--objective", "nearest:Ki=1"), ("`Ki`", "Kp")),
+    "nearest a fixed gain": (
+        searching("--fix", "Kp=2", "--objective", "nearest:Kp=3"),
+        ("`Kp`", "Kd"),
+    ),
+    "nearest without value": (searching("--objective", "nearest:Kp"), ("NAME=VALUE", "`Kp`")),
+    "period with all gains fixed": (
+        searching(*PUBLISHED_GAINS, "--objective", "period=1.8"),
+        ("`objective`", "free"),
+    ),
+    "starts 0": (searching("--starts", "0"), ("`starts`", "`0`")),
+    "starts negative": (searching("--starts", "-3"), ("`starts`", "`-3`")),
+    "seed not a number": (searching("--seed", "x"), ("`seed`", "`x`")),
+    "seed negative": (searching("--seed", "-1"), ("seed",)),
+    "search into a missing folder": (
+        ("search", "motor_pendulum", "-o", "none/f.json"),
+        ("`output`", "none/f.json"),
+    ),
+    "search into a folder": (("search", "motor_pendulum", "-o", "."), ("`output`", "folder")),
+    "simulate into a missing folder": (simulating("-o", "none/f.png"), ("`output`", "none/f.png")),
+    "simulate into a folder": (simulating("-o", "."), ("`output`", "folder")),
+    "simulate into an unknown format": (simulating("-o", "f.gif"), ("`output`", ".png", "f.gif")),
+    "simulate into no format": (simulating("-o", "f"), ("`output`", ".png")),
+    "conditions into an unknown format": (
+        ("conditions", "motor_pendulum", "-o", "f.gif"),
+        ("`output`", ".png", "f.gif"),
+    ),
+    "conditions into a missing folder": (
+        ("conditions", "motor_pendulum", "-o", "none/f.png"),
+        ("`output`", "none/f.png"),
+    ),
+    "trade for no time": (("trade", "bouncing_ball", "--until", "0"), ("`until`", "positive")),
+    "trade for nan": (("trade", "bouncing_ball", "--until", "nan"), ("`until`", "nan")),
+    "trade without end": (("trade", "bouncing_ball", "--until", "inf"), ("`until`", "inf")),
+    "trade into a missing folder": (
+        ("trade", "bouncing_ball", "-o", "none/t.json"),
+        ("`output`", "none/t.json"),
+    ),
+    "trade drawn into a missing folder": (
+        ("trade", "bouncing_ball", "--picture", "none/t.png"),
+        ("`picture`", "none/t.png"),
+    ),
+    "trade drawn in an unknown format": (
+        ("trade", "bouncing_ball", "--picture", "t.gif"),
+        (".png", "t.gif"),
+    ),
+    "trade written and drawn into one file": (
+        ("trade", "bouncing_ball", "--picture", "t.png", "-o", "t.png"),
+        ("`picture`", "t.png"),
+    ),
+    **{
+        f"accuracy {value} of {command[0]}": (
+            (*command, f"--accuracy={value}"),
+            ("`accuracy`", "[1e-12, 0.01]", f"it is {value}."),
+        )
+        for command in (simulating("-o", "f.png"), searching(*PUBLISHED_GAINS))
+        for value in ("nan", "inf", "0", "-1", "1e-20", "1", "2")
+    },
+    "accuracy not a number": (simulating("--accuracy", "good"), ("`accuracy`", "`good`")),
+    "engine unknown": (simulating("--engine", "euler"), ("`engine`", "`euler`", "implicit")),
+    "plot into an unknown format": (("plot", "o.json", "--format", "gif"), ("gif", "svg")),
+    "plot an unknown kind": (("plot", "o.json", "--kind", "pie"), ("pie", "portraits")),
+    "verify nothing": (("verify",), ("ORBIT.json",)),
+    "orbit file missing": (("verify", "none.json"), ("`none.json`", "read")),
+    "orbit file missing, plot": (("plot", "none.json", "-o", "pictures"), ("`none.json`", "read")),
+    "orbit file a folder": (("verify", "."), ("Orbit file", "read")),
+    "problem file missing": (("simulate", "none.py"), ("`none.py`",)),
+    "problem a folder without model": (("simulate", "."), ("model.py",)),
+}
+
+
+@pytest.mark.parametrize("case", BAD_ARGUMENTS)
+def test_bad_arguments_are_refused_in_one_line(case: str, here: Path) -> None:
+    arguments, words = BAD_ARGUMENTS[case]
+    assert_refused(ask(*arguments), *words)
+    assert contents(here) == {}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("verify", "orbit.json", "--tolerance", "0"), ("`tolerance`", "(0, 1)")),
+        (("verify", "orbit.json", "--tolerance=-1e-9"), ("`tolerance`",)),
+        (("verify", "orbit.json", "--tolerance", "nan"), ("`tolerance`",)),
+        (("verify", "orbit.json", "--tolerance", "1"), ("`tolerance`",)),
+        (("verify", "orbit.json", "--periods", "0"), ("`periods`", "`0`")),
+        (("verify", "orbit.json", "--model", "guessed"), ("`model`", "reference")),
+        (("verify", "orbit.json", "--problem", "bouncing_ball"), ("bouncing_ball",)),
+        (("verify", "orbit.json", "--problem", "none.py"), ("`none.py`",)),
+        *(
+            (("verify", "orbit.json", f"--accuracy={value}"), ("`accuracy`", f"it is {value}."))
+            for value in ("nan", "0", "-1", "1e-20", "1", "2")
+        ),
+        (
+            ("verify", "orbit.json", "--engine", "taylor", "--model", "reference"),
+            ("formulas", "Taylor"),
+        ),
+        (("plot", "orbit.json", "--problem", "bouncing_ball", "-o", "p"), ()),
+        (("plot", "orbit.json", "-o", "orbit.json"), ("`output`", "folder")),
+        (("plot", "orbit.json", "-o", "orbit.json/p"), ("`output`", "folder")),
+    ],
+    ids=lambda value: " ".join(value[2:]) if value and value[0] in ("verify", "plot") else "",
+)
+def test_a_good_orbit_with_bad_arguments_is_refused_in_one_line(
+    arguments: tuple[str, ...], words: tuple[str, ...], orbit_file: Path, here: Path
+) -> None:
+    before = contents(here)
+    assert orbit_file.name in before
+    assert_refused(ask(*arguments), *words)
+    assert contents(here) == before
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("search", "motor_pendulum", "-o", "closed/f.json"),
+        ("simulate", "motor_pendulum", "-o", "closed/f.png"),
+        ("plot", "orbit.json", "-o", "closed"),
+        ("plot", "orbit.json", "-o", "closed/pictures"),
+    ],
+)
+def test_a_closed_folder_is_refused(
+    arguments: tuple[str, ...], orbit_file: Path, here: Path
+) -> None:
+    closed = here / "closed"
+    closed.mkdir(mode=0o500)
+    if os.access(closed, os.W_OK):
+        pytest.skip("this user may write anywhere")
+    assert orbit_file.exists()
+    assert_refused(ask(*arguments), "`output`", "closed")
+    assert list(closed.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("map", "motor_pendulum", "--x", "Kp=1:5", "--y", "Kd=-2:0"),
+        ("trade", "bouncing_ball"),
+        ("continue", "motor_pendulum", "--in", "Kp=2:3"),
+    ],
+    ids=lambda arguments: arguments[0],
+)
+@pytest.mark.parametrize("picture", ["a.png", "./a.png"])
+def test_a_picture_may_not_be_written_over_the_output(
+    arguments: tuple[str, ...], picture: str, here: Path
+) -> None:
+    answer = ask(*arguments, "-o", "a.png", "--picture", picture)
+    assert answer.code == MISUSE
+    assert "`picture` must be another file than `output`" in answer.err
+    assert contents(here) == {}

@@ -1,0 +1,109 @@
+"""The help: its examples run."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+import zeno_orbits
+from tests.support.commands import (
+    MISUSE,
+    NO,
+    YES,
+    Answer,
+    ask,
+    examples,
+    raising,
+)
+from zeno_orbits.cli import build_parser
+from zeno_orbits.errors import ZenoOrbitsError
+
+pytestmark = pytest.mark.usefixtures("here")
+
+
+COMMANDS = (
+    *("problems", "conditions", "simulate", "fidelity", "search", "verify", "trade", "plot"),
+    *("map", "rig"),
+)
+
+
+EVERY = tuple(re.findall(r"^    ([a-z]+)(?: |$)", build_parser().format_help(), flags=re.MULTILINE))
+
+
+def test_every_command_is_known_to_the_tests_of_its_examples() -> None:
+    elsewhere = {"new", "continue", "compare", "identify", "report", "figures"}
+    assert set(EVERY) == {*COMMANDS, *elsewhere}
+
+
+@pytest.mark.parametrize("command", EVERY)
+def test_the_help_of_a_command_shows_examples_of_it(command: str) -> None:
+    shown = examples(command)
+    assert shown
+    assert shown[0][0] == command
+    assert all(example[0] in EVERY for example in shown)
+
+
+def test_the_bare_command_prints_the_help_and_is_misuse() -> None:
+    assert ask() == Answer(MISUSE, ask("--help").out, "")
+
+
+def test_the_program_tells_its_version() -> None:
+    assert ask("--version") == Answer(YES, f"zeno-orbits {zeno_orbits.__version__}\n", "")
+
+
+def test_the_help_of_the_program_names_every_command_and_the_exit_codes() -> None:
+    answer = ask("--help")
+    assert answer.code == YES
+    assert "exit codes: 0 yes; 1" in answer.out
+    assert "example" in answer.out
+    for command in EVERY:
+        assert command in answer.out
+
+
+LONG_WORDS = {"--objective", "reference", "--measure", "trade"}
+
+
+# The examples of `map` take minutes, and one a cluster: `test_maps.py` runs smaller ones.
+EXAMPLES = tuple(
+    example for command in COMMANDS if command != "map" for example in examples(command)
+)
+
+
+QUICK = tuple(example for example in EXAMPLES if not LONG_WORDS & set(example))
+
+
+LONG = tuple(example for example in EXAMPLES if LONG_WORDS & set(example))
+
+
+HERE = tuple(example for example in LONG if "--scheduler" not in example)
+"""Those that need no cluster; `test_cluster` has one."""
+
+
+@pytest.mark.parametrize("example", QUICK, ids=" ".join)
+def test_a_quick_example_of_the_help_runs(example: list[str], orbit_file: Path) -> None:
+    assert orbit_file.exists()
+    assert ask(*example).code == YES
+
+
+@pytest.mark.parametrize("example", LONG, ids=" ".join)
+def test_a_long_example_of_the_help_is_understood(
+    example: list[str], orbit_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert orbit_file.exists()
+    reached = raising(ZenoOrbitsError("The work would begin here."))
+    monkeypatch.setattr("zeno_orbits.search.search_gains", reached)
+    monkeypatch.setattr("zeno_orbits.verification.verifier.verify", reached)
+    monkeypatch.setattr("zeno_orbits.precision.trials.trade", reached)
+    monkeypatch.setattr("zeno_orbits.precision.reduced_models.reduction_costs", reached)
+    answer = ask(*example)
+    assert answer.code == NO
+    assert answer.err == "zeno-orbits: The work would begin here.\n"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("example", HERE, ids=" ".join)
+def test_a_long_example_of_the_help_runs(example: list[str], orbit_file: Path) -> None:
+    assert orbit_file.exists()
+    assert ask(*example).code == YES

@@ -1,0 +1,176 @@
+"""What all commands share: JSON, progress, errors, interrupts, and streams nobody reads."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support.commands import (
+    INTERRUPTED,
+    MISUSE,
+    NO,
+    PUBLISHED_GAINS,
+    YES,
+    Answer,
+    ask,
+    assert_refused,
+    contents,
+    raising,
+)
+from zeno_orbits.cli import main
+from zeno_orbits.report.terminal import progress
+
+pytestmark = pytest.mark.usefixtures("here")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("problems",),
+        ("conditions", "motor_pendulum"),
+        ("conditions", "motor_pendulum", "-o", "region.png"),
+        ("simulate", "motor_pendulum", "--until", "2"),
+        ("simulate", "motor_pendulum", "--until", "2", "-o", "time.png"),
+        ("search", "motor_pendulum", *PUBLISHED_GAINS),
+        ("verify", "orbit.json", "--periods", "1"),
+        ("plot", "orbit.json", "-o", "pictures", "--kind", "portraits"),
+    ],
+    ids=" ".join,
+)
+def test_json_is_all_that_standard_output_holds_and_progress_goes_elsewhere(
+    arguments: tuple[str, ...], orbit_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert orbit_file.exists()
+    monkeypatch.setattr(progress, "_PATIENCE", 0.0)
+    answer = ask(*arguments, "--json")
+    assert answer.code == YES
+    assert answer.data
+    if arguments[0] in ("simulate", "search", "verify"):
+        assert re.search(r"^ *\d+\.\d s  \w", answer.err)
+    else:
+        assert answer.err == ""
+
+
+def test_work_that_is_done_at_once_shows_no_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(progress, "_PATIENCE", 1.0)
+    assert ask("simulate", "bouncing_ball", "--until", "0.1").err == ""
+
+
+def test_an_unexpected_error_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        "zeno_orbits.model.library.load_problem", raising(RuntimeError("two\nlines"))
+    )
+    answer = ask("simulate", "motor_pendulum")
+    assert_refused(answer, "internal error", "RuntimeError: two lines", "--debug")
+
+
+def test_debug_shows_where_an_error_comes_from(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ValueError, match="pendulum"):
+        main(["simulate", "pendulum", "--debug"])
+    monkeypatch.setattr(
+        "zeno_orbits.model.library.load_problem", raising(RuntimeError("deep inside"))
+    )
+    with pytest.raises(RuntimeError, match="deep inside"):
+        main(["simulate", "motor_pendulum", "--debug"])
+
+
+def started(*arguments: str | Path, **streams: Any) -> subprocess.Popen[str]:
+    """Start the command line in a process of its own, as a shell would."""
+    root = str(Path(__file__).resolve().parents[2])
+    paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
+    return subprocess.Popen(
+        [sys.executable, "-m", "zeno_orbits", *map(str, arguments)],
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        **streams,
+    )
+
+
+def test_the_package_runs_as_a_module() -> None:
+    with started("simulate", "bouncing_ball", "--until", "1", "--json") as process:
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == YES
+    assert err == ""
+    assert json.loads(out)["problem"] == "bouncing_ball"
+
+
+def test_misuse_of_the_module_is_an_exit_code_and_one_line() -> None:
+    with started("simulate", "bouncing_ball", "--until", "0") as process:
+        out, err = process.communicate(timeout=60)
+    assert_refused(Answer(process.returncode, out, err), "`until`")
+
+
+@pytest.mark.parametrize("arguments", [("problems",), ("problems", "--json")], ids=" ".join)
+def test_a_reader_who_has_seen_enough_is_no_error(arguments: tuple[str, ...]) -> None:
+    with started(*arguments) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        err = process.stderr.read()
+    assert process.returncode == YES
+    assert err == ""
+
+
+def closed(*arguments: str | Path, streams: str) -> subprocess.CompletedProcess[str]:
+    """Run the command line from a shell, with its streams closed or sent elsewhere."""
+    root = str(Path(__file__).resolve().parents[2])
+    paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
+    words = shlex.join([sys.executable, "-m", "zeno_orbits", *map(str, arguments)])
+    return subprocess.run(
+        ["bash", "-c", f"set -o pipefail; {words} {streams}"],
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+        capture_output=True,
+        check=False,
+        timeout=120,
+    )
+
+
+@pytest.mark.parametrize("streams", [">&- 2>&-", "2>/dev/full", "| true"])
+def test_an_answer_does_not_depend_on_who_reads_it(
+    streams: str, orbit_data: dict[str, Any], here: Path
+) -> None:
+    orbit_data["period"] *= 1 + 1e-6
+    (here / "false.json").write_text(json.dumps(orbit_data))
+    found = closed("verify", here / "false.json", "--periods", "1", streams=streams)
+    assert found.returncode == NO
+    assert "Error" not in found.stderr
+
+
+def test_a_yes_and_a_misuse_do_not_depend_on_it_either(here: Path) -> None:
+    for streams in (">&-", "2>&-"):
+        assert closed("problems", streams=streams).returncode == YES
+        assert closed("verify", here / "none.json", streams=streams).returncode == MISUSE
+
+
+@pytest.mark.parametrize("arguments", [("problems",), ("problems", "--json"), ("--help",)])
+def test_an_output_that_finds_no_room_is_no_yes(arguments: tuple[str, ...]) -> None:
+    found = closed(*arguments, streams="> /dev/full")
+    assert found.returncode == MISUSE
+    assert re.fullmatch(r"zeno-orbits: Standard output must take .*No space left.*\n", found.stderr)
+
+
+def test_an_interrupt_from_the_keyboard_ends_a_search_without_a_file(here: Path) -> None:
+    arguments = ("--objective", "period=1.95", "-o", "f.json")
+    with started("search", "motor_pendulum", *arguments, cwd=here) as process:
+        assert process.stderr is not None
+        progress = process.stderr.readline()
+        process.send_signal(signal.SIGINT)
+        out, rest = process.communicate(timeout=60)
+    assert re.match(r" *\d+\.\d s  \w", progress)
+    assert process.returncode == INTERRUPTED
+    assert out == ""
+    assert rest.endswith("zeno-orbits: interrupted; nothing was written\n")
+    assert "Traceback" not in rest
+    assert contents(here) == {}

@@ -1,0 +1,158 @@
+"""The command `simulate`: its events, its error, its samples, its engines."""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support.commands import (
+    NO,
+    YES,
+    ask,
+    assert_refused,
+    contents,
+    error_said,
+)
+from zeno_orbits.errors import PenetrationError
+from zeno_orbits.integrators.flow import Tolerance
+from zeno_orbits.simulation.execution import Execution
+from zeno_orbits.simulation.simulator import SimulationSettings, simulate
+
+pytestmark = pytest.mark.usefixtures("here")
+
+
+def test_simulate_names_impacts_zeno_points_and_releases() -> None:
+    answer = ask("simulate", "motor_pendulum", "--until", "3")
+    assert answer.code == YES
+    for word in ("impact", "Zeno point", "release", "the last arc is"):
+        assert word in answer.out
+
+
+def test_simulate_as_json_follows_the_ball_to_its_zeno_time() -> None:
+    answer = ask("simulate", "bouncing_ball", "--set", "restitution=0.8", "--until", "5", "--json")
+    assert answer.code == YES
+    events = answer.data["events"]
+    e, g = 0.8, 9.81
+    fall = math.sqrt(2 / g)
+    assert [event["event"] for event in events] == ["impact"] * (len(events) - 1) + ["zeno_point"]
+    assert events[0]["time"] == pytest.approx(fall, rel=1e-11)
+    assert events[-1]["time"] == pytest.approx(fall * (1 + e) / (1 - e), rel=1e-11)
+    assert answer.data["end_mode"] == "locked"
+    assert answer.data["end_time"] == 5.0
+
+
+def test_simulate_starts_where_it_is_told_and_draws_when_asked(here: Path) -> None:
+    answer = ask(
+        *("simulate", "bouncing_ball", "--start", "speed=-2", "--start", "height=1"),
+        *("--until", "1", "--json", "-o", "ball.svg"),
+    )
+    fall = (math.sqrt(4 + 2 * 9.81) - 2) / 9.81
+    assert answer.data["events"][0]["time"] == pytest.approx(fall, rel=1e-11)
+    assert "<svg" in (here / "ball.svg").read_text()
+
+
+def test_simulate_at_an_accuracy_reports_the_error_as_text_and_json() -> None:
+    ball = ("simulate", "bouncing_ball", "--until", "5", "--accuracy", "1e-6")
+    assert 0.0 < error_said(ask(*ball)) <= 1e-6
+    assert 0.0 < ask(*ball, "--json").data["error"] <= 1e-6
+
+
+def test_simulate_tells_the_error_of_every_zeno_point_with_its_flights() -> None:
+    """Of the closed form, and not of the limit of impacts that are wrong themselves."""
+    e, g = 0.5, 9.81
+    truth = math.sqrt(2 / g) * (1 + e) / (1 - e)
+    ball = ("simulate", "bouncing_ball", "--set", f"restitution={e}", "--until", "5")
+    data = ask(*ball, "--json").data
+    (point,) = [event for event in data["events"] if event["event"] == "zeno_point"]
+    assert abs(point["time"] - truth) <= point["error"] * (1 + truth)
+    assert point["limit_error"] < point["error"] <= data["error"]
+    said = re.search(r"Zeno point \(\+- (.*?)\)", ask(*ball).out)
+    assert said is not None
+    assert float(said[1]) == pytest.approx(point["error"], rel=0.5)
+
+
+def test_simulate_says_where_no_looser_run_tells_the_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fragile(*given: Any, settings: SimulationSettings, **named: Any) -> Execution:
+        if settings.tolerance.relative > Tolerance().relative:
+            raise PenetrationError("Through the stop", time=0.0, state=(0.0, 0.0))
+        return simulate(*given, settings=settings, **named)
+
+    monkeypatch.setattr("zeno_orbits.precision.accuracy.simulate", fragile)
+    ball = ("simulate", "bouncing_ball", "--until", "5")
+    answer = ask(*ball)
+    assert "Zeno point (+- ?)" in answer.out
+    assert "error: unknown" in answer.out
+    data = ask(*ball, "--json").data
+    assert data["error"] is None
+    assert data["events"][-1]["error"] is None
+
+
+def test_an_accuracy_out_of_reach_is_a_no(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A machine that rounds a thousand times worse."""
+    monkeypatch.setattr("zeno_orbits.precision.accuracy.ROUNDING", 4e-12)
+    ball = ("simulate", "bouncing_ball", "--until", "1", "-o", "f.png", "--accuracy")
+    answer = ask(*ball, "1e-12")
+    assert answer.code == NO
+    assert answer.out == ""
+    assert re.fullmatch(r"zeno-orbits: The accuracy 1e-12 is out of reach: .*\n", answer.err)
+    assert contents(here) == {}
+    assert ask(*ball, "1e-9").code == YES
+
+
+@pytest.mark.parametrize("engine", ["automatic", "explicit", "implicit", "taylor"])
+def test_every_engine_simulates_and_is_named(engine: str) -> None:
+    if engine == "taylor":
+        pytest.importorskip("heyoka")
+    answer = ask("simulate", "motor_pendulum", "--until", "2", "--engine", engine)
+    assert answer.code == YES
+    assert f"Engine: {engine}," in answer.out
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("simulate", "motor_pendulum", "-o", "f.png"),
+        ("search", "motor_pendulum", "-o", "f.json"),
+        ("verify", "orbit.json"),
+    ],
+    ids=lambda command: command[0],
+)
+def test_taylor_without_heyoka_is_refused_with_what_to_install(
+    command: tuple[str, ...], orbit_file: Path, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert orbit_file.exists()
+    before = contents(here)
+    monkeypatch.setitem(sys.modules, "heyoka", None)
+    assert_refused(ask(*command, "--engine", "taylor"), "heyoka", "zeno_orbits[taylor]")
+    assert contents(here) == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--rate", "0"), ("`rate`", "positive")),
+        (("--rate", "1e12"), ("`rate`", "10000000 samples")),
+        (("--noise", "1e308"), ("`noise`", "1e+06")),
+        (("--noise", "nan"), ("`noise`", "nan")),
+        (("-o", "a.png", "--data", "./a.png"), ("`output`", "another file than `data`")),
+    ],
+    ids=str,
+)
+def test_samples_that_cannot_be_are_refused_before_the_work(
+    arguments: tuple[str, ...], words: tuple[str, ...], here: Path
+) -> None:
+    data = () if "--data" in arguments else ("--data", "data.csv")
+    answer = ask("simulate", "bouncing_ball", "--until", "1", *arguments, *data)
+    assert_refused(answer, *words)
+    assert contents(here) == {}
+
+
+def test_numbers_that_no_parameter_can_be_derived_from_are_misuse() -> None:
+    answer = ask("simulate", "motor_pendulum", "--set", "m2=1e300", "--until", "1")
+    assert_refused(answer, "`parameters`", "out of range")
+    assert "internal" not in answer.err

@@ -1,0 +1,77 @@
+"""The command `trade`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.support.commands import (
+    INTERRUPTED,
+    NO,
+    YES,
+    Answer,
+    ask,
+    contents,
+    raising,
+)
+from zeno_orbits.precision.work_precision import read_work_precision
+
+pytestmark = pytest.mark.usefixtures("here")
+
+
+TRADING = ("trade", "bouncing_ball", "--quick", "--until", "4.5")
+
+
+@pytest.fixture(name="traded", scope="module")
+def _traded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Answer, Path]:
+    """What `trade` prints as JSON, and the folder with what it writes."""
+    folder = tmp_path_factory.mktemp("traded")
+    outputs = ("-o", folder / "trade.json", "--picture", folder / "trade.png")
+    return ask(*TRADING, "--json", *outputs), folder
+
+
+def test_trade_writes_what_it_prints_and_draws_it(traded: tuple[Answer, Path]) -> None:
+    answer, folder = traded
+    assert answer.code == YES
+    assert answer.data == json.loads((folder / "trade.json").read_text())
+    assert {"problem", "truth", "truth_error", "trials"} <= set(answer.data)
+    assert any(trial["on_front"] for trial in answer.data["trials"])
+    assert (folder / "trade.png").read_bytes().startswith(b"\x89PNG")
+    assert sorted(contents(folder)) == ["trade.json", "trade.png"]
+
+
+@pytest.mark.parametrize("problem", ["bouncing_ball", "motor_pendulum", "motor_pendulum@corrected"])
+@pytest.mark.slow
+def test_trade_shows_the_cheapest_values_of_each_accuracy(problem: str) -> None:
+    answer = ask("trade", problem, "--quick", "--until", "4.5")
+    assert answer.code == YES
+    for words in ("cheapest setting", "SciPy LSODA", "plastic below", "Truth:", "Work: 4.5 s"):
+        assert words in answer.out
+
+
+def test_trade_where_nothing_happens_so_soon_is_a_no_in_one_line(here: Path) -> None:
+    answer = ask("trade", "bouncing_ball", "--until", "0.1", "-o", "t.json", "--picture", "t.png")
+    assert answer.code == NO
+    assert answer.out == ""
+    assert answer.err.startswith("zeno-orbits: There is nothing to compare")
+    assert answer.err.count("\n") == 1
+    assert contents(here) == {}
+
+
+@pytest.mark.parametrize(
+    "where",
+    ["precision.trials.trade", "report.plots.plot_trade", "report.plots.save_figure"],
+)
+def test_an_interrupted_trade_writes_nothing(
+    where: str, traded: tuple[Answer, Path], here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measured = read_work_precision(traded[1] / "trade.json")
+    monkeypatch.setattr("zeno_orbits.precision.trials.trade", lambda *_, **__: measured)
+    monkeypatch.setattr(f"zeno_orbits.{where}", raising(KeyboardInterrupt()))
+    answer = ask(*TRADING, "-o", "t.json", "--picture", "t.png")
+    assert answer.code == INTERRUPTED
+    assert answer.out == ""
+    assert answer.err == "zeno-orbits: interrupted; nothing was written\n"
+    assert contents(here) == {}

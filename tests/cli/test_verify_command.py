@@ -1,0 +1,280 @@
+"""The command `verify`: orbits, tampered orbits, and files that hold no orbit."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support.commands import (
+    NO,
+    YES,
+    ask,
+    assert_refused,
+    contents,
+    error_said,
+)
+
+pytestmark = pytest.mark.usefixtures("here")
+
+
+def test_verify_says_yes_to_what_the_search_wrote(orbit_file: Path) -> None:
+    answer = ask("verify", orbit_file)
+    assert answer.code == YES
+    assert "Verified: a stable Zeno periodic orbit" in answer.out
+    assert "Observed order of the cut" in answer.out
+
+
+def test_verify_prints_the_certificate_as_json(orbit_file: Path) -> None:
+    answer = ask("verify", orbit_file, "--json")
+    assert answer.code == YES
+    assert answer.data["passed"] is True
+    assert answer.data["model"] == "derived"
+    assert max(answer.data["residuals"].values()) < 1e-9
+    assert min(answer.data["margins"].values()) > 0
+
+
+def test_verify_on_the_hand_written_model_says_yes_too(orbit_file: Path) -> None:
+    answer = ask("verify", orbit_file, "--model", "reference", "--periods", "1", "--json")
+    assert answer.code == YES
+    assert answer.data["model"] == "reference"
+
+
+def _later_zeno(data: dict[str, Any]) -> None:
+    data["zeno_time"] += 1e-4
+
+
+def _longer_period(data: dict[str, Any]) -> None:
+    data["period"] *= 1 + 1e-6
+
+
+def _other_first_impact(data: dict[str, Any]) -> None:
+    data["impacts"][0]["time"] += 1e-5
+
+
+def _not_at_release(data: dict[str, Any]) -> None:
+    data["release_state"]["current"] += 1e-3
+
+
+def _off_the_stop(data: dict[str, Any]) -> None:
+    data["release_state"]["theta2"] += 1e-3
+
+
+def _inside_the_stop(data: dict[str, Any]) -> None:
+    data["release_state"]["theta2"] -= 1e-3
+
+
+def _moving_into_the_stop(data: dict[str, Any]) -> None:
+    data["release_state"]["dtheta2"] -= 1e-3
+
+
+def _doubled_period(data: dict[str, Any]) -> None:
+    data["period"] *= 2
+
+
+def _henries_for_millihenries(data: dict[str, Any]) -> None:
+    data["parameters"]["L"] *= 1000
+
+
+def _milliamperes_for_amperes(data: dict[str, Any]) -> None:
+    data["release_state"]["current"] *= 1000
+
+
+def _out_of_all_bounds(data: dict[str, Any]) -> None:
+    data["release_state"]["theta1"] = 1e200
+
+
+def _other_zeno_point(data: dict[str, Any]) -> None:
+    data["zeno_state"]["theta1"] += 1e-4
+
+
+@pytest.mark.parametrize(
+    ("tamper", "residual"),
+    [
+        (_later_zeno, "zeno_point"),
+        (_other_zeno_point, "zeno_point"),
+        (_longer_period, "period"),
+        (_other_first_impact, "first_impact"),
+        (_not_at_release, "release"),
+        (_off_the_stop, "release"),
+        (_inside_the_stop, "release"),
+        (_moving_into_the_stop, "release"),
+        (_doubled_period, "period"),
+        (_henries_for_millihenries, "first_impact"),
+        (_milliamperes_for_amperes, "release"),
+        (_out_of_all_bounds, "release"),
+    ],
+)
+def test_verify_refuses_a_tampered_orbit_and_names_the_residual(
+    tamper: Callable[[dict[str, Any]], None],
+    residual: str,
+    orbit_data: dict[str, Any],
+    here: Path,
+) -> None:
+    tamper(orbit_data)
+    (here / "false.json").write_text(json.dumps(orbit_data))
+    answer = ask("verify", "false.json", "--periods", "1")
+    assert answer.code == NO
+    assert f"Refused: `{residual}` is" in answer.out
+    assert answer.err == ""
+
+
+def test_verify_at_an_accuracy_refuses_a_period_that_is_further_off(
+    orbit_data: dict[str, Any], here: Path
+) -> None:
+    orbit_data["period"] *= 1 + 1e-5
+    (here / "off.json").write_text(json.dumps(orbit_data))
+    refused = ask("verify", "off.json", "--accuracy", "1e-6")
+    assert refused.code == NO
+    assert "Refused: `period` = 1.0e-05 exceeds 1e-06" in refused.out
+    assert error_said(refused) >= 0.99e-5
+    assert ask("verify", "off.json", "--accuracy", "1e-4").code == YES
+
+
+def test_verify_at_an_accuracy_reports_the_error_as_json(orbit_file: Path) -> None:
+    assert 0.0 < ask("verify", orbit_file, "--accuracy", "1e-6", "--json").data["error"] <= 1e-6
+
+
+def test_an_orbit_that_is_less_certain_than_asked_is_a_no(orbit_file: Path) -> None:
+    """However lax its residuals are judged."""
+    lax = ("verify", orbit_file, "--periods", "1", "--tolerance", "0.5", "--accuracy")
+    refused = ask(*lax, "1e-12")
+    assert refused.code == NO
+    assert "Verified" in refused.out
+    assert error_said(refused) > 1e-12
+    assert "more than the accuracy 1e-12" in refused.out
+    assert ask(*lax, "1e-12", "--json").code == NO
+    assert ask(*lax, "1e-6").code == YES
+
+
+@pytest.mark.parametrize("command", [("verify",), ("plot", "-o", "pictures")])
+@pytest.mark.parametrize("part", [0.0, 0.001, 0.2, 0.5, 0.9, 0.999])
+def test_an_orbit_file_that_is_cut_short_is_refused(
+    part: float, command: tuple[str, ...], orbit_file: Path, here: Path
+) -> None:
+    text = orbit_file.read_text().rstrip()
+    orbit_file.write_text(text[: int(part * len(text))])
+    before = contents(here)
+    assert_refused(ask(*command, orbit_file.name), "orbit.json", "JSON")
+    assert contents(here) == before
+
+
+def _newer(data: dict[str, Any]) -> Any:
+    return {**data, "format": 3}
+
+
+def _other_format(data: dict[str, Any]) -> Any:
+    return {**data, "format": "1"}
+
+
+def _list(data: dict[str, Any]) -> Any:
+    return [data]
+
+
+def _nan(data: dict[str, Any]) -> Any:
+    return {**data, "period": math.nan}
+
+
+def _nan_inside(data: dict[str, Any]) -> Any:
+    return {**data, "release_state": {**data["release_state"], "theta1": math.nan}}
+
+
+def _infinite_gain(data: dict[str, Any]) -> Any:
+    return {**data, "gains": {"Kp": math.inf, "Kd": -1.0}}
+
+
+def _negative_period(data: dict[str, Any]) -> Any:
+    return {**data, "period": -1.0}
+
+
+def _text_period(data: dict[str, Any]) -> Any:
+    return {**data, "period": "1.8"}
+
+
+def _text_states(data: dict[str, Any]) -> Any:
+    return {**data, "zeno_state": "here"}
+
+
+def _impact_numbers(data: dict[str, Any]) -> Any:
+    return {**data, "impacts": [1.0, 2.0]}
+
+
+def _no_impacts(data: dict[str, Any]) -> Any:
+    return {**data, "impacts": []}
+
+
+def _no_period(data: dict[str, Any]) -> Any:
+    return {name: value for name, value in data.items() if name != "period"}
+
+
+def _missing_state(data: dict[str, Any]) -> Any:
+    return {**data, "release_state": {"theta1": 0.2}}
+
+
+def _missing_gain(data: dict[str, Any]) -> Any:
+    return {**data, "gains": {"Kp": 2.5}}
+
+
+def _unknown_parameter(data: dict[str, Any]) -> Any:
+    return {**data, "parameters": {**data["parameters"], "m3": 1.0}}
+
+
+def _bad_restitution(data: dict[str, Any]) -> Any:
+    return {**data, "parameters": {**data["parameters"], "restitution": 1.2}}
+
+
+def _other_problem(data: dict[str, Any]) -> Any:
+    return {**data, "problem": "bouncing_ball"}
+
+
+def _unknown_problem(data: dict[str, Any]) -> Any:
+    return {**data, "problem": "flying_machine"}
+
+
+def _single_multiplier(data: dict[str, Any]) -> Any:
+    return {**data, "floquet_multipliers": [0.1]}
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (_newer, ("format 3", "newer")),
+        (_other_format, ("`format`",)),
+        (_list, ("object",)),
+        (_nan, ("`period`", "finite")),
+        (_nan_inside, ("`release_state.theta1`", "finite")),
+        (_infinite_gain, ("`gains.Kp`", "finite")),
+        (_negative_period, ("`period`", "positive")),
+        (_text_period, ("`period`", "number")),
+        (_text_states, ("`zeno_state`",)),
+        (_impact_numbers, ("`impacts`",)),
+        (_no_impacts, ("impact",)),
+        (_no_period, ("`period`",)),
+        (_missing_state, ("theta2",)),
+        (_missing_gain, ("Kd",)),
+        (_unknown_parameter, ("m3",)),
+        (_bad_restitution, ("`restitution`", "1.2")),
+        (_other_problem, ()),
+        (_unknown_problem, ("`flying_machine`",)),
+        (_single_multiplier, ("`floquet_multipliers`",)),
+    ],
+)
+def test_a_false_orbit_file_is_refused_and_its_entry_named(
+    spoil: Callable[[dict[str, Any]], Any],
+    words: tuple[str, ...],
+    orbit_data: dict[str, Any],
+    here: Path,
+) -> None:
+    (here / "false.json").write_text(json.dumps(spoil(orbit_data)))
+    before = contents(here)
+    assert_refused(ask("verify", "false.json"), *words)
+    assert contents(here) == before
+
+
+def test_an_orbit_file_that_is_not_text_is_refused(here: Path) -> None:
+    (here / "binary.json").write_bytes(bytes(range(256)))
+    assert_refused(ask("verify", "binary.json"), "binary.json")
