@@ -123,7 +123,7 @@ class Pendulum:
 
 
 def pendulum(values: ParameterValues) -> Pendulum:
-    """Return the reduced pendulum of a setting, its inductance folded in."""
+    """Return the reduced pendulum at given numbers, its inductance folded in."""
     p, kp, kd = values.parameters, values.gains["Kp"], values.gains["Kd"]
     inductance = p.get("L", 0.0)
     bare = p["I1"] + p["m1"] * p["lc1"] ** 2 + p["m2"] * p["L1"] ** 2 + p["J_rotor"]

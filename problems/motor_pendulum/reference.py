@@ -190,7 +190,7 @@ class Pendulum:
 
 
 def pendulum(values: ParameterValues) -> Pendulum:
-    """Return the pendulum of a setting: lengths and masses gathered into the letters."""
+    """Return the pendulum at given numbers: lengths and masses gathered into the letters."""
     p, gains = values.parameters, values.gains
     return Pendulum(
         A=p["I1"] + p["m1"] * p["lc1"] ** 2 + p["m2"] * p["L1"] ** 2 + p["J_rotor"],

@@ -19,7 +19,7 @@ from tests.support.commands import ask
 from tests.support.places import places_that_cannot_be_had, refuses
 from tests.support.processes import Commands
 from zeno_orbits.errors import CheckpointError, InputError
-from zeno_orbits.model.library import load_problem, locate_problem
+from zeno_orbits.model.library import locate_problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.report import terminal as report
 from zeno_orbits.search import (
@@ -28,7 +28,6 @@ from zeno_orbits.search import (
     SearchSettings,
     SearchStatus,
     Spread,
-    find_orbit,
     search_gains,
 )
 from zeno_orbits.search import multistart as starts
@@ -90,6 +89,12 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 
+@pytest.fixture(name="alone", scope="module")
+def _alone() -> SearchResult:
+    """What the search finds without workers."""
+    return search(None)
+
+
 @pytest.fixture(name="kept", scope="module")
 def _kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     """A finished search that kept its checkpoint, and what it printed."""
@@ -123,11 +128,9 @@ def _certificate() -> OrbitCertificate:
     )
 
 
-def test_what_came_of_a_start_survives_json_to_the_last_bit() -> None:
-    problem = load_problem(PROBLEM)
-    orbit = find_orbit(problem, problem.values()).unwrap()
+def test_what_came_of_a_start_survives_json_to_the_last_bit(alone: SearchResult) -> None:
     candidate = Candidate(
-        orbit=replace(orbit, floquet_multipliers=(complex(0.1, -0.0),)),
+        orbit=replace(alone.unwrap(), floquet_multipliers=(complex(0.1, -0.0),)),
         score=1 / 3,
         extents={"period": Extent(lowest=-math.inf, highest=0.1, error=math.nan)},
         certificate=_certificate(),
@@ -153,8 +156,7 @@ def test_what_came_of_a_start_survives_json_to_the_last_bit() -> None:
 
 
 @needs_two
-def test_one_worker_and_two_find_what_a_search_without_workers_finds() -> None:
-    alone = search(None)
+def test_one_worker_and_two_find_what_a_search_without_workers_finds(alone: SearchResult) -> None:
     assert len(alone.attempts) == 3
     assert len(alone.candidates) == 3
     assert timeless(search(Workers(count=1))) == timeless(alone)
@@ -278,8 +280,10 @@ def test_the_checkpoint_of_another_search_is_refused_and_left_untouched(
     assert contents(folder) == before
 
 
-def test_the_checkpoint_of_another_known_orbit_is_refused(tmp_path: Path) -> None:
-    orbit = search(None).unwrap()
+def test_the_checkpoint_of_another_known_orbit_is_refused(
+    alone: SearchResult, tmp_path: Path
+) -> None:
+    orbit = alone.unwrap()
     folder = tmp_path / "kept"
     search(Workers(count=1), folder=folder, near=orbit, settings=SearchSettings(n_starts=0))
     other = replace(orbit, period=math.nextafter(orbit.period, 10.0))

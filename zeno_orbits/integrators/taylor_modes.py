@@ -7,7 +7,6 @@ single steps with their series.
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Protocol
@@ -17,6 +16,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, StepSizeError
+from zeno_orbits.integrators.casadi_calls import caller
 from zeno_orbits.integrators.casadi_to_heyoka import load_heyoka, translate
 from zeno_orbits.integrators.flow import GuardedFlow
 
@@ -94,8 +94,8 @@ class Carrier:
         self._p = self._numbers[:n_p]
         self._full = self._moved if not resting else np.zeros(lean.n_y)
         self._pair = np.zeros(2)
-        self._guard = _caller(mode.guard, (self._full, self._p), self._pair)
-        self._fold = _caller(lean.factors, (self._p,), self._numbers[n_p : n_p + n_factors])
+        self._guard = caller(mode.guard, (self._full, self._p), (self._pair,))
+        self._fold = caller(lean.factors, (self._p,), (self._numbers[n_p : n_p + n_factors],))
         limits = heyoka.taylor_outcome
         self.time_limit, self.step_limit = int(limits.time_limit), int(limits.step_limit)
         self.fall = -1
@@ -298,19 +298,3 @@ def _formulas(heyoka: Any, mode: SymbolicMode) -> tuple[list[Any], list[Any]]:
 
 def _is_large(mode: SymbolicMode) -> bool:
     return bool(mode.rate.n_instructions() > _LARGE)
-
-
-def _caller(function: ca.Function, arguments: Sequence[Vector], result: Vector) -> Any:
-    """Return a call without arguments that reads and writes the given arrays in place."""
-    # CasADi's stubs ask for a size that the call takes from the memory itself.
-    buffer: Any
-    buffer, evaluate = function.buffer()
-    for k, argument in enumerate(arguments):
-        buffer.set_arg(k, memoryview(argument.data))
-    buffer.set_res(0, memoryview(result.data))
-
-    def call(_kept: Any = (buffer, *arguments, result)) -> None:
-        # The default keeps buffer and arrays alive: the trigger knows their bare addresses only.
-        evaluate()
-
-    return call

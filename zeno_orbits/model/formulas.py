@@ -102,7 +102,7 @@ def equilibrium_acceleration(problem: Problem) -> Any:
 
 
 def with_numbers(formula: Any, values: ParameterValues) -> Any:
-    """Return a formula with the numbers of a setting in it, expanded.
+    """Return a formula with numbers for its symbols, expanded.
 
     Args:
         formula: In SymPy, of named symbols.

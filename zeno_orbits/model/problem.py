@@ -252,7 +252,7 @@ class Problem:
         return (self, *(self.at_fidelity(word) for word in self.fidelities))
 
     def shared(self, values: ParameterValues) -> ParameterValues:
-        """Return the numbers of another fidelity's setting for the names that this one has."""
+        """Return another fidelity's numbers for the names that this one has."""
         known = {quantity.name for quantity in self.parameters}
         parameters = {name: value for name, value in values.parameters.items() if name in known}
         return self.values(gains=values.gains, parameters=parameters)

@@ -158,7 +158,7 @@ class ParameterValues:
         return self.gains[name] if name in self.gains else self.parameters[name]
 
     def replaced(self, numbers: Mapping[str, float]) -> ParameterValues:
-        """Return a setting with other numbers for some names; what is derived stays as it is."""
+        """Return the values with other numbers for some names; derived ones stay as they are."""
         return ParameterValues(
             gains={name: numbers.get(name, value) for name, value in self.gains.items()},
             parameters={name: numbers.get(name, value) for name, value in self.parameters.items()},

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.integrators.casadi_calls import caller
 from zeno_orbits.integrators.collocation import Collocation
 from zeno_orbits.integrators.dop853_step import error_norm, explicit_attempt, overflow
 from zeno_orbits.integrators.flow import (
@@ -19,7 +20,7 @@ from zeno_orbits.integrators.flow import (
     Tolerance,
 )
 from zeno_orbits.integrators.radau_step import implicit_expressions
-from zeno_orbits.model.numeric.calls import Call, StepCall, caller
+from zeno_orbits.model.numeric.calls import Call, StepCall
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
