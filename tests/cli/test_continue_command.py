@@ -81,7 +81,7 @@ def test_a_family_starts_at_an_orbit_file_and_prints_json(
     assert list(starts[0]["state"].values()) == pytest.approx(RELEASE, abs=1e-10)
     # An orbit file has all numbers; more would contradict it.
     assert main([*words, "--gain", "Kp=2"]) == 2
-    assert "must come without --gain and --set" in capsys.readouterr().err
+    assert "`from` cannot be combined with --gain or --set" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

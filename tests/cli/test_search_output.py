@@ -7,9 +7,10 @@ import json
 
 import pytest
 
-from zeno_orbits.cli.search_output import answer, far_from_own
+from zeno_orbits.cli.search_output import answer
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.search import SearchResult, SearchStatus
+from zeno_orbits.search.number_notes import far_from_own
 
 NOTHING = SearchResult(
     status=SearchStatus.NO_GUESS,

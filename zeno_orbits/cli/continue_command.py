@@ -36,7 +36,7 @@ from zeno_orbits.report import terminal as report
 if TYPE_CHECKING:
     from zeno_orbits.continuation import Continuation, ContinuationSettings, Crew
     from zeno_orbits.model.library import ProblemFile
-    from zeno_orbits.model.problem import ParameterValues, Problem
+    from zeno_orbits.model.problem import Problem
     from zeno_orbits.orbits.orbit import ZenoOrbit
 
 
@@ -196,28 +196,15 @@ def _asked(
 
 def _orbit(options: argparse.Namespace, problem: Problem, crew: Crew) -> ZenoOrbit:
     """Return the orbit to start from."""
-    from zeno_orbits.continuation import start_orbit
+    from zeno_orbits.continuation import start_orbit, values_inside
     from zeno_orbits.orbits.orbit_file import read_orbit
 
     if options.start_orbit is None:
-        values = _inside(problem, values_of(problem, options), options)
+        asked = [one for one in (options.range, options.second) if one is not None]
+        given = options.gain | options.set
+        values = values_inside(problem, values_of(problem, options), dict(asked), given)
         return start_orbit(problem, values, on_progress=crew.on_progress)
     if options.gain or options.set:
-        message = "must come without --gain and --set, as the orbit has numbers"
-        raise InputError(f"Argument `from` {message}, but it does not.")
+        message = "cannot be combined with --gain or --set: the orbit file defines all values"
+        raise InputError(f"Argument `from` {message}.")
     return read_orbit(options.start_orbit)
-
-
-def _inside(
-    problem: Problem, values: ParameterValues, options: argparse.Namespace
-) -> ParameterValues:
-    """Return the setting to start at: mid-range for what nobody has set and lies outside."""
-    named = options.gain | options.set
-    numbers = dict(named)
-    for asked in filter(None, (options.range, options.second)):
-        name, (low, high) = asked
-        value = values.numbers.get(name)
-        if value is None or name in named or low <= value <= high:
-            continue
-        numbers[name] = (low + high) / 2
-    return problem.values(numbers=numbers)

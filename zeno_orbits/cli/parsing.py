@@ -247,9 +247,6 @@ def read_wish(text: str) -> Wish:
         operand = _targets(rest)
     elif takes is Operand.NUMBER:
         operand = _number(rest, f"have a number for the {word}")
-        if not 0.0 < operand < math.inf:
-            message = f"must have a positive {word}, but it is {operand:g}"
-            raise argparse.ArgumentTypeError(message)
     return Wish(text, word, known, operand)
 
 

@@ -31,7 +31,7 @@ from zeno_orbits.cli.parsing import (
     read_shape,
     read_wish,
 )
-from zeno_orbits.cli.search_output import answer, far_from_own, kept_as_derived
+from zeno_orbits.cli.search_output import answer
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 from zeno_orbits.work.files import require_writable
@@ -147,6 +147,7 @@ def _run_search(options: argparse.Namespace) -> int:
     from zeno_orbits.api import Verified
     from zeno_orbits.model.library import locate_problem
     from zeno_orbits.search import SearchSettings, SettlingSettings, Spread, search_gains
+    from zeno_orbits.search.number_notes import far_from_own, held_derived
     from zeno_orbits.work import Plan
 
     problem_file = locate_problem(options.problem)
@@ -194,7 +195,7 @@ def _run_search(options: argparse.Namespace) -> int:
             )
     except KeyboardInterrupt:
         return interrupted(options, checkpoint)
-    held = kept_as_derived(problem, values, free)
+    held = held_derived(problem, values, free)
     far = far_from_own(problem, values)
     code = answer(options, problem, result, objective if free else None, bounds, held, far)
     drop_checkpoint(options, checkpoint)

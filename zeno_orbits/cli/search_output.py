@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -12,10 +12,12 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
-    from zeno_orbits.model.problem import ParameterValues, Problem
+    from zeno_orbits.model.problem import Problem
     from zeno_orbits.orbits.bounds import Bound
     from zeno_orbits.search import SearchResult
     from zeno_orbits.search.objectives import Objective
+
+_LOCAL = "One start led there: the optimum may be local; --candidates 3 tries other starts, too."
 
 
 def answer(
@@ -118,40 +120,3 @@ def _ranking(options: argparse.Namespace, result: SearchResult) -> dict[str, Any
     pairs = zip(result.attempts, _attempts(result), strict=True)
     failures = [data for attempt, data in pairs if attempt.status is not SearchStatus.FOUND]
     return {"candidates": ranked, "failures": failures}
-
-
-def kept_as_derived(
-    problem: Problem, values: ParameterValues, free: Mapping[str, tuple[float, float]]
-) -> list[str]:
-    """Return the parameters that the problem derives from free ones, which stay as they are."""
-    if problem.derive is None:
-        return []
-    known = {n.name: values.parameters[n.name] for n in problem.parameters if n.default is not None}
-    moved = dict(known)
-    for name, box in free.items():
-        if name in moved:
-            moved[name] = sum(box) / 2 if moved[name] == box[0] else box[0]
-    try:
-        before, after = problem.derive(known), problem.derive(moved)
-    except InputError:
-        return [n.name for n in problem.parameters if n.default is None and n.name not in free]
-    return [name for name in before if before[name] != after[name] and name not in free]
-
-
-_LOCAL = "One start led there: the optimum may be local; --candidates 3 tries other starts, too."
-
-_FAR = 100.0
-"""Factor by which a number differs from the problem's own when its unit may be mistaken."""
-
-
-def far_from_own(problem: Problem, values: ParameterValues) -> list[str]:
-    """Return the numbers that are far from the problem's own, each as a sentence."""
-    found: list[str] = []
-    for quantity in problem.quantities:
-        own, given = quantity.default, values.number(quantity.name)
-        if not own or not given or 1 / _FAR < abs(given / own) < _FAR:
-            continue
-        unit = "" if quantity.unit == "1" else f" {quantity.unit}"
-        times = f"{abs(given / own):.4g} times the problem's own {own:g}{unit}"
-        found.append(f"`{quantity.name}` is {given:g}{unit}, {times}: is that its unit?")
-    return found

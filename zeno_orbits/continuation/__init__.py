@@ -6,7 +6,7 @@ Neimark-Sacker and branch points and ends are located, and can be followed in a 
 
 Offers: `continue_orbit` and `continue_impacts`, which return a `Continuation` of `Family`; how to
 follow: `SecondParameter`, `ContinuationSettings`, `FamilySteps`, `CurveSteps`, `Crew` (workers);
-`start_orbit`; `orbit_amplitude` of a point of a family.
+`start_orbit` and `values_inside`; `orbit_amplitude` of a point of a family.
 
 Imports: search, orbits, simulation, model, work, arrays, errors.
 

@@ -4,6 +4,7 @@ from .continuation import SecondParameter as SecondParameter
 from .continuation import continue_impacts as continue_impacts
 from .continuation import continue_orbit as continue_orbit
 from .continuation import start_orbit as start_orbit
+from .continuation import values_inside as values_inside
 from .families import Boundary as Boundary
 from .families import Continuation as Continuation
 from .families import Family as Family

@@ -8,6 +8,7 @@ machine of which one number changes. Source: [Keller1977]_, theory (37) to (40).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -144,6 +145,28 @@ def continue_from(
     dispatch = dispatch.claimed({**identity, **own})
     families = _families(start, dispatch)
     return _continuation(families, curves_through(dispatch, plane, families, second.kinds))
+
+
+def values_inside(
+    problem: Problem,
+    values: ParameterValues,
+    boxes: Mapping[str, tuple[float, float]],
+    given: Mapping[str, float],
+) -> ParameterValues:
+    """Return numbers to start at: mid-range for what lies outside its range and nobody has set.
+
+    Args:
+        problem: The problem.
+        values: Its numbers.
+        boxes: Name to range of what a family is followed in.
+        given: Name to number of what was set, which stays as it is.
+    """
+    moved = {
+        name: (low + high) / 2
+        for name, (low, high) in boxes.items()
+        if name in values.numbers and name not in given and not low <= values.number(name) <= high
+    }
+    return problem.values(numbers={**given, **moved})
 
 
 def start_orbit(

@@ -1,0 +1,49 @@
+"""Notes on the numbers of a search: what it holds, and which of them may be in another unit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from zeno_orbits.errors import InputError
+from zeno_orbits.model.problem import ParameterValues, Problem
+
+
+def held_derived(
+    problem: Problem, values: ParameterValues, free: Mapping[str, tuple[float, float]]
+) -> list[str]:
+    """Return the parameters that the problem derives from free ones; a search holds them.
+
+    Args:
+        problem: The problem.
+        values: The numbers at the start.
+        free: Name to bounds of what is free.
+    """
+    if problem.derive is None:
+        return []
+    known = {n.name: values.parameters[n.name] for n in problem.parameters if n.default is not None}
+    moved = dict(known)
+    for name, box in free.items():
+        if name in moved:
+            moved[name] = sum(box) / 2 if moved[name] == box[0] else box[0]
+    try:
+        before, after = problem.derive(known), problem.derive(moved)
+    except InputError:
+        return [n.name for n in problem.parameters if n.default is None and n.name not in free]
+    return [name for name in before if before[name] != after[name] and name not in free]
+
+
+_FAR = 100.0
+"""Factor by which a number differs from the problem's own when its unit may be mistaken."""
+
+
+def far_from_own(problem: Problem, values: ParameterValues) -> list[str]:
+    """Return a sentence for each number that is far from the problem's own: a mistaken unit?"""
+    found: list[str] = []
+    for quantity in problem.quantities:
+        own, given = quantity.default, values.number(quantity.name)
+        if not own or not given or 1 / _FAR < abs(given / own) < _FAR:
+            continue
+        unit = "" if quantity.unit == "1" else f" {quantity.unit}"
+        times = f"{abs(given / own):.4g} times the problem's own {own:g}{unit}"
+        found.append(f"`{quantity.name}` is {given:g}{unit}, {times}: is that its unit?")
+    return found
