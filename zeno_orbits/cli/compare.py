@@ -26,8 +26,8 @@ def add_compare(commands: Any) -> None:
         commands,
         "compare",
         _run_compare,
-        "hold a recording of signals over time against an orbit; the answer is no if it shows no "
-        "such orbit",
+        "compare a recording of signals over time with an orbit; exit code 1 if the recording "
+        "does not show the orbit",
         [
             "zeno-orbits compare orbit.json data.csv --from 5 --picture compared.png",
             "zeno-orbits compare orbit.json data.csv --from 5 --json",

@@ -33,8 +33,8 @@ def add_identify(commands: Any) -> None:
         commands,
         "identify",
         _run_identify,
-        "find parameters of a machine from a recording of it; the answer is no if the recording "
-        "shows no orbit like the problem's",
+        "estimate parameters of a machine from a recording of it; exit code 1 if the recording "
+        "does not show an orbit like the problem's",
         [
             "zeno-orbits identify motor_pendulum data.csv --from 12 --fit R,restitution",
             "zeno-orbits identify motor_pendulum data.csv --from 12 --set R=3.2 --fit R=2:4 "
@@ -51,8 +51,8 @@ def add_identify(commands: Any) -> None:
         type=read_fit,
         required=True,
         metavar="NAME[=LOW:HIGH],...",
-        help="parameters to find, between these ends; A+B has one value for both; "
-        "by default from a tenth to ten times the value",
+        help="parameters to estimate, each within this range; A+B share one value; the default "
+        "range is a tenth to ten times the value",
     )
     parser.add_argument("-o", "--output", type=Path, help="write the numbers here, as JSON")
     parser.add_argument("--orbit", type=Path, help="write the orbit at the fitted numbers here")

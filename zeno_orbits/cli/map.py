@@ -37,8 +37,8 @@ def add_map(commands: Any) -> None:
         commands,
         "map",
         _run_map,
-        "tell what motions settle to over a plane of two gains or parameters; the answer is no "
-        "if nowhere to a Zeno periodic orbit",
+        "map what motions settle to over a plane of two gains or parameters; exit code 1 if no "
+        "point of the map has a Zeno periodic orbit",
         [
             "zeno-orbits map motor_pendulum --x Kp=1:5 --y Kd=-2:0 -o map.json --picture map.png",
             "zeno-orbits map motor_pendulum --x restitution=0:0.5 --y Kd=-1.6:-0.4 --points 20x30",

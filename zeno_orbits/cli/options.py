@@ -1,4 +1,4 @@
-"""What the commands share: exit codes, options, what the options stand for, and JSON."""
+"""Exit codes, option groups, their values, and output that several commands share."""
 
 from __future__ import annotations
 
@@ -29,7 +29,9 @@ YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
 class Parser(argparse.ArgumentParser):
     """A parser that refuses bad input in one line, and asks whether a near name is meant."""
 
-    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+    def parse_known_args(  # pyright: ignore[reportIncompatibleMethodOverride]
+        self, args: Any = None, namespace: Any = None
+    ) -> Any:
         """Return the options; a word that belongs to none of them is an error of this command."""
         found, rest = super().parse_known_args(args, namespace)
         if rest:
@@ -118,7 +120,7 @@ def add_start(parser: argparse.ArgumentParser) -> None:
         action=Named,
         type=read_named_number,
         metavar="STATE=VALUE",
-        help="initial state; what is not named is zero; by default the problem's first start",
+        help="initial state, others zero; by default the problem's first start",
     )
 
 
@@ -128,8 +130,8 @@ def add_accuracy(parser: argparse.ArgumentParser) -> None:
         "--accuracy",
         type=read_number,
         metavar="A",
-        help="take the cheapest settings measured to reach this relative error, 1e-6 for instance, "
-        "and report the error that was made; by default as accurate as is cheap",
+        help="use the cheapest settings that reach this relative error, 1e-6 for instance, and "
+        "report the estimated error; by default as accurate as is cheap",
     )
     parser.add_argument(
         "--engine",
@@ -143,7 +145,10 @@ def add_accuracy(parser: argparse.ArgumentParser) -> None:
 def add_place(parser: argparse.ArgumentParser) -> None:
     """Add where the work is done, and where what is finished is kept."""
     parser.add_argument(
-        "--workers", type=read_count, metavar="N", help="processes; one a core by default"
+        "--workers",
+        type=read_count,
+        metavar="N",
+        help="number of processes; by default one per core",
     )
     parser.add_argument(
         "--scheduler",
@@ -154,8 +159,8 @@ def add_place(parser: argparse.ArgumentParser) -> None:
         "--checkpoint",
         type=Path,
         metavar="FOLDER",
-        help="keep what is finished here, and go on from what is kept here already; by default "
-        "beside the output, until there is an answer",
+        help="keep finished work in this folder and resume from it; by default a folder beside the "
+        "output, removed when the work is done",
     )
 
 
@@ -204,7 +209,7 @@ def add_orbit(parser: argparse.ArgumentParser) -> None:
     """Add the orbit file and its problem."""
     parser.add_argument("orbit", metavar="ORBIT.json", type=Path, help="an orbit file")
     parser.add_argument(
-        "--problem", metavar="FILE.py", help="the problem, where it is not a bundled one"
+        "--problem", metavar="FILE.py", help="the problem's file, if it is not a bundled one"
     )
 
 
@@ -214,12 +219,12 @@ def add_recording(parser: argparse.ArgumentParser) -> None:
         "data",
         metavar="DATA.csv",
         type=Path,
-        help="a table of signals over time; its titles are `name [unit]`, one of them `time`",
+        help="a table of signals over time with headings `name [unit]`, one of them `time`",
     )
     parser.add_argument(
-        "--from", dest="since", type=read_number, metavar="T", help="leave out what is earlier [s]"
+        "--from", dest="since", type=read_number, metavar="T", help="ignore earlier data [s]"
     )
-    parser.add_argument("--to", type=read_number, metavar="T", help="leave out what is later [s]")
+    parser.add_argument("--to", type=read_number, metavar="T", help="ignore later data [s]")
 
 
 def values_of(problem: Problem, options: argparse.Namespace) -> ParameterValues:
@@ -287,7 +292,7 @@ def require_outputs(
     """Refuse outputs that cannot all be written, before any work is done for them.
 
     Args:
-        options: What was asked for.
+        options: The parsed options.
         files: Options that name files to write.
         pictures: Options that name pictures to draw.
         reads: Files that are read, and must stay.

@@ -219,7 +219,9 @@ class Wish(NamedTuple):
         Raises:
             InputError: If nothing is free that could serve it, or a target lies out of its range.
         """
-        if isinstance(self.operand, dict):
+        from zeno_orbits.search.objectives import Operand
+
+        if self.row.operand is Operand.NUMBERS:
             _check_targets(self.operand, free)
         elif not free:
             message = f"must leave a gain or a parameter free for the {self.word}, but none is"

@@ -38,8 +38,8 @@ def add_plot(commands: Any) -> None:
         "--kind",
         action="append",
         choices=_PICTURES,
-        help="which picture: phase portraits, states over time, outputs over time, zoom into the "
-        "Zeno point, region d2h/dt2 < 0; may be repeated; by default all that the problem has",
+        help="picture to draw: phase portraits, states over time, outputs over time, zoom into "
+        "the Zeno point, region d2h/dt2 < 0; may be repeated; by default all that the problem has",
     )
     parser.add_argument("--format", choices=("png", "pdf", "svg"), default="png")
     parser.add_argument(

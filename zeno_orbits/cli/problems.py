@@ -128,7 +128,7 @@ def add_fidelity(commands: Any) -> None:
         commands,
         "fidelity",
         _run_fidelity,
-        "what a problem's reduced models cost in accuracy, before one is taken",
+        "estimate the error of a problem's reduced models, before one is used",
         [
             "zeno-orbits fidelity motor_pendulum",
             "zeno-orbits fidelity motor_pendulum --set L=0.02 --measure --json",

@@ -33,11 +33,11 @@ def patient_streams() -> Generator[None, None, None]:
 
 
 class _Patient(io.TextIOBase):
-    """A stream that goes on when nobody reads it.
+    """A stream that accepts text even when its reader is gone.
 
     Args:
         stream: What it writes to; ``None`` if that was closed before the start.
-        may_fail: Whether a full disk is an error; not on the stream that errors are told on.
+        may_fail: Whether a full disk is an error; not on the stream of error messages.
     """
 
     def __init__(self, stream: TextIO | None, *, may_fail: bool) -> None:
@@ -64,7 +64,7 @@ class _Patient(io.TextIOBase):
         return self._stream.fileno()
 
     def write(self, text: str, /) -> int:
-        """Write, or drop what nobody reads.
+        """Write, or discard text without a reader.
 
         Raises:
             InputError: If the disk is full, where that is an error.

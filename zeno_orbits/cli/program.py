@@ -92,7 +92,7 @@ def build_parser() -> argparse.ArgumentParser:
         prog="zeno-orbits",
         description="Find, verify and follow Zeno periodic orbits.",
         epilog=(
-            "exit codes: 0 yes; 1 searched or checked, and the answer is no; 2 wrong usage or "
+            "exit codes: 0 yes; 1 no orbit found, or a check failed; 2 wrong usage or "
             "input\n\n"
             "example:\n"
             "  zeno-orbits search motor_pendulum -o orbit.json\n"

@@ -35,8 +35,8 @@ def add_report(commands: Any) -> None:
         commands,
         "report",
         _run_report,
-        "check an orbit and write all that is known of it into one page for a browser; the answer "
-        "is no, and the page says so, if the orbit is none",
+        "verify an orbit and write the results to one page for a browser; exit code 1, stated on "
+        "the page, if the orbit fails",
         [
             "zeno-orbits report orbit.json -o report.html",
             "zeno-orbits report orbit.json -o report.html --trade trade.json",

@@ -43,7 +43,7 @@ def add_rig(commands: Any) -> None:
         commands,
         "rig",
         _run_rig,
-        "simulate a problem as a machine, without a Zeno point, and compare it with an orbit",
+        "simulate a problem as a real machine with a compliant stop, and compare it with an orbit",
         [
             "zeno-orbits rig orbit.json -o run.csv",
             "zeno-orbits rig orbit.json --only friction --part contact.stiffness=1e5 --cycles 3",
@@ -54,7 +54,7 @@ def add_rig(commands: Any) -> None:
     parser.add_argument(
         "target",
         metavar="ORBIT.json|PROBLEM",
-        help="an orbit file, at whose numbers the machine settles; or a problem, from a start",
+        help="an orbit file, near whose orbit the machine settles; or a problem, from --start",
     )
     parser.add_argument(
         "--problem", metavar="FILE.py", help="the problem of an orbit, if not bundled"
@@ -87,16 +87,16 @@ def add_rig(commands: Any) -> None:
         "--cycles",
         type=read_count,
         metavar="N",
-        help=f"settled cycles near an orbit; {_CYCLES} by default",
+        help=f"number of settled cycles, with an orbit; {_CYCLES} by default",
     )
     parser.add_argument(
         "--until",
         type=read_number,
         metavar="T",
-        help=f"how long, from a start [s]; {_UNTIL:g} by default",
+        help=f"end of the simulation, with a problem [s]; {_UNTIL:g} by default",
     )
     parser.add_argument(
-        "-o", "--output", type=Path, help="write what the machine's computer reads here, as data"
+        "-o", "--output", type=Path, help="write the measured signals here, as a recording"
     )
 
 

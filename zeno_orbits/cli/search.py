@@ -109,7 +109,7 @@ def add_search(commands: Any) -> None:
         dest="near",
         type=Path,
         metavar="ORBIT.json",
-        help="start from this orbit; its numbers are the problem's unless --set or --fix say else",
+        help="start from this orbit and its numbers, except those that --set or --fix change",
     )
     parser.add_argument(
         "--shape",
@@ -124,10 +124,10 @@ def add_search(commands: Any) -> None:
         type=read_count,
         default=1,
         metavar="N",
-        help="go on until so many different orbits are verified, and rank them",
+        help="continue until this many different orbits are verified, and rank them",
     )
     parser.add_argument(
-        "--allow-unstable", action="store_true", help="take an orbit that does not attract, too"
+        "--allow-unstable", action="store_true", help="accept an orbit that does not attract, too"
     )
     add_accuracy(parser)
     add_place(parser)
@@ -139,7 +139,9 @@ def add_search(commands: Any) -> None:
         "the problem's clock, or of its slowest oscillation",
     )
     parser.add_argument("--starts", type=read_count, default=12, metavar="N", help="random starts")
-    parser.add_argument("--seed", type=read_seed, default=0, help="of the random starts")
+    parser.add_argument(
+        "--seed", type=read_seed, default=0, help="seed of the random starts; 0 by default"
+    )
     parser.add_argument("-o", "--output", type=Path, help="write the verified orbit here")
 
 

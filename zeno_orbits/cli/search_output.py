@@ -1,4 +1,4 @@
-"""What the command `search` says: the orbit and how it was reached, or why there is none."""
+"""Output of the command `search`: the orbit and how it was reached, or why none was found."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ def answer(
     Args:
         options: The command line.
         problem: The problem.
-        result: What the search returned.
-        objective: What was asked, if anything was free.
-        bounds: What had to be kept.
-        held: What does not follow the free parameters that it is derived from.
+        result: The result of the search.
+        objective: The objective, if anything was free.
+        bounds: The bounds that the orbit had to keep.
+        held: Parameters that are derived from free ones but were held.
         far: Sentences that may explain a failure, one for each number far from the problem's own.
     """
     from zeno_orbits.orbits.bounds import asked_and_reached

@@ -38,7 +38,7 @@ def add_simulate(commands: Any) -> None:
         commands,
         "simulate",
         _run_simulate,
-        "follow a completed execution",
+        "simulate a completed execution: impacts, Zeno points, locked arcs and releases",
         [
             "zeno-orbits simulate motor_pendulum --until 10",
             "zeno-orbits simulate motor_pendulum --start theta1=1.2 --start dtheta2=0.5",
@@ -50,7 +50,13 @@ def add_simulate(commands: Any) -> None:
     add_problem(parser)
     add_gains(parser)
     add_accuracy(parser)
-    parser.add_argument("--until", type=read_number, default=10.0, metavar="T", help="how long [s]")
+    parser.add_argument(
+        "--until",
+        type=read_number,
+        default=10.0,
+        metavar="T",
+        help="end of the simulation [s]; 10 by default",
+    )
     add_start(parser)
     parser.add_argument("-o", "--output", type=Path, help="draw the states over time here")
     parser.add_argument(
@@ -61,17 +67,17 @@ def add_simulate(commands: Any) -> None:
         type=read_number,
         default=500.0,
         metavar="HZ",
-        help="samples a second; 500 by default",
+        help="samples per second; 500 by default",
     )
     parser.add_argument(
         "--noise",
         type=read_number,
         default=0.0,
         metavar="SHARE",
-        help="noise on the samples, in parts of the range of each state; none by default",
+        help="noise on the samples, relative to the range of each state; 0 by default",
     )
     parser.add_argument(
-        "--seed", type=read_seed, default=0, metavar="N", help="of the noise; 0 by default"
+        "--seed", type=read_seed, default=0, metavar="N", help="seed of the noise; 0 by default"
     )
 
 

@@ -38,10 +38,12 @@ def add_trade(commands: Any) -> None:
     add_problem(parser)
     add_gains(parser)
     add_start(parser)
-    parser.add_argument("--until", type=read_number, metavar="T", help="how long an execution [s]")
-    parser.add_argument("--quick", action="store_true", help="a first look: few settings, one run")
+    parser.add_argument("--until", type=read_number, metavar="T", help="end of the simulations [s]")
+    parser.add_argument(
+        "--quick", action="store_true", help="few settings and one run each, for a first look"
+    )
     parser.add_argument("--picture", type=Path, help="draw the work-precision diagram here")
-    parser.add_argument("-o", "--output", type=Path, help="write all figures here, as JSON")
+    parser.add_argument("-o", "--output", type=Path, help="write all numbers here, as JSON")
 
 
 def _run_trade(options: argparse.Namespace) -> int:

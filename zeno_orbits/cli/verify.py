@@ -28,7 +28,7 @@ def add_verify(commands: Any) -> None:
         commands,
         "verify",
         _run_verify,
-        "check an orbit by forward integration from its file alone",
+        "verify an orbit file by independent forward integration",
         [
             "zeno-orbits verify orbit.json",
             "zeno-orbits verify orbit.json --model reference --tolerance 1e-8 --json",
@@ -43,7 +43,11 @@ def add_verify(commands: Any) -> None:
     )
     add_accuracy(parser)
     parser.add_argument(
-        "--periods", type=read_count, default=3, metavar="N", help="periods to follow"
+        "--periods",
+        type=read_count,
+        default=3,
+        metavar="N",
+        help="number of periods to integrate; 3 by default",
     )
     parser.add_argument(
         "--model",

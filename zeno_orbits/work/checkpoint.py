@@ -114,7 +114,7 @@ def remove_checkpoint(folder: Path) -> None:
 
 
 def keeps_nothing(folder: Path) -> bool:
-    """Tell whether no chunk of a checkpoint is finished, in none of its stages."""
+    """Return True if no chunk of a checkpoint is finished, in any of its stages."""
     return not any(folder.rglob("chunk-*.json"))
 
 

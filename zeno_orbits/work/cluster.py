@@ -40,7 +40,7 @@ class ClusterPool:
         return self._executor.submit(run_chunk, task, points, code_digest())
 
     def died(self, future: Future[str]) -> bool:
-        """Tell whether a chunk killed one worker after the other.
+        """Return True if a chunk killed one worker after the other.
 
         Raises:
             WorkError: If it ended for another reason than its task.

@@ -20,10 +20,10 @@ def require_picture(path: Path, argument: str = "output") -> None:
 
     Args:
         path: The path.
-        argument: What asked for it.
+        argument: Name of the argument, for the message.
 
     Raises:
-        InputError: If its suffix is none of ``PICTURES``, or it cannot become a file.
+        InputError: If its suffix is not one of ``PICTURES``, or it cannot become a file.
     """
     require_writable(path, argument)
     if path.suffix.lower() not in PICTURES:
@@ -38,7 +38,7 @@ def require_writable(path: Path, argument: str = "output") -> None:
 
     Args:
         path: The path.
-        argument: What asked for it.
+        argument: Name of the argument, for the message.
 
     Raises:
         InputError: If its folder is missing or closed, or the path is a folder.
@@ -165,7 +165,7 @@ def _exchange(folder: Path, new: Path, old: Path, names: Iterable[str]) -> None:
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
-    """Write a file through a temporary neighbour, so that nobody ever sees half of it.
+    """Write a file through a temporary neighbour, so that no reader ever sees half of it.
 
     Args:
         path: Where; an existing file is replaced.
@@ -182,7 +182,7 @@ _SYSTEM = (Path("/dev"), Path("/proc"))
 
 
 def _is_special(path: Path) -> bool:
-    """Tell whether a path is a device or a pipe, which is written to and never replaced."""
+    """Return True if a path is a device or a pipe, which is written to and never replaced."""
     own = any(folder in path.absolute().parents for folder in _SYSTEM)
     return path.exists() and not path.is_dir() and (own or not path.is_file())
 

@@ -1,4 +1,4 @@
-"""Where work is done, how it is cut, and where what is finished is kept."""
+"""Plans of work: its place, the size of its chunks, and the folder of its checkpoint."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ class Workers:
     """Processes on this machine.
 
     Attributes:
-        count: How many; ``None`` for one a core.
-        attempts: How often a chunk may kill the worker that computes it alone.
+        count: Number of processes; ``None`` for one per core.
+        attempts: Number of times a chunk may kill the worker that computes it alone.
     """
 
     count: int | None = None
@@ -29,7 +29,7 @@ class Cluster:
 
     Attributes:
         address: Of its scheduler, ``tcp://host:8786`` for instance.
-        patience: How long the scheduler may take to answer, and a cluster to have a worker [s].
+        patience: Longest wait for the scheduler, and for a first worker [s].
     """
 
     address: str
@@ -41,7 +41,7 @@ Place = Workers | Cluster
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """How work is done; none of it changes a result but the size of a chunk.
+    """A plan of work; only the size of a chunk may change a result.
 
     Attributes:
         place: Where.
@@ -50,7 +50,7 @@ class Plan:
         checkpoint: Folder that keeps finished chunks; ``None`` keeps none.
         identity: What tells this work from another, as plain data: the command, the problem and its
             content, settings, seeds, versions. Points and the package's own code are added to it.
-        noun: What points are called in words of progress.
+        noun: Name of the points in progress reports.
     """
 
     place: Place = field(default_factory=Workers)

@@ -27,7 +27,7 @@ _ONE_THREAD = dict.fromkeys(
 )
 """Processes fill the cores; and a sum over threads may end in other bits."""
 _LOOK = 1.0
-"""How often a worker looks whether it is still wanted [s]."""
+"""Interval at which a worker checks that its parent is alive [s]."""
 
 
 class Pool(Protocol):
@@ -35,7 +35,7 @@ class Pool(Protocol):
 
     Attributes:
         window: Chunks that are worth having under way at once.
-        attempts: How often a chunk may kill its worker while it is computed alone.
+        attempts: Number of times a chunk may kill its worker while it is computed alone.
         one_fate: The death of one worker fails all that is under way.
     """
 
@@ -48,7 +48,7 @@ class Pool(Protocol):
         ...
 
     def died(self, future: Future[str]) -> bool:
-        """Tell whether a finished future ended with the death of a worker.
+        """Return True if a finished future ended with the death of a worker.
 
         Raises:
             WorkError: If it ended for another reason than its task.

@@ -1,4 +1,4 @@
-"""What computes a result: versions of packages for files, a digest of the code for workers."""
+"""Identity of the software: versions of packages for files, a digest of the code for workers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a worker does: one chunk at a time, by the same code as everybody else."""
+"""Work of one worker: one chunk at a time, with results or errors returned as JSON."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def run_chunk(task: Task, points: Sequence[Any], code: str) -> str:
     the worker.
 
     Args:
-        task: What to do.
+        task: The task.
         points: The chunk.
         code: Digest of the code that asks.
     """
