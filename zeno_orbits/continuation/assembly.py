@@ -14,7 +14,7 @@ from zeno_orbits.continuation.families import Family, FamilyPoint, SpecialPoint
 from zeno_orbits.continuation.return_maps import Margin
 from zeno_orbits.continuation.setup import ONE_RETURN, Setup
 from zeno_orbits.continuation.special_points import Located
-from zeno_orbits.model.problem import Problem
+from zeno_orbits.model import Problem
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,8 +21,9 @@ from zeno_orbits.continuation.margins import Threat, stages, threats
 from zeno_orbits.continuation.return_maps import Loss, Return, ReturnMap
 from zeno_orbits.continuation.special_points import Located, crossings, locate_inside
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.orbits.path import Step, StepControl, StepError, follow_path, returns_to_start
-from zeno_orbits.work.progress import Progress
+from zeno_orbits.orbits import follow_path
+from zeno_orbits.orbits.path import Step, StepControl, StepError, returns_to_start
+from zeno_orbits.work import Progress
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

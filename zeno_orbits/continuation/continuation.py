@@ -27,14 +27,10 @@ from zeno_orbits.continuation.setup import (
 )
 from zeno_orbits.continuation.two_parameters.boundary_set import curves_through
 from zeno_orbits.errors import InputError
-from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.orbits.shape import ONE_ZENO
-from zeno_orbits.search.closing import close_orbit
-from zeno_orbits.search.search import find_orbit
-from zeno_orbits.work import versions
-from zeno_orbits.work.progress import Progress, silent
-from zeno_orbits.work.serialization import plain
+from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.orbits import ONE_ZENO, ZenoOrbit
+from zeno_orbits.search import close_orbit, find_orbit
+from zeno_orbits.work import Progress, plain, silent, versions
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

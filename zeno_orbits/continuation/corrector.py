@@ -15,7 +15,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector, eigenvalues
 from zeno_orbits.continuation.return_maps import Return, ReturnMap
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.orbits.section import Section
+from zeno_orbits.orbits import Section
 
 _MOST_ITERATIONS = 9
 CLOSED = 2e-11

@@ -23,12 +23,12 @@ from zeno_orbits.continuation.return_maps import (
 )
 from zeno_orbits.continuation.separatrix import separatrix
 from zeno_orbits.errors import SimulationError
+from zeno_orbits.model import HybridDynamics
 from zeno_orbits.model.contact import GAP_ACCELERATION
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.orbits import Line
 from zeno_orbits.orbits.monodromy import differentials_of
 from zeno_orbits.orbits.period import first_return, to_next_release
-from zeno_orbits.orbits.section import Line
-from zeno_orbits.simulation.execution import Ending, Impact, Mode
+from zeno_orbits.simulation import Ending, Impact, Mode
 from zeno_orbits.simulation.sensitivity import EventShift, Perturbations
 from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit
 

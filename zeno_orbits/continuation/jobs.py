@@ -20,8 +20,8 @@ from zeno_orbits.continuation.setup import ContinuationSettings, Setup
 from zeno_orbits.continuation.two_parameters.boundary import half_boundary
 from zeno_orbits.continuation.two_parameters.plane import CurveSetup, CurveStart, Plane
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.work.progress import Progress
+from zeno_orbits.model import Problem
+from zeno_orbits.work import Progress
 
 R = TypeVar("R", covariant=True)
 

@@ -14,11 +14,8 @@ from zeno_orbits.continuation.families import HalfCurve, Kind
 from zeno_orbits.continuation.jobs import Job
 from zeno_orbits.continuation.setup import ContinuationSettings
 from zeno_orbits.errors import InputError, ZenoOrbitsError
-from zeno_orbits.model.library import ProblemFile
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.work import Lost, Plan, Pool, claim, spread
-from zeno_orbits.work.progress import Progress, silent
-from zeno_orbits.work.serialization import plain, restored
+from zeno_orbits.model import Problem, ProblemFile
+from zeno_orbits.work import Lost, Plan, Pool, Progress, claim, plain, restored, silent, spread
 
 R = TypeVar("R")
 

@@ -12,10 +12,9 @@ from zeno_orbits.continuation.corrector import Metric
 from zeno_orbits.continuation.return_maps import Composed, ImpactReturns, ReleaseReturns, ReturnMap
 from zeno_orbits.continuation.two_parameters.plane import CurveSteps, Plane
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.orbits.section import Line
-from zeno_orbits.simulation.simulator import SimulationSettings, simulate
+from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.orbits import Line, ZenoOrbit
+from zeno_orbits.simulation import SimulationSettings, simulate
 from zeno_orbits.simulation.time_scale import own_time
 
 _PATIENCE = 4.0

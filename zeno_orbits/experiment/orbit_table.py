@@ -15,16 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model.numeric.compiled import CompiledSystem
+from zeno_orbits.model import CompiledSystem, HybridDynamics, Problem
 from zeno_orbits.model.numeric.compiled_flow import dense_function
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.cycle import Cycle
-from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.orbits import Cycle, ZenoOrbit
 from zeno_orbits.search import cycle_near
-from zeno_orbits.simulation.execution import Arc, Mode
+from zeno_orbits.simulation import Arc, Mode, SimulationSettings
 from zeno_orbits.simulation.signals import signal_names
-from zeno_orbits.simulation.simulator import SimulationSettings
 
 GAP = "gap"
 """Name of the signal that every problem has beside its own."""

@@ -21,7 +21,7 @@ from zeno_orbits.maps.newton import (
     bundle_at,
     newton_step,
 )
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model import HybridDynamics
 from zeno_orbits.simulation.batch.outcomes import Ended, Event, Released, Struck
 
 _MOST_ITERATIONS = 12

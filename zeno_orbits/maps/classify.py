@@ -14,12 +14,12 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.maps.attempt import Accuracy, Request
 from zeno_orbits.maps.attractors import Attractor
 from zeno_orbits.maps.point import Point
-from zeno_orbits.model.problem import ParameterValues, Problem
+from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.simulation.attractor import WAITING, bounds_of
 from zeno_orbits.simulation.batch.batch import Batch
 from zeno_orbits.simulation.batch.model import model_in_rows
 from zeno_orbits.simulation.time_scale import own_time
-from zeno_orbits.work.progress import Progress, silent
+from zeno_orbits.work import Progress, silent
 
 _OSCILLATIONS = 35
 """Oscillations in which a motion has to settle, of a problem without a clock."""

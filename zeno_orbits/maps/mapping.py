@@ -14,7 +14,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.maps.attractors import Attractor, Fate, attractor_from_json, attractor_json
 from zeno_orbits.maps.plane import Axis, Plane, require_plane
-from zeno_orbits.model.library import ProblemFile
+from zeno_orbits.model import ProblemFile
 from zeno_orbits.work import Lost, Plan, Progress, Workers, silent, spread, versions
 
 FORMAT = 1

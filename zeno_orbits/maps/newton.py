@@ -16,14 +16,9 @@ from typing import Any
 import numpy as np
 
 from zeno_orbits.arrays import Vector, eigenvalues
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.orbits.section import (
-    IMPACT_ROWS,
-    RELEASE_ROWS,
-    Section,
-    projected,
-    section_around,
-)
+from zeno_orbits.model import HybridDynamics
+from zeno_orbits.orbits import Section, section_around
+from zeno_orbits.orbits.section import IMPACT_ROWS, RELEASE_ROWS, projected
 from zeno_orbits.simulation.batch.outcomes import Released, Struck
 
 _DISPLACED = 1e-6

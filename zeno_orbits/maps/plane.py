@@ -13,9 +13,8 @@ import numpy as np
 from zeno_orbits.errors import InputError
 from zeno_orbits.maps.attractors import Attractor, Fate, attractor_json
 from zeno_orbits.maps.classify import attractors_at, usual_time
-from zeno_orbits.model.library import ProblemFile
-from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.work.plan import Workers
+from zeno_orbits.model import ParameterValues, Problem, ProblemFile
+from zeno_orbits.work import Workers
 from zeno_orbits.work.pools import worker_count
 
 _CHUNKS, _CHUNKS_A_CORE = 4, 2

@@ -12,7 +12,7 @@ from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.maps.attempt import SAME, Accuracy, Attempt, Lost, Request
 from zeno_orbits.maps.attractors import Attractor, Fate
 from zeno_orbits.maps.newton import IMPACTS, RELEASES, bundle_at
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model import HybridDynamics
 from zeno_orbits.simulation.attractor import (
     LOOK_BACK,
     Motion,

@@ -12,7 +12,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.orbits.phases import Moment, Phase, follow_each_other, kinds_of, phases_of
 from zeno_orbits.orbits.shape import OrbitShape
-from zeno_orbits.simulation.execution import Arc, Execution, Impact, Mode, ZenoPoint
+from zeno_orbits.simulation import Arc, Execution, Impact, Mode, ZenoPoint
 
 _VANISHING = 1e-9
 """Part of the largest state below which one is rounding."""

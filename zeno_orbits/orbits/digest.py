@@ -15,7 +15,7 @@ from typing import Any, cast
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model.problem import Problem
+from zeno_orbits.model import Problem
 
 _SAME = 1e-6
 """Largest relative difference of the digests of the same equations."""

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from zeno_orbits.integrators.flow import Tolerance
-from zeno_orbits.simulation.completion import ZenoExtrapolation, ZenoPassage
-from zeno_orbits.simulation.simulator import SimulationSettings
+from zeno_orbits.integrators import Tolerance
+from zeno_orbits.simulation import SimulationSettings, ZenoExtrapolation, ZenoPassage
 
 LOOSER = 100.0
 """Factor of the tolerances of the second run. With a tenth of it an error was seen three times the

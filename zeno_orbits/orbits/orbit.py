@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.model.problem import ParameterValues, Problem
+from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits.digest import digest_of
 from zeno_orbits.orbits.shape import OrbitShape, PhaseKind
 from zeno_orbits.work import versions

@@ -18,8 +18,8 @@ from zeno_orbits.orbits.orbit import (
     one_release_phase,
 )
 from zeno_orbits.orbits.shape import PhaseKind
-from zeno_orbits.work.files import write_whole
-from zeno_orbits.work.serialization import EntryError, restored
+from zeno_orbits.work import restored, write_whole
+from zeno_orbits.work.serialization import EntryError
 
 
 def write_orbit(orbit: ZenoOrbit, path: Path | str) -> None:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model import HybridDynamics
 from zeno_orbits.orbits.cycle import Cycle, first_cycles
 from zeno_orbits.orbits.phases import kinds_of, phases_of
 from zeno_orbits.orbits.shape import OrbitShape
-from zeno_orbits.simulation.execution import Execution, Mode, Release
-from zeno_orbits.simulation.simulator import SimulationSettings, simulate
+from zeno_orbits.simulation import Execution, Mode, Release, SimulationSettings, simulate
 
 
 def to_next_release(

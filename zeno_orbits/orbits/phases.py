@@ -8,7 +8,7 @@ from itertools import pairwise
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.orbits.shape import PhaseKind
-from zeno_orbits.simulation.execution import Arc, Ending, Execution, Impact, Mode, ZenoPoint
+from zeno_orbits.simulation import Arc, Ending, Execution, Impact, Mode, ZenoPoint
 
 _AT_ONCE = 1e-6
 """A release earlier than this part of an execution belongs to its start."""

@@ -14,13 +14,13 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector, eigenvalues
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model import HybridDynamics
 from zeno_orbits.orbits.looser_run import loosened
 from zeno_orbits.orbits.monodromy import ReturnDerivative, Sensitivity, period_derivative
 from zeno_orbits.orbits.period import cycle_of, first_return, placed, to_next_release
 from zeno_orbits.orbits.section import RELEASE_ROWS, Section, rows_of, section_around
 from zeno_orbits.orbits.shape import ONE_ZENO, OrbitShape
-from zeno_orbits.simulation.simulator import SimulationSettings
+from zeno_orbits.simulation import SimulationSettings
 
 _DIFFERENCE = 2e-5
 """Displacement in scaled section coordinates: its cube and the integration error balance."""

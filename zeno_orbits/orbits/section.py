@@ -12,8 +12,8 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector, null_space
 from zeno_orbits.errors import SimulationError
+from zeno_orbits.model import HybridDynamics
 from zeno_orbits.model.contact import GAP, GAP_RATE, MULTIPLIER
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.orbits.monodromy import differentials_of
 from zeno_orbits.orbits.shape import OrbitShape
 

@@ -16,15 +16,21 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, PenetrationError, SimulationError
+from zeno_orbits.integrators import Tolerance
 from zeno_orbits.integrators.automatic import PAYS, eigenvalues, rates_of, staying_rate
-from zeno_orbits.integrators.flow import Tolerance
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.orbits.looser_run import at_looser_tolerance
+from zeno_orbits.model import HybridDynamics
+from zeno_orbits.orbits import at_looser_tolerance
 from zeno_orbits.precision.landmark import ROUNDING, difference, sizes
-from zeno_orbits.simulation.completion import ZenoPassage
-from zeno_orbits.simulation.execution import Execution, Impact, Release, ZenoPoint
-from zeno_orbits.simulation.simulator import SimulationSettings, simulate
-from zeno_orbits.work.progress import Progress, silent
+from zeno_orbits.simulation import (
+    Execution,
+    Impact,
+    Release,
+    SimulationSettings,
+    ZenoPassage,
+    ZenoPoint,
+    simulate,
+)
+from zeno_orbits.work import Progress, silent
 
 FINEST, COARSEST = 1e-12, 1e-2
 """Accuracies that can be asked for."""

@@ -17,7 +17,7 @@ from decimal import Decimal
 from itertools import chain
 
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model.problem import ParameterValues, Problem
+from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.precision.extended_run import ExtendedRun, Trace
 from zeno_orbits.precision.extended_system import ExtendedSystem
 from zeno_orbits.precision.multiprecision import Arithmetic, Real, decimal

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from zeno_orbits.model.contact import ContactQuantities, ImpactLaw
-from zeno_orbits.model.numeric.compiled import CompiledSystem
+from zeno_orbits.model import CompiledSystem, ContactQuantities, ImpactLaw
 from zeno_orbits.precision.multiprecision import Arithmetic, Formula, Real, flow_of
 
 State = list[Real]

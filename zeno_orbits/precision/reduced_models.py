@@ -14,14 +14,12 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.orbits.cycle import Cycle
+from zeno_orbits.model import HybridDynamics, ParameterValues, Problem
+from zeno_orbits.orbits import ONE_ZENO, Cycle
 from zeno_orbits.orbits.poincare import return_slope
 from zeno_orbits.orbits.section import release_section
-from zeno_orbits.orbits.shape import ONE_ZENO
 from zeno_orbits.search import close_cycle, cycle_near, find_orbit
-from zeno_orbits.simulation.simulator import SimulationSettings
+from zeno_orbits.simulation import SimulationSettings
 
 QUASI_STATIC, CORRECTED = "quasi_static", "corrected"
 """The words by which a problem declares the two reduced models."""

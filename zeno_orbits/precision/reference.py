@@ -14,8 +14,7 @@ from zeno_orbits.errors import InputError, TranslationError, ZenoOrbitsError
 from zeno_orbits.integrators import Radau
 from zeno_orbits.integrators.automatic import decay_rates
 from zeno_orbits.integrators.casadi_to_heyoka import heyoka_is_installed
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import ParameterValues, Problem
+from zeno_orbits.model import HybridDynamics, ParameterValues, Problem
 from zeno_orbits.precision.accuracy import at_tolerance
 from zeno_orbits.precision.landmark import (
     ROUNDING,
@@ -26,7 +25,7 @@ from zeno_orbits.precision.landmark import (
     sizes,
     sizes_of,
 )
-from zeno_orbits.simulation.simulator import SimulationSettings, simulate
+from zeno_orbits.simulation import SimulationSettings, simulate
 
 if TYPE_CHECKING:
     from zeno_orbits.precision.extended import ExtendedExecution

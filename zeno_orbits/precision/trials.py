@@ -21,16 +21,14 @@ from zeno_orbits.integrators import (
     engine_named,
     installed_engines,
 )
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import ParameterValues, Problem
+from zeno_orbits.model import HybridDynamics, ParameterValues, Problem
 from zeno_orbits.precision.accuracy import at_tolerance
 from zeno_orbits.precision.landmark import apart, landmarks
 from zeno_orbits.precision.reference import Truth, is_too_stiff, true_landmarks
 from zeno_orbits.precision.work_precision import Trial, WorkPrecision
-from zeno_orbits.simulation.completion import Completion, FixedImpacts, Truncation
-from zeno_orbits.simulation.execution import Execution
-from zeno_orbits.simulation.simulator import SimulationSettings, simulate
-from zeno_orbits.work.progress import Progress, silent
+from zeno_orbits.simulation import Completion, Execution, SimulationSettings, Truncation, simulate
+from zeno_orbits.simulation.completion import FixedImpacts
+from zeno_orbits.work import Progress, silent
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

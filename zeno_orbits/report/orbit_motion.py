@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.orbits.period import placed
-from zeno_orbits.simulation.execution import Execution
-from zeno_orbits.simulation.simulator import simulate
+from zeno_orbits.model import HybridDynamics, Problem
+from zeno_orbits.orbits import ZenoOrbit, placed
+from zeno_orbits.simulation import Execution, simulate
 
 _LONGER = 1e-6
 """Part of the duration to follow a motion longer, so that rounding cuts off no release."""

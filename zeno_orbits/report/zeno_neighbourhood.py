@@ -9,8 +9,8 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.simulation.execution import Arc, Ending, Execution, Impact, ZenoPoint
+from zeno_orbits.model import HybridDynamics
+from zeno_orbits.simulation import Arc, Ending, Execution, Impact, ZenoPoint
 
 SAMPLES = 160
 """Points on a flight, at least."""

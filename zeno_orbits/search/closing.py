@@ -14,20 +14,23 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError, ZenoOrbitsError
-from zeno_orbits.integrators import Taylor
-from zeno_orbits.integrators.flow import Tolerance
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.orbits.cycle import Cycle, round_again
-from zeno_orbits.orbits.orbit import OrbitImpact, OrbitPhase, ZenoOrbit, new_orbit
-from zeno_orbits.orbits.period import placed
+from zeno_orbits.integrators import Taylor, Tolerance
+from zeno_orbits.model import HybridDynamics, ParameterValues, Problem
+from zeno_orbits.orbits import (
+    Cycle,
+    OrbitImpact,
+    OrbitPhase,
+    OrbitShape,
+    ZenoOrbit,
+    new_orbit,
+    placed,
+)
+from zeno_orbits.orbits.cycle import round_again
 from zeno_orbits.orbits.phases import Phase
-from zeno_orbits.orbits.shape import OrbitShape
 from zeno_orbits.search.fixed_point import ClosedCycle, close_cycle, cycle_near
 from zeno_orbits.search.guess import SettlingSettings, settle
-from zeno_orbits.simulation.completion import ZenoExtrapolation
-from zeno_orbits.simulation.simulator import SimulationSettings
-from zeno_orbits.work.progress import Progress, silent
+from zeno_orbits.simulation import SimulationSettings, ZenoExtrapolation
+from zeno_orbits.work import Progress, silent
 
 __all__ = [
     "ClosedCycle",

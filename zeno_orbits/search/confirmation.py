@@ -12,23 +12,30 @@ import numpy as np
 
 from zeno_orbits.arrays import Array, Vector
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import ParameterValues
-from zeno_orbits.orbits.bounds import KEPT, Bound, excess
-from zeno_orbits.orbits.cycle import Cycle, round_again
-from zeno_orbits.orbits.orbit import OrbitImpact, OrbitPhase, ZenoOrbit, new_orbit
-from zeno_orbits.orbits.period import cycle_of, placed
+from zeno_orbits.model import HybridDynamics, ParameterValues
+from zeno_orbits.orbits import (
+    ONE_ZENO,
+    Bound,
+    Cycle,
+    OrbitImpact,
+    OrbitPhase,
+    OrbitShape,
+    ZenoOrbit,
+    cycle_of,
+    new_orbit,
+    placed,
+)
+from zeno_orbits.orbits.bounds import KEPT, excess
+from zeno_orbits.orbits.cycle import round_again
 from zeno_orbits.orbits.phases import Moment
-from zeno_orbits.orbits.shape import ONE_ZENO, OrbitShape
 from zeno_orbits.search.closing import escape_of, named
 from zeno_orbits.search.objectives import Objective, Target
 from zeno_orbits.search.outcome import SimulatedSolution, StartOutcome
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.search.transcription.transcribe import labels_of, start_block
-from zeno_orbits.simulation.execution import Impact, ZenoPoint
+from zeno_orbits.simulation import Impact, SimulationSettings, ZenoPoint
 from zeno_orbits.simulation.signals import Extent, extent_of, signal, signal_names
-from zeno_orbits.simulation.simulator import SimulationSettings
 
 
 def confirm(

@@ -16,7 +16,7 @@ from zeno_orbits.arrays import Array
 from zeno_orbits.errors import InputError
 from zeno_orbits.integrators.collocation import lagrange_basis
 from zeno_orbits.model.contact import GAP_ACCELERATION, GAP_RATE
-from zeno_orbits.orbits.bounds import Bound
+from zeno_orbits.orbits import Bound
 from zeno_orbits.search.spectral_radius import keep_radius_below
 from zeno_orbits.search.transcription.arc import CollocatedArc
 from zeno_orbits.search.transcription.transcribe import OrbitTerms

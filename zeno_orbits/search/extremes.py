@@ -12,7 +12,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators.collocation import lagrange_basis
 from zeno_orbits.search.transcription.arc import CollocatedArc
 from zeno_orbits.search.transcription.transcribe import OrbitTerms
-from zeno_orbits.simulation.execution import Arc
+from zeno_orbits.simulation import Arc
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

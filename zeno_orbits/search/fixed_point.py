@@ -14,14 +14,21 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.orbits.cycle import Cycle, cycle_between
-from zeno_orbits.orbits.period import cycle_of, placed
+from zeno_orbits.model import HybridDynamics
+from zeno_orbits.orbits import (
+    ONE_ZENO,
+    Cycle,
+    OrbitShape,
+    Section,
+    cycle_of,
+    placed,
+    section_around,
+)
+from zeno_orbits.orbits.cycle import cycle_between
 from zeno_orbits.orbits.phases import follow_each_other, kinds_of, phases_of
 from zeno_orbits.orbits.poincare import return_slope
-from zeno_orbits.orbits.section import Section, rows_of, section_around
-from zeno_orbits.orbits.shape import ONE_ZENO, OrbitShape
-from zeno_orbits.simulation.simulator import SimulationSettings, simulate
+from zeno_orbits.orbits.section import rows_of
+from zeno_orbits.simulation import SimulationSettings, simulate
 
 _REPEATS = 1e-12
 """Change of the release over a period that counts as none, relative."""

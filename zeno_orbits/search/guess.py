@@ -10,13 +10,12 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, RunawayError, SimulationError
-from zeno_orbits.integrators.flow import Tolerance
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.cycle import Cycle, cycles
-from zeno_orbits.orbits.period import cycle_of, placed, to_next_release
-from zeno_orbits.orbits.shape import OrbitShape
+from zeno_orbits.integrators import Tolerance
+from zeno_orbits.model import HybridDynamics, Problem
+from zeno_orbits.orbits import Cycle, OrbitShape, cycle_of, cycles, placed
+from zeno_orbits.orbits.period import to_next_release
 from zeno_orbits.search.recurrence import Recurrence, Recurring
+from zeno_orbits.simulation import Execution, Mode, SimulationSettings, ZenoExtrapolation, simulate
 from zeno_orbits.simulation.attractor import (
     WAITING,
     bounds_of,
@@ -24,9 +23,6 @@ from zeno_orbits.simulation.attractor import (
     has_left,
     is_still,
 )
-from zeno_orbits.simulation.completion import ZenoExtrapolation
-from zeno_orbits.simulation.execution import Execution, Mode
-from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 from zeno_orbits.simulation.time_scale import own_time
 
 _DIFFERENCE = 1e-6

@@ -9,16 +9,12 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import ParameterValues
-from zeno_orbits.orbits.cycle import Cycle
-from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.orbits.path import Step, StepControl, StepError, follow_path
-from zeno_orbits.orbits.period import placed
-from zeno_orbits.orbits.shape import OrbitShape
+from zeno_orbits.model import HybridDynamics, ParameterValues
+from zeno_orbits.orbits import Cycle, OrbitShape, ZenoOrbit, follow_path, placed
+from zeno_orbits.orbits.path import Step, StepControl, StepError
 from zeno_orbits.search.closing import ClosedCycle, close_cycle
 from zeno_orbits.search.search_problem import SearchProblem
-from zeno_orbits.simulation.simulator import SimulationSettings
+from zeno_orbits.simulation import SimulationSettings
 
 _STEPS = StepControl(first=0.25, shortest=1e-4)
 """Parts of the way: the first that is tried, and the least before it is given up."""

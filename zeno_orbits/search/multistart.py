@@ -7,14 +7,21 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.model.library import ProblemFile
+from zeno_orbits.model import ProblemFile
 from zeno_orbits.search.outcome import Accept, StartOutcome
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.search.start import start_count, try_start
-from zeno_orbits.work import Lost, Plan, spread_in_order, versions
-from zeno_orbits.work.progress import Progress, silent
-from zeno_orbits.work.serialization import plain, restored
+from zeno_orbits.work import (
+    Lost,
+    Plan,
+    Progress,
+    plain,
+    restored,
+    silent,
+    spread_in_order,
+    versions,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

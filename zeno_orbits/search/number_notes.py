@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.model.problem import ParameterValues, Problem
+from zeno_orbits.model import ParameterValues, Problem
 
 
 def held_derived(

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     # Help and misuse of the command line need the words, not CasADi.
     import casadi as ca
 
-    from zeno_orbits.model.problem import Problem
-    from zeno_orbits.orbits.cycle import Cycle
+    from zeno_orbits.model import Problem
+    from zeno_orbits.orbits import Cycle
     from zeno_orbits.search.transcription.transcribe import OrbitTerms
     from zeno_orbits.simulation.signals import Extent
 
@@ -288,7 +288,7 @@ class LeastPeak(Objective):
 
     def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
         """Refuse an unknown signal."""
-        from zeno_orbits.verification.measurement import require_quantities
+        from zeno_orbits.verification import require_quantities
 
         del free
         require_quantities([self.signal], problem, "objective")

@@ -9,12 +9,11 @@ import numpy as np
 
 from zeno_orbits.arrays import Array
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.model.problem import ParameterValues
-from zeno_orbits.orbits.cycle import Cycle
-from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.model import ParameterValues
+from zeno_orbits.orbits import Cycle, ZenoOrbit
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.simulation.signals import Extent
-from zeno_orbits.verification.certificate import OrbitCertificate
+from zeno_orbits.verification import OrbitCertificate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

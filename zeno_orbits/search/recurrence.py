@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.orbits.cycle import Cycle
-from zeno_orbits.orbits.shape import OrbitShape, PhaseKind
+from zeno_orbits.orbits import Cycle, OrbitShape, PhaseKind
+from zeno_orbits.simulation import Execution, Impact
 from zeno_orbits.simulation.attractor import PERIODS, Return, repetitions
-from zeno_orbits.simulation.execution import Execution, Impact
 
 MOST_IMPACTS = 12
 """Longest period of a motion without releases that is looked for, in impacts."""

@@ -11,8 +11,8 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from zeno_orbits.model.problem import ParameterValues
-from zeno_orbits.orbits.cycle import Cycle
+from zeno_orbits.model import ParameterValues
+from zeno_orbits.orbits import Cycle
 from zeno_orbits.search.confirmation import confirm, tightened
 from zeno_orbits.search.constraints import keep
 from zeno_orbits.search.objectives import Objective

@@ -8,10 +8,8 @@ from contextlib import closing
 from dataclasses import replace
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.orbits.bounds import Bound
-from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.orbits.shape import OrbitShape
+from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.orbits import Bound, OrbitShape, ZenoOrbit
 from zeno_orbits.search.multistart import Spread, outcomes_here, outcomes_spread
 from zeno_orbits.search.objectives import NearestGains, Objective, Target
 from zeno_orbits.search.outcome import (
@@ -25,7 +23,7 @@ from zeno_orbits.search.search_problem import SearchProblem, with_targets
 from zeno_orbits.search.settings import SearchSettings, SearchStatus
 from zeno_orbits.search.start import numbered_start
 from zeno_orbits.search.validation import check_search
-from zeno_orbits.work.progress import Progress, silent
+from zeno_orbits.work import Progress, silent
 
 _SAME = 1e-6
 """Orbits whose free numbers and periods differ by less, relative, are the same candidate."""

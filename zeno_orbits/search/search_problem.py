@@ -6,15 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from zeno_orbits.model.numeric.compiled import CompiledSystem
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.orbits.bounds import Bound
-from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.orbits.shape import OrbitShape
+from zeno_orbits.model import CompiledSystem, HybridDynamics, ParameterValues, Problem
+from zeno_orbits.orbits import Bound, OrbitShape, ZenoOrbit
 from zeno_orbits.search.objectives import NearestGains, Objective
 from zeno_orbits.search.settings import SearchSettings
-from zeno_orbits.work.progress import Progress, silent
+from zeno_orbits.work import Progress, silent
 
 _OF_THIS_PROCESS = ("problem", "on_progress")
 

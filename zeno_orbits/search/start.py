@@ -10,15 +10,15 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, ZenoOrbitsError
-from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.orbits.bounds import Bound, objection_to
-from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.orbits import Bound, ZenoOrbit
+from zeno_orbits.orbits.bounds import objection_to
 from zeno_orbits.search.outcome import Accept, Candidate, Judgement, StartOutcome
 from zeno_orbits.search.search_problem import SearchProblem, clipped, listed
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.search.strategy import Start, from_start
 from zeno_orbits.simulation.signals import Extent
-from zeno_orbits.verification.measurement import measure
+from zeno_orbits.verification import measure
 
 
 def start_count(search: SearchProblem) -> int:

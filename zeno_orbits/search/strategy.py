@@ -9,10 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import ParameterValues
-from zeno_orbits.orbits.cycle import Cycle, gone_round_twice, round_again
-from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.model import HybridDynamics, ParameterValues
+from zeno_orbits.orbits import Cycle, ZenoOrbit
+from zeno_orbits.orbits.cycle import gone_round_twice, round_again
 from zeno_orbits.search.closing import close_cycle
 from zeno_orbits.search.confirmation import one_cycle
 from zeno_orbits.search.guess import settle
@@ -29,7 +28,7 @@ from zeno_orbits.search.refinement import (
 from zeno_orbits.search.search_problem import SearchProblem, listed
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.search.trust_region import trust_region_steps
-from zeno_orbits.simulation.simulator import SimulationSettings
+from zeno_orbits.simulation import SimulationSettings
 
 _AT_BOUND = 0.02
 """A number this near its bound, in units of its range, is said to be at it."""

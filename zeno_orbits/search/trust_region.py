@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from zeno_orbits.model.problem import ParameterValues
-from zeno_orbits.orbits.cycle import Cycle
-from zeno_orbits.orbits.path import Step, StepControl, StepError, follow_path
+from zeno_orbits.model import ParameterValues
+from zeno_orbits.orbits import Cycle, follow_path
+from zeno_orbits.orbits.path import Step, StepControl, StepError
 from zeno_orbits.search.outcome import StartOutcome
 from zeno_orbits.search.refinement import ON_THE_WAY
 from zeno_orbits.search.search_problem import SearchProblem

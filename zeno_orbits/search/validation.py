@@ -6,11 +6,11 @@ import math
 from collections.abc import Mapping
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.bounds import Bound
+from zeno_orbits.model import Problem
+from zeno_orbits.orbits import Bound
 from zeno_orbits.search.objectives import LEAST_RADIUS
 from zeno_orbits.search.search_problem import SearchProblem
-from zeno_orbits.verification.measurement import require_quantities
+from zeno_orbits.verification import require_quantities
 
 
 def check_search(search: SearchProblem) -> None:

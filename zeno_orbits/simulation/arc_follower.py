@@ -10,10 +10,9 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import PenetrationError, RunawayError, SimulationError
-from zeno_orbits.integrators import Engine, Leg, Outcome
+from zeno_orbits.integrators import Engine, GuardedFlow, Leg, Outcome, Tolerance
 from zeno_orbits.integrators.engine import Watch
-from zeno_orbits.integrators.flow import GuardedFlow, Tolerance
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model import HybridDynamics
 from zeno_orbits.simulation.execution import Arc, Ending, Impact, Mode
 
 _FIRST_LOOK = 25_000

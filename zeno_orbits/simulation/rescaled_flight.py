@@ -8,9 +8,9 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import StepSizeError
-from zeno_orbits.integrators.engine import Step, Stepper
-from zeno_orbits.integrators.flow import Tolerance
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.integrators import Step, Tolerance
+from zeno_orbits.integrators.engine import Stepper
+from zeno_orbits.model import HybridDynamics
 
 Flight = Callable[[Vector, float], tuple[float, Vector, float] | None]
 """From the state after an impact and its gap rate to duration, state and gap rate at the next.

@@ -18,12 +18,12 @@ from functools import cached_property
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators.flow import Tolerance
+from zeno_orbits.integrators import Tolerance
+from zeno_orbits.model import HybridDynamics
 from zeno_orbits.model.contact import GAP, GAP_ACCELERATION, GAP_RATE, MULTIPLIER
 from zeno_orbits.model.numeric.derivatives import (
     Differentials,
 )
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.simulation.execution import Arc, Impact
 from zeno_orbits.simulation.state_transition import carried
 from zeno_orbits.simulation.zeno_limit import (

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Scalar, Vector
-from zeno_orbits.model.numeric.compiled import CompiledSystem
+from zeno_orbits.model import CompiledSystem
 from zeno_orbits.simulation.execution import Arc
 
 _SAMPLES = 65

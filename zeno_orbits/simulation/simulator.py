@@ -14,10 +14,9 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ChatterError, InputError, PenetrationError, SimulationError
-from zeno_orbits.integrators import Automatic, Engine, Trajectory
+from zeno_orbits.integrators import Automatic, Engine, GuardedFlow, Tolerance, Trajectory
 from zeno_orbits.integrators.events import SteppedTrajectory
-from zeno_orbits.integrators.flow import GuardedFlow, Tolerance
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model import HybridDynamics
 from zeno_orbits.simulation.arc_follower import ArcFollower, ArcStart
 from zeno_orbits.simulation.completion import Completion, ZenoPassage
 from zeno_orbits.simulation.event_rules import closes_at_once, enters_stop, stop_holds
@@ -32,7 +31,7 @@ from zeno_orbits.simulation.execution import (
     ZenoPoint,
 )
 from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit, estimate_tail
-from zeno_orbits.work.progress import Progress, silent
+from zeno_orbits.work import Progress, silent
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,12 +16,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators import Automatic
+from zeno_orbits.integrators import Automatic, GuardedFlow, Step, Tolerance
 from zeno_orbits.integrators.collocation import Collocation, radau
 from zeno_orbits.integrators.dop853 import ExplicitStep
-from zeno_orbits.integrators.engine import Step
 from zeno_orbits.integrators.events import SteppedTrajectory
-from zeno_orbits.integrators.flow import GuardedFlow, Tolerance
 from zeno_orbits.integrators.radau import RadauStep
 from zeno_orbits.model.numeric.compiled_derivatives import N_STAGES
 from zeno_orbits.model.numeric.derivatives import FlowDifferential

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model import HybridDynamics
 
 _DAMPED = 1e-3
 """An eigenvalue whose imaginary part is less than this part of it does not oscillate."""

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators.engine import Step
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.integrators import Step
+from zeno_orbits.model import HybridDynamics
 
 N_NODES = 5
 """Impacts that the extrapolation uses at most."""

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from zeno_orbits.orbits.shape import ONE_ZENO, OrbitShape
+from zeno_orbits.orbits import ONE_ZENO, OrbitShape
 
 RESIDUALS: Mapping[str, str] = {
     "release": "gap, gap rate and multiplier are zero at the release",

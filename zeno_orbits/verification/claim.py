@@ -9,9 +9,8 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.orbit import OrbitPhase, ZenoOrbit
-from zeno_orbits.orbits.shape import OrbitShape, PhaseKind
+from zeno_orbits.model import Problem
+from zeno_orbits.orbits import OrbitPhase, OrbitShape, PhaseKind, ZenoOrbit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

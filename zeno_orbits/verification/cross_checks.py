@@ -10,18 +10,12 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.model import HybridDynamics, Problem
 from zeno_orbits.model.hybrid import audited
 from zeno_orbits.model.library import load_reference
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.cycle import Cycle
-from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.orbits.period import placed
+from zeno_orbits.orbits import Cycle, PhaseKind, ZenoOrbit, placed
 from zeno_orbits.orbits.phases import Phase
-from zeno_orbits.orbits.shape import PhaseKind
-from zeno_orbits.simulation.completion import Truncation, ZenoPassage
-from zeno_orbits.simulation.execution import Impact
-from zeno_orbits.simulation.simulator import SimulationSettings, simulate
+from zeno_orbits.simulation import Impact, SimulationSettings, Truncation, ZenoPassage, simulate
 from zeno_orbits.verification.certificate import DeltaCut
 from zeno_orbits.verification.claim import Claim
 from zeno_orbits.verification.integration import FirstCycle, distance

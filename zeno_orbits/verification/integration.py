@@ -9,15 +9,12 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.orbits.cycle import Cycle, first_cycles
-from zeno_orbits.orbits.looser_run import at_looser_tolerance
-from zeno_orbits.orbits.period import followed, placed
+from zeno_orbits.model import HybridDynamics
+from zeno_orbits.orbits import Cycle, OrbitShape, at_looser_tolerance, placed
+from zeno_orbits.orbits.cycle import first_cycles
+from zeno_orbits.orbits.period import followed
 from zeno_orbits.orbits.phases import Moment, kinds_of, phases_of
-from zeno_orbits.orbits.shape import OrbitShape
-from zeno_orbits.simulation.completion import ZenoExtrapolation
-from zeno_orbits.simulation.execution import Arc, Execution, Mode
-from zeno_orbits.simulation.simulator import SimulationSettings
+from zeno_orbits.simulation import Arc, Execution, Mode, SimulationSettings, ZenoExtrapolation
 from zeno_orbits.verification.claim import Claim
 
 

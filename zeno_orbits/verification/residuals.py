@@ -7,9 +7,8 @@ import math
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.simulation.execution import Impact, Mode
+from zeno_orbits.model import HybridDynamics, Problem
+from zeno_orbits.simulation import Impact, Mode
 from zeno_orbits.verification.claim import Claim
 from zeno_orbits.verification.integration import FirstCycle, Observation, distance
 

@@ -12,15 +12,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.integrators.flow import Tolerance
+from zeno_orbits.integrators import Tolerance
+from zeno_orbits.model import HybridDynamics, Problem
 from zeno_orbits.model.library import load_reference
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem
+from zeno_orbits.orbits import Multipliers, ZenoOrbit, floquet_multipliers, placed
 from zeno_orbits.orbits.digest import digest_of, same_equations
-from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.orbits.period import placed
-from zeno_orbits.orbits.poincare import Multipliers, floquet_multipliers
-from zeno_orbits.simulation.simulator import SimulationSettings
+from zeno_orbits.simulation import SimulationSettings
 from zeno_orbits.verification.certificate import DeltaCut, OrbitCertificate
 from zeno_orbits.verification.claim import Claim, claim_of
 from zeno_orbits.verification.cross_checks import (
@@ -32,7 +29,7 @@ from zeno_orbits.verification.cross_checks import (
 )
 from zeno_orbits.verification.integration import FirstCycle, Observation, observe
 from zeno_orbits.verification.residuals import escapes_of, margins_of, orbit_residuals
-from zeno_orbits.work.progress import Progress, silent
+from zeno_orbits.work import Progress, silent
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

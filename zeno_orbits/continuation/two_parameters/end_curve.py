@@ -21,7 +21,8 @@ from zeno_orbits.continuation.return_maps import Loss, Margin, ReturnMap
 from zeno_orbits.continuation.special_points import INSIDE, Located, TestFunction, located_near
 from zeno_orbits.continuation.two_parameters.plane import CurveSetup
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
-from zeno_orbits.orbits.path import Step, StepError, follow_path
+from zeno_orbits.orbits import follow_path
+from zeno_orbits.orbits.path import Step, StepError
 
 
 @dataclass(frozen=True, kw_only=True)

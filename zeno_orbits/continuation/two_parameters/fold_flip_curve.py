@@ -18,7 +18,8 @@ from zeno_orbits.continuation.margins import CLOSE, Stage, meeting
 from zeno_orbits.continuation.two_parameters.fold_flip_point import FoldFlipPoint, FoldFlipSystem
 from zeno_orbits.continuation.two_parameters.plane import CurveSetup, CurveStart
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.orbits.path import Step, StepControl, StepError, follow_path, returns_to_start
+from zeno_orbits.orbits import follow_path
+from zeno_orbits.orbits.path import Step, StepControl, StepError, returns_to_start
 
 MULTIPLIERS = {Kind.FOLD: 1.0, Kind.FLIP: -1.0}
 """Multiplier of a fold and of a flip."""

@@ -10,9 +10,9 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.corrector import BranchPoint, Metric
 from zeno_orbits.continuation.return_maps import ReturnMap
 from zeno_orbits.continuation.special_points import Located
+from zeno_orbits.orbits import Line
 from zeno_orbits.orbits.path import StepControl
-from zeno_orbits.orbits.section import Line
-from zeno_orbits.work.progress import Progress
+from zeno_orbits.work import Progress
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -31,8 +31,8 @@ from zeno_orbits.experiment.comparison.stop_level import Stop, refined_stop, sto
 from zeno_orbits.experiment.orbit_table import GAP
 from zeno_orbits.experiment.recordings.periodicity import Periodicity
 from zeno_orbits.experiment.recordings.recording import Recording
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.model import Problem
+from zeno_orbits.orbits import ZenoOrbit
 
 __all__ = ["Comparison", "Metric", "compare"]
 

@@ -18,9 +18,9 @@ from zeno_orbits.experiment.comparison.alignment import Alignment
 from zeno_orbits.experiment.comparison.overlay import lay_over, shared_signals
 from zeno_orbits.experiment.recordings.recording import Recording, cut
 from zeno_orbits.experiment.rig import rig_cycles
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.work.progress import Progress, silent
+from zeno_orbits.model import Problem
+from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.work import Progress, silent
 
 RIG = "virtual rig, simulated"
 """What a rig's motion is called, wherever it is shown."""

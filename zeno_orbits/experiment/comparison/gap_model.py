@@ -19,7 +19,7 @@ from zeno_orbits.experiment.orbit_table import (
     measurement,
 )
 from zeno_orbits.experiment.recordings.recording import Recording
-from zeno_orbits.model.problem import Problem
+from zeno_orbits.model import Problem
 
 _AT_ONCE = 1 << 18
 

@@ -24,7 +24,7 @@ from zeno_orbits.experiment.comparison.deviations import (
 )
 from zeno_orbits.experiment.comparison.stop_level import Stop
 from zeno_orbits.experiment.orbit_table import OrbitTable, measurable
-from zeno_orbits.model.problem import Problem
+from zeno_orbits.model import Problem
 
 _BIASED = 0.25
 """Part of the error of one release by which noise may move all of them."""

@@ -37,10 +37,10 @@ from zeno_orbits.experiment.identification.unknowns import (
 )
 from zeno_orbits.experiment.orbit_table import measurement
 from zeno_orbits.experiment.recordings.recording import Recording
-from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.search import close_orbit, orbit_of
-from zeno_orbits.work.progress import Progress, silent
+from zeno_orbits.work import Progress, silent
 
 __all__ = ["Fitted", "Identification", "UnfittableError", "identify"]
 

@@ -24,7 +24,7 @@ from zeno_orbits.experiment.identification.predictions import Predictions
 from zeno_orbits.experiment.identification.uncertainty import Spread, spread_of
 from zeno_orbits.experiment.orbit_table import beside_jumps, jump_width
 from zeno_orbits.experiment.recordings.periodicity import Periodicity, period_error
-from zeno_orbits.work.progress import Progress
+from zeno_orbits.work import Progress
 
 _ROUNDS = 3
 """Times that the fit is made: each time the weights are those of the residuals before it."""

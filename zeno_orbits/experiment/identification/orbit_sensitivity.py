@@ -19,14 +19,22 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.orbit_table import Nodes
+from zeno_orbits.model import HybridDynamics
 from zeno_orbits.model.numeric.compiled_derivatives import N_STAGES
 from zeno_orbits.model.numeric.derivatives import Differentials
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.orbits.monodromy import differentials_of, return_derivative
+from zeno_orbits.orbits import return_derivative
+from zeno_orbits.orbits.monodromy import differentials_of
 from zeno_orbits.orbits.poincare import section_derivative
-from zeno_orbits.simulation.execution import Arc, Ending, Execution, Impact, Mode, ZenoPoint
+from zeno_orbits.simulation import (
+    Arc,
+    Ending,
+    Execution,
+    Impact,
+    Mode,
+    SimulationSettings,
+    ZenoPoint,
+)
 from zeno_orbits.simulation.sensitivity import Bounce, EventShift, Perturbations
-from zeno_orbits.simulation.simulator import SimulationSettings
 from zeno_orbits.simulation.state_transition import courses
 
 _PARTS = 3

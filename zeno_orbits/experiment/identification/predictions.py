@@ -12,11 +12,10 @@ from zeno_orbits.experiment.identification.folding import Fold, Folded
 from zeno_orbits.experiment.identification.orbit_sensitivity import OrbitSlope, orbit_slope
 from zeno_orbits.experiment.identification.unknowns import Unknowns
 from zeno_orbits.experiment.orbit_table import Measurement, OrbitTable, tabulated
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.cycle import Cycle
+from zeno_orbits.model import HybridDynamics, Problem
+from zeno_orbits.orbits import Cycle
 from zeno_orbits.search import close_cycle
-from zeno_orbits.simulation.simulator import SimulationSettings
+from zeno_orbits.simulation import SimulationSettings
 
 _KEPT = 8
 """Orbits that are remembered."""

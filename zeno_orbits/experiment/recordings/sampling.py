@@ -10,9 +10,8 @@ import numpy as np
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment.orbit_table import state_nodes
 from zeno_orbits.experiment.recordings.recording import Recording, Signal, Source
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.simulation.execution import Execution
+from zeno_orbits.model import HybridDynamics, Problem
+from zeno_orbits.simulation import Execution
 
 MOST_SAMPLES = 10_000_000
 """Samples of a recording at most; ten of each state take a gigabyte."""

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.rig.cycles import RigCycle, SettledRig
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.simulation.simulator import simulate
+from zeno_orbits.model import Problem
+from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.simulation import simulate
 
 _SAMPLES = 1500
 """Points on every arc of the orbit; the chords between them miss it by some 1e-6 of its size."""

@@ -16,8 +16,8 @@ from zeno_orbits.experiment.rig.convergence import (
     orbit_curve,
 )
 from zeno_orbits.experiment.rig.cycles import SettledRig
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.model import Problem
+from zeno_orbits.orbits import ZenoOrbit
 
 _POINTS = 400
 """Points on every arc of the orbit; the chords between them miss it by 1e-5 of its size."""

@@ -17,11 +17,10 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.experiment.rig.run import Record, RigRun, RigSettings, Touch
 from zeno_orbits.experiment.rig.simulator import simulate_rig
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.model.rig_parts import Rig
-from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.model import Problem, Rig
+from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.simulation.attractor import Motion, Outcome, Return, outcome_of
-from zeno_orbits.work.progress import Progress, silent
+from zeno_orbits.work import Progress, silent
 
 _CLOSE = 0.02
 """Part of the orbit's locked time below which a flight does not end a lock."""

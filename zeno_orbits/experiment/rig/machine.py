@@ -18,11 +18,10 @@ from zeno_orbits.experiment.rig.forces import (
     friction_force,
     teeth_torque,
 )
-from zeno_orbits.model.drives import MotorBank
-from zeno_orbits.model.hybrid import CompletedSystem, accelerate
+from zeno_orbits.model import CompletedSystem, MotorBank, Problem, Rig
+from zeno_orbits.model.hybrid import accelerate
 from zeno_orbits.model.numeric.compiled_flow import ModeFunctions, dense_function, mode_functions
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.model.rig_parts import Rig, Switching
+from zeno_orbits.model.rig_parts import Switching
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

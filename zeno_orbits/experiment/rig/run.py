@@ -8,10 +8,8 @@ from dataclasses import dataclass, field, replace
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.recordings.recording import Recording, Signal, Source
-from zeno_orbits.integrators import Automatic, Engine
-from zeno_orbits.integrators.flow import Tolerance
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.model.rig_parts import Rig
+from zeno_orbits.integrators import Automatic, Engine, Tolerance
+from zeno_orbits.model import Problem, Rig
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -21,12 +21,11 @@ from zeno_orbits.experiment.rig.controller import ControlLoop
 from zeno_orbits.experiment.rig.machine import Machine, machine
 from zeno_orbits.experiment.rig.run import Record, RigRun, RigSettings, Touch
 from zeno_orbits.integrators import Leg, Outcome, Passage
+from zeno_orbits.model import ParameterValues, Problem, Rig
 from zeno_orbits.model.numeric.calls import Call
 from zeno_orbits.model.numeric.compiled_flow import CompiledFlow, FlowMemory
-from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.model.rig_parts import Rig
 from zeno_orbits.simulation.batch.model import Columns
-from zeno_orbits.work.progress import Progress, silent
+from zeno_orbits.work import Progress, silent
 
 _MOST_AT_ONCE = 1000
 """Contacts that may begin and end without time going on."""

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators.flow import GuardedFlow
+from zeno_orbits.integrators import GuardedFlow
 from zeno_orbits.model.contact import (
     GAP,
     GAP_ACCELERATION,

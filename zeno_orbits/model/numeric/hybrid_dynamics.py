@@ -14,7 +14,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Scalar, Vector
 from zeno_orbits.errors import InputError
-from zeno_orbits.integrators.flow import GuardedFlow, PlainFlow
+from zeno_orbits.integrators import GuardedFlow, PlainFlow
 from zeno_orbits.model.numeric.derivatives import Differentiation
 
 _BEYOND = ": the drive's correction is as large as what it corrects; take the full problem."

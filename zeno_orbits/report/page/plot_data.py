@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.precision.work_precision import SAME_WORK, WorkPrecision
+from zeno_orbits.model import Problem
+from zeno_orbits.precision import WorkPrecision
+from zeno_orbits.precision.work_precision import SAME_WORK
 from zeno_orbits.report.page.subject import Subject
 from zeno_orbits.report.zeno_neighbourhood import CloseUp, close_up
-from zeno_orbits.simulation.execution import Ending, Execution, Mode
+from zeno_orbits.simulation import Ending, Execution, Mode
 
 _POINTS = 4000
 """Points on a curve, roughly: shared out among its arcs."""

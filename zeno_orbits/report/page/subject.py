@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.precision.work_precision import WorkPrecision
+from zeno_orbits.model import HybridDynamics, Problem
+from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.precision import WorkPrecision
 from zeno_orbits.report.orbit_motion import motion_of
-from zeno_orbits.simulation.execution import Execution
-from zeno_orbits.verification.certificate import OrbitCertificate
+from zeno_orbits.simulation import Execution
+from zeno_orbits.verification import OrbitCertificate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,16 +6,16 @@ import math
 from collections.abc import Mapping
 from typing import Any, cast
 
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.model.quantities import Quantity
-from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.precision.work_precision import Trial, WorkPrecision
+from zeno_orbits.model import Problem, Quantity
+from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.precision import Trial, WorkPrecision
 from zeno_orbits.report.page import words
 from zeno_orbits.report.page.plotly_bundle import Bundle
 from zeno_orbits.report.page.subject import Subject
 from zeno_orbits.report.table import Column, Table, number_column, table_of, text_column
-from zeno_orbits.simulation.execution import Event, Execution, Impact, Mode, ZenoPoint
-from zeno_orbits.verification.certificate import RESIDUALS, OrbitCertificate
+from zeno_orbits.simulation import Execution, Impact, Mode, ZenoPoint
+from zeno_orbits.simulation.execution import Event
+from zeno_orbits.verification import RESIDUALS, OrbitCertificate
 from zeno_orbits.work import versions
 
 _ACCURACIES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.simulation.execution import Execution
-from zeno_orbits.verification.certificate import OrbitCertificate
+from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.simulation import Execution
+from zeno_orbits.verification import OrbitCertificate
 
 CHECKS: Mapping[str, str] = {
     "release": "The motion starts exactly where the stop lets go.",

@@ -23,7 +23,7 @@ from PIL import Image
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, ZenoOrbitsError
-from zeno_orbits.model.problem import ParameterValues, Problem
+from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.report.plots.style import (
     ARCS,
     FULL_WIDTH,
@@ -35,7 +35,7 @@ from zeno_orbits.report.plots.style import (
     mark_completion,
     paths_of,
 )
-from zeno_orbits.simulation.execution import Execution, Mode
+from zeno_orbits.simulation import Execution, Mode
 
 _RATE = 25
 """Pictures a second of what is shown [1/s]."""

@@ -18,7 +18,7 @@ from zeno_orbits.report.plots.style import (
     PALETTE,
     add_legend,
 )
-from zeno_orbits.verification.certificate import RESIDUALS, OrbitCertificate
+from zeno_orbits.verification import RESIDUALS, OrbitCertificate
 
 _PASSED, _FAILED = PALETTE[:2]
 

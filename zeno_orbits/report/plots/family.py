@@ -19,7 +19,7 @@ from zeno_orbits.continuation import (
     Kind,
     orbit_amplitude,
 )
-from zeno_orbits.model.problem import Problem
+from zeno_orbits.model import Problem
 from zeno_orbits.report.plots.style import (
     COLUMN_WIDTH,
     FULL_WIDTH,

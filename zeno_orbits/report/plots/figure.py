@@ -7,14 +7,13 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from zeno_orbits.continuation.families import Continuation, Family
+from zeno_orbits.continuation import Continuation, Family
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment import Comparison
-from zeno_orbits.maps.mapping import ParameterMap
-from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.precision.work_precision import WorkPrecision
+from zeno_orbits.maps import ParameterMap
+from zeno_orbits.model import Problem, load_problem
+from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.precision import WorkPrecision
 from zeno_orbits.report.orbit_motion import motion_of
 from zeno_orbits.report.plots.certificate import plot_certificate
 from zeno_orbits.report.plots.family import plot_boundaries, plot_families
@@ -23,10 +22,9 @@ from zeno_orbits.report.plots.orbit import plot_portraits, plot_states, plot_tim
 from zeno_orbits.report.plots.recording import plot_comparison
 from zeno_orbits.report.plots.style import FULL_WIDTH, add_title
 from zeno_orbits.report.plots.work_precision import plot_trade
-from zeno_orbits.search.search import SearchResult
-from zeno_orbits.simulation.execution import Execution
-from zeno_orbits.verification.certificate import OrbitCertificate
-from zeno_orbits.verification.verifier import problem_dynamics
+from zeno_orbits.search import SearchResult
+from zeno_orbits.simulation import Execution
+from zeno_orbits.verification import OrbitCertificate, problem_dynamics
 
 
 def figure_of(

@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 
-from zeno_orbits.model.problem import ParameterValues, Problem
+from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.report.plots.style import COLUMN_WIDTH, INK, TEXT, TINTS, symbol_of
-from zeno_orbits.simulation.execution import Mode
+from zeno_orbits.simulation import Mode
 
 _SIZE = (1.22, 0.72)
 """Width and height of a mode; lengths here are inches of a picture that is a column wide."""

@@ -19,9 +19,7 @@ from matplotlib.path import Path
 from matplotlib.transforms import Bbox
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.maps.attractors import Attractor, Fate
-from zeno_orbits.maps.mapping import Boundary, ParameterMap
-from zeno_orbits.maps.plane import Axis
+from zeno_orbits.maps import Attractor, Axis, Boundary, Fate, ParameterMap
 from zeno_orbits.report.plots.style import COLUMN_WIDTH, FULL_WIDTH, INK, TEXT
 
 _PERIODS = {1: "#4393C3", 2: "#009E73", 4: "#005A43", 8: "#5D3A9B"}

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model.problem import ParameterValues, Problem
+from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.report.plots.style import (
     AFTER,
     BEFORE,
@@ -28,7 +28,7 @@ from zeno_orbits.report.plots.style import (
     share_time,
     symbol_of,
 )
-from zeno_orbits.simulation.execution import Execution, Mode
+from zeno_orbits.simulation import Execution, Mode
 
 _EDGE = 0.01
 """Part of a picture in which an impact would be hidden by its frame."""

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from matplotlib.figure import Figure
 
 from zeno_orbits.experiment.comparison.counterpart import Counterpart
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import ParameterValues, Problem
+from zeno_orbits.model import HybridDynamics, ParameterValues, Problem
 from zeno_orbits.report.plots.animation import film_of, gif_of, has_ffmpeg, mp4_of
 from zeno_orbits.report.plots.graph import plot_graph
 from zeno_orbits.report.plots.orbit import plot_portraits
@@ -22,7 +21,7 @@ from zeno_orbits.report.plots.two_motions import (
     plot_beside_portraits,
     plot_beside_zeno_point,
 )
-from zeno_orbits.simulation.execution import Execution
+from zeno_orbits.simulation import Execution
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,9 +15,9 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment import Comparison
 from zeno_orbits.experiment.comparison.deviations import Deviations
 from zeno_orbits.experiment.orbit_table import OrbitTable, measurable
-from zeno_orbits.model.problem import Problem
+from zeno_orbits.model import Problem
 from zeno_orbits.report.plots.style import FULL_WIDTH, INK, TEXT, TINTS, add_legend, label_of
-from zeno_orbits.simulation.execution import Mode
+from zeno_orbits.simulation import Mode
 
 _ORBIT: dict[str, Any] = {"color": "#56B4E9", "lw": 2.4, "label": "orbit", "zorder": 2}
 _DATA: dict[str, Any] = {"color": "black", "lw": 0.8, "label": "mean over cycles", "zorder": 3}

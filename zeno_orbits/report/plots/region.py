@@ -16,8 +16,7 @@ from matplotlib.ticker import MaxNLocator
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem
+from zeno_orbits.model import HybridDynamics, Problem
 from zeno_orbits.report.plots.style import (
     ARCS,
     BLUES,
@@ -29,7 +28,7 @@ from zeno_orbits.report.plots.style import (
     panels_of,
     paths_of,
 )
-from zeno_orbits.simulation.execution import Execution, Mode
+from zeno_orbits.simulation import Execution, Mode
 
 
 def plot_zeno_region(

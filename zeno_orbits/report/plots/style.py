@@ -17,9 +17,10 @@ from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.simulation.execution import Ending, Execution, Mode
-from zeno_orbits.work.files import require_picture, write_whole
+from zeno_orbits.model import Problem
+from zeno_orbits.simulation import Ending, Execution, Mode
+from zeno_orbits.work import write_whole
+from zeno_orbits.work.files import require_picture
 
 COLUMN_WIDTH = 3.4
 """Width of one column of a paper [in]."""

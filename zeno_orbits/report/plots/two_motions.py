@@ -14,8 +14,7 @@ from matplotlib.figure import Figure
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.comparison.counterpart import Counterpart
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem
+from zeno_orbits.model import HybridDynamics, Problem
 from zeno_orbits.report.plots.orbit import phases_of
 from zeno_orbits.report.plots.style import (
     ARCS,
@@ -32,7 +31,7 @@ from zeno_orbits.report.plots.style import (
     share_time,
 )
 from zeno_orbits.report.zeno_neighbourhood import close_up
-from zeno_orbits.simulation.execution import Execution, Mode
+from zeno_orbits.simulation import Execution, Mode
 
 _OTHER: dict[str, Any] = {"color": "black", "lw": 0.7, "zorder": 3.5}
 _MODEL: dict[Mode, dict[str, Any]] = {

@@ -11,8 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import Problem
+from zeno_orbits.model import HybridDynamics, Problem
 from zeno_orbits.report.plots.style import (
     ARCS,
     BEFORE,
@@ -25,7 +24,7 @@ from zeno_orbits.report.plots.style import (
     panels_of,
 )
 from zeno_orbits.report.zeno_neighbourhood import CloseUp, close_up
-from zeno_orbits.simulation.execution import Execution, Mode
+from zeno_orbits.simulation import Execution, Mode
 
 _REMAINING = r"time to Zeno point $t_\infty - t$ [s]"
 

@@ -16,11 +16,11 @@ from zeno_orbits.report.terminal.console import (
 )
 
 if TYPE_CHECKING:
-    from zeno_orbits.model.problem import Problem
-    from zeno_orbits.orbits.orbit import ZenoOrbit
-    from zeno_orbits.precision.accuracy import Assured
+    from zeno_orbits.model import Problem
+    from zeno_orbits.orbits import ZenoOrbit
+    from zeno_orbits.precision import Assured
     from zeno_orbits.simulation.execution import Event
-    from zeno_orbits.verification.certificate import DeltaCut, OrbitCertificate
+    from zeno_orbits.verification import DeltaCut, OrbitCertificate
 
 _MOST_EVENTS = 40
 """Events of an execution that are printed."""
@@ -57,7 +57,7 @@ def print_execution(problem: Problem, assured: Assured) -> None:
 
 
 def _event_name(event: Event, error: float) -> str:
-    from zeno_orbits.simulation.execution import Impact, ZenoPoint
+    from zeno_orbits.simulation import Impact, ZenoPoint
 
     if isinstance(event, Impact):
         return "impact"
@@ -67,14 +67,14 @@ def _event_name(event: Event, error: float) -> str:
 
 
 def _approach_rate(event: Event) -> str:
-    from zeno_orbits.simulation.execution import Impact
+    from zeno_orbits.simulation import Impact
 
     return f"{event.approach_rate:.6g}" if isinstance(event, Impact) else ""
 
 
 def _state_column(name: str, index: int) -> Column[Event]:
     """Return the column of a state, at an impact just before it."""
-    from zeno_orbits.simulation.execution import Impact
+    from zeno_orbits.simulation import Impact
 
     def cell(event: Event) -> str:
         state = event.state_minus if isinstance(event, Impact) else event.state
@@ -175,7 +175,7 @@ def _certificate_rows(certificate: OrbitCertificate) -> Iterator[_Row]:
 
 def print_certificate(certificate: OrbitCertificate) -> None:
     """Print residuals, margins, the sweep of cuts, multipliers and estimated errors."""
-    from zeno_orbits.verification.certificate import RESIDUALS
+    from zeno_orbits.verification import RESIDUALS
 
     sizes, margins = certificate.residuals, certificate.margins
     residual_columns: list[Column[str]] = [

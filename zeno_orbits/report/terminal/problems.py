@@ -9,8 +9,8 @@ from zeno_orbits.report.table import Column, name_column, number_column, text_co
 from zeno_orbits.report.terminal.console import plain_console, print_lines, print_table
 
 if TYPE_CHECKING:
-    from zeno_orbits.model.problem import ParameterValues, Problem
-    from zeno_orbits.precision.reduced_models import ReductionCost
+    from zeno_orbits.model import ParameterValues, Problem
+    from zeno_orbits.precision import ReductionCost
 
 
 def print_problems(problems: Sequence[Problem]) -> None:

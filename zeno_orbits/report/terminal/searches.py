@@ -10,7 +10,7 @@ from zeno_orbits.report.table import Column, number_column, text_column
 from zeno_orbits.report.terminal.console import counted, print_lines, print_table, print_text
 
 if TYPE_CHECKING:
-    from zeno_orbits.search.outcome import Attempt, Candidate, SearchResult
+    from zeno_orbits.search import Attempt, Candidate, SearchResult
     from zeno_orbits.simulation.signals import Extent
 
 

@@ -10,10 +10,9 @@ from zeno_orbits.report.table import Column, number_column, text_column
 from zeno_orbits.report.terminal.console import counted, print_lines, print_table
 
 if TYPE_CHECKING:
-    from zeno_orbits.continuation.families import Boundary, Continuation, Family, SpecialPoint
-    from zeno_orbits.maps.attractors import Attractor
-    from zeno_orbits.maps.mapping import ParameterMap
-    from zeno_orbits.precision.work_precision import Trial, WorkPrecision
+    from zeno_orbits.continuation import Boundary, Continuation, Family, SpecialPoint
+    from zeno_orbits.maps import Attractor, ParameterMap
+    from zeno_orbits.precision import Trial, WorkPrecision
 
 _ACCURACIES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 

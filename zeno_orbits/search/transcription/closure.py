@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.orbits.cycle import Cycle
-from zeno_orbits.simulation.execution import Impact
+from zeno_orbits.model import HybridDynamics
+from zeno_orbits.orbits import Cycle
+from zeno_orbits.simulation import Impact
 from zeno_orbits.simulation.zeno_limit import TailEstimate, estimate_tail, extrapolate, spread_nodes
 
 

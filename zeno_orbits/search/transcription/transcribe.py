@@ -15,12 +15,8 @@ import numpy as np
 
 from zeno_orbits.arrays import Array, Vector
 from zeno_orbits.integrators.collocation import Collocation
-from zeno_orbits.model.contact import ImpactLaw
-from zeno_orbits.model.numeric.compiled import CompiledSystem
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.problem import ParameterValues
-from zeno_orbits.orbits.cycle import Cycle
-from zeno_orbits.orbits.shape import OrbitShape
+from zeno_orbits.model import CompiledSystem, HybridDynamics, ImpactLaw, ParameterValues
+from zeno_orbits.orbits import Cycle, OrbitShape
 from zeno_orbits.search.transcription.arc import CollocatedArc, TranscriptionSettings
 from zeno_orbits.search.transcription.closure import Closure
 from zeno_orbits.search.transcription.motion_derivative import Motion
