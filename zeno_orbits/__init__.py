@@ -15,4 +15,4 @@ import lazy_loader as lazy
 __version__ = "0.2.0"
 
 __getattr__, __dir__, _names = lazy.attach_stub(__name__, __file__)
-__all__ = ["__version__", *_names]
+__all__ = ["__version__", *_names]  # pyright: ignore[reportUnsupportedDunderAll]

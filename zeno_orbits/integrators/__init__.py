@@ -5,8 +5,8 @@ A flow is a vector field with a guard; what they stand for is not known here. An
 formulas of single steps are in `dop853_step`, `radau_step`, `rosenbrock` and `collocation`.
 
 Offers: the engines `Automatic`, `RungeKutta`, `Radau`, `Taylor`, `SciPy`, by name in `ENGINES`;
-an `Engine` takes a `Leg` and gives a `Passage` with its `Outcome` and `Trajectory`, made of `Step`s;
-a `GuardedFlow`, a `PlainFlow` of plain functions, and the `Tolerance` of a step.
+an `Engine` takes a `Leg` and gives a `Passage` with its `Outcome` and `Trajectory`, made of
+`Step`s; a `GuardedFlow`, a `PlainFlow` of plain functions, and the `Tolerance` of a step.
 
 Imports: arrays, errors.
 """

@@ -21,6 +21,8 @@ class TriangularFactors:
 
     @classmethod
     def symbols(cls, n: int, *, is_complex: bool) -> TriangularFactors:
+        """Return factors of symbols, ``(n, n)``."""
+
         def square(name: str) -> list[list[ca.SX]]:
             return [[ca.SX.sym(f"{name}{i}_{j}") for j in range(n)] for i in range(n)]
 
@@ -28,13 +30,16 @@ class TriangularFactors:
 
     @property
     def is_complex(self) -> bool:
+        """True if the entries have imaginary parts."""
         return self.imaginary is not None
 
     def flat(self) -> ca.SX:
+        """Return all entries row by row, real parts first, ``(n^2,)`` or ``(2 n^2,)``."""
         parts = [self.real] if self.imaginary is None else [self.real, self.imaginary]
         return ca.vertcat(*(entry for part in parts for row in part for entry in row))
 
     def entry(self, i: int, j: int) -> _Number:
+        """Return an entry with its imaginary part, if there is one."""
         return _Number(self.real[i][j], None if self.imaginary is None else self.imaginary[i][j])
 
     def solve(self, real: ca.SX, imaginary: ca.SX | None) -> tuple[ca.SX, ca.SX | None]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import casadi as ca
 import numpy as np
@@ -43,7 +44,7 @@ def extreme(terms: OrbitTerms, index: int, sign: float) -> ca.MX:
     name = f"place where {terms.state_names[index]} is {label}"
     place = terms.program.variable(name, found.place, lower=-0.5, upper=1.5)
     points = np.concatenate([[0.0], terms.scheme.nodes])
-    basis: ca.MX = ca.vertcat(*lagrange_basis(points.tolist(), place))
+    basis = cast("ca.MX", ca.vertcat(*lagrange_basis(points.tolist(), place)))
     height = ca.mtimes(values, basis)
     slope = ca.jacobian(height, place)
     size = float(np.max(np.abs([_value(found.arc.guess, index, f) for f in (0.0, 0.5, 1.0)])))
