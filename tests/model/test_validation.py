@@ -9,7 +9,7 @@ import casadi as ca
 import pytest
 
 from zeno_orbits.cli import main
-from zeno_orbits.cli.new import template
+from zeno_orbits.cli.problems import template
 from zeno_orbits.errors import ProblemFileError
 from zeno_orbits.model.drives import MotorBank
 from zeno_orbits.model.lagrangian import HybridLagrangian

@@ -12,10 +12,9 @@ from zeno_orbits.cli.continue_command import add_continue
 from zeno_orbits.cli.figures import add_figures
 from zeno_orbits.cli.identify import add_identify
 from zeno_orbits.cli.map import add_map
-from zeno_orbits.cli.new import add_new
 from zeno_orbits.cli.options import INTERRUPTED, MISUSE, NO, Parser
 from zeno_orbits.cli.plot import add_plot
-from zeno_orbits.cli.problems import add_conditions, add_fidelity, add_problems
+from zeno_orbits.cli.problems import add_conditions, add_fidelity, add_new, add_problems
 from zeno_orbits.cli.process import Interrupts, patient_streams
 from zeno_orbits.cli.report_command import add_report
 from zeno_orbits.cli.rig import add_rig
