@@ -16,10 +16,10 @@ from zeno_orbits.orbits.period import placed
 from zeno_orbits.orbits.poincare import floquet_multipliers
 from zeno_orbits.search import close_orbit
 from zeno_orbits.search.confirmation import one_cycle
-from zeno_orbits.search.spectral_radius import keep_radius_below, section_map
 from zeno_orbits.search.transcription.arc import TranscriptionSettings
 from zeno_orbits.search.transcription.closure import closures_of
 from zeno_orbits.search.transcription.program import ProgramBuilder
+from zeno_orbits.search.transcription.spectral_radius import keep_radius_below, section_map
 from zeno_orbits.search.transcription.transcribe import OrbitTerms, transcribe
 from zeno_orbits.simulation.simulator import SimulationSettings
 
@@ -125,7 +125,7 @@ def test_a_section_of_too_many_coordinates_is_refused(
     problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     terms, _ = _terms(problem)
-    monkeypatch.setattr("zeno_orbits.search.spectral_radius.MOST_COORDINATES", 1)
+    monkeypatch.setattr("zeno_orbits.search.transcription.spectral_radius.MOST_COORDINATES", 1)
     with pytest.raises(InputError, match="where the section has 2 coordinates"):
         section_map(terms)
 

@@ -69,7 +69,15 @@ def add_command(
     summary: str,
     examples: Sequence[str],
 ) -> argparse.ArgumentParser:
-    """Return the parser of a command, with what all commands share."""
+    """Return the parser of a command, with what all commands share.
+
+    Args:
+        commands: The program's commands, of ``add_subparsers``.
+        name: Its name.
+        run: From the parsed options to the exit code.
+        summary: One line for the list of commands.
+        examples: Command lines to show in its help.
+    """
     parser = commands.add_parser(
         name,
         help=summary,

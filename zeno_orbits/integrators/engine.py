@@ -18,7 +18,13 @@ Watch = Callable[[int, float, Vector], None]
 
 
 def unwatched(_steps: int, _time: float, _state: Vector) -> None:
-    """Let the engine go on, whatever comes."""
+    """Let the engine go on: the default watch of a leg.
+
+    Args:
+        _steps: Steps since the last call.
+        _time: Time that is reached, in the flow's unit.
+        _state: State there, ``(n_y,)``.
+    """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""What a machine is: energies, drives, stop and named numbers; and the same as fast functions.
+"""Models of machines: energies, drives, stop and named numbers; and the same as fast functions.
 
 A problem file makes a `HybridLagrangian`, adds a drive and the stop (`complete`) and names its
 numbers in a `Problem`. `problem.dynamics(values)` is the machine at given numbers, as numeric

@@ -260,6 +260,12 @@ def _is_below_one(quantity: Quantity) -> bool:
 
 
 def unknown(kind: str, name: str, known: tuple[str, ...]) -> str:
-    """Return the refusal of a name: the known names, and the nearest of them if one is near."""
+    """Return the refusal of a name: the known names, and the nearest of them if one is near.
+
+    Args:
+        kind: Argument that the name was given for.
+        name: The name.
+        known: The names that it may be.
+    """
     refusal = f"Argument `{kind}` must be one of {', '.join(known) or 'none'}, but it is `{name}`."
     return refusal + did_you_mean(name, known)

@@ -156,7 +156,17 @@ def tightened(bounds: Sequence[Bound], excesses: Mapping[str, float]) -> tuple[B
 def one_cycle(
     dynamics: HybridDynamics, start: Vector, horizon: float, shape: OrbitShape = ONE_ZENO
 ) -> Cycle | None:
-    """Return the period of a shape that starts at a state, at full accuracy."""
+    """Return the period of a shape that starts at a state, at full accuracy.
+
+    Args:
+        dynamics: The system.
+        start: Where it starts, on its section, ``(n_x,)``.
+        horizon: Longest time to wait [s].
+        shape: The shape of the orbit.
+
+    Returns:
+        The period, or ``None`` if the motion does not come back in that shape.
+    """
     settings = SimulationSettings()
     try:
         return cycle_of(dynamics, start, shape, horizon=horizon, settings=settings)

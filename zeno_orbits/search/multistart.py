@@ -52,6 +52,11 @@ def outcomes_spread(
 
     Most searches end at their first start, before workers could have begun.
 
+    Args:
+        search: What is asked.
+        accept: Judges an orbit; any orbit is accepted by default.
+        spread: The workers, and where finished starts are kept.
+
     Raises:
         InputError: If the problem is another one, the place cannot be had, or the checkpoint is
             another's.

@@ -190,7 +190,7 @@ class TargetAmplitude(Target):
 
     def value(self, terms: OrbitTerms) -> ca.MX:
         """Return the amplitude, in the unit of the state."""
-        from zeno_orbits.search.extremes import extreme
+        from zeno_orbits.search.transcription.extremes import extreme
 
         index = terms.state_names.index(self.state)
         return (extreme(terms, index, 1.0) - extreme(terms, index, -1.0)) / 2
@@ -274,7 +274,7 @@ class LeastPeak(Objective):
 
     def cost(self, terms: OrbitTerms) -> ca.MX:
         """Return an unknown that the signal does not exceed anywhere, in units of its size."""
-        from zeno_orbits.search.constraints import largest
+        from zeno_orbits.search.transcription.constraints import largest
         from zeno_orbits.simulation.signals import signal
 
         quantity = signal(terms.compiled, self.signal)
@@ -310,7 +310,7 @@ class FastestContraction(Objective):
 
     def cost(self, terms: OrbitTerms) -> ca.MX:
         """Return an unknown that no multiplier exceeds in size (theory (31))."""
-        from zeno_orbits.search.spectral_radius import keep_radius_below, radius_of
+        from zeno_orbits.search.transcription.spectral_radius import keep_radius_below, radius_of
 
         if terms.return_slope is None:
             raise ValueError("Argument `terms` must carry the return map, but it has none.")
@@ -342,7 +342,7 @@ class WidestMargin(Objective):
 
     def cost(self, terms: OrbitTerms) -> ca.MX:
         """Return minus the smallest share."""
-        from zeno_orbits.search.constraints import smallest_share
+        from zeno_orbits.search.transcription.constraints import smallest_share
 
         return -smallest_share(terms)
 

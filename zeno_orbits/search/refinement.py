@@ -14,13 +14,12 @@ import numpy as np
 from zeno_orbits.model import ParameterValues
 from zeno_orbits.orbits import Cycle
 from zeno_orbits.search.confirmation import confirm, tightened
-from zeno_orbits.search.constraints import keep
 from zeno_orbits.search.objectives import Objective
 from zeno_orbits.search.outcome import StartOutcome
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.search.settings import SearchStatus
-from zeno_orbits.search.spectral_radius import section_map
 from zeno_orbits.search.transcription.closure import closures_of
+from zeno_orbits.search.transcription.constraints import keep
 from zeno_orbits.search.transcription.ipopt import (
     Hessian,
     IpoptSettings,
@@ -28,6 +27,7 @@ from zeno_orbits.search.transcription.ipopt import (
     SolveStatus,
     solve,
 )
+from zeno_orbits.search.transcription.spectral_radius import section_map
 from zeno_orbits.search.transcription.transcribe import OrbitTerms, transcribe
 
 COARSE = 100.0

@@ -156,7 +156,13 @@ def _differing(values: ParameterValues, other: ParameterValues) -> dict[str, flo
 
 
 def from_cycle(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> StartOutcome:
-    """Search from one simulated period."""
+    """Search from one simulated period.
+
+    Args:
+        search: What is asked.
+        values: Numbers at which the period was simulated.
+        cycle: The period.
+    """
     objective = search.objective
     if isinstance(objective, Target):
         return _to_target(search, values, cycle, objective)

@@ -1,4 +1,4 @@
-"""Who computes chunks, behind one interface: loky's processes on this machine, or Dask's workers.
+"""Pools of workers behind one interface: loky's processes on this machine, or Dask's workers.
 
 Both are executors of ``concurrent.futures``; joblib brings loky.
 """

@@ -29,7 +29,13 @@ class Closure:
 
 
 def closures_of(cycle: Cycle, dynamics: HybridDynamics, tolerance: float) -> tuple[Closure, ...]:
-    """Return the closure of each phase; one impact that does not hold closes without an error."""
+    """Return the closure of each phase; one impact that does not hold closes without an error.
+
+    Args:
+        cycle: One period of a simulation.
+        dynamics: The system.
+        tolerance: Largest relative error of a Zeno point.
+    """
     return tuple(
         Closure(n_impacts=1, nodes=(), error=0.0)
         if phase.zeno is None

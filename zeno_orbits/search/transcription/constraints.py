@@ -17,8 +17,8 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.integrators.collocation import lagrange_basis
 from zeno_orbits.model.contact import GAP_ACCELERATION, GAP_RATE
 from zeno_orbits.orbits import Bound
-from zeno_orbits.search.spectral_radius import keep_radius_below
 from zeno_orbits.search.transcription.arc import CollocatedArc
+from zeno_orbits.search.transcription.spectral_radius import keep_radius_below
 from zeno_orbits.search.transcription.transcribe import OrbitTerms
 from zeno_orbits.simulation.signals import Signal, peaks, signal, signal_names
 
@@ -88,7 +88,14 @@ def smallest_share(terms: OrbitTerms) -> ca.MX:
 def largest(
     terms: OrbitTerms, quantity: Signal, arcs: Sequence[CollocatedArc], label: str
 ) -> ca.MX:
-    """Declare an unknown that a signal does not exceed in size anywhere, and return it."""
+    """Declare an unknown that a signal does not exceed in size anywhere, and return it.
+
+    Args:
+        terms: The transcribed orbit.
+        quantity: The signal.
+        arcs: The arcs on which it counts.
+        label: Name of the unknown.
+    """
     columns, at_guess = _places(terms, quantity, arcs)
     size = max(float(np.max(np.abs(at_guess))), 1e-9)
     most = terms.program.variable(label, 1.001 * size, scale=size, lower=0.0)[0, 0]
@@ -191,7 +198,16 @@ def _places(
 
 
 def inside(terms: OrbitTerms, arc: CollocatedArc, fraction: float) -> ca.MX:
-    """Return the state of an arc's flow at a fraction of its duration, by its polynomial."""
+    """Return the state of an arc's flow at a fraction of its duration, by its polynomial.
+
+    Args:
+        terms: The transcribed orbit.
+        arc: One of its arcs.
+        fraction: In [0, 1].
+
+    Returns:
+        The state, ``(n_y, 1)``, in the program's unknowns.
+    """
     mesh, n = arc.mesh, terms.scheme.n_stages
     interval = int(np.clip(np.searchsorted(mesh, fraction) - 1, 0, len(mesh) - 2))
     place = (fraction - mesh[interval]) / (mesh[interval + 1] - mesh[interval])

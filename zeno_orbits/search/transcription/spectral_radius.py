@@ -56,6 +56,11 @@ def keep_radius_below(program: ProgramBuilder, jacobian: ca.MX, radius: ca.MX | 
 
     Jury's conditions on the characteristic polynomial of :math:`A / \rho` (theory (31)), which two
     or more multipliers meet exactly if all of them lie in the unit disc.
+
+    Args:
+        program: The program that the rows are added to.
+        jacobian: Derivative of the return map in section coordinates, ``(d, d)``.
+        radius: The radius, a number or an unknown.
     """
     d = jacobian.shape[0]
     entries, size = ca.SX.sym("A", d, d), ca.SX.sym("radius")

@@ -29,6 +29,11 @@ def extreme(terms: OrbitTerms, index: int, sign: float) -> ca.MX:
 
     Inside an interval it is where the derivative of the collocation polynomial vanishes, and the
     place is an unknown; at an impact, where the rate may turn round, it is a node.
+
+    Args:
+        terms: The transcribed orbit.
+        index: Place of the state among the states.
+        sign: 1 for the largest value, -1 for the smallest.
     """
     found = max(
         (_highest_place(arc, index, sign) for arc in terms.arcs),
