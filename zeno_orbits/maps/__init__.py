@@ -1,4 +1,4 @@
-"""Maps of what motions settle to over a plane of two gains or parameters, on all cores or a cluster.
+"""Maps of what motions settle to over a plane of two numbers, on all cores or a cluster.
 
 Offers: `parameter_map` of a `Plane` with its two `Axis`: a `ParameterMap` of `Attractor`s, each of
 a `Fate`; `attractors_at` for any list of numbers; `read_map`, `write_map`, `read_boundaries`.
