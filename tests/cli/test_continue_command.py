@@ -43,6 +43,7 @@ IMPACTS = [
 ]
 
 
+@pytest.mark.slow
 def test_a_family_is_written_printed_and_drawn(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -44,6 +44,7 @@ def test_simulated_data_say_that_they_are(folder: Path) -> None:
     assert len(found.time) == 28 * 200 + 1
 
 
+@pytest.mark.slow
 def test_the_examples_of_compare_run(folder: Path) -> None:
     for example in examples("compare"):
         answer = ask(*example)

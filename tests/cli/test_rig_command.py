@@ -53,6 +53,7 @@ def test_json_holds_the_numbers_of_orbit_and_machine_and_says_simulated(
     assert "simulating the machine" in answer.err
 
 
+@pytest.mark.slow
 def test_a_machine_that_dies_away_is_not_called_settled(file: Path) -> None:
     # With readings that never arrive it swings without a voltage.
     clocked = ("rig", file, "--only", "controller", "--cycles", "8")
@@ -64,6 +65,7 @@ def test_a_machine_that_dies_away_is_not_called_settled(file: Path) -> None:
     assert "8 settled cycles." in fed.out
 
 
+@pytest.mark.slow
 def test_what_the_computer_reads_is_written_as_a_recording(file: Path, tmp_path: Path) -> None:
     written = tmp_path / "run.csv"
     answer = ask("rig", file, "--cycles", "1", "--seed", "4", "-o", written)

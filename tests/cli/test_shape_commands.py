@@ -79,7 +79,7 @@ def _count(data: dict[str, Any]) -> None:
     [
         (_phase_out, 1, "Refused: "),
         (_impact_out, 2, "must have an impact in phase 2"),
-        (_swapped, 1, "`phases` is "),
+        (_swapped, 1, "`phases` = "),
         (_twice, 1, "the margin `phases_apart` = 0.0e+00 is not positive"),
         (_count, 2, "its `shape` is `impact*4`, but its phases are `impact*3`"),
     ],
@@ -118,7 +118,9 @@ def test_a_family_of_another_shape_is_refused_in_one_line(
 def test_a_shape_that_is_none_is_refused_in_one_line(
     shape: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main([*STRUCK, "--shape", shape]) == 2
+    with pytest.raises(SystemExit) as left:
+        main([*STRUCK, "--shape", shape])
+    assert left.value.code == 2
     _one_line(capsys, "`shape`", f"`{shape}`")
 
 

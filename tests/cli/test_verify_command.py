@@ -123,6 +123,7 @@ def test_verify_refuses_a_tampered_orbit_and_names_the_residual(
     assert answer.err == ""
 
 
+@pytest.mark.slow
 def test_verify_at_an_accuracy_refuses_a_period_that_is_further_off(
     orbit_data: dict[str, Any], here: Path
 ) -> None:

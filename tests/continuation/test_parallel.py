@@ -156,6 +156,7 @@ def test_a_curve_that_closes_has_no_second_half() -> None:
 # ---------------------------------------------------------------------------- what is lost
 
 
+@pytest.mark.slow
 def test_a_job_that_fails_or_kills_every_worker_leaves_the_others_alone(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -335,6 +336,7 @@ def test_a_problem_that_workers_would_not_see_is_refused(tmp_path: Path) -> None
     assert not (tmp_path / "kept").exists()
 
 
+@pytest.mark.slow
 def test_a_stage_of_another_work_in_the_folder_is_refused(tmp_path: Path) -> None:
     crewed(Workers(count=1), tmp_path / "kept")
     stage = tmp_path / "kept" / "curves-1" / "identity.json"

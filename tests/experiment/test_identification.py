@@ -45,6 +45,7 @@ def fitted(other: ZenoOrbit, problem: Problem) -> Identification:
     return identify(problem, problem.values(), record(other, problem, 0), SOUGHT)
 
 
+@pytest.mark.slow
 def test_the_true_parameters_are_found(fitted: Identification) -> None:
     for one in fitted.fitted:
         true = TRUTH[one.unknown.names[0]]
@@ -128,6 +129,7 @@ def _at(cycle, times: np.ndarray) -> np.ndarray:
     return np.array(found)
 
 
+@pytest.mark.slow
 def test_what_a_recording_cannot_tell_is_named(other: ZenoOrbit, problem: Problem) -> None:
     # Only the ratio of both inertial terms I2 and m2 lc2^2 enters with lc2 as it does... I1 and
     # J_rotor enter as their sum alone, so a change of one is undone by the other.

@@ -305,6 +305,7 @@ def test_a_missing_file_is_refused(tmp_path: Path) -> None:
         read_recording(tmp_path)
 
 
+@pytest.mark.slow
 def test_a_long_file_is_held_once(write: Write) -> None:
     # 1.2e6 rows of three numbers are 29 MB (38 MB with the line numbers); twice would be 77 MB,
     # and the text itself is 30 MB. A piece of text and its rows take some 30 MB at a time.

@@ -489,6 +489,7 @@ def period_error(orbit: ZenoOrbit, problem: Problem, contact: Contact) -> float:
     return settled.cycles[-1].period - orbit.period
 
 
+@pytest.mark.slow
 def test_the_rig_tends_to_the_zeno_orbit_as_the_square_root_of_its_compliance(
     problem: Problem, orbit: ZenoOrbit
 ) -> None:

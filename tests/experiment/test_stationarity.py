@@ -44,6 +44,7 @@ def other(problem: Problem) -> ZenoOrbit:
 @pytest.mark.parametrize(
     ("since", "until"), [(0.0, 5.0), pytest.param(3.6, 11.0, marks=pytest.mark.slow)]
 )
+@pytest.mark.slow
 def test_a_transient_is_told_and_where_it_ends(
     settling: Recording, problem: Problem, since: float, until: float
 ) -> None:
@@ -61,6 +62,7 @@ def test_without_that_check_a_transient_gives_wrong_numbers(
     assert not resistance.low <= TRUTH["R"] <= resistance.high
 
 
+@pytest.mark.slow
 def test_a_drift_is_told(other: ZenoOrbit, problem: Problem) -> None:
     # What is drawn from one current to the other over the cycles passes for no other problem.
     last = close_orbit(problem, problem.values(parameters={**TRUTH, "R": 3.24})).unwrap()
@@ -91,6 +93,7 @@ def test_cycles_that_differ_in_turn_are_told(other: ZenoOrbit, problem: Problem)
         identify(problem, problem.values(parameters=TRUTH), doubled, SOUGHT)
 
 
+@pytest.mark.slow
 def test_a_settled_machine_is_not_refused(other: ZenoOrbit, problem: Problem) -> None:
     table = tabulate_orbit(other, problem, SIGNALS)
     for cycles, start in ((2.3, 0.1), (3.5, 0.9)):
@@ -118,6 +121,7 @@ def test_a_stop_that_is_never_touched_gives_no_parameters(
         identify(problem, problem.values(), free, SOUGHT)
 
 
+@pytest.mark.slow
 def test_another_machine_is_told_by_what_repeats(other: ZenoOrbit, problem: Problem) -> None:
     table = tabulate_orbit(other, problem, SIGNALS)
     good = recorded(table, problem, n_cycles=8, rate=200.0, noise=5e-3)

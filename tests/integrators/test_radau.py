@@ -149,6 +149,7 @@ def _two_layers(first: float, second: float) -> PlainFlow:
     "apart",
     [pytest.param(apart, marks=pytest.mark.slow) for apart in (1.0, 3.0, 24.0, 100.0)] + [10.0],
 )
+@pytest.mark.slow
 def test_two_layers_however_far_apart_are_both_left_behind(apart: float) -> None:
     leg = _leg(_two_layers(1e5, 1e5 / apart), np.array([2.0, 2.0, 0.0]), 1.5)
     ours, explicit = Automatic().follow(leg), RungeKutta().follow(leg)

@@ -28,6 +28,7 @@ def test_equal_marks_repeat_and_too_few_tell_nothing() -> None:
 
 
 @pytest.mark.parametrize("multiplier", [0.5, -0.5, 0.9, -0.99])
+@pytest.mark.slow
 def test_a_geometric_approach_repeats_once_what_is_left_of_it_is_small(multiplier: float) -> None:
     values = [1.0 + multiplier**k for k in range(4000)]
     first = next(k for k in range(5, 4000) if settles(values[:k], 1))

@@ -267,6 +267,7 @@ def off(found: ZenoPoint, truth: tuple[float, Vector]) -> float:
 )
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("name", UNTIL)
+@pytest.mark.slow
 def test_the_error_of_a_zeno_point_bounds_the_true_one(
     name: str, engine: str, relative: float
 ) -> None:

@@ -495,6 +495,7 @@ def test_an_orbit_file_that_names_an_unknown_fidelity_is_refused(
     assert "motor_pendulum@coarse" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_commands_list_the_fidelities_and_say_what_they_cost(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

@@ -169,6 +169,7 @@ def test_progress_names_what_is_measured_and_rises(problem: Problem) -> None:
     assert parts[-1] <= 1.0
 
 
+@pytest.mark.slow
 def test_meshes_are_solved_where_there_is_an_orbit_and_say_why_where_there_is_none(
     problem: Problem,
 ) -> None:

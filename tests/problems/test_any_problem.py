@@ -108,6 +108,7 @@ def test_a_drive_without_current_states_has_an_orbit_of_its_own() -> None:
     assert len(certificate.multipliers) == 1
 
 
+@pytest.mark.slow
 def test_the_full_orbit_tends_to_the_quasi_static_one_with_the_inductance() -> None:
     limit, _ = _found(_without_current(_quasi_static))
     pendulum = load_problem("motor_pendulum")

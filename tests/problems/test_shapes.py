@@ -118,6 +118,7 @@ def test_an_impact_oscillator_contracts_areas_by_its_damping_and_its_impacts(
     assert turns == pytest.approx(round(turns), rel=AGREES)
 
 
+@pytest.mark.slow
 def test_beyond_a_flip_the_pendulum_comes_back_to_what_a_long_simulation_ends_on() -> None:
     problem, orbit = load_problem("motor_pendulum"), doubled()
     assert orbit.shape.text == "zeno*2"
@@ -138,6 +139,7 @@ def test_beyond_a_flip_the_pendulum_comes_back_to_what_a_long_simulation_ends_on
     assert certificate.stable
 
 
+@pytest.mark.slow
 def test_beyond_the_end_of_its_zeno_orbits_the_pendulum_strikes_three_times_a_period() -> None:
     # The locked arc vanishes at e = 0.417; beyond, the stop lets go before the impacts die out.
     problem, orbit = (
@@ -161,6 +163,7 @@ def test_beyond_the_end_of_its_zeno_orbits_the_pendulum_strikes_three_times_a_pe
     assert said == pytest.approx(speeds, rel=1e-8)
 
 
+@pytest.mark.slow
 def test_the_orbit_in_between_is_still_there_and_repels() -> None:
     once = found("motor_pendulum", tuple(DOUBLED.items()), "zeno")
     certificate = checked(once)
@@ -185,6 +188,7 @@ def test_either_side_of_a_flip_a_slow_motion_is_told_from_a_doubled_one() -> Non
     assert mu_twice == pytest.approx(1 - 4 * (-mu - 1), abs=1e-5)
 
 
+@pytest.mark.slow
 def test_the_doubled_orbit_is_checked_by_the_model_written_by_hand() -> None:
     # The multipliers are differences of the two returns there.
     by_hand = checked(doubled(), replace(QUICK, use_reference=True))
@@ -545,6 +549,7 @@ def test_a_plastic_impact_that_holds_passes_for_none_that_lets_go() -> None:
     assert not checked(replace(held, phases=(let_go,))).passed
 
 
+@pytest.mark.slow
 def test_the_margins_of_several_phases_are_the_least() -> None:
     certificate = checked(doubled())
     locked: list[float] = []

@@ -57,9 +57,12 @@ def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 LONG = {
     f"{name}.md"
-    for name in ("accuracy", "mapping", "measured_data", "own_tests", "rig", "searching")
+    for name in (
+        *("README", "accuracy", "families", "mapping", "measured_data", "own_tests", "problems"),
+        *("report", "rig", "scale", "searching", "tutorial"),
+    )
 }
-"""Pages that take more than five seconds."""
+"""Pages that take more than two seconds."""
 
 
 @pytest.mark.parametrize(

@@ -26,6 +26,7 @@ ORBIT_KEYS = {
     "zeno_state",
     "floquet_multipliers",
     "certificate",
+    "problem_digest",
     "versions",
 }
 """Entries of an orbit file: the contract (docs/orbit_file.md)."""

@@ -216,6 +216,7 @@ def test_every_residual_margin_and_energy_has_words(certificate: OrbitCertificat
     assert set(certificate.energies) <= set(words.ENERGIES)
 
 
+@pytest.mark.slow
 def test_the_commands_on_the_page_find_the_orbit_again(
     subject: Subject, page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -321,6 +322,7 @@ def test_report_writes_a_page_and_says_yes(orbit_file: Path) -> None:
     assert 'id="trade"' not in page
 
 
+@pytest.mark.slow
 def test_every_example_of_the_help_runs(orbit_file: Path) -> None:
     Path("trade.json").write_text(json.dumps(trade_of("motor_pendulum").as_json()))
     code, out, _ = ask("report", "--help")
@@ -334,6 +336,7 @@ def test_every_example_of_the_help_runs(orbit_file: Path) -> None:
     assert 'id="trade"' in Path("report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_report_as_json_tells_where_the_page_is_and_its_weight(orbit_file: Path) -> None:
     code, out, _ = ask("report", orbit_file, "-o", "report.html", "--json", *ONE)
     assert code == YES

@@ -123,9 +123,7 @@ def parts(
         return replace(recorded(table, problem, n_cycles=8.0), source=Source.MEASURED)
 
     monkeypatch.setattr(counterparts, "rig_cycles", rig_cycles)
-    monkeypatch.setattr(
-        "zeno_orbits.experiment.recordings.recording.read_recording", read_recording
-    )
+    monkeypatch.setattr("zeno_orbits.experiment.read_recording", read_recording)
 
 
 @pytest.fixture
@@ -661,6 +659,7 @@ def test_the_command_offers_every_kind_there_is() -> None:
 
 
 @pytest.mark.usefixtures("parts")
+@pytest.mark.slow
 def test_one_command_writes_all_figures(orbit_file: Path) -> None:
     code, out, err = ask("figures", orbit_file, "-o", "new/figures")
     assert (code, err) == (YES, "")
@@ -706,6 +705,7 @@ def test_a_recording_takes_the_place_of_the_rig(
     assert len(list(Path("f").iterdir())) == 10
 
 
+@pytest.mark.slow
 def test_what_a_problem_does_not_have_is_said_and_left_out(
     orbit_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -771,7 +771,7 @@ def test_a_film_that_was_asked_for_needs_a_drawing(
     orbit_file: Path, monkeypatch: pytest.MonkeyPatch, problem: Problem
 ) -> None:
     bare = replace(problem, drawing=None)
-    monkeypatch.setattr("zeno_orbits.model.library.load_problem", lambda _: bare)
+    monkeypatch.setattr("zeno_orbits.api.load_problem", lambda _: bare)
     code, _, err = ask("figures", orbit_file, "-o", "f", "--kind", "animation")
     assert code == MISUSE
     assert "must have a drawing" in err
@@ -806,6 +806,7 @@ def test_the_examples_of_the_help_run(orbit_file: Path, monkeypatch: pytest.Monk
         assert ask(*words[1:])[0] == YES
 
 
+@pytest.mark.slow
 def test_the_real_rig_lies_near_the_model(orbit: ZenoOrbit, problem: Problem) -> None:
     found = counterparts.rig_counterpart(orbit, problem, 2)
     assert found.label == "virtual rig, simulated"

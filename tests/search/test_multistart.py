@@ -156,6 +156,7 @@ def test_what_came_of_a_start_survives_json_to_the_last_bit(alone: SearchResult)
 
 
 @needs_two
+@pytest.mark.slow
 def test_one_worker_and_two_find_what_a_search_without_workers_finds(alone: SearchResult) -> None:
     assert len(alone.attempts) == 3
     assert len(alone.candidates) == 3
@@ -194,6 +195,7 @@ def test_a_search_that_ends_at_its_first_start_begins_no_worker(
     assert (answer.code, "a pool is opened" in answer.err) == (MISUSE, True)
 
 
+@pytest.mark.slow
 def test_a_seed_repeats_its_starts_and_another_has_others() -> None:
     def tried(seed: str) -> list[float]:
         answer = ask(*BALL, "--workers", "1", "--seed", seed, "--json")
@@ -298,6 +300,7 @@ def test_the_checkpoint_beside_the_output_goes_when_there_is_an_answer(tmp_path:
     assert [path.name for path in tmp_path.iterdir()] == ["orbit.json"]
 
 
+@pytest.mark.slow
 def test_an_interrupt_keeps_the_starts_that_are_finished(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept: tuple[Path, dict[str, Any]]
 ) -> None:

@@ -123,6 +123,7 @@ def test_the_fastest_contraction_is_that_of_a_scan(problem: Problem) -> None:
 # Bounds.
 
 
+@pytest.mark.slow
 def test_a_bound_on_an_angle_is_active_and_held_at_all_times(problem: Problem) -> None:
     highest = 1.9
     result = search_gains(
@@ -156,6 +157,7 @@ def test_a_spectral_radius_is_kept(problem: Problem) -> None:
     assert 0.09 < extent.highest <= 0.1
 
 
+@pytest.mark.slow
 def test_bounds_that_contradict_each_other_are_named_with_what_they_lack(
     problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -316,6 +318,7 @@ def test_a_start_that_settles_to_nothing_is_reached_from_an_easier_one(problem: 
     assert result.unwrap().period == pytest.approx(patient.unwrap().period, abs=1e-8)
 
 
+@pytest.mark.slow
 def test_candidates_are_ranked_and_the_best_is_the_orbit(problem: Problem) -> None:
     settings = SearchSettings(n_starts=2, candidates=2)
     result = search_gains(

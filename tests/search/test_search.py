@@ -129,6 +129,7 @@ def test_the_orbit_is_where_a_long_simulation_ends(
 
 
 @pytest.mark.parametrize("period", [1.75, pytest.param(1.90, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_a_wanted_period_is_reached(problem: Problem, period: float) -> None:
     wanted = TargetPeriod(target=period)
     result = search_gains(problem, problem.values(), free=_box(problem), objective=wanted)
@@ -204,6 +205,7 @@ def test_a_target_outside_the_box_is_met_at_its_edge(problem: Problem) -> None:
 # No orbit.
 
 
+@pytest.mark.slow
 def test_a_restitution_beyond_the_family_leaves_no_zeno_orbit(problem: Problem) -> None:
     values = problem.values(parameters={"restitution": 0.5})
     result = find_orbit(problem, values, settings=IMPATIENT, shape=ONE_ZENO)
@@ -295,6 +297,7 @@ def test_a_target_of_a_gain_that_the_problem_does_not_have_is_refused(problem: P
         )
 
 
+@pytest.mark.slow
 def test_an_agreement_that_cannot_be_had_ends_the_search() -> None:
     # Program and simulation never agree beyond rounding; the wanted value itself is met.
     settings = SearchSettings(n_starts=0, rounds=1, agreement=1e-17, smallest_step=0.03)

@@ -53,6 +53,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
+@pytest.mark.slow
 def test_two_workers_of_a_cluster_one_killed_leave_the_checkpoint_of_a_single_process(
     cluster: DaskCluster, tmp_path: Path
 ) -> None:
@@ -81,6 +82,7 @@ def test_two_workers_of_a_cluster_one_killed_leave_the_checkpoint_of_a_single_pr
         pytest.param(RELEASES, 2, id="curve", marks=pytest.mark.slow),
     ],
 )
+@pytest.mark.slow
 def test_a_family_on_a_cluster_with_a_worker_killed_is_the_file_made_here(
     cluster: DaskCluster, tmp_path: Path, words: tuple[str, ...], n_finished: int
 ) -> None:
@@ -154,6 +156,7 @@ def test_a_map_made_on_a_cluster_is_the_file_made_here(
     assert (tmp_path / "there").read_bytes() == (tmp_path / "here").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_search_on_a_cluster_prints_what_it_prints_here(
     cluster: DaskCluster, tmp_path: Path
 ) -> None:

@@ -80,6 +80,7 @@ def test_results_are_what_comes_out_of_json_with_or_without_a_checkpoint(tmp_pat
     assert str(fresh[-1][1][0]) == "-0.0"
 
 
+@pytest.mark.slow
 def test_every_core_is_used_if_nothing_is_said(diary: Diary) -> None:
     slow = Diary(folder=diary.folder, pause=0.2)
     spread(slow, POINTS, Plan(chunk=1))
@@ -169,6 +170,7 @@ def test_points_that_kill_once_each_are_all_computed_in_their_chunks(tmp_path: P
     assert list(spread(task, POINTS, plan())) == POINTS
 
 
+@pytest.mark.slow
 def test_a_lost_point_is_remembered_by_the_checkpoint(tmp_path: Path) -> None:
     task = Deadly(points=(POINTS[2],))
     first = spread(task, POINTS[:4], plan(tmp_path / "kept"))

@@ -25,7 +25,7 @@ from zeno_orbits.orbits import (
     new_orbit,
     placed,
 )
-from zeno_orbits.orbits.cycle import round_again
+from zeno_orbits.orbits.cycle import gone_round_twice, round_again
 from zeno_orbits.orbits.phases import Phase
 from zeno_orbits.search.fixed_point import ClosedCycle, close_cycle, cycle_near
 from zeno_orbits.search.guess import SettlingSettings, settle
@@ -165,6 +165,10 @@ def _closed(
         except SimulationError as error:
             detail = str(error)
             continue
+        shorter = gone_round_twice(closed.cycle)
+        if shorter is not None and near is None and wanted is None:
+            # A motion that overshoots nearly repeats after two periods before it does after one.
+            return _closed(problem, values, None, shorter, simulation, on_progress)
         detail = round_again(closed.cycle)
         if not detail and near is not None:
             # A motion that settles was held within the escapes all the way.
