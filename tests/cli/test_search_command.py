@@ -37,7 +37,7 @@ def test_search_at_the_published_gains_finds_the_orbit_and_writes_what_it_prints
     answer, path = searched
     assert answer.code == YES
     assert answer.data == json.loads(path.read_text())
-    assert set(answer.data) == ORBIT_KEYS
+    assert set(answer.data) == {*ORBIT_KEYS, "problem_digest"}
     assert answer.data["format"] == 1
     assert answer.data["problem"] == "motor_pendulum"
     assert answer.data["gains"] == {"Kp": 2.5, "Kd": -1.0}

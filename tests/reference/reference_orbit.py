@@ -26,7 +26,6 @@ ORBIT_KEYS = {
     "zeno_state",
     "floquet_multipliers",
     "certificate",
-    "problem_digest",
     "versions",
 }
-"""Entries of an orbit file: the contract (docs/orbit_file.md)."""
+"""Entries that an orbit file must have: the contract (docs/orbit_file.md)."""
