@@ -68,6 +68,7 @@ def test_a_family_is_written_printed_and_drawn(
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_a_family_starts_at_an_orbit_file_and_prints_json(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

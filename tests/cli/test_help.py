@@ -82,6 +82,7 @@ HERE = tuple(example for example in LONG if "--scheduler" not in example)
 
 
 @pytest.mark.parametrize("example", QUICK, ids=" ".join)
+@pytest.mark.slow
 def test_a_quick_example_of_the_help_runs(example: list[str], orbit_file: Path) -> None:
     assert orbit_file.exists()
     assert ask(*example).code == YES

@@ -96,6 +96,7 @@ def test_a_problem_of_ones_own_is_simulated_by_its_path(machine: Path) -> None:
     assert answer.data["problem"] == "my_machine"
 
 
+@pytest.mark.slow
 def test_a_problem_of_ones_own_is_searched_verified_and_drawn(machine: Path, here: Path) -> None:
     found = ask("search", machine, *PUBLISHED_GAINS, "-o", "mine.json", "--json")
     assert found.code == YES

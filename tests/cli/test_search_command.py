@@ -115,6 +115,7 @@ def assert_says_what_was_missed(answer: Answer, wish: str) -> None:
     assert "`continuity`" not in said
 
 
+@pytest.mark.slow
 def test_a_search_that_misses_says_which_conditions_by_name(
     here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -140,6 +140,7 @@ def test_verify_at_an_accuracy_reports_the_error_as_json(orbit_file: Path) -> No
     assert 0.0 < ask("verify", orbit_file, "--accuracy", "1e-6", "--json").data["error"] <= 1e-6
 
 
+@pytest.mark.slow
 def test_an_orbit_that_is_less_certain_than_asked_is_a_no(orbit_file: Path) -> None:
     """However lax its residuals are judged."""
     lax = ("verify", orbit_file, "--periods", "1", "--tolerance", "0.5", "--accuracy")

@@ -77,6 +77,7 @@ def test_the_end_of_a_flight_has_one_name_for_every_range_and_step(
     assert abs(first.at.value - 0.8) < 10 * first.error < 1e-9
 
 
+@pytest.mark.slow
 def test_so_it_has_with_impacts_that_accumulate() -> None:
     first = family_in_the_force((0.7, 1.5), DEFAULT, restitution=0.5).first
     assert (first.kind, first.detail) == (Kind.RELEASE_LOST, "")

@@ -126,6 +126,7 @@ def test_dense_output_is_as_accurate_as_the_tolerance() -> None:
         assert y[0] == pytest.approx(math.cos(float(time)), abs=10 * tolerance.relative)
 
 
+@pytest.mark.slow
 def test_the_default_engine_goes_over_to_implicit_steps_where_they_pay() -> None:
     stiff = _leg(_prothero_robinson(1e5), np.array([1.0, 0.0]), 1.5)
     smooth = _leg(_prothero_robinson(1.0), np.array([1.0, 0.0]), 1.5)

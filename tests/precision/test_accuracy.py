@@ -113,6 +113,7 @@ def test_the_tolerance_is_below_the_accuracy_and_all_else_is_kept(wanted: float)
 
 
 @pytest.mark.parametrize("wanted", [1e-3, 1e-6, 1e-9])
+@pytest.mark.slow
 def test_the_estimate_bounds_the_true_error_and_keeps_the_accuracy(
     wanted: float, machine: HybridDynamics, truth: dict[str, list[tuple[float, Vector]]]
 ) -> None:

@@ -49,6 +49,7 @@ def test_a_flap_with_a_gear_and_an_offset_stop_is_the_motor_valve() -> None:
     assert story.period == pytest.approx(valve.period, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_hammer_that_repeats_after_three_turns_of_its_force() -> None:
     story = story_of(MACHINES / "hammer.py", follow=False)
     require_one(story)

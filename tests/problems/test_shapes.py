@@ -386,6 +386,7 @@ def test_what_needs_one_zeno_point_does_not_get_the_first_of_two() -> None:
 
 
 @pytest.mark.parametrize("orbit", [doubled, struck, struck_thrice, two_tones, lambda: falls(0.048)])
+@pytest.mark.slow
 def test_a_doubled_period_is_refused_though_everything_in_it_is_true(
     orbit: Callable[[], ZenoOrbit],
 ) -> None:
@@ -441,6 +442,7 @@ def test_a_phase_without_its_impact_is_refused() -> None:
 
 
 @pytest.mark.parametrize("place", [0, 1])
+@pytest.mark.slow
 def test_an_impact_removed_from_an_accumulation_is_refused(place: int) -> None:
     impacts = doubled().phases[place].impacts
     seen = checked(changed(doubled(), place, impacts=(*impacts[:2], *impacts[3:])))
@@ -466,6 +468,7 @@ def test_a_false_time_of_a_phase_fails_alone(
 @pytest.mark.parametrize(
     ("orbit", "state"), [(doubled, "current"), (struck_thrice, "speed"), (two_tones, "cosine")]
 )
+@pytest.mark.slow
 def test_a_false_start_of_a_later_phase_fails_alone(
     orbit: Callable[[], ZenoOrbit], state: str
 ) -> None:
@@ -570,6 +573,7 @@ def test_the_margins_of_several_phases_are_the_least() -> None:
 
 
 @pytest.mark.parametrize("orbit", [doubled, struck_thrice])
+@pytest.mark.slow
 def test_a_spent_period_balances_its_energy(orbit: Callable[[], ZenoOrbit]) -> None:
     energies: Mapping[str, float] = checked(orbit()).energies
     losses = energies["copper_loss"] + energies["other_loss"] + energies["impact_loss"]

@@ -360,6 +360,7 @@ def test_a_false_orbit_gets_a_page_that_says_so_and_a_no(orbit_file: Path) -> No
 
 
 @pytest.mark.parametrize("change", [{"theta2": -1e-3}, {"dtheta2": -1e-3}, {"theta1": 1e200}])
+@pytest.mark.slow
 def test_an_orbit_that_starts_where_no_motion_can_is_false_and_no_misuse(
     change: dict[str, float], orbit_file: Path
 ) -> None:
@@ -676,6 +677,7 @@ def test_in_print_the_page_is_light_and_has_no_buttons(shown: Browser) -> None:
     assert looks == ["rgb(255, 255, 255)", "none"]
 
 
+@pytest.mark.slow
 def test_hostile_texts_do_nothing_in_a_browser(
     browser: Browser, hostile: Subject, tmp_path: Path
 ) -> None:

@@ -767,6 +767,7 @@ def test_bad_input_is_one_line_and_writes_nothing(
     assert [path.name for path in orbit_file.parent.iterdir()] == ["orbit.json"]
 
 
+@pytest.mark.slow
 def test_a_film_that_was_asked_for_needs_a_drawing(
     orbit_file: Path, monkeypatch: pytest.MonkeyPatch, problem: Problem
 ) -> None:

@@ -174,6 +174,7 @@ def test_the_command_prints_the_same_bytes_for_one_worker_and_two() -> None:
         assert one.out == two.out != ""
 
 
+@pytest.mark.slow
 def test_the_first_start_that_is_accepted_ends_the_search_though_more_are_under_way() -> None:
     # Every start ends near the restitution of the first, and only the first one at it.
     one = SearchSettings(n_starts=6, candidates=1)

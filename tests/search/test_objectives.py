@@ -339,6 +339,7 @@ def test_candidates_are_ranked_and_the_best_is_the_orbit(problem: Problem) -> No
 # Orbits that do not attract.
 
 
+@pytest.mark.slow
 def test_the_best_orbit_that_attracts_is_taken_where_the_best_of_all_lies_on_a_fold(
     problem: Problem, certificate: OrbitCertificate
 ) -> None:

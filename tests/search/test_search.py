@@ -217,6 +217,7 @@ def test_a_restitution_beyond_the_family_leaves_no_zeno_orbit(problem: Problem) 
     assert "there the locked arc shrinks to nothing" in result.detail
 
 
+@pytest.mark.slow
 def test_motion_that_grows_or_dies_out_slowly_is_no_orbit(problem: Problem) -> None:
     result = find_orbit(problem, problem.values(gains={"Kd": -0.1}), settings=IMPATIENT)
     # It changes so little a period that it may pass for a guess; the program then finds nothing.

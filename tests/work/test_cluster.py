@@ -139,6 +139,7 @@ def test_failures_come_home_from_a_cluster_and_its_end_is_noticed(cluster: DaskC
         spread(slow, POINTS, plan(cluster.place()), on_progress=stop)
 
 
+@pytest.mark.slow
 def test_a_map_made_on_a_cluster_is_the_file_made_here(
     cluster: DaskCluster, tmp_path: Path
 ) -> None:
