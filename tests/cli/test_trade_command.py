@@ -47,7 +47,7 @@ def test_trade_writes_what_it_prints_and_draws_it(traded: tuple[Answer, Path]) -
 def test_trade_shows_the_cheapest_values_of_each_accuracy(problem: str) -> None:
     answer = ask("trade", problem, "--quick", "--until", "4.5")
     assert answer.code == YES
-    for words in ("cheapest setting", "SciPy LSODA", "plastic below", "Truth:", "Work: 4.5 s"):
+    for words in ("cheapest setting", "SciPy LSODA", "plastic below", "Reference: ", "Work: 4.5 s"):
         assert words in answer.out
 
 
