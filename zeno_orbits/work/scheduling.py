@@ -52,7 +52,7 @@ def spread(
         pool: Workers of `open_pool` in place of the plan's own, for one stage after another.
 
     Returns:
-        One result a point as it comes out of JSON, or ``LostPoint`` where the point kills its worker.
+        One result a point as it comes out of JSON; ``LostPoint`` where it kills its worker.
 
     Raises:
         InputError: If the place cannot be had, or the checkpoint is another's.
