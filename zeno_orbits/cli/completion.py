@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from zeno_orbits.cli.options import YES, add_command, print_json
 from zeno_orbits.report import terminal as report
@@ -63,7 +63,9 @@ def _run_completion(options: argparse.Namespace) -> int:
             # The attribute that shtab reads.
             vars(action)["complete"] = complete
     functions = _SHELLS[options.shell].replace("NAMES", " ".join(names))
-    script = shtab.complete(parser, options.shell, preamble={options.shell: functions})
+    # The stub of shtab says `str`; it wants a shell's name with it.
+    preamble: Any = {options.shell: functions}
+    script = shtab.complete(parser, options.shell, preamble=preamble)
     if options.json:
         print_json({"shell": options.shell, "script": script})
     else:
@@ -75,8 +77,8 @@ def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
     """Yield the arguments of a parser and of its commands."""
     for action in parser._actions:  # noqa: SLF001 (argparse tells them nowhere else)
         yield action
-        if isinstance(action, argparse._SubParsersAction):  # noqa: SLF001
-            for command in action.choices.values():
+        if isinstance(action.choices, dict):
+            for command in cast("dict[str, argparse.ArgumentParser]", action.choices).values():
                 yield from _actions(command)
 
 

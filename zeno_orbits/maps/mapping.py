@@ -16,7 +16,7 @@ from zeno_orbits.maps.attractors import Attractor, Fate, attractor_from_json, at
 from zeno_orbits.maps.plane import Axis, Plane, require_plane
 from zeno_orbits.model import ProblemFile
 from zeno_orbits.work import (
-    Lost,
+    LostPoint,
     Plan,
     Progress,
     Workers,
@@ -191,7 +191,7 @@ def _identity(plane: Plane, file: ProblemFile) -> dict[str, Any]:
 
 
 def _found(result: Any) -> Attractor:
-    if isinstance(result, Lost):
+    if isinstance(result, LostPoint):
         return Attractor(fate=Fate.FAILED, detail=result.reason)
     return attractor_from_json(result)
 
