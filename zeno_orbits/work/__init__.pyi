@@ -15,6 +15,7 @@ from .pools import Pool as Pool
 from .pools import open_pool as open_pool
 from .pools import worker_count as worker_count
 from .progress import Progress as Progress
+from .progress import portion as portion
 from .progress import silent as silent
 from .scheduling import Task as Task
 from .scheduling import claim as claim
@@ -24,3 +25,5 @@ from .serialization import EntryError as EntryError
 from .serialization import plain as plain
 from .serialization import restored as restored
 from .software import versions as versions
+from .tasks import parts_told_to as parts_told_to
+from .tasks import tell_part as tell_part
