@@ -38,16 +38,16 @@ def add_figures(commands: Any) -> None:
         "orbit",
         metavar="ORBIT.json|PROBLEM",
         type=Path,
-        help="an orbit file, or a problem, whose orbit at its own numbers is sought first",
+        help="an orbit file, or a problem, whose orbit is searched for first",
     )
     parser.add_argument(
-        "--problem", metavar="FILE.py", help="the orbit's problem, where it is not a bundled one"
+        "--problem", metavar="FILE.py", help="the problem's file, if it is not a bundled one"
     )
     parser.add_argument(
         "--kind",
         action="append",
         choices=_KINDS,
-        help="which: the system and its completion as graphs, the region d2h/dt2 < 0, phase "
+        help="figures to draw: the system and its completion as graphs, the region d2h/dt2 < 0, phase "
         "portraits, five figures of the model beside the virtual rig, the machine in motion; may "
         "be repeated; by default all that the problem has",
     )
@@ -55,14 +55,14 @@ def add_figures(commands: Any) -> None:
         "--data",
         type=Path,
         metavar="FILE.csv",
-        help="beside the model, show this recording instead of the virtual rig",
+        help="show the model beside this recording instead of the virtual rig",
     )
     parser.add_argument(
         "--periods",
         type=read_count,
         default=3,
         metavar="N",
-        help="periods of the model beside another motion",
+        help="number of periods to show beside another motion",
     )
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder for the figures")
 
@@ -153,5 +153,5 @@ def _orbit_and_problem(
         message = "must come with an orbit file, but a problem is named already"
         raise InputError(f"Argument `problem` {message}.")
     problem = load_problem(str(options.orbit))
-    progress("seeking the orbit")
+    progress("searching for the orbit")
     return find_orbit(problem, problem.values()).unwrap(), problem

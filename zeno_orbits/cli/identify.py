@@ -34,7 +34,7 @@ def add_identify(commands: Any) -> None:
         "identify",
         _run_identify,
         "estimate parameters of a machine from a recording of it; exit code 1 if the recording "
-        "does not show an orbit like the problem's",
+        "does not show an orbit of the problem",
         [
             "zeno-orbits identify motor_pendulum data.csv --from 12 --fit R,restitution",
             "zeno-orbits identify motor_pendulum data.csv --from 12 --set R=3.2 --fit R=2:4 "

@@ -91,14 +91,14 @@ def add_command(
     )
     parser.set_defaults(run=run)
     parser.add_argument("--json", action="store_true", help="print JSON for programs")
-    parser.add_argument("--debug", action="store_true", help="show where an error comes from")
+    parser.add_argument("--debug", action="store_true", help="print the traceback of an error")
     return parser
 
 
 def add_problem(parser: argparse.ArgumentParser) -> None:
     """Add the problem and its parameters."""
     parser.add_argument(
-        "problem", metavar="PROBLEM", help="a problem's name or Python file, or problem@fidelity"
+        "problem", metavar="PROBLEM", help="a problem's name (NAME@FIDELITY for a reduced model) or Python file"
     )
     add_parameters(parser)
 
@@ -132,7 +132,7 @@ def add_start(parser: argparse.ArgumentParser) -> None:
         action=Named,
         type=read_named_number,
         metavar="STATE=VALUE",
-        help="initial state, others zero; by default the problem's first start",
+        help="initial value of a state, 0 for the others; by default the problem's first start",
     )
 
 
@@ -142,15 +142,15 @@ def add_accuracy(parser: argparse.ArgumentParser) -> None:
         "--accuracy",
         type=read_number,
         metavar="A",
-        help="use the cheapest settings that reach this relative error, 1e-6 for instance, and "
-        "report the estimated error; by default as accurate as is cheap",
+        help="relative error to reach, for example 1e-6, with the cheapest settings that do; the "
+        "estimated error is reported",
     )
     parser.add_argument(
         "--engine",
         choices=tuple(ENGINES),
         default=next(iter(ENGINES)),
-        help="the integrator; automatic steps explicitly, and implicitly where the problem is "
-        "stiff; taylor needs the extra of that name",
+        help="the integrator; automatic takes explicit steps, and implicit ones where the problem "
+        "is stiff; taylor needs the extra `taylor`",
     )
 
 
@@ -165,7 +165,7 @@ def add_place(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scheduler",
         metavar="ADDRESS",
-        help="work on the Dask cluster of this scheduler instead, tcp://host:8786 for instance",
+        help="use the Dask cluster of this scheduler, for example tcp://host:8786",
     )
     parser.add_argument(
         "--checkpoint",
@@ -344,7 +344,7 @@ def require_outputs(
     Raises:
         InputError: If one cannot become a file, or would lie on another or on what is read.
     """
-    taken = {path.resolve(): "what is read" for path in reads}
+    taken = {path.resolve(): "the one that is read" for path in reads}
     for name in (*files, *pictures):
         path = getattr(options, name)
         if path is None:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from zeno_orbits.search import SearchResult
     from zeno_orbits.search.objectives import Objective
 
-_LOCAL = "One start led there: the optimum may be local; --candidates 3 tries other starts, too."
+_LOCAL = "One start led there, so the optimum may be local; --candidates 3 tries more starts."
 
 
 def answer(
@@ -81,7 +81,7 @@ def answer(
                 report.print_lines([_LOCAL])
         report.print_bounds(certificate.asked)
         if held:
-            report.print_lines([f"Not free, and kept as at the start: {', '.join(held)}."])
+            report.print_lines([f"Derived, and held at their initial values: {', '.join(held)}."])
         if options.accuracy is not None:
             report.print_error_estimate(certificate.orbit_error)
         report.print_verdict(certificate)
