@@ -313,7 +313,7 @@ def test_deep_nesting_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["missing.json", "."])
 def test_what_is_no_file_is_refused(tmp_path: Path, name: str) -> None:
-    with pytest.raises(OrbitFileError, match="`.* cannot be read"):
+    with pytest.raises(OrbitFileError, match=r"`.*` cannot be read"):
         read_orbit(tmp_path / name)
 
 

@@ -68,7 +68,7 @@ def add_continue(commands: Any) -> None:
         dest="start_orbit",
         type=Path,
         metavar="ORBIT.json",
-        help="start from this orbit and its values; by default from one that a simulation settles to",
+        help="start from this orbit and its values; by default from one that a motion settles to",
     )
     parser.add_argument(
         "--section",

@@ -6,7 +6,14 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from zeno_orbits.cli.options import YES, add_command, orbit_and_problem, print_json, say_written
+from zeno_orbits.cli.options import (
+    YES,
+    add_command,
+    add_problem_file,
+    orbit_and_problem,
+    print_json,
+    say_written,
+)
 from zeno_orbits.cli.parsing import read_count
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.report import terminal as report
@@ -40,16 +47,14 @@ def add_figures(commands: Any) -> None:
         type=Path,
         help="an orbit file, or a problem, whose orbit is searched for first",
     )
-    parser.add_argument(
-        "--problem", metavar="FILE.py", help="the problem's file, if it is not a bundled one"
-    )
+    add_problem_file(parser)
     parser.add_argument(
         "--kind",
         action="append",
         choices=_KINDS,
-        help="figures to draw: the system and its completion as graphs, the region d2h/dt2 < 0, phase "
-        "portraits, five figures of the model beside the virtual rig, the machine in motion; may "
-        "be repeated; by default all that the problem has",
+        help="figures to draw: the system and its completion as graphs, the region d2h/dt2 < 0, "
+        "phase portraits, five figures of the model beside the virtual rig, the machine in motion; "
+        "may be repeated; by default all that the problem has",
     )
     parser.add_argument(
         "--data",

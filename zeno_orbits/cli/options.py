@@ -6,6 +6,7 @@ import argparse
 import re
 import sys
 import tempfile
+import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from zeno_orbits.work import Place
 
 YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
+
+_HELP_WIDTH = 78
 
 Result = TypeVar("Result")
 
@@ -85,7 +88,7 @@ def add_command(
     parser = commands.add_parser(
         name,
         help=summary,
-        description=summary[0].upper() + summary[1:] + ".",
+        description=textwrap.fill(f"{summary[0].upper()}{summary[1:]}.", _HELP_WIDTH),
         epilog="examples:\n" + "\n".join(f"  {example}" for example in examples),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -98,41 +101,44 @@ def add_command(
 def add_problem(parser: argparse.ArgumentParser) -> None:
     """Add the problem and its parameters."""
     parser.add_argument(
-        "problem", metavar="PROBLEM", help="a problem's name (NAME@FIDELITY for a reduced model) or Python file"
+        "problem",
+        metavar="PROBLEM",
+        help="a problem's name (NAME@FIDELITY for a reduced model) or Python file",
     )
     add_parameters(parser)
 
 
-def add_parameters(parser: argparse.ArgumentParser) -> None:
-    """Add the parameters of a problem."""
+def _add_named(parser: argparse.ArgumentParser, option: str, form: str, meaning: str) -> None:
+    """Add an option that gives numbers by name and may be repeated."""
     parser.add_argument(
-        "--set",
+        option,
         action=Named,
         type=read_named_number,
-        metavar="NAME=VALUE",
-        help="change a parameter of the problem; may be repeated",
+        metavar=form,
+        help=f"{meaning}; may be repeated",
     )
+
+
+def add_parameters(parser: argparse.ArgumentParser) -> None:
+    """Add the parameters of a problem."""
+    _add_named(parser, "--set", "NAME=VALUE", "change a parameter of the problem")
 
 
 def add_gains(parser: argparse.ArgumentParser) -> None:
     """Add the gains of a problem."""
-    parser.add_argument(
-        "--gain",
-        action=Named,
-        type=read_named_number,
-        metavar="NAME=VALUE",
-        help="change a gain; may be repeated",
-    )
+    _add_named(parser, "--gain", "NAME=VALUE", "change a gain")
 
 
 def add_start(parser: argparse.ArgumentParser) -> None:
     """Add the initial state."""
+    meaning = "initial value of a state, 0 for the others; by default the problem's first start"
+    _add_named(parser, "--start", "STATE=VALUE", meaning)
+
+
+def add_problem_file(parser: argparse.ArgumentParser) -> None:
+    """Add the file of an orbit's problem."""
     parser.add_argument(
-        "--start",
-        action=Named,
-        type=read_named_number,
-        metavar="STATE=VALUE",
-        help="initial value of a state, 0 for the others; by default the problem's first start",
+        "--problem", metavar="FILE.py", help="the problem's file, if it is not a bundled one"
     )
 
 
@@ -252,9 +258,7 @@ def _kept(options: argparse.Namespace, folder: Path | None) -> str:
 def add_orbit(parser: argparse.ArgumentParser) -> None:
     """Add the orbit file and its problem."""
     parser.add_argument("orbit", metavar="ORBIT.json", type=Path, help="an orbit file")
-    parser.add_argument(
-        "--problem", metavar="FILE.py", help="the problem's file, if it is not a bundled one"
-    )
+    add_problem_file(parser)
 
 
 def add_recording(parser: argparse.ArgumentParser) -> None:

@@ -13,6 +13,7 @@ from zeno_orbits.cli.options import (
     add_command,
     add_gains,
     add_parameters,
+    add_problem_file,
     add_start,
     orbit_and_problem,
     print_json,
@@ -54,11 +55,9 @@ def add_rig(commands: Any) -> None:
     parser.add_argument(
         "target",
         metavar="ORBIT.json|PROBLEM",
-        help="an orbit file (the machine settles near its orbit) or a problem (it begins at --start)",
+        help="an orbit file (the machine settles near its orbit) or a problem (see --start)",
     )
-    parser.add_argument(
-        "--problem", metavar="FILE.py", help="the problem's file, if it is not a bundled one"
-    )
+    add_problem_file(parser)
     add_gains(parser)
     add_parameters(parser)
     add_start(parser)
@@ -67,8 +66,9 @@ def add_rig(commands: Any) -> None:
         action=Named,
         type=read_named_number,
         metavar="PART.NAME=VALUE",
-        help="change a number of the machine, for example contact.stiffness=1e5, friction.COORDINATE.coulomb="
-        "0.01 or gears.MOTOR.play=0.01; may be repeated; docs/rig.md lists them",
+        help="change a number of the machine, for example contact.stiffness=1e5, "
+        "friction.COORDINATE.coulomb=0.01 or gears.MOTOR.play=0.01; may be repeated; "
+        "docs/rig.md lists them",
     )
     parser.add_argument(
         "--only",

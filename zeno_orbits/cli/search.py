@@ -137,7 +137,9 @@ def add_search(commands: Any) -> None:
         help="longest time for a motion to repeat [s]; by default some hundred periods of "
         "the problem's clock, or of its slowest oscillation",
     )
-    parser.add_argument("--starts", type=read_count, default=12, metavar="N", help="number of random starts")
+    parser.add_argument(
+        "--starts", type=read_count, default=12, metavar="N", help="number of random starts"
+    )
     parser.add_argument(
         "--seed", type=read_seed, default=0, help="seed of the random starts; 0 by default"
     )
@@ -247,6 +249,8 @@ def _numbers(
     for name in given:
         low, high = free.get(name, (-math.inf, math.inf))
         if not low <= given[name] <= high:
-            message = f"must start in its range [{low:g}, {high:g}], but it is set to {given[name]:g}"
+            message = (
+                f"must start in its range [{low:g}, {high:g}], but it is set to {given[name]:g}"
+            )
             raise InputError(f"Argument `{name}` {message}.")
     return values, free

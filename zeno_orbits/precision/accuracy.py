@@ -140,7 +140,11 @@ def simulate_to(
                 return assured
             best = min(best, assured.error)
         previous = found
-    reached = f"the best estimate is {best:.1e}" if best < math.inf else "no two runs have the same events"
+    reached = (
+        f"the best estimate is {best:.1e}"
+        if best < math.inf
+        else "no two runs have the same events"
+    )
     raise SimulationError(
         f"The accuracy {accuracy:.0e} is out of reach: {reached}",
         time=until,

@@ -195,7 +195,9 @@ def from_cycle(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> 
         # Nearness is a wish, the orbit the point: keep the one at the gains of the start.
         here = refine(held, values, cycle, objective)
         if here.status is SearchStatus.FOUND:
-            return replace(here, detail="Its gains are not the nearest ones: the path to them was lost.")
+            return replace(
+                here, detail="Its gains are not the nearest ones: the path to them was lost."
+            )
     return outcome
 
 

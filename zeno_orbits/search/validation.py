@@ -43,7 +43,7 @@ def _check_bounds(problem: Problem, bounds: tuple[Bound, ...]) -> None:
             message = "must bound `spectral_radius` from above only"
             raise InputError(f"Argument `keep` {message}, but it has {bound.text}.")
         if bound.name == "spectral_radius" and bound.upper < LEAST_RADIUS:
-            message = f"must bound `spectral_radius` by {LEAST_RADIUS:g} or more, which is as good as zero"
+            message = f"must bound `spectral_radius` by {LEAST_RADIUS:g} or more, as good as zero"
             raise InputError(f"Argument `keep` {message}, but it has {bound.text}.")
         if bound.name == "margin" and bound.lower >= 1.0:
             message = "must ask for a `margin` below 1, the share that is left"

@@ -196,7 +196,9 @@ def compare(orbit: ZenoOrbit, problem: Problem, recording: Recording) -> Compari
         reasons += _contact_reasons(contacts)
         remarks += _unresolved(contacts)
     if found.repeats < 1.0 - _STRAY:
-        remarks.append(f"{100 * (1 - found.repeats):.2g} % of the signals' variance does not repeat")
+        remarks.append(
+            f"{100 * (1 - found.repeats):.2g} % of the signals' variance does not repeat"
+        )
     deviation = deviations(overlay.table, recording.time, overlay.values, overlay.where)
     remarks += _settling(deviation, recording.time, overlay.where)
     return replace(
