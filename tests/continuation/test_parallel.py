@@ -21,7 +21,7 @@ from zeno_orbits.continuation import parallel as dispatch
 from zeno_orbits.continuation.branch import Branch, FamilySteps
 from zeno_orbits.continuation.continuation import SecondParameter, continue_orbit, start_orbit
 from zeno_orbits.continuation.corrector import first_point
-from zeno_orbits.continuation.families import HalfCurve, Kind
+from zeno_orbits.continuation.families import HalfCurve, SpecialPointKind
 from zeno_orbits.continuation.jobs import FollowDirection, FollowHalfCurve, Job
 from zeno_orbits.continuation.parallel import Crew, Dispatch
 from zeno_orbits.continuation.setup import ContinuationSettings, start_at_release
@@ -30,7 +30,7 @@ from zeno_orbits.errors import CheckpointError, InputError, SimulationError, Wor
 from zeno_orbits.model.library import load_problem, locate_problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.report import terminal as report
-from zeno_orbits.work import Cluster, Lost, Plan, Workers, open_pool
+from zeno_orbits.work import Cluster, LostPoint, Plan, Workers, open_pool
 from zeno_orbits.work import scheduling as spreading_module
 from zeno_orbits.work.progress import silent
 from zeno_orbits.work.serialization import plain, restored
@@ -72,7 +72,9 @@ def crewed(place: Workers | Cluster | None, folder: Path | None = None) -> Any:
     """Follow the loss of the release in two parameters; without a place, in this process."""
     problem, orbit = oscillator()
     told: dict[str, Any] = {
-        "second": SecondParameter(name="stop", box=(-0.85, -0.75), kinds=(Kind.RELEASE_LOST,)),
+        "second": SecondParameter(
+            name="stop", box=(-0.85, -0.75), kinds=(SpecialPointKind.RELEASE_LOST,)
+        ),
         "settings": ContinuationSettings(
             steps=FamilySteps(first=0.1, longest=0.2),
             curve=CurveSteps(first=0.2, longest=0.2, most=2),
@@ -123,7 +125,7 @@ def test_a_family_and_half_a_curve_pass_through_json_with_every_bit() -> None:
     setup = begin.setup
     start = first_point(setup.returns(problem), setup.metric, begin.x, 1.0, rising=False)
     job = FollowDirection(setup=setup, start=start)
-    branch = replace(job.run(problem, settings, silent), ending=Kind.FOLD)
+    branch = replace(job.run(problem, settings, silent), ending=SpecialPointKind.FOLD)
     again = restored(Branch, json.loads(json.dumps(plain(branch), allow_nan=False)))
     assert plain(again) == plain(branch)
     assert again.points[0].multipliers == branch.points[0].multipliers
@@ -144,7 +146,7 @@ def test_a_curve_that_closes_has_no_second_half() -> None:
         result: ClassVar[object] = HalfCurve
 
         def run(self, *_: Any) -> HalfCurve:
-            return HalfCurve(x=(0.0,), y=(0.0,), errors=(0.0,), end=Kind.CLOSED.value)
+            return HalfCurve(x=(0.0,), y=(0.0,), errors=(0.0,), end=SpecialPointKind.CLOSED.value)
 
         def failed(self, reason: str) -> HalfCurve:
             raise AssertionError(reason)
@@ -174,11 +176,11 @@ def test_a_job_that_fails_or_kills_every_worker_leaves_the_others_alone(
 
     def lose_a_half(task: Any, *arguments: Any, **named: Any) -> Any:
         results = spread(task, *arguments, **named)
-        return (Lost(), *results[1:]) if isinstance(task.jobs[0], FollowHalfCurve) else results
+        return (LostPoint(), *results[1:]) if isinstance(task.jobs[0], FollowHalfCurve) else results
 
     monkeypatch.setattr(dispatch, "spread", lose_a_half)
     (curve,) = crewed(Workers(count=1)).boundaries
-    assert curve.ends == ("2 steps", f"gave up: {Lost().reason}")
+    assert curve.ends == ("2 steps", f"gave up: {LostPoint().reason}")
 
 
 def test_a_direction_that_kills_every_worker_is_an_end_that_was_given_up(
@@ -187,13 +189,13 @@ def test_a_direction_that_kills_every_worker_is_an_end_that_was_given_up(
     spread = dispatch.spread
 
     def lose_the_second(*arguments: Any, **named: Any) -> Any:
-        return (*spread(*arguments, **named)[:1], Lost())
+        return (*spread(*arguments, **named)[:1], LostPoint())
 
     monkeypatch.setattr(dispatch, "spread", lose_the_second)
     answer = ask(*NEAR, "--workers", "1", "--json")
     assert answer.code == 1
     first, last = answer.data["families"][0]["ends"]
-    assert (first["kind"], first["detail"]) == ("gave up", Lost().reason)
+    assert (first["kind"], first["detail"]) == ("gave up", LostPoint().reason)
     assert last["kind"] != "gave up"
 
 

@@ -27,7 +27,7 @@ from zeno_orbits.search import (
     SearchResult,
     SearchSettings,
     SearchStatus,
-    Spread,
+    StartWorkers,
     search_gains,
 )
 from zeno_orbits.search import multistart as starts
@@ -35,7 +35,7 @@ from zeno_orbits.search.outcome import Candidate, StartOutcome
 from zeno_orbits.simulation.signals import Extent
 from zeno_orbits.verification.certificate import DeltaCut, OrbitCertificate
 from zeno_orbits.verification.verifier import verify
-from zeno_orbits.work import Lost, Plan, Workers
+from zeno_orbits.work import LostPoint, Plan, Workers
 from zeno_orbits.work import scheduling as spreading_module
 from zeno_orbits.work.serialization import plain, restored
 
@@ -73,7 +73,7 @@ def search(place: Workers | None, *, folder: Path | None = None, **changes: Any)
     problem_file = locate_problem(PROBLEM)
     spread = None
     if place is not None:
-        spread = Spread(problem_file=problem_file, plan=Plan(place=place, checkpoint=folder))
+        spread = StartWorkers(problem_file=problem_file, plan=Plan(place=place, checkpoint=folder))
     settings = SearchSettings(n_starts=2, candidates=4, seed=changes.pop("seed", 0))
     told: dict[str, Any] = {"accept": Picky(), "settings": settings, **changes}
     problem = problem_file.load()
@@ -216,13 +216,13 @@ def test_a_start_that_kills_every_worker_is_a_failure_by_name(
 
     def lose_the_second(*arguments: Any, **named: Any) -> Iterator[Any]:
         for k, result in enumerate(spread_in_order(*arguments, **named)):
-            yield Lost() if k == 1 else result
+            yield LostPoint() if k == 1 else result
 
     monkeypatch.setattr(starts, "spread_in_order", lose_the_second)
     result = search(Workers(count=1))
     found = [attempt.status is SearchStatus.FOUND for attempt in result.attempts]
     assert found == [True, False, True]
-    assert result.attempts[1].detail == Lost().reason
+    assert result.attempts[1].detail == LostPoint().reason
 
 
 # ---------------------------------------------------------------------------- checkpoints
@@ -336,7 +336,7 @@ def test_a_problem_that_workers_would_not_see_is_refused() -> None:
     other = replace(problem.load())
     with pytest.raises(InputError, match="`problem` must be what the `problem` of `spread` loads"):
         search_gains(
-            other, other.values(), free=FREE, spread=Spread(problem_file=problem, plan=Plan())
+            other, other.values(), free=FREE, spread=StartWorkers(problem_file=problem, plan=Plan())
         )
 
 

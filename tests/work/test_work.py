@@ -19,7 +19,7 @@ import pytest
 from tests.support import chores
 from tests.support.chores import Deadly, Diary
 from zeno_orbits.errors import CheckpointError, InputError, WorkError
-from zeno_orbits.work import Lost, Plan, Workers, spread, spread_in_order
+from zeno_orbits.work import LostPoint, Plan, Workers, spread, spread_in_order
 from zeno_orbits.work import scheduling as spreading_module
 
 CORES = int(joblib.cpu_count())
@@ -140,7 +140,7 @@ def test_a_task_that_cannot_be_sent_is_refused() -> None:
 def test_a_point_that_kills_every_worker_is_named_and_the_others_are_not(how: int | None) -> None:
     task = Deadly(points=(POINTS[5],), how=how)
     results = spread(task, POINTS[:12], plan())
-    assert isinstance(results[5], Lost)
+    assert isinstance(results[5], LostPoint)
     assert [r for k, r in enumerate(results) if k != 5] == [*POINTS[:5], *POINTS[6:12]]
 
 
@@ -175,7 +175,7 @@ def test_a_lost_point_is_remembered_by_the_checkpoint(tmp_path: Path) -> None:
     task = Deadly(points=(POINTS[2],))
     first = spread(task, POINTS[:4], plan(tmp_path / "kept"))
     assert spread(chores.square, POINTS[:4], plan(tmp_path / "kept")) == first
-    assert first == (*POINTS[:2], Lost(), POINTS[3])
+    assert first == (*POINTS[:2], LostPoint(), POINTS[3])
 
 
 # ---------------------------------------------------------------------------- killed as a whole

@@ -108,7 +108,7 @@ def add_continue(commands: Any) -> None:
 
 
 def _run_continue(options: argparse.Namespace) -> int:
-    from zeno_orbits.continuation import Kind
+    from zeno_orbits.continuation import SpecialPointKind
     from zeno_orbits.model.library import locate_problem
 
     problem_file = locate_problem(options.problem)
@@ -125,7 +125,7 @@ def _run_continue(options: argparse.Namespace) -> int:
     )
     drop_checkpoint(options, checkpoint)
     ends = [end for family in found.families for end in (family.first, family.last)]
-    return NO if any(end.kind is Kind.GAVE_UP for end in ends) else YES
+    return NO if any(end.kind is SpecialPointKind.GAVE_UP for end in ends) else YES
 
 
 def _continued(

@@ -148,7 +148,7 @@ def add_search(commands: Any) -> None:
 def _run_search(options: argparse.Namespace) -> int:
     from zeno_orbits.api import Verified
     from zeno_orbits.model.library import locate_problem
-    from zeno_orbits.search import SearchSettings, SettlingSettings, Spread, search_gains
+    from zeno_orbits.search import SearchSettings, SettlingSettings, StartWorkers, search_gains
     from zeno_orbits.search.number_notes import far_from_own, held_derived
     from zeno_orbits.work import Plan
 
@@ -192,7 +192,7 @@ def _run_search(options: argparse.Namespace) -> int:
                 settings=settings,
                 accept=judge,
                 on_progress=progress,
-                spread=Spread(problem_file=problem_file, plan=plan, tell=progress),
+                spread=StartWorkers(problem_file=problem_file, plan=plan, tell=progress),
                 shape=options.shape,
             )
     except KeyboardInterrupt:

@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar, cast
 
 from zeno_orbits.continuation.branch import Branch
-from zeno_orbits.continuation.families import HalfCurve, Kind
+from zeno_orbits.continuation.families import HalfCurve, SpecialPointKind
 from zeno_orbits.continuation.jobs import Job
 from zeno_orbits.continuation.setup import ContinuationSettings
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.model import Problem, ProblemFile
-from zeno_orbits.work import Lost, Plan, Pool, Progress, claim, plain, restored, silent, spread
+from zeno_orbits.work import LostPoint, Plan, Pool, Progress, claim, plain, restored, silent, spread
 
 R = TypeVar("R")
 
@@ -109,7 +109,7 @@ def _attempted(
 
 def _closes(result: object) -> bool:
     if isinstance(result, Branch):
-        return result.ending is Kind.CLOSED
+        return result.ending is SpecialPointKind.CLOSED
     return isinstance(result, HalfCurve) and result.closes
 
 
@@ -157,7 +157,7 @@ def _results_of_crew(
     )
     return [
         job.failed(result.reason)
-        if isinstance(result, Lost)
+        if isinstance(result, LostPoint)
         else restored(cast("type[R]", job.result), result)
         for job, result in zip(jobs, results, strict=True)
     ]

@@ -15,7 +15,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.maps.attractors import Attractor, Fate, attractor_from_json, attractor_json
 from zeno_orbits.maps.plane import Axis, Plane, require_plane
 from zeno_orbits.model import ProblemFile
-from zeno_orbits.work import Lost, Plan, Progress, Workers, silent, spread, versions
+from zeno_orbits.work import LostPoint, Plan, Progress, Workers, silent, spread, versions
 
 FORMAT = 1
 """Version of the file format that this code writes, and the newest that it reads."""
@@ -175,7 +175,7 @@ def _identity(plane: Plane, file: ProblemFile) -> dict[str, Any]:
 
 
 def _found(result: Any) -> Attractor:
-    if isinstance(result, Lost):
+    if isinstance(result, LostPoint):
         return Attractor(fate=Fate.FAILED, detail=result.reason)
     return attractor_from_json(result)
 

@@ -17,7 +17,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, PenetrationError, SimulationError
 from zeno_orbits.integrators import Tolerance
-from zeno_orbits.integrators.automatic import PAYS, eigenvalues, rates_of, staying_rate
+from zeno_orbits.integrators.automatic import PAYS, flow_eigenvalues, rates_of, staying_rate
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.orbits import at_looser_tolerance
 from zeno_orbits.precision.landmark import ROUNDING, difference, sizes
@@ -224,7 +224,7 @@ def why_engine(dynamics: HybridDynamics, state: Sequence[float] | Vector, leg: f
         state: Where it starts, ``(n_x,)``.
         leg: How long it goes without an event [s]; what decays much sooner does not last.
     """
-    values = eigenvalues(dynamics.free, np.array(state, dtype=np.float64))
+    values = flow_eigenvalues(dynamics.free, np.array(state, dtype=np.float64))
     fastest, _ = rates_of(values)
     if fastest <= 0.0:
         return "explicit steps (DOP853): nothing decays."

@@ -2,7 +2,7 @@ from .checkpoint import keeps_nothing as keeps_nothing
 from .checkpoint import remove_checkpoint as remove_checkpoint
 from .files import write_whole as write_whole
 from .plan import Cluster as Cluster
-from .plan import Lost as Lost
+from .plan import LostPoint as LostPoint
 from .plan import Place as Place
 from .plan import Plan as Plan
 from .plan import Workers as Workers

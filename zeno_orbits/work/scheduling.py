@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from zeno_orbits.work.checkpoint import Checkpoint, open_checkpoint
-from zeno_orbits.work.plan import Lost, Plan, Workers
+from zeno_orbits.work.plan import LostPoint, Plan, Workers
 from zeno_orbits.work.pools import Pool, open_pool
 from zeno_orbits.work.progress import Progress, silent
 from zeno_orbits.work.software import code_digest
@@ -52,7 +52,7 @@ def spread(
         pool: Workers of `open_pool` in place of the plan's own, for one stage after another.
 
     Returns:
-        One result a point as it comes out of JSON, or ``Lost`` where the point kills its worker.
+        One result a point as it comes out of JSON, or ``LostPoint`` where the point kills its worker.
 
     Raises:
         InputError: If the place cannot be had, or the checkpoint is another's.
@@ -204,7 +204,7 @@ class _Run:
         results: list[Any] = []
         for k in range(len(points)):
             answer = self._alone(points[k : k + 1])
-            results.append(Lost() if answer is None else results_of(answer)[0])
+            results.append(LostPoint() if answer is None else results_of(answer)[0])
         return results
 
     def _alone(self, points: Sequence[Any]) -> str | None:
