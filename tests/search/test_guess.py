@@ -25,7 +25,7 @@ from zeno_orbits.search import guess
 from zeno_orbits.search.guess import SettlingSettings, settle
 from zeno_orbits.simulation.execution import Execution
 from zeno_orbits.simulation.simulator import simulate
-from zeno_orbits.simulation.time_scale import own_time
+from zeno_orbits.model.numeric.own_scale import own_time
 
 SHORT = SettlingSettings(horizon=30.0)
 LOCKED = oscillator_state(0.0, FORCED.stop, 0.0)

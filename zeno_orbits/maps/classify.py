@@ -18,7 +18,7 @@ from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.simulation.attractor import WAITING, bounds_of
 from zeno_orbits.simulation.batch.batch import Batch
 from zeno_orbits.simulation.batch.model import model_in_rows
-from zeno_orbits.simulation.time_scale import own_time
+from zeno_orbits.model.numeric.own_scale import own_time
 from zeno_orbits.work import Progress, silent
 
 _OSCILLATIONS = 35

@@ -131,9 +131,13 @@ class Problem:
             transform: A change of the completed system first; it may append states.
         """
         from zeno_orbits.model.numeric.compiled import bind
+        from zeno_orbits.model.numeric.own_scale import own_scale
 
         vector = values.vector if isinstance(values, ParameterValues) else values
-        return bind(_compiled(self, transform), vector)
+        bound = bind(_compiled(self, transform), vector)
+        appended = (0.0,) * (len(bound.state_names) - len(self.state_names))
+        starts = [(*self.state_vector(start), *appended) for start in self.starts]
+        return replace(bound, own=own_scale(bound, starts, self.state_units))
 
     def output_values(self, values: ParameterValues, states: Vector) -> Vector:
         """Return the outputs at states, one column an output, ``(n, n_outputs)``.

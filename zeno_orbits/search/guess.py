@@ -23,7 +23,7 @@ from zeno_orbits.simulation.attractor import (
     has_left,
     is_still,
 )
-from zeno_orbits.simulation.time_scale import own_time
+from zeno_orbits.model.numeric.own_scale import own_time
 
 _DIFFERENCE = 1e-6
 """Step of a derivative; its error is that part of a correction that is small itself."""

@@ -42,7 +42,8 @@ class SimulationSettings:
         engine: The integrator.
         tolerance: Its local error.
         completion: How a Zeno point is reached.
-        contact: A gap or gap rate below this counts as zero.
+        contact: A gap, gap rate or gap acceleration below this part of the problem's own counts
+            as zero.
         far: A coordinate beyond this ends the execution with an error: one bound for all
             coordinates, or one for each.
         most_impacts: Impacts in one sequence before it is given up.
@@ -95,7 +96,7 @@ def simulate(
         follower=ArcFollower(
             dynamics=dynamics,
             engine=chosen.engine,
-            tolerance=chosen.tolerance,
+            tolerance=chosen.tolerance.times(dynamics.own.least),
             until=until,
             contact=chosen.contact,
             far=chosen.far,
@@ -142,13 +143,23 @@ class _Run:
     n_impacts: int = 0
     n_releases: int = 0
 
+    @property
+    def small_gap(self) -> float:
+        """A gap below this counts as zero."""
+        return self.settings.contact * self.dynamics.own.gap
+
+    @property
+    def small_rate(self) -> float:
+        """A gap rate below this does."""
+        return self.settings.contact * self.dynamics.own.gap_rate
+
     def admitted(self, x: Vector) -> ArcStart | None:
         """Return the first start.
 
         Raises:
             InputError: If the state is not admissible; it says why.
         """
-        dynamics, small = self.dynamics, self.settings.contact
+        dynamics, small, small_rate = self.dynamics, self.small_gap, self.small_rate
         names = dynamics.state_names
         if x.shape != (len(names),):
             message = (
@@ -166,9 +177,9 @@ class _Run:
             raise InputError(f"Argument `state` must have a gap >= 0, but it is {gap:.6g}.")
         if gap > small:
             return ArcStart(mode=Mode.FREE, time=0.0, state=x)
-        if rate > small:
+        if rate > small_rate:
             return ArcStart(mode=Mode.FREE, time=0.0, state=x, speed=rate)
-        if rate < -small:
+        if rate < -small_rate:
             return self.impact(0.0, x, rate)
         return self.on_stop(0.0, dynamics.on_stop(x))
 
@@ -195,12 +206,12 @@ class _Run:
 
     def free_flight(self, start: ArcStart) -> ArcStart | None:
         """Follow the free flow from a start or a release to an impact."""
-        released = self.dynamics.gap(start.state) <= self.settings.contact
+        released = self.dynamics.gap(start.state) <= self.small_gap
         arc, _ = self._arc(start, self.dynamics.free, Ending.IMPACT, on_guard=released)
         if arc.ending is Ending.HORIZON:
             return None
         rate = self.dynamics.gap_rate(arc.end_state)
-        if abs(rate) <= self.settings.contact:
+        if abs(rate) <= self.small_rate:
             # The gap closes no faster than rounding: the stop is touched, not struck.
             return self.on_stop(arc.end_time, self.dynamics.on_stop(arc.end_state))
         return self.impact(arc.end_time, arc.end_state, rate)
@@ -225,7 +236,7 @@ class _Run:
             )
         state_plus = dynamics.reset_map(state_minus, approach_rate)
         speed = dynamics.speed_after(approach_rate)
-        if enters_stop(dynamics.gap_rate(state_plus), approach_rate):
+        if enters_stop(dynamics.gap_rate(state_plus), approach_rate, dynamics.own.gap_rate):
             raise PenetrationError(
                 "The reset map sends the state into the stop",
                 time=time,
@@ -241,7 +252,7 @@ class _Run:
         self.n_impacts += 1
         if self.arcs and self.n_impacts >= self.most_impacts:
             return None
-        if speed <= self.settings.contact:
+        if speed <= self.small_rate:
             state = dynamics.on_stop(state_plus)
             after = self.on_stop(time, state)
             if after.mode is Mode.FREE:
@@ -343,7 +354,7 @@ class _Run:
     def _is_slack(self, x: Vector) -> bool:
         """Return True if the stop neither holds nor repels a state on it, to rounding."""
         lift = self.dynamics.gap_acceleration(x)
-        if abs(lift) <= self.settings.contact:
+        if abs(lift) <= self.settings.contact * self.dynamics.own.gap_acceleration:
             return True
         if not lift > 0.0:
             return False

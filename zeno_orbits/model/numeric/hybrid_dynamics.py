@@ -16,6 +16,7 @@ from zeno_orbits.arrays import Scalar, Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.integrators import GuardedFlow, PlainFlow
 from zeno_orbits.model.numeric.derivatives import Differentiation
+from zeno_orbits.model.scale import USUAL, OwnScale
 
 _BEYOND = ": the drive's correction is as large as what it corrects; take the full problem."
 
@@ -75,6 +76,7 @@ class HybridDynamics:
         fused_resting: The method `resting` in one evaluation, if there is such a thing. It serves
             as long as the functions that it stands for are this system's own.
         differentiation: Its derivatives, if it has formulas. They serve as long, too.
+        own: Sizes of its numbers.
     """
 
     state_names: tuple[str, ...]
@@ -96,6 +98,7 @@ class HybridDynamics:
     holonomic: Callable[[Vector], Vector]
     fused_resting: FusedResting | None = None
     differentiation: Differentiation | None = None
+    own: OwnScale = USUAL
 
     def __post_init__(self) -> None:
         """Refuse a restitution that is none, as a corrected drive beyond its reach has."""

@@ -204,7 +204,11 @@ class Batch:
         lanes, model = self._lanes, self.model
         change = np.maximum(np.abs(lanes.guard[rows, 1]), np.abs(guard[:, 1])) * size
         lanes.largest[rows] = np.maximum(lanes.largest[rows], change)
-        small = np.maximum(_LEAVES * lanes.largest[rows], self.settings.contact)
+        own, mode = model.own, lanes.mode[rows]
+        unit = np.select(
+            [mode == LOCKED, mode == FREE], [own.multiplier, own.gap], 1 / own.gap_acceleration
+        )
+        small = np.maximum(_LEAVES * lanes.largest[rows], self.settings.contact * unit)
         left = lanes.on_guard[rows] & (guard[:, 0] < -small)
         lanes.on_guard[rows] &= (guard[:, 0] <= 0.0)[self._transitions.lead(rows)]
         lanes.y[rows, : after.shape[1]], lanes.guard[rows] = after, guard
