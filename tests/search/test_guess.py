@@ -20,12 +20,12 @@ from tests.support.mechanisms import (
 )
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model.numeric.own_scale import own_time
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.search import guess
 from zeno_orbits.search.guess import SettlingSettings, settle
 from zeno_orbits.simulation.execution import Execution
 from zeno_orbits.simulation.simulator import simulate
-from zeno_orbits.model.numeric.own_scale import own_time
 
 SHORT = SettlingSettings(horizon=30.0)
 LOCKED = oscillator_state(0.0, FORCED.stop, 0.0)

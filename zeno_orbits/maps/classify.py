@@ -15,10 +15,11 @@ from zeno_orbits.maps.attempt import Accuracy, Request
 from zeno_orbits.maps.attractors import Attractor
 from zeno_orbits.maps.point import Point
 from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.model.numeric.own_scale import own_time
+from zeno_orbits.model.scale import OwnScale
 from zeno_orbits.simulation.attractor import WAITING, bounds_of
 from zeno_orbits.simulation.batch.batch import Batch
-from zeno_orbits.simulation.batch.model import model_in_rows
-from zeno_orbits.model.numeric.own_scale import own_time
+from zeno_orbits.simulation.batch.model import BatchModel, model_in_rows
 from zeno_orbits.work import Progress, silent
 
 _OSCILLATIONS = 35
@@ -35,6 +36,7 @@ def attractors_at(
     until: float | None = None,
     bounds: Mapping[str, float] | None = None,
     accuracy: Accuracy | None = None,
+    own: OwnScale | None = None,
     on_progress: Progress = silent,
 ) -> tuple[Attractor, ...]:
     """Return what the motion from one state settles to, at every setting.
@@ -49,6 +51,7 @@ def attractors_at(
         bounds: Largest modulus of coordinates by name; beyond it a motion has escaped. By default
             what the problem declares, and 20 pi for the others.
         accuracy: How accurately motions are followed.
+        own: Sizes of the problem's numbers; by default those at its own numbers.
         on_progress: Called with the part of the points that is done, whenever it has grown.
 
     Raises:
@@ -62,7 +65,10 @@ def attractors_at(
         return ()
     state = np.array(problem.state_vector(problem.starts[0] if start is None else start))
     time = usual_time(problem, settings, state) if until is None else until
-    run = _Run(problem, settings, state, time, _limits(problem, bounds), accuracy or Accuracy())
+    own = problem.dynamics(problem.values()).own if own is None else own
+    model = model_in_rows(problem, own)
+    limits = _limits(problem, bounds)
+    run = _Run(problem, model, settings, state, time, limits, accuracy or Accuracy())
     done = 0
     while run.is_going:
         run.advance()
@@ -98,14 +104,13 @@ def _in_words(problem: Problem, found: Attractor) -> Attractor:
 
 
 def _limits(problem: Problem, bounds: Mapping[str, float] | None) -> Vector:
-    model = model_in_rows(problem)
     declared = {name: escape.beyond for name, escape in problem.escapes.items()}
     declared |= dict(bounds or {})
     problem.state_vector(declared)
     for name, bound in declared.items():
         if not bound > 0.0:
             raise InputError(f"Argument `bounds` must be positive, but `{name}` has {bound:g}.")
-    return bounds_of(problem.state_names, problem.state_units, model.n_q, declared)
+    return bounds_of(problem.state_names, problem.state_units, problem.compiled().n_q, declared)
 
 
 class _Run:
@@ -114,6 +119,7 @@ class _Run:
     def __init__(
         self,
         problem: Problem,
+        model: BatchModel,
         settings: Sequence[ParameterValues],
         start: Vector,
         until: float,
@@ -124,7 +130,7 @@ class _Run:
         self._problem = problem
         self._accuracy = accuracy
         self._start, self._until = start, until
-        self._batch = Batch(model_in_rows(problem), _LANES, bounds=limits)
+        self._batch = Batch(model, _LANES, bounds=limits)
         self._waiting = deque(range(len(settings)))
         self._points: dict[int, Point] = {}
         self._lanes: dict[int, list[int]] = {}

@@ -34,6 +34,11 @@ class OwnScale:
         """The smallest size of a state, scaled gaps of flights included, at most 1."""
         return min([1.0, 1.0 / self.gap_acceleration, *self.sizes])
 
+    def rates(self, n_q: int) -> Vector:
+        """Return the size of the rates of coordinates and velocities, ``(2 n_q,)``."""
+        velocities = self.states(2 * n_q)[n_q:]
+        return np.concatenate([velocities, velocities / self.time])
+
     def states(self, n_x: int) -> Vector:
         """Return the size of each state, ``(n_x,)``."""
         sizes = np.ones(n_x)

@@ -225,7 +225,7 @@ def projected(dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector, scale:
 
 
 def _row_sizes(gradient: Vector) -> Vector:
-    """Return the size of each row, ``(n, 1)``: conditions differ in their units, and in nothing else.
+    """Return the size of each row, ``(n, 1)``, as conditions have different units.
 
     Args:
         gradient: Of the conditions by scaled states, ``(n, n_x)``.

@@ -12,6 +12,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, RunawayError, SimulationError
 from zeno_orbits.integrators import Tolerance
 from zeno_orbits.model import HybridDynamics, Problem
+from zeno_orbits.model.numeric.own_scale import own_time
 from zeno_orbits.orbits import Cycle, OrbitShape, cycle_of, cycles, placed
 from zeno_orbits.orbits.period import to_next_release
 from zeno_orbits.search.recurrence import Recurrence, Recurring
@@ -23,7 +24,6 @@ from zeno_orbits.simulation.attractor import (
     has_left,
     is_still,
 )
-from zeno_orbits.model.numeric.own_scale import own_time
 
 _DIFFERENCE = 1e-6
 """Step of a derivative; its error is that part of a correction that is small itself."""

@@ -1,8 +1,9 @@
 r"""The curve on which the impacts of one sequence lie, as a polynomial (theory (22)).
 
 Let :math:`z = (x_\circ, t)` be the state moved onto the stop just after an impact and its time,
-and :math:`w` the gap rate after it, states and times in the problem's own sizes. A flight leads from :math:`(z, w)` to :math:`(z', w')`. The
-impacts of one sequence lie on an analytic curve :math:`z(w)` that ends in their Zeno point, and
+in the problem's own sizes, and :math:`w` the gap rate after it. A flight leads from :math:`(z, w)`
+to :math:`(z', w')`. The impacts of one sequence lie on an analytic curve :math:`z(w)` that ends in
+their Zeno point, and
 
 .. math:: \frac{z(w') - z(w)}{w - w'} = g(z(w), w), \qquad g(z, w) = \frac{z' - z}{w - w'},
     \qquad g(z, 0) = \frac{2}{|\ddot h|\,(1 - e)} \binom{f_\mathrm{locked}}{1}

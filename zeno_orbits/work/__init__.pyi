@@ -9,6 +9,7 @@ from .plan import Workers as Workers
 from .pools import Pool as Pool
 from .pools import open_pool as open_pool
 from .progress import Progress as Progress
+from .progress import portion as portion
 from .progress import silent as silent
 from .scheduling import Task as Task
 from .scheduling import claim as claim
@@ -17,3 +18,5 @@ from .scheduling import spread_in_order as spread_in_order
 from .serialization import plain as plain
 from .serialization import restored as restored
 from .software import versions as versions
+from .tasks import parts_told_to as parts_told_to
+from .tasks import tell_part as tell_part

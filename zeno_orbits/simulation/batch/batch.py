@@ -266,7 +266,8 @@ class Batch:
             step = turn[1] / self._clock_rate(mode, rows)
         flat = x.reshape(-1, model.n_x)
         rates = flow.rate(flat, p)[:, : 2 * model.n_q].reshape(len(rows), n_phases, -1)
-        rests = is_still(rates, lanes.largest_rate[rows], self.settings.contact)
+        zero = self.settings.contact * model.own.rates(model.n_q)
+        rests = is_still(rates, lanes.largest_rate[rows], zero)
         if mode == LOCKED and n_phases > 1:
             guard = flow.guard(flat, p).reshape(len(rows), n_phases, 2)
             rests &= keeps_holding(guard[:, :, 0], guard[:, :, 1], step)

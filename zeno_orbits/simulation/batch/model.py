@@ -46,7 +46,7 @@ class BatchFlow:
             y: States before it, ``(n, n_y)``.
             p: Parameters, ``(n, n_p)``.
             size: Step sizes, ``(n,)``.
-            tolerance: Local errors allowed relative to ``|y|`` and the flow's absolute part, ``(n,)``.
+            tolerance: Local errors allowed relative to ``absolute + |y|``, ``(n,)``.
         """
         after, error, guard = self._step(y, p, np.stack([size, tolerance], axis=1))
         return after, error[:, 0], guard
