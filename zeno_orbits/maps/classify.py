@@ -130,6 +130,7 @@ class _Run:
         self._problem = problem
         self._accuracy = accuracy
         self._start, self._until = start, until
+        self._usual = model.own.states(model.n_x)
         self._batch = Batch(model, _LANES, bounds=limits)
         self._waiting = deque(range(len(settings)))
         self._points: dict[int, Point] = {}
@@ -176,7 +177,7 @@ class _Run:
             index = self._waiting.popleft()
             dynamics = self._problem.dynamics(self._numbers[index])
             units = self._problem.state_units
-            point = Point(dynamics, units, self._start, self._until, self._accuracy)
+            point = Point(dynamics, units, self._start, self._until, self._accuracy, self._usual)
             self._points[index] = point
             granted.append((index, point.begin()))
             room -= 1

@@ -50,10 +50,11 @@ class Point:
         start: Vector,
         until: float,
         accuracy: Accuracy,
+        usual: Vector,
     ) -> None:
         self._dynamics = dynamics
         self._units = units
-        self._usual = dynamics.own.states(len(start))
+        self._usual = usual
         self._start = start
         self._until = until
         self._accuracy = accuracy

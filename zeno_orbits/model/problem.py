@@ -131,13 +131,9 @@ class Problem:
             transform: A change of the completed system first; it may append states.
         """
         from zeno_orbits.model.numeric.compiled import bind
-        from zeno_orbits.model.numeric.own_scale import own_scale
 
         vector = values.vector if isinstance(values, ParameterValues) else values
-        bound = bind(_compiled(self, transform), vector)
-        appended = (0.0,) * (len(bound.state_names) - len(self.state_names))
-        starts = [(*self.state_vector(start), *appended) for start in self.starts]
-        return replace(bound, own=own_scale(bound, starts, self.state_units))
+        return bind(_compiled(self, transform), vector)
 
     def output_values(self, values: ParameterValues, states: Vector) -> Vector:
         """Return the outputs at states, one column an output, ``(n, n_outputs)``.
@@ -424,7 +420,10 @@ def _compiled(problem: Problem, transform: Transform | None) -> CompiledSystem:
         system = transform(system)
         extra = system.state.numel() - len(names)
         names = (*names, *(f"ledger{k}" for k in range(extra)))
-    return compile_system(system, symbols, names)
+    appended = (0.0,) * (len(names) - len(problem.state_names))
+    starts = tuple((*problem.state_vector(start), *appended) for start in problem.starts)
+    compiled = compile_system(system, symbols, names)
+    return replace(compiled, starts=starts, state_units=problem.state_units)
 
 
 def _require_states(problem: Problem) -> None:

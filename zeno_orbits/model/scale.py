@@ -11,7 +11,7 @@ from zeno_orbits.arrays import Vector
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OwnScale:
-    """Sizes of the numbers of a problem, powers of a million; by default all are 1.
+    """Sizes of the numbers of a problem, powers of a thousand; by default all are 1.
 
     Attributes:
         time: [s].
@@ -31,8 +31,8 @@ class OwnScale:
 
     @property
     def least(self) -> float:
-        """The smallest size of a state, scaled gaps of flights included, at most 1."""
-        return min([1.0, 1.0 / self.gap_acceleration, *self.sizes])
+        """The smallest size of a state, at most 1: what a local error is absolute in."""
+        return min([1.0, *self.sizes])
 
     def rates(self, n_q: int) -> Vector:
         """Return the size of the rates of coordinates and velocities, ``(2 n_q,)``."""
@@ -48,3 +48,8 @@ class OwnScale:
 
 USUAL = OwnScale()
 """That of a system of which nothing is known."""
+
+
+def usual() -> OwnScale:
+    """Return the sizes of a system of which nothing is known."""
+    return USUAL

@@ -2,8 +2,10 @@ r"""The sizes of a problem's own numbers, against which small numbers are small 
 
 Everything that counts as zero, and every local error, is a part of one of these. With the time
 scale :math:`T` of `own_time` and :math:`|q|, |v|, |a|` where the problem starts, a coordinate has
-the size :math:`\max(|q|, |v| T, |a| T^2)`, the largest among those of its unit; so has the gap.
-Sizes are rounded to powers of a million: a machine of everyday size has the size 1, in SI units.
+the size :math:`\max(|q|, |v| T, |a| T^2)`, the largest among those of its unit, and the gap that
+of its change over such a distance.
+Sizes far from 1 are rounded to powers of a thousand, all others to 1: a machine of everyday size
+has the size 1 in SI units.
 """
 
 from __future__ import annotations
@@ -19,8 +21,11 @@ from zeno_orbits.model.scale import USUAL, OwnScale
 
 _DAMPED = 1e-3
 """An eigenvalue whose imaginary part is less than this part of it does not oscillate."""
-_DECADES = 6
-"""Sizes are rounded to powers of ten with exponents that this divides."""
+_BAND, _WIDE = 3, 5
+"""Decades around 1 in which a size is an everyday one; of accelerations and forces more."""
+_DECADES = 3
+"""Other sizes are rounded to powers of ten with exponents that this divides."""
+_PHASES = 4
 _FIXED = ("rad", "1")
 """Units of coordinates that have the size 1 whatever the problem."""
 
@@ -47,7 +52,10 @@ def own_time(dynamics: HybridDynamics, state: Vector) -> float:
 
 
 def own_scale(
-    dynamics: HybridDynamics, starts: Sequence[Sequence[float]], units: Sequence[str]
+    dynamics: HybridDynamics,
+    starts: Sequence[Sequence[float]],
+    units: Sequence[str],
+    clock: Sequence[int] = (),
 ) -> OwnScale:
     """Return the sizes of a problem's numbers, from where it starts.
 
@@ -55,8 +63,14 @@ def own_scale(
         dynamics: The system.
         starts: States at which the problem starts, each ``(n_x,)``.
         units: Unit of each state; coordinates of one unit are measured alike.
+        clock: Places of the clock in the state; it is looked at in four phases.
     """
     states = np.array(starts, dtype=np.float64)
+    if clock:
+        turned = [x for x in states for _ in range(_PHASES)]
+        states = np.array(turned)
+        turns = np.tile(2 * math.pi * np.arange(_PHASES) / _PHASES, len(starts))
+        states[:, clock[0]], states[:, clock[1]] = np.cos(turns), np.sin(turns)
     n_q = dynamics.n_q
     try:
         time = own_time(dynamics, states[0]) / (2 * math.pi)
@@ -69,31 +83,32 @@ def own_scale(
     for unit in dict.fromkeys(units[:n_q]):
         alike = [k for k in range(n_q) if units[k] == unit]
         largest[alike] = 1.0 if unit in _FIXED else np.max(largest[alike])
-    gap = max(_gap_reach(dynamics, x, time) for x in states)
+    gap = max(_gap_reach(dynamics, x, largest) for x in states)
     inertia = max(abs(dynamics.normal_inertia(x)) for x in states)
     return OwnScale(
         time=_rounded(time),
         gap=_rounded(gap),
         gap_rate=_rounded(gap / time),
-        gap_acceleration=_rounded(gap / time**2),
-        multiplier=_rounded(gap / time**2 * inertia),
+        gap_acceleration=_rounded(gap / time**2, _WIDE),
+        multiplier=_rounded(gap / time**2 * inertia, _WIDE),
         sizes=tuple(_rounded(size) for size in (*largest.tolist(), *(largest / time).tolist())),
     )
 
 
-def _gap_reach(dynamics: HybridDynamics, x: Vector, time: float) -> float:
-    """Return how far the gap goes in a time, to third order as it may rest on its stop."""
-    third = dynamics.multiplier_rate(x) / dynamics.normal_inertia(x)
-    return max(
-        abs(dynamics.gap(x)),
-        abs(dynamics.gap_rate(x)) * time,
-        abs(dynamics.gap_acceleration(x)) * time**2,
-        abs(third) * time**3,
-    )
+def _gap_reach(dynamics: HybridDynamics, x: Vector, sizes: Vector) -> float:
+    """Return how far the gap goes if a coordinate goes as far as it does."""
+    gap, moved = dynamics.gap(x), np.tile(x, (len(sizes), 1))
+    moved[:, : len(sizes)] += np.diag(sizes)
+    return max(abs(gap), *(abs(dynamics.gap(one) - gap) for one in moved))
 
 
-def _rounded(size: float) -> float:
-    """Return the nearest power of a million; 1 where there is no size."""
-    if not (math.isfinite(size) and size > 0.0):
+def _rounded(size: float, band: int = _BAND) -> float:
+    """Return 1 for an everyday size, else the nearest power of a thousand; 1 where there is none.
+
+    Args:
+        size: The size.
+        band: Decades around 1 that are everyday ones.
+    """
+    if not (math.isfinite(size) and size > 0.0) or abs(math.log10(size)) <= band:
         return 1.0
     return 10.0 ** (_DECADES * round(math.log10(size) / _DECADES))
