@@ -36,7 +36,6 @@ def attractors_at(
     until: float | None = None,
     bounds: Mapping[str, float] | None = None,
     accuracy: Accuracy | None = None,
-    own: OwnScale | None = None,
     on_progress: Progress = silent,
 ) -> tuple[Attractor, ...]:
     """Return what the motion from one state settles to, at every setting.
@@ -51,7 +50,6 @@ def attractors_at(
         bounds: Largest modulus of coordinates by name; beyond it a motion has escaped. By default
             what the problem declares, and 20 pi for the others.
         accuracy: How accurately motions are followed.
-        own: Sizes of the problem's numbers; by default those at its own numbers.
         on_progress: Called with the part of the points that is done, whenever it has grown.
 
     Raises:
@@ -65,17 +63,22 @@ def attractors_at(
         return ()
     state = np.array(problem.state_vector(problem.starts[0] if start is None else start))
     time = usual_time(problem, settings, state) if until is None else until
-    own = problem.dynamics(problem.values()).own if own is None else own
-    model = model_in_rows(problem, own)
     limits = _limits(problem, bounds)
-    run = _Run(problem, model, settings, state, time, limits, accuracy or Accuracy())
-    done = 0
-    while run.is_going:
-        run.advance()
-        if run.n_done > done:
-            on_progress("classifying motions", run.n_done / len(settings))
-        done = run.n_done
-    return tuple(_in_words(problem, run.found[k]) for k in range(len(settings)))
+    alike: dict[OwnScale, list[int]] = {}
+    for k, values in enumerate(settings):
+        alike.setdefault(problem.dynamics(values).own, []).append(k)
+    found: dict[int, Attractor] = {}
+    for own, places in alike.items():
+        model, some = model_in_rows(problem, own), [settings[k] for k in places]
+        run = _Run(problem, model, some, state, time, limits, accuracy or Accuracy())
+        done = 0
+        while run.is_going:
+            run.advance()
+            if run.n_done > done:
+                on_progress("classifying motions", (len(found) + run.n_done) / len(settings))
+            done = run.n_done
+        found |= {places[k]: one for k, one in run.found.items()}
+    return tuple(_in_words(problem, found[k]) for k in range(len(settings)))
 
 
 def usual_time(

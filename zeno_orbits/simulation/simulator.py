@@ -17,6 +17,7 @@ from zeno_orbits.errors import ChatterError, InputError, PenetrationError, Simul
 from zeno_orbits.integrators import Automatic, Engine, GuardedFlow, Tolerance, Trajectory
 from zeno_orbits.integrators.events import SteppedTrajectory
 from zeno_orbits.model import HybridDynamics
+from zeno_orbits.model.numeric.own_scale import constraint_sizes
 from zeno_orbits.simulation.arc_follower import ArcFollower, ArcStart
 from zeno_orbits.simulation.completion import Completion, ZenoPassage
 from zeno_orbits.simulation.event_rules import closes_at_once, enters_stop, stop_holds
@@ -32,6 +33,9 @@ from zeno_orbits.simulation.execution import (
 )
 from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit, estimate_tail
 from zeno_orbits.work import Progress, silent
+
+_OFF = 1e-9
+"""Part of a constraint's size by which an admissible state may miss it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -181,10 +185,7 @@ class _Run:
             raise InputError(message)
         if not np.all(np.isfinite(x)):
             raise InputError("Argument `state` must be finite, but it holds NaN or infinity.")
-        off = dynamics.holonomic(x)
-        if off.size and float(np.max(np.abs(off))) > 1e-9:
-            message = "Argument `state` must keep the holonomic constraints, but it is off by"
-            raise InputError(f"{message} {float(np.max(np.abs(off))):.3g}.")
+        self._require_constraints(x)
         gap, rate = dynamics.gap(x), dynamics.gap_rate(x)
         if gap < -small:
             raise InputError(f"Argument `state` must have a gap >= 0, but it is {gap:.6g}.")
@@ -195,6 +196,27 @@ class _Run:
         if rate < -small_rate:
             return self.impact(0.0, x, rate)
         return self.on_stop(0.0, dynamics.on_stop(x))
+
+    def _require_constraints(self, x: Vector) -> None:
+        """Refuse a state off its constraints, relative to what the problem's own sizes change.
+
+        Raises:
+            InputError: With how far it is off.
+        """
+        dynamics = self.dynamics
+        off = np.abs(dynamics.holonomic(x))
+        if dynamics.own.least == 1.0 and not np.any(off > _OFF):
+            return
+        if not np.any(off > _OFF * constraint_sizes(dynamics, x)):
+            return
+        if dynamics.clock and off[-1] > _OFF:
+            names = " and ".join(f"`{dynamics.state_names[k]}`" for k in dynamics.clock)
+            seen = " and ".join(f"{x[k]:g}" for k in dynamics.clock)
+            message = f"must have {names} on the unit circle, as a clock, but they are {seen}"
+            first = dynamics.state_names[dynamics.clock[0]]
+            raise InputError(f"Argument `state` {message}; a turn starts with {first}=1.")
+        message = "Argument `state` must keep the holonomic constraints, but it is off by"
+        raise InputError(f"{message} {float(np.max(off)):.3g}.")
 
     def after_phase(self, start: ArcStart) -> ArcStart | None:
         """Follow a locked arc, a flight, or a sequence of impacts to its Zeno point."""
@@ -227,7 +249,20 @@ class _Run:
         if abs(rate) <= self.small_rate:
             # The gap closes no faster than rounding: the stop is touched, not struck.
             return self.on_stop(arc.end_time, self.dynamics.on_stop(arc.end_state))
-        return self.impact(arc.end_time, arc.end_state, rate)
+        return self.landing(arc.end_time, arc.end_state, rate)
+
+    def landing(self, time: float, state: Vector, rate: float) -> ArcStart | None:
+        """Apply the impact at the end of a flight, or fly on from a graze.
+
+        Args:
+            time: When the gap closes [s].
+            state: State there, ``(n_x,)``.
+            rate: Gap rate there. Dense output may see a fall where the steps, a rounding later,
+                find the gap opening again.
+        """
+        if rate > 0.0:
+            return ArcStart(mode=Mode.FREE, time=time, state=state, speed=rate)
+        return self.impact(time, state, rate)
 
     def impact(self, time: float, state_minus: Vector, approach_rate: float) -> ArcStart | None:
         """Apply the reset map and return what follows it, if anything is to.
@@ -307,7 +342,7 @@ class _Run:
         arc, end = self._arc(start, flight, Ending.IMPACT, on_guard=True)
         if arc.ending is Ending.HORIZON:
             return None
-        return self.impact(arc.end_time, arc.end_state, speed * float(end[-1]))
+        return self.landing(arc.end_time, arc.end_state, speed * float(end[-1]))
 
     def _zeno_point(
         self, start: ArcStart, speed: float, estimates: list[TailEstimate]

@@ -246,6 +246,7 @@ def bind(compiled: CompiledSystem, values: Sequence[float] | Vector) -> HybridDy
         normal_inertia=lambda x: float(impulse(x, 1)[0]),
         energy=lambda x: float(energy(x)[0]),
         holonomic=lambda x: holonomic(x).copy(),
+        clock=compiled.clock,
     )
     at_rest = FusedResting(evaluate=RestingCall(compiled.resting, p), parts=plain.resting_parts)
 

@@ -76,6 +76,8 @@ class HybridDynamics:
         fused_resting: The method `resting` in one evaluation, if there is such a thing. It serves
             as long as the functions that it stands for are this system's own.
         differentiation: Its derivatives, if it has formulas. They serve as long, too.
+        clock: Places of the clock in the state; the last of `holonomic` is how far it is off its
+            circle.
         scaling: From nothing to the sizes of its numbers, if it knows them.
     """
 
@@ -98,6 +100,7 @@ class HybridDynamics:
     holonomic: Callable[[Vector], Vector]
     fused_resting: FusedResting | None = None
     differentiation: Differentiation | None = None
+    clock: tuple[int, ...] = ()
     scaling: Callable[[], OwnScale] = usual
 
     def __post_init__(self) -> None:

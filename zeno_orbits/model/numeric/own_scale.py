@@ -1,9 +1,9 @@
 r"""The sizes of a problem's own numbers, against which small numbers are small in any units.
 
-Everything that counts as zero, and every local error, is a part of one of these. With the time
-scale :math:`T` of `own_time` and :math:`|q|, |v|, |a|` where the problem starts, a coordinate has
-the size :math:`\max(|q|, |v| T, |a| T^2)`, the largest among those of its unit, and the gap that
-of its change over such a distance.
+Everything that counts as zero, and every local error, is a part of one of these. With
+:math:`|q|, |v|, |a|` where the problem starts and the time :math:`T` of its clock, or
+:math:`\sqrt{|q| / |a|}`, a coordinate has the size :math:`\max(|q|, |v| T, |a| T^2)`, the largest
+among those of its unit; an angle has the size 1, and the gap that of its change over such a way.
 Sizes far from 1 are rounded to powers of a thousand, all others to 1: a machine of everyday size
 has the size 1 in SI units.
 """
@@ -67,22 +67,20 @@ def own_scale(
     """
     states = np.array(starts, dtype=np.float64)
     if clock:
-        turned = [x for x in states for _ in range(_PHASES)]
-        states = np.array(turned)
-        turns = np.tile(2 * math.pi * np.arange(_PHASES) / _PHASES, len(starts))
+        turns = np.tile(2 * math.pi * np.arange(_PHASES) / _PHASES, len(states))
+        states = np.repeat(states, _PHASES, axis=0)
         states[:, clock[0]], states[:, clock[1]] = np.cos(turns), np.sin(turns)
     n_q = dynamics.n_q
-    try:
-        time = own_time(dynamics, states[0]) / (2 * math.pi)
-    except np.linalg.LinAlgError:
-        return USUAL
     rates = np.array([dynamics.free.rate(x) for x in states])
-    velocities, accelerations = rates[:, :n_q], rates[:, n_q : 2 * n_q]
-    reach = [np.abs(states[:, :n_q]), np.abs(velocities) * time, np.abs(accelerations) * time**2]
-    largest = np.max(np.array(reach), axis=(0, 1))
-    for unit in dict.fromkeys(units[:n_q]):
-        alike = [k for k in range(n_q) if units[k] == unit]
-        largest[alike] = 1.0 if unit in _FIXED else np.max(largest[alike])
+    places = _alike(np.max(np.abs(states[:, :n_q]), axis=0), units)
+    velocities = _alike(np.max(np.abs(rates[:, :n_q]), axis=0), units, fixed=0.0)
+    accelerations = _alike(np.max(np.abs(rates[:, n_q : 2 * n_q]), axis=0), units, fixed=0.0)
+    if clock:
+        time = 1 / float(np.linalg.norm(rates[0, list(clock)]))
+    else:
+        time = _swing(places, accelerations) or _slowest(dynamics, states[0])
+    largest = np.maximum(np.maximum(places, velocities * time), accelerations * time**2)
+    largest = _alike(largest, units)
     gap = max(_gap_reach(dynamics, x, largest) for x in states)
     inertia = max(abs(dynamics.normal_inertia(x)) for x in states)
     return OwnScale(
@@ -93,6 +91,53 @@ def own_scale(
         multiplier=_rounded(gap / time**2 * inertia, _WIDE),
         sizes=tuple(_rounded(size) for size in (*largest.tolist(), *(largest / time).tolist())),
     )
+
+
+def _alike(sizes: Vector, units: Sequence[str], fixed: float = 1.0) -> Vector:
+    """Return the largest size among the coordinates of one unit, for each, ``(n_q,)``.
+
+    Args:
+        sizes: Of the coordinates.
+        units: Their units, and those of further states.
+        fixed: Least size of an angle.
+    """
+    found = sizes.copy()
+    for unit in dict.fromkeys(units[: len(sizes)]):
+        same = [k for k in range(len(sizes)) if units[k] == unit]
+        found[same] = np.max(sizes[same])
+        if unit in _FIXED:
+            found[same] = fixed or found[same]
+    return found
+
+
+def _swing(places: Vector, accelerations: Vector) -> float:
+    """Return the longest time in which a coordinate goes as far as it is; 0 if none moves."""
+    moves = (places > 0.0) & (accelerations > 0.0)
+    return float(np.max(np.sqrt(places[moves] / accelerations[moves]), initial=0.0))
+
+
+def _slowest(dynamics: HybridDynamics, x: Vector) -> float:
+    """Return the slowest time scale of the linearized flow, over a turn; 1 if it has none."""
+    try:
+        return own_time(dynamics, x) / (2 * math.pi)
+    except np.linalg.LinAlgError:
+        return 1.0
+
+
+def constraint_sizes(dynamics: HybridDynamics, x: Vector) -> Vector:
+    """Return how much the holonomic constraints change where states do by their size, ``(n,)``.
+
+    At most by that a state may be off; 1 for a system without formulas.
+
+    Args:
+        dynamics: The system.
+        x: A state, ``(n_x,)``.
+    """
+    derivable = dynamics.differentiation
+    if derivable is None:
+        return np.ones_like(dynamics.holonomic(x))
+    sizes = np.maximum(np.abs(x), dynamics.own.states(len(x)))
+    return np.abs(derivable.by(()).holonomic(x)) @ sizes
 
 
 def _gap_reach(dynamics: HybridDynamics, x: Vector, sizes: Vector) -> float:
