@@ -25,8 +25,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
-    from zeno_orbits.maps.mapping import Boundary, ParameterMap
-    from zeno_orbits.maps.plane import Axis, Plane
+    from zeno_orbits.maps import Axis, Boundary, ParameterMap, Plane
 
 
 def add_map(commands: Any) -> None:
@@ -46,27 +45,27 @@ def add_map(commands: Any) -> None:
     add_problem(parser)
     add_gains(parser)
     add_start(parser)
-    for side, where in (("x", "across"), ("y", "upwards")):
+    for side, where in (("x", "horizontal"), ("y", "vertical")):
         parser.add_argument(
             f"--{side}",
             action=Once,
             type=read_range,
             required=True,
             metavar="NAME=LOW:HIGH",
-            help=f"the gain or parameter that goes {where}",
+            help=f"the gain or parameter on the {where} axis",
         )
     parser.add_argument(
         "--points",
         type=read_grid,
         default=(50, 50),
         metavar="NxM",
-        help="points across and upwards; 50x50 by default",
+        help="number of points along x and y; 50x50 by default",
     )
     parser.add_argument(
         "--until",
         type=read_number,
         metavar="T",
-        help="how long a motion may take to settle [s]; by default 300 turns of the problem's "
+        help="longest time for a motion to settle [s]; by default 300 periods of the problem's "
         "clock, or 35 of its slowest oscillation",
     )
     add_place(parser)
@@ -75,15 +74,13 @@ def add_map(commands: Any) -> None:
         "--boundaries",
         type=Path,
         metavar="FAMILY.json",
-        help="draw the curves of `continue --second` on top",
+        help="draw the curves of this file, of `continue --second`, on top",
     )
     parser.add_argument("-o", "--output", type=Path, help="write the map here, as JSON")
 
 
 def _run_map(options: argparse.Namespace) -> int:
-    from zeno_orbits.maps.map_file import read_boundaries, write_map
-    from zeno_orbits.maps.mapping import parameter_map
-    from zeno_orbits.maps.plane import chunk_of, require_plane
+    from zeno_orbits.maps import chunk_of, parameter_map, read_boundaries, require_plane, write_map
     from zeno_orbits.work import Plan
 
     plane = require_plane(_plane(options))
@@ -113,8 +110,8 @@ def _run_map(options: argparse.Namespace) -> int:
 
 
 def _plane(options: argparse.Namespace) -> Plane:
-    from zeno_orbits.maps.plane import Plane
-    from zeno_orbits.model.library import locate_problem
+    from zeno_orbits.maps import Plane
+    from zeno_orbits.model import locate_problem
 
     problem_file = locate_problem(options.problem)
     return Plane(
@@ -129,7 +126,7 @@ def _plane(options: argparse.Namespace) -> Plane:
 
 
 def _axis(asked: Range, count: int) -> Axis:
-    from zeno_orbits.maps.plane import Axis
+    from zeno_orbits.maps import Axis
 
     lower, upper = asked.box
     return Axis(name=asked.name, lower=lower, upper=upper, count=count)

@@ -12,8 +12,7 @@ from zeno_orbits.continuation.corrector import FamilyMetric
 from zeno_orbits.continuation.return_maps import Composed, ImpactReturns, ReleaseReturns, ReturnMap
 from zeno_orbits.continuation.two_parameters.plane import CurveSteps, ParameterPlane
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.model.numeric.own_scale import own_time
+from zeno_orbits.model import ParameterValues, Problem, own_time
 from zeno_orbits.orbits import Line, ZenoOrbit
 from zeno_orbits.simulation import SimulationSettings, simulate
 
@@ -208,7 +207,7 @@ def _settled(returns: ImpactReturns, x: Vector, s: float) -> tuple[Vector, float
             return x, impact.time, scale
         before = x
     raise SimulationError(
-        "The impacts do not settle to one a turn", time=longest, state=tuple(x.tolist())
+        "The motion does not settle to one impact per period", time=longest, state=tuple(x.tolist())
     )
 
 

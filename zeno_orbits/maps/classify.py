@@ -14,12 +14,8 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.maps.attempt import Accuracy, Request
 from zeno_orbits.maps.attractors import Attractor
 from zeno_orbits.maps.point import Point
-from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.model.numeric.own_scale import own_time
-from zeno_orbits.model.scale import OwnScale
-from zeno_orbits.simulation.attractor import WAITING, bounds_of
-from zeno_orbits.simulation.batch.batch import Batch
-from zeno_orbits.simulation.batch.model import BatchModel, model_in_rows
+from zeno_orbits.model import OwnScale, ParameterValues, Problem, own_time
+from zeno_orbits.simulation import WAITING, Batch, BatchModel, bounds_of, model_in_rows
 from zeno_orbits.work import Progress, silent
 
 _OSCILLATIONS = 35

@@ -10,7 +10,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import Trajectory
-from zeno_orbits.model.scale import USUAL, OwnScale
+from zeno_orbits.model import USUAL, OwnScale
 
 
 class Mode(Enum):

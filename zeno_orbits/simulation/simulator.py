@@ -14,10 +14,15 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ChatterError, InputError, PenetrationError, SimulationError
-from zeno_orbits.integrators import Automatic, Engine, GuardedFlow, Tolerance, Trajectory
-from zeno_orbits.integrators.events import SteppedTrajectory
-from zeno_orbits.model import HybridDynamics
-from zeno_orbits.model.numeric.own_scale import constraint_sizes
+from zeno_orbits.integrators import (
+    Automatic,
+    Engine,
+    GuardedFlow,
+    SteppedTrajectory,
+    Tolerance,
+    Trajectory,
+)
+from zeno_orbits.model import HybridDynamics, constraint_sizes
 from zeno_orbits.simulation.arc_follower import ArcFollower, ArcStart
 from zeno_orbits.simulation.completion import Completion, ZenoPassage
 from zeno_orbits.simulation.event_rules import closes_at_once, enters_stop, stop_holds

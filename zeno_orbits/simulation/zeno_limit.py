@@ -22,8 +22,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import Step
-from zeno_orbits.model import HybridDynamics
-from zeno_orbits.model.scale import USUAL, OwnScale
+from zeno_orbits.model import USUAL, HybridDynamics, OwnScale
 
 N_NODES = 5
 """Impacts that the extrapolation uses at most."""

@@ -24,8 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model import HybridDynamics
-from zeno_orbits.model.scale import USUAL, OwnScale
+from zeno_orbits.model import USUAL, HybridDynamics, OwnScale
 from zeno_orbits.simulation.impact_curve import (
     CurveEnd,
     CurveLostError,

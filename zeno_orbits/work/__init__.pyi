@@ -1,5 +1,10 @@
 from .checkpoint import keeps_nothing as keeps_nothing
 from .checkpoint import remove_checkpoint as remove_checkpoint
+from .files import read_object as read_object
+from .files import require_folder as require_folder
+from .files import require_picture as require_picture
+from .files import require_writable as require_writable
+from .files import write_all as write_all
 from .files import write_whole as write_whole
 from .plan import Cluster as Cluster
 from .plan import LostPoint as LostPoint
@@ -8,6 +13,7 @@ from .plan import Plan as Plan
 from .plan import Workers as Workers
 from .pools import Pool as Pool
 from .pools import open_pool as open_pool
+from .pools import worker_count as worker_count
 from .progress import Progress as Progress
 from .progress import portion as portion
 from .progress import silent as silent
@@ -15,6 +21,7 @@ from .scheduling import Task as Task
 from .scheduling import claim as claim
 from .scheduling import spread as spread
 from .scheduling import spread_in_order as spread_in_order
+from .serialization import EntryError as EntryError
 from .serialization import plain as plain
 from .serialization import restored as restored
 from .software import versions as versions

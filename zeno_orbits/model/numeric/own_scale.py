@@ -17,7 +17,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.model.scale import USUAL, OwnScale
+from zeno_orbits.model.scale import OwnScale
 
 _DAMPED = 1e-3
 """An eigenvalue whose imaginary part is less than this part of it does not oscillate."""
