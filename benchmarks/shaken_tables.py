@@ -3,9 +3,9 @@
     python benchmarks/shaken_tables.py --tables 300 --searches 30
 
 Accelerations from 1.5 to 3.3 g and restitutions from 0 to 0.7 are drawn at random, and tables with
-these shake at 30, 1 and 0.01 rad/s. The truth is that of `tests/reference/exact_flights.py`. Motions
-that do not settle, or would settle to something else if a number changed in its eleventh digit, may
-be called anything but a period that is shorter.
+these shake at 30, 1 and 0.01 rad/s. The truth is that of `tests/reference/exact_flights.py`. A
+motion that does not settle, or would settle to something else if a number changed in its eleventh
+digit, may be called anything but a short period.
 
 Exit 1 if a period is false, or fewer than 95 % of the motions are found that settle to a period of
 up to 22 turns.
