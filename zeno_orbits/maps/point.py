@@ -49,7 +49,7 @@ class Point:
         start: Vector,
         until: float,
         accuracy: Accuracy,
-        usual: Vector,
+        usual: Vector | float = 1.0,
     ) -> None:
         self._dynamics = dynamics
         self._units = units
