@@ -1,0 +1,4 @@
+from .proof_file import write_proof as write_proof
+from .prover import ProofSettings as ProofSettings
+from .prover import prove as prove
+from .theorem import Proof as Proof
