@@ -22,6 +22,8 @@ from zeno_orbits.proof.stage import Departure, ProofRecord, Stage
 
 _SPARE = 1.05
 """How much wider than found a window is given, so that another arithmetic finds it wide enough."""
+_LEAST_WINDOW = arb(2) ** -110
+"""Least half width of a window [s]: a checker of fixed point must tell the guard from zero."""
 _TRIES = 12
 
 
@@ -121,7 +123,7 @@ def _window(
     for _ in range(3):
         guess = (guess - value(guess) / speed).mid()
     here = value(guess)
-    half = abs(here / speed).abs_upper() * _SPARE + abs(guess) * arb(2) ** -88
+    half = abs(here / speed).abs_upper() * _SPARE + _LEAST_WINDOW
     for _ in range(_TRIES):
         half = half.mid()
         a, b = (guess - half).mid(), (guess + half).mid()

@@ -91,7 +91,9 @@ def proof_expressions(problem: Problem, carried: Sequence[str] = ()) -> ProofExp
         system.restitution,
         system.holonomic,
     ]
-    function = ca.Function("given", [x, p], [ca.densify(ca.SX(one)) for one in given], {"cse": True})
+    function = ca.Function(
+        "given", [x, p], [ca.densify(ca.SX(one)) for one in given], {"cse": True}
+    )
     outputs, names, values = _without_constants(function, x, p)
     free, locked, gap, rate, acceleration, multiplier, direction, restitution, holonomic = outputs
     over = [symbols[name] for name in carried]

@@ -61,7 +61,9 @@ class ReturnBox:
         except ZeroDivisionError as error:
             raise ProofError("exists", "the orbit has a multiplier of 1") from error
         rest = eye - inverse * (eye - self.slopes)
-        return [a + b for a, b in zip(product(inverse, self.shift), product(rest, box), strict=True)]
+        return [
+            a + b for a, b in zip(product(inverse, self.shift), product(rest, box), strict=True)
+        ]
 
     def encloses(self, found: Sequence[Ball]) -> bool:
         """Return True if a box lies in the interior of `U`."""
@@ -69,9 +71,7 @@ class ReturnBox:
 
 
 def _inside(inner: Sequence[Ball], outer: Sequence[Ball]) -> bool:
-    return all(
-        a.is_finite() and b.contains_interior(a) for a, b in zip(inner, outer, strict=True)
-    )
+    return all(a.is_finite() and b.contains_interior(a) for a, b in zip(inner, outer, strict=True))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -177,9 +177,7 @@ def enclose(
         for one, coefficients, outer in zip(filled, over.states, box, strict=True)
     ) and all(
         within(one + span * coefficient, outer)
-        for one, coefficient, outer in zip(
-            filled_v.entries(), rest_v.entries(), box_v, strict=True
-        )
+        for one, coefficient, outer in zip(filled_v.entries(), rest_v.entries(), box_v, strict=True)
     )
     if not holds:
         return None

@@ -63,7 +63,7 @@ def settle(system: BallSystem, stage: Stage) -> tuple[ProofRecord, Stage]:
 
 
 def _settled(system: BallSystem, stage: Stage, share: float) -> tuple[ProofRecord, Stage]:
-    n, gap, rate, e = system.n, system.gap, system.rate, system.restitution
+    n, gap, rate = system.n, system.gap, system.rate
     at, box = stage.at, stage.at.box
     speed_now = box[rate].abs_upper()
     radius = [arb(share) * (1 + x.abs_upper()) for x in box]

@@ -1,8 +1,8 @@
 r"""A CasADi function as a program of operations on balls, and on Taylor series of balls.
 
-Coefficients come one by one from recurrences: with :math:`c = a b`, :math:`c_k = \sum_j a_j b_{k-j}`
-and so on [JorbaZou2005]_. Series division and sine by Newton's method would be faster, and blow up
-on wide balls.
+Coefficients come one by one from recurrences: with :math:`c = a b`,
+:math:`c_k = \sum_j a_j b_{k-j}` and so on [JorbaZou2005]_. Series division and sine by Newton's method would be faster, and blow
+up on wide balls.
 """
 
 from __future__ import annotations
@@ -94,7 +94,9 @@ class BallProgram:
         for k in range(self.n):
             series[k].append(x[k])
         steps = [self._stepper(k, series) for k in self._online]
-        rates = [(series[k], series[place], self.fixed[place]) for k, place in enumerate(self._flow)]
+        rates = [
+            (series[k], series[place], self.fixed[place]) for k, place in enumerate(self._flow)
+        ]
         for k in range(order):
             for step in steps:
                 step(k)
@@ -142,10 +144,7 @@ class BallProgram:
                     series[place].extend(_coefficients(known[place], n))
         zeros = [ZERO] * order
         return [
-            [
-                series[p][:n] if self.fixed[p] is None else [self.fixed[p], *zeros]
-                for p in output
-            ]
+            [series[p][:n] if self.fixed[p] is None else [self.fixed[p], *zeros] for p in output]
             for output in self.outputs
         ]
 

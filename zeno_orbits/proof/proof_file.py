@@ -23,7 +23,7 @@ from zeno_orbits.proof.walk import Passage
 from zeno_orbits.work import versions
 
 FORMAT = 1
-_CHECK_BITS = 192
+_CHECK_BITS = 224
 
 
 def system_digest(problem: Problem) -> str:

@@ -1,10 +1,10 @@
-"""Prove that a periodic orbit exists, from its numbers: find the box, follow it, judge its return."""
+"""Prove that a periodic orbit exists: find a box around it, follow it, judge its return."""
 
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from flint import arb, ctx
@@ -27,6 +27,8 @@ _CLOSE = 1e-8
 """How far numbers of the orbit may be from those that are proved, per size."""
 _RADII = (1e-9, 1e-12)
 """Radii of the box that are tried, per size of a coordinate."""
+_FINE = 1e-14
+"""Radius of the box from which the digits are taken, per size of a coordinate."""
 _BITS = 96
 _TIMES_WIDER = 1.5
 """How much wider a claimed time is than found, so that another arithmetic finds it, too."""
@@ -44,7 +46,7 @@ class ProofSettings:
 
     radius: float | None = None
     bits: int = _BITS
-    walk: WalkSettings = WalkSettings()
+    walk: WalkSettings = field(default_factory=WalkSettings)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,7 +103,10 @@ def prove(
             _require_fit(orbit, problem, values)
             system = BallSystem(problem, values, over)
             found = _found(orbit, problem, system, over, settings, on_progress)
-            proof = _proof(orbit, problem, values, over, system, found)
+            passes = [found]
+            if found.start.places and not over:
+                passes.append(_refined(orbit, system, found, settings, on_progress))
+            proof = _proof(orbit, problem, values, over, system, passes)
     except ProofError as error:
         proof = Proof(
             problem=problem.name,
@@ -150,7 +155,7 @@ def _found(
         try:
             start = start_on_section(system, centre, places, others, widths)
             passage = _walked(orbit, system, start, settings, on_progress)
-            judged = _judged(system, start, passage)
+            judged = _judged(start, passage)
         except ProofError as error:
             failure = error
             continue
@@ -167,6 +172,32 @@ def _found(
         if judged.needed:
             radii = [judged.needed]
     raise failure
+
+
+def _refined(
+    orbit: ZenoOrbit,
+    system: BallSystem,
+    found: _Judged,
+    settings: ProofSettings,
+    on_progress: Progress,
+) -> _Judged:
+    """Return a far smaller box around the orbit inside a box in which it is the only one."""
+    places, start = found.start.places, found.start
+    y = list(start.at.m)
+    for k, change in zip(places, found.orbit, strict=True):
+        y[k] = (y[k] + change).mid()
+    sizes = [max(abs(float(y[k].mid())), 1e-3) for k in places]
+    radii = [
+        max(_FINE * size, 4 * float(change.rad()))
+        for size, change in zip(sizes, found.orbit, strict=True)
+    ]
+    fine = start_on_section(system, y, places, start.others, radii)
+    for k, inner, outer in zip(start.others, fine.around, start.around, strict=True):
+        require(bool(outer.contains(inner)), "exists", f"state {k} leaves the first box")
+    attempt = _judged(fine, _walked(orbit, system, fine, settings, on_progress))
+    if attempt.judged is None:
+        raise ProofError("exists", attempt.reason)
+    return attempt.judged
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -186,7 +217,7 @@ class _Attempt:
     needed: list[float]
 
 
-def _judged(system: BallSystem, start: SectionStart, passage: Passage) -> _Attempt:
+def _judged(start: SectionStart, passage: Passage) -> _Attempt:
     """Judge the return of a box."""
     places, end, d = start.places, passage.end.at, len(start.places)
     box = end.box
@@ -195,8 +226,9 @@ def _judged(system: BallSystem, start: SectionStart, passage: Passage) -> _Attem
         require(bool(around.contains(box[k])), "exists", reason)
     slopes = end.derivative
     rows = [[slopes[k, j] for j in range(d)] for k in places]
-    carried = matrix([[slopes[k, j] for j in range(d, slopes.ncols())] for k in places],
-                     slopes.ncols() - d)
+    carried = matrix(
+        [[slopes[k, j] for j in range(d, slopes.ncols())] for k in places], slopes.ncols() - d
+    )
     middle = end.middle_box
     defect = [middle[k] - centre for k, centre in zip(places, start.centre, strict=True)]
     parameters = start.at.U[d:]
@@ -231,9 +263,7 @@ def _walked(
     settings: ProofSettings,
     on_progress: Progress,
 ) -> Passage:
-    stage = Stage(
-        at=start.at, departure=Departure.RELEASED, time=BallTime.start(len(start.at.U))
-    )
+    stage = Stage(at=start.at, departure=Departure.RELEASED, time=BallTime.start(len(start.at.U)))
     radius = max((float(u.rad()) for u in start.at.U), default=0.0)
     what = f"follow a box of radius {radius:.0e}" if radius else "follow the orbit"
 
@@ -267,14 +297,16 @@ def _proof(
     values: ParameterValues,
     over: Mapping[str, float],
     system: BallSystem,
-    found: _Judged,
+    passes: list[_Judged],
 ) -> Proof:
-    bounds = _bounds(problem, system, found)
+    """Return the theorem of a box, and of a finer one from which its digits are."""
+    found, fine = passes[0], passes[-1]
+    bounds = _bounds(problem, system, fine)
     _require_numbers(orbit, bounds)
     names = problem.state_names
     centres = [float(c) for c in found.start.centre]
-    claims = _claims(found, bounds)
-    passes = [(found.start, found.passage)]
+    claims = _claims(passes, bounds)
+    ways = [(one.start, one.passage) for one in passes]
     return Proof(
         problem=problem.name,
         box={
@@ -283,11 +315,11 @@ def _proof(
         },
         over={n: (float(system.carried[n]), r) for n, r in over.items()},
         inside=found.returned.included,
-        stable=bool(found.start.places) and found.discs.stable,
-        repelling=found.discs.repelling,
+        stable=bool(found.start.places) and fine.discs.stable,
+        repelling=fine.discs.repelling,
         bounds=bounds,
-        certificate=certificate(problem, values, over, system, passes, claims),
-        n_records=len(found.passage.records),
+        certificate=certificate(problem, values, over, system, ways, claims),
+        n_records=sum(len(one.passage.records) for one in passes),
         wall_time=0.0,
         versions=proof_versions(),
     )
@@ -346,45 +378,46 @@ def _require_numbers(orbit: ZenoOrbit, bounds: Bounds) -> None:
         check("start_state", bounds.start_state[name], value, _CLOSE * max(1.0, abs(value)))
 
 
-def _claims(found: _Judged, bounds: Bounds) -> list[dict[str, Any]]:
+def _claims(passes: list[_Judged], bounds: Bounds) -> list[dict[str, Any]]:
     """Return the claims of the certificate."""
-    d = len(found.start.places)
-
-    def claim(name: str, **fields: Any) -> dict[str, Any]:
-        return {"name": name, "pass": 0, **fields}
-
-    def ends(one: Enclosure) -> dict[str, str]:
-        return {"low": number_text(one.low), "high": number_text(one.high)}
-
+    last = len(passes) - 1
     claims: list[dict[str, Any]] = []
-    if d:
-        claims.append(claim("exists", by="krawczyk"))
-    if found.returned.included or not d:
-        claims.append(claim("exists", by="inclusion"))
-    if d:
-        claims.append(claim("unique"))
+
+    def claim(name: str, which_pass: int = last, **fields: Any) -> None:
+        claims.append({"name": name, "pass": which_pass, **fields})
+
+    for number, one in enumerate(passes):
+        if one.start.places:
+            claim("exists", number, by="krawczyk")
+        if one.returned.included:
+            claim("exists", number, by="inclusion")
+    if passes[0].start.places:
+        claim("unique", 0)
+        discs = passes[-1].discs
         basis = {
-            "re": [[number_text(arb(x.real)) for x in row] for row in found.discs.basis],
-            "im": [[number_text(arb(x.imag)) for x in row] for row in found.discs.basis],
+            "re": [_exact(*(x.real for x in row)) for row in discs.basis],
+            "im": [_exact(*(x.imag for x in row)) for row in discs.basis],
         }
-        if found.discs.stable:
-            claims.append(claim("stable", basis=basis))
-        elif found.discs.repelling:
-            claims.append(claim("repelling", basis=basis))
-        discs = [_exact(one.centre.real, one.centre.imag, one.radius) for one in bounds.multipliers]
-        claims.append(claim("multipliers", basis=basis, discs=discs))
-    claims.append(claim("period", **ends(bounds.period)))
+        if discs.stable:
+            claim("stable", basis=basis)
+        elif discs.repelling:
+            claim("repelling", basis=basis)
+        found = [_exact(one.centre.real, one.centre.imag, one.radius) for one in bounds.multipliers]
+        claim("multipliers", basis=basis, discs=found)
+    claim("period", **_ends(bounds.period))
     for which, one in enumerate(bounds.zeno_times):
-        claims.append(claim("zeno_time", which=which, **ends(one)))
+        claim("zeno_time", which=which, **_ends(one))
     for which, one in enumerate(bounds.impact_times):
-        claims.append(claim("impact_time", which=which, **ends(one)))
+        claim("impact_time", which=which, **_ends(one))
     state = list(bounds.start_state.values())
     low, high = [number_text(x.low) for x in state], [number_text(x.high) for x in state]
-    claims.append(claim("start_state", low=low, high=high))
+    claim("start_state", low=low, high=high)
     return claims
+
+
+def _ends(one: Enclosure) -> dict[str, str]:
+    return {"low": number_text(one.low), "high": number_text(one.high)}
 
 
 def _exact(*numbers: float) -> list[str]:
     return [number_text(arb(x)) for x in numbers]
-
-

@@ -178,7 +178,9 @@ class Proof:
         if self.box:
             lines.append("(3) Exactly one periodic orbit passes through the box.")
         if self.stable:
-            lines.append(f"(4) It is exponentially stable: norm of the derivative {bounds.norm:.6g}.")
+            lines.append(
+                f"(4) It is exponentially stable: norm of the derivative {bounds.norm:.6g}."
+            )
         elif self.repelling:
             lines.append("(4) It repels: a multiplier lies outside the unit circle.")
         return lines

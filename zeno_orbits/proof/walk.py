@@ -7,14 +7,15 @@ where they should and nowhere else.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
 
 from flint import arb
 
 from zeno_orbits.errors import ProofError
 from zeno_orbits.proof.ball_system import BallSystem
-from zeno_orbits.proof.balls import Ball
+from zeno_orbits.proof.balls import ZERO, Ball, product
 from zeno_orbits.proof.crossing import cross
 from zeno_orbits.proof.flow import BallFlow, FlowStep, enclose
 from zeno_orbits.proof.impacts import settle, strike
@@ -41,7 +42,7 @@ class WalkSettings:
         most_impacts: Impacts in a flight phase beyond which it is given up.
     """
 
-    orders: tuple[int, int] = (30, 22)
+    orders: tuple[int, int] = (34, 28)
     rest: float = 1e-21
     derivative_rest: float = 3e-13
     first: float = 2e-3
@@ -75,7 +76,6 @@ class _Pace:
 
     size: float
     most: float
-    tried: list[float] = field(default_factory=list[float])
 
 
 Tell = Callable[[str, float], None]
@@ -102,7 +102,11 @@ def walk(
     ends: list[BallTime] = []
     stage, pace = start, _Pace(size=settings.first, most=settings.longest)
     while len(ends) < releases:
-        for record, stage in _arc(system, stage, pace, settings):
+        locked = stage.departure is Departure.LOCKED
+        flow, least = system.locked if locked else system.free, pace.size * _SHORTEST
+        met = False
+        while not met:
+            record, stage, met = _move(system, flow, stage, pace, settings, least)
             records.append(record)
             tell(stage.departure.value, float(stage.time.middle.mid()))
         if stage.departure is Departure.RELEASED:
@@ -129,20 +133,6 @@ def walk(
     )
 
 
-def _arc(
-    system: BallSystem, stage: Stage, pace: _Pace, settings: WalkSettings
-) -> Iterator[tuple[ProofRecord, Stage]]:
-    """Yield the records of steps until the guard is met, the crossing last."""
-    locked = stage.departure is Departure.LOCKED
-    flow = system.locked if locked else system.free
-    least = pace.size * _SHORTEST
-    while True:
-        record, stage, met = _move(system, flow, stage, pace, settings, least)
-        yield record, stage
-        if met:
-            return
-
-
 def _move(
     system: BallSystem,
     flow: BallFlow,
@@ -159,6 +149,7 @@ def _move(
         size = guess * _BEYOND if guess * _BEYOND <= size else guess / 2
         orders = _orders(size, pace.size, settings)
         least = min(least, guess / 64)
+    shortened = guess is not None
     over = flow.series(stage.at.box, orders[1])
     reason = "no box holds the motions over a step"
     while size >= least:
@@ -172,18 +163,21 @@ def _move(
         if excess > 1.0 and size > least:
             size = max(least, size * max(0.25, 0.9 * excess ** (-1 / (orders[1] + 1))))
             continue
-        reason = _contact(system, flow, stage, step, meets=meets)
+        image, derivative = step.point(points, exact), step.derivative(exact)
+        end = image[system.gap] + product(derivative, stage.at.deviation)[system.gap]
+        reason = _contact(system, flow, stage, step, None if meets else end)
         if reason:
+            shortened = True
             size = guess / 2 if meets and guess is not None else size / 2
             continue
         if meets and guess is not None:
             record, after = cross(system, stage, step, points, arb(guess))
             return record, after, True
-        if orders == settings.orders:
+        if not shortened:
             pace.size = size * max(0.5, min(4.0, 0.9 * excess ** (-1 / (orders[1] + 1))))
         locked = stage.departure is Departure.LOCKED
         groups = system.groups["beside" if locked else "all"]
-        result = stage.at.mapped(step.point(points, exact), step.derivative(exact), groups)
+        result = stage.at.mapped(image, derivative, groups)
         record = ProofRecord(kind="step", numbers={"h": exact}, orders=orders, result=result)
         departure = Departure.LOCKED if locked else Departure.FLYING
         return record, stage.next(result, departure, stage.time.later(exact)), False
@@ -264,7 +258,7 @@ def _first_root(coefficients: list[float], within: float) -> float | None:
         # A flight near a Zeno point is far shorter than a step.
         short = -coefficients[0] / coefficients[1] if coefficients[1] < 0 else within
         grid = sorted({*grid, *(short * k / 8 for k in range(1, 17) if short * k / 8 < within)})
-    for left, right in zip(grid, grid[1:], strict=False):
+    for left, right in pairwise(grid):
         if value(left) > 0.0 >= value(right):
             return _bisected(value, left, right)
     return None
@@ -290,7 +284,7 @@ def _horner(coefficients: list[float], time: float) -> float:
 
 
 def _contact(
-    system: BallSystem, flow: BallFlow, stage: Stage, step: FlowStep, *, meets: bool
+    system: BallSystem, flow: BallFlow, stage: Stage, step: FlowStep, end: Ball | None
 ) -> str:
     """Return what is not proved of the stop on a step, or nothing.
 
@@ -299,41 +293,32 @@ def _contact(
         flow: The flow of the mode.
         stage: Where the step starts.
         step: The step.
-        meets: Whether the guard is to be met in it.
+        end: Gap at its end; None if the guard is to be met in it.
     """
-    box, gap, rate = step.box, system.gap, system.rate
     if stage.departure is Departure.LOCKED:
-        multiplier, gradient, speeds = flow.guard(box)
-        if not meets:
-            return "" if bool(multiplier > 0) else f"`multiplier` is not proved positive ({multiplier})"
-        slope = sum((g * f for g, f in zip(gradient, speeds, strict=True)), arb(0))
-        return "" if bool(slope < 0) else f"`multiplier` is not proved to fall at the release ({slope})"
-    acceleration = flow.rate(box)[rate]
-    concave = bool(acceleration < 0)
-    if meets:
-        if concave or (stage.departure is Departure.FLYING and bool(box[rate] < 0)):
-            return ""
-        return "`gap` is not proved to fall once only before an impact"
+        multiplier, gradient, speeds = flow.guard(step.box)
+        slope = sum((g * f for g, f in zip(gradient, speeds, strict=True)), ZERO)
+        if end is None:
+            holds, what = bool(slope < 0), f"to fall at the release ({slope})"
+        else:
+            holds, what = bool(multiplier > 0), f"positive on the stop ({multiplier})"
+        return "" if holds else f"`multiplier` is not proved {what}"
     if stage.departure is Departure.RELEASED:
-        jerk = _jerk(flow, box, rate)
-        return "" if bool(jerk > 0) else f"`d3h/dt3` is not proved positive at the release ({jerk})"
-    if stage.departure is Departure.STRUCK and bool(box[rate] > 0):
-        return ""
-    if stage.departure is Departure.FLYING and bool(box[gap] > 0):
-        return ""
-    if concave and _positive_at_end(stage, step, gap):
-        return ""
-    return "`gap` is not proved positive in flight"
+        jerk = _jerk(flow, step.box, system.rate)
+        left = bool(jerk > 0) and end is not None
+        return "" if left else f"`d3h/dt3` is not proved positive at the release ({jerk})"
+    gap, rate = step.box[system.gap], step.box[system.rate]
+    struck, start = stage.departure is Departure.STRUCK, stage.at.box
+    away = bool(start[system.rate if struck else system.gap] > 0)
+    hump = away and bool(flow.rate(step.box)[system.rate] < 0)
+    if end is None:
+        once = hump or (away and not struck and bool(rate < 0))
+        return "" if once else "`gap` is not proved to fall once only before an impact"
+    clear = bool(rate > 0) if struck else bool(gap > 0)
+    over = hump and bool(end > 0)
+    return "" if clear or over else "`gap` is not proved positive in flight"
 
 
 def _jerk(flow: BallFlow, box: list[Ball], rate: int) -> Ball:
     """Return the third derivative of the gap over a box."""
     return 2 * flow.point_series(box, 2)[rate][2]
-
-
-def _positive_at_end(stage: Stage, step: FlowStep, gap: int) -> bool:
-    end = step.series.states[gap]
-    value = arb(0)
-    for one in reversed(end[: step.orders[1] + 1]):
-        value = value * step.size + one
-    return bool(value > 0)
