@@ -9,8 +9,11 @@ plus or minus one of them, else two more.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import operator
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import casadi as ca
 
@@ -209,19 +212,32 @@ def _power(base: ca.SX, exponent: ca.SX, value: float | None) -> ca.SX:
     return ca.exp(exponent * ca.log(base))
 
 
-def _operations() -> Mapping[int, object]:
+def _operations() -> Mapping[int, Callable[..., Any]]:
     """Return CasADi's operations by their code, each as a function of its arguments."""
-    return {
-        ca.OP_ASSIGN: lambda a: a,
-        ca.OP_ADD: lambda a, b: a + b,
-        ca.OP_SUB: lambda a, b: a - b,
-        ca.OP_MUL: lambda a, b: a * b,
-        ca.OP_DIV: lambda a, b: a / b,
-        ca.OP_NEG: lambda a: -a,
-        ca.OP_TWICE: lambda a: 2 * a,
-        ca.OP_SQ: lambda a: a * a,
-        ca.OP_INV: lambda a: 1 / a,
-        ca.OP_HYPOT: lambda a, b: ca.sqrt(a * a + b * b),
+
+    def quotient(a: ca.SX, b: ca.SX) -> ca.SX:
+        return a / b
+
+    def inverse(a: ca.SX) -> ca.SX:
+        return 1 / a
+
+    def square(a: ca.SX) -> ca.SX:
+        return a * a
+
+    def hypotenuse(a: ca.SX, b: ca.SX) -> ca.SX:
+        return ca.sqrt(a * a + b * b)
+
+    table: dict[int, Callable[..., Any]] = {
+        ca.OP_ASSIGN: operator.pos,
+        ca.OP_ADD: operator.add,
+        ca.OP_SUB: operator.sub,
+        ca.OP_MUL: operator.mul,
+        ca.OP_DIV: quotient,
+        ca.OP_NEG: operator.neg,
+        ca.OP_TWICE: partial(operator.mul, 2),
+        ca.OP_SQ: square,
+        ca.OP_INV: inverse,
+        ca.OP_HYPOT: hypotenuse,
         **{
             getattr(ca, f"OP_{name.upper()}"): getattr(ca, name)
             for name in (
@@ -230,6 +246,7 @@ def _operations() -> Mapping[int, object]:
             )
         },
     }
+    return table
 
 
 def operation_name(code: int) -> str:

@@ -68,9 +68,11 @@ def _settled(system: BallSystem, stage: Stage, share: float) -> tuple[ProofRecor
     speed_now = box[rate].abs_upper()
     radius = [arb(share) * (1 + x.abs_upper()) for x in box]
     radius = [arb(float(one.mid())) for one in radius]
-    radius[gap] = radius[rate] = ZERO
     speed = arb(share * 1e-6)
     for _ in range(40):
+        # The gap and its rate stay far within these in all flights, as `_bounds` checks.
+        radius[gap] = speed
+        radius[rate] = arb(float((speed * (4 + 8 / (1 - system.restitution))).mid()))
         found = _bounds(system, box, radius, speed)
         if found is not None:
             break
@@ -109,10 +111,6 @@ def _bounds(
     """Return `c`, `rho`, `S` and what is left of the polydisc; None if it is not enough."""
     gap, rate, e = system.gap, system.rate, system.restitution
     wide = [acb(x + arb(0, r), arb(0, r)) for x, r in zip(box, radius, strict=True)]
-    wide[gap] = acb(ZERO)
-    # In flight the gap and its rate stay within what the rate and the acceleration allow.
-    wide[rate] = acb(arb(0, 8 * speed), arb(0, 8 * speed))
-    wide[gap] = acb(arb(0, speed), arb(0, speed))
     flow, direction = system.free_values(wide)
     a = flow[rate]
     a0 = a.real.mid()
@@ -125,7 +123,8 @@ def _bounds(
     rho = e * kappa
     if not bool(rho < 1):
         raise ProofError("zeno_point", f"impacts are not proved to shrink (ratio {rho})")
-    c, delta = [], []
+    c: list[Ball] = []
+    delta: list[Ball] = []
     for i in range(system.n):
         if i in (gap, rate):
             c.append(ZERO)
@@ -139,8 +138,8 @@ def _bounds(
         delta.append(radius[i] - speed * (moved + c[i] / (1 - rho)))
         if not bool(delta[i] > 0):
             return None
-    # The gap of a flight is at most w S w + ..., below the width that was taken.
-    high = longest * speed * (1 + kappa) * speed
-    if not (bool(high < speed) and bool((1 + kappa) * 2 < 8)):
+    # In flight the rate is at most (2 + kappa) w, and the gap S (1 + kappa) w^2.
+    high, fast = longest * speed * speed * (1 + kappa), speed * (2 + kappa)
+    if not (bool(high < radius[gap]) and bool(fast < radius[rate])):
         return None
     return c, rho, longest, delta

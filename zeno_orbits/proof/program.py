@@ -1,8 +1,8 @@
 r"""A CasADi function as a program of operations on balls, and on Taylor series of balls.
 
 Coefficients come one by one from recurrences: with :math:`c = a b`,
-:math:`c_k = \sum_j a_j b_{k-j}` and so on [JorbaZou2005]_. Series division and sine by Newton's method would be faster, and blow
-up on wide balls.
+:math:`c_k = \sum_j a_j b_{k-j}` and so on [JorbaZou2005]_. Series division
+and sine by Newton's method would be faster, and blow up on wide balls.
 """
 
 from __future__ import annotations

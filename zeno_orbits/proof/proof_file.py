@@ -6,7 +6,7 @@ import hashlib
 import platform
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import casadi as ca
 import flint
@@ -31,7 +31,7 @@ def system_digest(problem: Problem) -> str:
     symbols = problem.symbols()
     system = problem.model(symbols)
     numbers = ca.vertcat(*symbols.values())
-    given = [
+    given: list[Any] = [
         system.free_flow,
         system.locked_flow,
         ca.vertcat(*system.contact),
@@ -128,8 +128,10 @@ class CertificateWriter:
         return own
 
 
-def _texts(value: Any) -> Any:
-    return [number_text(x) for x in value] if isinstance(value, list) else number_text(value)
+def _texts(value: Ball | list[Ball]) -> str | list[str]:
+    if isinstance(value, list):
+        return [number_text(x) for x in cast("list[Ball]", value)]
+    return number_text(value)
 
 
 def certificate(

@@ -383,8 +383,8 @@ def _claims(passes: list[_Judged], bounds: Bounds) -> list[dict[str, Any]]:
     last = len(passes) - 1
     claims: list[dict[str, Any]] = []
 
-    def claim(name: str, which_pass: int = last, **fields: Any) -> None:
-        claims.append({"name": name, "pass": which_pass, **fields})
+    def claim(name: str, number: int = last, **fields: Any) -> None:
+        claims.append({"name": name, "pass": number, **fields})
 
     for number, one in enumerate(passes):
         if one.start.places:
@@ -404,11 +404,11 @@ def _claims(passes: list[_Judged], bounds: Bounds) -> list[dict[str, Any]]:
             claim("repelling", basis=basis)
         found = [_exact(one.centre.real, one.centre.imag, one.radius) for one in bounds.multipliers]
         claim("multipliers", basis=basis, discs=found)
-    claim("period", **_ends(bounds.period))
+    claim("period", last, **_ends(bounds.period))
     for which, one in enumerate(bounds.zeno_times):
-        claim("zeno_time", which=which, **_ends(one))
+        claim("zeno_time", last, which=which, **_ends(one))
     for which, one in enumerate(bounds.impact_times):
-        claim("impact_time", which=which, **_ends(one))
+        claim("impact_time", last, which=which, **_ends(one))
     state = list(bounds.start_state.values())
     low, high = [number_text(x.low) for x in state], [number_text(x.high) for x in state]
     claim("start_state", low=low, high=high)

@@ -56,7 +56,7 @@ def section_places(system: BallSystem, y: Sequence[float]) -> tuple[list[int], l
     n_constraints = len(slopes)
     floats = np.array([[float(row[k].mid()) for k in free] for row in slopes])
     scale = np.array([1e-3 + abs(y[k]) for k in free])
-    _, _, order = qr(floats * scale, pivoting=True, mode="economic")
+    order: list[int] = qr(floats * scale, pivoting=True, mode="economic")[2].tolist()
     others = sorted(free[k] for k in order[:n_constraints])
     return [k for k in free if k not in others], others
 
@@ -120,7 +120,7 @@ def start_on_section(
         others=others,
         centre=[middle[k] for k in places],
         around=around,
-        at=start_set(thin, matrix(derivative, len(inputs)), deviations),
+        at=start_set(thin, matrix(derivative, len(inputs)), deviations, others),
     )
 
 

@@ -19,7 +19,6 @@ from zeno_orbits.errors import ProofError
 from zeno_orbits.proof.balls import (
     Ball,
     Matrix,
-    column,
     identity,
     mapped,
     matrix,
@@ -150,26 +149,30 @@ _LEAST = -20
 """Smallest interval of a set, as a power of two below one unit of the last place of 1."""
 
 
-def start_set(m: Sequence[Ball], derivative: Matrix, box: Sequence[Ball]) -> BallSet:
+def start_set(
+    m: Sequence[Ball], derivative: Matrix, box: Sequence[Ball], given: Sequence[int]
+) -> BallSet:
     """Return the set of a start, from its middle and its derivative in balls.
 
     Args:
         m: The state at the middle of the box, ``(n,)``.
         derivative: Of the state with respect to the start coordinates, ``(n, d)``.
         box: Start coordinates less those of the middle, around zero, ``(d,)``.
+        given: Rows that are computed; another arithmetic may find no exact zeros there.
     """
     n = len(m)
     exact, C = [one.mid() for one in m], mapped(derivative, middle)
+    r = [one - middle_ for one, middle_ in zip(m, exact, strict=True)]
+    rows = (derivative - C).table()
+    spare = arb(0, arb(2) ** (_LEAST - ctx.prec))
+    for k in given:
+        r[k] = r[k] + spare
+        rows[k] = [one + spare for one in rows[k]]
     return BallSet(
         m=exact,
         frame=identity(n),
-        r=[_with_slack(one - middle_) for one, middle_ in zip(m, exact, strict=True)],
+        r=[_with_slack(one) for one in r],
         C=C,
-        R=mapped(derivative - C, _with_slack),
+        R=mapped(matrix(rows, len(box)), _with_slack),
         U=list(box),
     )
-
-
-def as_column(x: Sequence[Ball]) -> Matrix:
-    """Return a vector as a matrix of one column."""
-    return column(x)

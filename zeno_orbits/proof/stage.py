@@ -90,7 +90,7 @@ class Stage:
         """
         if row is None:
             return self.time.later(duration)
-        slopes = (row * self.at.derivative).entries() if self.at.U else []
+        slopes: list[Ball] = (row * self.at.derivative).entries() if self.at.U else []
         (noise,) = product(row, self.at.noise)
         return self.time.later(duration + noise, slopes)
 

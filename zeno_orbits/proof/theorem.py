@@ -128,6 +128,35 @@ class Proof:
             return f"Not proved: `{self.claim}`: {self.reason}."
         return f"Proved by inclusions: {self._kind()} of `{self.problem}` exists."
 
+    def as_json(self) -> dict[str, Any]:
+        """Return the theorem as plain data, without its certificate."""
+        found: dict[str, Any] = {
+            "proved": self.proved,
+            "problem": self.problem,
+            "claim": self.claim,
+            "reason": self.reason,
+            "wall_time": self.wall_time,
+            "versions": dict(self.versions),
+        }
+        if self.bounds is None:
+            return found
+        bounds = self.bounds
+        return found | {
+            "box": {name: list(ends) for name, ends in self.box.items()},
+            "over": {name: list(ends) for name, ends in self.over.items()},
+            "inside": self.inside,
+            "stable": self.stable,
+            "repelling": self.repelling,
+            "period": bounds.period.text,
+            "zeno_times": [one.text for one in bounds.zeno_times],
+            "start_state": {name: one.text for name, one in bounds.start_state.items()},
+            "multipliers": [
+                [one.centre.real, one.centre.imag, one.radius] for one in bounds.multipliers
+            ],
+            "norm": bounds.norm,
+            "inclusions": self.n_records,
+        }
+
     def _kind(self) -> str:
         kind = "a stable" if self.stable else "a repelling" if self.repelling else "a"
         return f"{kind} Zeno periodic orbit"

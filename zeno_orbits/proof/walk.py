@@ -24,6 +24,8 @@ from zeno_orbits.proof.stage import BallTime, Departure, ProofRecord, Stage
 
 _SHORTEST = 1e-5
 """Least step in flight off the stop and on it, as a part of the longest, before it is given up."""
+_GRID = 16
+"""Parts of a step in which a crossing is looked for."""
 _BEYOND = 1 + 2.0**-6
 """How far beyond a crossing its step reaches, as a multiple of its time."""
 
@@ -244,16 +246,19 @@ def _release_guess(system: BallSystem, points: list[Series], within: float) -> f
         at = [_horner([float(c.mid()) for c in one], time) for one in points]
         return float(system.locked.guard([arb(x) for x in at])[0].mid())
 
-    if multiplier(0.0) <= 0 or multiplier(within) > 0:
-        return None
-    return _bisected(multiplier, 0.0, within)
+    times = [within * k / _GRID for k in range(_GRID + 1)]
+    values = [multiplier(time) for time in times]
+    for k in range(_GRID):
+        if values[k] > 0.0 >= values[k + 1]:
+            return _bisected(multiplier, times[k], times[k + 1])
+    return None
 
 
 def _first_root(coefficients: list[float], within: float) -> float | None:
     def value(time: float) -> float:
         return _horner(coefficients, time)
 
-    grid = [within * k / 48 for k in range(49)]
+    grid = [within * k / (2 * _GRID) for k in range(2 * _GRID + 1)]
     if coefficients[0] > 0.0 and len(coefficients) > 2:
         # A flight near a Zeno point is far shorter than a step.
         short = -coefficients[0] / coefficients[1] if coefficients[1] < 0 else within
