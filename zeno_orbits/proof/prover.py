@@ -27,7 +27,8 @@ _CLOSE = 1e-8
 """How far numbers of the orbit may be from those that are proved, per size."""
 _RADII = (1e-9, 1e-12)
 """Radii of the box that are tried, per size of a coordinate."""
-_FINE = 1e-14
+_REFINEMENTS = 8
+_FINE = 4e-15
 """Radius of the box from which the digits are taken, per size of a coordinate."""
 _BITS = 96
 _TIMES_WIDER = 1.5
@@ -184,13 +185,12 @@ def _refined(
     """Return a far smaller box around the orbit inside a box in which it is the only one."""
     places, start = found.start.places, found.start
     y = list(start.at.m)
-    for k, change in zip(places, found.orbit, strict=True):
+    near = found.orbit
+    for _ in range(_REFINEMENTS):
+        near = found.returned.krawczyk(near)
+    for k, change in zip(places, near, strict=True):
         y[k] = (y[k] + change).mid()
-    sizes = [max(abs(float(y[k].mid())), 1e-3) for k in places]
-    radii = [
-        max(_FINE * size, 4 * float(change.rad()))
-        for size, change in zip(sizes, found.orbit, strict=True)
-    ]
+    radii = [_FINE * max(abs(float(y[k].mid())), 1e-3) for k in places]
     fine = start_on_section(system, y, places, start.others, radii)
     for k, inner, outer in zip(start.others, fine.around, start.around, strict=True):
         require(bool(outer.contains(inner)), "exists", f"state {k} leaves the first box")

@@ -88,6 +88,8 @@ class BallSet:
             derivative: Of the map over the whole set, ``(n, n)``.
             groups: Rows that get a frame of their own; the other rows keep their axes.
         """
+        # What is new is given doubled: what is handed on from before hardly needs any slack.
+        derivative = mapped(derivative, _doubled)
         moved, spread = derivative * self.frame, derivative * self.C
         frame = self._frame(moved, groups)
         try:
@@ -97,7 +99,7 @@ class BallSet:
         m = [one.mid() for one in image]
         C = mapped(spread, middle)
         turned = back * moved
-        off = [one - exact for one, exact in zip(image, m, strict=True)]
+        off = [_doubled(one) - exact for one, exact in zip(image, m, strict=True)]
         r = [a + b for a, b in zip(product(turned, self.r), product(back, off), strict=True)]
         R = turned * self.R + back * (spread - C)
         return BallSet(
@@ -136,6 +138,10 @@ def _orthogonal(directions: Vector) -> Vector:
     if not np.all(np.isfinite(chosen)):
         return np.eye(len(directions))
     return np.asarray(np.linalg.qr(chosen)[0])
+
+
+def _doubled(x: Ball) -> Ball:
+    return scaled(x, 2.0)
 
 
 def _with_slack(x: Ball) -> Ball:
