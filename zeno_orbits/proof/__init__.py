@@ -9,8 +9,8 @@ judges certificates and shares no module with what makes them.
 
 Offers: `prove`, `Proof`, `ProofSettings`, `write_proof`; `check`, `ProofVerdict`, `ClaimVerdict`.
 
-Imports: orbits, model, work, arrays, errors, and python-flint (the extra `proof`). Never search,
-continuation, maps, experiment or precision; `checker` imports model and errors alone.
+Imports: orbits, model, work, arrays, errors. Balls are python-flint's (the extra `proof`). Never
+search, continuation, maps, experiment or precision; `checker` imports model and errors alone.
 """
 
 import lazy_loader as lazy
