@@ -153,8 +153,12 @@ def _passage(
     except NotProved as failure:
         return f"section: {failure}"
     chunks = [tasks[k : k + _CHUNK] for k in range(0, len(tasks), _CHUNK)]
-    with ProcessPoolExecutor(min(len(chunks), cpu_count() or 1)) as pool:
-        proved = [one for found in pool.map(partial(_proved, system, box), chunks) for one in found]
+    judge = partial(_proved, system, box)
+    if len(chunks) == 1:
+        proved = judge(tasks)
+    else:
+        with ProcessPoolExecutor(min(len(chunks), cpu_count() or 1)) as pool:
+            proved = [one for found in pool.map(judge, chunks) for one in found]
     time, row = Ball(0, 0, system.bits), [Ball(0, 0, system.bits)] * len(box.spread)
     events: dict[str, list[tuple[Ball, Vector]]] = {
         "period": [],

@@ -104,7 +104,8 @@ def require_enclosed(old: Enclosure, mapped: Mapped, new: Enclosure) -> None:
     ):
         for i, rows in enumerate(zip(found, given, strict=True)):
             for x, bound in zip(*rows, strict=True):
-                require(x.size <= bound.r, f"{name}[{i}] does not hold {x.shown()}")
+                spread = Ball(0, bound.r, bound.bits).shown()
+                require(x.size <= bound.r, f"{name}[{i}] must hold {x.shown()}, but is {spread}")
 
 
 _HIGHEST = 200
