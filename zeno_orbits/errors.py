@@ -128,6 +128,10 @@ class WorkError(ZenoOrbitsError):
         self.trace = trace
 
 
+class KernelError(ZenoOrbitsError):
+    """Compiled kernels cannot be had; the text says why, as a clause."""
+
+
 class DataFileError(InputError):
     """A file of time series could not be read.
 

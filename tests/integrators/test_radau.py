@@ -13,7 +13,6 @@ from zeno_orbits.errors import StepSizeError
 from zeno_orbits.integrators import Automatic, Leg, Outcome, Passage, Radau, RungeKutta
 from zeno_orbits.integrators.automatic import decay_rates, staying_rate
 from zeno_orbits.integrators.collocation import radau
-from zeno_orbits.integrators.dop853 import ExplicitStep
 from zeno_orbits.integrators.events import SteppedTrajectory
 from zeno_orbits.integrators.flow import (
     GuardedFlow,
@@ -21,7 +20,7 @@ from zeno_orbits.integrators.flow import (
     StageGuess,
     Tolerance,
 )
-from zeno_orbits.integrators.radau import solved
+from zeno_orbits.integrators.steps import ExplicitStep, solved
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.compiled import bind
 from zeno_orbits.model.numeric.compiled_flow import CompiledFlow, ModeFunctions

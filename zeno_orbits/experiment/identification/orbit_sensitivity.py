@@ -20,7 +20,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.orbit_table import Nodes
 from zeno_orbits.model import HybridDynamics
-from zeno_orbits.model.numeric.compiled_derivatives import N_STAGES
+from zeno_orbits.model.numeric.compiled_flow import N_STAGES
 from zeno_orbits.model.numeric.derivatives import Differentials
 from zeno_orbits.orbits import return_derivative
 from zeno_orbits.orbits.monodromy import differentials_of

@@ -17,13 +17,10 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators.casadi_calls import caller
 from zeno_orbits.integrators.dop853_step import explicit_attempt
+from zeno_orbits.kernels.casadi_calls import caller
 from zeno_orbits.model.numeric.calls import Call
-from zeno_orbits.model.numeric.compiled_flow import ModeFunctions, dense_function
-
-N_STAGES = 7
-"""Stages of the implicit steps, those of the implicit engine."""
+from zeno_orbits.model.numeric.compiled_flow import N_STAGES, ModeFunctions, dense_function
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
