@@ -1,3 +1,4 @@
+from .casadi_calls import caller as caller
 from .compiler import Compiler as Compiler
 from .compiler import find_compiler as find_compiler
 from .folder import KernelFolder as KernelFolder

@@ -16,11 +16,18 @@ from collections.abc import Iterator
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators import Automatic, GuardedFlow, Step, Tolerance
-from zeno_orbits.integrators.collocation import Collocation, radau
-from zeno_orbits.integrators.events import SteppedTrajectory
-from zeno_orbits.integrators.steps import ExplicitStep, RadauStep
-from zeno_orbits.model.numeric.compiled_flow import N_STAGES
+from zeno_orbits.integrators import (
+    Automatic,
+    Collocation,
+    ExplicitStep,
+    GuardedFlow,
+    RadauStep,
+    Step,
+    SteppedTrajectory,
+    Tolerance,
+)
+from zeno_orbits.integrators.collocation import radau
+from zeno_orbits.model import N_STAGES
 from zeno_orbits.model.numeric.derivatives import FlowDifferential
 from zeno_orbits.simulation.execution import Arc
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import Tolerance
-from zeno_orbits.kernels.casadi_calls import caller
+from zeno_orbits.kernels import caller
 from zeno_orbits.model.numeric.hybrid_dynamics import Resting
 
 Connect = Callable[[Sequence[Vector], Sequence[Vector]], Callable[[], None]]

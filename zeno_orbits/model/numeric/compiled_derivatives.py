@@ -17,8 +17,8 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators.dop853_step import explicit_attempt
-from zeno_orbits.kernels.casadi_calls import caller
+from zeno_orbits.integrators import explicit_attempt
+from zeno_orbits.kernels import caller
 from zeno_orbits.model.numeric.calls import Call
 from zeno_orbits.model.numeric.compiled_flow import N_STAGES, ModeFunctions, dense_function
 

@@ -11,15 +11,21 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators import Tolerance
-from zeno_orbits.integrators.collocation import Collocation, radau
-from zeno_orbits.integrators.compiled_leg import CompilableFlow, LegCode
-from zeno_orbits.integrators.dop853_step import error_norm, explicit_attempt, overflow
+from zeno_orbits.integrators import (
+    Collocation,
+    CompilableFlow,
+    LegCode,
+    Tolerance,
+    error_norm,
+    explicit_attempt,
+    follow_source,
+    implicit_expressions,
+    overflow,
+)
+from zeno_orbits.integrators.collocation import radau
 from zeno_orbits.integrators.flow import FIRST_ITERATIONS, Corrected, NewtonPieces, StageGuess
-from zeno_orbits.integrators.follow_source import follow_source
-from zeno_orbits.integrators.radau_step import implicit_expressions, n_factors
-from zeno_orbits.kernels import KernelLibrary, Kernels, Recipe, Source
-from zeno_orbits.kernels.casadi_calls import caller
+from zeno_orbits.integrators.radau_step import n_factors
+from zeno_orbits.kernels import KernelLibrary, Kernels, Recipe, Source, caller
 from zeno_orbits.model.numeric.calls import Call, Connect, StepCall
 
 
