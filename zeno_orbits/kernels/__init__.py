@@ -6,10 +6,10 @@ is there, or where there is no compiler, the same functions are interpreted: res
 to rounding. Libraries are kept in a private folder, each named by all that it depends on.
 
 Offers: `Recipe`, `Source`, `Kernels`, `KernelLibrary`; `When` to compile and `when_to_compile`;
-`KernelFolder` and `kernel_folder`; `Compiler` and `find_compiler`; `complaints`; `caller` for
-calls that are interpreted.
+`KernelFolder` and `kernel_folder`; `Compiler` and `find_compiler`; `complaints` and `account` of
+what became of them; `caller` for calls that are interpreted.
 
-Imports: work, errors, arrays.
+Imports: arrays, errors.
 """
 
 import lazy_loader as lazy

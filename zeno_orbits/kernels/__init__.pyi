@@ -8,5 +8,6 @@ from .requests import Kernels as Kernels
 from .requests import Recipe as Recipe
 from .requests import Source as Source
 from .requests import When as When
+from .requests import account as account
 from .requests import complaints as complaints
 from .requests import when_to_compile as when_to_compile

@@ -29,6 +29,25 @@ _CRASHED = "the compiled code of the kernels crashed"
 _AGREES = 1e-9
 """Relative difference between compiled and interpreted that rounding does not explain."""
 _PRELUDE = "#include <float.h>\n#include <math.h>\n#include <string.h>\n"
+_ROWS = """
+enum { MOST_PLACES = 16 };
+
+/* Call a kernel for many rows: `places` are inputs, then outputs, `steps` from row to row. */
+CASADI_SYMBOL_EXPORT int zk_rows(
+    int (*kernel)(const double **, double **, long long *, double *, int),
+    long long n, long long n_in, long long n_out, double **places, const long long *steps) {
+    const double *given[MOST_PLACES];
+    double *taken[MOST_PLACES];
+    long long row, k;
+    if (n_in > MOST_PLACES || n_out > MOST_PLACES) return 1;
+    for (row = 0; row < n; row++) {
+        for (k = 0; k < n_in; k++) given[k] = places[k] + row * steps[k];
+        for (k = 0; k < n_out; k++) taken[k] = places[n_in + k] + row * steps[n_in + k];
+        kernel(given, taken, 0, 0, 0);
+    }
+    return 0;
+}
+"""
 
 
 def main() -> int:
@@ -81,7 +100,7 @@ def c_code(source: Source) -> str:
         if not function.is_a("SXFunction"):
             raise KernelError(f"function `{function.name()}` is not made of scalar instructions")
         generator.add(function)
-    return f"{_PRELUDE}{generator.dump()}\n{source.code}"
+    return f"{_PRELUDE}{generator.dump()}{_ROWS}{source.code}"
 
 
 def compare(source: Source, library: KernelLibrary) -> None:

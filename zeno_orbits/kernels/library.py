@@ -43,3 +43,29 @@ class KernelLibrary:
             kernel(given, taken, None, None, 0)
 
         return call
+
+    def rows(
+        self, name: str, strides: Sequence[int], widths: Sequence[int]
+    ) -> Callable[[int, Sequence[Vector], Sequence[Vector]], None]:
+        """Return a call of a kernel for many rows, each of which gets what it would get alone.
+
+        Args:
+            name: Name of the kernel.
+            strides: Numbers from one row of an input to the next, one an input; 0 if all rows
+                share it.
+            widths: Numbers in a row of an output, one an output.
+
+        Returns:
+            From the number of rows, contiguous inputs and contiguous outputs to nothing.
+        """
+        loop, kernel = self._code["zk_rows"], ctypes.cast(self._code[name], ctypes.c_void_p)
+        n_in, n_out = len(strides), len(widths)
+        steps = (ctypes.c_longlong * (n_in + n_out))(*strides, *widths)
+        addresses = ctypes.c_void_p * (n_in + n_out)
+        counts = ctypes.c_longlong(n_in), ctypes.c_longlong(n_out)
+
+        def call(n: int, given: Sequence[Vector], taken: Sequence[Vector]) -> None:
+            places = addresses(*(array.ctypes.data for array in (*given, *taken)))
+            loop(kernel, ctypes.c_longlong(n), *counts, places, steps)
+
+        return call

@@ -132,8 +132,21 @@ class Kernels:
         if self._owed > _REPAYS and self._order is None and self._library is None:
             self._ask()
 
+    def build(self) -> bool:
+        """Make the library now, wait for it, and return True if it is there."""
+        if self.library() is None:
+            self._ask()
+            self._wait()
+        return self._library is not None
+
+    @property
+    def is_ordered(self) -> bool:
+        """True if another process makes the library."""
+        return self._order is not None and self._library is None
+
     def _look(self) -> None:
         if not self._key:
+            _used.append(self)
             when, compiler = when_to_compile(), _compiler()
             if when is When.NEVER or compiler is None:
                 self._given_up = True
@@ -142,9 +155,7 @@ class Kernels:
             self._library = self._found()
             if self._library is None and when is When.WAIT:
                 self._ask()
-                if self._order is not None:
-                    self._order.wait()
-                    self._library = self._found()
+                self._wait()
         elif self._order is not None and self._order.due():
             over = self._order.is_over()
             self._library = self._found()
@@ -170,17 +181,50 @@ class Kernels:
         except KernelError as error:
             self._give_up(str(error))
 
+    def _wait(self) -> None:
+        if self._order is None:
+            return
+        self._order.wait()
+        try:
+            self._library = self._found()
+        except KernelError as error:
+            self._give_up(str(error))
+
     def _give_up(self, reason: str) -> None:
         self._given_up = True
         _complaints.setdefault(reason, None)
 
 
 _complaints: dict[str, None] = {}
+_used: list[Kernels] = []
 
 
 def complaints() -> list[str]:
     """Return why kernels are not used in this process, one clause each; mostly there are none."""
     return list(_complaints)
+
+
+def account() -> str:
+    """Return in one clause how steps were taken in this process, and why; empty if none were."""
+    if not _used:
+        return ""
+    if when_to_compile() is When.NEVER:
+        return "steps are interpreted, as ZENO_ORBITS_COMPILE=never asks"
+    if complaints():
+        return f"steps are interpreted: {complaints()[0]}"
+    compiler = _compiler()
+    if compiler is None:
+        install = "install cc, gcc or clang, or run `pip install 'zeno_orbits[compiled]'`"
+        return f"steps are interpreted: there is no C compiler ({install})"
+    there = sum(kernels.library() is not None for kernels in _used)
+    ordered = sum(kernels.is_ordered for kernels in _used)
+    by = f"compiled by {compiler.command[0]}"
+    if there == len(_used):
+        return f"steps are {by}"
+    why = f"the rest took less than {_REPAYS:g} s, which repays no compiling"
+    if ordered:
+        why = f"{ordered} more are being compiled for the next run"
+    return f"steps of {there} of {len(_used)} flows are {by}; {why}"
 
 
 @cache

@@ -28,6 +28,7 @@ from .numeric.compiled_flow import N_STAGES as N_STAGES
 from .numeric.compiled_flow import ModeFunctions as ModeFunctions
 from .numeric.compiled_flow import dense_function as dense_function
 from .numeric.compiled_flow import mode_functions as mode_functions
+from .numeric.compiled_flow import renamed as renamed
 from .numeric.derivatives import Differentials as Differentials
 from .numeric.hybrid_dynamics import HybridDynamics as HybridDynamics
 from .problem import Problem as Problem
