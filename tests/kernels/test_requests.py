@@ -24,7 +24,7 @@ INPUTS = np.array([0.3, -2.0, np.nan, np.inf, -np.inf, 0.0])
 def wave() -> Recipe:
     """One function whose values are NaN and infinite at some of the inputs."""
     x = ca.SX.sym("x", INPUTS.size)
-    function = ca.Function("wave", [x], [ca.sin(x) / x + ca.fmax(x, 1.0) * ca.sqrt(ca.fabs(x))])
+    function = ca.Function("wave", [x], [1 / x + ca.exp(x) + ca.sin(ca.fmin(x, 1.0))])
     return Recipe(maker=f"{written_as_c.__module__}:{written_as_c.__name__}", functions=(function,))
 
 
@@ -157,11 +157,17 @@ def test_a_broken_compiler_is_one_line_and_is_not_tried_again(
 
 
 @needs_compiler
-@pytest.mark.parametrize("length", [0, 100, -1])
+@pytest.mark.parametrize(
+    "length", [-1, *(pytest.param(n, marks=pytest.mark.slow) for n in (0, 99))]
+)
 def test_a_library_that_was_cut_is_made_again(length: int, folder: Path) -> None:
     values = values_of(Kernels(wave))
     (file,) = folder.glob("*.kernels")
-    file.write_bytes(file.read_bytes()[:length])
+    whole = file.read_bytes()
+    # Another file of this name: the first one is in use.
+    file.unlink()
+    file.write_bytes(whole[:length])
+    file.chmod(0o600)
     assert np.array_equal(values_of(Kernels(wave)), values, equal_nan=True)
     assert complaints() == []
 
