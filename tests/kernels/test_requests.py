@@ -57,23 +57,23 @@ def test_a_compiled_kernel_gives_the_bits_of_the_interpreter_nan_and_infinity_to
     caller(wave().functions[0], [INPUTS], [expected])()
     assert np.isnan(expected).any()
     assert np.isinf(expected).any()
-    assert np.array_equal(values_of(Kernels(wave)), expected, equal_nan=True)
+    assert np.array_equal(values_of(Kernels(wave())), expected, equal_nan=True)
     assert complaints() == []
     assert account().startswith("steps are compiled by ")
 
 
 @needs_compiler
 def test_a_library_is_made_once_and_loaded_ever_after(monkeypatch: pytest.MonkeyPatch) -> None:
-    values = values_of(Kernels(wave))
+    values = values_of(Kernels(wave()))
 
     def refuse(*_: object) -> None:
         raise AssertionError("A library is made again.")
 
     monkeypatch.setattr(requests, "_start", refuse)
-    assert np.array_equal(values_of(Kernels(wave)), values, equal_nan=True)
+    assert np.array_equal(values_of(Kernels(wave())), values, equal_nan=True)
     other = Recipe(maker=wave().maker, functions=wave().functions, numbers=(1,))
     with pytest.raises(AssertionError, match="made again"):
-        Kernels(lambda: other).library()
+        Kernels(other).library()
 
 
 @needs_compiler
@@ -81,7 +81,7 @@ def test_in_the_background_nothing_waits_and_the_library_comes_once_work_repays_
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("ZENO_ORBITS_COMPILE", "background")
-    kernels = Kernels(wave)
+    kernels = Kernels(wave())
     assert kernels.library() is None
     kernels.owe(requests._REPAYS / 2)
     assert not folder.exists()
@@ -102,7 +102,7 @@ def test_without_a_compiler_steps_are_interpreted_and_nothing_is_wrong(
 ) -> None:
     monkeypatch.setenv("PATH", str(folder))
     monkeypatch.setattr("zeno_orbits.kernels.compiler.find_spec", lambda _: None)
-    assert Kernels(wave).library() is None
+    assert Kernels(wave()).library() is None
     assert complaints() == []
     assert "there is no C compiler" in account()
     assert not folder.exists()
@@ -110,7 +110,7 @@ def test_without_a_compiler_steps_are_interpreted_and_nothing_is_wrong(
 
 def test_who_wants_none_gets_none(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ZENO_ORBITS_COMPILE", "never")
-    kernels = Kernels(wave)
+    kernels = Kernels(wave())
     assert kernels.library() is None
     kernels.owe(1e9)
     assert not folder.exists()
@@ -119,7 +119,7 @@ def test_who_wants_none_gets_none(folder: Path, monkeypatch: pytest.MonkeyPatch)
 
 def test_a_compiler_that_does_not_exist_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CC", "no-such-compiler -O3")
-    assert Kernels(wave).library() is None
+    assert Kernels(wave()).library() is None
     assert complaints() == [
         "`CC` must name a C compiler, but there is no program `no-such-compiler`"
     ]
@@ -140,7 +140,7 @@ def test_a_broken_compiler_is_one_line_and_is_not_tried_again(
     script: str, told: str, tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("CC", compiler(tmp_path, script))
-    assert Kernels(wave).library() is None
+    assert Kernels(wave()).library() is None
     (said,) = complaints()
     assert told in said
     assert "\n" not in said
@@ -152,7 +152,7 @@ def test_a_broken_compiler_is_one_line_and_is_not_tried_again(
 
     forget(monkeypatch)
     monkeypatch.setattr(requests, "_start", refuse)
-    assert Kernels(wave).library() is None
+    assert Kernels(wave()).library() is None
     assert complaints() == [said]
 
 
@@ -161,14 +161,14 @@ def test_a_broken_compiler_is_one_line_and_is_not_tried_again(
     "length", [-1, *(pytest.param(n, marks=pytest.mark.slow) for n in (0, 99))]
 )
 def test_a_library_that_was_cut_is_made_again(length: int, folder: Path) -> None:
-    values = values_of(Kernels(wave))
+    values = values_of(Kernels(wave()))
     (file,) = folder.glob("*.kernels")
     whole = file.read_bytes()
     # Another file of this name: the first one is in use.
     file.unlink()
     file.write_bytes(whole[:length])
     file.chmod(0o600)
-    assert np.array_equal(values_of(Kernels(wave)), values, equal_nan=True)
+    assert np.array_equal(values_of(Kernels(wave())), values, equal_nan=True)
     assert complaints() == []
 
 
@@ -176,17 +176,17 @@ def test_a_library_that_was_cut_is_made_again(length: int, folder: Path) -> None
 def test_a_folder_or_file_that_others_may_write_to_is_not_trusted(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    values_of(Kernels(wave))
+    values_of(Kernels(wave()))
     (file,) = folder.glob("*.kernels")
     for path in (folder, file):
         mode = path.stat().st_mode
         path.chmod(mode | 0o022)
         forget(monkeypatch)
-        assert Kernels(wave).library() is None
+        assert Kernels(wave()).library() is None
         assert complaints() == [f"`{path}` must be the user's alone, but others may write to it"]
         path.chmod(mode)
     forget(monkeypatch)
-    assert Kernels(wave).library() is not None
+    assert Kernels(wave()).library() is not None
 
 
 @needs_compiler
@@ -195,7 +195,7 @@ def test_a_folder_that_cannot_be_made_is_one_line(
 ) -> None:
     (tmp_path / "file").touch()
     monkeypatch.setenv("ZENO_ORBITS_CACHE", str(tmp_path / "file"))
-    assert Kernels(wave).library() is None
+    assert Kernels(wave()).library() is None
     (said,) = complaints()
     assert "cannot be made" in said
 
@@ -210,7 +210,7 @@ def test_a_full_disk_is_one_line(folder: Path, monkeypatch: pytest.MonkeyPatch) 
         return real(path, *rest)
 
     monkeypatch.setattr(os, "open", full)
-    assert Kernels(wave).library() is None
+    assert Kernels(wave()).library() is None
     assert complaints() == [f"`{folder}` cannot be written (No space left on device)"]
 
 
@@ -219,7 +219,7 @@ def test_a_disk_that_is_full_while_compiling_leaves_nothing_behind(
     tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("CC", compiler(tmp_path, 'ulimit -f 1; exec cc "$@"'))
-    assert Kernels(wave).library() is None
+    assert Kernels(wave()).library() is None
     assert len(complaints()) == 1
     assert {path.suffix for path in folder.iterdir()} == {".failed"}
 
@@ -233,7 +233,7 @@ def test_two_processes_at_once_compile_once_and_both_are_served(
     program = (
         "from tests.kernels.test_requests import values_of, wave\n"
         "from zeno_orbits.kernels import Kernels\n"
-        "print(float(values_of(Kernels(wave))[0]).hex())"
+        "print(float(values_of(Kernels(wave()))[0]).hex())"
     )
     started = [
         subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
@@ -248,14 +248,14 @@ def test_two_processes_at_once_compile_once_and_both_are_served(
 
 @needs_compiler
 def test_a_request_that_nobody_works_on_any_more_is_taken_over(folder: Path) -> None:
-    values_of(Kernels(wave))
+    values_of(Kernels(wave()))
     (file,) = folder.glob("*.kernels")
     job = folder / f"{file.name.partition('-')[0]}.job"
     file.unlink()
     job.touch()
     long_ago = time.time() - 2 * requests._ABANDONED
     os.utime(job, (long_ago, long_ago))
-    assert np.isfinite(values_of(Kernels(wave))[0])
+    assert np.isfinite(values_of(Kernels(wave()))[0])
 
 
 def test_old_libraries_go_once_there_are_many(
@@ -289,7 +289,7 @@ def test_the_folder_is_private_and_where_the_system_keeps_such_things(
 def test_the_cache_is_described_and_cleared(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    values_of(Kernels(wave))
+    values_of(Kernels(wave()))
     assert main(["cache"]) == 0
     said = capsys.readouterr().out
     assert f"Folder: {folder}" in said

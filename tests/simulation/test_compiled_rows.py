@@ -41,25 +41,21 @@ def events_of(model: BatchModel, name: str, n: int, until: float) -> list[LaneEv
 @pytest.mark.parametrize(
     "name", ["bouncing_ball", pytest.param("motor_pendulum", marks=pytest.mark.slow)]
 )
-def test_a_compiled_batch_has_the_events_of_an_interpreted_one_to_the_last_bit(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    compiled = events_of(batch_model(fresh_system(name)), name, 5, 4.0)
-    monkeypatch.setenv("ZENO_ORBITS_COMPILE", "never")
-    plain = events_of(batch_model(fresh_system(name)), name, 5, 4.0)
+def test_a_compiled_batch_has_the_events_of_an_interpreted_one_to_the_last_bit(name: str) -> None:
+    system = fresh_system(name)
+    compiled = events_of(batch_model(system), name, 5, 4.0)
+    plain = events_of(batch_model(system.interpreted()), name, 5, 4.0)
     assert len(compiled) > 5
     assert repr(compiled) == repr(plain)
 
 
-def test_columns_are_compiled_and_pass_on_what_is_not_finite(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    model, system = batch_model(fresh_system("bouncing_ball")), fresh_system("bouncing_ball")
+def test_columns_are_compiled_and_pass_on_what_is_not_finite() -> None:
+    system = fresh_system("bouncing_ball")
+    model = batch_model(system)
     x = np.array([[0.3, np.nan], [np.inf, 1.0], [-0.0, 2.0]])
     p = np.tile(load_problem("bouncing_ball").values().vector, (3, 1))
     found = model.resting(x, p)
     assert model.resting._compiled is not None
-    monkeypatch.setenv("ZENO_ORBITS_COMPILE", "never")
     expected = Columns(system.resting)(x, p)
     for mine, other in zip(found, expected, strict=True):
         assert np.array_equal(mine, other, equal_nan=True)
@@ -69,18 +65,16 @@ def test_columns_are_compiled_and_pass_on_what_is_not_finite(
 @pytest.mark.parametrize(
     "name", ["motor_valve", pytest.param("motor_pendulum", marks=pytest.mark.slow)]
 )
-def test_compiled_perturbations_are_the_interpreted_ones_to_the_last_bit(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_compiled_perturbations_are_the_interpreted_ones_to_the_last_bit(name: str) -> None:
     problem = load_problem(name)
     values, rng = problem.values().vector, np.random.default_rng(1)
     n = len(problem.state_names)
     y = np.array(problem.state_vector(problem.starts[0])) + 0.1
     v, q = rng.normal(size=(n, n + 1)), rng.normal(size=(1, n + 1))
     found: list[tuple[np.ndarray, float, np.ndarray]] = []
-    for when in ("wait", "never"):
-        monkeypatch.setenv("ZENO_ORBITS_COMPILE", when)
-        derivatives = bind(fresh_system(name), values).differentiation
+    system = fresh_system(name)
+    for one in (system, system.interpreted()):
+        derivatives = bind(one, values).differentiation
         assert derivatives is not None
         free = derivatives.by((0,)).free
         stages = np.array([y + 0.01 * k for k in range(7)])
@@ -91,7 +85,7 @@ def test_compiled_perturbations_are_the_interpreted_ones_to_the_last_bit(
 
 def test_a_variational_equation_that_was_compiled_builds_no_formulas() -> None:
     system = fresh_system("motor_valve")
-    functions = VariationFunctions(system.free.rate, (0,), 4)
+    functions = VariationFunctions(system.free, (0,), 4)
     assert functions.kernels.library() is not None
     assert "step" not in vars(functions)
     assert system.free.kernels.library() is not None

@@ -56,8 +56,7 @@ def _compiled(name: str) -> bool:
     """Compile the steps of a problem and return True if all of them are compiled."""
     from zeno_orbits.model import load_problem
 
-    compiled = load_problem(name).compiled()
-    return all(mode.kernels.build() for mode in (compiled.free, compiled.locked, compiled.flight))
+    return load_problem(name).compiled().build()
 
 
 def _compiler_or_trouble() -> tuple[str | None, list[str]]:

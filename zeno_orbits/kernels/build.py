@@ -11,6 +11,7 @@ import json
 import os
 import sys
 import tempfile
+from collections.abc import Generator
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -61,13 +62,25 @@ def main() -> int:
         failure = folder.failure_of(content["key"])
         failure.write_text(_CRASHED, encoding="utf-8")
         try:
-            make(folder, content)
+            with alone(folder):
+                make(folder, content)
         except (KernelError, OSError) as error:
             failure.write_text(str(error), encoding="utf-8")
             return 1
     finally:
         job.unlink(missing_ok=True)
     return 0
+
+
+@contextlib.contextmanager
+def alone(folder: KernelFolder) -> Generator[None]:
+    """Wait until no other process compiles here: one core is enough to give away."""
+    with contextlib.ExitStack() as held:
+        if sys.platform != "win32":
+            import fcntl
+
+            fcntl.flock(held.enter_context((folder.path / ".lock").open("w")), fcntl.LOCK_EX)
+        yield
 
 
 def make(folder: KernelFolder, content: dict[str, Any]) -> Path:

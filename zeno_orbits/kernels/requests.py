@@ -14,7 +14,8 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
 from functools import cache
@@ -100,11 +101,11 @@ class Recipe:
 class Kernels:
     """The kernels of a recipe, from the moment that they are there."""
 
-    def __init__(self, recipe: Callable[[], Recipe]) -> None:
+    def __init__(self, recipe: Recipe | None) -> None:
         """Look for nothing yet.
 
         Args:
-            recipe: Makes the recipe, when it is needed.
+            recipe: How they are made; without one there are none.
         """
         self._recipe = recipe
         self._library: KernelLibrary | None = None
@@ -132,6 +133,13 @@ class Kernels:
         if self._owed > _REPAYS and self._order is None and self._library is None:
             self._ask()
 
+    @contextmanager
+    def owing(self) -> Generator[None]:
+        """Add up the time of what a library would make needless, such as formulas."""
+        started = time.perf_counter()
+        yield
+        self.owe(time.perf_counter() - started)
+
     def build(self) -> bool:
         """Make the library now, wait for it, and return True if it is there."""
         if self.library() is None:
@@ -145,13 +153,15 @@ class Kernels:
         return self._order is not None and self._library is None
 
     def _look(self) -> None:
-        if not self._key:
+        if self._recipe is None:
+            self._given_up = True
+        elif not self._key:
             _used.append(self)
             when, compiler = when_to_compile(), _compiler()
             if when is When.NEVER or compiler is None:
                 self._given_up = True
                 return
-            self._key = key_of(self._recipe(), compiler)
+            self._key = key_of(self._recipe, compiler)
             self._library = self._found()
             if self._library is None and when is When.WAIT:
                 self._ask()
@@ -174,10 +184,10 @@ class Kernels:
 
     def _ask(self) -> None:
         compiler = _compiler()
-        if compiler is None or self._given_up:
+        if compiler is None or self._recipe is None or self._given_up:
             return
         try:
-            self._order = _Order.placed(kernel_folder(), self._key, self._recipe(), compiler)
+            self._order = _Order.placed(kernel_folder(), self._key, self._recipe, compiler)
         except KernelError as error:
             self._give_up(str(error))
 
@@ -246,7 +256,7 @@ def key_of(recipe: Recipe, compiler: Compiler) -> str:
 def _writers() -> str:
     """Return a digest of the code that writes kernels, CasADi's own by its version."""
     package = Path(__file__).resolve().parents[1]
-    digest = hashlib.sha256(ca.__version__.encode())
+    digest = hashlib.sha256(ca.CasadiMeta.version().encode())
     for folder in _WRITERS:
         for file in sorted((package / folder).iterdir()):
             if file.suffix in {".py", ".c"}:

@@ -27,22 +27,22 @@ from zeno_orbits.model.numeric.compiled_flow import N_STAGES, ModeFunctions, den
 class VariationFunctions:
     """The variational equation of a mode for some columns of perturbations, built when needed."""
 
-    def __init__(self, rate: ca.Function, chosen: tuple[int, ...], n_columns: int) -> None:
+    def __init__(self, mode: ModeFunctions, chosen: tuple[int, ...], n_columns: int) -> None:
         """Take a mode.
 
         Args:
-            rate: ``(y, p) -> dy/dt``.
+            mode: The mode.
             chosen: Places of the parameters that are perturbed.
             n_columns: Number of perturbations.
         """
-        self._rate, self._chosen, self._n_columns = rate, chosen, n_columns
+        self._mode, self._chosen, self._n_columns = mode, chosen, n_columns
 
     @cached_property
     def step(self) -> ca.Function:
         """``(y, p, size, V, Q) -> (V after the step, its error estimate of order 5)``."""
         n_columns, chosen = self._n_columns, self._chosen
         y, p, rate, jacobian, by_parameters = self._expressions
-        n_y, name, size = y.numel(), self._rate.name(), ca.SX.sym("size")
+        n_y, name, size = y.numel(), self._mode.rate.name(), ca.SX.sym("size")
         v, q = ca.SX.sym("v", n_y, n_columns), ca.SX.sym("q", len(chosen), n_columns)
         varied = ca.mtimes(jacobian, v) + ca.mtimes(by_parameters, q)
         # Dense, as the stages of both are added up in one column.
@@ -60,7 +60,7 @@ class VariationFunctions:
         """``(y, p) -> (J, F)``, side by side."""
         y, p, _, jacobian, by_parameters = self._expressions
         both = ca.horzcat(jacobian, by_parameters)
-        return dense_function(f"{self._rate.name()}_linear", [y, p], [both])
+        return dense_function(f"{self._mode.rate.name()}_linear", [y, p], [both])
 
     @cached_property
     def linear_stages(self) -> ca.Function:
@@ -72,14 +72,15 @@ class VariationFunctions:
         """The same compiled."""
         maker = f"{__name__}:{variation_kernels.__name__}"
         numbers = (self._n_columns, *self._chosen)
-        return Kernels(lambda: Recipe(maker=maker, functions=(self._rate,), numbers=numbers))
+        functions = (self._mode.rate, self._mode.guard)
+        recipe = Recipe(maker=maker, functions=functions, numbers=numbers)
+        return Kernels(None if self._mode.interpreted else recipe)
 
     @cached_property
     def _expressions(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
         """State, parameters, rate, and its derivatives by the state and the chosen parameters."""
-        y = ca.SX.sym("y", self._rate.size1_in(0))
-        p = ca.SX.sym("p", self._rate.size1_in(1))
-        rate = self._rate(y, p)
+        y, p = ca.SX.sym("y", self._mode.n_y), ca.SX.sym("p", self._mode.n_p)
+        rate = self._mode.rate(y, p)
         return y, p, rate, ca.jacobian(rate, y), ca.jacobian(rate, _picked(p, self._chosen))
 
 
@@ -87,10 +88,11 @@ def variation_kernels(functions: Sequence[ca.Function], numbers: Sequence[int]) 
     """Return the source of the kernels of a variational equation.
 
     Args:
-        functions: The rate.
+        functions: Rate and guard of a mode.
         numbers: Number of perturbations, then places of the parameters that are perturbed.
     """
-    made = VariationFunctions(functions[0], tuple(numbers[1:]), numbers[0])
+    mode = ModeFunctions(rate=functions[0], guard=functions[1])
+    made = VariationFunctions(mode, tuple(numbers[1:]), numbers[0])
     return Source(functions=[renamed(made.step, "zk_step"), renamed(made.linear, "zk_linear")])
 
 
@@ -98,7 +100,7 @@ def variation_kernels(functions: Sequence[ca.Function], numbers: Sequence[int]) 
 def _variation_functions(
     mode: ModeFunctions, chosen: tuple[int, ...], n_columns: int
 ) -> VariationFunctions:
-    return VariationFunctions(mode.rate, chosen, n_columns)
+    return VariationFunctions(mode, chosen, n_columns)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -192,8 +194,9 @@ class CompiledVariation:
         library = functions.kernels.library()
         if library is None:
             self._saved = _SAVED
-            self._step = caller(functions.step, *step)
-            self._linear = caller(functions.linear_stages, *linear)
+            with functions.kernels.owing():
+                self._step = caller(functions.step, *step)
+                self._linear = caller(functions.linear_stages, *linear)
         else:
             self._saved = 0.0
             self._step = library.caller("zk_step", *step)

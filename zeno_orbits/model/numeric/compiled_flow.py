@@ -36,10 +36,12 @@ class ModeFunctions:
     Attributes:
         rate: ``(y, p) -> dy/dt``.
         guard: ``(y, p) -> (guard, its time derivative)``.
+        interpreted: They stay interpreted, for comparisons.
     """
 
     rate: ca.Function
     guard: ca.Function
+    interpreted: bool = False
 
     @property
     def n_y(self) -> int:
@@ -81,7 +83,8 @@ class ModeFunctions:
         """The same compiled, with the loop over the steps of a leg."""
         maker = f"{__name__}:{leg_kernels.__name__}"
         functions = (self.rate, self.guard)
-        return Kernels(lambda: Recipe(maker=maker, functions=functions, numbers=(N_STAGES,)))
+        recipe = Recipe(maker=maker, functions=functions, numbers=(N_STAGES,))
+        return Kernels(None if self.interpreted else recipe)
 
     def _symbols(self) -> tuple[ca.SX, ca.SX]:
         return ca.SX.sym("y", self.n_y), ca.SX.sym("p", self.n_p)
@@ -210,15 +213,19 @@ class FlowMemory:
     def step(self) -> StepCall:
         """One step of DOP853."""
         library = self.mode.kernels.library()
-        connect = _kernel(library, "step") if library else partial(caller, self.mode.step)
-        return StepCall(self.mode.n_y, self.p, connect)
+        if library is not None:
+            return StepCall(self.mode.n_y, self.p, _kernel(library, "step"))
+        with self.mode.kernels.owing():
+            step = self.mode.step
+        return StepCall(self.mode.n_y, self.p, partial(caller, step))
 
     def newton(self, scheme: Collocation) -> NewtonCalls:
         """Return one step of a collocation scheme, in pieces."""
         if self._newton is None or self._newton[0] is not scheme:
             library = self.mode.kernels.library() if scheme is radau(N_STAGES) else None
             if library is None:
-                functions = newton_functions(self.mode, scheme)
+                with self.mode.kernels.owing():
+                    functions = newton_functions(self.mode, scheme)
                 connect = _NewtonConnect(*(partial(caller, function) for function in functions))
             else:
                 connect = _NewtonConnect(*(_kernel(library, n) for n in NewtonFunctions._fields))

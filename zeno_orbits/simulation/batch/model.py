@@ -123,7 +123,8 @@ def batch_model(compiled: CompiledSystem) -> BatchModel:
         *(compiled.reset, compiled.resting),
     )
     maker = f"{__name__}:{batch_kernels.__name__}"
-    kernels = Kernels(lambda: Recipe(maker=maker, functions=functions))
+    interpreted = compiled.free.interpreted
+    kernels = Kernels(None if interpreted else Recipe(maker=maker, functions=functions))
     contact, restitution, rebound, reset, resting = (
         Columns(function, kernels, f"zk_{function.name()}") for function in functions[-5:]
     )
