@@ -38,6 +38,6 @@ def fresh_system(name: str) -> CompiledSystem:
     return _compiled.__wrapped__(load_problem(name), None)
 
 
-def written_as_c(functions: Sequence[ca.Function], _numbers: Sequence[int]) -> Source:
+def written_as_c(functions: Sequence[ca.Function], _numbers: Sequence[float]) -> Source:
     """Return a source of the functions as they are: the maker of small recipes."""
     return Source(functions=functions)

@@ -79,7 +79,7 @@ def alone(folder: KernelFolder) -> Generator[None]:
         if sys.platform != "win32":
             import fcntl
 
-            fcntl.flock(held.enter_context((folder.path / ".lock").open("w")), fcntl.LOCK_EX)
+            fcntl.flock(held.enter_context(folder.lock.open("w")), fcntl.LOCK_EX)
         yield
 
 

@@ -99,6 +99,11 @@ class KernelFolder:
             old.unlink(missing_ok=True)
         return target
 
+    @property
+    def lock(self) -> Path:
+        """The file that whoever compiles here holds."""
+        return self.path / ".lock"
+
     def failure_of(self, key: str) -> Path:
         """Return the file that says why a library could not be made."""
         return self.path / f"{key}{_FAILED}"
@@ -126,6 +131,7 @@ class KernelFolder:
         kinds = (_SUFFIX, _FAILED, JOB)
         for file in (file for kind in kinds for file in self.path.glob(f"*{kind}")):
             file.unlink(missing_ok=True)
+        self.lock.unlink(missing_ok=True)
         return len(libraries)
 
 

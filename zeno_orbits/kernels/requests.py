@@ -90,7 +90,7 @@ class Recipe:
 
     maker: str
     functions: tuple[ca.Function, ...]
-    numbers: tuple[int, ...] = ()
+    numbers: tuple[float, ...] = ()
 
     def plain(self) -> dict[str, object]:
         """Return the recipe as plain data."""

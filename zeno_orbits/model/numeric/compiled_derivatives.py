@@ -84,7 +84,7 @@ class VariationFunctions:
         return y, p, rate, ca.jacobian(rate, y), ca.jacobian(rate, _picked(p, self._chosen))
 
 
-def variation_kernels(functions: Sequence[ca.Function], numbers: Sequence[int]) -> Source:
+def variation_kernels(functions: Sequence[ca.Function], numbers: Sequence[float]) -> Source:
     """Return the source of the kernels of a variational equation.
 
     Args:
@@ -92,7 +92,8 @@ def variation_kernels(functions: Sequence[ca.Function], numbers: Sequence[int]) 
         numbers: Number of perturbations, then places of the parameters that are perturbed.
     """
     mode = ModeFunctions(rate=functions[0], guard=functions[1])
-    made = VariationFunctions(mode, tuple(numbers[1:]), numbers[0])
+    n_columns, *places = map(int, numbers)
+    made = VariationFunctions(mode, tuple(places), n_columns)
     return Source(functions=[renamed(made.step, "zk_step"), renamed(made.linear, "zk_linear")])
 
 

@@ -94,7 +94,7 @@ N_STAGES = 7
 """Stages of the implicit steps that are compiled, those of the implicit engine."""
 
 
-def leg_kernels(functions: Sequence[ca.Function], numbers: Sequence[int]) -> Source:
+def leg_kernels(functions: Sequence[ca.Function], numbers: Sequence[float]) -> Source:
     """Return the source of the kernels of a mode and of the loop over its steps.
 
     Args:
@@ -102,7 +102,7 @@ def leg_kernels(functions: Sequence[ca.Function], numbers: Sequence[int]) -> Sou
         numbers: Stages of an implicit step.
     """
     rate, guard = functions
-    mode, scheme = ModeFunctions(rate=rate, guard=guard), radau(numbers[0])
+    mode, scheme = ModeFunctions(rate=rate, guard=guard), radau(int(numbers[0]))
     newton = newton_functions(mode, scheme)
     kernels = {
         "rate": rate,

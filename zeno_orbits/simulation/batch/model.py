@@ -17,24 +17,33 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import overflow
 from zeno_orbits.integrators.rosenbrock import rosenbrock_step
 from zeno_orbits.kernels import Kernels, Recipe, Source
-from zeno_orbits.model import CompiledSystem, ModeFunctions, Problem, dense_function, renamed
+from zeno_orbits.model import (
+    USUAL,
+    CompiledSystem,
+    ModeFunctions,
+    OwnScale,
+    Problem,
+    dense_function,
+    renamed,
+)
 
 
 class BatchFlow:
     """A mode for many rows ``(y, p)``."""
 
-    def __init__(self, mode: ModeFunctions, kernels: Kernels) -> None:
+    def __init__(self, mode: ModeFunctions, absolute: float, kernels: Kernels) -> None:
         """Take the functions of a mode.
 
         Args:
             mode: The mode.
+            absolute: Absolute over relative local error.
             kernels: Of the whole model.
         """
         self.n_y = mode.n_y
         name = mode.rate.name()
         self._rate = Columns(mode.rate, kernels, f"zk_{name}")
         self._guard = Columns(mode.guard, kernels, f"zk_{mode.guard.name()}")
-        self._step = Columns(_step_function(mode), kernels, f"zk_{name}_step")
+        self._step = Columns(_step_function(mode, absolute), kernels, f"zk_{name}_step")
 
     def rate(self, y: Vector, p: Vector) -> Vector:
         """Return ``dy/dt``, ``(n, n_y)``."""
@@ -53,19 +62,19 @@ class BatchFlow:
             y: States before it, ``(n, n_y)``.
             p: Parameters, ``(n, n_p)``.
             size: Step sizes, ``(n,)``.
-            tolerance: Local errors allowed relative to ``|y| + 0.1``, ``(n,)``.
+            tolerance: Local errors allowed relative to ``absolute + |y|``, ``(n,)``.
         """
         after, error, guard = self._step(y, p, np.stack([size, tolerance], axis=1))
         return after, error[:, 0], guard
 
 
-def _step_function(mode: ModeFunctions) -> ca.Function:
+def _step_function(mode: ModeFunctions, absolute: float) -> ca.Function:
     y = ca.SX.sym("y", mode.rate.size1_in(0))
     p = ca.SX.sym("p", mode.rate.size1_in(1))
     numbers = ca.SX.sym("numbers", 2)
     size, tolerance = ca.vertsplit(numbers)
     after, miss = rosenbrock_step(lambda state: mode.rate(state, p), mode.jacobian(y, p), y, size)
-    scale = tolerance * (ABSOLUTE + ca.fmax(ca.fabs(y), ca.fabs(after)))
+    scale = tolerance * (absolute + ca.fmax(ca.fabs(y), ca.fabs(after)))
     error = ca.sqrt(ca.sumsqr(miss / scale) / y.numel()) + overflow(ca.sum1(after), ca)
     name = f"{mode.rate.name()}_rosenbrock"
     return dense_function(name, [y, p, numbers], [after, error, mode.guard(after, p)])
@@ -92,6 +101,7 @@ class BatchModel:
         rebound: ``(p, approach rate) -> gap rate after the impact``.
         reset: ``(x, p, approach rate) -> x`` after the impact.
         resting: ``(x, p) -> (x on the stop, its gap_acceleration, its locked flow)``.
+        own: Sizes of the problem's numbers.
     """
 
     state_names: tuple[str, ...]
@@ -106,6 +116,12 @@ class BatchModel:
     rebound: Columns
     reset: Columns
     resting: Columns
+    own: OwnScale
+
+    @property
+    def absolute(self) -> float:
+        """Absolute over relative local error."""
+        return ABSOLUTE * self.own.least
 
     @property
     def n_x(self) -> int:
@@ -113,8 +129,14 @@ class BatchModel:
         return len(self.state_names)
 
 
-def batch_model(compiled: CompiledSystem) -> BatchModel:
-    """Return the functions of a compiled problem for many rows."""
+def batch_model(compiled: CompiledSystem, own: OwnScale = USUAL) -> BatchModel:
+    """Return the functions of a compiled problem for many rows.
+
+    Args:
+        compiled: The problem.
+        own: Sizes of its numbers.
+    """
+    absolute = ABSOLUTE * own.least
     n_p = compiled.contact.size1_in(1)
     modes = (compiled.free, compiled.locked, compiled.flight)
     functions = (
@@ -124,7 +146,8 @@ def batch_model(compiled: CompiledSystem) -> BatchModel:
     )
     maker = f"{__name__}:{batch_kernels.__name__}"
     interpreted = compiled.free.interpreted
-    kernels = Kernels(None if interpreted else Recipe(maker=maker, functions=functions))
+    recipe = Recipe(maker=maker, functions=functions, numbers=(absolute,))
+    kernels = Kernels(None if interpreted else recipe)
     contact, restitution, rebound, reset, resting = (
         Columns(function, kernels, f"zk_{function.name()}") for function in functions[-5:]
     )
@@ -133,14 +156,15 @@ def batch_model(compiled: CompiledSystem) -> BatchModel:
         n_q=compiled.n_q,
         clock=compiled.clock,
         n_p=n_p,
-        free=BatchFlow(compiled.free, kernels),
-        locked=BatchFlow(compiled.locked, kernels),
-        flight=BatchFlow(compiled.flight, kernels),
+        free=BatchFlow(compiled.free, absolute, kernels),
+        locked=BatchFlow(compiled.locked, absolute, kernels),
+        flight=BatchFlow(compiled.flight, absolute, kernels),
         contact=contact,
         restitution=restitution,
         rebound=rebound,
         reset=reset,
         resting=resting,
+        own=own,
     )
 
 
@@ -149,24 +173,24 @@ def _restitution(compiled: CompiledSystem) -> ca.Function:
     return dense_function("restitution", [x, p], [compiled.impulse(x, p)[2][0]])
 
 
-def batch_kernels(functions: Sequence[ca.Function], _numbers: Sequence[int]) -> Source:
+def batch_kernels(functions: Sequence[ca.Function], numbers: Sequence[float]) -> Source:
     """Return the source of the kernels of a model for many rows.
 
     Args:
         functions: Rate and guard of every mode, then what holds at a point.
-        _numbers: None.
+        numbers: Absolute over relative local error.
     """
     pairs = zip(functions[:6:2], functions[1:6:2], strict=True)
     modes = [ModeFunctions(rate=rate, guard=guard) for rate, guard in pairs]
     named = {function.name(): function for function in functions}
-    named |= {f"{mode.rate.name()}_step": _step_function(mode) for mode in modes}
+    named |= {f"{mode.rate.name()}_step": _step_function(mode, numbers[0]) for mode in modes}
     return Source(functions=[renamed(one, f"zk_{name}") for name, one in named.items()])
 
 
 @lru_cache(maxsize=4)
-def model_in_rows(problem: Problem) -> BatchModel:
-    """Return the functions of a problem for many rows, built once."""
-    return batch_model(problem.compiled())
+def model_in_rows(problem: Problem, own: OwnScale = USUAL) -> BatchModel:
+    """Return the functions of a problem for many rows, built once for each scale."""
+    return batch_model(problem.compiled(), own)
 
 
 _LARGEST = 8
