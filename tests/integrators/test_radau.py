@@ -259,10 +259,7 @@ def test_a_singular_newton_matrix_refuses_the_step_and_no_wrong_state_comes_out(
     y, p = ca.SX.sym("y"), ca.SX.sym("p", 0)
     rate = ca.Function("rate", [y, p], [y])
     dummy = ca.Function("dummy", [y, p], [ca.vertcat(y, y)])
-    numbers = ca.SX.sym("numbers", 3)
-    step = ca.Function("step", [y, p, numbers], [y, y])
-    jacobian = ca.Function("jacobian", [y, p], [ca.SX(1.0)])
-    mode = ModeFunctions(rate=rate, jacobian=jacobian, guard=dummy, step=step)
+    mode = ModeFunctions(rate=rate, guard=dummy)
     flow = CompiledFlow(mode, np.zeros(0))
     scheme = radau(7)
     singular = scheme.spectrum.values[0].real
