@@ -406,7 +406,9 @@ def _mutate(data: Any, chance: random.Random) -> None:
         data[key] += chance.choice([-1, 1])
     elif isinstance(data[key], str):
         place = chance.randrange(len(data[key]))
-        data[key] = data[key][:place] + chance.choice("0123456789abcdef-px") + data[key][place + 1 :]
+        data[key] = (
+            data[key][:place] + chance.choice("0123456789abcdef-px") + data[key][place + 1 :]
+        )
     else:
         data[key] = None
 
@@ -415,7 +417,9 @@ def _require_true(mutant: Certificate, original: Certificate) -> None:
     """Check the claims of a mutant against what is known of the orbit."""
     start = [
         (_value(a) + _value(b)) / 2
-        for a, b in zip(*(_claim(original, "start_state")[end] for end in ("low", "high")), strict=True)
+        for a, b in zip(
+            *(_claim(original, "start_state")[end] for end in ("low", "high")), strict=True
+        )
     ]
     for claim in mutant["claims"]:
         if claim["name"] == "period":
