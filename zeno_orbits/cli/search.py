@@ -31,7 +31,7 @@ from zeno_orbits.cli.parsing import (
     read_shape,
     read_wish,
 )
-from zeno_orbits.cli.search_output import answer
+from zeno_orbits.cli.search_output import SearchNotes, answer
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 from zeno_orbits.work.files import require_writable
@@ -105,6 +105,14 @@ def add_search(commands: Any) -> None:
         "certificate; may be repeated",
     )
     parser.add_argument(
+        "--start",
+        action=Named,
+        type=read_named_number,
+        metavar="STATE=VALUE",
+        help="simulate from this state, others zero, to find orbits; by default from each start of "
+        "the problem",
+    )
+    parser.add_argument(
         "--from",
         dest="near",
         type=Path,
@@ -138,9 +146,15 @@ def add_search(commands: Any) -> None:
         help="longest time to wait for a motion to repeat [s]; by default some hundred turns of "
         "the problem's clock, or of its slowest oscillation",
     )
-    parser.add_argument("--starts", type=read_count, default=12, metavar="N", help="random starts")
     parser.add_argument(
-        "--seed", type=read_seed, default=0, help="seed of the random starts; 0 by default"
+        "--starts",
+        type=read_count,
+        default=12,
+        metavar="N",
+        help="most starts after the first, of places all over the box the most promising ones",
+    )
+    parser.add_argument(
+        "--seed", type=read_seed, default=0, help="seed of these places; 0 by default"
     )
     parser.add_argument("-o", "--output", type=Path, help="write the verified orbit here")
 
@@ -194,12 +208,18 @@ def _run_search(options: argparse.Namespace) -> int:
                 on_progress=progress,
                 spread=StartWorkers(problem_file=problem_file, plan=plan, tell=progress),
                 shape=options.shape,
+                initial_states=(options.start,) if options.start else (),
             )
     except KeyboardInterrupt:
         return interrupted(options, checkpoint)
-    held = held_derived(problem, values, free)
-    far = far_from_own(problem, values)
-    code = answer(options, problem, result, objective if free else None, bounds, held, far)
+    notes = SearchNotes(
+        free=free,
+        objective=objective,
+        bounds=bounds,
+        held=held_derived(problem, values, free),
+        far=far_from_own(problem, values),
+    )
+    code = answer(options, problem, result, notes)
     drop_checkpoint(options, checkpoint)
     return code
 
@@ -228,9 +248,10 @@ def _numbers(
 ) -> tuple[ParameterValues, dict[str, tuple[float, float]]]:
     """Return the numbers to start from and what is free."""
     from zeno_orbits.model.quantities import unknown
+    from zeno_orbits.search import free_gains
 
     fixed, given, boxes, named = options.fix, options.set, options.gain, options.free
-    gains = {gain.name: (gain.lower, gain.upper) for gain in problem.gains}
+    gains = free_gains(problem)
     for name in boxes:
         if name not in gains:
             raise InputError(unknown("gain", name, tuple(gains)))

@@ -132,8 +132,8 @@ def start_at_release(
 
 def _sizes(problem: Problem, orbit: ZenoOrbit) -> Vector:
     """Return the size of each state over the events of an orbit, nowhere near zero, ``(n_x,)``."""
-    events = [orbit.release_state, orbit.zeno_state, *(i.state_minus for i in orbit.impacts)]
-    sizes = np.max(np.abs([problem.state_vector(state) for state in events]), axis=0)
+    events = [problem.state_vector(state) for state in orbit.states_at_events]
+    sizes = np.max(np.abs(events), axis=0)
     return _not_small(sizes, 1e-9)
 
 

@@ -20,6 +20,7 @@ from .outcome import Candidate as Candidate
 from .outcome import Judgement as Judgement
 from .outcome import OrbitNotFoundError as OrbitNotFoundError
 from .outcome import SearchResult as SearchResult
+from .number_notes import free_gains as free_gains
 from .search import find_orbit as find_orbit
 from .search import search_gains as search_gains
 from .settings import SearchSettings as SearchSettings

@@ -25,7 +25,7 @@ from zeno_orbits.orbits import (
     new_orbit,
     placed,
 )
-from zeno_orbits.orbits.bounds import KEPT, excess
+from zeno_orbits.orbits.bounds import allowance, excess
 from zeno_orbits.orbits.cycle import round_again
 from zeno_orbits.orbits.phases import Moment
 from zeno_orbits.search.closing import escape_of, named
@@ -98,7 +98,7 @@ def _excesses(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> d
             value = signal(search.compiled, bound.name).at(values.vector)
             extent: Extent = extent_of(value, cycle.arcs)
             size = excess(bound, extent)
-            if size > KEPT * max(extent.largest, 1.0) / 2:
+            if size > allowance(bound, extent) / 2:
                 found[bound.name] = max(found.get(bound.name, 0.0), size)
     return found
 

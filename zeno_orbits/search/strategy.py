@@ -73,7 +73,7 @@ def from_start(search: SearchProblem, start: SearchStart) -> StartOutcome:
 def simulated(search: SearchProblem, values: ParameterValues) -> tuple[Cycle | None, str]:
     """Return a period to which the problem settles, or why there is none."""
     dynamics = search.dynamics(values)
-    starts = [search.problem.state_vector(start) for start in search.problem.starts]
+    starts = [search.problem.state_vector(start) for start in search.initial_states]
     settling = settle(dynamics, starts, search.settings.settling, search.shape, search.problem)
     cycle = settling.cycle
     if cycle is None:
