@@ -6,6 +6,7 @@ from .fixed_point import ClosedCycle as ClosedCycle
 from .fixed_point import close_cycle as close_cycle
 from .fixed_point import cycle_near as cycle_near
 from .guess import SettlingSettings as SettlingSettings
+from .guess import settle as settle
 from .multistart import StartWorkers as StartWorkers
 from .objectives import FastestContraction as FastestContraction
 from .objectives import LeastEnergy as LeastEnergy

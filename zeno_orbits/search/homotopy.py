@@ -39,12 +39,14 @@ class Followed:
         values: Its numbers.
         arrived: True if they are the ones that were wanted.
         ending: Place and reason of the end, as a sentence, if it did not arrive.
+        left: Part of the way that is left.
     """
 
     cycle: Cycle | None
     values: ParameterValues
     arrived: bool
     ending: str = ""
+    left: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,7 +134,10 @@ def follow(
     if reached:
         return Followed(cycle=cycle, values=wanted, arrived=True)
     ending = _ending(first, points[-1], easy, wanted)
-    return Followed(cycle=cycle, values=points[-1].values, arrived=False, ending=ending)
+    last = points[-1]
+    return Followed(
+        cycle=cycle, values=last.values, arrived=False, ending=ending, left=1 - last.part
+    )
 
 
 def _closed(line: _Line, part: float, guess: Vector, scale: Vector, period: float) -> _Point:

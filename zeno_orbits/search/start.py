@@ -13,7 +13,7 @@ from zeno_orbits.search.outcome import Accept, Candidate, Judgement, StartOutcom
 from zeno_orbits.search.scan import start_order, start_place
 from zeno_orbits.search.search_problem import SearchProblem, listed
 from zeno_orbits.search.settings import SearchStatus
-from zeno_orbits.search.strategy import SearchStart, from_start
+from zeno_orbits.search.strategy import SearchStart, beside, from_start
 from zeno_orbits.simulation.signals import Extent
 from zeno_orbits.verification import measure
 
@@ -66,18 +66,17 @@ def try_start(search: SearchProblem, number: int, accept: Accept | None) -> Star
     start = numbered_start(search, number)
     name = f"start {number + 1}"
     search.tell(f"{name}: simulating {listed(search.numbers(start.values))}")
-    outcome, judgement = _tried(search, start, accept, name)
+    outcome, judgement = _judged(search, from_start(search, start), accept, name)
     if judgement is not None and judgement.repels and search.free:
         outcome = _attracting(search, start, accept, name, outcome, judgement)
     numbers = {name: start.values.number(name) for name in search.free}
     return replace(outcome, solution=None, start=numbers)
 
 
-def _tried(
-    search: SearchProblem, start: SearchStart, accept: Accept | None, name: str
+def _judged(
+    search: SearchProblem, outcome: StartOutcome, accept: Accept | None, name: str
 ) -> tuple[StartOutcome, Judgement | None]:
-    """Search from one start, measure the orbit on a simulation, and accept or refuse it."""
-    outcome = from_start(search, start)
+    """Measure the orbit of a start on a simulation, if there is one, and accept or refuse it."""
     orbit = None if outcome.solution is None else outcome.solution.orbit
     if outcome.status is not SearchStatus.FOUND or orbit is None:
         return outcome, None
@@ -128,8 +127,12 @@ def _attracting(
     where = listed(search.numbers(refused.solution.values))
     search.tell(f"{name}: looking for an orbit that attracts")
     bound = Bound(name="spectral_radius", upper=_ATTRACTS)
+    bounded = replace(search, bounds=(*search.bounds, bound))
     try:
-        outcome, _ = _tried(replace(search, bounds=(*search.bounds, bound)), start, accept, name)
+        # It is most often near.
+        outcome, _ = _judged(bounded, beside(bounded, start, refused.solution), accept, name)
+        if outcome.candidate is None:
+            outcome, _ = _judged(bounded, from_start(bounded, start), accept, name)
     except InputError:
         # Only a few multipliers can be bounded.
         return refused

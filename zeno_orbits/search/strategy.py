@@ -17,7 +17,7 @@ from zeno_orbits.search.confirmation import one_cycle
 from zeno_orbits.search.guess import settle
 from zeno_orbits.search.homotopy import Followed, follow
 from zeno_orbits.search.objectives import NearestGains, Objective, Target, TowardTarget
-from zeno_orbits.search.outcome import StartOutcome
+from zeno_orbits.search.outcome import SimulatedSolution, StartOutcome
 from zeno_orbits.search.refinement import (
     COARSE,
     ON_THE_WAY,
@@ -45,11 +45,13 @@ class SearchStart:
         values: The numbers.
         near: An orbit at these numbers or near them; by default the problem is simulated.
         easy: Numbers from which to follow orbits to these where a simulation finds none.
+        known_empty: True if it is known that a simulation finds none.
     """
 
     values: ParameterValues
     near: ZenoOrbit | None = None
     easy: tuple[ParameterValues, ...] = ()
+    known_empty: bool = False
 
 
 def from_start(search: SearchProblem, start: SearchStart) -> StartOutcome:
@@ -58,7 +60,7 @@ def from_start(search: SearchProblem, start: SearchStart) -> StartOutcome:
     if near is not None:
         path = follow(search, near, near.values(search.problem), values)
         return _along(search, start, path, "the known orbit")
-    cycle, reason = simulated(search, values)
+    cycle, reason = (None, "no orbit is near") if start.known_empty else simulated(search, values)
     if cycle is not None:
         outcome = from_cycle(search, values, cycle)
         if outcome.status is SearchStatus.FOUND or search.free:
@@ -68,6 +70,11 @@ def from_start(search: SearchProblem, start: SearchStart) -> StartOutcome:
         detail = f"{where}{reason}."
         outcome = StartOutcome(status=SearchStatus.NO_GUESS, detail=detail[0].upper() + detail[1:])
     return _by_an_easier_way(search, start, outcome)
+
+
+def beside(search: SearchProblem, start: SearchStart, solution: SimulatedSolution) -> StartOutcome:
+    """Search from the solution of a search with fewer bounds."""
+    return refine(search, solution.values, solution.cycle, search.objective, start.values)
 
 
 def simulated(search: SearchProblem, values: ParameterValues) -> tuple[Cycle | None, str]:
@@ -128,7 +135,8 @@ def _by_an_easier_way(
         reached = _along(search, start, path, listed(_differing(easy, start.values)))
         if reached.status is SearchStatus.FOUND:
             return reached
-        return replace(outcome, detail=f"{outcome.detail} {path.ending}".strip())
+        detail = f"{outcome.detail} {path.ending}".strip()
+        return replace(outcome, detail=detail, shortfall=min(outcome.shortfall, path.left))
     return outcome
 
 
