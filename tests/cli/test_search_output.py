@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from zeno_orbits.cli.program import build_parser
-from zeno_orbits.cli.search_output import SearchNotes, map_command, answer
+from zeno_orbits.cli.search_output import SearchNotes, answer, map_command
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits import Bound
@@ -82,7 +82,7 @@ def test_a_search_that_fails_names_the_numbers_that_may_be_in_another_unit(
     options = _options(json=as_json)
     assert answer(options, problem, NOTHING, _notes(far)) == 1
     said = capsys.readouterr().out
-    sentence = "`R` is 3000 ohm, 1000 times the problem's own 3 ohm: is that its unit?"
+    sentence = "`R` is 3000 ohm, 1000 times the problem's own 3 ohm: is its unit right?"
     if as_json:
         assert json.loads(said)["far"] == [sentence]
     else:
@@ -121,7 +121,7 @@ def test_every_no_says_which_options_to_try_and_which_are_of_no_use(
     assert not any(word in said for word in others), said
 
 
-def test_the_map_that_a_failed_search_names_can_be_made(problem: Problem) -> None:
+def test_the_map_that_a_failed_search_names_can_be_made() -> None:
     notes = replace(_notes([]), free={"restitution": (0.1, 0.2)})
     for name in ("motor_pendulum", "bouncing_ball", "forced_oscillator"):
         command = map_command(load_problem(name), _options(problem=name, fix={}, set={}), notes)

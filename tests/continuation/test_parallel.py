@@ -14,7 +14,7 @@ import joblib
 import numpy as np
 import pytest
 
-from tests.support.commands import ask
+from tests.support.commands import ask, interrupted_when
 from tests.support.places import places_that_cannot_be_had, refuses
 from tests.support.processes import Commands, workers_of
 from zeno_orbits.continuation import parallel as dispatch
@@ -29,7 +29,6 @@ from zeno_orbits.continuation.two_parameters.plane import CurveSteps
 from zeno_orbits.errors import CheckpointError, InputError, SimulationError, WorkError
 from zeno_orbits.model.library import load_problem, locate_problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.report import terminal as report
 from zeno_orbits.work import Cluster, LostPoint, Plan, Workers, open_pool
 from zeno_orbits.work import scheduling as spreading_module
 from zeno_orbits.work.progress import silent
@@ -275,33 +274,22 @@ def test_the_checkpoint_of_another_version_and_a_broken_one_are_refused(
 
 
 def test_an_interrupt_keeps_the_jobs_that_are_finished(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept: tuple[Path, dict[str, Any]]
+    tmp_path: Path, kept: tuple[Path, dict[str, Any]]
 ) -> None:
     words = (*NEAR, "--workers", "1", "-o", tmp_path / "family.json", "--json")
 
-    def interrupt(_progress: report.ProgressLine, what: str, _part: float | None = None) -> None:
-        if what.startswith("1 of 2 directions"):
-            raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(report.ProgressLine, "__call__", interrupt)
+    with interrupted_when(lambda stage, _: stage.startswith("1 of 2 directions")):
         answer = ask(*words)
     assert answer.code == INTERRUPTED
-    assert answer.err.endswith("family.json.checkpoint` keeps what is finished\n")
+    assert "family.json.checkpoint` keeps what is finished: the same command goes on" in answer.err
     assert len(list((tmp_path / "family.json.checkpoint").rglob("chunk-*"))) == 1
     assert ask(*words).data == kept[1]
     assert [path.name for path in tmp_path.iterdir()] == ["family.json"]
 
 
-def test_an_interrupt_with_nothing_finished_leaves_no_checkpoint_behind(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def interrupt(_progress: report.ProgressLine, what: str, _part: float | None = None) -> None:
-        if "directions" in what:
-            raise KeyboardInterrupt
-
-    monkeypatch.setattr(report.ProgressLine, "__call__", interrupt)
-    assert ask(*NEAR, "--workers", "1", "-o", tmp_path / "family.json").code == INTERRUPTED
+def test_an_interrupt_with_nothing_finished_leaves_no_checkpoint_behind(tmp_path: Path) -> None:
+    with interrupted_when(lambda stage, _: "directions" in stage):
+        assert ask(*NEAR, "--workers", "1", "-o", tmp_path / "family.json").code == INTERRUPTED
     assert list(tmp_path.iterdir()) == []
 
 

@@ -15,13 +15,12 @@ from typing import Any
 import joblib
 import pytest
 
-from tests.support.commands import ask
+from tests.support.commands import ask, interrupted_when
 from tests.support.places import places_that_cannot_be_had, refuses
 from tests.support.processes import Commands
 from zeno_orbits.errors import CheckpointError, InputError
 from zeno_orbits.model.library import locate_problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.report import terminal as report
 from zeno_orbits.search import (
     Judgement,
     SearchResult,
@@ -303,19 +302,14 @@ def test_the_checkpoint_beside_the_output_goes_when_there_is_an_answer(tmp_path:
 
 @pytest.mark.slow
 def test_an_interrupt_keeps_the_starts_that_are_finished(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept: tuple[Path, dict[str, Any]]
+    tmp_path: Path, kept: tuple[Path, dict[str, Any]]
 ) -> None:
     words = (*BALL, "--workers", "1", "-o", tmp_path / "ball.json", "--json")
 
-    def interrupt(_progress: report.ProgressLine, _what: str, part: float | None = None) -> None:
-        if part is not None and part >= 0.5:
-            raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(report.ProgressLine, "__call__", interrupt)
+    with interrupted_when(lambda _, part: part >= 0.5):
         answer = ask(*words)
     assert answer.code == INTERRUPTED
-    assert answer.err.endswith("ball.json.checkpoint` keeps what is finished\n")
+    assert "ball.json.checkpoint` keeps what is finished: the same command goes on" in answer.err
     assert len(list((tmp_path / "ball.json.checkpoint").glob("chunk-*"))) == 2
     assert ask(*words).data == kept[1]
     assert list(tmp_path.iterdir()) == []

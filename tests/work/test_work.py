@@ -101,6 +101,18 @@ def test_progress_is_told_up_to_the_end(diary: Diary) -> None:
     assert told[-1] == ("24 of 24 points", 1.0)
 
 
+def test_progress_goes_by_points_inside_a_chunk_that_tells_it() -> None:
+    told: list[tuple[str, float]] = []
+    whole = Plan(place=Workers(count=1), chunk=8)
+    spread(chores.telling, POINTS[:8], whole, on_progress=lambda *one: told.append(one))
+    parts = [part for _, part in told]
+    assert parts == sorted(parts)
+    assert len({part for part in parts if 0.0 < part < 1.0}) >= 3
+    assert told[-1] == ("8 of 8 points", 1.0)
+    # What is under way is not finished: a reader who stops at the end has everything.
+    assert max(part for part in parts[:-1] if part < 1.0) <= 0.99
+
+
 # ---------------------------------------------------------------------------- misuse and failure
 
 
@@ -361,11 +373,11 @@ def test_a_broken_identity_is_named(kept: Path) -> None:
 
 def test_a_folder_of_other_things_is_refused_and_left_untouched(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("everything")
-    with pytest.raises(CheckpointError, match=r"no checkpoint: it holds `thesis\.tex`"):
+    with pytest.raises(CheckpointError, match=r"not a checkpoint: it holds `thesis\.tex`"):
         spread(forbidden, POINTS, plan(tmp_path))
-    with pytest.raises(CheckpointError, match="no folder"):
+    with pytest.raises(CheckpointError, match="not a folder"):
         spread(forbidden, POINTS, plan(tmp_path / "thesis.tex"))
-    with pytest.raises(CheckpointError, match="no folder"):
+    with pytest.raises(CheckpointError, match="not a folder"):
         spread(forbidden, POINTS, plan(tmp_path / "missing" / "kept"))
     assert contents(tmp_path) == {"thesis.tex": b"everything"}
 

@@ -21,8 +21,7 @@ from zeno_orbits.continuation.margins import Threat, stages, threats
 from zeno_orbits.continuation.return_maps import DifferentiatedReturn, Loss, ReturnMap
 from zeno_orbits.continuation.special_points import Located, crossings, locate_inside
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.orbits import follow_path
-from zeno_orbits.orbits.path import PathStep, StepControl, StepError, returns_to_start
+from zeno_orbits.orbits import PathStep, StepControl, StepError, follow_path, returns_to_start
 from zeno_orbits.work import Progress
 
 
@@ -282,12 +281,12 @@ def require_continuous(before: DifferentiatedReturn, after: DifferentiatedReturn
         StepError: If the period jumps, or an impact comes or goes.
     """
     if not 1 / _SAME_PERIOD < after.time / before.time < _SAME_PERIOD:
-        raise StepError("the period is another one")
+        raise StepError("the period jumps")
     for margin, value in after.margins.items():
         if margin.loss is not Loss.FIRST_IMPACT or margin not in before.margins:
             continue
         if not 0.5 < value / before.margins[margin] < 2.0:
-            raise StepError("the first impact is another one")
+            raise StepError("the first impact jumps")
 
 
 _SAME_PERIOD = 1.3

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar, cast
@@ -153,31 +152,10 @@ def _results_of_crew(
             checkpoint=plan.checkpoint / stage,
             identity={**plan.identity, "stage": stage, "jobs": digest},
         )
-    results = spread(
-        task, range(len(jobs)), plan, on_progress=_TimeLeft(crew.on_progress), pool=crew.pool
-    )
+    results = spread(task, range(len(jobs)), plan, on_progress=crew.on_progress, pool=crew.pool)
     return [
         job.failed(result.reason)
         if isinstance(result, LostPoint)
         else restored(cast("type[R]", job.result), result)
         for job, result in zip(jobs, results, strict=True)
     ]
-
-
-class _TimeLeft:
-    """Add the time that is left of a stage, however long earlier stages took."""
-
-    def __init__(self, on_progress: Progress) -> None:
-        self._on_progress, self._started = on_progress, time.monotonic()
-        self._part, self._ready = 0.0, self._started
-
-    def __call__(self, stage: str, part: float | None, /) -> None:
-        """Report progress of the stage."""
-        now = time.monotonic()
-        if part is not None and part > self._part:
-            # Jobs are few and unequal: those that are done tell the time of the others but roughly.
-            self._part, self._ready = part, now + (now - self._started) * (1 - part) / part
-        left = self._ready - now
-        self._on_progress(
-            f"{stage}, about {left:.0f} s left of these" if left > 1.0 else stage, None
-        )

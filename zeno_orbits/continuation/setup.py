@@ -175,7 +175,7 @@ def start_at_impact(
     cycle = settling.cycle
     if cycle is None or cycle.drift(cycle.scale_at_events()) > _SETTLED:
         raise SimulationError(
-            "The impacts do not settle to one a turn", time=settling.waited, state=state
+            "The motion does not settle to one impact per period", time=settling.waited, state=state
         )
     setup = Setup(
         values=values,

@@ -10,8 +10,16 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import HybridDynamics, ParameterValues
-from zeno_orbits.orbits import Cycle, OrbitShape, ZenoOrbit, follow_path, placed
-from zeno_orbits.orbits.path import PathStep, StepControl, StepError
+from zeno_orbits.orbits import (
+    Cycle,
+    OrbitShape,
+    PathStep,
+    StepControl,
+    StepError,
+    ZenoOrbit,
+    follow_path,
+    placed,
+)
 from zeno_orbits.search.closing import ClosedCycle, close_cycle
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.simulation import SimulationSettings
@@ -22,8 +30,8 @@ _STEPS = StepControl(first=0.25, shortest=1e-4)
 
 _LOST = {
     "locked_time": "the locked arc shrinks to nothing",
-    "gap_acceleration": "the stop stops attracting at the Zeno point: d2h/dt2 comes to zero",
-    "first_impact_speed": "the first impact comes to graze",
+    "gap_acceleration": "d2h/dt2 at the Zeno point goes to zero: the stop no longer attracts",
+    "first_impact_speed": "the first impact grazes",
 }
 
 _GONE = 0.02

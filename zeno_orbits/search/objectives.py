@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from zeno_orbits.orbits import Cycle
     from zeno_orbits.search.nearness import Nearness
     from zeno_orbits.search.transcription.transcribe import OrbitTerms
-    from zeno_orbits.simulation.signals import Extent
+    from zeno_orbits.simulation import Extent
 
 LEAST_RADIUS = 1e-4
 """A spectral radius below this is as good as zero: a perturbation is gone after one period."""
@@ -202,7 +202,7 @@ class TargetAmplitude(Target):
 
     def measured(self, cycle: Cycle) -> float:
         """Return the amplitude of a simulated cycle."""
-        from zeno_orbits.simulation.signals import extent_of
+        from zeno_orbits.simulation import extent_of
 
         index = cycle.state_names.index(self.state)
         extent = extent_of(lambda x: float(x[index]), cycle.arcs)
@@ -280,7 +280,7 @@ class LeastPeak(Objective):
     def cost(self, terms: OrbitTerms) -> ca.MX:
         """Return an unknown that the signal does not exceed anywhere, in units of its size."""
         from zeno_orbits.search.transcription.constraints import largest
-        from zeno_orbits.simulation.signals import signal
+        from zeno_orbits.simulation import signal
 
         quantity = signal(terms.compiled, self.signal)
         peak = largest(terms, quantity, terms.arcs, f"peak of {self.signal}")

@@ -9,8 +9,8 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.orbits import Cycle, OrbitShape, PhaseKind
-from zeno_orbits.simulation import Execution, Impact
-from zeno_orbits.simulation.attractor import PERIODS, SectionReturn, repetitions
+from zeno_orbits.simulation import Execution, Impact, SectionReturn
+from zeno_orbits.simulation.attractor import PERIODS, repetitions
 
 MOST_IMPACTS = 12
 """Longest period of a motion without releases that is looked for, in impacts."""
@@ -122,7 +122,7 @@ class Recurrence:
         if settled is not None:
             return f"the motion settles to an orbit of shape `{settled.shape.text}`"
         if self.wanted is not None:
-            return f"no period of shape `{self.wanted.text}` comes near to repeating"
+            return f"no period of shape `{self.wanted.text}` nearly repeats"
         what = "no release is followed by a Zeno point"
         if self.returns:
             what = "its periods differ"

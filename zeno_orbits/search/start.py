@@ -14,7 +14,7 @@ from zeno_orbits.search.scan import start_order, start_place
 from zeno_orbits.search.search_problem import SearchProblem, listed
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.search.strategy import SearchStart, beside, from_start
-from zeno_orbits.simulation.signals import Extent
+from zeno_orbits.simulation import Extent
 from zeno_orbits.verification import measure
 
 

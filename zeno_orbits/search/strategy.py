@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import HybridDynamics, ParameterValues
-from zeno_orbits.orbits import Cycle, ZenoOrbit
-from zeno_orbits.orbits.cycle import gone_round_twice, round_again
+from zeno_orbits.orbits import Cycle, ZenoOrbit, gone_round_twice, round_again
 from zeno_orbits.search.closing import close_cycle
 from zeno_orbits.search.confirmation import one_cycle
 from zeno_orbits.search.guess import settle
@@ -203,7 +202,9 @@ def from_cycle(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> 
         # Nearness is a wish, the orbit the point: keep the one at the gains of the start.
         here = refine(held, values, cycle, objective)
         if here.status is SearchStatus.FOUND:
-            return replace(here, detail="Its gains are not the nearest: the way there was lost.")
+            return replace(
+                here, detail="Its gains are not the nearest ones: the path to them was lost."
+            )
     return outcome
 
 
@@ -246,7 +247,7 @@ def _where_bounds_are_kept(
     if not broken or not last.converged:
         return last.values, last.cycle, None
     where = listed({name: last.values.number(name) for name in search.free})
-    detail = f"No orbit was found that keeps all bounds; nearest to it, at {where}"
+    detail = f"No orbit was found that keeps all bounds; the nearest one, at {where}"
     lacking = StartOutcome(
         status=SearchStatus.NOT_SOLVED,
         detail=f"{detail}{_held(search, last.values)}, {', '.join(broken)}.",

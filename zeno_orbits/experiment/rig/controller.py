@@ -14,8 +14,8 @@ from enum import Enum
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model import Rig
-from zeno_orbits.model.rig_parts import Bridge, Controller, Sensors, Switching
+from zeno_orbits.model import Bridge, Rig, Switching
+from zeno_orbits.model.rig_parts import Controller, Sensors
 
 
 class ControlLoop:
@@ -102,7 +102,9 @@ class ControlLoop:
 def _as_fast_as(bridge: Bridge | None) -> Controller:
     """Return the controller of a bridge without one: it knows the state at the start of a pulse."""
     if bridge is None:
-        raise ValueError("Argument `rig` must have a controller or switch exactly, but it has not.")
+        raise ValueError(
+            "Argument `rig` must have a controller or exact switching, but it has neither."
+        )
     return Controller(period=1.0 / bridge.frequency)
 
 

@@ -15,8 +15,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import Problem
-from zeno_orbits.precision import WorkPrecision
-from zeno_orbits.precision.work_precision import SAME_WORK
+from zeno_orbits.precision import SAME_WORK, WorkPrecision
 from zeno_orbits.report.page.subject import Subject
 from zeno_orbits.report.zeno_neighbourhood import CloseUp, close_up
 from zeno_orbits.simulation import Ending, Execution, Mode

@@ -12,9 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.experiment import Comparison
-from zeno_orbits.experiment.comparison.deviations import Deviations
-from zeno_orbits.experiment.orbit_table import OrbitTable, measurable
+from zeno_orbits.experiment import Comparison, Deviations, OrbitTable, measurable
 from zeno_orbits.model import Problem
 from zeno_orbits.report.plots.style import FULL_WIDTH, INK, TEXT, TINTS, add_legend, label_of
 from zeno_orbits.simulation import Mode

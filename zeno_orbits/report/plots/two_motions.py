@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.experiment.comparison.counterpart import Counterpart
+from zeno_orbits.experiment import Counterpart
 from zeno_orbits.model import HybridDynamics, Problem
 from zeno_orbits.report.plots.orbit import drawn_phases_of
 from zeno_orbits.report.plots.style import (
