@@ -12,6 +12,7 @@ from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.search import (
     Candidate,
+    FastestContraction,
     LeastEnergy,
     NearestGains,
     SearchResult,
@@ -20,6 +21,7 @@ from zeno_orbits.search import (
     search,
     search_gains,
 )
+from zeno_orbits.search.objectives import LEAST_RADIUS
 from zeno_orbits.search.outcome import StartOutcome
 from zeno_orbits.simulation.signals import Extent
 
@@ -47,7 +49,7 @@ def _searched(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> Any:
             yield from outcomes
 
         monkeypatch.setattr(search, "outcomes_here", told)
-        asked = {"objective": LeastEnergy(), **changes}
+        asked: dict[str, Any] = {"objective": LeastEnergy(), **changes}
         return search_gains(problem, problem.values(), free={"Kp": (1.0, 5.0)}, **asked)
 
     return searched
@@ -74,7 +76,7 @@ def test_a_second_start_at_the_same_optimum_ends_the_search_and_is_counted(
     assert [(one.score, one.starts) for one in result.candidates] == [(1.0, 2), (2.0, 1)]
 
 
-def test_optima_are_compared_until_three_starts_have_found_one(
+def test_a_few_starts_are_compared_if_no_two_agree_on_the_best(
     searched: Any, orbit: ZenoOrbit
 ) -> None:
     told = [_found(orbit, 4.0 - k, 1.5 + k) for k in range(4)]
@@ -82,6 +84,12 @@ def test_optima_are_compared_until_three_starts_have_found_one(
     assert len(result.attempts) == 4
     assert [one.starts for one in result.candidates] == [1, 1, 1]
     assert result.candidates[0].score == 2.0
+
+
+def test_a_score_that_nothing_can_be_below_ends_the_search(searched: Any, orbit: ZenoOrbit) -> None:
+    told = [_found(orbit, LEAST_RADIUS, 1.5), _found(orbit, LEAST_RADIUS, 2.5)]
+    result = searched(told, objective=FastestContraction(), settings=SearchSettings())
+    assert len(result.attempts) == 1
 
 
 @pytest.mark.parametrize(
@@ -108,6 +116,9 @@ def test_an_orbit_of_another_shape_or_gain_is_another_candidate(
         _found(orbit, 1.0, 2.6),
         _found(orbit, 1.0, 2.5),
     ]
-    asked = {"objective": NearestGains(target={}), "settings": SearchSettings(candidates=4)}
+    asked: dict[str, Any] = {
+        "objective": NearestGains(target={}),
+        "settings": SearchSettings(candidates=4),
+    }
     result = searched(told, **asked)
     assert [one.starts for one in result.candidates] == [2, 1, 1]

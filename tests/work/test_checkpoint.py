@@ -20,7 +20,7 @@ def test_a_chunk_in_the_place_of_another_is_refused_though_its_checksum_is_right
     checkpoint.save(0, ["first"])
     assert checkpoint.finished() == {0: ["first"]}
     shutil.copy(tmp_path / "chunk-000000.json", tmp_path / "chunk-000001.json")
-    with pytest.raises(CheckpointError, match=r"chunk-000001\.json.*another work or chunk"):
+    with pytest.raises(CheckpointError, match=r"chunk-000001\.json.*other work or another chunk"):
         checkpoint.finished()
 
 

@@ -42,6 +42,8 @@ if TYPE_CHECKING:
 
 def add_search(commands: Any) -> None:
     """Add the command `search`."""
+    from zeno_orbits.search.objectives import objective_help
+
     parser = add_command(
         commands,
         "search",
@@ -88,11 +90,7 @@ def add_search(commands: Any) -> None:
         action=Once,
         type=read_wish,
         metavar="WISH",
-        help=(
-            "nearest (to the problem's gains), nearest:NAME=VALUE,..., period=SECONDS, "
-            "amplitude=VALUE, energy, peak=SIGNAL (least peak of current, voltage or a state), "
-            "contraction (least spectral radius), or margin (widest before the orbit is lost)"
-        ),
+        help=objective_help(),
     )
     parser.add_argument(
         "--keep",

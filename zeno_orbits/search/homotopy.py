@@ -20,7 +20,7 @@ from zeno_orbits.orbits import (
     follow_path,
     placed,
 )
-from zeno_orbits.search.closing import ClosedCycle, close_cycle
+from zeno_orbits.search.fixed_point import ClosedCycle, close_cycle
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.simulation import SimulationSettings
 from zeno_orbits.simulation.attractor import scale_of

@@ -419,7 +419,7 @@ OBJECTIVES: Mapping[str, ObjectiveWord] = {
     ),
     "margin": ObjectiveWord(
         usage="margin",
-        meaning=" (widest to losing the orbit)",
+        meaning=" (widest before the orbit is lost)",
         objective=lambda _, __: WidestMargin(),
     ),
 }

@@ -136,9 +136,9 @@ def _ranked(search: SearchProblem, outcomes: Generator[StartOutcome]) -> SearchR
                 candidates = _joined(search, candidates, outcome.candidate)
                 if outcome.candidate.score <= min(one.score for one in candidates):
                     best = outcome
-            if _enough(search, candidates) or (
-                not candidates and failures >= _enough_failures(search)
-            ):
+            if _enough(search, candidates, len(attempts)):
+                break
+            if not candidates and failures >= _enough_failures(search):
                 break
     if best is None:
         raise InputError("Argument `settings` must allow a start, but it allows none.")
@@ -162,18 +162,18 @@ def _ranked(search: SearchProblem, outcomes: Generator[StartOutcome]) -> SearchR
 
 _AGREE = 2
 """Starts that lead to the same optimum before it is believed."""
-_MOST_OPTIMA = 3
-"""Optima that are compared if no two starts agree on the best one."""
+_MOST_TRIED = 4
+"""Starts that are compared if no two agree on the best optimum."""
 
 
-def _enough(search: SearchProblem, candidates: Sequence[Candidate]) -> bool:
+def _enough(search: SearchProblem, candidates: Sequence[Candidate], n_tried: int) -> bool:
     """Return True if there are as many orbits as asked, and starts agree on the best optimum."""
     if not candidates or len(candidates) < search.settings.candidates:
         return False
     best = min(candidates, key=lambda one: one.score)
     if not search.seeks_optimum or best.score <= search.objective.least:
         return True
-    return best.starts >= _AGREE or sum(one.starts for one in candidates) >= _MOST_OPTIMA
+    return best.starts >= _AGREE or n_tried >= _MOST_TRIED
 
 
 def _attempt(search: SearchProblem, outcome: StartOutcome) -> StartAttempt:

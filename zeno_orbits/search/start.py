@@ -9,6 +9,7 @@ from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Bound, ZenoOrbit
 from zeno_orbits.orbits.bounds import objection_to
+from zeno_orbits.search.number_notes import far_from_own
 from zeno_orbits.search.outcome import Accept, Candidate, Judgement, StartOutcome
 from zeno_orbits.search.scan import start_order, start_place
 from zeno_orbits.search.search_problem import SearchProblem, listed
@@ -158,9 +159,14 @@ def _measured(search: SearchProblem, orbit: ZenoOrbit, name: str) -> Mapping[str
 
 
 def _easy_values(problem: Problem, values: ParameterValues) -> tuple[ParameterValues, ...]:
-    """Return easier numbers: the problem's own gains, half the restitution, or both."""
+    """Return easier numbers: the problem's own gains, half the restitution, or both.
+
+    All of the problem's own numbers are another, unless one is so far off that no path leads there.
+    """
     gains = {gain.name: gain.default for gain in problem.gains if gain.default is not None}
     own = values.replaced(gains)
     dull = {"restitution": values.parameters["restitution"] / 2}
-    found = [own, values.replaced(dull), own.replaced(dull), problem.values()]
+    found = [own, values.replaced(dull), own.replaced(dull)]
+    if not far_from_own(problem, values):
+        found.append(problem.values())
     return tuple(one for k, one in enumerate(found) if one != values and one not in found[:k])

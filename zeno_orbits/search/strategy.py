@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import HybridDynamics, ParameterValues
 from zeno_orbits.orbits import Cycle, ZenoOrbit, gone_round_twice, round_again
-from zeno_orbits.search.closing import close_cycle
 from zeno_orbits.search.confirmation import one_cycle
+from zeno_orbits.search.fixed_point import close_cycle
 from zeno_orbits.search.guess import settle
 from zeno_orbits.search.homotopy import Followed, follow
 from zeno_orbits.search.objectives import NearestGains, Objective, Target, TowardTarget
