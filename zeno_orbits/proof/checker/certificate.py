@@ -68,7 +68,7 @@ class ProofVerdict:
         )
 
 
-def check(
+def check_proof(
     certificate: str | Path | Mapping[str, Any], problem: Problem | None = None
 ) -> ProofVerdict:
     """Check a certificate, claim by claim, on all cores.
