@@ -58,8 +58,8 @@ def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 LONG = {
     f"{name}.md"
     for name in (
-        *("README", "accuracy", "families", "mapping", "measured_data", "own_tests", "problems"),
-        *("report", "rig", "scale", "searching", "tutorial"),
+        *("README", "accuracy", "examples", "families", "mapping", "measured_data", "no_orbit"),
+        *("own_tests", "problems", "report", "rig", "scale", "searching", "tutorial"),
     )
 }
 """Pages that take more than two seconds."""
