@@ -25,6 +25,7 @@ LEFT_OUT = {
     ("CONTRIBUTING.md", "not run: installs"): 1,
     ("CONTRIBUTING.md", "not run: they run the tests"): 1,
     ("README.md", "command: run"): 1,
+    ("README.md", "not run: installs"): 1,
     ("README.md", "command: test"): 1,
     ("benchmarks/README.md", "not run: takes a quiet machine"): 1,
     ("docs/extended.md", "not run: installs"): 1,
