@@ -163,3 +163,8 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     words = {word.casefold(): word for word in known}
     near = get_close_matches(name.casefold(), words, n=1)
     return f" Did you mean `{words[near[0]]}`?" if near else ""
+
+
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun, such as ``1 impact`` or ``2 impacts``."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
