@@ -92,11 +92,20 @@ def _same(before: str, after: str) -> bool:
     if words[0] != words[1]:
         return False
     pairs = zip(_NUMBER.findall(before), _NUMBER.findall(after), strict=True)
-    return all(_agree(float(a), float(b)) for a, b in pairs)
+    return all(_agree(a, b) for a, b in pairs)
 
 
-def _agree(a: float, b: float) -> bool:
-    return abs(a - b) <= max(SAME * max(abs(a), abs(b)), ROUNDING)
+def _agree(before: str, after: str) -> bool:
+    """Return True if two numbers are the same, but for one in the last digit that is printed."""
+    a, b = float(before), float(after)
+    return abs(a - b) <= max(SAME * max(abs(a), abs(b)), ROUNDING, _last_digit(before))
+
+
+def _last_digit(number: str) -> float:
+    """Return a little more than one in the last digit of a number with a decimal point."""
+    digits, _, power = number.lower().partition("e")
+    places = len(digits.partition(".")[2])
+    return 1.01 * 10.0 ** (int(power or 0) - places) if places else 0.0
 
 
 def main() -> int:

@@ -63,6 +63,7 @@ STORED = printing("period 1.813712939 s, residual 3.1e-12", "Verified")
 @pytest.mark.parametrize(
     ("lines", "n_different"),
     [
+        (("period 1.813712939 s, residual 3.2e-5", "Verified"), 1),
         (("period 1.813712940 s, residual 8.2e-13", "Verified"), 0),
         (("period 1.813718 s, residual 3.1e-12", "Verified"), 1),
         (("period 1.813712939 s, residual 3.1e-5", "Verified"), 1),
