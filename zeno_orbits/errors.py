@@ -161,7 +161,9 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     from difflib import get_close_matches
 
     words = {word.casefold(): word for word in known}
-    near = get_close_matches(name.casefold(), words, n=1)
+    # Of two letters, such as those of gains, one may be wrong.
+    alike = 0.5 if len(name) < 4 else 0.6
+    near = get_close_matches(name.casefold(), words, n=1, cutoff=alike)
     return f" Did you mean `{words[near[0]]}`?" if near else ""
 
 
