@@ -73,6 +73,7 @@ class HandMade:
         C: Its derivative by the section's coordinates.
         spread: Radius of the box of each coordinate.
         exact: Rows that are known exactly at the start.
+        wide_slope: By how much the derivative may change over the box.
     """
 
     def __init__(
@@ -82,6 +83,7 @@ class HandMade:
         C: Any,
         spread: Sequence[Any],
         exact: Sequence[int],
+        wide_slope: Any = _SLACK,
     ) -> None:
         self.problem = problem
         self.p = {
@@ -90,7 +92,7 @@ class HandMade:
         }
         self.z, self.C, self.spread = mp.matrix(list(z)), C, list(spread)
         self.r = mp.matrix([_SLACK] * _N)
-        self.R = mp.matrix([[_SLACK] * len(self.spread)] * _N)
+        self.R = mp.matrix([[wide_slope] * len(self.spread)] * _N)
         self.time, self.records = mp.mpf(0), list[dict[str, Any]]()
         self._forget(exact)
         self.start = self._set()
@@ -117,11 +119,16 @@ class HandMade:
 
     def _flow(self, mode: str, h: Any) -> tuple[Any, Any]:
         """Return the state after a time and its derivative."""
+        a, b = self.affine(mode, h)
+        return a * self.z + b, a
+
+    def affine(self, mode: str, h: Any) -> tuple[Any, Any]:
+        """Return the flow over a time as ``z -> a z + b``."""
         A, b = self._system(mode)
         whole = mp.zeros(_N + 1, _N + 1)
         whole[:_N, :_N], whole[:_N, _N] = A * h, b * h
         turned = mp.expm(whole)
-        return turned[:_N, :_N] * self.z + turned[:_N, _N], turned[:_N, :_N]
+        return turned[:_N, :_N], turned[:_N, _N]
 
     def _system(self, mode: str) -> tuple[Any, Any]:
         p, A, b = self.p, mp.zeros(_N, _N), mp.zeros(_N, 1)
@@ -136,14 +143,20 @@ class HandMade:
         return A * z + b
 
     def _hand_on(
-        self, z: Any, slope: Any, exact: Sequence[int], record: dict[str, Any], wide: Any = 0
+        self,
+        z: Any,
+        slope: Any,
+        exact: Sequence[int],
+        record: dict[str, Any],
+        wide: Any = 0,
+        wide_slope: Any = 0,
     ) -> None:
         """Append a record, its set wider than the last by what the derivative asks, and more."""
         size = mp.matrix([[abs(slope[i, j]) for j in range(_N)] for i in range(_N)])
         grown = mp.mpf("1.001")
         self.z, self.C = z.copy(), slope * self.C
         self.r = size * self.r * grown + mp.matrix([_SLACK + wide] * _N)
-        extra = mp.matrix([[_SLACK + wide] * len(self.spread)] * _N)
+        extra = mp.matrix([[_SLACK + wide_slope] * len(self.spread)] * _N)
         self.R = size * self.R * grown + extra
         self._forget(exact)
         self.records.append({**record, "set": self._set()})
@@ -155,7 +168,7 @@ class HandMade:
         record = {"kind": "step", "h": text_of(h), "orders": [30, 20]}
         self._hand_on(z, slope, (0, 1) if mode == "locked" else (), record)
 
-    def cross(self, mode: str, beyond: Any, reach: Any, wide: Any = 0) -> None:
+    def cross(self, mode: str, beyond: Any, reach: Any, wide: Any = 0, wide_slope: Any = 0) -> None:
         """Cross the guard before a time; the window reaches this far to each side."""
 
         root = beyond
@@ -180,7 +193,7 @@ class HandMade:
             "centre": [text_of(root - tight), text_of(root + tight)],
         }
         self.time += root
-        self._hand_on(z, slope, (0,) if mode == "free" else (0, 1), record, wide)
+        self._hand_on(z, slope, (0,) if mode == "free" else (0, 1), record, wide, wide_slope)
 
     def impact(self) -> None:
         """Strike the stop."""
@@ -258,4 +271,56 @@ def forced_oscillator(problem: Problem) -> dict[str, Any]:
             {"name": "zeno_time", "pass": 0, "which": 0, **around(zeno, tolerance)},
             {"name": "impact_time", "pass": 0, "which": 0, **around(first, mp.mpf("1e-15"))},
         ]
+        return made.certificate(section, others, claims)
+
+
+def impact_oscillator(problem: Problem) -> dict[str, Any]:
+    """Return a certificate of the orbit with one impact a turn, its section just after it."""
+    with mp.workdps(80):
+        made = HandMade(problem, [0, 0, 0, 0], mp.matrix(_N, 2), (0, 0), ())
+        turn, e = 2 * mp.pi / made.p["omega"], made.p["restitution"]
+        a, b = made.affine("free", turn)
+
+        def closes(speed: Any, phase: Any) -> tuple[Any, Any]:
+            z = a * mp.matrix([0, speed, mp.cos(phase), mp.sin(phase)]) + b
+            return z[0], speed + e * z[1]
+
+        # As published: phi = 0.07595216493831239, v = -1.3565863500759056, towards the stop.
+        speed, phase = mp.findroot(closes, (mp.mpf("1.35658635"), mp.mpf("0.0759521649")))
+        start = [mp.mpf(0), speed, mp.cos(phase), mp.sin(phase)]
+        C = mp.matrix([[0, 0], [1, 0], [0, -start[3] / start[2]], [0, 1]])
+        made = HandMade(problem, start, C, [mp.mpf("1e-9")] * 2, (0,), mp.mpf("1e-8"))
+        made.centre = start
+        h = mp.mpf(1) / 2
+        while made.time + h < turn:
+            made.step("free", h)
+        made.cross("free", h, mp.mpf("1e-6"), wide_slope=mp.mpf("1e-4"))
+        made.impact()
+        tolerance, disc = mp.mpf("1e-15"), mp.mpf("1e-3")
+        eigenvalues, vectors = mp.eig(mp.matrix([list(made.C[1, :]), list(made.C[3, :])]))
+        basis = {
+            part: texts_of([[getattr(vectors[i, j], long) for j in range(2)] for i in range(2)])
+            for part, long in (("re", "real"), ("im", "imag"))
+        }
+        claims = [
+            {"name": "exists", "pass": 0, "by": "inclusion"},
+            {"name": "exists", "pass": 0, "by": "krawczyk"},
+            {"name": "unique", "pass": 0},
+            {"name": "stable", "pass": 0, "basis": basis},
+            {
+                "name": "multipliers",
+                "pass": 0,
+                "basis": basis,
+                "discs": [texts_of([x.real, x.imag, disc]) for x in eigenvalues],
+            },
+            {"name": "period", "pass": 0, **around(turn, tolerance)},
+            {
+                "name": "start_state",
+                "pass": 0,
+                "low": texts_of([x - tolerance for x in start]),
+                "high": texts_of([x + tolerance for x in start]),
+            },
+        ]
+        others = {"centre": [text_of(start[2])], "radius": [text_of(mp.mpf("1e-6"))]}
+        section = {"conditions": ["gap"], "places": [1, 3]}
         return made.certificate(section, others, claims)
