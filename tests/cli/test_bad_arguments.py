@@ -202,7 +202,10 @@ BAD_ARGUMENTS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
         ("verify", "none.json"),
         ("Orbit file `none.json` cannot be read (No such file or directory).",),
     ),
-    "problem file not there": (("simulate", "./none.py"), ("Problem file `none.py` cannot be read",)),
+    "problem file not there": (
+        ("simulate", "./none.py"),
+        ("Problem file `none.py` cannot be read",),
+    ),
     "orbit file missing, plot": (("plot", "none.json", "-o", "pictures"), ("`none.json`", "read")),
     "orbit file a folder": (("verify", "."), ("Orbit file", "read")),
     "problem file missing": (("simulate", "none.py"), ("`none.py`",)),
