@@ -30,6 +30,7 @@ from zeno_orbits.orbits.orbit_file import read_orbit
 from zeno_orbits.work.progress import Progress, silent
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from zeno_orbits.continuation import Continuation, ContinuationSettings, Crew
@@ -421,17 +422,34 @@ def parameter_map(
     return maps.parameter_map(plane, plan, on_progress=on_progress)
 
 
-def plot(result: Any, *, problem: Named | None = None, **style: Any) -> Figure:
+def plot(
+    result: Any,
+    *,
+    problem: Named | None = None,
+    ax: Axes | None = None,
+    axes: Sequence[Axes] = (),
+    width: float | None = None,
+    title: str = "",
+) -> Figure:
     """Return a picture of a result.
 
     Args:
-        result: An execution, orbit, family, map, certificate, trade or comparison.
+        result: An execution, orbit, search result, certificate, family, continuation, map, trade or
+            comparison. An orbit is simulated over one period.
         problem: Its problem, where the result does not tell it.
-        style: As `zeno_orbits.report.plots.figure_of` takes it.
-    """
-    from zeno_orbits.report.plots import figure_of
+        ax: Axes to draw into, for a picture of one panel.
+        axes: Axes to draw into, as many as the picture has panels.
+        width: Width of the picture [in]; by default 7, that of a page.
+        title: Words above the picture; none by default.
 
-    return figure_of(result, problem=None if problem is None else _known(problem), **style)
+    Raises:
+        InputError: If there is no picture of such a value, its problem is not known, or the axes
+            are not as many as its panels.
+    """
+    from zeno_orbits.report import figure_of
+
+    known = None if problem is None else _known(problem)
+    return figure_of(result, problem=known, ax=ax, axes=axes, width=width, title=title)
 
 
 def equilibrium_acceleration(

@@ -1,5 +1,8 @@
 from .checkpoint import keeps_nothing as keeps_nothing
 from .checkpoint import remove_checkpoint as remove_checkpoint
+from .display import Columns as Columns
+from .display import Displayed as Displayed
+from .display import by_name as by_name
 from .files import write_whole as write_whole
 from .plan import Cluster as Cluster
 from .plan import Lost as Lost

@@ -24,24 +24,25 @@ from PIL import Image
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.report.paths import paths_of
+from zeno_orbits.report.plots.panels import Panels
 from zeno_orbits.report.plots.style import (
     ARCS,
     FULL_WIDTH,
     INK,
     JUMP,
+    LOOKS,
     TEXT,
-    add_legend,
-    label_of,
     mark_completion,
-    paths_of,
 )
+from zeno_orbits.report.symbols import label_of
 from zeno_orbits.simulation import Execution, Mode
 
 _RATE = 25
 """Pictures a second of what is shown [1/s]."""
 _FEWEST, _MOST = 40, 250
 """Pictures of one animation: two to ten seconds, whatever the period is."""
-_DOTS = 100
+_DOTS = 160
 """Of the animation, an inch."""
 _COLOURS = 63
 _KEPT = 63
@@ -105,8 +106,8 @@ def film_of(problem: Problem, values: ParameterValues, execution: Execution, per
     if abs(slower - 1.0) > 0.1:
         words = "slower" if slower > 1.0 else "faster"
         portraits[0].set_title(f"shown {max(slower, 1 / slower):.2g} times {words}", size=TEXT)
-    add_legend(figure, FULL_WIDTH)
-    figure.align_ylabels(portraits)
+    shown = (*portraits, machine)
+    Panels(figure=figure, axes=shown, width=FULL_WIDTH, across=1, is_own=True).finished()
     machine.set_title("Zeno model", size=TEXT)
     # Laid out once, twice for what depends on the first: nothing but the machine is to move.
     canvas.draw()
@@ -221,9 +222,9 @@ def _draw_portrait(
     ax: Axes, problem: Problem, execution: Execution, pair: Sequence[int]
 ) -> tuple[Any, Any]:
     """Draw the whole orbit, and return the moving point and its trail."""
-    for _, states, look in paths_of(execution):
-        thin: dict[str, Any] = look | {"lw": 1.0}
-        ax.plot(*states[:, list(pair)].T, **thin)
+    for path in paths_of(execution):
+        thin: dict[str, Any] = LOOKS[path.kind] | {"lw": 1.0}
+        ax.plot(*path.states[:, list(pair)].T, **thin)
     for impact in execution.impacts:
         ends = np.array([impact.state_minus, impact.state_plus])[:, list(pair)]
         ax.plot(*ends.T, **JUMP)
