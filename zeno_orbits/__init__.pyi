@@ -12,7 +12,7 @@ from .api import simulate as simulate
 from .api import verify as verify
 from .continuation.families import Continuation as Continuation
 from .continuation.families import Family as Family
-from .continuation.families import Kind as Kind
+from .continuation.families import SpecialPointKind as SpecialPointKind
 from .continuation.setup import ContinuationSettings as ContinuationSettings
 from .errors import InputError as InputError
 from .errors import OrbitFileError as OrbitFileError

@@ -181,7 +181,7 @@ def search_gains(
     known = _known(problem, start)
     spread = None
     if workers > 1:
-        spread = search.Spread(
+        spread = search.StartWorkers(
             problem_file=_file_of(problem, start),
             plan=Plan(place=Workers(count=workers)),
             tell=on_progress,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 
 class ZenoOrbitsError(Exception):
@@ -69,6 +70,7 @@ class SimulationError(ZenoOrbitsError):
     Attributes:
         time: Where it stopped [s].
         state: The state there, ``(n_x,)``.
+        execution: What came before, up to its last event (an ``Execution``); ``None`` if nothing.
     """
 
     def __init__(self, reason: str, *, time: float, state: tuple[float, ...]) -> None:
@@ -76,6 +78,7 @@ class SimulationError(ZenoOrbitsError):
         self.reason = reason
         self.time = time
         self.state = state
+        self.execution: Any = None
 
 
 class StepSizeError(SimulationError):

@@ -917,4 +917,4 @@ def test_the_labels_of_page_and_pictures_name_the_same_states(problem: Problem) 
 
     for k, unit in enumerate(problem.state_units):
         assert label_of(problem, k).endswith(f"[{unit}]")
-        assert curves.label_of(problem.state_names, k, unit).endswith(f"[{unit}]")
+        assert curves.html_label_of(problem.state_names, k, unit).endswith(f"[{unit}]")

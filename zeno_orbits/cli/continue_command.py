@@ -13,12 +13,10 @@ from zeno_orbits.cli.options import (
     add_gains,
     add_place,
     add_problem,
-    checkpoint_of,
-    drop_checkpoint,
     hand_out,
-    interrupted,
     place_of,
     require_outputs,
+    run_resumable,
     start_of,
     values_of,
 )
@@ -108,24 +106,24 @@ def add_continue(commands: Any) -> None:
 
 
 def _run_continue(options: argparse.Namespace) -> int:
-    from zeno_orbits.continuation import Kind
+    from zeno_orbits.continuation import SpecialPointKind
     from zeno_orbits.model.library import locate_problem
 
     problem_file = locate_problem(options.problem)
     problem = problem_file.load()
     require_outputs(options)
-    checkpoint = checkpoint_of(options)
-    try:
-        with report.ProgressLine(options.interrupts.check) as progress:
-            found = _continued(options, problem_file, checkpoint, progress)
-    except KeyboardInterrupt:
-        return interrupted(options, checkpoint)
-    hand_out(
-        options, found, report.print_families, lambda plots: plots.plot_families(found, problem)
-    )
-    drop_checkpoint(options, checkpoint)
-    ends = [end for family in found.families for end in (family.first, family.last)]
-    return NO if any(end.kind is Kind.GAVE_UP for end in ends) else YES
+
+    def work(checkpoint: Path | None, progress: report.ProgressLine) -> Continuation:
+        return _continued(options, problem_file, checkpoint, progress)
+
+    def finish(found: Continuation) -> int:
+        hand_out(
+            options, found, report.print_families, lambda plots: plots.plot_families(found, problem)
+        )
+        ends = [end for family in found.families for end in (family.first, family.last)]
+        return NO if any(end.kind is SpecialPointKind.GAVE_UP for end in ends) else YES
+
+    return run_resumable(options, work, finish)
 
 
 def _continued(

@@ -14,12 +14,10 @@ from zeno_orbits.cli.options import (
     add_place,
     add_problem,
     add_start,
-    checkpoint_of,
-    drop_checkpoint,
     hand_out,
-    interrupted,
     place_of,
     require_outputs,
+    run_resumable,
     start_of,
 )
 from zeno_orbits.cli.parsing import Once, Range, read_grid, read_number, read_range
@@ -27,7 +25,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
-    from zeno_orbits.maps.mapping import Boundary
+    from zeno_orbits.maps.mapping import Boundary, ParameterMap
     from zeno_orbits.maps.plane import Axis, Plane
 
 
@@ -95,22 +93,23 @@ def _run_map(options: argparse.Namespace) -> int:
         if options.picture is None:
             raise InputError("Argument `boundaries` must come with `picture`, but it does not.")
         boundaries = read_boundaries(options.boundaries, plane.x.name, plane.y.name)
-    checkpoint = checkpoint_of(options)
-    plan = Plan(place=place_of(options), chunk=chunk_of(plane), checkpoint=checkpoint)
-    try:
-        with report.ProgressLine(options.interrupts.check) as progress:
-            found = parameter_map(plane, plan, on_progress=progress)
-    except KeyboardInterrupt:
-        return interrupted(options, checkpoint)
-    hand_out(
-        options,
-        found,
-        report.print_map,
-        lambda plots: plots.plot_map(found, boundaries=boundaries),
-        write_map,
-    )
-    drop_checkpoint(options, checkpoint)
-    return YES if found.has_zeno else NO
+    place, chunk = place_of(options), chunk_of(plane)
+
+    def work(checkpoint: Path | None, progress: report.ProgressLine) -> ParameterMap:
+        plan = Plan(place=place, chunk=chunk, checkpoint=checkpoint)
+        return parameter_map(plane, plan, on_progress=progress)
+
+    def finish(found: ParameterMap) -> int:
+        hand_out(
+            options,
+            found,
+            report.print_map,
+            lambda plots: plots.plot_map(found, boundaries=boundaries),
+            write_map,
+        )
+        return YES if found.has_zeno else NO
+
+    return run_resumable(options, work, finish)
 
 
 def _plane(options: argparse.Namespace) -> Plane:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import argparse
 import re
 import sys
+import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+from uuid import uuid4
 
 from zeno_orbits.cli.parsing import Named, read_count, read_named_number, read_number
-from zeno_orbits.errors import InputError, did_you_mean
+from zeno_orbits.errors import InputError, WorkError, did_you_mean
 from zeno_orbits.integrators.engines import ENGINES, Selective, engine_named
 from zeno_orbits.report import terminal as report
 from zeno_orbits.work.files import require_picture, require_writable, write_whole
@@ -24,6 +26,8 @@ if TYPE_CHECKING:
     from zeno_orbits.work import Place
 
 YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
+
+Result = TypeVar("Result")
 
 
 class Parser(argparse.ArgumentParser):
@@ -168,7 +172,7 @@ def add_place(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="FOLDER",
         help="keep finished work in this folder and resume from it; by default a folder beside the "
-        "output, removed when the work is done",
+        "output, or a temporary one, removed when the work is done",
     )
 
 
@@ -184,33 +188,65 @@ def place_of(options: argparse.Namespace) -> Place:
     return Cluster(address=options.scheduler)
 
 
-def checkpoint_of(options: argparse.Namespace) -> Path | None:
-    """Return the folder that was named, else one beside the output."""
-    if options.checkpoint is not None:
-        return options.checkpoint
-    output = options.output
-    return None if output is None else output.with_name(f"{output.name}.checkpoint")
+def run_resumable(
+    options: argparse.Namespace,
+    work: Callable[[Path | None, report.ProgressLine], Result],
+    finish: Callable[[Result], int],
+    *,
+    keep: bool = True,
+) -> int:
+    """Do work whose finished parts outlive an interrupt, and return the exit code.
 
+    The parts are kept in the folder that was named, else beside the first output, else in a
+    temporary folder. A folder that nobody named is removed when it is of no more use.
 
-def drop_checkpoint(options: argparse.Namespace, checkpoint: Path | None) -> None:
-    """Remove the checkpoint of finished work, unless its folder was named by the user."""
+    Args:
+        options: The parsed options.
+        work: From the folder, and a function to report progress to, to the result.
+        finish: From the result to the exit code: prints and writes it.
+        keep: Whether there are parts to keep, if no folder was named.
+    """
     from zeno_orbits.work import remove_checkpoint
 
-    if options.checkpoint is None and checkpoint is not None:
-        remove_checkpoint(checkpoint)
+    folder = options.checkpoint or (_own_folder(options) if keep else None)
+    try:
+        with report.ProgressLine(options.interrupts.check) as progress:
+            found = work(folder, progress)
+    except KeyboardInterrupt:
+        report.print_error(f"interrupted; {_kept(options, folder) or 'nothing was written'}")
+        return INTERRUPTED
+    except WorkError as error:
+        kept = _kept(options, folder)
+        raise WorkError(f"{error}; {kept}" if kept else str(error), trace=error.trace) from error
+    code = finish(found)
+    if options.checkpoint is None and folder is not None:
+        remove_checkpoint(folder)
+    return code
 
 
-def interrupted(options: argparse.Namespace, checkpoint: Path | None) -> int:
-    """Say what is kept of interrupted work, and return the exit code."""
+def _own_folder(options: argparse.Namespace) -> Path:
+    """Return a folder for finished work, by what the work is for."""
+    output = options.output or getattr(options, "picture", None)
+    if output is not None:
+        return output.with_name(f"{output.name}.checkpoint")
+    return Path(tempfile.gettempdir(), f"zeno-orbits-{uuid4().hex[:8]}")
+
+
+def _kept(options: argparse.Namespace, folder: Path | None) -> str:
+    """Return a clause on what is kept of unfinished work and how to go on, if anything is."""
     from zeno_orbits.work import keeps_nothing, remove_checkpoint
 
-    if checkpoint is not None and options.checkpoint is None and keeps_nothing(checkpoint):
-        # Nobody asked for it, and it would stand in the way of another work with that output.
-        remove_checkpoint(checkpoint)
-        checkpoint = None
-    kept = "nothing was written" if checkpoint is None else f"`{checkpoint}` keeps what is finished"
-    report.print_error(f"interrupted; {kept}")
-    return INTERRUPTED
+    if folder is None:
+        return ""
+    if keeps_nothing(folder):
+        if options.checkpoint is None:
+            # It would stand in the way of other work with the same output.
+            remove_checkpoint(folder)
+        return ""
+    again = "the same command"
+    if options.checkpoint is None and folder != _own_folder(options):
+        again += f" with --checkpoint {folder}"
+    return f"`{folder}` keeps what is finished: {again} goes on from there"
 
 
 def add_orbit(parser: argparse.ArgumentParser) -> None:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from zeno_orbits.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
-    from zeno_orbits.continuation.families import Kind
+    from zeno_orbits.continuation.families import SpecialPointKind
     from zeno_orbits.model.problem import Problem
     from zeno_orbits.orbits.bounds import Bound
     from zeno_orbits.orbits.shape import OrbitShape
@@ -181,7 +181,7 @@ def read_shape(text: str) -> OrbitShape:
         raise argparse.ArgumentTypeError(str(error)) from error
 
 
-def read_point_kind(text: str) -> Kind:
+def read_point_kind(text: str) -> SpecialPointKind:
     """Return the kind of special points that a word such as ``fold`` names."""
     words = point_kinds()
     if text not in words:
@@ -190,11 +190,11 @@ def read_point_kind(text: str) -> Kind:
     return words[text]
 
 
-def point_kinds() -> dict[str, Kind]:
+def point_kinds() -> dict[str, SpecialPointKind]:
     """Return word to kind of the special points that can be located."""
-    from zeno_orbits.continuation.families import Kind
+    from zeno_orbits.continuation.families import SpecialPointKind
 
-    return {kind.name.lower().replace("_", "-"): kind for kind in Kind if kind.located}
+    return {kind.name.lower().replace("_", "-"): kind for kind in SpecialPointKind if kind.located}
 
 
 class Wish(NamedTuple):

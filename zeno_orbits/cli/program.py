@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import zeno_orbits
 from zeno_orbits.cli.compare import add_compare
+from zeno_orbits.cli.completion import add_completion
 from zeno_orbits.cli.continue_command import add_continue
 from zeno_orbits.cli.figures import add_figures
 from zeno_orbits.cli.identify import add_identify
@@ -28,7 +29,7 @@ from zeno_orbits.report import terminal as report
 _COMMANDS = (
     *(add_problems, add_new, add_conditions, add_simulate, add_fidelity),
     *(add_search, add_verify, add_map, add_continue, add_trade, add_rig),
-    *(add_plot, add_report, add_figures, add_compare, add_identify),
+    *(add_plot, add_report, add_figures, add_compare, add_identify, add_completion),
 )
 """In the order of the help."""
 

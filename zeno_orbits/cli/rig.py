@@ -174,7 +174,7 @@ def _rig_of(options: argparse.Namespace, problem: Problem) -> Rig:
     from dataclasses import replace
 
     from zeno_orbits.experiment.rig import default_rig
-    from zeno_orbits.model.rig_parts import PART_NAMES, Switching, with_numbers, without_parts
+    from zeno_orbits.model.rig_parts import PART_NAMES, Switching, rig_with_numbers, without_parts
 
     left_out = options.without
     if options.only is not None:
@@ -182,7 +182,7 @@ def _rig_of(options: argparse.Namespace, problem: Problem) -> Rig:
             wanted = "must name the controller with the sensors, which it reads"
             raise InputError(f"Argument `only` {wanted}, but it does not.")
         left_out = [*left_out, *(name for name in PART_NAMES if name not in options.only)]
-    rig = with_numbers(without_parts(default_rig(problem), left_out), options.part)
+    rig = rig_with_numbers(without_parts(default_rig(problem), left_out), options.part)
     if not options.exact:
         return rig
     if rig.bridge is None:

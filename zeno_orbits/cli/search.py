@@ -12,11 +12,9 @@ from zeno_orbits.cli.options import (
     add_command,
     add_place,
     add_problem,
-    checkpoint_of,
-    drop_checkpoint,
-    interrupted,
     place_of,
     require_engine,
+    run_resumable,
     verification_of,
 )
 from zeno_orbits.cli.parsing import (
@@ -39,6 +37,7 @@ from zeno_orbits.work.files import require_writable
 if TYPE_CHECKING:
     from zeno_orbits.model.problem import ParameterValues, Problem
     from zeno_orbits.orbits.orbit import ZenoOrbit
+    from zeno_orbits.search import SearchResult
 
 
 def add_search(commands: Any) -> None:
@@ -148,7 +147,7 @@ def add_search(commands: Any) -> None:
 def _run_search(options: argparse.Namespace) -> int:
     from zeno_orbits.api import Verified
     from zeno_orbits.model.library import locate_problem
-    from zeno_orbits.search import SearchSettings, SettlingSettings, Spread, search_gains
+    from zeno_orbits.search import SearchSettings, SettlingSettings, StartWorkers, search_gains
     from zeno_orbits.search.number_notes import far_from_own, held_derived
     from zeno_orbits.work import Plan
 
@@ -178,37 +177,31 @@ def _run_search(options: argparse.Namespace) -> int:
         accuracy=options.accuracy,
     )
     require_engine(options, problem.dynamics(values))
-    checkpoint = _checkpoint(options, several=bool(free))
-    plan = Plan(place=place_of(options), checkpoint=checkpoint)
-    try:
-        with report.ProgressLine(options.interrupts.check) as progress:
-            result = search_gains(
-                problem,
-                values,
-                free=free,
-                objective=objective,
-                bounds=bounds,
-                near=near,
-                settings=settings,
-                accept=judge,
-                on_progress=progress,
-                spread=Spread(problem_file=problem_file, plan=plan, tell=progress),
-                shape=options.shape,
-            )
-    except KeyboardInterrupt:
-        return interrupted(options, checkpoint)
-    held = held_derived(problem, values, free)
-    far = far_from_own(problem, values)
-    code = answer(options, problem, result, objective if free else None, bounds, held, far)
-    drop_checkpoint(options, checkpoint)
-    return code
+    place = place_of(options)
 
+    def work(checkpoint: Path | None, progress: report.ProgressLine) -> SearchResult:
+        plan = Plan(place=place, checkpoint=checkpoint)
+        return search_gains(
+            problem,
+            values,
+            free=free,
+            objective=objective,
+            bounds=bounds,
+            near=near,
+            settings=settings,
+            accept=judge,
+            on_progress=progress,
+            spread=StartWorkers(problem_file=problem_file, plan=plan, tell=progress),
+            shape=options.shape,
+        )
 
-def _checkpoint(options: argparse.Namespace, *, several: bool) -> Path | None:
-    """Return the folder that was named, else one beside the output if there are several starts."""
-    if options.checkpoint is not None or several:
-        return checkpoint_of(options)
-    return None
+    def finish(result: SearchResult) -> int:
+        held = held_derived(problem, values, free)
+        far = far_from_own(problem, values)
+        return answer(options, problem, result, objective if free else None, bounds, held, far)
+
+    # With nothing free there is one start, which is done or not.
+    return run_resumable(options, work, finish, keep=bool(free))
 
 
 def _known_orbit(options: argparse.Namespace, problem: Problem) -> ZenoOrbit | None:

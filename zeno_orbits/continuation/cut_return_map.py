@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.return_maps import (
     Composed,
+    DifferentiatedReturn,
     Loss,
     Margin,
     OnSection,
     ReleaseReturns,
-    Return,
     ReturnMap,
 )
 from zeno_orbits.continuation.separatrix import separatrix
@@ -75,7 +75,7 @@ class CutReturns(OnSection):
         """Return the same at a looser tolerance."""
         return replace(self, whole=self.whole.loosened())
 
-    def follow(self, x: Vector, s: float, *, horizon: float) -> Return:
+    def follow(self, x: Vector, s: float, *, horizon: float) -> DifferentiatedReturn:
         """Return the motion from a release to the next; its one margin is the cut's."""
         dynamics = self.whole.dynamics(s)
         settings = replace(self.whole.settings, completion=_PlasticAfter(n_impacts=self.n_impacts))
@@ -107,7 +107,7 @@ class CutReturns(OnSection):
             here = perturbations.struck(impact, perturbations.flown(arc, here))
         end = perturbations.released(arcs[-1], _rested(perturbations, impacts[-1], here))
         n_x = x.size
-        return Return(
+        return DifferentiatedReturn(
             time=release.time,
             end=release.state,
             by_state=end.state[:, :n_x],

@@ -13,7 +13,7 @@ FORMAT = 1
 """Version of the file format."""
 
 
-class Kind(Enum):
+class SpecialPointKind(Enum):
     """Kinds of special points of a family. The value is the word shown to the user."""
 
     START = "start"
@@ -42,12 +42,12 @@ class Kind(Enum):
 
 
 _OF_THE_CONTINUATION = (
-    Kind.START,
-    Kind.BOUND,
-    Kind.CLOSED,
-    Kind.REJOINS,
-    Kind.MOST_STEPS,
-    Kind.GAVE_UP,
+    SpecialPointKind.START,
+    SpecialPointKind.BOUND,
+    SpecialPointKind.CLOSED,
+    SpecialPointKind.REJOINS,
+    SpecialPointKind.MOST_STEPS,
+    SpecialPointKind.GAVE_UP,
 )
 
 
@@ -106,7 +106,7 @@ class SpecialPoint:
         detail: More about it.
     """
 
-    kind: Kind
+    kind: SpecialPointKind
     at: FamilyPoint
     error: float
     index: int
@@ -187,7 +187,7 @@ class Family(Displayed):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Boundary:
+class SpecialCurve:
     """A special point followed in two parameters.
 
     Attributes:
@@ -200,7 +200,7 @@ class Boundary:
         cusps: Which points are cusps of a fold, where two folds meet.
     """
 
-    kind: Kind
+    kind: SpecialPointKind
     names: tuple[str, str]
     x: tuple[float, ...]
     y: tuple[float, ...]
@@ -242,12 +242,15 @@ class HalfCurve:
     @property
     def closes(self) -> bool:
         """True if it comes back to its start, so that it is the whole curve."""
-        return self.end == Kind.CLOSED.value
+        return self.end == SpecialPointKind.CLOSED.value
 
 
 def whole_curve(
-    kind: Kind, names: tuple[str, str], first: HalfCurve, second: HalfCurve | None = None
-) -> Boundary:
+    kind: SpecialPointKind,
+    names: tuple[str, str],
+    first: HalfCurve,
+    second: HalfCurve | None = None,
+) -> SpecialCurve:
     """Return a curve from its halves.
 
     Args:
@@ -259,7 +262,7 @@ def whole_curve(
     if second is None:
         second = replace(first, x=first.x[:1], y=first.y[:1], errors=first.errors[:1], cusps=())
     shift = len(second.x) - 1
-    return Boundary(
+    return SpecialCurve(
         kind=kind,
         names=names,
         x=(*second.x[:0:-1], *first.x),
@@ -281,7 +284,7 @@ class Continuation(Displayed):
     """
 
     families: tuple[Family, ...]
-    boundaries: tuple[Boundary, ...] = ()
+    boundaries: tuple[SpecialCurve, ...] = ()
     versions: Mapping[str, str] = field(default_factory=dict[str, str])
 
     def __repr__(self) -> str:

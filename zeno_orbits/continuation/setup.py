@@ -8,9 +8,9 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.branch import FamilySteps
-from zeno_orbits.continuation.corrector import Metric
+from zeno_orbits.continuation.corrector import FamilyMetric
 from zeno_orbits.continuation.return_maps import Composed, ImpactReturns, ReleaseReturns, ReturnMap
-from zeno_orbits.continuation.two_parameters.plane import CurveSteps, Plane
+from zeno_orbits.continuation.two_parameters.plane import CurveSteps, ParameterPlane
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Line, ZenoOrbit
@@ -57,7 +57,7 @@ class Setup:
     parameter: str
     box: tuple[float, float]
     section: type[ReleaseReturns] | type[ImpactReturns]
-    metric: Metric
+    metric: FamilyMetric
     simulation: SimulationSettings
     n_returns: int = ONE_RETURN
 
@@ -78,7 +78,7 @@ class Setup:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Start:
+class FamilyStart:
     """The start of a family.
 
     Attributes:
@@ -98,7 +98,7 @@ def start_at_release(
     parameter: str,
     box: tuple[float, float],
     settings: ContinuationSettings,
-) -> Start:
+) -> FamilyStart:
     """Return the release of an orbit as the start of its family.
 
     Args:
@@ -121,13 +121,13 @@ def start_at_release(
         parameter=parameter,
         box=box,
         section=ReleaseReturns,
-        metric=Metric(
+        metric=FamilyMetric(
             scale=_sizes(problem, orbit), unit=box[1] - box[0], horizon=_PATIENCE * orbit.period
         ),
         simulation=settings.simulation,
     )
     x = np.array(problem.state_vector(orbit.release_state))
-    return Start(setup=setup, x=x, s=_checked(problem, values, "in", parameter, box))
+    return FamilyStart(setup=setup, x=x, s=_checked(problem, values, "in", parameter, box))
 
 
 def _sizes(problem: Problem, orbit: ZenoOrbit) -> Vector:
@@ -157,7 +157,7 @@ def start_at_impact(
     parameter: str,
     box: tuple[float, float],
     settings: ContinuationSettings,
-) -> Start:
+) -> FamilyStart:
     """Return a state after an impact that nearly repeats as the start of its family.
 
     Args:
@@ -181,10 +181,10 @@ def start_at_impact(
         parameter=parameter,
         box=box,
         section=ImpactReturns,
-        metric=Metric(scale=scale, unit=box[1] - box[0], horizon=_PATIENCE * flight),
+        metric=FamilyMetric(scale=scale, unit=box[1] - box[0], horizon=_PATIENCE * flight),
         simulation=settings.simulation,
     )
-    return Start(setup=setup, x=x, s=s)
+    return FamilyStart(setup=setup, x=x, s=s)
 
 
 def _settled(returns: ImpactReturns, x: Vector, s: float) -> tuple[Vector, float, Vector]:
@@ -214,7 +214,7 @@ def _settled(returns: ImpactReturns, x: Vector, s: float) -> tuple[Vector, float
 
 def plane_of(
     problem: Problem, values: ParameterValues, first: Setup, second: str, box: tuple[float, float]
-) -> Plane:
+) -> ParameterPlane:
     """Return the plane of two parameters around given numbers.
 
     Args:
@@ -231,7 +231,7 @@ def plane_of(
         raise InputError(f"Argument `second` must differ from `in`, but both are `{second}`.")
     _checked(problem, values, "second", second, box)
     names = (first.parameter, second)
-    return Plane(
+    return ParameterPlane(
         names=names,
         places=(problem.names.index(names[0]), problem.names.index(names[1])),
         box=np.array((first.box, box)),

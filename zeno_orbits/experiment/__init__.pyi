@@ -6,7 +6,7 @@ from .identification.identification import UnfittableError as UnfittableError
 from .identification.identification import identify as identify
 from .identification.unknowns import Unknown as Unknown
 from .recordings.recording import Recording as Recording
-from .recordings.recording import Signal as Signal
+from .recordings.recording import RecordedSignal as RecordedSignal
 from .recordings.recording import Source as Source
 from .recordings.recording import read_recording as read_recording
 from .recordings.recording import write_recording as write_recording

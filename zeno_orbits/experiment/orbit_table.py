@@ -140,7 +140,7 @@ def _formula(problem: Problem, compiled: CompiledSystem, name: str, x: ca.SX, p:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Nodes:
+class CubicColumns:
     """Columns over time, cubic between the nodes.
 
     Attributes:
@@ -192,8 +192,8 @@ class OrbitTable:
 
     cycle: Cycle
     measured: Measurement
-    nodes: Nodes
-    states: Nodes
+    nodes: CubicColumns
+    states: CubicColumns
     p: Vector
 
     @property
@@ -322,7 +322,7 @@ def tabulated(
     whole = state_nodes(dynamics, arcs_of(cycle))
     whole = replace(whole, times=whole.times - cycle.start.time)
     slopes = measured.derivatives(whole.values, p)[:, :, : whole.values.shape[1]]
-    signals = Nodes(
+    signals = CubicColumns(
         times=whole.times,
         values=measured.values(whole.values, p),
         slopes=np.einsum("nsx,nx->ns", slopes, whole.slopes),
@@ -330,7 +330,7 @@ def tabulated(
     return OrbitTable(cycle=cycle, measured=measured, nodes=signals, states=whole, p=p)
 
 
-def state_nodes(dynamics: HybridDynamics, arcs: Sequence[Arc]) -> Nodes:
+def state_nodes(dynamics: HybridDynamics, arcs: Sequence[Arc]) -> CubicColumns:
     """Return the states along arcs in order, those that take no time left out."""
     times, states, rates = [list[Vector]() for _ in range(3)]
     for arc in arcs:
@@ -346,7 +346,7 @@ def state_nodes(dynamics: HybridDynamics, arcs: Sequence[Arc]) -> Nodes:
         times.append(own)
         states.append(x)
         rates.append(along)
-    return Nodes(
+    return CubicColumns(
         times=np.concatenate(times), values=np.concatenate(states), slopes=np.concatenate(rates)
     )
 

@@ -15,8 +15,8 @@ from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.maps.attractors import Attractor, Fate
 from zeno_orbits.maps.newton import (
     RELEASES,
-    Bundle,
     Crossing,
+    DisplacedStates,
     FixedPoint,
     bundle_at,
     newton_step,
@@ -114,7 +114,7 @@ class Attempt:
     crossing: Crossing = RELEASES
     span: float
     period: int
-    bundle: Bundle
+    bundle: DisplacedStates
     final: bool = False
     origin: Vector
     earlier: Vector

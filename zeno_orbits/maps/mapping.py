@@ -18,11 +18,12 @@ from zeno_orbits.model import ProblemFile
 from zeno_orbits.work import (
     Columns,
     Displayed,
-    Lost,
+    LostPoint,
     Plan,
     Progress,
     Workers,
     by_name,
+    parts_told_to,
     silent,
     spread,
     versions,
@@ -183,9 +184,16 @@ def _computed_here(plane: Plane, plan: Plan, on_progress: Progress) -> list[Any]
         wanted = "must be a name or a file where workers load it or a checkpoint tells it"
         raise InputError(f"Argument `problem` {wanted}, but it is an object.")
     points, results = plane.points(), list[Any]()
+
+    def tell(part: float) -> None:
+        done = len(results) + part * min(plan.chunk, len(points) - len(results))
+        on_progress(f"{int(done)} of {len(points)} {plan.noun}", done / len(points))
+
     for k in range(0, len(points), plan.chunk):
-        results += plane(points[k : k + plan.chunk])
-        on_progress(f"{len(results)} of {len(points)} {plan.noun}", len(results) / len(points))
+        with parts_told_to(tell):
+            found = plane(points[k : k + plan.chunk])
+        results += found
+        tell(0.0)
     return results
 
 
@@ -205,7 +213,7 @@ def _identity(plane: Plane, file: ProblemFile) -> dict[str, Any]:
 
 
 def _found(result: Any) -> Attractor:
-    if isinstance(result, Lost):
+    if isinstance(result, LostPoint):
         return Attractor(fate=Fate.FAILED, detail=result.reason)
     return attractor_from_json(result)
 

@@ -15,10 +15,10 @@ from zeno_orbits.maps.newton import IMPACTS, RELEASES, bundle_at
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.simulation.attractor import (
     LOOK_BACK,
+    AttractorKind,
     Motion,
-    Outcome,
     Repetition,
-    Return,
+    SectionReturn,
     Settling,
     changes,
     outcome_of,
@@ -58,7 +58,7 @@ class Point:
         self._accuracy = accuracy
         self._origin = 0.0
         self._tolerance = accuracy.motion
-        self._returns: list[Return] = []
+        self._returns: list[SectionReturn] = []
         self._strikes: list[Struck] = []
         self._amplitudes: list[float] = []
         self._unit: Vector | None = None
@@ -96,7 +96,7 @@ class Point:
     def _returned(self, time: float, state: Vector) -> Request | Attractor | None:
         """Look back from a new release."""
         self._strikes.clear()
-        self._returns.append(Return(time=time, state=state))
+        self._returns.append(SectionReturn(time=time, state=state))
         del self._returns[:-_REMEMBERED]
         if self._unit is None:
             self._unit = scale_of([state], self._units)
@@ -104,7 +104,7 @@ class Point:
         if len(self._returns) < 2:
             return None
         settling = self._outcome()
-        if settling.outcome is Outcome.DIES_OUT:
+        if settling.outcome is AttractorKind.DIES_OUT:
             return Attractor(fate=Fate.REST, trend=settling.trend)
         for repeated in settling.repetitions:
             if self._is_worth_it(repeated):
@@ -158,7 +158,7 @@ class Point:
             return self._go_on_from(self._returns[-1])
         return self._go_on_from(self._strikes[-1])
 
-    def _go_on_from(self, last: Return | Struck) -> Request:
+    def _go_on_from(self, last: SectionReturn | Struck) -> Request:
         """Follow the motion from a state on the stop that leaves it."""
         self._origin = last.time
         return Request(last.state[None, :], self._tolerance, True, self._until - last.time)
@@ -240,11 +240,11 @@ class Point:
             held=event.reason is Reason.HELD,
         )
         match settling.outcome:
-            case Outcome.GONE:
+            case AttractorKind.GONE:
                 return Attractor(fate=Fate.ESCAPE, escaped=settling.escaped)
-            case Outcome.RESTS | Outcome.DIES_OUT:
+            case AttractorKind.RESTS | AttractorKind.DIES_OUT:
                 return Attractor(fate=Fate.REST)
-            case Outcome.HELD:
+            case AttractorKind.HELD:
                 return Attractor(fate=Fate.HELD)
             case _:
                 reason = "" if self._amplitudes else "no release comes"

@@ -260,7 +260,7 @@ def without_parts(rig: Rig, names: Sequence[str]) -> Rig:
     return replace(rig, **changes)
 
 
-def with_numbers(rig: Rig, numbers: Mapping[str, float]) -> Rig:
+def rig_with_numbers(rig: Rig, numbers: Mapping[str, float]) -> Rig:
     """Return a rig with other numbers; a part that is not there yet is added.
 
     Args:

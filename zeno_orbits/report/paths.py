@@ -77,7 +77,7 @@ def _smooth(arc: Arc, ranges: Vector, least: int) -> tuple[Vector, Vector]:
     return times, states
 
 
-def phases_of(execution: Execution) -> list[tuple[Mode, float, float]]:
+def drawn_phases_of(execution: Execution) -> list[tuple[Mode, float, float]]:
     """Return mode, start and end of every phase; a Zeno tail belongs to the flights before it."""
     starts = [execution.arcs[0]]
     starts += [arc for last, arc in pairwise(execution.arcs) if arc.mode is not last.mode]

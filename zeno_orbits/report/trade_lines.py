@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
-from zeno_orbits.precision import Trial, WorkPrecision
-from zeno_orbits.precision.work_precision import SAME_WORK
+from zeno_orbits.precision import SAME_WORK, Trial, WorkPrecision
 
 LEAST_ERROR = 2.0**-53
 """Rounding of a number: errors below it are drawn at it, as their axis is logarithmic."""

@@ -114,7 +114,7 @@ class StartOutcome:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Attempt:
+class StartAttempt:
     """One start of a search, for the user.
 
     Attributes:
@@ -158,7 +158,7 @@ class SearchResult(Displayed):
     iterations: int
     solve_time: float
     wall_time: float
-    attempts: tuple[Attempt, ...]
+    attempts: tuple[StartAttempt, ...]
     candidates: tuple[Candidate, ...] = ()
     detail: str = ""
 

@@ -38,7 +38,7 @@ _VIOLATED = 1e-5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Start:
+class SearchStart:
     """Start of a search.
 
     Attributes:
@@ -52,7 +52,7 @@ class Start:
     easy: tuple[ParameterValues, ...] = ()
 
 
-def from_start(search: SearchProblem, start: Start) -> StartOutcome:
+def from_start(search: SearchProblem, start: SearchStart) -> StartOutcome:
     """Search from one start: a pure function of its arguments, whatever has been tried before."""
     values, near = start.values, start.near
     if near is not None:
@@ -111,7 +111,9 @@ def _brought_nearer(
     return one_cycle(dynamics, near.start.state, near.period, shorter) or near, ""
 
 
-def _by_an_easier_way(search: SearchProblem, start: Start, outcome: StartOutcome) -> StartOutcome:
+def _by_an_easier_way(
+    search: SearchProblem, start: SearchStart, outcome: StartOutcome
+) -> StartOutcome:
     """Follow orbits from an easier setting to the start's, where the direct way failed."""
     for easy in start.easy:
         if easy == start.values:
@@ -130,7 +132,7 @@ def _by_an_easier_way(search: SearchProblem, start: Start, outcome: StartOutcome
     return outcome
 
 
-def _along(search: SearchProblem, start: Start, path: Followed, origin: str) -> StartOutcome:
+def _along(search: SearchProblem, start: SearchStart, path: Followed, origin: str) -> StartOutcome:
     """Search from the end of a path, which may be short of the start's own numbers."""
     if path.cycle is None:
         detail = f"From {origin} no orbit could be followed."

@@ -148,7 +148,8 @@ class ArcFollower:
                 self._look(start + unit * offset, y)
             if self._n_steps > self.most_steps:
                 raise SimulationError(
-                    f"The execution takes more than {self.most_steps} steps",
+                    f"The execution needs more than {self.most_steps} steps: raise `most_steps`, "
+                    "or simulate a shorter time",
                     time=start + unit * offset,
                     state=tuple(y.tolist()),
                 )

@@ -63,7 +63,7 @@ _SCATTER = 0.2
 """Largest misfit of the law, for a unit of the logarithm at rest."""
 
 
-class Outcome(Enum):
+class AttractorKind(Enum):
     """Kinds of attractors. The value completes the sentence "The motion ..."."""
 
     REPEATS = "repeats"
@@ -76,7 +76,7 @@ class Outcome(Enum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Return:
+class SectionReturn:
     """A state in which a motion meets its section.
 
     Attributes:
@@ -105,7 +105,7 @@ class Motion:
     """
 
     units: Sequence[str]
-    returns: Sequence[Return] = ()
+    returns: Sequence[SectionReturn] = ()
     amplitudes: Sequence[float] = ()
     gone: str = ""
     still: bool = False
@@ -123,7 +123,7 @@ class Settling:
         escaped: Name of the coordinate that is gone.
     """
 
-    outcome: Outcome
+    outcome: AttractorKind
     repetitions: tuple[Repetition, ...] = ()
     trend: float = math.nan
     escaped: str = ""
@@ -139,18 +139,18 @@ def outcome_of(motion: Motion, *, close: float, apart: float = 0.01) -> Settling
     """
     growth = growth_of(motion.amplitudes)
     if motion.gone:
-        return Settling(outcome=Outcome.GONE, trend=growth.factor, escaped=motion.gone)
+        return Settling(outcome=AttractorKind.GONE, trend=growth.factor, escaped=motion.gone)
     if motion.still:
-        return Settling(outcome=Outcome.RESTS, trend=growth.factor)
+        return Settling(outcome=AttractorKind.RESTS, trend=growth.factor)
     if growth.dies_out:
-        return Settling(outcome=Outcome.DIES_OUT, trend=growth.factor)
+        return Settling(outcome=AttractorKind.DIES_OUT, trend=growth.factor)
     found = repetitions(motion.returns, motion.units, close=close, apart=apart)
     if found:
-        return Settling(outcome=Outcome.REPEATS, repetitions=found, trend=growth.factor)
+        return Settling(outcome=AttractorKind.REPEATS, repetitions=found, trend=growth.factor)
     if motion.held:
-        return Settling(outcome=Outcome.HELD)
+        return Settling(outcome=AttractorKind.HELD)
     grows = growth.factor > 1.0 + STEADY
-    outcome = Outcome.GROWS if grows else Outcome.UNDECIDED
+    outcome = AttractorKind.GROWS if grows else AttractorKind.UNDECIDED
     return Settling(outcome=outcome, trend=growth.factor)
 
 
@@ -206,7 +206,7 @@ def changes(states: Sequence[Vector], scale: Vector) -> dict[int, float]:
 
 
 def repetitions(
-    returns: Sequence[Return], units: Sequence[str], *, close: float, apart: float
+    returns: Sequence[SectionReturn], units: Sequence[str], *, close: float, apart: float
 ) -> tuple[Repetition, ...]:
     """Return the numbers of returns after which a motion repeats, the shortest first.
 

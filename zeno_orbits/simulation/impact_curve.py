@@ -126,7 +126,7 @@ class ImpactCurve:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Start:
+class CurveEnd:
     """The end of a piece from which it is grown.
 
     Attributes:
@@ -152,7 +152,7 @@ class Start:
         return float(np.max(np.abs(rates), initial=0.0))
 
 
-def start_at(curve: ImpactCurve, z: Vector, w: float) -> Start:
+def start_at(curve: ImpactCurve, z: Vector, w: float) -> CurveEnd:
     """Return the start of a piece; it costs a flight, and one for every direction on the stop.
 
     Args:
@@ -166,7 +166,7 @@ def start_at(curve: ImpactCurve, z: Vector, w: float) -> Start:
     basis = curve.tangents(z)
     slope, fall = curve.slope(z, w)
     derivative = curve.derivative(z, w, slope, basis)
-    return Start(z=z, w=w, basis=basis, slope=slope, fall=fall, derivative=derivative)
+    return CurveEnd(z=z, w=w, basis=basis, slope=slope, fall=fall, derivative=derivative)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -183,7 +183,7 @@ class Piece:
         changes: What every iteration changed, relative to ``1 + |z|``.
     """
 
-    start: Start
+    start: CurveEnd
     length: float
     nodes: Nodes
     slopes: Vector
@@ -208,7 +208,7 @@ class Piece:
         return np.maximum(self.start.w - self.length * places, 0.0)
 
 
-def straight_piece(start: Start, length: float, n: int, slope: Vector) -> Piece:
+def straight_piece(start: CurveEnd, length: float, n: int, slope: Vector) -> Piece:
     """Return a first guess of a piece, a straight line.
 
     Args:

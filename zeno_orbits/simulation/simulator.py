@@ -82,7 +82,8 @@ def simulate(
 
     Raises:
         InputError: If the state is not admissible or the horizon is not a positive number.
-        SimulationError: If the execution cannot be continued; it says where and why.
+        SimulationError: If the execution cannot be continued; it says where and why, and holds
+            what came before.
     """
     if not (math.isfinite(until) and until > 0.0):
         raise InputError(
@@ -105,13 +106,15 @@ def simulate(
         most_impacts=math.inf if impacts is None else impacts,
     )
     start = run.admitted(np.array(state, dtype=np.float64))
-    while start is not None:
-        start = run.after_phase(start)
-        reached = run.arcs[-1].end_time if run.arcs else 0.0
-        on_progress("simulating", reached / until)
-    return Execution(
-        state_names=dynamics.state_names, arcs=tuple(run.arcs), events=tuple(run.events)
-    )
+    try:
+        while start is not None:
+            start = run.after_phase(start)
+            reached = run.arcs[-1].end_time if run.arcs else 0.0
+            on_progress("simulating", reached / until)
+    except SimulationError as error:
+        error.execution = run.execution() if run.arcs else None
+        raise
+    return run.execution()
 
 
 @dataclass(slots=True, kw_only=True)
@@ -141,6 +144,11 @@ class _Run:
     events: list[Event] = field(default_factory=list[Event])
     n_impacts: int = 0
     n_releases: int = 0
+
+    def execution(self) -> Execution:
+        """Return the execution so far."""
+        names = self.dynamics.state_names
+        return Execution(state_names=names, arcs=tuple(self.arcs), events=tuple(self.events))
 
     def admitted(self, x: Vector) -> ArcStart | None:
         """Return the first start.

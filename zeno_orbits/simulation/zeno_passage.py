@@ -26,10 +26,10 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.simulation.impact_curve import (
+    CurveEnd,
     CurveLostError,
     ImpactCurve,
     Piece,
-    Start,
     converged,
     correction,
     differentiated,
@@ -134,13 +134,13 @@ class _Layer:
 
     decades: float
 
-    def length(self, start: Start) -> float:
+    def length(self, start: CurveEnd) -> float:
         """Return how long a piece it allows."""
         if self.decades > _PASSED or start.fastest == 0.0:
             return start.w
         return min(start.w, (_FIRST_DECAY + _NEXT_DECAY * self.decades) / start.fastest)
 
-    def behind(self, start: Start, length: float) -> _Layer:
+    def behind(self, start: CurveEnd, length: float) -> _Layer:
         """Return what is left of it after a piece."""
         return _Layer(decades=self.decades + start.fastest * length / math.log(10))
 
@@ -225,7 +225,7 @@ class _TooLong:
     rough: bool
 
 
-def _longest_piece(curve: ImpactCurve, start: Start, layer: _Layer, tolerance: float) -> _Passed:
+def _longest_piece(curve: ImpactCurve, start: CurveEnd, layer: _Layer, tolerance: float) -> _Passed:
     """Return a converged piece, as long as possible.
 
     Raises:
@@ -247,7 +247,7 @@ def _longest_piece(curve: ImpactCurve, start: Start, layer: _Layer, tolerance: f
 
 
 def _attempt(
-    curve: ImpactCurve, start: Start, length: float, layer: _Layer, tolerance: float
+    curve: ImpactCurve, start: CurveEnd, length: float, layer: _Layer, tolerance: float
 ) -> _Passed | _TooLong:
     """Return a piece of a length, or a shorter length.
 
@@ -275,7 +275,7 @@ def _attempt(
     return _shorter(tolerance, passed.error, rough=False)
 
 
-def _shaped(curve: ImpactCurve, start: Start, length: float) -> Piece:
+def _shaped(curve: ImpactCurve, start: CurveEnd, length: float) -> Piece:
     """Return a rough piece with few nodes and good derivatives."""
     end = curve.dynamics.on_stop((start.z + length * start.slope)[:-1])
     bend = curve.dynamics.gap_acceleration(end) / curve.dynamics.gap_acceleration(start.z[:-1])

@@ -102,7 +102,7 @@ def _number(
     elif name == "energy":
         value = energies_of(orbit, problem, claim, cycle, simulation)["input_work"]
     elif name == "margin":
-        value = smallest_share(dynamics, cycle)
+        value = measured_smallest_share(dynamics, cycle)
     elif name == "spectral_radius":
         multipliers = floquet_multipliers(
             dynamics,
@@ -122,7 +122,7 @@ def _number(
     return Extent(lowest=value, highest=value, error=error)
 
 
-def smallest_share(dynamics: HybridDynamics, cycle: Cycle) -> float:
+def measured_smallest_share(dynamics: HybridDynamics, cycle: Cycle) -> float:
     r"""Return the smallest margin of all phases as a share of the most it could be (theory (32)).
 
     The locked arc in periods; :math:`-\ddot h` at the Zeno point and the speed of the first impact,

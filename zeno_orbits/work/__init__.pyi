@@ -5,13 +5,14 @@ from .display import Displayed as Displayed
 from .display import by_name as by_name
 from .files import write_whole as write_whole
 from .plan import Cluster as Cluster
-from .plan import Lost as Lost
+from .plan import LostPoint as LostPoint
 from .plan import Place as Place
 from .plan import Plan as Plan
 from .plan import Workers as Workers
 from .pools import Pool as Pool
 from .pools import open_pool as open_pool
 from .progress import Progress as Progress
+from .progress import portion as portion
 from .progress import silent as silent
 from .scheduling import Task as Task
 from .scheduling import claim as claim
@@ -20,3 +21,5 @@ from .scheduling import spread_in_order as spread_in_order
 from .serialization import plain as plain
 from .serialization import restored as restored
 from .software import versions as versions
+from .tasks import parts_told_to as parts_told_to
+from .tasks import tell_part as tell_part

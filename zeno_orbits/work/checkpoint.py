@@ -12,7 +12,7 @@ from typing import Any, cast
 
 from zeno_orbits.errors import CheckpointError
 from zeno_orbits.work.files import read_object, write_whole
-from zeno_orbits.work.plan import Lost
+from zeno_orbits.work.plan import LostPoint
 
 FORMAT = 1
 """Version of the files in the folder."""
@@ -45,8 +45,8 @@ class Checkpoint:
         Raises:
             InputError: If the folder cannot be written.
         """
-        lost = [k for k, result in enumerate(results) if isinstance(result, Lost)]
-        kept = [None if isinstance(result, Lost) else result for result in results]
+        lost = [k for k, result in enumerate(results) if isinstance(result, LostPoint)]
+        kept = [None if isinstance(result, LostPoint) else result for result in results]
         body = {"chunk": chunk, "lost": lost, "results": kept}
         entries = {"format": FORMAT, "work": self.work, "checksum": _digest(body)} | body
         write_whole(self._file(chunk), json.dumps(entries, allow_nan=False) + "\n")
@@ -74,7 +74,7 @@ class Checkpoint:
         lost, kept = cast("list[int]", body["lost"]), cast("list[Any]", body["results"])
         if len(kept) != self.sizes[chunk]:
             raise _broken(path, f"it has {len(kept)} results in place of {self.sizes[chunk]}")
-        return [Lost() if k in lost else result for k, result in enumerate(kept)]
+        return [LostPoint() if k in lost else result for k, result in enumerate(kept)]
 
 
 def open_checkpoint(folder: Path, identity: Mapping[str, Any], sizes: Sequence[int]) -> Checkpoint:

@@ -23,7 +23,7 @@ from zeno_orbits.experiment.comparison.metrics import (
     Metric,
     contact_metrics,
     portrait_metrics,
-    portraits_of,
+    recorded_portraits_of,
     signal_metrics,
 )
 from zeno_orbits.experiment.comparison.overlay import Overlay, lay_over, shared_signals
@@ -127,7 +127,7 @@ class Comparison(Displayed):
             metrics += contact_metrics(table, events, self.overlay.where, stop, unit)
         if self.deviations is not None:
             metrics += signal_metrics(self.problem, self.deviations, self.signals)
-            portraits = portraits_of(self.problem, self.signals)
+            portraits = recorded_portraits_of(self.problem, self.signals)
             metrics += portrait_metrics(self.deviations, portraits)
         return tuple(metrics)
 
@@ -224,7 +224,7 @@ def compare(orbit: ZenoOrbit, problem: Problem, recording: Recording) -> Compari
 
 def _more_signals(problem: Problem, names: Sequence[str]) -> tuple[str, ...]:
     """Return what portraits need beside the recorded signals."""
-    seconds = [one.signals[1] for one in portraits_of(problem, names)]
+    seconds = [one.signals[1] for one in recorded_portraits_of(problem, names)]
     return tuple(dict.fromkeys(second for second in seconds if second not in names))
 
 

@@ -198,7 +198,7 @@ class Portrait:
     rate_of: str
 
 
-def portraits_of(problem: Problem, names: Sequence[str]) -> tuple[Portrait, ...]:
+def recorded_portraits_of(problem: Problem, names: Sequence[str]) -> tuple[Portrait, ...]:
     """Return the portraits of a problem that recorded signals can be drawn in.
 
     Args:

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.experiment.orbit_table import Nodes
+from zeno_orbits.experiment.orbit_table import CubicColumns
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.model.numeric.compiled_derivatives import N_STAGES
 from zeno_orbits.model.numeric.derivatives import Differentials
@@ -54,7 +54,7 @@ class OrbitSlope:
 
     period: Vector
     release: Vector
-    states: Nodes
+    states: CubicColumns
     conditioning: float
 
     def at(self, times: Vector) -> Vector:
@@ -108,7 +108,7 @@ def orbit_slope(
     return OrbitSlope(
         period=by_period,
         release=start,
-        states=Nodes(
+        states=CubicColumns(
             times=np.array(times),
             values=np.array([value.ravel() for value in values]),
             slopes=np.array([slope.ravel() for slope in slopes]),

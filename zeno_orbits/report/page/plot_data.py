@@ -14,7 +14,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.model import Problem
 from zeno_orbits.precision import WorkPrecision
 from zeno_orbits.report.page.subject import Subject
-from zeno_orbits.report.paths import ArcPath, paths_of, phases_of, shown_states
+from zeno_orbits.report.paths import ArcPath, drawn_phases_of, paths_of, shown_states
 from zeno_orbits.report.symbols import html_symbol
 from zeno_orbits.report.trade_lines import front_line, trade_lines
 from zeno_orbits.report.zeno_neighbourhood import CloseUp, close_up
@@ -94,7 +94,7 @@ def _series(subject: Subject, execution: Execution) -> dict[str, Any]:
             for label, row in zip(labels, entries, strict=True)
         ],
         "locked": [
-            [start, end] for mode, start, end in phases_of(execution) if mode is Mode.LOCKED
+            [start, end] for mode, start, end in drawn_phases_of(execution) if mode is Mode.LOCKED
         ],
         "impacts": [impact.time for impact in execution.impacts],
         "zeno": execution.zeno_points[-1].time if execution.zeno_points else None,

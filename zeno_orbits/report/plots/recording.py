@@ -13,10 +13,7 @@ from matplotlib.figure import Figure
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
-from zeno_orbits.experiment import Comparison
-from zeno_orbits.experiment.comparison.alignment import Alignment
-from zeno_orbits.experiment.comparison.deviations import Deviations
-from zeno_orbits.experiment.orbit_table import OrbitTable, measurable
+from zeno_orbits.experiment import Comparison, Deviations, OrbitTable, measurable
 from zeno_orbits.model import Problem
 from zeno_orbits.report.plots.panels import is_wide, panels_of
 from zeno_orbits.report.plots.style import FULL_WIDTH, INK, TEXT, TINTS
@@ -63,9 +60,12 @@ def plot_comparison(
     periods = f"orbit {deviations.table.period:.6g} s, recording {where.period:.6g} s"
     panels.axes[0].set_title(f"period: {periods}", size=TEXT)
     panels.axes[1].set_title("recording less orbit", size=TEXT)
+    time = found.recording.time
+    chosen = np.unique(np.linspace(0, len(time) - 1, min(len(time), _MOST_DOTS)).astype(np.int64))
+    sampled = (chosen, np.mod(where.phases(time[chosen]), 1.0))
     for k, name in enumerate(found.signals):
         left, right = panels.axes[2 * k : 2 * k + 2]
-        _draw_signal(left, found, deviations, where, k)
+        _draw_signal(left, found, deviations, k, sampled)
         _draw_deviation(right, deviations, k)
         left.set_ylabel(_label(problem, name))
         right.set_ylabel(f"deviation [{measurable(problem)[name]}]")
@@ -81,12 +81,10 @@ def plot_comparison(
 
 
 def _draw_signal(
-    ax: Axes, found: Comparison, deviations: Deviations, where: Alignment, k: int
+    ax: Axes, found: Comparison, deviations: Deviations, k: int, sampled: tuple[Vector, Vector]
 ) -> None:
-    """Draw the samples of a signal over the phase, their mean and the orbit."""
-    time, table = found.recording.time, deviations.table
-    chosen = np.unique(np.linspace(0, len(time) - 1, min(len(time), _MOST_DOTS)).astype(np.int64))
-    phases = np.mod(where.phases(time[chosen]), 1.0)
+    """Draw a signal over the phase: samples by their numbers and phases, their mean, the orbit."""
+    table, (chosen, phases) = deviations.table, sampled
     samples = found.recording.signal(found.signals[k]).values[chosen]
     ax.plot(phases, samples, ms=1.2, zorder=1, **_DOTS)
     ax.plot([], [], ms=5.0, label=found.recording.label, **_DOTS)

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.report.paths import ArcPath, paths_of, phases_of, shown_states
+from zeno_orbits.report.paths import ArcPath, drawn_phases_of, paths_of, shown_states
 from zeno_orbits.report.plots.panels import is_wide, panels_of
 from zeno_orbits.report.plots.style import ARCS, FULL_WIDTH, INK, LOOKS, TINTS, ZENO
 from zeno_orbits.report.symbols import label_of, math_symbol, quantity_label
@@ -156,7 +156,7 @@ def _mark_events(
     ax: Axes, execution: Execution, columns: Columns, column: int, room: float
 ) -> None:
     """Shade phases and mark impacts and Zeno points, unless there are too many to be seen."""
-    phases, impacts = phases_of(execution), [impact.time for impact in execution.impacts]
+    phases, impacts = drawn_phases_of(execution), [impact.time for impact in execution.impacts]
     if len(phases) <= _MOST_EVENTS * room:
         for mode, start, end in phases:
             ax.axvspan(start, end, color=TINTS[mode], lw=0, gid=mode.value)

@@ -14,9 +14,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.experiment.comparison.counterpart import Counterpart
+from zeno_orbits.experiment import Counterpart
 from zeno_orbits.model import HybridDynamics, Problem
-from zeno_orbits.report.paths import paths_of, phases_of
+from zeno_orbits.report.paths import drawn_phases_of, paths_of
 from zeno_orbits.report.plots.panels import Panels, panels_of, portraits_of
 from zeno_orbits.report.plots.style import ARCS, COLUMN_WIDTH, JUMP, TEXT, TINTS, ZENO
 from zeno_orbits.report.symbols import label_of
@@ -154,7 +154,7 @@ def _coordinates(two: TwoMotions, width: float, unit: float = 1.0) -> Panels:
     """Return a panel a coordinate over time in some unit, the model's locked phases shaded."""
     panels = panels_of(width, two.dynamics.n_q, height=1.15, columns=1)
     for row, ax in enumerate(panels):
-        for mode, start, end in phases_of(two.model):
+        for mode, start, end in drawn_phases_of(two.model):
             word = "locked phase" if mode is Mode.LOCKED else None
             look: dict[str, Any] = {"color": TINTS[mode], "lw": 0, "gid": mode.value}
             ax.axvspan(start / unit, end / unit, label=word, **look)
