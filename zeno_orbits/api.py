@@ -17,33 +17,27 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model.library import (
+from zeno_orbits.model import (
+    Problem,
     ProblemFile,
     bundled_problems,
     load_problem,
     locate_problem,
     split_fidelity,
 )
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.orbits.orbit_file import read_orbit
-from zeno_orbits.work.progress import Progress, silent
+from zeno_orbits.orbits import ZenoOrbit, read_orbit
+from zeno_orbits.work import Progress, silent
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from zeno_orbits.continuation import Continuation, ContinuationSettings, Crew
-    from zeno_orbits.maps.mapping import ParameterMap
-    from zeno_orbits.orbits.bounds import Bound
-    from zeno_orbits.orbits.poincare import Multipliers
-    from zeno_orbits.orbits.shape import OrbitShape
-    from zeno_orbits.search import Closing, SearchResult, SearchSettings
-    from zeno_orbits.search.objectives import Objective
-    from zeno_orbits.simulation.execution import Execution
-    from zeno_orbits.simulation.simulator import SimulationSettings
-    from zeno_orbits.verification.certificate import OrbitCertificate
-    from zeno_orbits.verification.verifier import VerificationSettings
+    from zeno_orbits.maps import ParameterMap
+    from zeno_orbits.orbits import Bound, Multipliers, OrbitShape
+    from zeno_orbits.search import Closing, Objective, SearchResult, SearchSettings
+    from zeno_orbits.simulation import Execution, SimulationSettings
+    from zeno_orbits.verification import OrbitCertificate, VerificationSettings
 
 Named = str | Path | Problem
 """A problem, the name of a bundled one, or the path of its file."""
@@ -288,9 +282,7 @@ def floquet_multipliers(
     """
     import numpy as np
 
-    from zeno_orbits.orbits import poincare
-    from zeno_orbits.orbits.cycle import first_cycles
-    from zeno_orbits.orbits.period import placed
+    from zeno_orbits.orbits import first_cycles, placed, poincare
     from zeno_orbits.simulation import simulator
 
     orbit = _read(orbit)
@@ -405,7 +397,7 @@ def parameter_map(
         WorkError: If the work cannot be finished.
     """
     from zeno_orbits import maps
-    from zeno_orbits.maps.plane import chunk_of
+    from zeno_orbits.maps import chunk_of
     from zeno_orbits.work import Plan, Workers
 
     known = _known(problem)
@@ -535,7 +527,7 @@ def problem_of(orbit: ZenoOrbit, problem: Named | None = None) -> Problem:
 
 def _with_certificates(result: SearchResult) -> SearchResult:
     """Return the result with each orbit's certificate and multipliers in the orbit."""
-    from zeno_orbits.verification.verifier import certified
+    from zeno_orbits.verification import certified
 
     candidates = tuple(
         one

@@ -49,7 +49,7 @@ def _run_completion(options: argparse.Namespace) -> int:
     import shtab
 
     from zeno_orbits.cli.program import build_parser
-    from zeno_orbits.model.library import bundled_problems, load_problem
+    from zeno_orbits.model import bundled_problems, load_problem
 
     names = [one.name for name in bundled_problems() for one in load_problem(name).ladder()]
     parser = build_parser()

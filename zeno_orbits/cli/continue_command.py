@@ -33,9 +33,8 @@ from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
     from zeno_orbits.continuation import Continuation, ContinuationSettings, Crew
-    from zeno_orbits.model.library import ProblemFile
-    from zeno_orbits.model.problem import Problem
-    from zeno_orbits.orbits.orbit import ZenoOrbit
+    from zeno_orbits.model import Problem, ProblemFile
+    from zeno_orbits.orbits import ZenoOrbit
 
 
 def add_continue(commands: Any) -> None:
@@ -107,7 +106,7 @@ def add_continue(commands: Any) -> None:
 
 def _run_continue(options: argparse.Namespace) -> int:
     from zeno_orbits.continuation import SpecialPointKind
-    from zeno_orbits.model.library import locate_problem
+    from zeno_orbits.model import locate_problem
 
     problem_file = locate_problem(options.problem)
     problem = problem_file.load()
@@ -195,7 +194,7 @@ def _asked(
 def _orbit(options: argparse.Namespace, problem: Problem, crew: Crew) -> ZenoOrbit:
     """Return the orbit to start from."""
     from zeno_orbits.continuation import start_orbit, values_inside
-    from zeno_orbits.orbits.orbit_file import read_orbit
+    from zeno_orbits.orbits import read_orbit
 
     if options.start_orbit is None:
         asked = [one for one in (options.range, options.second) if one is not None]

@@ -10,12 +10,12 @@ from zeno_orbits.cli.options import YES, add_command, orbit_and_problem, print_j
 from zeno_orbits.cli.parsing import read_count
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.report import terminal as report
-from zeno_orbits.work.files import require_folder, write_all
+from zeno_orbits.work import require_folder, write_all
 
 if TYPE_CHECKING:
-    from zeno_orbits.experiment.comparison.counterpart import Counterpart
-    from zeno_orbits.model.problem import Problem
-    from zeno_orbits.orbits.orbit import ZenoOrbit
+    from zeno_orbits.experiment import Counterpart
+    from zeno_orbits.model import Problem
+    from zeno_orbits.orbits import ZenoOrbit
     from zeno_orbits.report.plots.paper_figures import Material
 
 _KINDS = ("graph", "region", "portraits", "beside", "animation")
@@ -103,7 +103,7 @@ def _run_figures(options: argparse.Namespace) -> int:
 def _material(options: argparse.Namespace, progress: report.ProgressLine) -> Material:
     from zeno_orbits.report.orbit_motion import motion_of
     from zeno_orbits.report.plots.paper_figures import Material
-    from zeno_orbits.verification.verifier import problem_dynamics
+    from zeno_orbits.verification import problem_dynamics
 
     orbit, problem = _orbit_and_problem(options, progress)
     dynamics = problem_dynamics(orbit, problem)
@@ -113,12 +113,11 @@ def _material(options: argparse.Namespace, progress: report.ProgressLine) -> Mat
         raise InputError(f"Argument `orbit` {message}; see `verify`.")
 
     def other() -> Counterpart:
-        from zeno_orbits.experiment import read_recording
+        from zeno_orbits.experiment import measurable, read_recording
         from zeno_orbits.experiment.comparison.counterpart import (
             recording_counterpart,
             rig_counterpart,
         )
-        from zeno_orbits.experiment.orbit_table import measurable
 
         count = options.periods
         if options.data is not None:
@@ -143,7 +142,7 @@ def _orbit_and_problem(
     """Return the orbit of a file, or the one of a problem at its own numbers."""
     if options.orbit.suffix == ".json":
         return orbit_and_problem(options)
-    from zeno_orbits.model.library import load_problem
+    from zeno_orbits.model import load_problem
     from zeno_orbits.search import find_orbit
 
     if options.problem is not None:

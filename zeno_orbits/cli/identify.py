@@ -24,7 +24,7 @@ from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
     from zeno_orbits.experiment import Unknown
-    from zeno_orbits.model.problem import ParameterValues, Problem
+    from zeno_orbits.model import ParameterValues, Problem
 
 
 def add_identify(commands: Any) -> None:
@@ -59,11 +59,9 @@ def add_identify(commands: Any) -> None:
 
 
 def _run_identify(options: argparse.Namespace) -> int:
-    from zeno_orbits.experiment import identify, read_recording
-    from zeno_orbits.experiment.orbit_table import measurable
-    from zeno_orbits.experiment.recordings.recording import cut
-    from zeno_orbits.model.library import load_problem
-    from zeno_orbits.orbits.orbit_file import write_orbit
+    from zeno_orbits.experiment import cut, identify, measurable, read_recording
+    from zeno_orbits.model import load_problem
+    from zeno_orbits.orbits import write_orbit
 
     problem = load_problem(options.problem)
     values = values_of(problem, options)

@@ -25,8 +25,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
-    from zeno_orbits.maps.mapping import Boundary, ParameterMap
-    from zeno_orbits.maps.plane import Axis, Plane
+    from zeno_orbits.maps import Axis, Boundary, ParameterMap, Plane
 
 
 def add_map(commands: Any) -> None:
@@ -81,9 +80,7 @@ def add_map(commands: Any) -> None:
 
 
 def _run_map(options: argparse.Namespace) -> int:
-    from zeno_orbits.maps.map_file import read_boundaries, write_map
-    from zeno_orbits.maps.mapping import parameter_map
-    from zeno_orbits.maps.plane import chunk_of, require_plane
+    from zeno_orbits.maps import chunk_of, parameter_map, read_boundaries, require_plane, write_map
     from zeno_orbits.work import Plan
 
     plane = require_plane(_plane(options))
@@ -113,8 +110,8 @@ def _run_map(options: argparse.Namespace) -> int:
 
 
 def _plane(options: argparse.Namespace) -> Plane:
-    from zeno_orbits.maps.plane import Plane
-    from zeno_orbits.model.library import locate_problem
+    from zeno_orbits.maps import Plane
+    from zeno_orbits.model import locate_problem
 
     problem_file = locate_problem(options.problem)
     return Plane(
@@ -129,7 +126,7 @@ def _plane(options: argparse.Namespace) -> Plane:
 
 
 def _axis(asked: Range, count: int) -> Axis:
-    from zeno_orbits.maps.plane import Axis
+    from zeno_orbits.maps import Axis
 
     lower, upper = asked.box
     return Axis(name=asked.name, lower=lower, upper=upper, count=count)

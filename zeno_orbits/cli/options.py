@@ -13,16 +13,15 @@ from uuid import uuid4
 
 from zeno_orbits.cli.parsing import Named, read_count, read_named_number, read_number
 from zeno_orbits.errors import InputError, WorkError, did_you_mean
-from zeno_orbits.integrators.engines import ENGINES, Selective, engine_named
+from zeno_orbits.integrators import ENGINES, Selective, engine_named
 from zeno_orbits.report import terminal as report
-from zeno_orbits.work.files import require_picture, require_writable, write_whole
+from zeno_orbits.work import require_picture, require_writable, write_whole
 
 if TYPE_CHECKING:
-    from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-    from zeno_orbits.model.problem import ParameterValues, Problem
-    from zeno_orbits.orbits.orbit import ZenoOrbit
-    from zeno_orbits.simulation.simulator import SimulationSettings
-    from zeno_orbits.verification.verifier import VerificationSettings
+    from zeno_orbits.model import HybridDynamics, ParameterValues, Problem
+    from zeno_orbits.orbits import ZenoOrbit
+    from zeno_orbits.simulation import SimulationSettings
+    from zeno_orbits.verification import VerificationSettings
     from zeno_orbits.work import Place
 
 YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
@@ -283,16 +282,16 @@ def start_of(problem: Problem, options: argparse.Namespace) -> tuple[float, ...]
 
 def simulation_of(options: argparse.Namespace) -> SimulationSettings:
     """Return the simulator's settings for the engine that was asked for."""
-    from zeno_orbits.simulation.simulator import SimulationSettings
+    from zeno_orbits.simulation import SimulationSettings
 
     return SimulationSettings(engine=engine_named(options.engine))
 
 
 def verification_of(options: argparse.Namespace, tolerance: float) -> VerificationSettings:
     """Return how to check at the accuracy that was asked for, if one was."""
-    from zeno_orbits.orbits.looser_run import LOOSER
-    from zeno_orbits.precision.accuracy import FINEST, settings_for
-    from zeno_orbits.verification.verifier import VerificationSettings
+    from zeno_orbits.orbits import LOOSER
+    from zeno_orbits.precision import FINEST, settings_for
+    from zeno_orbits.verification import VerificationSettings
 
     simulation = simulation_of(options)
     if options.accuracy is None:
@@ -321,7 +320,7 @@ def require_engine(options: argparse.Namespace, dynamics: HybridDynamics) -> Non
 def orbit_and_problem(options: argparse.Namespace) -> tuple[ZenoOrbit, Problem]:
     """Return the orbit of a file and its problem."""
     from zeno_orbits.api import problem_of
-    from zeno_orbits.orbits.orbit_file import read_orbit
+    from zeno_orbits.orbits import read_orbit
 
     orbit = read_orbit(options.orbit)
     return orbit, problem_of(orbit, options.problem)

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from zeno_orbits.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
-    from zeno_orbits.continuation.families import SpecialPointKind
-    from zeno_orbits.model.problem import Problem
-    from zeno_orbits.orbits.bounds import Bound
-    from zeno_orbits.orbits.shape import OrbitShape
-    from zeno_orbits.search.objectives import Objective, ObjectiveWord
+    from zeno_orbits.continuation import SpecialPointKind
+    from zeno_orbits.model import Problem
+    from zeno_orbits.orbits import Bound, OrbitShape
+    from zeno_orbits.search import Objective
+    from zeno_orbits.search.objectives import ObjectiveWord
 
 
 class Named(argparse.Action):
@@ -134,7 +134,7 @@ def read_range(text: str) -> Range:
 
 def read_bound(text: str) -> tuple[str, Bound]:
     """Return name and bound from ``NAME=LOWER:UPPER``, an open end left empty."""
-    from zeno_orbits.orbits.bounds import Bound
+    from zeno_orbits.orbits import Bound
 
     name, low, high = _ends(text, "NAME=LOWER:UPPER, one end may be empty")
     wanted = f"have numbers for `{name}`"
@@ -173,7 +173,7 @@ def read_fit(text: str) -> Fit:
 
 def read_shape(text: str) -> OrbitShape:
     """Return the shape that a text such as ``zeno*2`` names."""
-    from zeno_orbits.orbits.shape import OrbitShape
+    from zeno_orbits.orbits import OrbitShape
 
     try:
         return OrbitShape.parsed(text)
@@ -192,7 +192,7 @@ def read_point_kind(text: str) -> SpecialPointKind:
 
 def point_kinds() -> dict[str, SpecialPointKind]:
     """Return word to kind of the special points that can be located."""
-    from zeno_orbits.continuation.families import SpecialPointKind
+    from zeno_orbits.continuation import SpecialPointKind
 
     return {kind.name.lower().replace("_", "-"): kind for kind in SpecialPointKind if kind.located}
 

@@ -16,7 +16,7 @@ from zeno_orbits.cli.options import (
 )
 from zeno_orbits.cli.parsing import read_count
 from zeno_orbits.errors import InputError
-from zeno_orbits.work.files import require_folder, write_all
+from zeno_orbits.work import require_folder, write_all
 
 _PICTURES = ("portraits", "time", "outputs", "zeno", "region")
 
@@ -51,7 +51,7 @@ def add_plot(commands: Any) -> None:
 def _run_plot(options: argparse.Namespace) -> int:
     from zeno_orbits.report import plots
     from zeno_orbits.report.orbit_motion import motion_of
-    from zeno_orbits.verification.verifier import problem_dynamics
+    from zeno_orbits.verification import problem_dynamics
 
     orbit, problem = orbit_and_problem(options)
     dynamics = problem_dynamics(orbit, problem)

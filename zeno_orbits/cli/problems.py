@@ -19,10 +19,10 @@ from zeno_orbits.cli.options import (
 )
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
-from zeno_orbits.work.files import require_picture, write_whole
+from zeno_orbits.work import require_picture, write_whole
 
 if TYPE_CHECKING:
-    from zeno_orbits.model.problem import ParameterValues, Problem
+    from zeno_orbits.model import ParameterValues, Problem
 
 
 def add_problems(commands: Any) -> None:
@@ -37,7 +37,7 @@ def add_problems(commands: Any) -> None:
 
 
 def _run_problems(options: argparse.Namespace) -> int:
-    from zeno_orbits.model.library import bundled_problems, load_problem
+    from zeno_orbits.model import bundled_problems, load_problem
 
     problems = [one for name in bundled_problems() for one in load_problem(name).ladder()]
     if options.json:
@@ -90,7 +90,7 @@ def template(*, with_motor: bool) -> str:
 
 
 def _run_new(options: argparse.Namespace) -> int:
-    from zeno_orbits.model.library import bundled_problems
+    from zeno_orbits.model import bundled_problems
 
     if not options.name.isidentifier():
         wanted = "must be a word of letters, digits and underscores"
@@ -128,12 +128,12 @@ def add_conditions(commands: Any) -> None:
 
 
 def _run_conditions(options: argparse.Namespace) -> int:
+    from zeno_orbits.model import load_problem
     from zeno_orbits.model.formulas import (
         equilibrium_acceleration,
         six_digits,
         with_numbers,
     )
-    from zeno_orbits.model.library import load_problem
 
     problem = load_problem(options.problem)
     values = values_of(problem, options)
@@ -192,8 +192,8 @@ def add_fidelity(commands: Any) -> None:
 
 
 def _run_fidelity(options: argparse.Namespace) -> int:
-    from zeno_orbits.model.library import load_problem
-    from zeno_orbits.precision.reduced_models import reduction_costs
+    from zeno_orbits.model import load_problem
+    from zeno_orbits.precision import reduction_costs
 
     problem = load_problem(options.problem)
     values = values_of(problem, options)

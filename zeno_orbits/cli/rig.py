@@ -28,8 +28,7 @@ from zeno_orbits.report import terminal as report
 if TYPE_CHECKING:
     from zeno_orbits.experiment import RigSettings
     from zeno_orbits.experiment.rig import RigRun
-    from zeno_orbits.model.problem import Problem
-    from zeno_orbits.model.rig_parts import Rig
+    from zeno_orbits.model import Problem, Rig
 
 _PARTS = ("friction", "gears", "bridge", "controller", "sensors")
 
@@ -108,8 +107,7 @@ def _run_rig(options: argparse.Namespace) -> int:
 
 
 def _near_orbit(options: argparse.Namespace) -> int:
-    from zeno_orbits.experiment import rig_cycles
-    from zeno_orbits.experiment.rig.cycle_comparison import compare_cycles
+    from zeno_orbits.experiment import compare_cycles, rig_cycles
 
     for name in ("gain", "set", "start", "until"):
         if getattr(options, name) not in (None, {}):
@@ -139,7 +137,7 @@ def _near_orbit(options: argparse.Namespace) -> int:
 
 def _from_start(options: argparse.Namespace) -> int:
     from zeno_orbits.experiment import simulate_rig
-    from zeno_orbits.model.library import load_problem
+    from zeno_orbits.model import load_problem
 
     for name in ("cycles", "problem"):
         if getattr(options, name) is not None:
@@ -174,7 +172,8 @@ def _rig_of(options: argparse.Namespace, problem: Problem) -> Rig:
     from dataclasses import replace
 
     from zeno_orbits.experiment.rig import default_rig
-    from zeno_orbits.model.rig_parts import PART_NAMES, Switching, rig_with_numbers, without_parts
+    from zeno_orbits.model import Switching
+    from zeno_orbits.model.rig_parts import PART_NAMES, rig_with_numbers, without_parts
 
     left_out = options.without
     if options.only is not None:
@@ -193,7 +192,7 @@ def _rig_of(options: argparse.Namespace, problem: Problem) -> Rig:
 def _settings(rig: Rig) -> RigSettings:
     """Return an accuracy that noise and rounding by sensors leave worth having."""
     from zeno_orbits.experiment import RigSettings
-    from zeno_orbits.integrators.flow import Tolerance
+    from zeno_orbits.integrators import Tolerance
 
     if rig.controller is None:
         return RigSettings()
@@ -202,8 +201,7 @@ def _settings(rig: Rig) -> RigSettings:
 
 def _write(options: argparse.Namespace, run: RigRun, problem: Problem) -> None:
     if options.output is not None:
-        from zeno_orbits.experiment import write_recording
-        from zeno_orbits.experiment.rig.run import recording_of
+        from zeno_orbits.experiment import recording_of, write_recording
 
         notes: Mapping[str, str] = {"seed": str(options.seed)}
         write_recording(recording_of(run, problem, notes), options.output)

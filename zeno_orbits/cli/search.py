@@ -32,11 +32,11 @@ from zeno_orbits.cli.parsing import (
 from zeno_orbits.cli.search_output import answer
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
-from zeno_orbits.work.files import require_writable
+from zeno_orbits.work import require_writable
 
 if TYPE_CHECKING:
-    from zeno_orbits.model.problem import ParameterValues, Problem
-    from zeno_orbits.orbits.orbit import ZenoOrbit
+    from zeno_orbits.model import ParameterValues, Problem
+    from zeno_orbits.orbits import ZenoOrbit
     from zeno_orbits.search import SearchResult
 
 
@@ -146,7 +146,7 @@ def add_search(commands: Any) -> None:
 
 def _run_search(options: argparse.Namespace) -> int:
     from zeno_orbits.api import Verified
-    from zeno_orbits.model.library import locate_problem
+    from zeno_orbits.model import locate_problem
     from zeno_orbits.search import SearchSettings, SettlingSettings, StartWorkers, search_gains
     from zeno_orbits.search.number_notes import far_from_own, held_derived
     from zeno_orbits.work import Plan
@@ -205,7 +205,7 @@ def _run_search(options: argparse.Namespace) -> int:
 
 
 def _known_orbit(options: argparse.Namespace, problem: Problem) -> ZenoOrbit | None:
-    from zeno_orbits.orbits.orbit_file import read_orbit
+    from zeno_orbits.orbits import read_orbit
 
     if options.near is None:
         return None
@@ -220,7 +220,7 @@ def _numbers(
     options: argparse.Namespace, problem: Problem, near: ZenoOrbit | None
 ) -> tuple[ParameterValues, dict[str, tuple[float, float]]]:
     """Return the numbers to start from and what is free."""
-    from zeno_orbits.model.quantities import unknown
+    from zeno_orbits.model import unknown
 
     fixed, given, boxes, named = options.fix, options.set, options.gain, options.free
     gains = {gain.name: (gain.lower, gain.upper) for gain in problem.gains}

@@ -30,9 +30,8 @@ from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
     from zeno_orbits.experiment import Sampling
-    from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-    from zeno_orbits.model.problem import Problem
-    from zeno_orbits.precision.accuracy import Assured
+    from zeno_orbits.model import HybridDynamics, Problem
+    from zeno_orbits.precision import Assured
     from zeno_orbits.simulation import SimulationSettings
 
 
@@ -95,8 +94,8 @@ def add_simulate(commands: Any) -> None:
 
 
 def _run_simulate(options: argparse.Namespace) -> int:
-    from zeno_orbits.model.library import load_problem
-    from zeno_orbits.precision.accuracy import why_engine
+    from zeno_orbits.model import load_problem
+    from zeno_orbits.precision import why_engine
 
     problem = load_problem(options.problem)
     values = values_of(problem, options)
@@ -138,7 +137,7 @@ def _run_simulate(options: argparse.Namespace) -> int:
 
 def _until(error: SimulationError, settings: SimulationSettings) -> Assured:
     """Return what an execution that could not be continued has come to, its error unknown."""
-    from zeno_orbits.precision.accuracy import Assured
+    from zeno_orbits.precision import Assured
 
     n_points = len(error.execution.zeno_points)
     return Assured(
@@ -159,7 +158,7 @@ def _simulated(
     options: argparse.Namespace, dynamics: HybridDynamics, state: Sequence[float]
 ) -> Assured:
     """Return the execution with its estimated error, to an accuracy if one was asked for."""
-    from zeno_orbits.precision.accuracy import simulate_to, simulate_with_error
+    from zeno_orbits.precision import simulate_to, simulate_with_error
 
     settings = simulation_of(options)
     if options.most_steps is not None:
@@ -185,7 +184,7 @@ def _number(error: float) -> float | None:
 
 
 def _execution_json(problem: Problem, assured: Assured) -> dict[str, Any]:
-    from zeno_orbits.simulation.execution import Impact, ZenoPoint
+    from zeno_orbits.simulation import Impact, ZenoPoint
 
     execution, errors = assured.execution, iter(assured.zeno_errors)
 

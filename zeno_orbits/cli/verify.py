@@ -58,7 +58,7 @@ def add_verify(commands: Any) -> None:
 
 
 def _run_verify(options: argparse.Namespace) -> int:
-    from zeno_orbits.verification.verifier import problem_dynamics, verify
+    from zeno_orbits.verification import problem_dynamics, verify
 
     tolerance = options.tolerance
     orbit, problem = orbit_and_problem(options)

@@ -21,8 +21,7 @@ from zeno_orbits.continuation.margins import Threat, stages, threats
 from zeno_orbits.continuation.return_maps import DifferentiatedReturn, Loss, ReturnMap
 from zeno_orbits.continuation.special_points import Located, crossings, locate_inside
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.orbits import follow_path
-from zeno_orbits.orbits.path import PathStep, StepControl, StepError, returns_to_start
+from zeno_orbits.orbits import PathStep, StepControl, StepError, follow_path, returns_to_start
 from zeno_orbits.work import Progress
 
 

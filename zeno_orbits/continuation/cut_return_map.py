@@ -23,14 +23,17 @@ from zeno_orbits.continuation.return_maps import (
 )
 from zeno_orbits.continuation.separatrix import separatrix
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.model import HybridDynamics
-from zeno_orbits.model.contact import GAP_ACCELERATION
-from zeno_orbits.orbits import Line
-from zeno_orbits.orbits.monodromy import differentials_of
-from zeno_orbits.orbits.period import first_return, to_next_release
-from zeno_orbits.simulation import Ending, Impact, Mode
-from zeno_orbits.simulation.sensitivity import EventShift, Perturbations
-from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit
+from zeno_orbits.model import GAP_ACCELERATION, HybridDynamics
+from zeno_orbits.orbits import Line, differentials_of, first_return, to_next_release
+from zeno_orbits.simulation import (
+    Ending,
+    EventShift,
+    Impact,
+    Mode,
+    Perturbations,
+    TailEstimate,
+    ZenoLimit,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

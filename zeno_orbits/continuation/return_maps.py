@@ -22,15 +22,28 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.model import CompiledSystem, HybridDynamics
-from zeno_orbits.model.numeric.compiled import bind
-from zeno_orbits.orbits import Line, Section, return_derivative
-from zeno_orbits.orbits.looser_run import loosened
-from zeno_orbits.orbits.monodromy import differentials_of
-from zeno_orbits.orbits.section import IMPACT_ROWS, RELEASE_ROWS, projected, section_along
-from zeno_orbits.simulation import Arc, Ending, Execution, Mode, SimulationSettings, simulate
-from zeno_orbits.simulation.sensitivity import Perturbations
-from zeno_orbits.simulation.signals import least_inside
+from zeno_orbits.model import CompiledSystem, HybridDynamics, bind
+from zeno_orbits.orbits import (
+    IMPACT_ROWS,
+    RELEASE_ROWS,
+    Line,
+    Section,
+    differentials_of,
+    loosened,
+    projected,
+    return_derivative,
+    section_along,
+)
+from zeno_orbits.simulation import (
+    Arc,
+    Ending,
+    Execution,
+    Mode,
+    Perturbations,
+    SimulationSettings,
+    least_inside,
+    simulate,
+)
 
 
 class Loss(Enum):

@@ -14,8 +14,7 @@ from zeno_orbits.continuation.two_parameters.plane import CurveSteps, ParameterP
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Line, ZenoOrbit
-from zeno_orbits.simulation import SimulationSettings, simulate
-from zeno_orbits.simulation.time_scale import own_time
+from zeno_orbits.simulation import SimulationSettings, own_time, simulate
 
 _PATIENCE = 4.0
 """Periods of the start to wait for a return."""

@@ -15,12 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model import CompiledSystem, HybridDynamics, Problem
-from zeno_orbits.model.numeric.compiled_flow import dense_function
+from zeno_orbits.model import CompiledSystem, HybridDynamics, Problem, dense_function
 from zeno_orbits.orbits import Cycle, ZenoOrbit
 from zeno_orbits.search import cycle_near
-from zeno_orbits.simulation import Arc, Mode, SimulationSettings
-from zeno_orbits.simulation.signals import signal_names
+from zeno_orbits.simulation import Arc, Mode, SimulationSettings, signal_names
 
 GAP = "gap"
 """Name of the signal that every problem has beside its own."""

@@ -22,7 +22,7 @@ from zeno_orbits.maps.newton import (
     newton_step,
 )
 from zeno_orbits.model import HybridDynamics
-from zeno_orbits.simulation.batch.outcomes import Ended, Event, Released, Struck
+from zeno_orbits.simulation import Ended, LaneEvent, Released, Struck
 
 _MOST_ITERATIONS = 12
 _SHRINKS = 0.9
@@ -135,7 +135,7 @@ class Attempt:
         tolerance = accuracy.orbit if self.final else accuracy.motion
         return Request(states, tolerance, True, 2 * self.span)
 
-    def hear(self, rank: int, event: Event) -> Request | Attractor | Lost | None:
+    def hear(self, rank: int, event: LaneEvent) -> Request | Attractor | Lost | None:
         """Take an event of one of the lanes; once all have returned, make a step."""
         if isinstance(event, Ended):
             return Lost()

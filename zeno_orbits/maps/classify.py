@@ -15,10 +15,7 @@ from zeno_orbits.maps.attempt import Accuracy, Request
 from zeno_orbits.maps.attractors import Attractor
 from zeno_orbits.maps.point import Point
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.simulation.attractor import WAITING, bounds_of
-from zeno_orbits.simulation.batch.batch import Batch
-from zeno_orbits.simulation.batch.model import model_in_rows
-from zeno_orbits.simulation.time_scale import own_time
+from zeno_orbits.simulation import WAITING, Batch, bounds_of, model_in_rows, own_time
 from zeno_orbits.work import Progress, silent
 
 _OSCILLATIONS = 35

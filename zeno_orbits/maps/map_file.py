@@ -11,8 +11,7 @@ from zeno_orbits.errors import MapFileError
 from zeno_orbits.maps.attractors import attractor_from_json, attractor_json
 from zeno_orbits.maps.mapping import FORMAT, Boundary, ParameterMap
 from zeno_orbits.maps.plane import Axis
-from zeno_orbits.work import write_whole
-from zeno_orbits.work.files import read_object
+from zeno_orbits.work import read_object, write_whole
 
 
 def write_map(found: ParameterMap, path: Path) -> None:

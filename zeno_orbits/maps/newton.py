@@ -17,9 +17,8 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector, eigenvalues
 from zeno_orbits.model import HybridDynamics
-from zeno_orbits.orbits import Section, section_around
-from zeno_orbits.orbits.section import IMPACT_ROWS, RELEASE_ROWS, projected
-from zeno_orbits.simulation.batch.outcomes import Released, Struck
+from zeno_orbits.orbits import IMPACT_ROWS, RELEASE_ROWS, Section, projected, section_around
+from zeno_orbits.simulation import Released, Struck
 
 _DISPLACED = 1e-6
 """Displacement in scaled section coordinates.

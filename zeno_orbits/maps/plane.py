@@ -14,8 +14,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.maps.attractors import Attractor, Fate, attractor_json
 from zeno_orbits.maps.classify import attractors_at, usual_time
 from zeno_orbits.model import ParameterValues, Problem, ProblemFile
-from zeno_orbits.work import Workers, tell_part
-from zeno_orbits.work.pools import worker_count
+from zeno_orbits.work import Workers, tell_part, worker_count
 
 _CHUNKS, _CHUNKS_A_CORE = 4, 2
 """Chunks of a plane at least, and for each core."""

@@ -13,18 +13,17 @@ from zeno_orbits.maps.attempt import SAME, Accuracy, Attempt, Lost, Request
 from zeno_orbits.maps.attractors import Attractor, Fate
 from zeno_orbits.maps.newton import IMPACTS, RELEASES, bundle_at
 from zeno_orbits.model import HybridDynamics
-from zeno_orbits.simulation.attractor import (
-    LOOK_BACK,
+from zeno_orbits.simulation import (
     AttractorKind,
+    Ended,
+    LaneEvent,
     Motion,
-    Repetition,
+    Reason,
     SectionReturn,
-    Settling,
-    changes,
+    Struck,
     outcome_of,
-    scale_of,
 )
-from zeno_orbits.simulation.batch.outcomes import Ended, Event, Reason, Struck
+from zeno_orbits.simulation.attractor import LOOK_BACK, Repetition, Settling, changes, scale_of
 
 _REMEMBERED = 40
 """Returns that are looked back on."""
@@ -71,7 +70,7 @@ class Point:
         """Return the first lane to run."""
         return Request(self._start[None, :], self._tolerance, False, self._until)
 
-    def hear(self, rank: int, event: Event) -> Request | Attractor | None:
+    def hear(self, rank: int, event: LaneEvent) -> Request | Attractor | None:
         """Take an event of one of the point's lanes.
 
         Args:

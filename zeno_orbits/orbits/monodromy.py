@@ -12,14 +12,20 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model import HybridDynamics
-from zeno_orbits.model.numeric.derivatives import Differentials
+from zeno_orbits.model import Differentials, HybridDynamics
 from zeno_orbits.orbits.looser_run import extrapolated
 from zeno_orbits.orbits.period import cycle_of, first_return, placed, to_next_release
 from zeno_orbits.orbits.phases import Phase, phases_of
 from zeno_orbits.orbits.shape import OrbitShape
-from zeno_orbits.simulation import Arc, Execution, Mode, SimulationSettings
-from zeno_orbits.simulation.sensitivity import Bounce, EventShift, Perturbations
+from zeno_orbits.simulation import (
+    Arc,
+    Bounce,
+    EventShift,
+    Execution,
+    Mode,
+    Perturbations,
+    SimulationSettings,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

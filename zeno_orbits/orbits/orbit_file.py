@@ -18,8 +18,7 @@ from zeno_orbits.orbits.orbit import (
     one_release_phase,
 )
 from zeno_orbits.orbits.shape import PhaseKind
-from zeno_orbits.work import restored, write_whole
-from zeno_orbits.work.serialization import EntryError
+from zeno_orbits.work import EntryError, restored, write_whole
 
 
 def write_orbit(orbit: ZenoOrbit, path: Path | str) -> None:

@@ -12,8 +12,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector, null_space
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.model import HybridDynamics
-from zeno_orbits.model.contact import GAP, GAP_RATE, MULTIPLIER
+from zeno_orbits.model import GAP, GAP_RATE, MULTIPLIER, HybridDynamics
 from zeno_orbits.orbits.monodromy import differentials_of
 from zeno_orbits.orbits.shape import OrbitShape
 

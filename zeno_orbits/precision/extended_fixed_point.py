@@ -23,8 +23,7 @@ import numpy as np
 from zeno_orbits.arrays import Array
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import Section
-from zeno_orbits.orbits.section import release_section
+from zeno_orbits.orbits import Section, release_section
 from zeno_orbits.precision.extended import (
     SPARE_DIGITS,
     ExtendedImpact,

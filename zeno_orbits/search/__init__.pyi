@@ -15,12 +15,13 @@ from .objectives import Objective as Objective
 from .objectives import TargetAmplitude as TargetAmplitude
 from .objectives import TargetPeriod as TargetPeriod
 from .objectives import WidestMargin as WidestMargin
-from .outcome import StartAttempt as StartAttempt
 from .outcome import Candidate as Candidate
 from .outcome import Judgement as Judgement
 from .outcome import OrbitNotFoundError as OrbitNotFoundError
 from .outcome import SearchResult as SearchResult
+from .outcome import StartAttempt as StartAttempt
 from .search import find_orbit as find_orbit
 from .search import search_gains as search_gains
 from .settings import SearchSettings as SearchSettings
 from .settings import SearchStatus as SearchStatus
+from .transcription.arc import TranscriptionSettings as TranscriptionSettings

@@ -17,6 +17,7 @@ from zeno_orbits.orbits import (
     ONE_ZENO,
     Bound,
     Cycle,
+    Moment,
     OrbitImpact,
     OrbitPhase,
     OrbitShape,
@@ -24,18 +25,24 @@ from zeno_orbits.orbits import (
     cycle_of,
     new_orbit,
     placed,
+    round_again,
 )
 from zeno_orbits.orbits.bounds import KEPT, excess
-from zeno_orbits.orbits.cycle import round_again
-from zeno_orbits.orbits.phases import Moment
 from zeno_orbits.search.closing import escape_of, named
 from zeno_orbits.search.objectives import Objective, Target
 from zeno_orbits.search.outcome import SimulatedSolution, StartOutcome
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.search.transcription.transcribe import labels_of, start_block
-from zeno_orbits.simulation import Impact, SimulationSettings, ZenoPoint
-from zeno_orbits.simulation.signals import Extent, extent_of, signal, signal_names
+from zeno_orbits.simulation import (
+    Extent,
+    Impact,
+    SimulationSettings,
+    ZenoPoint,
+    extent_of,
+    signal,
+    signal_names,
+)
 
 
 def confirm(

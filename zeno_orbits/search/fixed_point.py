@@ -21,13 +21,15 @@ from zeno_orbits.orbits import (
     OrbitShape,
     Section,
     cycle_of,
+    kinds_of,
+    phases_of,
     placed,
+    return_slope,
+    rows_of,
     section_around,
 )
 from zeno_orbits.orbits.cycle import cycle_between
-from zeno_orbits.orbits.phases import follow_each_other, kinds_of, phases_of
-from zeno_orbits.orbits.poincare import return_slope
-from zeno_orbits.orbits.section import rows_of
+from zeno_orbits.orbits.phases import follow_each_other
 from zeno_orbits.simulation import SimulationSettings, simulate
 
 _REPEATS = 1e-12

@@ -12,18 +12,19 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, RunawayError, SimulationError
 from zeno_orbits.integrators import Tolerance
 from zeno_orbits.model import HybridDynamics, Problem
-from zeno_orbits.orbits import Cycle, OrbitShape, cycle_of, cycles, placed
-from zeno_orbits.orbits.period import to_next_release
+from zeno_orbits.orbits import Cycle, OrbitShape, cycle_of, cycles, placed, to_next_release
 from zeno_orbits.search.recurrence import Recurrence, Recurring
-from zeno_orbits.simulation import Execution, Mode, SimulationSettings, ZenoExtrapolation, simulate
-from zeno_orbits.simulation.attractor import (
+from zeno_orbits.simulation import (
     WAITING,
+    Execution,
+    Mode,
+    SimulationSettings,
+    ZenoExtrapolation,
     bounds_of,
-    growth_of,
-    has_left,
-    is_still,
+    own_time,
+    simulate,
 )
-from zeno_orbits.simulation.time_scale import own_time
+from zeno_orbits.simulation.attractor import growth_of, has_left, is_still
 
 _DIFFERENCE = 1e-6
 """Step of a derivative; its error is that part of a correction that is small itself."""

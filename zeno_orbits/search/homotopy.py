@@ -10,8 +10,16 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import HybridDynamics, ParameterValues
-from zeno_orbits.orbits import Cycle, OrbitShape, ZenoOrbit, follow_path, placed
-from zeno_orbits.orbits.path import PathStep, StepControl, StepError
+from zeno_orbits.orbits import (
+    Cycle,
+    OrbitShape,
+    PathStep,
+    StepControl,
+    StepError,
+    ZenoOrbit,
+    follow_path,
+    placed,
+)
 from zeno_orbits.search.closing import ClosedCycle, close_cycle
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.simulation import SimulationSettings

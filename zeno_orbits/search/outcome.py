@@ -12,7 +12,7 @@ from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import ParameterValues
 from zeno_orbits.orbits import Cycle, ZenoOrbit
 from zeno_orbits.search.settings import SearchStatus
-from zeno_orbits.simulation.signals import Extent
+from zeno_orbits.simulation import Extent
 from zeno_orbits.verification import OrbitCertificate
 from zeno_orbits.work import Columns, Displayed, by_name
 

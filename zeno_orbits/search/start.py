@@ -17,7 +17,7 @@ from zeno_orbits.search.outcome import Accept, Candidate, Judgement, StartOutcom
 from zeno_orbits.search.search_problem import SearchProblem, clipped, listed
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.search.strategy import SearchStart, from_start
-from zeno_orbits.simulation.signals import Extent
+from zeno_orbits.simulation import Extent
 from zeno_orbits.verification import measure
 
 

@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import HybridDynamics, ParameterValues
-from zeno_orbits.orbits import Cycle, ZenoOrbit
-from zeno_orbits.orbits.cycle import gone_round_twice, round_again
+from zeno_orbits.orbits import Cycle, ZenoOrbit, gone_round_twice, round_again
 from zeno_orbits.search.closing import close_cycle
 from zeno_orbits.search.confirmation import one_cycle
 from zeno_orbits.search.guess import settle

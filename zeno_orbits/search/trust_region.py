@@ -10,8 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from zeno_orbits.model import ParameterValues
-from zeno_orbits.orbits import Cycle, follow_path
-from zeno_orbits.orbits.path import PathStep, StepControl, StepError
+from zeno_orbits.orbits import Cycle, PathStep, StepControl, StepError, follow_path
 from zeno_orbits.search.outcome import StartOutcome
 from zeno_orbits.search.refinement import ON_THE_WAY
 from zeno_orbits.search.search_problem import SearchProblem

@@ -10,8 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from zeno_orbits.integrators import RungeKutta, Tolerance
-from zeno_orbits.integrators.engine import Stepper
+from zeno_orbits.integrators import RungeKutta, Stepper, Tolerance
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.simulation.event_rules import is_geometric
 from zeno_orbits.simulation.rescaled_flight import rescaled_flights

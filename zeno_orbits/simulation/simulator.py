@@ -14,8 +14,14 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ChatterError, InputError, PenetrationError, SimulationError
-from zeno_orbits.integrators import Automatic, Engine, GuardedFlow, Tolerance, Trajectory
-from zeno_orbits.integrators.events import SteppedTrajectory
+from zeno_orbits.integrators import (
+    Automatic,
+    Engine,
+    GuardedFlow,
+    SteppedTrajectory,
+    Tolerance,
+    Trajectory,
+)
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.simulation.arc_follower import ArcFollower, ArcStart
 from zeno_orbits.simulation.completion import Completion, ZenoPassage

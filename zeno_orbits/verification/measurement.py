@@ -8,11 +8,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model import HybridDynamics, Problem
-from zeno_orbits.model.numeric.compiled import bind
+from zeno_orbits.model import HybridDynamics, Problem, bind
 from zeno_orbits.orbits import Cycle, ZenoOrbit, floquet_multipliers, placed
-from zeno_orbits.simulation import SimulationSettings
-from zeno_orbits.simulation.signals import Extent, extent_of, signal, signal_names
+from zeno_orbits.simulation import Extent, SimulationSettings, extent_of, signal, signal_names
 from zeno_orbits.verification.claim import Claim, claim_of
 from zeno_orbits.verification.cross_checks import energies_of
 from zeno_orbits.verification.integration import FirstCycle, observe

@@ -13,8 +13,7 @@ from dataclasses import dataclass, field, replace
 
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.integrators import Tolerance
-from zeno_orbits.model import HybridDynamics, Problem
-from zeno_orbits.model.library import load_reference
+from zeno_orbits.model import HybridDynamics, Problem, load_reference
 from zeno_orbits.orbits import Multipliers, ZenoOrbit, floquet_multipliers, placed
 from zeno_orbits.orbits.digest import digest_of, same_equations
 from zeno_orbits.simulation import SimulationSettings

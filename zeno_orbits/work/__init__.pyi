@@ -3,6 +3,11 @@ from .checkpoint import remove_checkpoint as remove_checkpoint
 from .display import Columns as Columns
 from .display import Displayed as Displayed
 from .display import by_name as by_name
+from .files import read_object as read_object
+from .files import require_folder as require_folder
+from .files import require_picture as require_picture
+from .files import require_writable as require_writable
+from .files import write_all as write_all
 from .files import write_whole as write_whole
 from .plan import Cluster as Cluster
 from .plan import LostPoint as LostPoint
@@ -11,6 +16,7 @@ from .plan import Plan as Plan
 from .plan import Workers as Workers
 from .pools import Pool as Pool
 from .pools import open_pool as open_pool
+from .pools import worker_count as worker_count
 from .progress import Progress as Progress
 from .progress import portion as portion
 from .progress import silent as silent
@@ -18,6 +24,7 @@ from .scheduling import Task as Task
 from .scheduling import claim as claim
 from .scheduling import spread as spread
 from .scheduling import spread_in_order as spread_in_order
+from .serialization import EntryError as EntryError
 from .serialization import plain as plain
 from .serialization import restored as restored
 from .software import versions as versions

@@ -21,8 +21,7 @@ from zeno_orbits.continuation.return_maps import Loss, Margin, ReturnMap
 from zeno_orbits.continuation.special_points import INSIDE, Located, TestFunction, located_near
 from zeno_orbits.continuation.two_parameters.plane import CurveSetup
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
-from zeno_orbits.orbits import follow_path
-from zeno_orbits.orbits.path import PathStep, StepError
+from zeno_orbits.orbits import PathStep, StepError, follow_path
 
 
 @dataclass(frozen=True, kw_only=True)

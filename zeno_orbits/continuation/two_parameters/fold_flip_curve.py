@@ -18,8 +18,7 @@ from zeno_orbits.continuation.margins import CLOSE, Stage, meeting
 from zeno_orbits.continuation.two_parameters.fold_flip_point import FoldFlipPoint, FoldFlipSystem
 from zeno_orbits.continuation.two_parameters.plane import CurveSetup, CurveStart
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.orbits import follow_path
-from zeno_orbits.orbits.path import PathStep, StepControl, StepError, returns_to_start
+from zeno_orbits.orbits import PathStep, StepControl, StepError, follow_path, returns_to_start
 
 MULTIPLIERS = {SpecialPointKind.FOLD: 1.0, SpecialPointKind.FLIP: -1.0}
 """Multiplier of a fold and of a flip."""

@@ -18,8 +18,7 @@ from zeno_orbits.experiment.comparison.alignment import Alignment, aligned
 from zeno_orbits.experiment.orbit_table import OrbitTable, measurable, tabulate_orbit
 from zeno_orbits.experiment.recordings.periodicity import Periodicity, periodicity
 from zeno_orbits.experiment.recordings.recording import Recording
-from zeno_orbits.model import Problem
-from zeno_orbits.model.units import powers_of
+from zeno_orbits.model import Problem, powers_of
 from zeno_orbits.orbits import ZenoOrbit
 
 _REPEATS = 0.4

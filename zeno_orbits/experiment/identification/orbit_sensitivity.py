@@ -19,23 +19,21 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.orbit_table import CubicColumns
-from zeno_orbits.model import HybridDynamics
-from zeno_orbits.model.numeric.compiled_derivatives import N_STAGES
-from zeno_orbits.model.numeric.derivatives import Differentials
-from zeno_orbits.orbits import return_derivative
-from zeno_orbits.orbits.monodromy import differentials_of
-from zeno_orbits.orbits.poincare import section_derivative
+from zeno_orbits.model import N_STAGES, Differentials, HybridDynamics
+from zeno_orbits.orbits import differentials_of, return_derivative, section_derivative
 from zeno_orbits.simulation import (
     Arc,
+    Bounce,
     Ending,
+    EventShift,
     Execution,
     Impact,
     Mode,
+    Perturbations,
     SimulationSettings,
     ZenoPoint,
+    courses,
 )
-from zeno_orbits.simulation.sensitivity import Bounce, EventShift, Perturbations
-from zeno_orbits.simulation.state_transition import courses
 
 _PARTS = 3
 """Nodes in a step of the integrator: between them the derivatives are cubic."""

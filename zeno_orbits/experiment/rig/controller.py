@@ -14,8 +14,8 @@ from enum import Enum
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model import Rig
-from zeno_orbits.model.rig_parts import Bridge, Controller, Sensors, Switching
+from zeno_orbits.model import Bridge, Rig, Switching
+from zeno_orbits.model.rig_parts import Controller, Sensors
 
 
 class ControlLoop:

@@ -19,7 +19,7 @@ from zeno_orbits.experiment.rig.run import Record, RigRun, RigSettings, Touch
 from zeno_orbits.experiment.rig.simulator import simulate_rig
 from zeno_orbits.model import Problem, Rig
 from zeno_orbits.orbits import ZenoOrbit
-from zeno_orbits.simulation.attractor import AttractorKind, Motion, SectionReturn, outcome_of
+from zeno_orbits.simulation import AttractorKind, Motion, SectionReturn, outcome_of
 from zeno_orbits.work import Progress, silent
 
 _CLOSE = 0.02

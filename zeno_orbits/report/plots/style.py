@@ -15,8 +15,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from zeno_orbits.simulation import Execution, Mode
-from zeno_orbits.work import write_whole
-from zeno_orbits.work.files import require_picture
+from zeno_orbits.work import require_picture, write_whole
 
 COLUMN_WIDTH = 3.4
 """Width of one column of a paper [in]."""

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from zeno_orbits.model import Problem
     from zeno_orbits.orbits import ZenoOrbit
     from zeno_orbits.precision import Assured
-    from zeno_orbits.simulation.execution import Event
+    from zeno_orbits.simulation import Event
     from zeno_orbits.verification import DeltaCut, OrbitCertificate
 
 _MOST_EVENTS = 40

@@ -11,7 +11,7 @@ from zeno_orbits.report.terminal.console import counted, print_lines, print_tabl
 
 if TYPE_CHECKING:
     from zeno_orbits.search import Candidate, SearchResult, StartAttempt
-    from zeno_orbits.simulation.signals import Extent
+    from zeno_orbits.simulation import Extent
 
 
 def print_search(result: SearchResult) -> None:

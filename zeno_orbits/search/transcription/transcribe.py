@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Array, Vector
-from zeno_orbits.integrators.collocation import Collocation
+from zeno_orbits.integrators import Collocation
 from zeno_orbits.model import CompiledSystem, HybridDynamics, ImpactLaw, ParameterValues
 from zeno_orbits.orbits import Cycle, OrbitShape
 from zeno_orbits.search.transcription.arc import CollocatedArc, TranscriptionSettings

@@ -21,7 +21,7 @@ from zeno_orbits.simulation.attractor import has_left, is_still, keeps_holding
 from zeno_orbits.simulation.batch.events import Mask, first_falls, may_fall
 from zeno_orbits.simulation.batch.lanes import FREE, LOCKED, empty_lanes
 from zeno_orbits.simulation.batch.model import BatchFlow, BatchModel
-from zeno_orbits.simulation.batch.outcomes import Event, Reason
+from zeno_orbits.simulation.batch.outcomes import LaneEvent, Reason
 from zeno_orbits.simulation.batch.rules import BatchSettings, Transitions
 
 _SAFETY, _SHRINK, _GROW = 0.9, 0.2, 8.0
@@ -108,7 +108,7 @@ class Batch:
         for lane in lanes:
             self._transitions.leave(lane)
 
-    def round(self) -> list[Event]:
+    def round(self) -> list[LaneEvent]:
         """Advance every lane by one step and return what happened."""
         lanes = self._lanes
         groups = [np.flatnonzero(lanes.alive & (lanes.mode == mode)) for mode in range(3)]

@@ -13,10 +13,9 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators.dop853_step import overflow
+from zeno_orbits.integrators import overflow
 from zeno_orbits.integrators.rosenbrock import rosenbrock_step
-from zeno_orbits.model import CompiledSystem, Problem
-from zeno_orbits.model.numeric.compiled_flow import ModeFunctions, dense_function
+from zeno_orbits.model import CompiledSystem, ModeFunctions, Problem, dense_function
 
 
 class BatchFlow:

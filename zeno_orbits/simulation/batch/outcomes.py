@@ -77,4 +77,4 @@ class Ended:
     detail: str = ""
 
 
-Event = Released | Struck | Ended
+LaneEvent = Released | Struck | Ended

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Rows, Vector
-from zeno_orbits.model.contact import GAP_RATE, MULTIPLIER_RATE
+from zeno_orbits.model import GAP_RATE
+from zeno_orbits.model.contact import MULTIPLIER_RATE
 from zeno_orbits.simulation.batch.lanes import (
     FLIGHT,
     FREE,
@@ -19,7 +20,7 @@ from zeno_orbits.simulation.batch.lanes import (
     Lanes,
 )
 from zeno_orbits.simulation.batch.model import ABSOLUTE, BatchFlow, BatchModel
-from zeno_orbits.simulation.batch.outcomes import Ended, Event, Reason, Released, Struck
+from zeno_orbits.simulation.batch.outcomes import Ended, LaneEvent, Reason, Released, Struck
 from zeno_orbits.simulation.batch.zeno_limit import Tails
 from zeno_orbits.simulation.event_rules import enters_stop, is_geometric, stop_holds
 from zeno_orbits.simulation.zeno_limit import tail_time
@@ -51,7 +52,7 @@ class Transitions:
         self.model = model
         self.lanes = lanes
         self.settings = settings
-        self.events: list[Event] = []
+        self.events: list[LaneEvent] = []
         self.flows: tuple[BatchFlow, ...] = (model.free, model.flight, model.locked)
         self._tails = Tails(len(lanes.alive), model.n_x)
         self._where = np.zeros(len(lanes.alive), dtype=np.intp)
