@@ -2,7 +2,8 @@
 
 A problem is given as an object, by the name of a bundled one, or by the path of its file. Numbers
 that are not given are the problem's own. Functions of an orbit find its problem by its name;
-``problem=`` overrides. The rooms offer the same steps with everything adjustable.
+``problem=`` overrides. Work of more than a second shows its progress in terminals and notebooks;
+``on_progress=`` takes it elsewhere. The rooms offer the same steps with everything adjustable.
 
 Offers: the functions below; `zeno_orbits` exports them.
 Imports: every room but ``cli``.
@@ -10,13 +11,14 @@ Imports: every room but ``cli``.
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
-from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.errors import InputError
 from zeno_orbits.model import (
     Problem,
     ProblemFile,
@@ -48,7 +50,28 @@ Numbers = Mapping[str, float]
 Axis = tuple[str, float, float, int]
 """Name of a gain or parameter, its range, and the number of points along it."""
 
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
 
+
+def _shows_progress(work: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Show progress in a notebook or terminal, unless the caller takes it elsewhere."""
+
+    @wraps(work)
+    def shown(*args: _P.args, **options: _P.kwargs) -> _R:
+        from zeno_orbits.report import line_for_watcher
+
+        line = None if "on_progress" in options else line_for_watcher()
+        if line is None:
+            return work(*args, **options)
+        with line:
+            told: Any = partial(work, on_progress=line)
+            return told(*args, **options)
+
+    return shown
+
+
+@_shows_progress
 def simulate(
     problem: Named,
     *,
@@ -84,6 +107,7 @@ def simulate(
     )
 
 
+@_shows_progress
 def find_orbit(
     problem: Named,
     *,
@@ -128,6 +152,7 @@ def find_orbit(
     )
 
 
+@_shows_progress
 def search_gains(
     problem: Named,
     *,
@@ -202,6 +227,7 @@ def search_gains(
     return _with_certificates(result)
 
 
+@_shows_progress
 def close_orbit(
     problem: Named,
     *,
@@ -241,6 +267,7 @@ def close_orbit(
     )
 
 
+@_shows_progress
 def verify(
     orbit: ZenoOrbit | str | Path,
     *,
@@ -280,31 +307,13 @@ def floquet_multipliers(
         InputError: If the orbit's problem is not known, or its numbers do not fit the problem.
         SimulationError: If the orbit does not return.
     """
-    import numpy as np
-
-    from zeno_orbits.orbits import first_cycles, placed, poincare
-    from zeno_orbits.simulation import simulator
+    from zeno_orbits.verification import multipliers_of
 
     orbit = _read(orbit)
-    known = problem_of(orbit, problem)
-    dynamics, settings = known.dynamics(orbit.values(known)), simulator.SimulationSettings()
-    shape = orbit.shape.at_restitution(dynamics.restitution)
-    release = known.state_vector(orbit.phases[0].start_state)
-    start = placed(dynamics, shape, np.array(release, dtype=np.float64))
-    motion = simulator.simulate(dynamics, start, until=1.5 * orbit.period, settings=settings)
-    found = first_cycles(motion, start, shape)
-    if not found:
-        raise SimulationError("The orbit does not return", time=motion.end_time, state=release)
-    return poincare.floquet_multipliers(
-        dynamics,
-        start,
-        scale=found[0].scale(),
-        period=found[0].period,
-        settings=settings,
-        shape=shape,
-    )
+    return multipliers_of(orbit, problem_of(orbit, problem))
 
 
+@_shows_progress
 def continue_orbit(
     orbit: ZenoOrbit | str | Path,
     parameter: str,
@@ -366,6 +375,7 @@ def _crew(problem: Named, workers: int, on_progress: Progress) -> Generator[Crew
         yield Crew(problem_file=_file_of(problem), plan=plan, pool=pool, on_progress=on_progress)
 
 
+@_shows_progress
 def parameter_map(
     problem: Named,
     *,

@@ -13,6 +13,7 @@ from typing import Any
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import Problem
 from zeno_orbits.precision import WorkPrecision
+from zeno_orbits.report.machine import STOP, frame_of, machine_motion
 from zeno_orbits.report.page.subject import Subject
 from zeno_orbits.report.paths import ArcPath, drawn_phases_of, paths_of, shown_states
 from zeno_orbits.report.symbols import html_symbol
@@ -26,6 +27,8 @@ _TAIL = 1e-4
 """Part of the last resolved impact's speed down to which the flights after it are continued."""
 _MOST_TAIL = 60
 """Largest number of these flights: near e = 1 there are thousands."""
+_FRAMES = 150
+"""Pictures of the machine over a period; between two, its corners move straight."""
 _SERIES_DECADES = 5
 """Decades of zoom that the digits of the states over time can bear."""
 
@@ -45,6 +48,8 @@ def curves_of(subject: Subject) -> dict[str, Any]:
         return curves
     curves["portraits"] = _portraits(subject.problem, execution)
     curves["series"] = _series(subject, execution)
+    if subject.problem.drawing is not None:
+        curves["machine"] = _machine(subject, execution)
     if execution.zeno_points:
         zoom = close_up(execution, subject.dynamics)
         curves["zeno"] = _zeno(zoom, subject.problem.gap_unit)
@@ -100,6 +105,27 @@ def _series(subject: Subject, execution: Execution) -> dict[str, Any]:
         "zeno": execution.zeno_points[-1].time if execution.zeno_points else None,
         "end": execution.end_time,
         "decades": _SERIES_DECADES,
+    }
+
+
+def _machine(subject: Subject, execution: Execution) -> dict[str, Any]:
+    """Return the lines of the machine at even times, the stop first and points last."""
+    orbit, problem = subject.orbit, subject.problem
+    motion = machine_motion(problem, orbit.values(problem), execution, orbit.period, n=_FRAMES)
+    order = sorted(motion.lines, key=lambda name: (motion.lines[name].shape[1] == 1, name != STOP))
+    x, y = frame_of(motion)
+    return {
+        "x": x,
+        "y": y,
+        "period": orbit.period,
+        "modes": [mode.value for mode in motion.modes],
+        "lines": [
+            {
+                "stop": name == STOP,
+                "corners": [_short(corners.ravel(), 5) for corners in motion.lines[name]],
+            }
+            for name in order
+        ],
     }
 
 
