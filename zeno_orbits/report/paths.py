@@ -13,7 +13,7 @@ from zeno_orbits.simulation import Arc, Ending, Execution, Mode
 
 _SEEN = 0.004
 """A tail shorter than this part of the motion is too short to see."""
-_BEND = 1e-3
+_BEND = 1e-4
 """Distance of a curve from its chord that cannot be seen, in ranges of the execution."""
 _HALVINGS = 6
 """How often an interval between two steps is halved at most."""
