@@ -15,6 +15,13 @@ class InputError(ZenoOrbitsError, ValueError):
     """An argument, a name or a file is not usable; the text says which and why."""
 
 
+def _about_file(kind: str, path: Path, wanted: str, reason: str) -> str:
+    """Return why a file is not usable; a file that cannot be read is not told what it must hold."""
+    if reason.startswith("it cannot be read"):
+        return f"{kind} file `{path}` {reason.removeprefix('it ')}."
+    return f"{kind} file `{path}` must {wanted}, but {reason}."
+
+
 class ProblemFileError(InputError):
     """A problem file could not be turned into a problem.
 
@@ -23,7 +30,7 @@ class ProblemFileError(InputError):
     """
 
     def __init__(self, path: Path, reason: str) -> None:
-        super().__init__(f"Problem file `{path}` must define a problem, but {reason}.")
+        super().__init__(_about_file("Problem", path, "define a problem", reason))
         self.path = path
 
 
@@ -35,7 +42,7 @@ class OrbitFileError(InputError):
     """
 
     def __init__(self, path: Path, reason: str) -> None:
-        super().__init__(f"Orbit file `{path}` must hold a Zeno orbit, but {reason}.")
+        super().__init__(_about_file("Orbit", path, "hold a Zeno orbit", reason))
         self.path = path
 
 
@@ -47,7 +54,7 @@ class MapFileError(InputError):
     """
 
     def __init__(self, path: Path, reason: str) -> None:
-        super().__init__(f"Map file `{path}` must hold a map, but {reason}.")
+        super().__init__(_about_file("Map", path, "hold a map", reason))
         self.path = path
 
 
@@ -139,7 +146,7 @@ class DataFileError(InputError):
     """
 
     def __init__(self, path: Path, reason: str) -> None:
-        super().__init__(f"Data file `{path}` must hold a recording, but {reason}.")
+        super().__init__(_about_file("Data", path, "hold a recording", reason))
         self.path = path
 
 

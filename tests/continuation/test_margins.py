@@ -227,7 +227,7 @@ def test_an_acceleration_is_not_approached_where_impacts_accumulate() -> None:
     blind = Blind(returns=returns, kept=(ACCELERATION,))
     found = locate_end(blind, setup.metric, points, alone)
     assert found.kind is SpecialPointKind.THEOREM_LOST
-    with pytest.raises(SimulationError, match="for no reason"):
+    with pytest.raises(SimulationError, match="without a known cause"):
         locate_end(replace(blind, e=0.3), setup.metric, points, alone)
     # With it, the end has its name, and is better known than by what follows from it.
     caused = locate_end(returns, setup.metric, points, alone)

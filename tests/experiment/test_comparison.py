@@ -170,11 +170,11 @@ Change = Callable[[np.ndarray, np.ndarray], Any]
 FALSE: dict[str, tuple[Change, str]] = {
     "first angle mirrored": (
         lambda t, y: (t, y * [[-1], [1], [1]]),
-        "`theta1` looks like its sign turned",
+        "`theta1` looks like its sign reversed",
     ),
     "gap mirrored": (
         lambda t, y: (t, y * [[1], [-1], [1]]),
-        "`theta2` looks like its sign turned",
+        "`theta2` looks like its sign reversed",
     ),
     "degrees as radians": (
         lambda t, y: (t, y * [[180 / math.pi], [180 / math.pi], [1]]),

@@ -275,7 +275,7 @@ def test_a_hole_in_every_line_of_a_long_file_is_kept(write: Write) -> None:
         ("angle [rad],x [m]\n0,1\n1,2\n", r"no column named `time` \(its columns: angle, x\)"),
         ("time [s],t [s],x [m]\n0,1,2\n1,2,3\n", "more than one column named `time`"),
         ("time [s],x [m],x [m]\n0,1,2\n1,2,3\n", "two of its columns are named `x`"),
-        ("time [rad],x [m]\n0,1\n1,2\n", r"column `time \[rad\]` is no time"),
+        ("time [rad],x [m]\n0,1\n1,2\n", r"column `time \[rad\]` is not a time"),
         ("time,x [m]\n0,1\n1,2\n", r"column `time` has no unit; write for instance `time \["),
         ("time [s],x [counts]\n0,1\n1,2\n", "the unit of column `x` is not clear: `counts`"),
         ("time [s],x []\n0,1\n1,2\n", "the unit of column `x` is not clear"),

@@ -195,7 +195,7 @@ def test_a_problem_whose_file_has_changed_meanwhile_is_refused(tmp_path: Path) -
     shutil.copy(bundled_problems()["bouncing_ball"], problem)
     before = plane(problem)
     problem.write_text(problem.read_text() + "\n# another thought\n")
-    with pytest.raises(InputError, match="must be the same file for everybody"):
+    with pytest.raises(InputError, match="must be the same file for all workers"):
         before.source.load()
     problem.unlink()
     with pytest.raises(InputError):
@@ -268,11 +268,11 @@ def test_the_arrays_of_a_map_have_a_row_for_every_y(found: ParameterMap) -> None
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (lambda text: text[:-40], "no complete JSON"),
-        (lambda _: "[]", "no object"),
+        (lambda text: text[:-40], "not complete JSON"),
+        (lambda _: "[]", "not an object"),
         (lambda text: text.replace('"format": 1', '"format": 2'), "format is 2"),
         (lambda text: text.replace('"fate": "rest"', '"fate": "bliss"', 1), "does not fit"),
-        (lambda text: text.replace('"count": 3', '"count": 4'), "not one entry a point"),
+        (lambda text: text.replace('"count": 3', '"count": 4'), "not have one entry per point"),
         (lambda text: text.replace('"until"', '"before"'), "does not fit"),
     ],
 )

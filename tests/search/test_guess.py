@@ -140,7 +140,7 @@ def test_a_start_that_cannot_be_simulated_says_so() -> None:
     right = forced_oscillator(FORCED, 0.5)
     wrong = replace(right, reset_map=lambda x, rate: right.reset_map(x, -rate))
     settling = settle(wrong, [LOCKED], SHORT)
-    words = "the simulation stops: the reset map sends the state into the stop"
+    words = "the simulation fails: the reset map sends the state into the stop"
     assert settling.reason.lower() == words
 
 

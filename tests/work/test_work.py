@@ -373,11 +373,11 @@ def test_a_broken_identity_is_named(kept: Path) -> None:
 
 def test_a_folder_of_other_things_is_refused_and_left_untouched(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("everything")
-    with pytest.raises(CheckpointError, match=r"no checkpoint: it holds `thesis\.tex`"):
+    with pytest.raises(CheckpointError, match=r"not a checkpoint: it holds `thesis\.tex`"):
         spread(forbidden, POINTS, plan(tmp_path))
-    with pytest.raises(CheckpointError, match="no folder"):
+    with pytest.raises(CheckpointError, match="not a folder"):
         spread(forbidden, POINTS, plan(tmp_path / "thesis.tex"))
-    with pytest.raises(CheckpointError, match="no folder"):
+    with pytest.raises(CheckpointError, match="not a folder"):
         spread(forbidden, POINTS, plan(tmp_path / "missing" / "kept"))
     assert contents(tmp_path) == {"thesis.tex": b"everything"}
 

@@ -60,36 +60,36 @@ def add_continue(commands: Any) -> None:
         type=read_range,
         required=True,
         metavar="NAME=LOW:HIGH",
-        help="the gain or parameter to follow the family in; the start must lie in the range",
+        help="the gain or parameter to vary, and its range, which must contain the start",
     )
     parser.add_argument(
         "--from",
         dest="start_orbit",
         type=Path,
         metavar="ORBIT.json",
-        help="start at this orbit and its numbers; by default at one that a motion settles to",
+        help="start from this orbit and its values; by default from one that a motion settles to",
     )
     parser.add_argument(
         "--section",
         choices=("release", "impact"),
         default="release",
-        help="close orbits from release to release, or, without a Zeno point, impact to impact",
+        help="the event at which a period begins: impact, for orbits without a Zeno point",
     )
     parser.add_argument(
         "--start",
         action=Named,
         type=read_named_number,
         metavar="STATE=VALUE",
-        help="with --section impact: where a motion starts that settles to the orbit",
+        help="with --section impact: initial state of a motion that settles to the orbit",
     )
     parser.add_argument(
-        "--steps", type=read_count, default=300, metavar="N", help="steps in each direction"
+        "--steps", type=read_count, default=300, metavar="N", help="most steps in each direction"
     )
     parser.add_argument(
         "--second",
         type=read_range,
         metavar="NAME=LOW:HIGH",
-        help="follow the special points in this parameter, too",
+        help="also follow the special points in this second parameter",
     )
     parser.add_argument(
         "--point",
@@ -97,7 +97,7 @@ def add_continue(commands: Any) -> None:
         type=read_point_kind,
         default=[],
         metavar="KIND",
-        help="with --second: only points of this kind, fold for instance; may be repeated",
+        help="with --second: only points of this kind, for example fold; may be repeated",
     )
     add_place(parser)
     parser.add_argument("-o", "--output", type=Path, help="write the families here, as JSON")
@@ -111,6 +111,9 @@ def _run_continue(options: argparse.Namespace) -> int:
     problem_file = locate_problem(options.problem)
     problem = problem_file.load()
     require_outputs(options)
+    problem.require_range(*options.range, argument="in")
+    if options.second is not None:
+        problem.require_range(*options.second, argument="second")
 
     def work(checkpoint: Path | None, progress: report.ProgressLine) -> Continuation:
         return _continued(options, problem_file, checkpoint, progress)

@@ -6,7 +6,14 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from zeno_orbits.cli.options import YES, add_command, orbit_and_problem, print_json, say_written
+from zeno_orbits.cli.options import (
+    YES,
+    add_command,
+    add_problem_file,
+    orbit_and_problem,
+    print_json,
+    say_written,
+)
 from zeno_orbits.cli.parsing import read_count
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.report import terminal as report
@@ -38,31 +45,29 @@ def add_figures(commands: Any) -> None:
         "orbit",
         metavar="ORBIT.json|PROBLEM",
         type=Path,
-        help="an orbit file, or a problem, whose orbit at its own numbers is sought first",
+        help="an orbit file, or a problem, whose orbit is searched for first",
     )
-    parser.add_argument(
-        "--problem", metavar="FILE.py", help="the orbit's problem, where it is not a bundled one"
-    )
+    add_problem_file(parser)
     parser.add_argument(
         "--kind",
         action="append",
         choices=_KINDS,
-        help="which: the system and its completion as graphs, the region d2h/dt2 < 0, phase "
-        "portraits, five figures of the model beside the virtual rig, the machine in motion; may "
-        "be repeated; by default all that the problem has",
+        help="figures to draw: the system and its completion as graphs, the region d2h/dt2 < 0, "
+        "phase portraits, five figures of the model beside the virtual rig, the machine in motion; "
+        "may be repeated; by default all that the problem has",
     )
     parser.add_argument(
         "--data",
         type=Path,
         metavar="FILE.csv",
-        help="beside the model, show this recording instead of the virtual rig",
+        help="show the model beside this recording instead of the virtual rig",
     )
     parser.add_argument(
         "--periods",
         type=read_count,
         default=3,
         metavar="N",
-        help="periods of the model beside another motion",
+        help="number of periods to show beside another motion",
     )
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder for the figures")
 
@@ -149,5 +154,5 @@ def _orbit_and_problem(
         message = "must come with an orbit file, but a problem is named already"
         raise InputError(f"Argument `problem` {message}.")
     problem = load_problem(str(options.orbit))
-    progress("seeking the orbit")
+    progress("searching for the orbit")
     return find_orbit(problem, problem.values()).unwrap(), problem

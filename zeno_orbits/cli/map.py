@@ -45,27 +45,27 @@ def add_map(commands: Any) -> None:
     add_problem(parser)
     add_gains(parser)
     add_start(parser)
-    for side, where in (("x", "across"), ("y", "upwards")):
+    for side, where in (("x", "horizontal"), ("y", "vertical")):
         parser.add_argument(
             f"--{side}",
             action=Once,
             type=read_range,
             required=True,
             metavar="NAME=LOW:HIGH",
-            help=f"the gain or parameter that goes {where}",
+            help=f"the gain or parameter on the {where} axis",
         )
     parser.add_argument(
         "--points",
         type=read_grid,
         default=(50, 50),
         metavar="NxM",
-        help="points across and upwards; 50x50 by default",
+        help="number of points along x and y; 50x50 by default",
     )
     parser.add_argument(
         "--until",
         type=read_number,
         metavar="T",
-        help="how long a motion may take to settle [s]; by default 300 turns of the problem's "
+        help="longest time for a motion to settle [s]; by default 300 periods of the problem's "
         "clock, or 35 of its slowest oscillation",
     )
     add_place(parser)
@@ -74,7 +74,7 @@ def add_map(commands: Any) -> None:
         "--boundaries",
         type=Path,
         metavar="FAMILY.json",
-        help="draw the curves of `continue --second` on top",
+        help="draw the curves of this file, of `continue --second`, on top",
     )
     parser.add_argument("-o", "--output", type=Path, help="write the map here, as JSON")
 

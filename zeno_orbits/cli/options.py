@@ -6,6 +6,7 @@ import argparse
 import re
 import sys
 import tempfile
+import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from zeno_orbits.work import Place
 
 YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
+
+_HELP_WIDTH = 78
 
 Result = TypeVar("Result")
 
@@ -84,54 +87,57 @@ def add_command(
     parser = commands.add_parser(
         name,
         help=summary,
-        description=summary[0].upper() + summary[1:] + ".",
+        description=textwrap.fill(f"{summary[0].upper()}{summary[1:]}.", _HELP_WIDTH),
         epilog="examples:\n" + "\n".join(f"  {example}" for example in examples),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.set_defaults(run=run)
     parser.add_argument("--json", action="store_true", help="print JSON for programs")
-    parser.add_argument("--debug", action="store_true", help="show where an error comes from")
+    parser.add_argument("--debug", action="store_true", help="print the traceback of an error")
     return parser
 
 
 def add_problem(parser: argparse.ArgumentParser) -> None:
     """Add the problem and its parameters."""
     parser.add_argument(
-        "problem", metavar="PROBLEM", help="a problem's name or Python file, or problem@fidelity"
+        "problem",
+        metavar="PROBLEM",
+        help="a problem's name (NAME@FIDELITY for a reduced model) or Python file",
     )
     add_parameters(parser)
 
 
-def add_parameters(parser: argparse.ArgumentParser) -> None:
-    """Add the parameters of a problem."""
+def _add_named(parser: argparse.ArgumentParser, option: str, form: str, meaning: str) -> None:
+    """Add an option that gives numbers by name and may be repeated."""
     parser.add_argument(
-        "--set",
+        option,
         action=Named,
         type=read_named_number,
-        metavar="NAME=VALUE",
-        help="change a parameter of the problem; may be repeated",
+        metavar=form,
+        help=f"{meaning}; may be repeated",
     )
+
+
+def add_parameters(parser: argparse.ArgumentParser) -> None:
+    """Add the parameters of a problem."""
+    _add_named(parser, "--set", "NAME=VALUE", "change a parameter of the problem")
 
 
 def add_gains(parser: argparse.ArgumentParser) -> None:
     """Add the gains of a problem."""
-    parser.add_argument(
-        "--gain",
-        action=Named,
-        type=read_named_number,
-        metavar="NAME=VALUE",
-        help="change a gain; may be repeated",
-    )
+    _add_named(parser, "--gain", "NAME=VALUE", "change a gain")
 
 
 def add_start(parser: argparse.ArgumentParser) -> None:
     """Add the initial state."""
+    meaning = "initial value of a state, 0 for the others; by default the problem's first start"
+    _add_named(parser, "--start", "STATE=VALUE", meaning)
+
+
+def add_problem_file(parser: argparse.ArgumentParser) -> None:
+    """Add the file of an orbit's problem."""
     parser.add_argument(
-        "--start",
-        action=Named,
-        type=read_named_number,
-        metavar="STATE=VALUE",
-        help="initial state, others zero; by default the problem's first start",
+        "--problem", metavar="FILE.py", help="the problem's file, if it is not a bundled one"
     )
 
 
@@ -141,15 +147,15 @@ def add_accuracy(parser: argparse.ArgumentParser) -> None:
         "--accuracy",
         type=read_number,
         metavar="A",
-        help="use the cheapest settings that reach this relative error, 1e-6 for instance, and "
-        "report the estimated error; by default as accurate as is cheap",
+        help="relative error to reach, for example 1e-6, with the cheapest settings that do; the "
+        "estimated error is reported",
     )
     parser.add_argument(
         "--engine",
         choices=tuple(ENGINES),
         default=next(iter(ENGINES)),
-        help="the integrator; automatic steps explicitly, and implicitly where the problem is "
-        "stiff; taylor needs the extra of that name",
+        help="the integrator; automatic takes explicit steps, and implicit ones where the problem "
+        "is stiff; taylor needs the extra `taylor`",
     )
 
 
@@ -164,7 +170,7 @@ def add_place(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scheduler",
         metavar="ADDRESS",
-        help="work on the Dask cluster of this scheduler instead, tcp://host:8786 for instance",
+        help="use the Dask cluster of this scheduler, for example tcp://host:8786",
     )
     parser.add_argument(
         "--checkpoint",
@@ -251,9 +257,7 @@ def _kept(options: argparse.Namespace, folder: Path | None) -> str:
 def add_orbit(parser: argparse.ArgumentParser) -> None:
     """Add the orbit file and its problem."""
     parser.add_argument("orbit", metavar="ORBIT.json", type=Path, help="an orbit file")
-    parser.add_argument(
-        "--problem", metavar="FILE.py", help="the problem's file, if it is not a bundled one"
-    )
+    add_problem_file(parser)
 
 
 def add_recording(parser: argparse.ArgumentParser) -> None:
@@ -343,7 +347,7 @@ def require_outputs(
     Raises:
         InputError: If one cannot become a file, or would lie on another or on what is read.
     """
-    taken = {path.resolve(): "what is read" for path in reads}
+    taken = {path.resolve(): "the one that is read" for path in reads}
     for name in (*files, *pictures):
         path = getattr(options, name)
         if path is None:

@@ -224,7 +224,7 @@ class Wish(NamedTuple):
         if self.row.operand is Operand.NUMBERS:
             _check_targets(self.operand, free)
         elif not free:
-            message = f"must leave a gain or a parameter free for the {self.word}, but none is"
+            message = f"must leave a gain or a parameter free for the {self.word}, but none is free"
             raise InputError(f"Argument `objective` {message}.")
         return self.row.objective(problem, self.operand)
 
@@ -267,7 +267,7 @@ def _check_targets(targets: Mapping[str, float], free: Mapping[str, tuple[float,
     for name, value in targets.items():
         if name not in free:
             known = ", ".join(free) or "none"
-            message = f"must name what is free ({known}), but it names `{name}`"
+            message = f"must name free gains or parameters ({known}), but it names `{name}`"
             raise InputError(f"Argument `objective` {message}.")
         low, high = free[name]
         if not low <= value <= high:

@@ -73,7 +73,7 @@ def _run_plot(options: argparse.Namespace) -> int:
     kinds = options.kind or [kind for kind in _PICTURES if has.get(kind, True)]
     if "outputs" in kinds and not problem.outputs:
         raise InputError(
-            f"Argument `kind` must be one `{problem.name}` has, but it has no outputs."
+            f"Argument `kind` must be a picture that `{problem.name}` has, but it has no outputs."
         )
     if not rests and {"zeno", "region"} & {*kinds}:
         wanted = "must be a picture of an orbit without a Zeno point"

@@ -67,18 +67,18 @@ def add_new(commands: Any) -> None:
         commands,
         "new",
         _run_new,
-        "write a problem that works, to change into your own",
+        "write a working problem file, to change into your own",
         [
             "zeno-orbits new my_problem",
             "zeno-orbits new my_problem --with-motor",
             "zeno-orbits search ./my_problem.py",
         ],
     )
-    parser.add_argument("name", metavar="NAME", help="of the problem; the file is NAME.py")
+    parser.add_argument("name", metavar="NAME", help="name of the new problem; its file is NAME.py")
     parser.add_argument(
         "--with-motor",
         action="store_true",
-        help="a DC motor under feedback drives it; else a periodic force does",
+        help="let a DC motor under feedback drive it, in place of a periodic force",
     )
 
 
@@ -96,11 +96,11 @@ def _run_new(options: argparse.Namespace) -> int:
         wanted = "must be a word of letters, digits and underscores"
         raise InputError(f"Argument `name` {wanted}, but it is `{options.name}`.")
     if options.name in bundled_problems():
-        wanted = "must not be that of a problem which comes with the package"
+        wanted = "must not be the name of a bundled problem"
         raise InputError(f"Argument `name` {wanted}, but `{options.name}` is one.")
     path = Path(f"{options.name}.py")
     if path.exists():
-        raise InputError(f"Argument `name` must be of a new file, but `{path}` exists.")
+        raise InputError(f"Argument `name` must name a new file, but `{path}` exists.")
     content = template(with_motor=options.with_motor)
     write_whole(path, content.replace("NAME", options.name))
     if options.json:
@@ -187,7 +187,7 @@ def add_fidelity(commands: Any) -> None:
     add_problem(parser)
     add_gains(parser)
     parser.add_argument(
-        "--measure", action="store_true", help="find the full problem's orbit, too, and compare"
+        "--measure", action="store_true", help="also find the full problem's orbit, and compare"
     )
 
 

@@ -104,7 +104,7 @@ def build_parser() -> argparse.ArgumentParser:
     version = f"%(prog)s {zeno_orbits.__version__}"
     parser.add_argument("--version", action="version", version=version)
     parser.set_defaults(run=None)
-    commands = parser.add_subparsers(metavar="COMMAND")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND")
     for add in _COMMANDS:
         add(commands)
     return parser

@@ -48,7 +48,10 @@ def add_report(commands: Any) -> None:
         "-o", "--output", type=Path, required=True, metavar="PAGE.html", help="write the page here"
     )
     parser.add_argument(
-        "--trade", type=Path, metavar="TRADE.json", help="show these figures of `trade -o`, too"
+        "--trade",
+        type=Path,
+        metavar="TRADE.json",
+        help="also show the figures of this file, written by `trade -o`",
     )
     parser.add_argument(
         "--tolerance",

@@ -13,6 +13,7 @@ from zeno_orbits.cli.options import (
     add_command,
     add_gains,
     add_parameters,
+    add_problem_file,
     add_start,
     orbit_and_problem,
     print_json,
@@ -53,11 +54,9 @@ def add_rig(commands: Any) -> None:
     parser.add_argument(
         "target",
         metavar="ORBIT.json|PROBLEM",
-        help="an orbit file, near whose orbit the machine settles; or a problem, from --start",
+        help="an orbit file (the machine settles near its orbit) or a problem (see --start)",
     )
-    parser.add_argument(
-        "--problem", metavar="FILE.py", help="the problem of an orbit, if not bundled"
-    )
+    add_problem_file(parser)
     add_gains(parser)
     add_parameters(parser)
     add_start(parser)
@@ -66,14 +65,15 @@ def add_rig(commands: Any) -> None:
         action=Named,
         type=read_named_number,
         metavar="PART.NAME=VALUE",
-        help="change a number of the machine, contact.stiffness=1e5, friction.COORDINATE.coulomb="
-        "0.01 or gears.MOTOR.play=0.01 for instance; may be repeated; docs/rig.md lists them",
+        help="change a number of the machine, for example contact.stiffness=1e5, "
+        "friction.COORDINATE.coulomb=0.01 or gears.MOTOR.play=0.01; may be repeated; "
+        "docs/rig.md lists them",
     )
     parser.add_argument(
         "--only",
         action="append",
         choices=(*_PARTS, "contact"),
-        help="the only part beside the contact; may be repeated; by default all that there are",
+        help="use this part only, beside the contact; may be repeated; by default all parts",
     )
     parser.add_argument(
         "--without", action="append", default=[], choices=_PARTS, help="leave out a part"
@@ -111,7 +111,7 @@ def _near_orbit(options: argparse.Namespace) -> int:
 
     for name in ("gain", "set", "start", "until"):
         if getattr(options, name) not in (None, {}):
-            has = "which has a period to count in" if name == "until" else "which has its own"
+            has = "whose periods --cycles counts" if name == "until" else "which has its own"
             raise InputError(f"Argument `{name}` must not be given with an orbit, {has}.")
     options.orbit = Path(options.target)
     orbit, problem = orbit_and_problem(options)

@@ -66,22 +66,22 @@ def add_search(commands: Any) -> None:
         action=Named,
         type=read_range,
         metavar="NAME=LOW:HIGH",
-        help="search a gain in this range; by default every gain in its range in the problem",
+        help="search a gain in this range; by default every gain in the problem's range",
     )
     parser.add_argument(
         "--free",
         action=Named,
         type=read_range,
         metavar="NAME=LOW:HIGH",
-        help="search a physical parameter (or a gain) in this range, too; what the problem derives "
-        "from it stays as it is at the start",
+        help="also search a physical parameter (or a gain) in this range; parameters derived from "
+        "it keep their values",
     )
     parser.add_argument(
         "--fix",
         action=Named,
         type=read_named_number,
         metavar="NAME=VALUE",
-        help="hold a gain; may be repeated",
+        help="fix a gain; may be repeated",
     )
     parser.add_argument(
         "--objective",
@@ -91,7 +91,7 @@ def add_search(commands: Any) -> None:
         help=(
             "nearest (to the problem's gains), nearest:NAME=VALUE,..., period=SECONDS, "
             "amplitude=VALUE, energy, peak=SIGNAL (least peak of current, voltage or a state), "
-            "contraction (least spectral radius), or margin (widest to losing the orbit)"
+            "contraction (least spectral radius), or margin (widest before the orbit is lost)"
         ),
     )
     parser.add_argument(
@@ -108,7 +108,7 @@ def add_search(commands: Any) -> None:
         dest="near",
         type=Path,
         metavar="ORBIT.json",
-        help="start from this orbit and its numbers, except those that --set or --fix change",
+        help="start from this orbit and its values, except those that --set or --fix change",
     )
     parser.add_argument(
         "--shape",
@@ -126,7 +126,7 @@ def add_search(commands: Any) -> None:
         help="continue until this many different orbits are verified, and rank them",
     )
     parser.add_argument(
-        "--allow-unstable", action="store_true", help="accept an orbit that does not attract, too"
+        "--allow-unstable", action="store_true", help="also accept an unstable orbit"
     )
     add_accuracy(parser)
     add_place(parser)
@@ -134,10 +134,12 @@ def add_search(commands: Any) -> None:
         "--until",
         type=read_number,
         metavar="T",
-        help="longest time to wait for a motion to repeat [s]; by default some hundred turns of "
+        help="longest time for a motion to repeat [s]; by default some hundred periods of "
         "the problem's clock, or of its slowest oscillation",
     )
-    parser.add_argument("--starts", type=read_count, default=12, metavar="N", help="random starts")
+    parser.add_argument(
+        "--starts", type=read_count, default=12, metavar="N", help="number of random starts"
+    )
     parser.add_argument(
         "--seed", type=read_seed, default=0, help="seed of the random starts; 0 by default"
     )
@@ -247,6 +249,8 @@ def _numbers(
     for name in given:
         low, high = free.get(name, (-math.inf, math.inf))
         if not low <= given[name] <= high:
-            message = f"must start in its box [{low:g}, {high:g}], but it is set to {given[name]:g}"
+            message = (
+                f"must start in its range [{low:g}, {high:g}], but it is set to {given[name]:g}"
+            )
             raise InputError(f"Argument `{name}` {message}.")
     return values, free

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from zeno_orbits.orbits import Bound
     from zeno_orbits.search import Objective, SearchResult
 
-_LOCAL = "One start led there: the optimum may be local; --candidates 3 tries other starts, too."
+_LOCAL = "One start led there, so the optimum may be local; --candidates 3 tries more starts."
 
 
 def answer(
@@ -79,7 +79,7 @@ def answer(
                 report.print_lines([_LOCAL])
         report.print_bounds(certificate.asked)
         if held:
-            report.print_lines([f"Not free, and kept as at the start: {', '.join(held)}."])
+            report.print_lines([f"Derived, and held at their initial values: {', '.join(held)}."])
         if options.accuracy is not None:
             report.print_error_estimate(certificate.orbit_error)
         report.print_verdict(certificate)

@@ -281,12 +281,12 @@ def require_continuous(before: DifferentiatedReturn, after: DifferentiatedReturn
         StepError: If the period jumps, or an impact comes or goes.
     """
     if not 1 / _SAME_PERIOD < after.time / before.time < _SAME_PERIOD:
-        raise StepError("the period is another one")
+        raise StepError("the period jumps")
     for margin, value in after.margins.items():
         if margin.loss is not Loss.FIRST_IMPACT or margin not in before.margins:
             continue
         if not 0.5 < value / before.margins[margin] < 2.0:
-            raise StepError("the first impact is another one")
+            raise StepError("the first impact jumps")
 
 
 _SAME_PERIOD = 1.3

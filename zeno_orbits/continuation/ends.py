@@ -42,7 +42,7 @@ def locate_end(
         return found
     cause, *others = causes(stages([*points[-2:], *found.path]), threat.margin)
     if cause.loss is Loss.ACCELERATION and returns.restitution(found.point.s) > 0.0:
-        raise SimulationError("The acceleration vanishes for no reason", time=0.0, state=())
+        raise SimulationError("The acceleration vanishes without a known cause", time=0.0, state=())
     if cause != threat.margin:
         found = _better(found, returns, metric, points, replace(threat, margin=cause))
     kinds = {ENDS[margin.loss]: None for margin in (cause, *others)}

@@ -207,7 +207,7 @@ def _settled(returns: ImpactReturns, x: Vector, s: float) -> tuple[Vector, float
             return x, impact.time, scale
         before = x
     raise SimulationError(
-        "The impacts do not settle to one a turn", time=longest, state=tuple(x.tolist())
+        "The motion does not settle to one impact per period", time=longest, state=tuple(x.tolist())
     )
 
 

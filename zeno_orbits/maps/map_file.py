@@ -42,7 +42,7 @@ def read_map(path: Path) -> ParameterMap:
     except (KeyError, TypeError, ValueError) as error:
         raise MapFileError(path, f"an entry does not fit ({error!r})") from error
     if len(found.attractors) != found.x.count * found.y.count:
-        raise MapFileError(path, "it has not one entry a point")
+        raise MapFileError(path, "it does not have one entry per point")
     return found
 
 

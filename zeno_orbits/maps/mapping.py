@@ -181,7 +181,7 @@ def _computed_here(plane: Plane, plan: Plan, on_progress: Progress) -> list[Any]
         InputError: If other processes or a checkpoint are asked for; both need the file.
     """
     if plan.place != Workers(count=1) or plan.checkpoint is not None:
-        wanted = "must be a name or a file where workers load it or a checkpoint tells it"
+        wanted = "must be a name or a file where workers or a checkpoint are used"
         raise InputError(f"Argument `problem` {wanted}, but it is an object.")
     points, results = plane.points(), list[Any]()
 

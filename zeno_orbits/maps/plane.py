@@ -175,7 +175,7 @@ def _checked(problem: Problem, plane: Plane, side: str) -> Axis:
     axis = plane.x if side == "x" else plane.y
     quantity = problem.require_range(axis.name, (axis.lower, axis.upper), argument=side)
     if axis.name in {**plane.gains, **plane.parameters}:
-        message = f"must name what is not fixed, but `{axis.name}` is"
+        message = f"must name what is not fixed, but `{axis.name}` is fixed"
         raise InputError(f"Argument `{side}` {message}.")
     if axis.count < _LEAST:
         message = f"must be at least {_LEAST}x{_LEAST}, but one of them is {axis.count}"

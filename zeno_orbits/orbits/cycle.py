@@ -251,4 +251,4 @@ def round_again(cycle: Cycle) -> str:
         return ""
     n = cycle.shape.n_phases // shorter.n_phases
     what = f"The orbit of shape `{cycle.shape.text}` is one of shape `{shorter.text}`"
-    return f"{what}, gone round {n} times."
+    return f"{what}, traversed {n} times."

@@ -50,13 +50,13 @@ def read_orbit(path: Path | str) -> ZenoOrbit:
     except OSError as error:
         raise OrbitFileError(path, f"it cannot be read ({error.strerror})") from error
     except UnicodeDecodeError as error:
-        raise OrbitFileError(path, "it is no text in UTF-8") from error
+        raise OrbitFileError(path, "it is not UTF-8 text") from error
     try:
         data = json.loads(text, object_pairs_hook=_unique)
     except EntryError as error:
         raise OrbitFileError(path, str(error)) from error
     except (ValueError, RecursionError) as error:
-        raise OrbitFileError(path, f"it is no complete JSON ({error})") from error
+        raise OrbitFileError(path, f"it is not complete JSON ({error})") from error
     return orbit_from_json(data, path)
 
 

@@ -140,7 +140,11 @@ def simulate_to(
                 return assured
             best = min(best, assured.error)
         previous = found
-    reached = f"the best estimate is {best:.1e}" if best < math.inf else "no two runs go one way"
+    reached = (
+        f"the best estimate is {best:.1e}"
+        if best < math.inf
+        else "no two runs have the same events"
+    )
     raise SimulationError(
         f"The accuracy {accuracy:.0e} is out of reach: {reached}",
         time=until,
@@ -232,11 +236,11 @@ def why_engine(dynamics: HybridDynamics, state: Sequence[float] | Vector, leg: f
     if fastest <= 0.0:
         return "explicit steps (DOP853): nothing decays."
     lasting = staying_rate(values, leg)
-    rates = f"the fastest mode decays at {fastest:.3g} 1/s, slow ones change at {lasting:.3g} 1/s"
+    rates = f"the fastest mode decays at {fastest:.3g} 1/s, the others change at {lasting:.3g} 1/s"
     if fastest > PAYS * lasting:
-        steps = "explicit steps (DOP853) while it decays, then implicit ones (Radau IIA, order 13)"
-        return f"{steps}: {rates}."
-    return f"explicit steps (DOP853): {rates}."
+        steps = "implicit steps (Radau IIA, order 13) after each fast transient"
+        return f"{steps}, explicit ones (DOP853) within; {rates}."
+    return f"explicit steps (DOP853); {rates}."
 
 
 def _limit_error(execution: Execution) -> float:

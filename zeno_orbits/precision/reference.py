@@ -138,7 +138,9 @@ def _truth_in_doubles(
 def _exact_landmarks(exact: ExtendedExecution) -> tuple[Landmark, ...]:
     points = exact.releases or exact.zeno_points
     if not points:
-        raise ZenoOrbitsError("There is nothing to compare: no release and no Zeno point so soon.")
+        raise ZenoOrbitsError(
+            "There is nothing to compare: no release and no Zeno point in this time."
+        )
     kind = Kind.RELEASE if exact.releases else Kind.ZENO
     return tuple(
         Landmark(kind=kind, time=float(p.time), state=np.array([float(v) for v in p.state]))

@@ -175,7 +175,7 @@ def _settle_from(
             return FollowedMotion(cycle=None, reason=phrase)
         except SimulationError as error:
             clause = error.reason[0].lower() + error.reason[1:]
-            return FollowedMotion(cycle=None, reason=f"the simulation stops: {clause}")
+            return FollowedMotion(cycle=None, reason=f"the simulation fails: {clause}")
         found = cycles(run, start=state if at_release else None)
         recurrence = recurrence.after(run, found, since=elapsed)
         elapsed += run.end_time

@@ -29,8 +29,8 @@ _STEPS = StepControl(first=0.25, shortest=1e-4)
 
 _LOST = {
     "locked_time": "the locked arc shrinks to nothing",
-    "gap_acceleration": "the stop stops attracting at the Zeno point: d2h/dt2 comes to zero",
-    "first_impact_speed": "the first impact comes to graze",
+    "gap_acceleration": "d2h/dt2 at the Zeno point goes to zero: the stop no longer attracts",
+    "first_impact_speed": "the first impact grazes",
 }
 
 _GONE = 0.02

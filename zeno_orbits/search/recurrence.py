@@ -122,7 +122,7 @@ class Recurrence:
         if settled is not None:
             return f"the motion settles to an orbit of shape `{settled.shape.text}`"
         if self.wanted is not None:
-            return f"no period of shape `{self.wanted.text}` comes near to repeating"
+            return f"no period of shape `{self.wanted.text}` nearly repeats"
         what = "no release is followed by a Zeno point"
         if self.returns:
             what = "its periods differ"

@@ -194,7 +194,9 @@ def from_cycle(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> 
         # Nearness is a wish, the orbit the point: keep the one at the gains of the start.
         here = refine(held, values, cycle, objective)
         if here.status is SearchStatus.FOUND:
-            return replace(here, detail="Its gains are not the nearest: the way there was lost.")
+            return replace(
+                here, detail="Its gains are not the nearest ones: the path to them was lost."
+            )
     return outcome
 
 
@@ -237,7 +239,7 @@ def _where_bounds_are_kept(
     if not broken or not last.converged:
         return last.values, last.cycle, None
     where = listed({name: last.values.number(name) for name in search.free})
-    detail = f"No orbit was found that keeps all bounds; nearest to it, at {where}"
+    detail = f"No orbit was found that keeps all bounds; the nearest one, at {where}"
     lacking = StartOutcome(
         status=SearchStatus.NOT_SOLVED,
         detail=f"{detail}{_held(search, last.values)}, {', '.join(broken)}.",

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.errors import InputError, SimulationError, did_you_mean
 from zeno_orbits.model import HybridDynamics, Problem, bind
 from zeno_orbits.orbits import Cycle, ZenoOrbit, floquet_multipliers, placed
 from zeno_orbits.simulation import Extent, SimulationSettings, extent_of, signal, signal_names
@@ -43,7 +43,8 @@ def require_quantities(names: Sequence[str], problem: Problem, argument: str) ->
     for name in names:
         if name not in known:
             wanted = f"must name a quantity of the problem ({', '.join(known)})"
-            raise InputError(f"Argument `{argument}` {wanted}, but it names `{name}`.")
+            near = did_you_mean(name, known)
+            raise InputError(f"Argument `{argument}` {wanted}, but it names `{name}`.{near}")
 
 
 def measure(

@@ -162,7 +162,7 @@ def _contradictions(
 ) -> Iterator[str]:
     """Yield clauses on what an orbit says of itself, and on coordinates that escape."""
     if orbit.problem_digest and not same_equations(orbit.problem_digest, digest_of(problem)):
-        yield f"the equations of problem `{problem.name}` are not those that gave the orbit"
+        yield f"the equations of problem `{problem.name}` differ from those that gave the orbit"
     shape = orbit.shape.at_restitution(dynamics.restitution)
     if shape != orbit.shape:
         at = f"at restitution {dynamics.restitution:g} it is `{shape.text}`"

@@ -120,7 +120,7 @@ class SecantCurve:
                 self.forward = _direction(last, new)
             raise StepError("the curve bends too fast")
         if not 1 / _LIKE < new.located.period / last.located.period < _LIKE:
-            raise StepError("the period is another one")
+            raise StepError("the period jumps")
         if new.amplitude < last.amplitude / _LIKE:
             raise StepError("the orbit collapses")
         if not self.plane.holds(new.at):

@@ -204,12 +204,14 @@ def compare(orbit: ZenoOrbit, problem: Problem, recording: Recording) -> Compari
     contacts = None if gap is None else _contacts(overlay, problem, gap)
     if gap is None:
         missing = "coordinates that the gap depends on were not recorded"
-        remarks.append(f"impacts, locked phase and release are not told: {missing}")
+        remarks.append(f"impacts, locked phase and release cannot be determined: {missing}")
     else:
         reasons += _contact_reasons(contacts)
         remarks += _unresolved(contacts)
     if found.repeats < 1.0 - _STRAY:
-        remarks.append(f"{100 * (1 - found.repeats):.2g} % of the signals' variance do not repeat")
+        remarks.append(
+            f"{100 * (1 - found.repeats):.2g} % of the signals' variance does not repeat"
+        )
     deviation = deviations(overlay.table, recording.time, overlay.values, overlay.where)
     remarks += _settling(deviation, recording.time, overlay.where)
     return replace(
@@ -229,7 +231,7 @@ def _more_signals(problem: Problem, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _contacts(overlay: Overlay, problem: Problem, gap: Vector) -> Contacts | None:
-    """Return the stop and what each cycle shows of it, or nothing if the gap rests nowhere."""
+    """Return the stop and what each cycle shows of it, or nothing if the gap is never at rest."""
     stop = stop_level(gap)
     if stop is None:
         return None
@@ -274,12 +276,12 @@ def _settling(found: Deviations, time: Vector, where: Alignment) -> list[str]:
         return []
     begin = where.release + where.period * math.floor((time[0] - where.release) / where.period)
     until = begin + (int(strange[-1]) + 1) * where.period
-    return [f"the motion still settles at first; leave that out with --from {until:.4g}"]
+    return [f"the motion is still settling at first; skip that part with --from {until:.4g}"]
 
 
 def _contact_reasons(contacts: Contacts | None) -> list[str]:
     if contacts is None:
-        return ["no locked phase is seen: the gap rests nowhere"]
+        return ["no locked phase is seen: the gap is never at rest"]
     events = contacts.events
     rested = sum(math.isfinite(one.rest_start) for one in events)
     struck = sum(one.closed for one in events)

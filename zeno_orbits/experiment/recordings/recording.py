@@ -193,7 +193,7 @@ def read_recording(path: Path, *, only: Collection[str] = ()) -> Recording:
             raise DataFileError(path, f"two of its columns are named `{names[k]}`")
     units = [_unit(path, *titles[k]) for k in (time, *chosen)]
     if units[0][0] != "s":
-        raise DataFileError(path, f"column `{head.columns[time]}` is no time")
+        raise DataFileError(path, f"column `{head.columns[time]}` is not a time")
     table = read_table(path, head, (time, *chosen))
     kept, remarks = _sound_rows(path, table)
     # Whole columns are scaled in place: a second copy of a long recording may not fit.

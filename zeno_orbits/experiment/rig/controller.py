@@ -102,7 +102,9 @@ class ControlLoop:
 def _as_fast_as(bridge: Bridge | None) -> Controller:
     """Return the controller of a bridge without one: it knows the state at the start of a pulse."""
     if bridge is None:
-        raise ValueError("Argument `rig` must have a controller or switch exactly, but it has not.")
+        raise ValueError(
+            "Argument `rig` must have a controller or exact switching, but it has neither."
+        )
     return Controller(period=1.0 / bridge.frequency)
 
 

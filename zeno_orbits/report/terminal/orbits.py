@@ -232,7 +232,7 @@ def print_certificate(certificate: OrbitCertificate) -> None:
         cut_columns: list[Column[DeltaCut]] = [
             number_column("cut-off |dh/dt|", lambda cut: f"{cut.delta:.3g}"),
             number_column("|dh/dt| at the cut", lambda cut: f"{cut.speed:.3g}"),
-            number_column("relative error after it", lambda cut: f"{cut.error:.1e}"),
+            number_column("relative error", lambda cut: f"{cut.error:.1e}"),
         ]
         print_table(cut_columns, certificate.delta_sweep)
         order = certificate.delta_order
