@@ -43,12 +43,14 @@ def page_of(subject: Subject, bundle: Bundle) -> str:
     kind = "refused" if not certificate.passed else "passed" if certificate.stable else "unsure"
     zoom = close_up(execution, subject.dynamics) if execution and execution.zeno_points else None
     error, curves = certificate.orbit_error, curves_of(subject)
+    heading = subject.problem.title[:1].upper() + subject.problem.title[1:]
     what = "Zeno periodic orbit" if subject.orbit.shape.starts_at_release else "Periodic orbit"
     return (
         template_environment()
         .get_template("page.html")
         .render(
-            title=f"{subject.problem.title}: {what}",
+            title=f"{heading}: {what}",
+            heading=heading,
             kind=what,
             contents=_contents(subject),
             cautions=words.cautions(subject.problem, execution),

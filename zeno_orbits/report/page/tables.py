@@ -206,9 +206,9 @@ def energies_table(certificate: OrbitCertificate) -> Table[Any]:
     energies = certificate.energies
     least = _ROUNDING * max((abs(value) for value in energies.values()), default=0.0)
     columns: list[Column[str]] = [
-        text_column("of it", lambda name: words.ENERGIES.get(name, name)),
+        text_column("part", lambda name: words.ENERGIES.get(name, name)),
         number_column(
-            "[J]",
+            "energy [J]",
             lambda name: number_text(energies[name] if abs(energies[name]) > least else 0.0, 6),
         ),
     ]
