@@ -240,7 +240,7 @@ def test_each_panel_of_a_family_shows_its_own_number_and_dashes_where_it_repels(
         }
         for label, (line,) in looks.items():
             for x, y in np.asarray(line.get_xydata()):
-                assert y == true[x], (label, x)
+                assert y == pytest.approx(true[x], rel=1e-15), (label, x)
             assert (line.get_linestyle() == "-") == (label == "stable")
         stable, unstable = (np.ravel(lines[0].get_xdata()) for lines in looks.values())
         # The orbits of radius below 1 are the first two; a line joins the next one.

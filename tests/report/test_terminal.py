@@ -111,8 +111,22 @@ class _Display:
     update = __call__
 
 
-def test_a_notebook_shows_one_line_that_disappears(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(progress, "_PATIENCE", 0.0)
+class _Hurried(Clock):
+    """A clock on which an hour passes whenever it is looked at."""
+
+    def perf_counter(self) -> float:
+        self.now += 3600.0
+        return self.now
+
+
+@pytest.fixture
+def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(progress, "_PATIENCE", 1.0)
+    monkeypatch.setattr(progress, "time", _Hurried())
+
+
+@pytest.mark.usefixtures("_impatient")
+def test_a_notebook_shows_one_line_that_disappears() -> None:
     display = _Display()
     with NotebookLine(display) as line:
         line("looking", 0.5)
@@ -134,10 +148,10 @@ def test_a_line_is_shown_unasked_where_somebody_watches(monkeypatch: pytest.Monk
     assert isinstance(line_for_watcher(), NotebookLine)
 
 
+@pytest.mark.usefixtures("_impatient")
 def test_the_front_door_shows_progress_unless_it_is_taken_elsewhere(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(progress, "_PATIENCE", 0.0)
     display, told = _Display(), list[str]()
     monkeypatch.setattr("zeno_orbits.report.line_for_watcher", lambda: NotebookLine(display))
     plane = {"x": ("restitution", 0.1, 0.3, 2), "y": ("g", 9.0, 10.0, 2)}

@@ -15,8 +15,8 @@ _SEEN = 0.004
 """A tail shorter than this part of the motion is too short to see."""
 _BEND = 1e-4
 """Distance of a curve from its chord that cannot be seen, in ranges of the execution."""
-_HALVINGS = 6
-"""How often an interval between two steps is halved at most."""
+_ROUNDS = 7
+"""How often an interval between two steps is cut into three at most."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,7 +34,7 @@ class ArcPath:
     states: Vector
 
 
-def paths_of(execution: Execution, *, least: int = 12) -> list[ArcPath]:
+def paths_of(execution: Execution, *, least: int = 8) -> list[ArcPath]:
     """Return every arc as a curve; tails too short to see are left out.
 
     Args:
@@ -60,21 +60,27 @@ def _smooth(arc: Arc, ranges: Vector, least: int) -> tuple[Vector, Vector]:
     """Return times and states at every step, and between steps wherever a chord would be seen."""
     times, states = arc.sampled(least)
     units = np.where(ranges > 0.0, ranges, 1.0)
-    open_ends = np.arange(len(times) - 1)
-    for _ in range(_HALVINGS):
-        middles = (times[open_ends] + times[open_ends + 1]) / 2
-        there = np.array([arc.state_at(time) for time in middles.tolist()])
-        off = np.abs(there - (states[open_ends] + states[open_ends + 1]) / 2) / units
-        bent = np.max(off, axis=1) > _BEND
+    left = np.arange(len(times) - 1)
+    for _ in range(_ROUNDS):
+        # At both thirds: where a curve turns from left to right, it crosses its chord once.
+        step, rise = (times[left + 1] - times[left]) / 3, (states[left + 1] - states[left]) / 3
+        new = np.stack([times[left] + k * step for k in (1, 2)], axis=1)
+        there = _states_at(arc, new.ravel()).reshape(len(left), 2, -1)
+        chord = np.stack([states[left] + k * rise for k in (1, 2)], axis=1)
+        bent = np.max(np.abs(there - chord) / units, axis=(1, 2)) > _BEND
         if not np.any(bent):
             break
-        places = open_ends[bent] + 1
-        times = np.insert(times, places, middles[bent])
-        states = np.insert(states, places, there[bent], axis=0)
-        # An inserted point stands behind those inserted before it; both its sides are open.
-        inserted = places + np.arange(len(places))
-        open_ends = np.sort(np.concatenate([inserted - 1, inserted]))
+        left = left[bent]
+        places = np.repeat(left + 1, 2)
+        times = np.insert(times, places, new[bent].ravel())
+        states = np.insert(states, places, there[bent].reshape(len(places), -1), axis=0)
+        # Two points stand in each interval before it; it became three.
+        left = (left[:, None] + 2 * np.arange(len(left))[:, None] + np.arange(3)).ravel()
     return times, states
+
+
+def _states_at(arc: Arc, times: Vector) -> Vector:
+    return np.array([arc.state_at(time) for time in times.tolist()])
 
 
 def drawn_phases_of(execution: Execution) -> list[tuple[Mode, float, float]]:

@@ -169,8 +169,10 @@ _LONG = 0.6
 """Part of an axis that a contour line must span to be labelled."""
 _EDGE = 0.05
 """Part of an axis at its ends where no label fits."""
-_ROOM = np.array([0.13, 0.05])
-"""Width and height that a label needs, in parts of the axes."""
+_ROOM = np.array([0.45, 0.17])
+"""Width and height that a label needs [in]."""
+_PANEL = 0.7
+"""Part of a picture that its panel fills, at least."""
 
 
 def _shares(ax: Axes, points: Vector) -> Vector:
@@ -205,13 +207,14 @@ def _label_lines(
         taken: Places of labels, in parts of the axes; those made here are added.
     """
     spots: list[tuple[float, float]] = []
+    room = _ROOM / (_PANEL * np.array([ax.figure.get_figwidth(), ax.figure.get_figheight()]))
     for piece in (one for level in pieces for one in level):
         places = _shares(ax, piece)
         if np.max(np.ptp(places, axis=0)) <= _LONG:
             continue
         inside = np.all((places > _EDGE) & (places < 1 - _EDGE), axis=1)
         for other in taken:
-            inside &= np.any(np.abs(places - other) > _ROOM, axis=1)
+            inside &= np.any(np.abs(places - other) > room, axis=1)
         fits = np.flatnonzero(inside)
         if fits.size:
             at = fits[np.argmin(np.abs(fits - len(piece) / 2))]

@@ -192,6 +192,8 @@ def _is_seen(ax: Axes, handle: Any) -> bool:
     """Return True unless a line lies outside its panel; one without points stands for others."""
     if not isinstance(handle, Line2D) or not len(handle.get_xdata()):
         return True
+    # Asking for the limits brings the transform up to date with what was drawn.
+    ax.get_xlim()
     path = handle.get_transform().transform_path(handle.get_path()).cleaned(remove_nans=True)
     box = ax.bbox.padded(1.0)
     return box.count_contains(path.vertices) > 0 or path.intersects_bbox(box, filled=False)
