@@ -15,6 +15,7 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial, wraps
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from zeno_orbits.continuation import Continuation, ContinuationSettings, Crew
     from zeno_orbits.maps import ParameterMap
     from zeno_orbits.orbits import Bound, Multipliers, OrbitShape
+    from zeno_orbits.proof import Proof
     from zeno_orbits.search import Closing, Objective, SearchResult, SearchSettings
     from zeno_orbits.simulation import Execution, SimulationSettings
     from zeno_orbits.verification import OrbitCertificate, VerificationSettings
@@ -292,6 +294,39 @@ def verify(
     orbit = _read(orbit)
     known = problem_of(orbit, problem)
     return verifier.verify(orbit, known, settings=settings, on_progress=on_progress)
+
+
+def prove(
+    orbit: ZenoOrbit | str | Path,
+    *,
+    problem: Named | None = None,
+    over: Numbers | None = None,
+    radius: float | None = None,
+    on_progress: Progress = silent,
+) -> Proof:
+    """Return a proof that an orbit exists, with its certificate, or which claim has none.
+
+    Args:
+        orbit: The orbit, or its file; its own certificate is ignored.
+        problem: Its problem; by default the bundled one of its name.
+        over: Gain or parameter to the radius of its interval, for all of which it is to hold.
+        radius: Of the box on the section, per size of a coordinate; found by itself by default.
+        on_progress: Called with what is being done and the part of it that is done.
+
+    Raises:
+        InputError: If python-flint is missing (the extra `proof`), the orbit's problem is not
+            known, or a number or name does not fit the problem.
+        TranslationError: If the problem's equations are not analytic.
+    """
+    if find_spec("flint") is None:
+        raise InputError("Proofs need python-flint: run `pip install 'zeno_orbits[proof]'`.")
+    from zeno_orbits.proof import ProofSettings
+    from zeno_orbits.proof import prove as proved
+
+    orbit = _read(orbit)
+    known = problem_of(orbit, problem)
+    settings = ProofSettings(radius=radius)
+    return proved(orbit, known, over=over, settings=settings, on_progress=on_progress)
 
 
 def floquet_multipliers(

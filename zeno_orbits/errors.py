@@ -138,6 +138,20 @@ class WorkError(ZenoOrbitsError):
         self.trace = trace
 
 
+class ProofError(ZenoOrbitsError):
+    """A claim could not be proved; that does not make it false.
+
+    Attributes:
+        claim: Name of the claim.
+        reason: What fails, with the numbers.
+    """
+
+    def __init__(self, claim: str, reason: str) -> None:
+        super().__init__(f"Not proved: `{claim}`: {reason}.")
+        self.claim = claim
+        self.reason = reason
+
+
 class DataFileError(InputError):
     """A file of time series could not be read.
 

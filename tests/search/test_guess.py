@@ -18,6 +18,7 @@ from tests.support.mechanisms import (
     pushed_away,
     spring_mass,
 )
+from zeno_orbits.model import own_time
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
@@ -25,7 +26,6 @@ from zeno_orbits.search import guess
 from zeno_orbits.search.guess import SettlingSettings, settle
 from zeno_orbits.simulation.execution import Execution
 from zeno_orbits.simulation.simulator import simulate
-from zeno_orbits.simulation.time_scale import own_time
 
 SHORT = SettlingSettings(horizon=30.0)
 LOCKED = oscillator_state(0.0, FORCED.stop, 0.0)

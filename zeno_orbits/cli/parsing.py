@@ -125,6 +125,16 @@ def read_named_number(text: str) -> tuple[str, float]:
     return name, _number(value, f"have a number for `{name}`")
 
 
+def read_interval(text: str) -> tuple[str, float, float]:
+    """Return name, middle and radius of an interval ``NAME=VALUE:RADIUS``."""
+    name, value, radius = _ends(text, "NAME=VALUE:RADIUS")
+    wanted = f"have numbers for `{name}`"
+    width = _number(radius, wanted)
+    if not 0.0 < width < math.inf:
+        raise argparse.ArgumentTypeError(f"must have a radius above 0, but it is {width:g}")
+    return name, _number(value, wanted), width
+
+
 def read_range(text: str) -> Range:
     """Return name and bounds from ``NAME=LOW:HIGH``."""
     name, low, high = _ends(text, "NAME=LOW:HIGH")

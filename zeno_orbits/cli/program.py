@@ -17,6 +17,7 @@ from zeno_orbits.cli.options import INTERRUPTED, MISUSE, NO, Parser
 from zeno_orbits.cli.plot import add_plot
 from zeno_orbits.cli.problems import add_conditions, add_fidelity, add_new, add_problems
 from zeno_orbits.cli.process import Interrupts, patient_streams
+from zeno_orbits.cli.prove import add_prove
 from zeno_orbits.cli.report_command import add_report
 from zeno_orbits.cli.rig import add_rig
 from zeno_orbits.cli.search import add_search
@@ -28,7 +29,7 @@ from zeno_orbits.report import terminal as report
 
 _COMMANDS = (
     *(add_problems, add_new, add_conditions, add_simulate, add_fidelity),
-    *(add_search, add_verify, add_map, add_continue, add_trade, add_rig),
+    *(add_search, add_verify, add_prove, add_map, add_continue, add_trade, add_rig),
     *(add_plot, add_report, add_figures, add_compare, add_identify, add_completion),
 )
 """In the order of the help."""

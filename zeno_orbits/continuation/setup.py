@@ -12,9 +12,9 @@ from zeno_orbits.continuation.corrector import FamilyMetric
 from zeno_orbits.continuation.return_maps import Composed, ImpactReturns, ReleaseReturns, ReturnMap
 from zeno_orbits.continuation.two_parameters.plane import CurveSteps, ParameterPlane
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.model import ParameterValues, Problem, own_time
 from zeno_orbits.orbits import Line, ZenoOrbit
-from zeno_orbits.simulation import SimulationSettings, own_time, simulate
+from zeno_orbits.simulation import SimulationSettings, simulate
 
 _PATIENCE = 4.0
 """Periods of the start to wait for a return."""

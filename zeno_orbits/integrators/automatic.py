@@ -120,7 +120,11 @@ _NONE = _Limits(fastest=0.0, first=0.0, values=np.zeros(0, dtype=np.complex128))
 
 def _limits(flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> _Limits:
     """Return the decay that holds explicit steps back and an implicit step to begin with."""
-    values = flow_eigenvalues(flow, y)
+    try:
+        values = flow_eigenvalues(flow, y)
+    except np.linalg.LinAlgError:
+        # The state is finite still, its Jacobian is not: explicit steps come to their end soon.
+        return _NONE
     fastest, next_rate = rates_of(values)
     if not fastest > PAYS * staying_rate(values, math.inf):
         return _NONE

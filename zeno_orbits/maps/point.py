@@ -49,9 +49,11 @@ class Point:
         start: Vector,
         until: float,
         accuracy: Accuracy,
+        usual: Vector | float = 1.0,
     ) -> None:
         self._dynamics = dynamics
         self._units = units
+        self._usual = usual
         self._start = start
         self._until = until
         self._accuracy = accuracy
@@ -98,7 +100,7 @@ class Point:
         self._returns.append(SectionReturn(time=time, state=state))
         del self._returns[:-_REMEMBERED]
         if self._unit is None:
-            self._unit = scale_of([state], self._units)
+            self._unit = scale_of([state], self._units, self._usual)
         self._amplitudes.append(float(np.max(np.abs(state) / self._unit)))
         if len(self._returns) < 2:
             return None
@@ -114,6 +116,7 @@ class Point:
         """Return what the releases so far and the end of the motion tell."""
         motion = Motion(
             units=self._units,
+            usual=self._usual,
             returns=self._returns,
             amplitudes=self._amplitudes,
             gone=gone,
@@ -134,7 +137,8 @@ class Point:
         period = repeated.returns
         self._tried[period] = repeated.change, len(self._amplitudes)
         now, before = self._returns[-1], self._returns[-1 - period]
-        scale = scale_of([one.state for one in self._returns[-LOOK_BACK:]], self._units)
+        sizes = [one.state for one in self._returns[-LOOK_BACK:]]
+        scale = scale_of(sizes, self._units, self._usual)
         bundle = bundle_at(self._dynamics, RELEASES.rows, now.state, scale)
         if not np.all(np.isfinite(bundle.states)):
             return None
@@ -172,7 +176,7 @@ class Point:
         if len(self._strikes) < LOOK_BACK:
             return None
         states = [one.state for one in self._strikes]
-        scale = scale_of(states[-LOOK_BACK:], self._units)
+        scale = scale_of(states[-LOOK_BACK:], self._units, self._usual)
         repeats = self._accuracy.repeats
         for period, change in changes(states, scale).items():
             earlier = changes(states[:-period], scale).get(period, np.inf)

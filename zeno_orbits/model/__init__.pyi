@@ -30,6 +30,8 @@ from .numeric.compiled_flow import dense_function as dense_function
 from .numeric.compiled_flow import mode_functions as mode_functions
 from .numeric.derivatives import Differentials as Differentials
 from .numeric.hybrid_dynamics import HybridDynamics as HybridDynamics
+from .numeric.own_scale import constraint_sizes as constraint_sizes
+from .numeric.own_scale import own_time as own_time
 from .problem import Problem as Problem
 from .quantities import Escape as Escape
 from .quantities import Output as Output
@@ -40,3 +42,5 @@ from .rig_parts import Bridge as Bridge
 from .rig_parts import Rig as Rig
 from .rig_parts import Switching as Switching
 from .units import powers_of as powers_of
+from .scale import USUAL as USUAL
+from .scale import OwnScale as OwnScale

@@ -11,7 +11,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, RunawayError, SimulationError
 from zeno_orbits.integrators import Tolerance
-from zeno_orbits.model import HybridDynamics, Problem
+from zeno_orbits.model import HybridDynamics, Problem, own_time
 from zeno_orbits.orbits import Cycle, OrbitShape, cycle_of, cycles, placed, to_next_release
 from zeno_orbits.search.recurrence import Recurrence, Recurring
 from zeno_orbits.simulation import (
@@ -21,7 +21,6 @@ from zeno_orbits.simulation import (
     SimulationSettings,
     ZenoExtrapolation,
     bounds_of,
-    own_time,
     simulate,
 )
 from zeno_orbits.simulation.attractor import growth_of, has_left, is_still

@@ -5,6 +5,7 @@ from .attractor import WAITING as WAITING
 from .attractor import bounds_of as bounds_of
 from .attractor import outcome_of as outcome_of
 from .batch.batch import Batch as Batch
+from .batch.model import BatchModel as BatchModel
 from .batch.model import model_in_rows as model_in_rows
 from .batch.outcomes import Ended as Ended
 from .batch.outcomes import LaneEvent as LaneEvent
@@ -35,7 +36,6 @@ from .signals import signal_names as signal_names
 from .simulator import SimulationSettings as SimulationSettings
 from .simulator import simulate as simulate
 from .state_transition import courses as courses
-from .time_scale import own_time as own_time
 from .zeno_limit import TailEstimate as TailEstimate
 from .zeno_limit import ZenoLimit as ZenoLimit
 from .zeno_limit import limit_weights as limit_weights
