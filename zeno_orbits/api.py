@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial, wraps
+from functools import wraps
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
@@ -66,9 +66,9 @@ def _shows_progress(work: Callable[_P, _R]) -> Callable[_P, _R]:
         line = None if "on_progress" in options else line_for_watcher()
         if line is None:
             return work(*args, **options)
+        told: Any = work
         with line:
-            told: Any = partial(work, on_progress=line)
-            return told(*args, **options)
+            return told(*args, **{**options, "on_progress": line})
 
     return shown
 

@@ -58,7 +58,16 @@ def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 LONG = {
     f"{name}.md"
     for name in (
-        *("README", "accuracy", "families", "mapping", "measured_data", "own_tests", "problems"),
+        *(
+            "README",
+            "accuracy",
+            "families",
+            "gallery",
+            "mapping",
+            "measured_data",
+            "own_tests",
+            "problems",
+        ),
         *("report", "rig", "scale", "searching", "tutorial"),
     )
 }

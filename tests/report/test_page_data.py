@@ -151,7 +151,8 @@ def test_the_closeup_shows_gap_and_speed_of_the_impacts(
     for one, arc in zip(zeno["arcs"], drawn_arcs(execution), strict=True):
         times = np.array(one["t"]) + point.time
         true = [max(arc.state_at(t)[1], 0.0) for t in times]
-        assert one["h"] == pytest.approx(true, abs=1e-7)
+        # Eight digits of times of a second, at 17 rad/s.
+        assert one["h"] == pytest.approx(true, abs=2e-7)
     left = [point.time - impact.time for impact in execution.impacts]
     assert zeno["speeds"]["x"] == left
     speeds = [-impact.state_minus[3] for impact in execution.impacts]
@@ -282,8 +283,10 @@ def test_every_cell_of_margins_and_energies(
     assert dict(zip(found["name"], found["unit"], strict=True)) == units
     assert near(found["value"], [margins[name] for name in found["name"]], 6)
     energies, parts = subject.certificate.energies, cells(tables["energies"])
-    assert near(parts["energy [J]"][:-1], list(energies.values())[:-1], 6)
-    # What is left is rounding, and so it is zero.
+    # What is rounding beside the largest, as what is left over is, is zero.
+    least = 1e-13 * max(energies.values())
+    shown = [value if abs(value) > least else 0.0 for value in energies.values()]
+    assert near(parts["energy [J]"], shown, 6)
     assert (parts["part"][-1], parts["energy [J]"][-1]) == ("left over after the period", "0")
 
 
@@ -409,7 +412,8 @@ def test_the_gaps_on_logarithmic_axes_are_those_of_the_closeup(
     opened: Browser, curves: dict[str, Any]
 ) -> None:
     zeno = curves["zeno"]
-    flights = [one for one in zeno["arcs"] if one["kind"] != "locked"] + zeno["tail"]
+    flights = [one for one in zeno["arcs"] if one["kind"] == "free" and one["t"][0] < 0.0]
+    flights += zeno["tail"]
     for one, (_, x, y) in zip(flights, traces(opened, "gaps"), strict=True):
         peak = int(np.argmax(one["h"]))
         assert max(y) == one["h"][peak]

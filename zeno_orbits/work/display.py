@@ -9,8 +9,8 @@ from typing import Any
 
 from zeno_orbits.errors import InputError
 
-Columns = Mapping[str, Sequence[Any]]
-"""Name of a column to its entries, all of one length."""
+Columns = Mapping[str, Any]
+"""Name of a column to its entries, a list or an array, all of one length."""
 
 _MOST_ROWS = 12
 """Rows that a notebook shows."""

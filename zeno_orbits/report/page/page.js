@@ -206,8 +206,6 @@
 
   // ------------------------------------------------------------------ machine
 
-  const svg = (kind) => document.createElementNS("http://www.w3.org/2000/svg", kind);
-
   // Draws the machine at a part of its period; between two pictures corners move straight.
   function showMachine(part) {
     const found = data.machine, n = found.modes.length, at = (part % 1) * n;
@@ -233,13 +231,6 @@
   function startMachine() {
     const found = data.machine;
     if (!found) return;
-    const [[left, right], [low, high]] = [found.x, found.y], place = byId("machine");
-    place.setAttribute("viewBox", [left, -high, right - left, high - low].join(" "));
-    found.lines.forEach((line) => {
-      const shape = svg(line.corners[0].length === 2 ? "circle" : "polyline");
-      shape.setAttribute("r", 0.018 * (right - left));
-      place.append(shape);
-    });
     // A period is shown in two to ten seconds.
     const seconds = Math.min(10, Math.max(2, found.period)), slower = seconds / found.period;
     const times = Number(Math.max(slower, 1 / slower).toPrecision(2));

@@ -113,10 +113,10 @@ def _machine(subject: Subject, execution: Execution) -> dict[str, Any]:
     orbit, problem = subject.orbit, subject.problem
     motion = machine_motion(problem, orbit.values(problem), execution, orbit.period, n=_FRAMES)
     order = sorted(motion.lines, key=lambda name: (motion.lines[name].shape[1] == 1, name != STOP))
-    x, y = frame_of(motion)
+    (left, right), (low, high) = frame_of(motion)
     return {
-        "x": x,
-        "y": y,
+        # Upwards is down on a screen.
+        "box": [left, -high, right - left, high - low],
         "period": orbit.period,
         "modes": [mode.value for mode in motion.modes],
         "lines": [

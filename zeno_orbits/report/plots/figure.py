@@ -77,66 +77,40 @@ def figure_of(
     raise InputError(f"Argument `result` {message}.")
 
 
-Given = Sequence[Axes]
-"""Axes of the caller; none if a figure is to be made."""
+def _of_orbit(
+    orbit: ZenoOrbit, problem: Problem | None, width: float, axes: Sequence[Axes]
+) -> Figure:
+    problem = problem or load_problem(orbit.problem)
+    execution = motion_of(orbit, problem, problem_dynamics(orbit, problem))
+    return plot_portraits(problem, execution, width=width, axes=axes)
 
 
 def _of_execution(
-    execution: Execution, problem: Problem | None, width: float, axes: Given
+    execution: Execution, problem: Problem | None, width: float, axes: Sequence[Axes]
 ) -> Figure:
     if problem is None:
         return plot_states(execution, width=width, axes=axes)
     return plot_time_series(problem, execution, width=width, axes=axes)
 
 
-def _of_orbit(orbit: ZenoOrbit, problem: Problem | None, width: float, axes: Given) -> Figure:
-    problem = problem or load_problem(orbit.problem)
-    execution = motion_of(orbit, problem, problem_dynamics(orbit, problem))
-    return plot_portraits(problem, execution, width=width, axes=axes)
-
-
-def _of_search(found: SearchResult, problem: Problem | None, width: float, axes: Given) -> Figure:
-    return _of_orbit(found.unwrap(), problem, width, axes)
-
-
-def _of_certificate(
-    certificate: OrbitCertificate, _problem: Problem | None, width: float, axes: Given
-) -> Figure:
-    return plot_certificate(certificate, width=width, axes=axes)
-
-
-def _of_family(family: Family, problem: Problem | None, width: float, axes: Given) -> Figure:
-    return _of_continuation(Continuation(families=(family,)), problem, width, axes)
-
-
 def _of_continuation(
-    found: Continuation, problem: Problem | None, width: float, axes: Given
+    found: Continuation, problem: Problem | None, width: float, axes: Sequence[Axes]
 ) -> Figure:
     problem = problem or load_problem(found.families[0].problem)
     draw = plot_boundaries if found.boundaries else plot_families
     return draw(found, problem, width=width, axes=axes)
 
 
-def _of_map(found: ParameterMap, _problem: Problem | None, width: float, axes: Given) -> Figure:
-    return plot_map(found, width=width, axes=axes)
-
-
-def _of_trade(found: WorkPrecision, _problem: Problem | None, width: float, axes: Given) -> Figure:
-    return plot_trade(found, width=width, axes=axes)
-
-
-def _of_comparison(found: Comparison, problem: Problem | None, width: float, axes: Given) -> Figure:
-    return plot_comparison(problem or found.problem, found, width=width, axes=axes)
-
-
-_PICTURES: dict[type, Callable[[Any, Problem | None, float, Given], Figure]] = {
+_PICTURES: dict[type, Callable[[Any, Problem | None, float, Sequence[Axes]], Figure]] = {
     Execution: _of_execution,
     ZenoOrbit: _of_orbit,
-    SearchResult: _of_search,
-    OrbitCertificate: _of_certificate,
-    Family: _of_family,
+    SearchResult: lambda found, *how: _of_orbit(found.unwrap(), *how),
+    OrbitCertificate: lambda found, _, width, axes: plot_certificate(found, width=width, axes=axes),
+    Family: lambda found, *how: _of_continuation(Continuation(families=(found,)), *how),
     Continuation: _of_continuation,
-    ParameterMap: _of_map,
-    WorkPrecision: _of_trade,
-    Comparison: _of_comparison,
+    ParameterMap: lambda found, _, width, axes: plot_map(found, width=width, axes=axes),
+    WorkPrecision: lambda found, _, width, axes: plot_trade(found, width=width, axes=axes),
+    Comparison: lambda found, problem, width, axes: plot_comparison(
+        problem or found.problem, found, width=width, axes=axes
+    ),
 }

@@ -9,11 +9,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 
+from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem
 from zeno_orbits.report.plots.style import COLUMN_WIDTH, TEXT
@@ -124,11 +126,21 @@ def _existing(axes: Sequence[Axes], n: int, across: int) -> Panels:
     if len(axes) != n:
         message = f"must be as many as the picture has panels, {n}, but there are {len(axes)}"
         raise InputError(f"Argument `axes` {message}.")
-    figure = axes[0].get_figure(root=True)
+    figure = _figure_of(axes[0])
+    width = float(size_of(axes[0])[0])
+    return Panels(figure=figure, axes=tuple(axes), width=width, across=across, is_own=False)
+
+
+def size_of(ax: Axes) -> Vector:
+    """Return width and height of the figure that axes belong to [in]."""
+    return np.array(_figure_of(ax).get_size_inches(), dtype=np.float64)
+
+
+def _figure_of(ax: Axes) -> Figure:
+    figure = ax.get_figure(root=True)
     if figure is None:
         raise InputError("Argument `axes` must belong to a figure, but they do not.")
-    width = float(figure.get_figwidth())
-    return Panels(figure=figure, axes=tuple(axes), width=width, across=across, is_own=False)
+    return figure
 
 
 def is_wide(width: float) -> bool:
@@ -190,7 +202,7 @@ def _entries(panels: Sequence[Axes]) -> dict[str, Any]:
 
 def _is_seen(ax: Axes, handle: Any) -> bool:
     """Return True unless a line lies outside its panel; one without points stands for others."""
-    if not isinstance(handle, Line2D) or not len(handle.get_xdata()):
+    if not isinstance(handle, Line2D) or not np.size(handle.get_xdata()):
         return True
     # Asking for the limits brings the transform up to date with what was drawn.
     ax.get_xlim()

@@ -87,5 +87,6 @@ def _middle(curve: Vector, ranges: Vector) -> tuple[float, Vector]:
     """Return the length of a curve in ranges of its panel, and a short chord in its middle."""
     steps = np.sqrt(np.sum((np.diff(curve, axis=0) / ranges) ** 2, axis=1))
     lengths = np.concatenate([[0.0], np.cumsum(steps)])
-    at = np.array([0.49, 0.51]) * lengths[-1]
-    return float(lengths[-1]), np.array([np.interp(at, lengths, row) for row in curve.T]).T
+    length = float(lengths[-1])
+    ends = [[np.interp(part * length, lengths, row) for row in curve.T] for part in (0.49, 0.51)]
+    return length, np.array(ends, dtype=np.float64)

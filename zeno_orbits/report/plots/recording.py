@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
@@ -81,7 +82,11 @@ def plot_comparison(
 
 
 def _draw_signal(
-    ax: Axes, found: Comparison, deviations: Deviations, k: int, sampled: tuple[Vector, Vector]
+    ax: Axes,
+    found: Comparison,
+    deviations: Deviations,
+    k: int,
+    sampled: tuple[NDArray[np.int64], Vector],
 ) -> None:
     """Draw a signal over the phase: samples by their numbers and phases, their mean, the orbit."""
     table, (chosen, phases) = deviations.table, sampled

@@ -143,7 +143,7 @@ def _turns(drawn: Sequence[Vector]) -> int:
 def _draw_envelope(ax: Axes, paths: Sequence[ArcPath], drawn: Sequence[Vector], bins: int) -> None:
     """Draw the least and the largest value of each of many short intervals."""
     times, values = np.concatenate([path.times for path in paths]), np.concatenate(drawn)
-    edges = np.linspace(times[0], times[-1], bins + 1)
+    edges = np.linspace(float(times[0]), float(times[-1]), bins + 1)
     # Each interval begins with the last sample before it, so that none is empty.
     starts = np.maximum(np.searchsorted(times, edges[:-1], side="right") - 1, 0)
     ends = np.searchsorted(times, edges[1:], side="right")

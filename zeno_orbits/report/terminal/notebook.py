@@ -35,7 +35,6 @@ class NotebookLine(ProgressLine):
 def line_for_watcher() -> ProgressLine | None:
     """Return where to show progress unasked: a notebook or a terminal; None if nobody watches."""
     ipython: Any = sys.modules.get("IPython")
-    shell = None if ipython is None else ipython.get_ipython()
-    if getattr(shell, "kernel", None) is not None:
+    if ipython is not None and getattr(ipython.get_ipython(), "kernel", None) is not None:
         return NotebookLine(ipython.display.display)
     return ProgressLine(lambda: None) if sys.stderr.isatty() else None
