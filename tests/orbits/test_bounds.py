@@ -58,3 +58,17 @@ def test_an_objection_names_what_is_passed_and_by_how_much() -> None:
         False,
     )
     assert second["kept"]
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize(("passed", "kept"), [(1e-10, True), (1e-8, False)])
+def test_a_bound_may_be_passed_by_rounding_and_no_more_in_any_unit(
+    unit: float, passed: float, *, kept: bool
+) -> None:
+    upper = Bound(name="current", upper=2.0 * unit)
+    above = Extent(lowest=-unit, highest=(2.0 + 2.0 * passed) * unit)
+    assert is_kept(upper, above) is kept
+    assert (objection_to([upper], {"current": above}) == "") is kept
+    lower = Bound(name="current", lower=-2.0 * unit)
+    below = Extent(lowest=-(2.0 + 2.0 * passed) * unit, highest=unit)
+    assert is_kept(lower, below) is kept

@@ -195,7 +195,7 @@ def _a_box_of_others_elsewhere(c: Certificate) -> str:
 
 
 def _a_return_elsewhere(c: Certificate) -> str:
-    c["passes"][0]["box"]["others"]["radius"][0] = text_of(1e-10)
+    c["passes"][0]["box"]["others"]["radius"][0] = text_of(1e-11)
     return "section: state 2"
 
 
@@ -325,6 +325,10 @@ def _a_gap_that_is_another_coordinate(c: Certificate) -> None:
     c["gap_row"] = 1
 
 
+def _a_parameter_that_is_no_double(c: Certificate) -> None:
+    c["parameters"]["c"] = f"0x{_units(c['parameters']['c']) + 1:x}p-{BITS}"
+
+
 def _a_number_finer_than_the_unit(c: Certificate) -> None:
     c["passes"][0]["records"][0]["h"] = "0x1p-400"
 
@@ -346,6 +350,7 @@ def _a_number_finer_than_the_unit(c: Certificate) -> None:
         _a_negative_radius,
         _an_endless_order,
         _a_gap_that_is_another_coordinate,
+        _a_parameter_that_is_no_double,
         _a_number_finer_than_the_unit,
     ],
 )
@@ -387,7 +392,7 @@ def _require_sound_under_mutations(certificate: Certificate, count: int, seed: i
         except InputError:
             continue
         if accepted and mutant != certificate:
-            assert all(mutant[key] == certificate[key] for key in statement)
+            assert {k: mutant[k] for k in statement} == {k: certificate[k] for k in statement}
             _require_true(mutant, certificate)
 
 

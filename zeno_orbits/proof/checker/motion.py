@@ -182,10 +182,10 @@ def crossed(system: System, place: Place, old: Enclosure, record: Mapping[str, A
     bits, free = system.bits, place.mode == "free"
     (a, b), (first, last) = ((number(x, bits) for x in record[k]) for k in ("window", "centre"))
     require(0 <= a.m <= first.m <= last.m <= b.m <= flow.h.m, "the windows are not nested")
-    for time, centre in ((a, False), (b, False), (first, True), (last, True)):
-        value = _guard(system, flow, time, centre=centre, free=free)
-        value = -value if time in (b, last) else value
-        require(value.low > 0, f"the guard may vanish outside its window: {value.shown()}")
+    for time, centre, sign in ((a, 0, 1), (b, 0, -1), (first, 1, 1), (last, 1, -1)):
+        value = _guard(system, flow, time, centre=centre == 1, free=free)
+        after = (value if sign > 0 else -value).low > 0
+        require(after, f"the guard may vanish outside its window: {value.shown()}")
     _, slope, box = flow.at(between(a.low, b.high, bits))
     rates = system.rates(place.mode, box)
     if free:

@@ -21,8 +21,8 @@ from zeno_orbits.work import versions
 _ACCURACIES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 _MOST_EVENTS = 40
 """Rows of the table of events."""
-_FORCES = {"m": "N", "rad": "N m", "1": "J"}
-"""Unit of a gap to that of the force that holds it closed: energy over gap."""
+_FORCES = {("J", "m"): "N", ("J", "rad"): "N m", ("J", "1"): "J"}
+"""Units of energy and gap to that of the force that holds the gap closed, where it has a name."""
 _ROUNDING = 1e-13
 """Part of the largest energy below which one is rounding, and is zero."""
 
@@ -52,8 +52,8 @@ def tables_of(subject: Subject, bundle: Bundle) -> dict[str, Table[Any]]:
         "bounds": bounds_table(subject.orbit),
         "multipliers": multipliers_table(certificate),
         "checks": checks_table(certificate),
-        "margins": margins_table(certificate, problem.gap_unit),
-        "energies": energies_table(certificate),
+        "margins": margins_table(certificate, problem.gap_unit, problem.energy_unit),
+        "energies": energies_table(certificate, problem.energy_unit),
         "parameters": parameters_table(subject.orbit, problem),
         "versions": versions_table(subject.orbit, bundle),
     }
@@ -181,14 +181,15 @@ def _residual(size: float) -> str:
     return size_text(size) if math.isfinite(size) else "never reached"
 
 
-def margins_table(certificate: OrbitCertificate, unit: str) -> Table[Any]:
+def margins_table(certificate: OrbitCertificate, unit: str, energy: str) -> Table[Any]:
     """Return how far the orbit is from being lost.
 
     Args:
         certificate: The certificate.
         unit: Unit of the gap.
+        energy: Unit of energies.
     """
-    force = _FORCES.get(unit, f"J/({unit})")
+    force = _FORCES.get((energy, unit), f"{energy}/{unit}")
     columns: list[Column[str]] = [
         text_column("name", lambda name: name),
         number_column("value", lambda name: number_text(certificate.margins[name], 6)),
@@ -201,14 +202,19 @@ def margins_table(certificate: OrbitCertificate, unit: str) -> Table[Any]:
     return _titled(table_of("Margins", columns, certificate.margins))
 
 
-def energies_table(certificate: OrbitCertificate) -> Table[Any]:
-    """Return where the energy of a period goes."""
+def energies_table(certificate: OrbitCertificate, unit: str) -> Table[Any]:
+    """Return where the energy of a period goes.
+
+    Args:
+        certificate: The certificate.
+        unit: Of energies in the problem.
+    """
     energies = certificate.energies
     least = _ROUNDING * max((abs(value) for value in energies.values()), default=0.0)
     columns: list[Column[str]] = [
         text_column("part", lambda name: words.ENERGIES.get(name, name)),
         number_column(
-            "energy [J]",
+            f"energy [{unit}]",
             lambda name: number_text(energies[name] if abs(energies[name]) > least else 0.0, 6),
         ),
     ]

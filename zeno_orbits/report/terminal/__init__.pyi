@@ -18,7 +18,7 @@ from .problems import print_reduction_costs as print_reduction_costs
 from .progress import ProgressLine as ProgressLine
 from .searches import print_bounds as print_bounds
 from .searches import print_candidates as print_candidates
-from .searches import print_objective as print_objective
+from .searches import objective_reached as objective_reached
 from .searches import print_search as print_search
 from .studies import print_families as print_families
 from .studies import print_map as print_map
