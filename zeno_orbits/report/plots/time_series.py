@@ -22,14 +22,18 @@ from zeno_orbits.simulation import Execution, Mode
 TIME = "time $t$ [s]"
 _EDGE = 0.01
 """Part of a picture in which an impact would be hidden by its frame."""
-_MOST_TURNS = 30
+_MOST_TURNS = 60
 """Maxima and minima an inch from which on a curve is drawn as its envelope."""
 _MOST_EVENTS = 30
 """Impacts or phases an inch that can still be told apart; more are not drawn one by one."""
 _PLACES = 1000
 """Places along an axis of time that can be told apart."""
+_LEVELS = 25
+"""Heights of a panel that can be told apart, roughly: smaller swings are none."""
 _BINS = 60
-"""Steps of an envelope an inch."""
+"""Steps of an envelope an inch, at most."""
+_TURNS_A_BIN = 8
+"""Maxima and minima that a step of an envelope spans at least, so that it is the same all over."""
 _ENVELOPE: dict[str, Any] = {
     "color": ARCS[Mode.FREE]["color"],
     "alpha": 0.5,
@@ -119,10 +123,13 @@ def _over_time(
     paths = paths_of(execution)
     values = [columns(path.states) for path in paths]
     room = panels.width / across
+    turns = [_turns([one[:, column] for one in values]) for column in range(n)]
+    # Velocities jump, and turn more often: the slowest of all tells how long a swing takes.
+    fewest = min((count for count in turns if count > _MOST_TURNS * room), default=0)
     for column, (ax, label) in enumerate(zip(panels, labels, strict=True)):
         drawn = [one[:, column] for one in values]
-        if _turns(drawn) > _MOST_TURNS * room:
-            _draw_envelope(ax, paths, drawn, round(_BINS * room))
+        if turns[column] > _MOST_TURNS * room:
+            _draw_envelope(ax, paths, drawn, min(round(_BINS * room), fewest // _TURNS_A_BIN))
         else:
             for path, one in zip(paths, drawn, strict=True):
                 ax.plot(path.times, one, **LOOKS[path.kind])
@@ -134,8 +141,10 @@ def _over_time(
 
 
 def _turns(drawn: Sequence[Vector]) -> int:
-    """Return how many maxima and minima a motion has."""
-    slopes = np.sign(np.diff(np.concatenate(drawn)))
+    """Return how many maxima and minima of a motion can be seen."""
+    values = np.concatenate(drawn)
+    levels = np.round(_LEVELS * (values - np.min(values)) / (np.ptp(values) or 1.0))
+    slopes = np.sign(np.diff(levels))
     slopes = slopes[slopes != 0.0]
     return int(np.count_nonzero(slopes[1:] != slopes[:-1]))
 
@@ -149,7 +158,8 @@ def _draw_envelope(ax: Axes, paths: Sequence[ArcPath], drawn: Sequence[Vector], 
     ends = np.searchsorted(times, edges[1:], side="right")
     low = [float(np.min(values[a:b])) for a, b in zip(starts, ends, strict=True)]
     high = [float(np.max(values[a:b])) for a, b in zip(starts, ends, strict=True)]
-    ax.fill_between((edges[:-1] + edges[1:]) / 2, low, high, **_ENVELOPE)
+    middles = [edges[0], *(edges[:-1] + edges[1:]) / 2, edges[-1]]
+    ax.fill_between(middles, [low[0], *low, low[-1]], [high[0], *high, high[-1]], **_ENVELOPE)
 
 
 def _mark_events(
