@@ -138,6 +138,10 @@ class WorkError(ZenoOrbitsError):
         self.trace = trace
 
 
+class KernelError(ZenoOrbitsError):
+    """Compiled kernels cannot be had; the text says why, as a clause."""
+
+
 class ProofError(ZenoOrbitsError):
     """A claim could not be proved; that does not make it false.
 

@@ -42,6 +42,7 @@ def test_every_command_is_known_to_the_tests_of_its_examples() -> None:
         "figures",
         "completion",
         "prove",
+        "cache",
     }
     assert set(EVERY) == {*COMMANDS, *elsewhere}
 
