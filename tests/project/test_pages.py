@@ -62,7 +62,6 @@ LONG = {
             "README",
             "accuracy",
             "families",
-            "gallery",
             "mapping",
             "measured_data",
             "own_tests",

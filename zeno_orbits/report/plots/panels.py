@@ -60,7 +60,8 @@ class Panels:
                 ax.set_xlabel(time if lowest else "")
         for column in range(self.across):
             self.figure.align_ylabels(self.axes[column :: self.across])
-        entries = _entries(self.axes)
+        # A colour bar is no panel, but its texts are read beside theirs.
+        entries = _entries(self.figure.axes if self.is_own else self.axes)
         if self.is_own:
             self._legend_above(entries)
         elif entries:
