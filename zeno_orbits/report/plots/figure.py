@@ -104,9 +104,13 @@ def _of_continuation(
 _PICTURES: dict[type, Callable[[Any, Problem | None, float, Sequence[Axes]], Figure]] = {
     Execution: _of_execution,
     ZenoOrbit: _of_orbit,
-    SearchResult: lambda found, *how: _of_orbit(found.unwrap(), *how),
+    SearchResult: lambda found, problem, width, axes: _of_orbit(
+        found.unwrap(), problem, width, axes
+    ),
     OrbitCertificate: lambda found, _, width, axes: plot_certificate(found, width=width, axes=axes),
-    Family: lambda found, *how: _of_continuation(Continuation(families=(found,)), *how),
+    Family: lambda found, problem, width, axes: _of_continuation(
+        Continuation(families=(found,)), problem, width, axes
+    ),
     Continuation: _of_continuation,
     ParameterMap: lambda found, _, width, axes: plot_map(found, width=width, axes=axes),
     WorkPrecision: lambda found, _, width, axes: plot_trade(found, width=width, axes=axes),

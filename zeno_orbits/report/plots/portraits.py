@@ -88,5 +88,7 @@ def _middle(curve: Vector, ranges: Vector) -> tuple[float, Vector]:
     steps = np.sqrt(np.sum((np.diff(curve, axis=0) / ranges) ** 2, axis=1))
     lengths = np.concatenate([[0.0], np.cumsum(steps)])
     length = float(lengths[-1])
-    ends = [[np.interp(part * length, lengths, row) for row in curve.T] for part in (0.49, 0.51)]
-    return length, np.array(ends, dtype=np.float64)
+    ends = np.zeros((2, 2))
+    for k, part in enumerate((0.49, 0.51)):
+        ends[k] = [float(np.interp(part * length, lengths, row)) for row in curve.T]
+    return length, ends
