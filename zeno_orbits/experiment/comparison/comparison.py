@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError
+from zeno_orbits.errors import InputError, counted
 from zeno_orbits.experiment.comparison.alignment import Alignment
 from zeno_orbits.experiment.comparison.contact_events import CycleEvents, cycle_events
 from zeno_orbits.experiment.comparison.deviations import Deviations, deviations
@@ -274,7 +274,7 @@ def _contact_reasons(contacts: Contacts | None) -> list[str]:
     struck = sum(one.closed for one in events)
     whats = (("locked phase", rested), ("impact", struck))
     return [
-        f"no {what} is seen in {len(events) - seen} of {len(events)} cycles"
+        f"no {what} is seen in {len(events) - seen} of {counted(len(events), 'cycle')}"
         for what, seen in whats
         if seen < _SEEN * len(events)
     ]
@@ -285,11 +285,14 @@ def _unresolved(contacts: Contacts | None) -> list[str]:
     events = [] if contacts is None else [one for one in contacts.events if one.closed]
     for what, known in (
         ("impacts", [one.first_impact for one in events]),
-        ("hops", [one.restitution for one in events]),
+        ("flights between impacts", [one.restitution for one in events]),
     ):
         unknown = sum(not math.isfinite(number) for number in known)
         if events and unknown > (1.0 - _SEEN) * len(events):
-            return [f"{what} are too short for the sampling in {unknown} cycles: not resolved"]
+            return [
+                f"{what} are too short for the sampling in "
+                f"{counted(unknown, 'cycle')}: not resolved"
+            ]
     return []
 
 
