@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import cast
 
 import casadi as ca
 import numpy as np
@@ -233,7 +234,8 @@ def extreme(terms: OrbitTerms, index: int, sign: float) -> ca.MX:
     states, guess = _interval(terms, arc, peak.fraction)
     what = f"{terms.state_names[index]} is {'highest' if sign > 0 else 'lowest'}"
     place = terms.program.variable(f"place where {what}", guess, lower=-0.5, upper=1.5)
-    height = ca.mtimes(states[index, :], ca.vertcat(*lagrange_basis(_points(terms), place)))
+    basis = cast("ca.MX", ca.vertcat(*lagrange_basis(_points(terms), place)))
+    height = ca.mtimes(states[index, :], basis)
     scale = float(terms.scale[index])
     terms.program.equal(f"{what} there", ca.jacobian(height, place), scale=scale)
     return height
