@@ -4,13 +4,8 @@
         [--problem forced_oscillator] [--rate 500] [--cycles 12] [--velocities]
 
 Every seed has its own truth, some per cent from the problem's numbers, its own unknown start and
-<<<<<<< HEAD
-its own noise on every signal; the fit begins at the problem's numbers. With ``--correlated`` the
-noise is that of a filtered sensor, which a fit that counts samples as independent gets wrong.
-=======
 its own noise on angles and current; the fit begins at the problem's numbers. With ``--correlated``
 the noise is that of a filtered sensor, which a fit that counts samples as independent gets wrong.
->>>>>>> main
 A share of intervals that hold is given with the range in which it would be in 95 of 100 such
 benchmarks if it were 95 %. Small matrices gain nothing from threads: with OPENBLAS_NUM_THREADS=1
 in the environment a fit takes half of the processor time.

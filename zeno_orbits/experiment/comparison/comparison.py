@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError
+from zeno_orbits.errors import InputError, counted
 from zeno_orbits.experiment.comparison.alignment import Alignment
 from zeno_orbits.experiment.comparison.contact_events import CycleEvents, cycle_events
 from zeno_orbits.experiment.comparison.deviations import Deviations, deviations
@@ -33,6 +33,7 @@ from zeno_orbits.experiment.recordings.periodicity import Periodicity
 from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.work import Columns, Displayed
 
 __all__ = ["Comparison", "Metric", "compare"]
 
@@ -61,8 +62,8 @@ class Contacts:
     events: tuple[CycleEvents, ...]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Comparison:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Comparison(Displayed):
     """A recording beside an orbit.
 
     Attributes:
@@ -86,6 +87,18 @@ class Comparison:
     deviations: Deviations | None = None
     reasons: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        """Return one line: whether the recording shows the orbit, and why not."""
+        found = f"agrees={self.agrees}, signals={', '.join(self.signals)}"
+        return (
+            f"<Comparison with {self.orbit.problem}: {found} {' '.join(self.reasons)}".strip() + ">"
+        )
+
+    def _columns(self) -> Columns:
+        """Return the numbers of the recording beside those of the orbit."""
+        names = ("name", "unit", "orbit", "data", "error")
+        return {name: [getattr(metric, name) for metric in self.metrics] for name in names}
 
     @property
     def period(self) -> Periodicity | None:
@@ -274,7 +287,7 @@ def _contact_reasons(contacts: Contacts | None) -> list[str]:
     struck = sum(one.closed for one in events)
     whats = (("locked phase", rested), ("impact", struck))
     return [
-        f"no {what} is seen in {len(events) - seen} of {len(events)} cycles"
+        f"no {what} is seen in {len(events) - seen} of {counted(len(events), 'cycle')}"
         for what, seen in whats
         if seen < _SEEN * len(events)
     ]
@@ -285,11 +298,14 @@ def _unresolved(contacts: Contacts | None) -> list[str]:
     events = [] if contacts is None else [one for one in contacts.events if one.closed]
     for what, known in (
         ("impacts", [one.first_impact for one in events]),
-        ("hops", [one.restitution for one in events]),
+        ("flights between impacts", [one.restitution for one in events]),
     ):
         unknown = sum(not math.isfinite(number) for number in known)
         if events and unknown > (1.0 - _SEEN) * len(events):
-            return [f"{what} are too short for the sampling in {unknown} cycles: not resolved"]
+            return [
+                f"{what} are too short for the sampling in "
+                f"{counted(unknown, 'cycle')}: not resolved"
+            ]
     return []
 
 

@@ -174,7 +174,7 @@ def identify(
     if not first.agrees or where is None or found is None or first.deviations is None:
         raise UnfittableError(f"No parameters were found: {'; '.join(first.reasons)}.")
     if found.n_cycles < _LEAST_CYCLES:
-        few = f"{found.n_cycles:.2g} periods were recorded, and two are needed"
+        few = f"{found.n_cycles:.1f} periods were recorded, and two are needed"
         raise UnfittableError(f"No parameters were found: {few}.")
     unknowns = unknowns_of(problem, begin, sought)
     measured = measurement(problem, first.signals)
