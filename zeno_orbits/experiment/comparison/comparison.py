@@ -18,15 +18,15 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.experiment.comparison.alignment import Alignment
 from zeno_orbits.experiment.comparison.contact_events import CycleEvents, cycle_events
 from zeno_orbits.experiment.comparison.deviations import Deviations, deviations
+from zeno_orbits.experiment.comparison.estimate import Estimate
 from zeno_orbits.experiment.comparison.gap_model import gap_model, recorded_gap
-from zeno_orbits.experiment.comparison.metrics import (
-    Metric,
-    contact_metrics,
+from zeno_orbits.experiment.comparison.metrics import Metric, contact_metrics, metric
+from zeno_orbits.experiment.comparison.overlay import Overlay, lay_over, shared_signals
+from zeno_orbits.experiment.comparison.signal_metrics import (
     portrait_metrics,
     portraits_of,
     signal_metrics,
 )
-from zeno_orbits.experiment.comparison.overlay import Overlay, lay_over, shared_signals
 from zeno_orbits.experiment.comparison.stop_level import Stop, refined_stop, stop_level
 from zeno_orbits.experiment.orbit_table import GAP
 from zeno_orbits.experiment.recordings.periodicity import Periodicity
@@ -103,11 +103,11 @@ class Comparison:
         if self.overlay is None:
             return ()
         found, table = self.overlay.found, self.overlay.table
-        metrics = [
-            Metric(
-                name="period", unit="s", orbit=table.period, data=found.period, error=found.error
-            )
-        ]
+        period = Estimate(value=found.period, error=found.error)
+        if self.overlay.holds:
+            where = self.overlay.where
+            period = Estimate(value=where.period, error=where.period_error)
+        metrics = [metric("period", "s", table.period, period)]
         if self.contacts is not None and self.contacts.events:
             stop, events = self.contacts.stop, self.contacts.events
             unit = self.problem.gap_unit
@@ -129,10 +129,10 @@ class Comparison:
         Raises:
             InputError: If no metric has this name.
         """
-        for metric in self.metrics:
-            if metric.name == name:
-                return metric
-        known = ", ".join(metric.name for metric in self.metrics)
+        for one in self.metrics:
+            if one.name == name:
+                return one
+        known = ", ".join(one.name for one in self.metrics)
         raise InputError(f"Argument `metric` must be one of {known}, but it is `{name}`.")
 
     def as_json(self) -> dict[str, Any]:
@@ -148,14 +148,14 @@ class Comparison:
             "cycles": None if self.period is None else self.period.n_cycles,
             "release_time": None if self.where is None else _plain(self.where.release),
             "metrics": {
-                metric.name: {
-                    "unit": metric.unit,
-                    "orbit": _plain(metric.orbit),
-                    "data": _plain(metric.data),
-                    "difference": _plain(metric.data - metric.orbit),
-                    "standard_error": _plain(metric.error),
+                one.name: {
+                    "unit": one.unit,
+                    "orbit": _plain(one.orbit),
+                    "data": _plain(one.data),
+                    "difference": _plain(one.data - one.orbit),
+                    "standard_error": _plain(one.error),
                 }
-                for metric in self.metrics
+                for one in self.metrics
             },
         }
 
@@ -223,8 +223,8 @@ def _contacts(overlay: Overlay, problem: Problem, gap: Vector) -> Contacts | Non
     time, where = overlay.time, overlay.where
     model = gap_model(overlay.table, problem, where.period)
     events = cycle_events(time, gap, stop, model, where.release)
-    rests = [(one.rest_start, one.rest_end) for one in events if math.isfinite(one.rest_start)]
-    stop = refined_stop(time, gap, stop, rests, where.release, where.period)
+    rests = [one.rest for one in events if one.rested]
+    stop = refined_stop(time, gap, stop, rests, where)
     return Contacts(stop=stop, events=cycle_events(time, gap, stop, model, where.release))
 
 
@@ -255,7 +255,7 @@ def _settling(found: Deviations, time: Vector, where: Alignment) -> list[str]:
     sizes = found.sizes_in_turn()
     if len(sizes) < _FEWEST_CYCLES:
         return []
-    usual = float(np.median(sizes[len(sizes) // 2 :]))
+    usual = float(np.nanmedian(sizes[len(sizes) // 2 :]))
     strange = np.flatnonzero(sizes > _SETTLING * usual)
     if not len(strange) or strange[0] > 1 or strange[-1] > len(sizes) // 2:
         return []
@@ -268,9 +268,10 @@ def _contact_reasons(contacts: Contacts | None) -> list[str]:
     if contacts is None:
         return ["no locked phase is seen: the gap rests nowhere"]
     events = contacts.events
-    rested = sum(math.isfinite(one.rest_start) for one in events)
-    struck = sum(one.closed for one in events)
-    whats = (("locked phase", rested), ("impact", struck))
+    whats = (
+        ("locked phase", sum(one.rested for one in events)),
+        ("impact", sum(one.closed for one in events)),
+    )
     return [
         f"no {what} is seen in {len(events) - seen} of {len(events)} cycles"
         for what, seen in whats
@@ -281,11 +282,11 @@ def _contact_reasons(contacts: Contacts | None) -> list[str]:
 def _unresolved(contacts: Contacts | None) -> list[str]:
     """Return a remark if cycles show a contact in which the samples are too few for its numbers."""
     events = [] if contacts is None else [one for one in contacts.events if one.closed]
-    for what, known in (
+    for what, numbers in (
         ("impacts", [one.first_impact for one in events]),
-        ("hops", [one.restitution for one in events]),
+        ("rebounds", [one.restitution for one in events]),
     ):
-        unknown = sum(not math.isfinite(number) for number in known)
+        unknown = sum(not number.known for number in numbers)
         if events and unknown > (1.0 - _SEEN) * len(events):
             return [f"{what} are too short for the sampling in {unknown} cycles: not resolved"]
     return []

@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment import Comparison
-from zeno_orbits.experiment.comparison.deviations import Deviations
+from zeno_orbits.experiment.comparison.deviations import Deviations, Portrait
+from zeno_orbits.experiment.comparison.signal_metrics import portraits_of
 from zeno_orbits.experiment.orbit_table import OrbitTable, measurable
 from zeno_orbits.model import Problem
 from zeno_orbits.report.plots.style import FULL_WIDTH, INK, TEXT, TINTS, add_legend, label_of
@@ -43,8 +44,8 @@ def plot_comparison(problem: Problem, found: Comparison, *, width: float = FULL_
     if deviations is None or where is None:
         raise ValueError("Argument `found` must have deviations to draw, but it has none.")
     table = deviations.table
-    pairs = _pairs(problem, table, found.signals)
-    rows = len(found.signals) + math.ceil(len(pairs) / 2)
+    portraits = portraits_of(problem, found.signals)
+    rows = len(found.signals) + math.ceil(len(portraits) / 2)
     figure = Figure(figsize=(width, 1.25 * len(found.signals) + 2.2 * (rows - len(found.signals))))
     figure.set_layout_engine("constrained")
     heights = [1.25] * len(found.signals) + [2.2] * (rows - len(found.signals))
@@ -72,9 +73,9 @@ def plot_comparison(problem: Problem, found: Comparison, *, width: float = FULL_
     periods = f"period: orbit {table.period:.6g} s, recording {where.period:.6g} s"
     figure.axes[0].set_title(periods, size=TEXT)
     figure.axes[1].set_title("recording less orbit", size=TEXT)
-    for k, pair in enumerate(pairs):
+    for k, portrait in enumerate(portraits):
         ax = figure.add_subplot(grid[len(found.signals) + k // 2, k % 2])
-        _draw_portrait(ax, problem, found, deviations, pair)
+        _draw_portrait(ax, problem, deviations, portrait)
     add_legend(figure, width)
     return figure
 
@@ -98,21 +99,14 @@ def _shade(ax: Axes, table: OrbitTable) -> None:
     ax.set_xlim(0.0, 1.0)
 
 
-def _pairs(problem: Problem, table: OrbitTable, signals: tuple[str, ...]) -> list[tuple[str, str]]:
-    columns = table.measured.names
-    return [pair for pair in problem.portraits if pair[0] in signals and pair[1] in columns]
-
-
-def _draw_portrait(
-    ax: Axes, problem: Problem, found: Comparison, deviations: Deviations, pair: tuple[str, str]
-) -> None:
-    table = deviations.table
-    columns = [table.measured.names.index(name) for name in pair]
-    ax.plot(*table.nodes.values[:, columns].T, **_ORBIT)
-    points = deviations.portrait(columns, None if pair[1] in found.signals else columns[0])
+def _draw_portrait(ax: Axes, problem: Problem, deviations: Deviations, portrait: Portrait) -> None:
+    axes, _ = deviations.columns(portrait)
+    ax.plot(*deviations.table.nodes.values[:, axes].T, **_ORBIT)
+    points = deviations.curve(portrait)
     closed: Vector = np.concatenate([points, points[:1]])
     ax.plot(*closed.T, **_DATA)
-    ax.set(xlabel=_label(problem, pair[0]), ylabel=_label(problem, pair[1]))
+    first, second = portrait.signals
+    ax.set(xlabel=_label(problem, first), ylabel=_label(problem, second))
 
 
 def _label(problem: Problem, name: str) -> str:
