@@ -220,13 +220,13 @@ def over_tolerances(problem: Problem, n_runs: int, patience: float) -> None:
 
 def over_ratios(problem: Problem, n_runs: int, patience: float) -> None:
     """Print the table over R/L, at 1e-10."""
-    compiled, values = problem.compiled(), problem.values()
+    values = problem.values()
     print("\ntol. = 1e-10       R/L      wall [ms]    cpu [ms]     steps    error")
     slow: set[str] = set()
     resistance = values.parameters["R"]
     for ratio in RATIOS:
         at = problem.values(parameters={"L": resistance / ratio})
-        dynamics = bind(compiled, at.values())
+        dynamics = problem.dynamics(at)
         tight = SimulationSettings(engine=Radau(), tolerance=Tolerance())
         exact = simulate(dynamics, RELEASE, until=UNTIL, settings=tight).end_state
 

@@ -21,13 +21,13 @@ from typing import Any
 import numpy as np
 
 from zeno_orbits.continuation import (
-    Boundary,
     Continuation,
     ContinuationSettings,
     Crew,
     CurveSteps,
-    Kind,
     SecondParameter,
+    SpecialCurve,
+    SpecialPointKind,
     continue_orbit,
     start_orbit,
 )
@@ -42,7 +42,7 @@ KP, KD = (0.5, 12.0), (-2.5, 0.0)
 RESTITUTION = (0.0, 0.5)
 INNER = (4.3, -1.5)
 """Kp and Kd of an orbit whose family in Kd is shaped like an S, two folds and two flips more."""
-KINDS = tuple(kind for kind in Kind if kind.located)
+KINDS = tuple(kind for kind in SpecialPointKind if kind.located)
 SETTINGS = ContinuationSettings(curve=CurveSteps(most=120))
 """Beyond its hairpin the end of the locked arc takes ever shorter steps: the 63 points after these
 120 took six minutes for 0.023 of Kp."""
@@ -97,7 +97,9 @@ def inner_curves(problem: Problem, found: dict[str, Continuation], crew: Crew) -
         start_orbit(problem, problem.values(gains={"Kp": kp, "Kd": kd})),
         "Kd",
         KD,
-        second=SecondParameter(name="Kp", box=KP, kinds=(Kind.FOLD, Kind.FLIP)),
+        second=SecondParameter(
+            name="Kp", box=KP, kinds=(SpecialPointKind.FOLD, SpecialPointKind.FLIP)
+        ),
         settings=replace(SETTINGS, doublings=0),
         crew=crew,
     )
@@ -106,7 +108,7 @@ def inner_curves(problem: Problem, found: dict[str, Continuation], crew: Crew) -
     return replace(inner, boundaries=tuple(new))
 
 
-def runs_along(curve: Boundary, known: Boundary) -> bool:
+def runs_along(curve: SpecialCurve, known: SpecialCurve) -> bool:
     """Tell whether most of a curve lies on a known one of its kind."""
     if curve.kind is not known.kind or len(known.x) < 2:
         return False
@@ -150,7 +152,7 @@ def show(name: str, found: Continuation, seconds: float) -> None:
             print(f"    {word:5s} {x} = {boundary.x[k]:.9f}, {y} = {boundary.y[k]:.9f}")
 
 
-def in_gains(boundary: Boundary) -> Boundary:
+def in_gains(boundary: SpecialCurve) -> SpecialCurve:
     """Return a boundary with Kp as its first parameter."""
     if boundary.names == ("Kp", "Kd"):
         return boundary

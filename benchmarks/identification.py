@@ -23,7 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binom
 
-from zeno_orbits.experiment import Recording, Signal, Source, UnfittableError, Unknown, identify
+from zeno_orbits.experiment import (
+    RecordedSignal,
+    Recording,
+    Source,
+    UnfittableError,
+    Unknown,
+    identify,
+)
 from zeno_orbits.experiment.orbit_table import tabulate_orbit
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.problem import Problem
@@ -144,7 +151,7 @@ class Study:
         values += self.noise * np.ptp(values, axis=0) * noise
         units = dict(zip(problem.state_names, problem.state_units, strict=True))
         signals = tuple(
-            Signal(name=name, unit=units[name], values=values[:, k].copy())
+            RecordedSignal(name=name, unit=units[name], values=values[:, k].copy())
             for k, name in enumerate(names)
         )
         source = Source.SIMULATED

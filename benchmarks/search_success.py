@@ -32,7 +32,7 @@ from zeno_orbits.report import terminal as report
 from zeno_orbits.search import SearchResult, find_orbit, search_gains
 from zeno_orbits.search.guess import settle
 from zeno_orbits.verification.verifier import verify
-from zeno_orbits.work import Cluster, Lost, Plan, Workers, spread_in_order, versions
+from zeno_orbits.work import Cluster, LostPoint, Plan, Workers, spread_in_order, versions
 
 SETTLED = 1e-6
 FIXED_GOAL, FREE_GOAL = 0.98, 0.95
@@ -125,7 +125,7 @@ def study(options: argparse.Namespace) -> tuple[list[list[str]], int]:
         while len(results) < options.problems and tried < len(problems):
             result = next(found)
             tried += 1
-            if isinstance(result, Lost):
+            if isinstance(result, LostPoint):
                 results.append([result.reason] * 2)
             elif result is not None:
                 results.append(result)

@@ -68,7 +68,12 @@ def measure(
     for count, gains in zip(range(len(GAINS) + runs), itertools.cycle(GAINS), strict=False):
         marks: list[tuple[float, float]] = []
 
-        def mark(_stage: str = "", marks: list[tuple[float, float]] = marks) -> None:
+        def mark(
+            _stage: str = "",
+            _share: float | None = None,
+            *,
+            marks: list[tuple[float, float]] = marks,
+        ) -> None:
             marks.append((time.perf_counter(), time.process_time()))
 
         mark()

@@ -7,12 +7,13 @@ from .api import find_orbit as find_orbit
 from .api import floquet_multipliers as floquet_multipliers
 from .api import parameter_map as parameter_map
 from .api import plot as plot
+from .api import prove as prove
 from .api import search_gains as search_gains
 from .api import simulate as simulate
 from .api import verify as verify
 from .continuation.families import Continuation as Continuation
 from .continuation.families import Family as Family
-from .continuation.families import Kind as Kind
+from .continuation.families import SpecialPointKind as SpecialPointKind
 from .continuation.setup import ContinuationSettings as ContinuationSettings
 from .errors import InputError as InputError
 from .errors import OrbitFileError as OrbitFileError
@@ -61,6 +62,7 @@ from .precision.accuracy import simulate_to as simulate_to
 from .precision.accuracy import simulate_with_error as simulate_with_error
 from .precision.trials import QUICK as QUICK
 from .precision.trials import trade as trade
+from .proof.theorem import Proof as Proof
 from .report.plots import plot_zeno_region as plot_zeno_region
 from .report.plots import plot_zeno_zoom as plot_zeno_zoom
 from .report.plots import save_figure as save_figure

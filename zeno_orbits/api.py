@@ -13,36 +13,32 @@ from __future__ import annotations
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model.library import (
+from zeno_orbits.model import (
+    Problem,
     ProblemFile,
     bundled_problems,
     load_problem,
     locate_problem,
     split_fidelity,
 )
-from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.orbits.orbit_file import read_orbit
-from zeno_orbits.work.progress import Progress, silent
+from zeno_orbits.orbits import ZenoOrbit, read_orbit
+from zeno_orbits.work import Progress, silent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from zeno_orbits.continuation import Continuation, ContinuationSettings, Crew
-    from zeno_orbits.maps.mapping import ParameterMap
-    from zeno_orbits.orbits.bounds import Bound
-    from zeno_orbits.orbits.poincare import Multipliers
-    from zeno_orbits.orbits.shape import OrbitShape
-    from zeno_orbits.search import Closing, SearchResult, SearchSettings
-    from zeno_orbits.search.objectives import Objective
-    from zeno_orbits.simulation.execution import Execution
-    from zeno_orbits.simulation.simulator import SimulationSettings
-    from zeno_orbits.verification.certificate import OrbitCertificate
-    from zeno_orbits.verification.verifier import VerificationSettings
+    from zeno_orbits.maps import ParameterMap
+    from zeno_orbits.orbits import Bound, Multipliers, OrbitShape
+    from zeno_orbits.proof import Proof
+    from zeno_orbits.search import Closing, Objective, SearchResult, SearchSettings
+    from zeno_orbits.simulation import Execution, SimulationSettings
+    from zeno_orbits.verification import OrbitCertificate, VerificationSettings
 
 Named = str | Path | Problem
 """A problem, the name of a bundled one, or the path of its file."""
@@ -180,7 +176,7 @@ def search_gains(
     known = _known(problem, start)
     spread = None
     if workers > 1:
-        spread = search.Spread(
+        spread = search.StartWorkers(
             problem_file=_file_of(problem, start),
             plan=Plan(place=Workers(count=workers)),
             tell=on_progress,
@@ -272,6 +268,39 @@ def verify(
     return verifier.verify(orbit, known, settings=settings, on_progress=on_progress)
 
 
+def prove(
+    orbit: ZenoOrbit | str | Path,
+    *,
+    problem: Named | None = None,
+    over: Numbers | None = None,
+    radius: float | None = None,
+    on_progress: Progress = silent,
+) -> Proof:
+    """Return a proof that an orbit exists, with its certificate, or which claim has none.
+
+    Args:
+        orbit: The orbit, or its file; its own certificate is ignored.
+        problem: Its problem; by default the bundled one of its name.
+        over: Gain or parameter to the radius of its interval, for all of which it is to hold.
+        radius: Of the box on the section, per size of a coordinate; found by itself by default.
+        on_progress: Called with what is being done and the part of it that is done.
+
+    Raises:
+        InputError: If python-flint is missing (the extra `proof`), the orbit's problem is not
+            known, or a number or name does not fit the problem.
+        TranslationError: If the problem's equations are not analytic.
+    """
+    if find_spec("flint") is None:
+        raise InputError("Proofs need python-flint: run `pip install 'zeno_orbits[proof]'`.")
+    from zeno_orbits.proof import ProofSettings
+    from zeno_orbits.proof import prove as proved
+
+    orbit = _read(orbit)
+    known = problem_of(orbit, problem)
+    settings = ProofSettings(radius=radius)
+    return proved(orbit, known, over=over, settings=settings, on_progress=on_progress)
+
+
 def floquet_multipliers(
     orbit: ZenoOrbit | str | Path, *, problem: Named | None = None
 ) -> Multipliers:
@@ -287,9 +316,7 @@ def floquet_multipliers(
     """
     import numpy as np
 
-    from zeno_orbits.orbits import poincare
-    from zeno_orbits.orbits.cycle import first_cycles
-    from zeno_orbits.orbits.period import placed
+    from zeno_orbits.orbits import first_cycles, placed, poincare
     from zeno_orbits.simulation import simulator
 
     orbit = _read(orbit)
@@ -404,7 +431,7 @@ def parameter_map(
         WorkError: If the work cannot be finished.
     """
     from zeno_orbits import maps
-    from zeno_orbits.maps.plane import chunk_of
+    from zeno_orbits.maps import chunk_of
     from zeno_orbits.work import Plan, Workers
 
     known = _known(problem)
@@ -429,7 +456,7 @@ def plot(result: Any, *, problem: Named | None = None, **style: Any) -> Figure:
         problem: Its problem, where the result does not tell it.
         style: As `zeno_orbits.report.plots.figure_of` takes it.
     """
-    from zeno_orbits.report.plots import figure_of
+    from zeno_orbits.report import figure_of
 
     return figure_of(result, problem=None if problem is None else _known(problem), **style)
 
@@ -517,7 +544,7 @@ def problem_of(orbit: ZenoOrbit, problem: Named | None = None) -> Problem:
 
 def _with_certificates(result: SearchResult) -> SearchResult:
     """Return the result with each orbit's certificate and multipliers in the orbit."""
-    from zeno_orbits.verification.verifier import certified
+    from zeno_orbits.verification import certified
 
     candidates = tuple(
         one

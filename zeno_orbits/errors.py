@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 
 class ZenoOrbitsError(Exception):
@@ -14,6 +15,13 @@ class InputError(ZenoOrbitsError, ValueError):
     """An argument, a name or a file is not usable; the text says which and why."""
 
 
+def _about_file(kind: str, path: Path, wanted: str, reason: str) -> str:
+    """Return why a file is not usable; a file that cannot be read is not told what it must hold."""
+    if reason.startswith("it cannot be read"):
+        return f"{kind} file `{path}` {reason.removeprefix('it ')}."
+    return f"{kind} file `{path}` must {wanted}, but {reason}."
+
+
 class ProblemFileError(InputError):
     """A problem file could not be turned into a problem.
 
@@ -22,7 +30,7 @@ class ProblemFileError(InputError):
     """
 
     def __init__(self, path: Path, reason: str) -> None:
-        super().__init__(f"Problem file `{path}` must define a problem, but {reason}.")
+        super().__init__(_about_file("Problem", path, "define a problem", reason))
         self.path = path
 
 
@@ -34,7 +42,7 @@ class OrbitFileError(InputError):
     """
 
     def __init__(self, path: Path, reason: str) -> None:
-        super().__init__(f"Orbit file `{path}` must hold a Zeno orbit, but {reason}.")
+        super().__init__(_about_file("Orbit", path, "hold a Zeno orbit", reason))
         self.path = path
 
 
@@ -46,7 +54,7 @@ class MapFileError(InputError):
     """
 
     def __init__(self, path: Path, reason: str) -> None:
-        super().__init__(f"Map file `{path}` must hold a map, but {reason}.")
+        super().__init__(_about_file("Map", path, "hold a map", reason))
         self.path = path
 
 
@@ -69,6 +77,7 @@ class SimulationError(ZenoOrbitsError):
     Attributes:
         time: Where it stopped [s].
         state: The state there, ``(n_x,)``.
+        execution: What came before, up to its last event (an ``Execution``); ``None`` if nothing.
     """
 
     def __init__(self, reason: str, *, time: float, state: tuple[float, ...]) -> None:
@@ -76,6 +85,7 @@ class SimulationError(ZenoOrbitsError):
         self.reason = reason
         self.time = time
         self.state = state
+        self.execution: Any = None
 
 
 class StepSizeError(SimulationError):
@@ -128,6 +138,20 @@ class WorkError(ZenoOrbitsError):
         self.trace = trace
 
 
+class ProofError(ZenoOrbitsError):
+    """A claim could not be proved; that does not make it false.
+
+    Attributes:
+        claim: Name of the claim.
+        reason: What fails, with the numbers.
+    """
+
+    def __init__(self, claim: str, reason: str) -> None:
+        super().__init__(f"Not proved: `{claim}`: {reason}.")
+        self.claim = claim
+        self.reason = reason
+
+
 class DataFileError(InputError):
     """A file of time series could not be read.
 
@@ -136,7 +160,7 @@ class DataFileError(InputError):
     """
 
     def __init__(self, path: Path, reason: str) -> None:
-        super().__init__(f"Data file `{path}` must hold a recording, but {reason}.")
+        super().__init__(_about_file("Data", path, "hold a recording", reason))
         self.path = path
 
 

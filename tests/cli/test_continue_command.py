@@ -12,12 +12,12 @@ from tests.reference.reference_orbit import RELEASE
 from tests.support.commands import YES, ask, examples
 from zeno_orbits.cli import main
 from zeno_orbits.continuation.families import (
-    Boundary,
     Continuation,
     Family,
     FamilyPoint,
-    Kind,
+    SpecialCurve,
     SpecialPoint,
+    SpecialPointKind,
 )
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.orbits.orbit_file import write_orbit
@@ -117,10 +117,10 @@ def point(value: float, radius: float) -> FamilyPoint:
     )
 
 
-def family(kind: Kind) -> Family:
+def family(kind: SpecialPointKind) -> Family:
     points = tuple(point(0.1 * k, 0.6 + 0.1 * k) for k in range(9))
-    special = SpecialPoint(kind=Kind.FLIP, at=point(0.4, 1.0), error=1e-10, index=4)
-    first = SpecialPoint(kind=Kind.BOUND, at=points[0], error=0.0, index=0)
+    special = SpecialPoint(kind=SpecialPointKind.FLIP, at=point(0.4, 1.0), error=1e-10, index=4)
+    first = SpecialPoint(kind=SpecialPointKind.BOUND, at=points[0], error=0.0, index=0)
     return Family(
         problem="motor_pendulum",
         parameter="Kd",
@@ -136,7 +136,7 @@ def family(kind: Kind) -> Family:
 
 def test_a_picture_has_stable_orbits_solid_unstable_ones_dashed_and_names_points() -> None:
     figure = plots.plot_families(
-        Continuation(families=(family(Kind.GRAZING),)), PENDULUM, width=plots.FULL_WIDTH
+        Continuation(families=(family(SpecialPointKind.GRAZING),)), PENDULUM, width=plots.FULL_WIDTH
     )
     period = figure.axes[0]
     lines = [line for line in period.lines if line.get_marker() in (None, "None", "")]
@@ -149,15 +149,15 @@ def test_a_picture_has_stable_orbits_solid_unstable_ones_dashed_and_names_points
 
 
 def test_boundaries_are_drawn_over_both_parameters() -> None:
-    boundary = Boundary(
-        kind=Kind.FOLD,
+    boundary = SpecialCurve(
+        kind=SpecialPointKind.FOLD,
         names=("Kp", "Kd"),
         x=(1.0, 2.0),
         y=(-1.0, -2.0),
         errors=(0.0, 0.0),
         ends=("end of the range", "end of the range"),
     )
-    found = Continuation(families=(family(Kind.BOUND),), boundaries=(boundary,))
+    found = Continuation(families=(family(SpecialPointKind.BOUND),), boundaries=(boundary,))
     (ax,) = plots.plot_boundaries(found, PENDULUM).axes
     assert ax.get_xlabel() == "Kp [V/rad]"
     assert ax.get_ylabel() == "Kd [V s/rad]"
@@ -165,8 +165,8 @@ def test_boundaries_are_drawn_over_both_parameters() -> None:
 
 
 def test_a_cusp_is_printed_and_drawn(capsys: pytest.CaptureFixture[str]) -> None:
-    boundary = Boundary(
-        kind=Kind.FOLD,
+    boundary = SpecialCurve(
+        kind=SpecialPointKind.FOLD,
         names=("Kp", "Kd"),
         x=(1.0, 2.0, 1.5),
         y=(-1.0, -2.0, -1.5),
@@ -174,7 +174,7 @@ def test_a_cusp_is_printed_and_drawn(capsys: pytest.CaptureFixture[str]) -> None
         ends=("end of the range", "end of the range"),
         cusps=(1,),
     )
-    found = Continuation(families=(family(Kind.BOUND),), boundaries=(boundary,))
+    found = Continuation(families=(family(SpecialPointKind.BOUND),), boundaries=(boundary,))
     (ax,) = plots.plot_boundaries(found, PENDULUM).axes
     marks = [line.get_xydata() for line in ax.lines if line.get_label() == "cusp"]
     assert [mark.tolist() for mark in marks] == [[[2.0, -2.0]]]
@@ -185,8 +185,8 @@ def test_a_cusp_is_printed_and_drawn(capsys: pytest.CaptureFixture[str]) -> None
 def test_giving_up_is_an_answer_of_no(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    lost = replace(family(Kind.GAVE_UP).last, detail="the tangent turns too fast")
-    found = Continuation(families=(replace(family(Kind.BOUND), last=lost),))
+    lost = replace(family(SpecialPointKind.GAVE_UP).last, detail="the tangent turns too fast")
+    found = Continuation(families=(replace(family(SpecialPointKind.BOUND), last=lost),))
     monkeypatch.setattr("zeno_orbits.continuation.continue_impacts", lambda *_, **__: found)
     assert main(["continue", *IMPACTS, "--in", "A=0.5:1.1"]) == 1
     told = capsys.readouterr().out

@@ -33,7 +33,7 @@ EVERY = tuple(re.findall(r"^    ([a-z]+)(?: |$)", build_parser().format_help(), 
 
 
 def test_every_command_is_known_to_the_tests_of_its_examples() -> None:
-    elsewhere = {"new", "continue", "compare", "identify", "report", "figures"}
+    elsewhere = {"new", "continue", "compare", "identify", "report", "figures", "completion", "prove"}
     assert set(EVERY) == {*COMMANDS, *elsewhere}
 
 

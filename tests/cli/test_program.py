@@ -158,7 +158,9 @@ def test_a_yes_and_a_misuse_do_not_depend_on_it_either(here: Path) -> None:
 def test_an_output_that_finds_no_room_is_no_yes(arguments: tuple[str, ...]) -> None:
     found = closed(*arguments, streams="> /dev/full")
     assert found.returncode == MISUSE
-    assert re.fullmatch(r"zeno-orbits: Standard output must take .*No space left.*\n", found.stderr)
+    assert re.fullmatch(
+        r"zeno-orbits: Standard output must be writable.*No space left.*\n", found.stderr
+    )
 
 
 def test_an_interrupt_from_the_keyboard_ends_a_search_without_a_file(here: Path) -> None:

@@ -137,7 +137,7 @@ def test_exact_pulses_tell_nearly_what_their_mean_tells() -> None:
         (("--part", "contact.stiffness"), "`part` must be NAME=VALUE"),
         (("--part", "friction.knee.coulomb=1"), "`friction` must name one of theta1, theta2"),
         (("--gain", "Kp=2"), "`gain` must not be given with an orbit, which has its own."),
-        (("--until", "3"), "`until` must not be given with an orbit, which has a period"),
+        (("--until", "3"), "`until` must not be given with an orbit, whose periods"),
         (("--start", "theta1=2"), "`start` must not be given with an orbit"),
         (("--until", "0"), "`until` must not be given with an orbit"),
         (("--only", "sensors"), "`only` must name the controller with the sensors"),

@@ -79,7 +79,7 @@ def test_search_for_a_parameter_says_what_stays_and_what_is_reached(orbit_file: 
     free = (*PUBLISHED_GAINS, "--free", "L1=0.198:0.202", "--objective", "peak=current")
     answer = ask("search", "motor_pendulum", *free, "--from", orbit_file, "--candidates", "1")
     assert answer.code == YES
-    assert "Not free, and kept as at the start: J_rotor, K_torque, K_emf." in answer.out
+    assert "Derived, and held at their initial values: J_rotor, K_torque, K_emf." in answer.out
     assert "Asked for the least peak of current; measured on a simulation" in answer.out
     assert re.search(r"^L1 +0\.\d+ +m", answer.out, re.MULTILINE)
     assert max(map(len, answer.out.splitlines())) <= 100

@@ -53,7 +53,7 @@ def test_a_search_that_fails_names_the_numbers_that_may_be_in_another_unit(
     options = argparse.Namespace(json=as_json)
     assert answer(options, problem, NOTHING, None, (), (), far) == 1
     said = capsys.readouterr().out
-    sentence = "`R` is 3000 ohm, 1000 times the problem's own 3 ohm: is that its unit?"
+    sentence = "`R` is 3000 ohm, 1000 times the problem's own 3 ohm: is its unit right?"
     if as_json:
         assert json.loads(said)["far"] == [sentence]
     else:

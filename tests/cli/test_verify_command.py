@@ -148,7 +148,7 @@ def test_an_orbit_that_is_less_certain_than_asked_is_a_no(orbit_file: Path) -> N
     assert refused.code == NO
     assert "Verified" in refused.out
     assert error_said(refused) > 1e-12
-    assert "more than the accuracy 1e-12" in refused.out
+    assert "exceeds the requested accuracy 1e-12" in refused.out
     assert ask(*lax, "1e-12", "--json").code == NO
     assert ask(*lax, "1e-6").code == YES
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.continuation.branch import Branch, FamilySteps, follow
-from zeno_orbits.continuation.corrector import Metric, first_point
-from zeno_orbits.continuation.families import Kind
-from zeno_orbits.continuation.return_maps import Loss, Margin, Return
+from zeno_orbits.continuation.branch import Branch, FamilySteps, follow_branch
+from zeno_orbits.continuation.corrector import FamilyMetric, first_point
+from zeno_orbits.continuation.families import SpecialPointKind
+from zeno_orbits.continuation.return_maps import DifferentiatedReturn, Loss, Margin
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.orbits.section import Line, Section
 from zeno_orbits.work.progress import silent
@@ -34,12 +34,12 @@ class Formula:
     def line(self) -> Line:
         return Line(origin=np.zeros(1), direction=np.ones(1))
 
-    def follow(self, x: Vector, s: float, *, horizon: float) -> Return:
+    def follow(self, x: Vector, s: float, *, horizon: float) -> DifferentiatedReturn:
         del horizon
         if s < self.least:
             raise SimulationError("Nothing returns", time=0.0, state=())
         end, by_state, by_parameter = (value.full() for value in self.function(x, s))
-        return Return(
+        return DifferentiatedReturn(
             time=1.0,
             end=end.ravel(),
             by_state=by_state,
@@ -88,16 +88,16 @@ def followed(
     box: tuple[float, float],
     steps: FamilySteps | None = None,
 ) -> Branch:
-    metric = Metric(scale=np.ones(len(x)), unit=1.0, horizon=1.0)
+    metric = FamilyMetric(scale=np.ones(len(x)), unit=1.0, horizon=1.0)
     start = first_point(returns, metric, np.array(x), s, rising=True)
-    return follow(returns, metric, start, box, steps or FamilySteps(), on_progress=silent)
+    return follow_branch(returns, metric, start, box, steps or FamilySteps(), on_progress=silent)
 
 
 def test_a_family_that_is_a_circle_closes_after_both_its_folds() -> None:
     circle = Formula(function=formula(lambda y, s: y + (1 - y**2 - s**2) / 3, 1))
     branch = followed(circle, [1.0], 0.0, (-2.0, 2.0))
-    assert branch.ending is Kind.CLOSED
-    assert [one.kind for _, one in branch.special] == [Kind.FOLD, Kind.FOLD]
+    assert branch.ending is SpecialPointKind.CLOSED
+    assert [one.kind for _, one in branch.special] == [SpecialPointKind.FOLD, SpecialPointKind.FOLD]
     assert [one.z[-1] for _, one in branch.special] == pytest.approx([1.0, -1.0], abs=1e-9)
     for point in branch.points:
         assert float(point.x @ point.x) + point.s**2 == pytest.approx(1.0, abs=1e-10)
@@ -107,7 +107,7 @@ def test_a_complex_pair_that_leaves_the_circle_is_a_torus_and_two_real_ones_are_
     turn = np.array([[0.6, -0.8], [0.8, 0.6]])
     spiral = Formula(function=formula(lambda y, s: (1 + s) * ca.mtimes(ca.DM(turn), y), 2))
     branch = followed(spiral, [0.0, 0.0], -0.3, (-0.3, 0.3))
-    assert [one.kind for _, one in branch.special] == [Kind.TORUS]
+    assert [one.kind for _, one in branch.special] == [SpecialPointKind.TORUS]
     assert branch.special[0][1].z[-1] == pytest.approx(0.0, abs=1e-9)
     saddle = Formula(function=formula(lambda y, s: ca.vertcat((2 + s) * y[0], y[1] / 2), 2))
     branch = followed(saddle, [0.0, 0.0], -0.3, (-0.3, 0.3))
@@ -117,8 +117,8 @@ def test_a_complex_pair_that_leaves_the_circle_is_a_torus_and_two_real_ones_are_
 def test_families_that_cross_are_passed_straight_and_the_crossing_is_named() -> None:
     crossing = Formula(function=formula(lambda y, s: y + y * (s - y) / 2, 1))
     branch = followed(crossing, [0.0], -0.35, (-0.35, 0.5))
-    assert branch.ending is Kind.BOUND
-    assert [one.kind for _, one in branch.special] == [Kind.BRANCHING]
+    assert branch.ending is SpecialPointKind.BOUND
+    assert [one.kind for _, one in branch.special] == [SpecialPointKind.BRANCHING]
     assert branch.special[0][1].z[-1] == pytest.approx(0.0, abs=1e-7)
     assert max(abs(float(point.x[0])) for point in branch.points) < 1e-9
 
@@ -130,7 +130,7 @@ def test_steps_longer_than_the_distance_to_another_family_do_not_jump(apart: flo
     branch = followed(
         arcs, [np.hypot(1.0, apart)], -1.0, (-1.0, 1.0), FamilySteps(first=0.2, longest=0.3)
     )
-    assert branch.ending is Kind.BOUND
+    assert branch.ending is SpecialPointKind.BOUND
     assert all(float(point.x[0]) >= apart * (1 - 1e-9) for point in branch.points)
     assert branch.points[-1].x[0] == pytest.approx(np.hypot(1.0, apart), abs=1e-9)
 
@@ -147,9 +147,9 @@ def test_an_end_is_extrapolated_in_what_vanishes_there() -> None:
     grazing = Formula(
         function=formula(image, 1), margins={Margin(loss=Loss.FIRST_IMPACT): margin}, least=0.25
     )
-    metric = Metric(scale=np.ones(1), unit=1.0, horizon=1.0)
+    metric = FamilyMetric(scale=np.ones(1), unit=1.0, horizon=1.0)
     start = first_point(grazing, metric, np.array([0.75]), 0.5, rising=False)
-    branch = follow(
+    branch = follow_branch(
         grazing,
         metric,
         start,
@@ -157,7 +157,7 @@ def test_an_end_is_extrapolated_in_what_vanishes_there() -> None:
         FamilySteps(),
         on_progress=silent,
     )
-    assert branch.ending is Kind.GRAZING
+    assert branch.ending is SpecialPointKind.GRAZING
     assert branch.end is not None
     assert branch.end.z[-1] == pytest.approx(0.25, abs=1e-9)
     assert branch.end.z[0] == pytest.approx(0.0, abs=1e-9)
@@ -166,9 +166,9 @@ def test_an_end_is_extrapolated_in_what_vanishes_there() -> None:
 
 def test_a_family_that_stops_for_no_known_reason_is_given_up_with_the_trouble() -> None:
     lost = Formula(function=formula(lambda y, s: y / 2 + s, 1), least=0.2)
-    metric = Metric(scale=np.ones(1), unit=1.0, horizon=1.0)
+    metric = FamilyMetric(scale=np.ones(1), unit=1.0, horizon=1.0)
     start = first_point(lost, metric, np.array([1.0]), 0.5, rising=False)
-    branch = follow(
+    branch = follow_branch(
         lost,
         metric,
         start,
@@ -176,6 +176,6 @@ def test_a_family_that_stops_for_no_known_reason_is_given_up_with_the_trouble() 
         FamilySteps(),
         on_progress=silent,
     )
-    assert branch.ending is Kind.GAVE_UP
+    assert branch.ending is SpecialPointKind.GAVE_UP
     assert "Nothing returns" in branch.detail
     assert branch.points[-1].s == pytest.approx(0.2, abs=1e-5)

@@ -15,7 +15,7 @@ from zeno_orbits.continuation.amplitude import orbit_amplitude
 from zeno_orbits.continuation.branch import FamilySteps
 from zeno_orbits.continuation.continuation import SecondParameter, continue_orbit, start_orbit
 from zeno_orbits.continuation.corrector import first_point
-from zeno_orbits.continuation.families import Boundary, Family, Kind
+from zeno_orbits.continuation.families import Family, SpecialCurve, SpecialPointKind
 from zeno_orbits.continuation.return_maps import Composed
 from zeno_orbits.continuation.setup import ContinuationSettings, start_at_release
 from zeno_orbits.errors import InputError, SimulationError
@@ -65,10 +65,10 @@ def test_the_forced_oscillator_loses_its_release_where_the_force_just_reaches_th
     # The stop lets go where A cos t < stop, which happens at all for A > 0.8 only.
     orbit = oscillator_orbit()
     family = only(continue_orbit(OSCILLATOR, orbit, "A", (0.5, 1.2), settings=COARSE).families)
-    assert family.first.kind is Kind.RELEASE_LOST
+    assert family.first.kind is SpecialPointKind.RELEASE_LOST
     assert family.first.at.value == pytest.approx(0.8, abs=1e-9)
     assert abs(family.first.at.value - 0.8) < 10 * family.first.error < 1e-9
-    assert family.last.kind is Kind.BOUND
+    assert family.last.kind is SpecialPointKind.BOUND
     for point in family.points:
         # In closed form: released at arccos(stop / A), whatever else.
         assert point.state["cosine"] == pytest.approx(-0.8 / point.value, abs=1e-11)
@@ -107,7 +107,7 @@ def test_the_locked_arc_of_the_forced_oscillator_vanishes_where_the_closed_form_
     for _ in range(45):
         middle = (low + high) / 2
         low, high = (middle, high) if still_locks(middle) else (low, middle)
-    assert family.last.kind is Kind.LOCK_VANISHES
+    assert family.last.kind is SpecialPointKind.LOCK_VANISHES
     assert family.last.at.value == pytest.approx(low, abs=1e-9)
     assert abs(family.last.at.value - low) < 10 * family.last.error < 1e-8
 
@@ -116,8 +116,8 @@ def test_the_locked_arc_of_the_forced_oscillator_vanishes_where_the_closed_form_
 def test_the_family_in_the_restitution_ends_where_simulations_stop_closing() -> None:
     orbit = pendulum_orbit(restitution=0.4)
     family = only(continue_orbit(PENDULUM, orbit, "restitution", (0.0, 0.5)).families)
-    assert family.first.kind is Kind.BOUND
-    assert family.last.kind is Kind.LOCK_VANISHES
+    assert family.first.kind is SpecialPointKind.BOUND
+    assert family.last.kind is SpecialPointKind.LOCK_VANISHES
     assert family.last.error < 1e-8
     low, high = 0.41, 0.42
     x = np.array(list(orbit.release_state.values()))
@@ -164,7 +164,7 @@ def test_at_the_fold_in_the_damping_gain_differences_have_a_multiplier_of_one() 
     orbit = pendulum_orbit(Kd=-1.6)
     family = only(continue_orbit(PENDULUM, orbit, "Kd", (-1.7, -1.55)).families)
     (fold,) = family.special
-    assert fold.kind is Kind.FOLD
+    assert fold.kind is SpecialPointKind.FOLD
     assert fold.error < 1e-10
     dynamics = pendulum(Kd=fold.at.value)
     x = np.array(list(fold.at.state.values()))
@@ -238,7 +238,7 @@ def projected_release(dynamics: HybridDynamics, x: np.ndarray) -> np.ndarray:
 def test_the_amplitude_vanishes_where_the_linearized_pendulum_neither_grows_nor_shrinks() -> None:
     orbit = pendulum_orbit(Kd=-0.3)
     family = only(continue_orbit(PENDULUM, orbit, "Kd", (-0.35, 0.0)).families)
-    assert family.last.kind is Kind.AMPLITUDE_ZERO
+    assert family.last.kind is SpecialPointKind.AMPLITUDE_ZERO
     assert family.last.error < 1e-8
     value, step = family.last.at.value, 1e-3
     slope = (linear_growth(value + step) - linear_growth(value - step)) / (2 * step)
@@ -261,7 +261,9 @@ def test_two_returns_have_the_product_of_the_derivatives() -> None:
 @pytest.mark.slow
 def test_a_boundary_in_two_parameters_is_where_the_closed_form_says() -> None:
     # The release is lost on the line A = -stop.
-    second = SecondParameter(name="stop", box=(-0.82, -0.78), kinds=(Kind.RELEASE_LOST,))
+    second = SecondParameter(
+        name="stop", box=(-0.82, -0.78), kinds=(SpecialPointKind.RELEASE_LOST,)
+    )
     found = continue_orbit(OSCILLATOR, oscillator_orbit(), "A", (0.7, 1.1), second=second)
     (boundary,) = found.boundaries
     assert boundary.names == ("A", "stop")
@@ -269,8 +271,8 @@ def test_a_boundary_in_two_parameters_is_where_the_closed_form_says() -> None:
     assert np.max(np.abs(sums)) < 1e-8
     assert min(boundary.y) == pytest.approx(-0.82, abs=1e-6)
     assert max(boundary.y) == pytest.approx(-0.78, abs=1e-6)
-    assert boundary.ends == (Kind.BOUND.value, Kind.BOUND.value)
-    assert isinstance(boundary, Boundary)
+    assert boundary.ends == (SpecialPointKind.BOUND.value, SpecialPointKind.BOUND.value)
+    assert isinstance(boundary, SpecialCurve)
     assert boundary.as_json()["name"] == "release not transversal"
 
 
@@ -325,9 +327,9 @@ def test_the_pendulum_doubles_its_period_between_two_flips() -> None:
     orbit = pendulum_orbit(Kp=4.3, Kd=-1.35)
     found = continue_orbit(PENDULUM, orbit, "Kd", (-1.7, -1.3))
     family, *doubled = found.families
-    flips = [point for point in family.special if point.kind is Kind.FLIP]
+    flips = [point for point in family.special if point.kind is SpecialPointKind.FLIP]
     assert [one.n_returns for one in doubled] == [2, 2]
-    assert {one.last.kind for one in doubled} == {Kind.REJOINS}
+    assert {one.last.kind for one in doubled} == {SpecialPointKind.REJOINS}
     low, high = sorted(point.at.value for point in flips)
     for flip in flips:
         # Half of a small displacement along the multiplier's direction comes back reversed.

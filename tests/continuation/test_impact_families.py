@@ -11,11 +11,11 @@ import pytest
 from tests.reference.linear_impacts import ImpactOscillator, critical
 from zeno_orbits.continuation.branch import FamilySteps
 from zeno_orbits.continuation.continuation import continue_from, continue_impacts
-from zeno_orbits.continuation.corrector import Metric, first_point
-from zeno_orbits.continuation.families import Continuation, Kind
+from zeno_orbits.continuation.corrector import FamilyMetric, first_point
+from zeno_orbits.continuation.families import Continuation, SpecialPointKind
 from zeno_orbits.continuation.parallel import Dispatch
 from zeno_orbits.continuation.return_maps import ImpactReturns
-from zeno_orbits.continuation.setup import ContinuationSettings, Setup, Start
+from zeno_orbits.continuation.setup import ContinuationSettings, FamilyStart, Setup
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.simulation.simulator import SimulationSettings
@@ -34,13 +34,13 @@ SETUP = Setup(
     parameter="A",
     box=BOX,
     section=ImpactReturns,
-    metric=Metric(scale=np.array([2.0, 1.4, 1.0, 1.0]), unit=BOX[1] - BOX[0], horizon=25.0),
+    metric=FamilyMetric(scale=np.array([2.0, 1.4, 1.0, 1.0]), unit=BOX[1] - BOX[0], horizon=25.0),
     simulation=SimulationSettings(),
 )
 
 
 def followed(settings: ContinuationSettings) -> Continuation:
-    start = Start(setup=SETUP, x=np.array(STATE), s=1.0)
+    start = FamilyStart(setup=SETUP, x=np.array(STATE), s=1.0)
     return continue_from(start, Dispatch(problem=OSCILLATOR, settings=settings, on_progress=silent))
 
 
@@ -62,8 +62,8 @@ def test_the_published_orbit_closes_with_the_published_multipliers() -> None:
 
 def test_the_family_in_the_amplitude_ends_by_grazing_at_one_tenth() -> None:
     (family,) = family_in_amplitude().families
-    end = next(end for end in (family.first, family.last) if end.kind is not Kind.BOUND)
-    assert end.kind is Kind.GRAZING
+    end = next(end for end in (family.first, family.last) if end.kind is not SpecialPointKind.BOUND)
+    assert end.kind is SpecialPointKind.GRAZING
     # At resonance the free oscillation A / c just reaches the stop.
     assert end.at.value == pytest.approx(0.1, abs=1e-9)
     assert abs(end.at.value - 0.1) < 10 * end.error < 1e-8
@@ -72,7 +72,7 @@ def test_the_family_in_the_amplitude_ends_by_grazing_at_one_tenth() -> None:
 
 def test_its_fold_is_where_the_closed_form_has_a_multiplier_of_one() -> None:
     (family,) = family_in_amplitude().families
-    (fold,) = [special for special in family.special if special.kind is Kind.FOLD]
+    (fold,) = [special for special in family.special if special.kind is SpecialPointKind.FOLD]
 
     def make(amplitude: float) -> ImpactOscillator:
         return ImpactOscillator(
@@ -113,10 +113,10 @@ def test_a_flip_throws_off_the_branch_of_twice_the_period() -> None:
 
     start = math.atan2(flip.at.state["sine"], flip.at.state["cosine"]) / flip.at.value
     guess = (start, -flip.at.state["speed"], flip.at.value)
-    assert flip.kind is Kind.FLIP
+    assert flip.kind is SpecialPointKind.FLIP
     assert flip.at.value == pytest.approx(critical(make, -1.0, guess), abs=1e-10)
     assert double.n_returns == 2
-    assert double.first.kind is Kind.FLIP
+    assert double.first.kind is SpecialPointKind.FLIP
     assert double.first.at.value == flip.at.value
     # Two turns of the force, and a true period of two: the halves differ.
     later = double.points[-1]
@@ -128,16 +128,16 @@ def test_a_flip_throws_off_the_branch_of_twice_the_period() -> None:
         point.value < flip.at.value for point in single.points
     ]
     assert double.points[1].stable
-    assert [s.kind for s in double.special] == [Kind.FLIP]
+    assert [s.kind for s in double.special] == [SpecialPointKind.FLIP]
 
 
 def test_numbers_of_steps_and_giving_up_are_named_results() -> None:
     few = ContinuationSettings(steps=FamilySteps(most=3))
     (family,) = followed(few).families
-    assert {family.first.kind, family.last.kind} == {Kind.MOST_STEPS}
+    assert {family.first.kind, family.last.kind} == {SpecialPointKind.MOST_STEPS}
     hasty = ContinuationSettings(steps=FamilySteps(first=0.9, longest=0.9, shortest=0.5))
     (family,) = followed(hasty).families
-    assert Kind.GAVE_UP in (family.first.kind, family.last.kind)
+    assert SpecialPointKind.GAVE_UP in (family.first.kind, family.last.kind)
     assert family.first.detail or family.last.detail
 
 

@@ -14,16 +14,16 @@ import pytest
 from tests.continuation.test_branches import Formula, formula
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.assembly import joined
-from zeno_orbits.continuation.branch import Branch, FamilySteps, follow
+from zeno_orbits.continuation.branch import Branch, FamilySteps, follow_branch
 from zeno_orbits.continuation.continuation import start_orbit
-from zeno_orbits.continuation.corrector import Metric, first_point
+from zeno_orbits.continuation.corrector import FamilyMetric, first_point
 from zeno_orbits.continuation.ends import locate_end
-from zeno_orbits.continuation.families import Family, HalfCurve, Kind
+from zeno_orbits.continuation.families import Family, HalfCurve, SpecialPointKind
 from zeno_orbits.continuation.jobs import FollowHalfCurve
 from zeno_orbits.continuation.margins import Stage, Threat, causes, consequences, threats
-from zeno_orbits.continuation.return_maps import Loss, Margin, Return, ReturnMap
+from zeno_orbits.continuation.return_maps import DifferentiatedReturn, Loss, Margin, ReturnMap
 from zeno_orbits.continuation.setup import ContinuationSettings, Setup, start_at_release
-from zeno_orbits.continuation.two_parameters.plane import CurveStart, Plane
+from zeno_orbits.continuation.two_parameters.plane import CurveStart, ParameterPlane
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
@@ -48,8 +48,8 @@ def downwards(
     begin = start_at_release(OSCILLATOR, orbit_at(**numbers), "A", box, ContinuationSettings())
     setup, returns = begin.setup, begin.setup.returns(OSCILLATOR)
     start = first_point(returns, setup.metric, begin.x, 1.0, rising=False)
-    branch = follow(returns, setup.metric, start, box, steps, on_progress=silent)
-    nothing = Branch(points=(), special=(), ending=Kind.CLOSED)
+    branch = follow_branch(returns, setup.metric, start, box, steps, on_progress=silent)
+    nothing = Branch(points=(), special=(), ending=SpecialPointKind.CLOSED)
     return setup, branch, joined(OSCILLATOR, setup, branch, nothing).family
 
 
@@ -73,14 +73,14 @@ def test_the_end_of_a_flight_has_one_name_for_every_range_and_step(
     # With A = 0.8 + eps^2 the stop lets go for a time of order eps, and the acceleration at the
     # next contact is of order eps^2: in arclength it is the nearer one to vanish.
     first = family_in_the_force(box, steps, restitution=0.0).first
-    assert (first.kind, first.detail) == (Kind.RELEASE_LOST, "")
+    assert (first.kind, first.detail) == (SpecialPointKind.RELEASE_LOST, "")
     assert abs(first.at.value - 0.8) < 10 * first.error < 1e-9
 
 
 @pytest.mark.slow
 def test_so_it_has_with_impacts_that_accumulate() -> None:
     first = family_in_the_force((0.7, 1.5), DEFAULT, restitution=0.5).first
-    assert (first.kind, first.detail) == (Kind.RELEASE_LOST, "")
+    assert (first.kind, first.detail) == (SpecialPointKind.RELEASE_LOST, "")
     assert abs(first.at.value - 0.8) < 10 * first.error < 1e-9
 
 
@@ -93,7 +93,7 @@ def test_a_motion_in_proportion_to_its_force_ends_with_its_amplitude(
 ) -> None:
     # With the stop where the spring is relaxed, x(t) / A does not depend on A at all.
     family = family_in_the_force((0.0, top), steps, restitution=restitution, stop=0.0)
-    assert (family.first.kind, family.first.detail) == (Kind.AMPLITUDE_ZERO, "")
+    assert (family.first.kind, family.first.detail) == (SpecialPointKind.AMPLITUDE_ZERO, "")
     assert abs(family.first.at.value) < 1e-12
     speeds = [point.margins["speed of the first impact"] / point.value for point in family.points]
     assert max(speeds) == pytest.approx(min(speeds), rel=1e-9)
@@ -182,17 +182,17 @@ def ended(margins: Mapping[Margin, float], restitution: float = 0.0) -> Branch:
         least=0.25,
         e=restitution,
     )
-    metric = Metric(scale=np.ones(1), unit=1.0, horizon=1.0)
+    metric = FamilyMetric(scale=np.ones(1), unit=1.0, horizon=1.0)
     start = first_point(returns, metric, np.array([0.75]), 0.5, rising=False)
-    return follow(returns, metric, start, (0.0, 1.0), FamilySteps(), on_progress=silent)
+    return follow_branch(returns, metric, start, (0.0, 1.0), FamilySteps(), on_progress=silent)
 
 
 def test_an_end_at_which_two_things_happen_says_both() -> None:
     for order in ((FIRST, NEAR), (NEAR, FIRST)):
         branch = ended(dict(zip(order, (1.0, 3.0), strict=True)))
-        assert branch.ending is Kind.GRAZING
+        assert branch.ending is SpecialPointKind.GRAZING
         assert branch.end is not None
-        assert branch.end.also == (Kind.EARLIER_GRAZING,)
+        assert branch.end.also == (SpecialPointKind.EARLIER_GRAZING,)
         again = restored(Branch, json.loads(json.dumps(plain(branch))))
         assert again.end is not None
         assert again.end.also == branch.end.also
@@ -207,15 +207,15 @@ def plastic() -> tuple[Setup, Branch]:
 def test_both_are_in_the_family() -> None:
     setup, branch = plastic()
     assert branch.end is not None
-    end = replace(branch.end, also=(Kind.LOCK_VANISHES, Kind.GRAZING))
+    end = replace(branch.end, also=(SpecialPointKind.LOCK_VANISHES, SpecialPointKind.GRAZING))
     family = joined(OSCILLATOR, setup, branch, replace(branch, end=end)).family
     assert family.first.detail == ""
     assert family.last.detail == "together with: locked arc vanishes, first impact grazes"
 
 
 def test_an_acceleration_that_seems_to_vanish_alone_ends_plastic_impacts_only() -> None:
-    assert ended({ACCELERATION: 1.0}).ending is Kind.THEOREM_LOST
-    assert ended({ACCELERATION: 1.0}, restitution=0.3).ending is Kind.GAVE_UP
+    assert ended({ACCELERATION: 1.0}).ending is SpecialPointKind.THEOREM_LOST
+    assert ended({ACCELERATION: 1.0}, restitution=0.3).ending is SpecialPointKind.GAVE_UP
 
 
 def test_an_acceleration_is_not_approached_where_impacts_accumulate() -> None:
@@ -226,12 +226,12 @@ def test_an_acceleration_is_not_approached_where_impacts_accumulate() -> None:
     # Without its cause among the margins it would be an end of its own.
     blind = Blind(returns=returns, kept=(ACCELERATION,))
     found = locate_end(blind, setup.metric, points, alone)
-    assert found.kind is Kind.THEOREM_LOST
-    with pytest.raises(SimulationError, match="for no reason"):
+    assert found.kind is SpecialPointKind.THEOREM_LOST
+    with pytest.raises(SimulationError, match="without a known cause"):
         locate_end(replace(blind, e=0.3), setup.metric, points, alone)
     # With it, the end has its name, and is better known than by what follows from it.
     caused = locate_end(returns, setup.metric, points, alone)
-    assert caused.kind is Kind.RELEASE_LOST
+    assert caused.kind is SpecialPointKind.RELEASE_LOST
     assert caused.error < found.error
 
 
@@ -247,7 +247,7 @@ class Blind:
     def line(self) -> Line:
         return self.returns.line
 
-    def follow(self, x: Vector, s: float, *, horizon: float) -> Return:
+    def follow(self, x: Vector, s: float, *, horizon: float) -> DifferentiatedReturn:
         found = self.returns.follow(x, s, horizon=horizon)
         return replace(found, margins={key: found.margins[key] for key in self.kept})
 
@@ -273,14 +273,14 @@ def test_a_curve_of_ends_is_not_followed_along_ends_of_another_name() -> None:
     setup, branch = plastic()
     assert branch.end is not None
     names = OSCILLATOR.names
-    plane = Plane(
+    plane = ParameterPlane(
         names=("A", "stop"),
         places=(names.index("A"), names.index("stop")),
         box=np.array([(0.7, 1.5), (-0.82, -0.78)]),
         p=np.array(setup.values.vector),
     )
 
-    def curve(kind: Kind) -> HalfCurve:
+    def curve(kind: SpecialPointKind) -> HalfCurve:
         assert branch.end is not None
         start = CurveStart(
             found=replace(branch.end, kind=kind),
@@ -290,8 +290,8 @@ def test_a_curve_of_ends_is_not_followed_along_ends_of_another_name() -> None:
         half = FollowHalfCurve(setup=setup, plane=plane, start=start, upwards=True)
         return half.run(OSCILLATOR, ContinuationSettings(), silent)
 
-    right, wrong = curve(Kind.RELEASE_LOST), curve(Kind.THEOREM_LOST)
-    assert right.end == Kind.BOUND.value
+    right, wrong = curve(SpecialPointKind.RELEASE_LOST), curve(SpecialPointKind.THEOREM_LOST)
+    assert right.end == SpecialPointKind.BOUND.value
     assert np.array(right.x) + np.array(right.y) == pytest.approx(np.zeros(len(right.x)), abs=1e-8)
-    assert wrong.end.startswith(Kind.GAVE_UP.value)
+    assert wrong.end.startswith(SpecialPointKind.GAVE_UP.value)
     assert len(wrong.x) == 1

@@ -14,14 +14,14 @@ import joblib
 import numpy as np
 import pytest
 
-from tests.support.commands import ask
+from tests.support.commands import ask, interrupted_when
 from tests.support.places import places_that_cannot_be_had, refuses
 from tests.support.processes import Commands, workers_of
 from zeno_orbits.continuation import parallel as dispatch
 from zeno_orbits.continuation.branch import Branch, FamilySteps
 from zeno_orbits.continuation.continuation import SecondParameter, continue_orbit, start_orbit
 from zeno_orbits.continuation.corrector import first_point
-from zeno_orbits.continuation.families import HalfCurve, Kind
+from zeno_orbits.continuation.families import HalfCurve, SpecialPointKind
 from zeno_orbits.continuation.jobs import FollowDirection, FollowHalfCurve, Job
 from zeno_orbits.continuation.parallel import Crew, Dispatch
 from zeno_orbits.continuation.setup import ContinuationSettings, start_at_release
@@ -29,8 +29,7 @@ from zeno_orbits.continuation.two_parameters.plane import CurveSteps
 from zeno_orbits.errors import CheckpointError, InputError, SimulationError, WorkError
 from zeno_orbits.model.library import load_problem, locate_problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.report import terminal as report
-from zeno_orbits.work import Cluster, Lost, Plan, Workers, open_pool
+from zeno_orbits.work import Cluster, LostPoint, Plan, Workers, open_pool
 from zeno_orbits.work import scheduling as spreading_module
 from zeno_orbits.work.progress import silent
 from zeno_orbits.work.serialization import plain, restored
@@ -72,7 +71,9 @@ def crewed(place: Workers | Cluster | None, folder: Path | None = None) -> Any:
     """Follow the loss of the release in two parameters; without a place, in this process."""
     problem, orbit = oscillator()
     told: dict[str, Any] = {
-        "second": SecondParameter(name="stop", box=(-0.85, -0.75), kinds=(Kind.RELEASE_LOST,)),
+        "second": SecondParameter(
+            name="stop", box=(-0.85, -0.75), kinds=(SpecialPointKind.RELEASE_LOST,)
+        ),
         "settings": ContinuationSettings(
             steps=FamilySteps(first=0.1, longest=0.2),
             curve=CurveSteps(first=0.2, longest=0.2, most=2),
@@ -123,7 +124,7 @@ def test_a_family_and_half_a_curve_pass_through_json_with_every_bit() -> None:
     setup = begin.setup
     start = first_point(setup.returns(problem), setup.metric, begin.x, 1.0, rising=False)
     job = FollowDirection(setup=setup, start=start)
-    branch = replace(job.run(problem, settings, silent), ending=Kind.FOLD)
+    branch = replace(job.run(problem, settings, silent), ending=SpecialPointKind.FOLD)
     again = restored(Branch, json.loads(json.dumps(plain(branch), allow_nan=False)))
     assert plain(again) == plain(branch)
     assert again.points[0].multipliers == branch.points[0].multipliers
@@ -144,7 +145,7 @@ def test_a_curve_that_closes_has_no_second_half() -> None:
         result: ClassVar[object] = HalfCurve
 
         def run(self, *_: Any) -> HalfCurve:
-            return HalfCurve(x=(0.0,), y=(0.0,), errors=(0.0,), end=Kind.CLOSED.value)
+            return HalfCurve(x=(0.0,), y=(0.0,), errors=(0.0,), end=SpecialPointKind.CLOSED.value)
 
         def failed(self, reason: str) -> HalfCurve:
             raise AssertionError(reason)
@@ -174,11 +175,11 @@ def test_a_job_that_fails_or_kills_every_worker_leaves_the_others_alone(
 
     def lose_a_half(task: Any, *arguments: Any, **named: Any) -> Any:
         results = spread(task, *arguments, **named)
-        return (Lost(), *results[1:]) if isinstance(task.jobs[0], FollowHalfCurve) else results
+        return (LostPoint(), *results[1:]) if isinstance(task.jobs[0], FollowHalfCurve) else results
 
     monkeypatch.setattr(dispatch, "spread", lose_a_half)
     (curve,) = crewed(Workers(count=1)).boundaries
-    assert curve.ends == ("2 steps", f"gave up: {Lost().reason}")
+    assert curve.ends == ("2 steps", f"gave up: {LostPoint().reason}")
 
 
 def test_a_direction_that_kills_every_worker_is_an_end_that_was_given_up(
@@ -187,13 +188,13 @@ def test_a_direction_that_kills_every_worker_is_an_end_that_was_given_up(
     spread = dispatch.spread
 
     def lose_the_second(*arguments: Any, **named: Any) -> Any:
-        return (*spread(*arguments, **named)[:1], Lost())
+        return (*spread(*arguments, **named)[:1], LostPoint())
 
     monkeypatch.setattr(dispatch, "spread", lose_the_second)
     answer = ask(*NEAR, "--workers", "1", "--json")
     assert answer.code == 1
     first, last = answer.data["families"][0]["ends"]
-    assert (first["kind"], first["detail"]) == ("gave up", Lost().reason)
+    assert (first["kind"], first["detail"]) == ("gave up", LostPoint().reason)
     assert last["kind"] != "gave up"
 
 
@@ -273,33 +274,22 @@ def test_the_checkpoint_of_another_version_and_a_broken_one_are_refused(
 
 
 def test_an_interrupt_keeps_the_jobs_that_are_finished(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept: tuple[Path, dict[str, Any]]
+    tmp_path: Path, kept: tuple[Path, dict[str, Any]]
 ) -> None:
     words = (*NEAR, "--workers", "1", "-o", tmp_path / "family.json", "--json")
 
-    def interrupt(_progress: report.ProgressLine, what: str, _part: float | None = None) -> None:
-        if what.startswith("1 of 2 directions"):
-            raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(report.ProgressLine, "__call__", interrupt)
+    with interrupted_when(lambda stage, _: stage.startswith("1 of 2 directions")):
         answer = ask(*words)
     assert answer.code == INTERRUPTED
-    assert answer.err.endswith("family.json.checkpoint` keeps what is finished\n")
+    assert "family.json.checkpoint` keeps what is finished: the same command goes on" in answer.err
     assert len(list((tmp_path / "family.json.checkpoint").rglob("chunk-*"))) == 1
     assert ask(*words).data == kept[1]
     assert [path.name for path in tmp_path.iterdir()] == ["family.json"]
 
 
-def test_an_interrupt_with_nothing_finished_leaves_no_checkpoint_behind(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def interrupt(_progress: report.ProgressLine, what: str, _part: float | None = None) -> None:
-        if "directions" in what:
-            raise KeyboardInterrupt
-
-    monkeypatch.setattr(report.ProgressLine, "__call__", interrupt)
-    assert ask(*NEAR, "--workers", "1", "-o", tmp_path / "family.json").code == INTERRUPTED
+def test_an_interrupt_with_nothing_finished_leaves_no_checkpoint_behind(tmp_path: Path) -> None:
+    with interrupted_when(lambda stage, _: "directions" in stage):
+        assert ask(*NEAR, "--workers", "1", "-o", tmp_path / "family.json").code == INTERRUPTED
     assert list(tmp_path.iterdir()) == []
 
 

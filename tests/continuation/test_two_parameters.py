@@ -11,9 +11,9 @@ import pytest
 
 from tests.continuation.test_branches import Formula
 from zeno_orbits.continuation.continuation import SecondParameter, continue_orbit, start_orbit
-from zeno_orbits.continuation.corrector import Metric, first_point
-from zeno_orbits.continuation.families import Boundary, Family, Kind, whole_curve
-from zeno_orbits.continuation.return_maps import Loss, Margin, Return
+from zeno_orbits.continuation.corrector import FamilyMetric, first_point
+from zeno_orbits.continuation.families import Family, SpecialCurve, SpecialPointKind, whole_curve
+from zeno_orbits.continuation.return_maps import DifferentiatedReturn, Loss, Margin
 from zeno_orbits.continuation.setup import ContinuationSettings
 from zeno_orbits.continuation.special_points import INSIDE, located_near
 from zeno_orbits.continuation.two_parameters.boundary import half_boundary
@@ -21,7 +21,7 @@ from zeno_orbits.continuation.two_parameters.plane import (
     CurveSetup,
     CurveStart,
     CurveSteps,
-    Plane,
+    ParameterPlane,
 )
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model.library import load_problem
@@ -43,14 +43,14 @@ class InTwo(Formula):
     def line(self) -> Line:
         return self.along
 
-    def follow(self, x: np.ndarray, s: float, *, horizon: float) -> Return:
+    def follow(self, x: np.ndarray, s: float, *, horizon: float) -> DifferentiatedReturn:
         del horizon
         p = self.along.at(s) + np.array([self.off, 0.0])
         if p[1] < self.least:
             raise SimulationError("Nothing returns", time=0.0, state=())
         end, by_state, by_p = (value.full() for value in self.function(x, p))
         left = {Margin(loss=Loss.LATER_IMPACT): float(p[1] - self.least)}
-        return Return(
+        return DifferentiatedReturn(
             time=1.0,
             end=end.ravel(),
             by_state=by_state,
@@ -77,21 +77,21 @@ def in_two(make: Callable[[ca.SX, ca.SX], ca.SX], size: int) -> ca.Function:
 
 def curve_of(
     function: ca.Function,
-    kind: Kind,
+    kind: SpecialPointKind,
     y: list[float],
     p: tuple[float, float],
     box: tuple[tuple[float, float], tuple[float, float]],
     steps: CurveSteps | None = None,
     returns: InTwo | None = None,
-) -> Boundary:
+) -> SpecialCurve:
     """Return the curve of a special point near a state and parameters; found along the first."""
     line = Line(origin=np.array([0.0, p[1]]), direction=np.array([1.0, 0.0]))
     returns = (returns or InTwo(function=function, along=line)).moved_to(line)
-    metric = Metric(scale=np.ones(len(y)), unit=box[0][1] - box[0][0], horizon=1.0)
+    metric = FamilyMetric(scale=np.ones(len(y)), unit=box[0][1] - box[0][0], horizon=1.0)
     start = first_point(returns, metric, np.array(y), p[0], rising=True)
     found = located_near(returns, metric, start, kind, INSIDE[kind])
     setup = CurveSetup(
-        plane=Plane(names=("a", "b"), places=(0, 1), box=np.array(box), p=np.zeros(2)),
+        plane=ParameterPlane(names=("a", "b"), places=(0, 1), box=np.array(box), p=np.zeros(2)),
         returns=returns,
         metric=metric,
         steps=steps or CurveSteps(),
@@ -109,10 +109,10 @@ CUSP = in_two(lambda y, p: y + p[0] + p[1] * y - y**3, 1)
 def test_two_folds_that_meet_in_a_cusp_are_one_curve_that_is_passed_and_named() -> None:
     # p1 = 2 y^3, p2 = 3 y^2 in closed form.
     fold = 2 * (0.75 / 3) ** 1.5
-    curve = curve_of(CUSP, Kind.FOLD, [-0.55], (fold - 0.01, 0.75), BOX)
+    curve = curve_of(CUSP, SpecialPointKind.FOLD, [-0.55], (fold - 0.01, 0.75), BOX)
     x, y = np.array(curve.x), np.array(curve.y)
     assert np.max(np.abs(4 * y**3 - 27 * x**2)) < 1e-10
-    assert curve.ends == (Kind.BOUND.value, Kind.BOUND.value)
+    assert curve.ends == (SpecialPointKind.BOUND.value, SpecialPointKind.BOUND.value)
     assert sorted((x[0], x[-1])) == pytest.approx([-2 / 27**0.5, 2 / 27**0.5], abs=1e-10)
     assert (y[0], y[-1]) == pytest.approx((1.0, 1.0), abs=1e-12)
     (cusp,) = curve.cusps
@@ -122,8 +122,8 @@ def test_two_folds_that_meet_in_a_cusp_are_one_curve_that_is_passed_and_named() 
 
 def test_every_fold_on_the_curve_is_found_wherever_it_starts() -> None:
     fold = 2 * (0.75 / 3) ** 1.5
-    one = curve_of(CUSP, Kind.FOLD, [-0.55], (fold - 0.01, 0.75), BOX)
-    other = curve_of(CUSP, Kind.FOLD, [0.55], (0.01 - fold, 0.75), BOX)
+    one = curve_of(CUSP, SpecialPointKind.FOLD, [-0.55], (fold - 0.01, 0.75), BOX)
+    other = curve_of(CUSP, SpecialPointKind.FOLD, [0.55], (0.01 - fold, 0.75), BOX)
     assert (one.x[0], one.y[0]) == pytest.approx((-other.x[0], other.y[0]), abs=1e-10)
     assert len(one.cusps) == len(other.cusps) == 1
 
@@ -145,23 +145,25 @@ def test_charts_that_turn_with_every_question_change_nothing() -> None:
         lambda y, p: ca.vertcat(y[0] + p[0] + p[1] * y[0] - y[0] ** 3, (p[0] - 2) * y[1] + y[0]), 2
     )
     fold = 2 * (0.75 / 3) ** 1.5
-    plain = curve_of(image, Kind.FOLD, [-0.55, -0.2], (fold - 0.01, 0.75), BOX)
+    plain = curve_of(image, SpecialPointKind.FOLD, [-0.55, -0.2], (fold - 0.01, 0.75), BOX)
     turning = Turning(function=image, along=LINE, dice=np.random.default_rng(4))
-    turned = curve_of(image, Kind.FOLD, [-0.55, -0.2], (fold - 0.01, 0.75), BOX, returns=turning)
+    turned = curve_of(
+        image, SpecialPointKind.FOLD, [-0.55, -0.2], (fold - 0.01, 0.75), BOX, returns=turning
+    )
     for curve in (plain, turned):
         x, y = np.array(curve.x), np.array(curve.y)
         assert np.max(np.abs(4 * y**3 - 27 * x**2)) < 1e-10
-        assert curve.ends == (Kind.BOUND.value, Kind.BOUND.value)
+        assert curve.ends == (SpecialPointKind.BOUND.value, SpecialPointKind.BOUND.value)
         assert len(curve.cusps) == 1
 
 
 def test_a_curve_of_flips_turns_back_in_both_parameters_and_closes() -> None:
     # y* = 0 always; its multiplier is -1 on the circle p1^2 + p2^2 = 1/4.
     image = in_two(lambda y, p: -(1 + (ca.sumsqr(p) - 0.25)) * y + y**3, 1)
-    curve = curve_of(image, Kind.FLIP, [0.0], (0.35, 0.3), BOX)
+    curve = curve_of(image, SpecialPointKind.FLIP, [0.0], (0.35, 0.3), BOX)
     x, y = np.array(curve.x), np.array(curve.y)
     assert np.max(np.abs(x**2 + y**2 - 0.25)) < 1e-10
-    assert curve.ends == (Kind.CLOSED.value, Kind.CLOSED.value)
+    assert curve.ends == (SpecialPointKind.CLOSED.value, SpecialPointKind.CLOSED.value)
     assert (x[0], y[0]) == (x[-1], y[-1])
     # All round: the polygon has nearly the area of the circle.
     area = abs(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1])) / 2
@@ -172,13 +174,13 @@ def test_a_curve_of_flips_turns_back_in_both_parameters_and_closes() -> None:
 def test_a_curve_that_is_cut_short_says_why() -> None:
     fold = 2 * (0.75 / 3) ** 1.5
     start = (fold - 0.01, 0.75)
-    few = curve_of(CUSP, Kind.FOLD, [-0.55], start, BOX, CurveSteps(most_arcs=3))
+    few = curve_of(CUSP, SpecialPointKind.FOLD, [-0.55], start, BOX, CurveSteps(most_arcs=3))
     assert few.ends == ("3 steps", "3 steps")
     assert len(few.x) == 7
     lost = InTwo(function=CUSP, along=LINE, least=0.5)
-    curve = curve_of(CUSP, Kind.FOLD, [-0.55], start, BOX, returns=lost)
-    assert curve.ends.count(Kind.BOUND.value) == 1
-    (other,) = (end for end in curve.ends if end != Kind.BOUND.value)
+    curve = curve_of(CUSP, SpecialPointKind.FOLD, [-0.55], start, BOX, returns=lost)
+    assert curve.ends.count(SpecialPointKind.BOUND.value) == 1
+    (other,) = (end for end in curve.ends if end != SpecialPointKind.BOUND.value)
     assert other.startswith("gave up: Nothing returns")
     # It is followed up to where its neighbours return no more.
     assert min(curve.y) == pytest.approx(0.5, abs=1e-3)
@@ -187,8 +189,8 @@ def test_a_curve_that_is_cut_short_says_why() -> None:
 def test_a_curve_that_ends_where_something_else_is_lost_says_what() -> None:
     fold = 2 * (0.75 / 3) ** 1.5
     lost = InTwo(function=CUSP, along=LINE, least=0.5, watched=True)
-    curve = curve_of(CUSP, Kind.FOLD, [-0.55], (fold - 0.01, 0.75), BOX, returns=lost)
-    (other,) = (end for end in curve.ends if end != Kind.BOUND.value)
+    curve = curve_of(CUSP, SpecialPointKind.FOLD, [-0.55], (fold - 0.01, 0.75), BOX, returns=lost)
+    (other,) = (end for end in curve.ends if end != SpecialPointKind.BOUND.value)
     assert other.startswith("meets: later impact grazes, within ")
     distance = float(other.split()[-4])
     # It is told how far the point is, in ranges, to some digits of one.
@@ -199,14 +201,14 @@ def test_two_folds_that_meet_in_a_hairpin_are_one_curve() -> None:
     # With u = y / 0.01 the curve turns round within 2e-5 of the ranges.
     sharp = in_two(lambda y, p: y + p[0] + p[1] * (100 * y) - (100 * y) ** 3, 1)
     fold = 2 * (0.75 / 3) ** 1.5
-    curve = curve_of(sharp, Kind.FOLD, [-0.00508], (fold - 1e-4, 0.75), BOX)
+    curve = curve_of(sharp, SpecialPointKind.FOLD, [-0.00508], (fold - 1e-4, 0.75), BOX)
     x, y = np.array(curve.x), np.array(curve.y)
     assert np.max(np.abs(4 * y**3 - 27 * x**2)) < 1e-10
-    assert curve.ends == (Kind.BOUND.value, Kind.BOUND.value)
+    assert curve.ends == (SpecialPointKind.BOUND.value, SpecialPointKind.BOUND.value)
     (cusp,) = curve.cusps
     assert (x[cusp], y[cusp]) == pytest.approx((0.0, 0.0), abs=1e-8)
     blunt = CurveSteps(least_arc=1e-3)
-    short = curve_of(sharp, Kind.FOLD, [-0.00508], (fold - 1e-4, 0.75), BOX, blunt)
+    short = curve_of(sharp, SpecialPointKind.FOLD, [-0.00508], (fold - 1e-4, 0.75), BOX, blunt)
     assert sum(end.startswith("gave up") for end in short.ends) == 1
 
 
@@ -220,10 +222,10 @@ def test_a_curve_that_is_followed_by_secants_turns_round_a_sharp_tip() -> None:
         2,
     )
     box = ((-0.2, 0.2), (-0.5, 1.0))
-    curve = curve_of(image, Kind.TORUS, [0.0, 0.0], (0.0695, 0.5), box)
+    curve = curve_of(image, SpecialPointKind.TORUS, [0.0, 0.0], (0.0695, 0.5), box)
     x, y = np.array(curve.x), np.array(curve.y)
     assert y == pytest.approx(100 * x**2, abs=1e-9)
-    assert curve.ends == (Kind.BOUND.value, Kind.BOUND.value)
+    assert curve.ends == (SpecialPointKind.BOUND.value, SpecialPointKind.BOUND.value)
     assert sorted((x[0], x[-1])) == pytest.approx([-0.1, 0.1], abs=1e-9)
     assert min(y) < 0.02
 
@@ -237,16 +239,18 @@ def test_curves_that_begin_in_any_direction_are_found_from_their_first_point() -
             ),
             2,
         )
-        curve = curve_of(image, Kind.TORUS, [0.0, 0.0], (0.05 / slope - 0.001, 0.05), BOX)
+        curve = curve_of(
+            image, SpecialPointKind.TORUS, [0.0, 0.0], (0.05 / slope - 0.001, 0.05), BOX
+        )
         x, y = np.array(curve.x), np.array(curve.y)
         assert y == pytest.approx(slope * x, abs=1e-9)
-        assert curve.ends == (Kind.BOUND.value, Kind.BOUND.value)
+        assert curve.ends == (SpecialPointKind.BOUND.value, SpecialPointKind.BOUND.value)
 
 
 def test_a_less_accurate_return_is_seen_in_the_error() -> None:
     rough = InTwo(function=CUSP, along=LINE, loose=1e-6)
     fold = 2 * (0.75 / 3) ** 1.5
-    curve = curve_of(CUSP, Kind.FOLD, [-0.55], (fold - 0.01, 0.75), BOX, returns=rough)
+    curve = curve_of(CUSP, SpecialPointKind.FOLD, [-0.55], (fold - 0.01, 0.75), BOX, returns=rough)
     # Off by 1e-6 in p1, half a range's unit; less across the curve, by its slope.
     errors = np.array(curve.errors)
     assert np.all(errors < 1e-6)
@@ -266,12 +270,16 @@ def test_the_folds_and_flips_of_the_pendulum_pass_their_cusp_and_end_where_a_fam
         settings = ContinuationSettings(doublings=0)
         return continue_orbit(problem, orbit(kp), "Kd", box, settings=settings).families[0]
 
-    kinds = (Kind.FOLD, Kind.FLIP)
+    kinds = (SpecialPointKind.FOLD, SpecialPointKind.FLIP)
     second = SecondParameter(name="Kp", box=(3.7, 4.4), kinds=kinds)
     settings = ContinuationSettings(doublings=0)
     found = continue_orbit(problem, orbit(4.3), "Kd", box, second=second, settings=settings)
-    assert {end for curve in found.boundaries for end in curve.ends} == {Kind.BOUND.value}
-    assert [len(curve.cusps) for curve in found.boundaries if curve.kind is Kind.FOLD] == [1, 0]
+    assert {end for curve in found.boundaries for end in curve.ends} == {
+        SpecialPointKind.BOUND.value
+    }
+    assert [
+        len(curve.cusps) for curve in found.boundaries if curve.kind is SpecialPointKind.FOLD
+    ] == [1, 0]
     assert max(error for curve in found.boundaries for error in curve.errors) < 1e-9
     for kp in (3.7, 4.4):
         special = family(kp).special
@@ -297,7 +305,7 @@ def test_the_second_cusp_of_the_pendulum_is_where_two_folds_of_its_families_merg
         settings = ContinuationSettings(doublings=0)
         found = continue_orbit(problem, orbit, "Kd", (-1.15, -1.11), settings=settings)
         special = found.families[0].special
-        return [one.at.value for one in special if one.kind is Kind.FOLD]
+        return [one.at.value for one in special if one.kind is SpecialPointKind.FOLD]
 
     far, near = folds(cusp - 0.02), folds(cusp - 0.002)
     assert (len(far), len(near), len(folds(cusp + 0.002))) == (2, 2, 0)
@@ -314,13 +322,15 @@ def test_the_grazing_of_the_pendulum_keeps_to_its_family_and_meets_an_earlier_re
     def orbit(kp: float) -> ZenoOrbit:
         return start_orbit(problem, problem.values(gains={"Kp": kp, "Kd": -1.0}))
 
-    second = SecondParameter(name="Kp", box=(2.3, 4.5), kinds=(Kind.GRAZING,))
+    second = SecondParameter(name="Kp", box=(2.3, 4.5), kinds=(SpecialPointKind.GRAZING,))
     box = (-2.5, 0.0)
     found = continue_orbit(problem, orbit(2.5), "Kd", box, second=second, settings=settings)
     (curve,) = found.boundaries
     low, high = np.argmin(curve.y), np.argmax(curve.y)
     family = continue_orbit(problem, orbit(2.3), "Kd", (-2.5, 0.0), settings=settings).families[0]
-    ends = [end.at.value for end in (family.first, family.last) if end.kind is Kind.GRAZING]
+    ends = [
+        end.at.value for end in (family.first, family.last) if end.kind is SpecialPointKind.GRAZING
+    ]
     assert curve.y[low] == pytest.approx(2.3, abs=1e-6)
     assert ends == pytest.approx([curve.x[low]], abs=1e-8)
     assert "meets: earlier release" in str(curve.ends)

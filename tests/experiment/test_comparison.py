@@ -16,7 +16,7 @@ import pytest
 
 from tests.support.recordings_of import recorded, recording_of
 from zeno_orbits.errors import InputError
-from zeno_orbits.experiment import Comparison, Recording, Signal, compare
+from zeno_orbits.experiment import Comparison, RecordedSignal, Recording, compare
 from zeno_orbits.experiment.orbit_table import OrbitTable, gap_coordinates, tabulate_orbit
 from zeno_orbits.experiment.recordings.periodicity import periodicity
 from zeno_orbits.model.library import load_problem
@@ -171,11 +171,11 @@ Change = Callable[[np.ndarray, np.ndarray], Any]
 FALSE: dict[str, tuple[Change, str]] = {
     "first angle mirrored": (
         lambda t, y: (t, y * [[-1], [1], [1]]),
-        "`theta1` looks like its sign turned",
+        "`theta1` looks like its sign reversed",
     ),
     "gap mirrored": (
         lambda t, y: (t, y * [[1], [-1], [1]]),
-        "`theta2` looks like its sign turned",
+        "`theta2` looks like its sign reversed",
     ),
     "degrees as radians": (
         lambda t, y: (t, y * [[180 / math.pi], [180 / math.pi], [1]]),
@@ -250,10 +250,10 @@ def test_a_start_that_still_settles_is_named(
 
 def test_signals_of_another_kind_are_refused(orbit: ZenoOrbit, problem: Problem) -> None:
     time = np.arange(100) * 0.1
-    metres = Signal(name="theta1", unit="m", values=np.sin(time))
-    other = Signal(name="pressure", unit="Pa", values=np.sin(time))
-    empty = Signal(name="theta1", unit="rad", values=np.full(100, np.nan))
-    huge = Signal(name="theta1", unit="rad", values=1e300 * np.sin(time))
+    metres = RecordedSignal(name="theta1", unit="m", values=np.sin(time))
+    other = RecordedSignal(name="pressure", unit="Pa", values=np.sin(time))
+    empty = RecordedSignal(name="theta1", unit="rad", values=np.full(100, np.nan))
+    huge = RecordedSignal(name="theta1", unit="rad", values=1e300 * np.sin(time))
     for signal, reason in (
         (huge, r"must have values of `theta1` up to 1e\+100, but it has"),
         (metres, "`theta1` in a unit like rad, but it has m"),

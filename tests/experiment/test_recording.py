@@ -14,7 +14,13 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 from zeno_orbits.errors import DataFileError, InputError
-from zeno_orbits.experiment import Recording, Signal, Source, read_recording, write_recording
+from zeno_orbits.experiment import (
+    RecordedSignal,
+    Recording,
+    Source,
+    read_recording,
+    write_recording,
+)
 from zeno_orbits.model.units import in_si
 
 HEAD = "# zeno-orbits data 1\n# source: measured\n# problem: some_problem\n"
@@ -71,8 +77,8 @@ def test_what_is_written_is_read_to_the_bit(rows: list[tuple[float, float]]) -> 
     first, second = np.array(rows).T
     time = np.cumsum(np.linspace(0.1, 0.2, len(rows)))
     signals = (
-        Signal(name="a", unit="rad", values=first),
-        Signal(name="b", unit="N m s/rad", values=second),
+        RecordedSignal(name="a", unit="rad", values=first),
+        RecordedSignal(name="b", unit="N m s/rad", values=second),
     )
     notes = {"seed": "4"}
     whole = Recording(source=Source.SIMULATED, problem="x", time=time, signals=signals, notes=notes)
@@ -269,7 +275,7 @@ def test_a_hole_in_every_line_of_a_long_file_is_kept(write: Write) -> None:
         ("angle [rad],x [m]\n0,1\n1,2\n", r"no column named `time` \(its columns: angle, x\)"),
         ("time [s],t [s],x [m]\n0,1,2\n1,2,3\n", "more than one column named `time`"),
         ("time [s],x [m],x [m]\n0,1,2\n1,2,3\n", "two of its columns are named `x`"),
-        ("time [rad],x [m]\n0,1\n1,2\n", r"column `time \[rad\]` is no time"),
+        ("time [rad],x [m]\n0,1\n1,2\n", r"column `time \[rad\]` is not a time"),
         ("time,x [m]\n0,1\n1,2\n", r"column `time` has no unit; write for instance `time \["),
         ("time [s],x [counts]\n0,1\n1,2\n", "the unit of column `x` is not clear: `counts`"),
         ("time [s],x []\n0,1\n1,2\n", "the unit of column `x` is not clear"),
@@ -322,8 +328,8 @@ def test_a_long_file_is_held_once(write: Write) -> None:
 
 def test_a_recording_refuses_signals_that_do_not_belong_together() -> None:
     time = np.array([0.0, 1.0])
-    good = Signal(name="a", unit="rad", values=np.zeros(2))
-    short = Signal(name="b", unit="rad", values=np.zeros(1))
+    good = RecordedSignal(name="a", unit="rad", values=np.zeros(2))
+    short = RecordedSignal(name="b", unit="rad", values=np.zeros(1))
     for signals, reason in (((good, good), "different names"), ((short,), "must have 2 values")):
         with pytest.raises(ValueError, match=reason):
             Recording(source=None, problem="", time=time, signals=signals)

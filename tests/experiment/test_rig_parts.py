@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment.rig import damping_number, effective_restitution
-from zeno_orbits.experiment.rig.controller import Encoders, Leg, level, pulse
+from zeno_orbits.experiment.rig.controller import BridgeLeg, Encoders, level, pulse
 from zeno_orbits.experiment.rig.forces import (
     averaged_voltage,
     contact_force,
@@ -31,7 +31,7 @@ from zeno_orbits.model.rig_parts import (
     Gear,
     Rig,
     Sensors,
-    with_numbers,
+    rig_with_numbers,
     without_parts,
 )
 
@@ -181,7 +181,7 @@ def test_an_averaged_bridge_loses_what_its_dead_times_take(
 def test_the_mean_of_the_pulses_is_what_the_averaged_bridge_says(
     share: float, current: float
 ) -> None:
-    edges = [*pulse(BRIDGE, share), (1 / BRIDGE.frequency, Leg.LOW)]
+    edges = [*pulse(BRIDGE, share), (1 / BRIDGE.frequency, BridgeLeg.LOW)]
     spans = [later[0] - first[0] for first, later in pairwise(edges)]
     levels = [level(BRIDGE, leg, 1.0, current) for _, leg in edges[:-1]]
     mean = sum(span * value for span, value in zip(spans, levels, strict=True)) * BRIDGE.frequency
@@ -200,9 +200,9 @@ def test_the_mean_of_the_pulses_is_what_the_averaged_bridge_says(
 
 
 def test_full_and_no_voltage_need_no_edges() -> None:
-    assert pulse(BRIDGE, 0.0) == ((0.0, Leg.LOW),)
-    assert pulse(BRIDGE, 1.0) == ((0.0, Leg.HIGH),)
-    assert level(BRIDGE, Leg.NONE, 1.0, 0.0) == 0.0
+    assert pulse(BRIDGE, 0.0) == ((0.0, BridgeLeg.LOW),)
+    assert pulse(BRIDGE, 1.0) == ((0.0, BridgeLeg.HIGH),)
+    assert level(BRIDGE, BridgeLeg.NONE, 1.0, 0.0) == 0.0
 
 
 # -------------------------------------------------------------------------------- readings
@@ -275,7 +275,7 @@ def test_a_number_out_of_its_range_is_refused_by_name(make: object, name: str) -
 
 def test_numbers_of_a_rig_are_changed_by_name_and_parts_are_added() -> None:
     rig = Rig(friction={"a": Friction(coulomb=1.0)}, gears={1: Gear(rotor_inertia=2.0)})
-    changed = with_numbers(
+    changed = rig_with_numbers(
         rig,
         {
             "contact.stiffness": 7.0,
@@ -290,7 +290,7 @@ def test_numbers_of_a_rig_are_changed_by_name_and_parts_are_added() -> None:
     assert changed.gears == {1: Gear(rotor_inertia=2.0, play=0.1)}
     assert changed.controller == Controller(period=0.01)
     assert hash(changed) != hash(rig)
-    assert hash(with_numbers(rig, {})) == hash(rig)
+    assert hash(rig_with_numbers(rig, {})) == hash(rig)
     assert rig.contact == Contact()
     two = {"a": Friction(coulomb=1.0), "b": Friction()}
     turned = {name: two[name] for name in ("b", "a")}
@@ -313,7 +313,7 @@ def test_a_number_that_no_part_has_is_refused_with_those_that_there_are(
     name: str, message: str
 ) -> None:
     with pytest.raises(InputError, match=message):
-        with_numbers(Rig(), {name: 1.0})
+        rig_with_numbers(Rig(), {name: 1.0})
 
 
 def test_without_its_controller_a_machine_has_no_sensors_either() -> None:

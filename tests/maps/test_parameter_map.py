@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
+import tempfile
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, replace
@@ -18,7 +20,7 @@ import numpy as np
 import pytest
 
 from tests.reference.long_simulation import attractor_of
-from tests.support.commands import ask
+from tests.support.commands import ask, interrupted_when
 from tests.support.processes import Commands, workers_of
 from zeno_orbits import work
 from zeno_orbits.errors import CheckpointError, InputError, MapFileError, ProblemFileError
@@ -28,7 +30,6 @@ from zeno_orbits.maps.mapping import ParameterMap, parameter_map
 from zeno_orbits.maps.plane import Axis, Plane, chunk_of, require_plane
 from zeno_orbits.model.library import bundled_problems, load_problem, locate_problem
 from zeno_orbits.model.problem import Escape
-from zeno_orbits.report import terminal as report
 from zeno_orbits.work import Cluster, Plan, Workers
 
 YES, NO, MISUSE = 0, 1, 2
@@ -194,7 +195,7 @@ def test_a_problem_whose_file_has_changed_meanwhile_is_refused(tmp_path: Path) -
     shutil.copy(bundled_problems()["bouncing_ball"], problem)
     before = plane(problem)
     problem.write_text(problem.read_text() + "\n# another thought\n")
-    with pytest.raises(InputError, match="must be the same file for everybody"):
+    with pytest.raises(InputError, match="must be the same file for all workers"):
         before.source.load()
     problem.unlink()
     with pytest.raises(InputError):
@@ -267,11 +268,11 @@ def test_the_arrays_of_a_map_have_a_row_for_every_y(found: ParameterMap) -> None
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (lambda text: text[:-40], "no complete JSON"),
-        (lambda _: "[]", "no object"),
+        (lambda text: text[:-40], "not complete JSON"),
+        (lambda _: "[]", "not an object"),
         (lambda text: text.replace('"format": 1', '"format": 2'), "format is 2"),
         (lambda text: text.replace('"fate": "rest"', '"fate": "bliss"', 1), "does not fit"),
-        (lambda text: text.replace('"count": 3', '"count": 4'), "not one entry a point"),
+        (lambda text: text.replace('"count": 3', '"count": 4'), "not have one entry per point"),
         (lambda text: text.replace('"until"', '"before"'), "does not fit"),
     ],
 )
@@ -326,34 +327,36 @@ def test_a_named_checkpoint_stays_and_another_map_leaves_it_alone(tmp_path: Path
     assert {path.name: path.read_bytes() for path in kept.iterdir()} == before
 
 
-def test_an_interrupt_says_what_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    tell = report.ProgressLine.__call__
-
-    def interrupt(progress: report.ProgressLine, what: str, part: float | None = None) -> None:
-        if part == 1.0:
-            raise KeyboardInterrupt
-        tell(progress, what, part)
-
-    monkeypatch.setattr(report.ProgressLine, "__call__", interrupt)
+def test_an_interrupt_says_what_is_kept_and_how_to_go_on(tmp_path: Path) -> None:
     out = tmp_path / "map.json"
-    answer = ask(*BALL, "--workers", "1", "-o", out)
+    with interrupted_when(lambda _, part: part == 1.0):
+        answer = ask(*BALL, "--workers", "1", "-o", out)
     assert answer.code == 130
-    assert answer.err.endswith("map.json.checkpoint` keeps what is finished\n")
+    assert "map.json.checkpoint` keeps what is finished: the same command goes on" in answer.err
     assert [path.name for path in tmp_path.iterdir()] == ["map.json.checkpoint"]
-    assert ask(*BALL, "--workers", "1").err == "zeno-orbits: interrupted; nothing was written\n"
 
 
-def test_an_interrupt_with_nothing_finished_leaves_no_checkpoint_behind(
+def test_an_interrupt_without_an_output_keeps_what_is_done_in_a_temporary_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupt(*_: Any) -> None:
-        raise KeyboardInterrupt
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with interrupted_when(lambda _, part: part == 1.0):
+        answer = ask(*BALL, "--workers", "1")
+    told = re.search(r"the same command with --checkpoint (\S+) goes on from there", answer.err)
+    assert told is not None
+    with interrupted_when(lambda _, part: 0.0 <= part < 1.0):
+        again = ask(*BALL, "--workers", "1", "--checkpoint", told[1])
+    assert again.out == ask(*BALL, "--workers", "1").out
+    assert [path for path in tmp_path.iterdir() if path != Path(told[1])] == []
 
-    monkeypatch.setattr(report.ProgressLine, "__call__", interrupt)
+
+def test_an_interrupt_with_nothing_finished_leaves_no_checkpoint_behind(tmp_path: Path) -> None:
     named = tmp_path / "named"
-    for words in ((), ("--checkpoint", named)):
-        answer = ask(*BALL, "--workers", "1", "-o", tmp_path / "map.json", *words)
-        assert answer.code == 130
+    with interrupted_when(lambda _, __: True):
+        for words in ((), ("--checkpoint", named)):
+            answer = ask(*BALL, "--workers", "1", "-o", tmp_path / "map.json", *words)
+            assert answer.code == 130
+            assert answer.err == "zeno-orbits: interrupted; nothing was written\n"
     assert [path.name for path in tmp_path.iterdir()] == ["named"]
 
 

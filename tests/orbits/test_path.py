@@ -8,25 +8,27 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from zeno_orbits.orbits.path import Step, StepControl, StepError, follow_path, returns_to_start
+from zeno_orbits.orbits.path import PathStep, StepControl, StepError, follow_path, returns_to_start
 
 CONTROL = StepControl(first=0.1, longest=0.4, shortest=0.01, most=100)
 
 
-def until(wall: float, steps: list[float]) -> Callable[[Sequence[float], float], Step[float, str]]:
+def until(
+    wall: float, steps: list[float]
+) -> Callable[[Sequence[float], float], PathStep[float, str]]:
     """Return a path along the real line that refuses every step beyond a wall."""
 
-    def advance(points: Sequence[float], step: float) -> Step[float, str]:
+    def advance(points: Sequence[float], step: float) -> PathStep[float, str]:
         steps.append(step)
         if points[-1] + step > wall:
             raise StepError("beyond the wall")
-        return Step(points=(points[-1] + step,), easy=True)
+        return PathStep(points=(points[-1] + step,), easy=True)
 
     return advance
 
 
-def gave_up(points: Sequence[float], trouble: str) -> Step[float, str]:
-    return Step(end=f"{trouble} after {points[-1]:.4g}")
+def gave_up(points: Sequence[float], trouble: str) -> PathStep[float, str]:
+    return PathStep(end=f"{trouble} after {points[-1]:.4g}")
 
 
 def test_easy_steps_grow_up_to_the_longest_and_refused_ones_shrink_down_to_the_shortest() -> None:
@@ -44,20 +46,20 @@ def test_a_path_ends_after_its_number_of_points_or_where_a_step_or_what_looks_ah
     path = follow_path(0.0, few, until(9.0, []), give_up=gave_up)
     assert (len(path.points), path.end) == (4, None)
 
-    def last(points: Sequence[float], step: float) -> Step[float, str]:
-        return Step(points=(points[-1] + step,), end="arrived")
+    def last(points: Sequence[float], step: float) -> PathStep[float, str]:
+        return PathStep(points=(points[-1] + step,), end="arrived")
 
     assert follow_path(0.0, few, last, give_up=gave_up).end == "arrived"
 
-    def ahead(_points: Sequence[float], step: float) -> Step[float, str]:
-        return Step(points=(1.0,), end="the wall") if step < 0.05 else Step()
+    def ahead(_points: Sequence[float], step: float) -> PathStep[float, str]:
+        return PathStep(points=(1.0,), end="the wall") if step < 0.05 else PathStep()
 
     path = follow_path(0.0, CONTROL, until(1.0, []), give_up=gave_up, shortened=ahead)
     assert (path.points[-1], path.end) == (1.0, "the wall")
 
 
 def test_an_error_that_is_no_outcome_of_a_step_is_passed_on() -> None:
-    def broken(_points: Sequence[float], _step: float) -> Step[float, str]:
+    def broken(_points: Sequence[float], _step: float) -> PathStep[float, str]:
         raise TypeError
 
     with pytest.raises(TypeError):

@@ -11,7 +11,9 @@ import pytest
 from tests.reference.closed_forms import FORCED
 from tests.reference.reference_orbit import MULTIPLIER, PERIOD, RELEASE, ZENO_STATE
 from tests.support.mechanisms import clocked_oscillator, oscillator_state
+from tests.support.units import Units, in_units
 from zeno_orbits.errors import SimulationError
+from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.period import to_next_release
@@ -182,3 +184,15 @@ def test_a_motion_without_a_return_is_followed_to_the_horizon(machine: HybridDyn
     execution = to_next_release(machine, CENTRE, horizon=PERIOD / 2, settings=SETTINGS)
     assert not execution.releases
     assert execution.end_time == pytest.approx(PERIOD / 2)
+
+
+@pytest.mark.parametrize("time", [1e-6, 1.0, 1e6])
+def test_conditions_of_far_different_sizes_are_all_kept(time: float) -> None:
+    # Gap, gap rate, multiplier and clock leave no freedom; their gradients differ as their units.
+    units = Units(time=time)
+    table = in_units(load_problem("vibrating_table"), units)
+    dynamics, values = table.dynamics(table.values()), table.values().parameters
+    sine = values["g"] / (values["A"] * values["omega"] ** 2)
+    release = np.array([0.0, 0.0, math.sqrt(1 - sine**2), sine])
+    scale = np.array([0.01, 0.4 / time, 1.0, 1.0])
+    assert release_section(dynamics, release, scale).dimension == 0

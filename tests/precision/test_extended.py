@@ -16,7 +16,7 @@ from zeno_orbits.model.drives import no_drive
 from zeno_orbits.model.hybrid import CompletedSystem, complete
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.precision.extended import ExtendedExecution, difference, extended_execution
+from zeno_orbits.precision.extended import ExtendedExecution, extended_execution, trace_difference
 from zeno_orbits.precision.extended_fixed_point import extended_orbit
 from zeno_orbits.precision.extended_run import ExtendedRun, Trace
 from zeno_orbits.precision.extended_system import ExtendedSystem
@@ -236,11 +236,11 @@ def test_two_runs_differ_by_their_largest_difference() -> None:
         )
 
     base = trace(1.0, -3.0, 3, 5.0)
-    assert difference(base, trace(1.0, -3.0, 5, 5.0)) == 0.0
-    assert difference(trace(1.5, -3.0, 3, 5.0), base) == 0.25
-    assert difference(trace(1.0, -3.5, 3, 5.0), base) == 0.125
-    assert difference(trace(1.0, -3.0, 3, 5.6), base) == pytest.approx(0.1)
-    assert difference(base, Trace(impacts=base.impacts, zeno_points=[])) == float("inf")
+    assert trace_difference(base, trace(1.0, -3.0, 5, 5.0)) == 0.0
+    assert trace_difference(trace(1.5, -3.0, 3, 5.0), base) == 0.25
+    assert trace_difference(trace(1.0, -3.5, 3, 5.0), base) == 0.125
+    assert trace_difference(trace(1.0, -3.0, 3, 5.6), base) == pytest.approx(0.1)
+    assert trace_difference(base, Trace(impacts=base.impacts, zeno_points=[])) == float("inf")
 
 
 @pytest.mark.parametrize(

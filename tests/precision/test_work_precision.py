@@ -223,7 +223,7 @@ def test_the_truth_is_judged_by_the_largest_state_on_the_way(problem: Problem) -
 
 def test_nothing_to_judge_by_is_said(problem: Problem) -> None:
     pytest.importorskip("heyoka")
-    with pytest.raises(ZenoOrbitsError, match="no release and no Zeno point so soon"):
+    with pytest.raises(ZenoOrbitsError, match="no release and no Zeno point in this time"):
         trade(
             problem, problem.values(), (0.6, 0.1, 0.0, 0.0, 0.0), settings=replace(TINY, until=1e-3)
         )

@@ -354,7 +354,7 @@ def test_a_shape_that_the_motion_does_not_settle_to_is_a_no_with_the_one_it_has(
     assert "settles to an orbit of shape `impact`" in result.detail
     twice = find_orbit(problem, problem.values(), shape=OrbitShape.parsed("impact*2"))
     assert twice.orbit is None
-    assert "is one of shape `impact`, gone round 2 times" in twice.detail
+    assert "is one of shape `impact`, traversed 2 times" in twice.detail
 
 
 # Their files.

@@ -7,10 +7,16 @@ from dataclasses import replace
 import pytest
 
 import zeno_orbits as zo
-from zeno_orbits.continuation.families import Continuation, Family, FamilyPoint, Kind, SpecialPoint
+from zeno_orbits.continuation.families import (
+    Continuation,
+    Family,
+    FamilyPoint,
+    SpecialPoint,
+    SpecialPointKind,
+)
 from zeno_orbits.maps.attractors import Attractor, Fate
 from zeno_orbits.maps.plane import Axis
-from zeno_orbits.search.search import Attempt, SearchStatus
+from zeno_orbits.search.search import SearchStatus, StartAttempt
 from zeno_orbits.simulation.simulator import simulate
 from zeno_orbits.verification.verifier import certified
 
@@ -24,7 +30,7 @@ def shown(result: object) -> str:
     return repr(result)
 
 
-def special(kind: Kind, value: float) -> SpecialPoint:
+def special(kind: SpecialPointKind, value: float) -> SpecialPoint:
     at = FamilyPoint(value=value, state={}, period=1.0, multipliers=(), margins={}, miss=0.0)
     return SpecialPoint(kind=kind, at=at, error=0.0, index=0)
 
@@ -53,7 +59,7 @@ def test_a_certificate_shows_its_verdict(certificate: zo.OrbitCertificate) -> No
 
 @pytest.mark.parametrize("succeeded", [True, False])
 def test_a_search_shows_how_it_ended(orbit: zo.ZenoOrbit, succeeded: bool) -> None:
-    attempts = (Attempt(gains=orbit.gains, status=SearchStatus.FOUND),) * 50
+    attempts = (StartAttempt(gains=orbit.gains, status=SearchStatus.FOUND),) * 50
     result = zo.SearchResult(
         status=SearchStatus.FOUND if succeeded else SearchStatus.NO_GUESS,
         orbit=orbit if succeeded else None,
@@ -78,10 +84,10 @@ def test_families_show_their_named_points() -> None:
         gains={},
         parameters={},
         n_returns=1,
-        points=(special(Kind.FOLD, 0.2).at,) * 1000,
-        special=(special(Kind.FOLD, 0.2),) * 20,
-        first=special(Kind.START, 0.1),
-        last=special(Kind.BOUND, 0.5),
+        points=(special(SpecialPointKind.FOLD, 0.2).at,) * 1000,
+        special=(special(SpecialPointKind.FOLD, 0.2),) * 20,
+        first=special(SpecialPointKind.START, 0.1),
+        last=special(SpecialPointKind.BOUND, 0.5),
     )
     assert "points=1000" in shown(family)
     assert "fold at 0.2" in shown(family)

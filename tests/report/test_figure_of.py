@@ -13,12 +13,12 @@ from matplotlib.figure import Figure
 import zeno_orbits as zo
 from tests.report.test_plots import EVERY_FATE, TRADE, small_map
 from zeno_orbits.continuation.families import (
-    Boundary,
     Continuation,
     Family,
     FamilyPoint,
-    Kind,
+    SpecialCurve,
     SpecialPoint,
+    SpecialPointKind,
 )
 from zeno_orbits.continuation.return_maps import Loss
 from zeno_orbits.report.plots import (
@@ -44,8 +44,8 @@ def family() -> Family:
         )
         for k in range(1, 5)
     )
-    first = SpecialPoint(kind=Kind.START, at=points[0], error=0.0, index=0)
-    last = SpecialPoint(kind=Kind.FOLD, at=points[-1], error=1e-12, index=3)
+    first = SpecialPoint(kind=SpecialPointKind.START, at=points[0], error=0.0, index=0)
+    last = SpecialPoint(kind=SpecialPointKind.FOLD, at=points[-1], error=1e-12, index=3)
     return Family(
         problem="motor_pendulum",
         parameter="restitution",
@@ -59,9 +59,9 @@ def family() -> Family:
     )
 
 
-def boundary() -> Boundary:
-    return Boundary(
-        kind=Kind.FOLD,
+def boundary() -> SpecialCurve:
+    return SpecialCurve(
+        kind=SpecialPointKind.FOLD,
         names=("restitution", "Kp"),
         x=(0.1, 0.2),
         y=(2.0, 3.0),

@@ -480,7 +480,7 @@ def _holed(recording: Recording) -> Recording:
         (lambda x: cut(x, None, 3.0), "must last two periods, 3.627 s, at least"),
         (_holed, "must have values of `theta1`, but it has none"),
         (_noisy, "Argument `data` must show such an orbit, but"),
-        (_turned, "but `theta1` looks like its sign turned"),
+        (_turned, "but `theta1` looks like its sign reversed"),
         (lambda x: replace(x, time=1e3 * x.time), "seconds?; see `compare`"),
     ],
 )
@@ -917,4 +917,4 @@ def test_the_labels_of_page_and_pictures_name_the_same_states(problem: Problem) 
 
     for k, unit in enumerate(problem.state_units):
         assert label_of(problem, k).endswith(f"[{unit}]")
-        assert curves.label_of(problem.state_names, k, unit).endswith(f"[{unit}]")
+        assert curves.html_label_of(problem.state_names, k, unit).endswith(f"[{unit}]")

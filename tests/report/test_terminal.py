@@ -9,6 +9,7 @@ import pytest
 from zeno_orbits.model.library import bundled_problems, load_problem
 from zeno_orbits.report import terminal
 from zeno_orbits.report.table import name_column, number_column, text_column
+from zeno_orbits.report.terminal import progress
 from zeno_orbits.report.terminal.console import counted, print_table
 
 
@@ -53,3 +54,40 @@ def test_every_problem_is_named_whole_in_eighty_columns(
 def test_one_is_singular_and_everything_else_plural() -> None:
     numbers = [counted(number, "impact") for number in (0, 1, 2)]
     assert numbers == ["0 impacts", "1 impact", "2 impacts"]
+
+
+# ---------------------------------------------------------------------------- progress
+
+
+class Clock:
+    """A clock that is set by hand."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def perf_counter(self) -> float:
+        return self.now
+
+
+def test_the_time_left_only_falls_within_a_stage_and_begins_anew_with_the_next(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clock = Clock()
+    monkeypatch.setattr(progress, "time", clock)
+    monkeypatch.setattr(progress, "_PATIENCE", 1.0)
+    line = progress.ProgressLine(lambda: None)
+    left: list[list[int]] = [[], []]
+    # A pace that slows down, and a second stage that is slower than the first.
+    for stage, pace in ((0, 1.0), (1, 3.0)):
+        began = clock.now
+        for k in range(1, 40):
+            clock.now = began + pace * k * (1.0 + 0.03 * k)
+            line(f"stage {stage}", k / 40)
+            said = capsys.readouterr().err
+            told = re.search(r"about (\d+) (s|min) left", said)
+            if told is not None:
+                left[stage].append(int(told[1]) * (60 if told[2] == "min" else 1))
+    for one in left:
+        assert len(one) > 3
+        assert one == sorted(one, reverse=True)
+    assert left[1][0] > left[0][-1]

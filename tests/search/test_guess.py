@@ -18,6 +18,7 @@ from tests.support.mechanisms import (
     pushed_away,
     spring_mass,
 )
+from zeno_orbits.model import own_time
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
@@ -25,7 +26,6 @@ from zeno_orbits.search import guess
 from zeno_orbits.search.guess import SettlingSettings, settle
 from zeno_orbits.simulation.execution import Execution
 from zeno_orbits.simulation.simulator import simulate
-from zeno_orbits.simulation.time_scale import own_time
 
 SHORT = SettlingSettings(horizon=30.0)
 LOCKED = oscillator_state(0.0, FORCED.stop, 0.0)
@@ -140,7 +140,7 @@ def test_a_start_that_cannot_be_simulated_says_so() -> None:
     right = forced_oscillator(FORCED, 0.5)
     wrong = replace(right, reset_map=lambda x, rate: right.reset_map(x, -rate))
     settling = settle(wrong, [LOCKED], SHORT)
-    words = "the simulation stops: the reset map sends the state into the stop"
+    words = "the simulation fails: the reset map sends the state into the stop"
     assert settling.reason.lower() == words
 
 

@@ -15,19 +15,18 @@ from typing import Any
 import joblib
 import pytest
 
-from tests.support.commands import ask
+from tests.support.commands import ask, interrupted_when
 from tests.support.places import places_that_cannot_be_had, refuses
 from tests.support.processes import Commands
 from zeno_orbits.errors import CheckpointError, InputError
 from zeno_orbits.model.library import locate_problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
-from zeno_orbits.report import terminal as report
 from zeno_orbits.search import (
     Judgement,
     SearchResult,
     SearchSettings,
     SearchStatus,
-    Spread,
+    StartWorkers,
     search_gains,
 )
 from zeno_orbits.search import multistart as starts
@@ -35,7 +34,7 @@ from zeno_orbits.search.outcome import Candidate, StartOutcome
 from zeno_orbits.simulation.signals import Extent
 from zeno_orbits.verification.certificate import DeltaCut, OrbitCertificate
 from zeno_orbits.verification.verifier import verify
-from zeno_orbits.work import Lost, Plan, Workers
+from zeno_orbits.work import LostPoint, Plan, Workers
 from zeno_orbits.work import scheduling as spreading_module
 from zeno_orbits.work.serialization import plain, restored
 
@@ -73,7 +72,7 @@ def search(place: Workers | None, *, folder: Path | None = None, **changes: Any)
     problem_file = locate_problem(PROBLEM)
     spread = None
     if place is not None:
-        spread = Spread(problem_file=problem_file, plan=Plan(place=place, checkpoint=folder))
+        spread = StartWorkers(problem_file=problem_file, plan=Plan(place=place, checkpoint=folder))
     settings = SearchSettings(n_starts=2, candidates=4, seed=changes.pop("seed", 0))
     told: dict[str, Any] = {"accept": Picky(), "settings": settings, **changes}
     problem = problem_file.load()
@@ -216,13 +215,13 @@ def test_a_start_that_kills_every_worker_is_a_failure_by_name(
 
     def lose_the_second(*arguments: Any, **named: Any) -> Iterator[Any]:
         for k, result in enumerate(spread_in_order(*arguments, **named)):
-            yield Lost() if k == 1 else result
+            yield LostPoint() if k == 1 else result
 
     monkeypatch.setattr(starts, "spread_in_order", lose_the_second)
     result = search(Workers(count=1))
     found = [attempt.status is SearchStatus.FOUND for attempt in result.attempts]
     assert found == [True, False, True]
-    assert result.attempts[1].detail == Lost().reason
+    assert result.attempts[1].detail == LostPoint().reason
 
 
 # ---------------------------------------------------------------------------- checkpoints
@@ -303,19 +302,14 @@ def test_the_checkpoint_beside_the_output_goes_when_there_is_an_answer(tmp_path:
 
 @pytest.mark.slow
 def test_an_interrupt_keeps_the_starts_that_are_finished(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept: tuple[Path, dict[str, Any]]
+    tmp_path: Path, kept: tuple[Path, dict[str, Any]]
 ) -> None:
     words = (*BALL, "--workers", "1", "-o", tmp_path / "ball.json", "--json")
 
-    def interrupt(_progress: report.ProgressLine, _what: str, part: float | None = None) -> None:
-        if part is not None and part >= 0.5:
-            raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(report.ProgressLine, "__call__", interrupt)
+    with interrupted_when(lambda _, part: part >= 0.5):
         answer = ask(*words)
     assert answer.code == INTERRUPTED
-    assert answer.err.endswith("ball.json.checkpoint` keeps what is finished\n")
+    assert "ball.json.checkpoint` keeps what is finished: the same command goes on" in answer.err
     assert len(list((tmp_path / "ball.json.checkpoint").glob("chunk-*"))) == 2
     assert ask(*words).data == kept[1]
     assert list(tmp_path.iterdir()) == []
@@ -336,7 +330,7 @@ def test_a_problem_that_workers_would_not_see_is_refused() -> None:
     other = replace(problem.load())
     with pytest.raises(InputError, match="`problem` must be what the `problem` of `spread` loads"):
         search_gains(
-            other, other.values(), free=FREE, spread=Spread(problem_file=problem, plan=Plan())
+            other, other.values(), free=FREE, spread=StartWorkers(problem_file=problem, plan=Plan())
         )
 
 

@@ -205,7 +205,7 @@ def test_the_nearest_orbit_to_bounds_that_no_gains_keep_is_that_of_a_scan(proble
         settings=ONCE,
     )
     assert result.status is SearchStatus.NOT_SOLVED
-    assert result.detail.startswith("No orbit was found that keeps all bounds; nearest to it, at")
+    assert result.detail.startswith("No orbit was found that keeps all bounds; the nearest one, at")
     assert "(Kp at its bound 1)" in result.detail
     # Simulation alone: on no line of fixed Kp do the two intervals of Kd meet, least so at Kp = 1.
     lacks: list[float] = []

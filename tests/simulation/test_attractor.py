@@ -7,9 +7,9 @@ import pytest
 
 from zeno_orbits.simulation.attractor import (
     TEN_TURNS,
+    AttractorKind,
     Motion,
-    Outcome,
-    Return,
+    SectionReturn,
     bounds_of,
     changes,
     growth_of,
@@ -25,7 +25,7 @@ UNITS = ("m", "rad", "m/s", "rad/s")
 
 
 def returns(state_at, n=12, time=1.5):
-    return [Return(time=time * k, state=np.array(state_at(k))) for k in range(n)]
+    return [SectionReturn(time=time * k, state=np.array(state_at(k))) for k in range(n)]
 
 
 def circling(period, decay=0.0):
@@ -44,7 +44,7 @@ def circling(period, decay=0.0):
 @pytest.mark.parametrize("period", [1, 2, 3, 5, 8])
 def test_a_motion_repeats_after_its_returns_and_no_multiple_of_them(period):
     found = outcome_of(Motion(units=UNITS, returns=circling(period)), close=1e-6)
-    assert found.outcome is Outcome.REPEATS
+    assert found.outcome is AttractorKind.REPEATS
     assert found.repetitions[0].returns == period
 
 
@@ -56,22 +56,26 @@ def test_a_motion_that_throws_over_as_it_settles_repeats_after_one():
 
 def test_a_motion_that_has_not_come_near_yet_is_undecided():
     found = outcome_of(Motion(units=UNITS, returns=circling(7.3)), close=1e-6)
-    assert found.outcome is Outcome.UNDECIDED
-    assert outcome_of(Motion(units=UNITS), close=1e-6).outcome is Outcome.UNDECIDED
+    assert found.outcome is AttractorKind.UNDECIDED
+    assert outcome_of(Motion(units=UNITS), close=1e-6).outcome is AttractorKind.UNDECIDED
 
 
 def test_the_answer_comes_in_order_of_what_is_certain():
     steady = circling(1)
     assert outcome_of(Motion(units=UNITS, returns=steady, gone="x"), close=1e-6).escaped == "x"
     still = outcome_of(Motion(units=UNITS, returns=steady, still=True), close=1e-6)
-    assert still.outcome is Outcome.RESTS
+    assert still.outcome is AttractorKind.RESTS
     wandering = Motion(units=UNITS, returns=circling(7.3), held=True)
-    assert outcome_of(wandering, close=1e-6).outcome is Outcome.HELD
+    assert outcome_of(wandering, close=1e-6).outcome is AttractorKind.HELD
 
 
 @pytest.mark.parametrize(
     ("factor", "outcome"),
-    [(0.8, Outcome.DIES_OUT), (1.05, Outcome.GROWS), (1.0 + 2.9e-12, Outcome.UNDECIDED)],
+    [
+        (0.8, AttractorKind.DIES_OUT),
+        (1.05, AttractorKind.GROWS),
+        (1.0 + 2.9e-12, AttractorKind.UNDECIDED),
+    ],
 )
 def test_a_trend_is_growth_or_decay_only_beyond_rounding(factor, outcome):
     amplitudes = [factor**k for k in range(12)]
@@ -86,10 +90,10 @@ def test_the_answer_is_the_same_in_any_units(metre, second):
     unit = np.array([metre, 1.0, metre / second, 1.0 / second])
     for period, close, decay in ((1, 1e-2, 0.3), (3, 1e-6, 2.0)):
         plain = circling(period, decay)
-        scaled = [Return(time=second * one.time, state=unit * one.state) for one in plain]
+        scaled = [SectionReturn(time=second * one.time, state=unit * one.state) for one in plain]
         expected = outcome_of(Motion(units=UNITS, returns=plain), close=close)
         found = outcome_of(Motion(units=UNITS, returns=scaled), close=close)
-        assert found.outcome is expected.outcome is Outcome.REPEATS
+        assert found.outcome is expected.outcome is AttractorKind.REPEATS
         for one, other in zip(found.repetitions, expected.repetitions, strict=True):
             assert one.returns == other.returns
             assert one.change == pytest.approx(other.change, rel=1e-6, abs=1e-12)
@@ -99,7 +103,7 @@ def test_sizes_between_returns_measure_states_that_vanish_at_the_returns():
     state = np.array([1e-14, 0.3, 2.0, 0.0])
     away = np.array([4e-14, 0.3, 2.0, 0.0])
     size = np.array([0.1, 0.5, 3.0, 1.0])
-    met = [Return(time=float(k), state=[state, away][k % 2], size=size) for k in range(4)]
+    met = [SectionReturn(time=float(k), state=[state, away][k % 2], size=size) for k in range(4)]
     assert repetitions(met, UNITS, close=1e-6, apart=0.01)[0].returns == 1
 
 

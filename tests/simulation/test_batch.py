@@ -250,7 +250,7 @@ def test_the_start_on_a_guard_is_no_fall_but_a_later_one_is():
 
 def test_limits_in_rows_are_those_of_single_sequences():
     rng = np.random.default_rng(2)
-    tails = Tails(3, 4)
+    tails = Tails(3, np.ones(5))
     estimates = {lane: [] for lane in range(3)}
     for lane, (ratio, n) in enumerate([(0.2, 6), (0.7, 40), (0.45, 1)]):
         for k in range(n):

@@ -34,6 +34,7 @@ from zeno_orbits.errors import (
     InputError,
     PenetrationError,
     RunawayError,
+    SimulationError,
     StepSizeError,
 )
 from zeno_orbits.integrators import Engine, Radau, RungeKutta, SciPy
@@ -740,3 +741,24 @@ def test_a_stop_that_lets_go_and_holds_again_within_rounding_holds(turn: float) 
         second = found.impacts[1]
         assert second.time - found.impacts[0].time == pytest.approx(3 * a / b, rel=1e-2)
         assert -second.approach_rate == pytest.approx(1.5 * a**2 / b, rel=1e-2)
+
+
+@pytest.mark.parametrize("engine", [Radau(), RungeKutta()])
+def test_an_exact_graze_does_not_end_a_motion(engine: Engine) -> None:
+    # `x'' = -x` swings as far as its stop: whether it touches is a matter of the last digit.
+    drawn = np.random.default_rng(0)
+    for _ in range(30):
+        stop, phase = 10.0 ** drawn.uniform(-2, 2), drawn.uniform(0.3, 2.8)
+        start = (stop * math.cos(phase), -stop * math.sin(phase))
+        swing = spring_mass(stop, drawn.uniform(0.0, 0.9))
+        run = simulate(swing, start, until=8.0, settings=SimulationSettings(engine=engine))
+        end = np.array([math.cos(phase + 8.0), -math.sin(phase + 8.0)])
+        # What a graze may lose is the speed at which rounding strikes, sqrt(2 * 1e-12).
+        assert np.max(np.abs(run.end_state / stop - end)) < 3e-6
+
+
+def test_a_motion_beyond_all_numbers_ends_in_an_error_of_ours(problem: Problem) -> None:
+    dynamics = problem.dynamics(problem.values(gains={"Kp": -1e6}))
+    start = problem.state_vector(problem.starts[0])
+    with pytest.raises(SimulationError):
+        simulate(dynamics, start, until=10.0)

@@ -10,10 +10,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from zeno_orbits.work import tell_part
+
 
 def square(points: Sequence[float]) -> list[float]:
     """Return squares."""
     return [point * point for point in points]
+
+
+def telling(points: Sequence[float]) -> list[float]:
+    """Return squares, slowly, and tell after each how many are done."""
+    for k in range(len(points)):
+        time.sleep(0.15)
+        tell_part((k + 1) / len(points))
+    return square(points)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

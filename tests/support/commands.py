@@ -6,13 +6,16 @@ import io
 import json
 import re
 import shlex
-from collections.abc import Callable
-from contextlib import redirect_stderr, redirect_stdout
+from collections.abc import Callable, Generator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
+import pytest
+
 from zeno_orbits.cli import main
+from zeno_orbits.report.terminal import ProgressLine
 
 YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
 PUBLISHED_GAINS = ("--fix", "Kp=2.5", "--fix", "Kd=-1")
@@ -59,6 +62,23 @@ def raising(error: BaseException) -> Callable[..., NoReturn]:
         raise error
 
     return stand_in
+
+
+@contextmanager
+def interrupted_when(due: Callable[[str, float], bool]) -> Generator[None]:
+    """Interrupt every command at its first progress report that is due.
+
+    Args:
+        due: From the stage and its part (-1 if unknown) to whether the key is pressed.
+    """
+
+    def interrupt(_line: Any, stage: str, part: float | None = None) -> None:
+        if due(stage, -1.0 if part is None else part):
+            raise KeyboardInterrupt
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ProgressLine, "__call__", interrupt)
+        yield
 
 
 def error_said(answer: Answer) -> float:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zeno_orbits.experiment import Recording, Signal, Source
+from zeno_orbits.experiment import RecordedSignal, Recording, Source
 from zeno_orbits.experiment.orbit_table import OrbitTable
 from zeno_orbits.model.problem import Problem
 
@@ -50,7 +50,7 @@ def recording_of(
     """Return a simulated recording of states."""
     units = dict(zip(problem.state_names, problem.state_units, strict=True))
     signals = tuple(
-        Signal(name=name, unit=units[name], values=row)
+        RecordedSignal(name=name, unit=units[name], values=row)
         for name, row in zip(names, values, strict=True)
     )
     return Recording(source=Source.SIMULATED, problem=problem.name, time=time, signals=signals)

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
+from zeno_orbits import Problem, Quantity
 from zeno_orbits.arrays import Vector
+from zeno_orbits.model.units import powers_of
 from zeno_orbits.simulation.execution import Execution, Impact
 
 Dimension = tuple[int, int, int]
@@ -83,3 +85,52 @@ class Units:
             events.append(replace(event, **changes))
         last = replace(execution.arcs[-1], end_state=execution.end_state / rates)
         return replace(execution, arcs=(*execution.arcs[:-1], last), events=tuple(events))
+
+
+def in_units(problem: Problem, units: Units) -> Problem:
+    """Return the same machine with its numbers in other units, and the words for these as before.
+
+    Its model must be made of its named numbers alone: laws hold in any units.
+
+    Args:
+        problem: The problem, in SI units.
+        units: The other units.
+    """
+    dimensions = {one.name: dimension_of(one.unit) for one in problem.quantities}
+    states = dict(zip(problem.state_names, map(dimension_of, problem.state_units), strict=True))
+    derive = problem.derive
+
+    def derived(given: Mapping[str, float]) -> Mapping[str, float]:
+        back = Units(mass=1 / units.mass, length=1 / units.length, time=1 / units.time)
+        found = cast("Any", derive)(back.numbers(given, dimensions))
+        return units.numbers(found, dimensions)
+
+    def scaled(quantity: Quantity) -> Quantity:
+        factor = units.factor(dimensions[quantity.name])
+        default = quantity.default
+        return replace(
+            quantity,
+            default=None if default is None else factor * default,
+            lower=factor * quantity.lower,
+            upper=factor * quantity.upper,
+            excluded=tuple(factor * value for value in quantity.excluded),
+        )
+
+    return replace(
+        problem,
+        parameters=tuple(map(scaled, problem.parameters)),
+        gains=tuple(map(scaled, problem.gains)),
+        starts=tuple(units.numbers(start, states) for start in problem.starts),
+        derive=None if derive is None else derived,
+        escapes={
+            name: replace(escape, beyond=escape.beyond * units.factor(states[name]))
+            for name, escape in problem.escapes.items()
+        },
+        fidelities={word: in_units(one, units) for word, one in problem.fidelities.items()},
+    )
+
+
+def dimension_of(unit: str) -> Dimension:
+    """Return the powers of mass, length and time in a unit; others stay what they are."""
+    powers = powers_of(unit)
+    return powers.get("kg", 0), powers.get("m", 0), powers.get("s", 0)

@@ -566,7 +566,7 @@ def test_an_orbit_of_other_equations_with_the_same_name_is_refused(
     foreign = tuple(value + 1e-3 for value in orbit.problem_digest)
     seen = check(replace(orbit, problem_digest=foreign))
     assert seen.failed == ()
-    assert "Refused: the equations of problem `motor_pendulum` are not those" in seen.verdict()
+    assert "Refused: the equations of problem `motor_pendulum` differ from those" in seen.verdict()
 
 
 def test_an_orbit_of_an_older_file_is_verified_without_a_digest(

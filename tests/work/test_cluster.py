@@ -22,7 +22,7 @@ from zeno_orbits.maps.map_file import write_map
 from zeno_orbits.maps.mapping import parameter_map
 from zeno_orbits.maps.plane import Axis, Plane
 from zeno_orbits.model.library import bundled_problems, locate_problem
-from zeno_orbits.work import Cluster, Lost, Plan, Workers, spread
+from zeno_orbits.work import Cluster, LostPoint, Plan, Workers, spread
 
 pytest.importorskip("distributed", reason="needs the extra `cluster`")
 
@@ -119,7 +119,7 @@ def test_a_family_on_a_cluster_with_a_worker_killed_is_the_file_made_here(
 def test_a_point_that_kills_every_worker_of_a_cluster_is_named(cluster: DaskCluster) -> None:
     cluster.start_worker("--nanny")
     task = Deadly(points=(POINTS[1],))
-    assert spread(task, POINTS[:3], plan(cluster.place())) == (POINTS[0], Lost(), POINTS[2])
+    assert spread(task, POINTS[:3], plan(cluster.place())) == (POINTS[0], LostPoint(), POINTS[2])
 
 
 def test_failures_come_home_from_a_cluster_and_its_end_is_noticed(cluster: DaskCluster) -> None:

@@ -166,9 +166,9 @@ def test_numbers_that_are_not_finite_are_refused_where_a_result_must_be(number: 
     ("text", "told"),
     [
         ('{"a": 1, "b": {"c": 1, "c": 1}}', "names `c` twice"),
-        ('{"a": 1', "no complete JSON"),
-        ("[" * 100_000, "no complete JSON"),
-        (b"\xff", "no text in UTF-8"),
+        ('{"a": 1', "not complete JSON"),
+        ("[" * 100_000, "not complete JSON"),
+        (b"\xff", "not UTF-8 text"),
         (None, r"cannot be read \(No such file"),
     ],
 )

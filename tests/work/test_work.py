@@ -19,7 +19,7 @@ import pytest
 from tests.support import chores
 from tests.support.chores import Deadly, Diary
 from zeno_orbits.errors import CheckpointError, InputError, WorkError
-from zeno_orbits.work import Lost, Plan, Workers, spread, spread_in_order
+from zeno_orbits.work import LostPoint, Plan, Workers, spread, spread_in_order
 from zeno_orbits.work import scheduling as spreading_module
 
 CORES = int(joblib.cpu_count())
@@ -101,6 +101,18 @@ def test_progress_is_told_up_to_the_end(diary: Diary) -> None:
     assert told[-1] == ("24 of 24 points", 1.0)
 
 
+def test_progress_goes_by_points_inside_a_chunk_that_tells_it() -> None:
+    told: list[tuple[str, float]] = []
+    whole = Plan(place=Workers(count=1), chunk=8)
+    spread(chores.telling, POINTS[:8], whole, on_progress=lambda *one: told.append(one))
+    parts = [part for _, part in told]
+    assert parts == sorted(parts)
+    assert len({part for part in parts if 0.0 < part < 1.0}) >= 3
+    assert told[-1] == ("8 of 8 points", 1.0)
+    # What is under way is not finished: a reader who stops at the end has everything.
+    assert max(part for part in parts[:-1] if part < 1.0) <= 0.99
+
+
 # ---------------------------------------------------------------------------- misuse and failure
 
 
@@ -140,7 +152,7 @@ def test_a_task_that_cannot_be_sent_is_refused() -> None:
 def test_a_point_that_kills_every_worker_is_named_and_the_others_are_not(how: int | None) -> None:
     task = Deadly(points=(POINTS[5],), how=how)
     results = spread(task, POINTS[:12], plan())
-    assert isinstance(results[5], Lost)
+    assert isinstance(results[5], LostPoint)
     assert [r for k, r in enumerate(results) if k != 5] == [*POINTS[:5], *POINTS[6:12]]
 
 
@@ -175,7 +187,7 @@ def test_a_lost_point_is_remembered_by_the_checkpoint(tmp_path: Path) -> None:
     task = Deadly(points=(POINTS[2],))
     first = spread(task, POINTS[:4], plan(tmp_path / "kept"))
     assert spread(chores.square, POINTS[:4], plan(tmp_path / "kept")) == first
-    assert first == (*POINTS[:2], Lost(), POINTS[3])
+    assert first == (*POINTS[:2], LostPoint(), POINTS[3])
 
 
 # ---------------------------------------------------------------------------- killed as a whole
@@ -361,11 +373,11 @@ def test_a_broken_identity_is_named(kept: Path) -> None:
 
 def test_a_folder_of_other_things_is_refused_and_left_untouched(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("everything")
-    with pytest.raises(CheckpointError, match=r"no checkpoint: it holds `thesis\.tex`"):
+    with pytest.raises(CheckpointError, match=r"not a checkpoint: it holds `thesis\.tex`"):
         spread(forbidden, POINTS, plan(tmp_path))
-    with pytest.raises(CheckpointError, match="no folder"):
+    with pytest.raises(CheckpointError, match="not a folder"):
         spread(forbidden, POINTS, plan(tmp_path / "thesis.tex"))
-    with pytest.raises(CheckpointError, match="no folder"):
+    with pytest.raises(CheckpointError, match="not a folder"):
         spread(forbidden, POINTS, plan(tmp_path / "missing" / "kept"))
     assert contents(tmp_path) == {"thesis.tex": b"everything"}
 

@@ -39,9 +39,7 @@ def add_compare(commands: Any) -> None:
 
 
 def _run_compare(options: argparse.Namespace) -> int:
-    from zeno_orbits.experiment import compare, read_recording
-    from zeno_orbits.experiment.orbit_table import measurable
-    from zeno_orbits.experiment.recordings.recording import cut
+    from zeno_orbits.experiment import compare, cut, measurable, read_recording
 
     require_outputs(options, files=(), reads=[options.orbit, options.data])
     orbit, problem = orbit_and_problem(options)

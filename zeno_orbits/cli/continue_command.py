@@ -13,12 +13,10 @@ from zeno_orbits.cli.options import (
     add_gains,
     add_place,
     add_problem,
-    checkpoint_of,
-    drop_checkpoint,
     hand_out,
-    interrupted,
     place_of,
     require_outputs,
+    run_resumable,
     start_of,
     values_of,
 )
@@ -35,9 +33,8 @@ from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
     from zeno_orbits.continuation import Continuation, ContinuationSettings, Crew
-    from zeno_orbits.model.library import ProblemFile
-    from zeno_orbits.model.problem import Problem
-    from zeno_orbits.orbits.orbit import ZenoOrbit
+    from zeno_orbits.model import Problem, ProblemFile
+    from zeno_orbits.orbits import ZenoOrbit
 
 
 def add_continue(commands: Any) -> None:
@@ -63,36 +60,36 @@ def add_continue(commands: Any) -> None:
         type=read_range,
         required=True,
         metavar="NAME=LOW:HIGH",
-        help="the gain or parameter to follow the family in; the start must lie in the range",
+        help="the gain or parameter to vary, and its range, which must contain the start",
     )
     parser.add_argument(
         "--from",
         dest="start_orbit",
         type=Path,
         metavar="ORBIT.json",
-        help="start at this orbit and its numbers; by default at one that a motion settles to",
+        help="start from this orbit and its values; by default from one that a motion settles to",
     )
     parser.add_argument(
         "--section",
         choices=("release", "impact"),
         default="release",
-        help="close orbits from release to release, or, without a Zeno point, impact to impact",
+        help="the event at which a period begins: impact, for orbits without a Zeno point",
     )
     parser.add_argument(
         "--start",
         action=Named,
         type=read_named_number,
         metavar="STATE=VALUE",
-        help="with --section impact: where a motion starts that settles to the orbit",
+        help="with --section impact: initial state of a motion that settles to the orbit",
     )
     parser.add_argument(
-        "--steps", type=read_count, default=300, metavar="N", help="steps in each direction"
+        "--steps", type=read_count, default=300, metavar="N", help="most steps in each direction"
     )
     parser.add_argument(
         "--second",
         type=read_range,
         metavar="NAME=LOW:HIGH",
-        help="follow the special points in this parameter, too",
+        help="also follow the special points in this second parameter",
     )
     parser.add_argument(
         "--point",
@@ -100,7 +97,7 @@ def add_continue(commands: Any) -> None:
         type=read_point_kind,
         default=[],
         metavar="KIND",
-        help="with --second: only points of this kind, fold for instance; may be repeated",
+        help="with --second: only points of this kind, for example fold; may be repeated",
     )
     add_place(parser)
     parser.add_argument("-o", "--output", type=Path, help="write the families here, as JSON")
@@ -108,24 +105,27 @@ def add_continue(commands: Any) -> None:
 
 
 def _run_continue(options: argparse.Namespace) -> int:
-    from zeno_orbits.continuation import Kind
-    from zeno_orbits.model.library import locate_problem
+    from zeno_orbits.continuation import SpecialPointKind
+    from zeno_orbits.model import locate_problem
 
     problem_file = locate_problem(options.problem)
     problem = problem_file.load()
     require_outputs(options)
-    checkpoint = checkpoint_of(options)
-    try:
-        with report.ProgressLine(options.interrupts.check) as progress:
-            found = _continued(options, problem_file, checkpoint, progress)
-    except KeyboardInterrupt:
-        return interrupted(options, checkpoint)
-    hand_out(
-        options, found, report.print_families, lambda plots: plots.plot_families(found, problem)
-    )
-    drop_checkpoint(options, checkpoint)
-    ends = [end for family in found.families for end in (family.first, family.last)]
-    return NO if any(end.kind is Kind.GAVE_UP for end in ends) else YES
+    problem.require_range(*options.range, argument="in")
+    if options.second is not None:
+        problem.require_range(*options.second, argument="second")
+
+    def work(checkpoint: Path | None, progress: report.ProgressLine) -> Continuation:
+        return _continued(options, problem_file, checkpoint, progress)
+
+    def finish(found: Continuation) -> int:
+        hand_out(
+            options, found, report.print_families, lambda plots: plots.plot_families(found, problem)
+        )
+        ends = [end for family in found.families for end in (family.first, family.last)]
+        return NO if any(end.kind is SpecialPointKind.GAVE_UP for end in ends) else YES
+
+    return run_resumable(options, work, finish)
 
 
 def _continued(
@@ -197,7 +197,7 @@ def _asked(
 def _orbit(options: argparse.Namespace, problem: Problem, crew: Crew) -> ZenoOrbit:
     """Return the orbit to start from."""
     from zeno_orbits.continuation import start_orbit, values_inside
-    from zeno_orbits.orbits.orbit_file import read_orbit
+    from zeno_orbits.orbits import read_orbit
 
     if options.start_orbit is None:
         asked = [one for one in (options.range, options.second) if one is not None]

@@ -6,16 +6,23 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from zeno_orbits.cli.options import YES, add_command, orbit_and_problem, print_json, say_written
+from zeno_orbits.cli.options import (
+    YES,
+    add_command,
+    add_problem_file,
+    orbit_and_problem,
+    print_json,
+    say_written,
+)
 from zeno_orbits.cli.parsing import read_count
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.report import terminal as report
-from zeno_orbits.work.files import require_folder, write_all
+from zeno_orbits.work import require_folder, write_all
 
 if TYPE_CHECKING:
-    from zeno_orbits.experiment.comparison.counterpart import Counterpart
-    from zeno_orbits.model.problem import Problem
-    from zeno_orbits.orbits.orbit import ZenoOrbit
+    from zeno_orbits.experiment import Counterpart
+    from zeno_orbits.model import Problem
+    from zeno_orbits.orbits import ZenoOrbit
     from zeno_orbits.report.plots.paper_figures import Material
 
 _KINDS = ("graph", "region", "portraits", "beside", "animation")
@@ -38,31 +45,29 @@ def add_figures(commands: Any) -> None:
         "orbit",
         metavar="ORBIT.json|PROBLEM",
         type=Path,
-        help="an orbit file, or a problem, whose orbit at its own numbers is sought first",
+        help="an orbit file, or a problem, whose orbit is searched for first",
     )
-    parser.add_argument(
-        "--problem", metavar="FILE.py", help="the orbit's problem, where it is not a bundled one"
-    )
+    add_problem_file(parser)
     parser.add_argument(
         "--kind",
         action="append",
         choices=_KINDS,
-        help="which: the system and its completion as graphs, the region d2h/dt2 < 0, phase "
-        "portraits, five figures of the model beside the virtual rig, the machine in motion; may "
-        "be repeated; by default all that the problem has",
+        help="figures to draw: the system and its completion as graphs, the region d2h/dt2 < 0, "
+        "phase portraits, five figures of the model beside the virtual rig, the machine in motion; "
+        "may be repeated; by default all that the problem has",
     )
     parser.add_argument(
         "--data",
         type=Path,
         metavar="FILE.csv",
-        help="beside the model, show this recording instead of the virtual rig",
+        help="show the model beside this recording instead of the virtual rig",
     )
     parser.add_argument(
         "--periods",
         type=read_count,
         default=3,
         metavar="N",
-        help="periods of the model beside another motion",
+        help="number of periods to show beside another motion",
     )
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder for the figures")
 
@@ -102,8 +107,8 @@ def _run_figures(options: argparse.Namespace) -> int:
 
 def _material(options: argparse.Namespace, progress: report.ProgressLine) -> Material:
     from zeno_orbits.report.plots.paper_figures import Material
-    from zeno_orbits.simulation.simulator import simulate
-    from zeno_orbits.verification.verifier import problem_dynamics
+    from zeno_orbits.simulation import simulate
+    from zeno_orbits.verification import problem_dynamics
 
     orbit, problem = _orbit_and_problem(options, progress)
     dynamics = problem_dynamics(orbit, problem)
@@ -116,12 +121,11 @@ def _material(options: argparse.Namespace, progress: report.ProgressLine) -> Mat
         raise InputError(f"Argument `orbit` {message}; see `verify`.")
 
     def other() -> Counterpart:
-        from zeno_orbits.experiment import read_recording
+        from zeno_orbits.experiment import measurable, read_recording
         from zeno_orbits.experiment.comparison.counterpart import (
             recording_counterpart,
             rig_counterpart,
         )
-        from zeno_orbits.experiment.orbit_table import measurable
 
         count = options.periods
         if options.data is not None:
@@ -146,12 +150,12 @@ def _orbit_and_problem(
     """Return the orbit of a file, or the one of a problem at its own numbers."""
     if options.orbit.suffix == ".json":
         return orbit_and_problem(options)
-    from zeno_orbits.model.library import load_problem
+    from zeno_orbits.model import load_problem
     from zeno_orbits.search import find_orbit
 
     if options.problem is not None:
         message = "must come with an orbit file, but a problem is named already"
         raise InputError(f"Argument `problem` {message}.")
     problem = load_problem(str(options.orbit))
-    progress("seeking the orbit")
+    progress("searching for the orbit")
     return find_orbit(problem, problem.values()).unwrap(), problem

@@ -24,7 +24,7 @@ from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
     from zeno_orbits.experiment import Unknown
-    from zeno_orbits.model.problem import ParameterValues, Problem
+    from zeno_orbits.model import ParameterValues, Problem
 
 
 def add_identify(commands: Any) -> None:
@@ -34,7 +34,7 @@ def add_identify(commands: Any) -> None:
         "identify",
         _run_identify,
         "estimate parameters of a machine from a recording of it; exit code 1 if the recording "
-        "does not show an orbit like the problem's",
+        "does not show an orbit of the problem",
         [
             "zeno-orbits identify motor_pendulum data.csv --from 12 --fit R,restitution",
             "zeno-orbits identify motor_pendulum data.csv --from 12 --set R=3.2 --fit R=2:4 "
@@ -59,21 +59,19 @@ def add_identify(commands: Any) -> None:
 
 
 def _run_identify(options: argparse.Namespace) -> int:
-    from zeno_orbits.experiment import identify, read_recording
-    from zeno_orbits.experiment.orbit_table import measurable
-    from zeno_orbits.experiment.recordings.recording import cut
-    from zeno_orbits.model.library import load_problem
-    from zeno_orbits.orbits.orbit_file import write_orbit
+    from zeno_orbits.experiment import cut, identify, measurable, read_recording
+    from zeno_orbits.model import load_problem
+    from zeno_orbits.orbits import write_orbit
 
     problem = load_problem(options.problem)
     values = values_of(problem, options)
-    sought = _sought(problem, values, options.fit)
+    unknowns = _unknowns(problem, values, options.fit)
     require_outputs(options, files=("output", "orbit"), pictures=(), reads=[options.data])
     with report.ProgressLine(options.interrupts.check) as progress:
         progress("reading the recording")
         recording = read_recording(options.data, only=tuple(measurable(problem)))
         recording = cut(recording, options.since, options.to)
-        found = identify(problem, values, recording, sought, on_progress=progress)
+        found = identify(problem, values, recording, unknowns, on_progress=progress)
     if options.output is not None:
         write_json(found, options.output)
     if options.orbit is not None:
@@ -90,7 +88,7 @@ def _run_identify(options: argparse.Namespace) -> int:
 _DECADE = 10.0
 
 
-def _sought(problem: Problem, values: ParameterValues, fit: Fit) -> tuple[Unknown, ...]:
+def _unknowns(problem: Problem, values: ParameterValues, fit: Fit) -> tuple[Unknown, ...]:
     """Return what is to be found, in ranges that the problem allows."""
     from zeno_orbits.experiment import Unknown
 

@@ -14,12 +14,10 @@ from zeno_orbits.cli.options import (
     add_place,
     add_problem,
     add_start,
-    checkpoint_of,
-    drop_checkpoint,
     hand_out,
-    interrupted,
     place_of,
     require_outputs,
+    run_resumable,
     start_of,
 )
 from zeno_orbits.cli.parsing import Once, Range, read_grid, read_number, read_range
@@ -27,8 +25,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
-    from zeno_orbits.maps.mapping import Boundary
-    from zeno_orbits.maps.plane import Axis, Plane
+    from zeno_orbits.maps import Axis, Boundary, ParameterMap, Plane
 
 
 def add_map(commands: Any) -> None:
@@ -48,27 +45,27 @@ def add_map(commands: Any) -> None:
     add_problem(parser)
     add_gains(parser)
     add_start(parser)
-    for side, where in (("x", "across"), ("y", "upwards")):
+    for side, where in (("x", "horizontal"), ("y", "vertical")):
         parser.add_argument(
             f"--{side}",
             action=Once,
             type=read_range,
             required=True,
             metavar="NAME=LOW:HIGH",
-            help=f"the gain or parameter that goes {where}",
+            help=f"the gain or parameter on the {where} axis",
         )
     parser.add_argument(
         "--points",
         type=read_grid,
         default=(50, 50),
         metavar="NxM",
-        help="points across and upwards; 50x50 by default",
+        help="number of points along x and y; 50x50 by default",
     )
     parser.add_argument(
         "--until",
         type=read_number,
         metavar="T",
-        help="how long a motion may take to settle [s]; by default 300 turns of the problem's "
+        help="longest time for a motion to settle [s]; by default 300 periods of the problem's "
         "clock, or 35 of its slowest oscillation",
     )
     add_place(parser)
@@ -77,15 +74,13 @@ def add_map(commands: Any) -> None:
         "--boundaries",
         type=Path,
         metavar="FAMILY.json",
-        help="draw the curves of `continue --second` on top",
+        help="draw the curves of this file, of `continue --second`, on top",
     )
     parser.add_argument("-o", "--output", type=Path, help="write the map here, as JSON")
 
 
 def _run_map(options: argparse.Namespace) -> int:
-    from zeno_orbits.maps.map_file import read_boundaries, write_map
-    from zeno_orbits.maps.mapping import parameter_map
-    from zeno_orbits.maps.plane import chunk_of, require_plane
+    from zeno_orbits.maps import chunk_of, parameter_map, read_boundaries, require_plane, write_map
     from zeno_orbits.work import Plan
 
     plane = require_plane(_plane(options))
@@ -95,27 +90,28 @@ def _run_map(options: argparse.Namespace) -> int:
         if options.picture is None:
             raise InputError("Argument `boundaries` must come with `picture`, but it does not.")
         boundaries = read_boundaries(options.boundaries, plane.x.name, plane.y.name)
-    checkpoint = checkpoint_of(options)
-    plan = Plan(place=place_of(options), chunk=chunk_of(plane), checkpoint=checkpoint)
-    try:
-        with report.ProgressLine(options.interrupts.check) as progress:
-            found = parameter_map(plane, plan, on_progress=progress)
-    except KeyboardInterrupt:
-        return interrupted(options, checkpoint)
-    hand_out(
-        options,
-        found,
-        report.print_map,
-        lambda plots: plots.plot_map(found, boundaries=boundaries),
-        write_map,
-    )
-    drop_checkpoint(options, checkpoint)
-    return YES if found.has_zeno else NO
+    place, chunk = place_of(options), chunk_of(plane)
+
+    def work(checkpoint: Path | None, progress: report.ProgressLine) -> ParameterMap:
+        plan = Plan(place=place, chunk=chunk, checkpoint=checkpoint)
+        return parameter_map(plane, plan, on_progress=progress)
+
+    def finish(found: ParameterMap) -> int:
+        hand_out(
+            options,
+            found,
+            report.print_map,
+            lambda plots: plots.plot_map(found, boundaries=boundaries),
+            write_map,
+        )
+        return YES if found.has_zeno else NO
+
+    return run_resumable(options, work, finish)
 
 
 def _plane(options: argparse.Namespace) -> Plane:
-    from zeno_orbits.maps.plane import Plane
-    from zeno_orbits.model.library import locate_problem
+    from zeno_orbits.maps import Plane
+    from zeno_orbits.model import locate_problem
 
     problem_file = locate_problem(options.problem)
     return Plane(
@@ -130,7 +126,7 @@ def _plane(options: argparse.Namespace) -> Plane:
 
 
 def _axis(asked: Range, count: int) -> Axis:
-    from zeno_orbits.maps.plane import Axis
+    from zeno_orbits.maps import Axis
 
     lower, upper = asked.box
     return Axis(name=asked.name, lower=lower, upper=upper, count=count)

@@ -5,25 +5,31 @@ from __future__ import annotations
 import argparse
 import re
 import sys
+import tempfile
+import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+from uuid import uuid4
 
 from zeno_orbits.cli.parsing import Named, read_count, read_named_number, read_number
-from zeno_orbits.errors import InputError, did_you_mean
-from zeno_orbits.integrators.engines import ENGINES, Selective, engine_named
+from zeno_orbits.errors import InputError, WorkError, did_you_mean
+from zeno_orbits.integrators import ENGINES, Selective, engine_named
 from zeno_orbits.report import terminal as report
-from zeno_orbits.work.files import require_picture, require_writable, write_whole
+from zeno_orbits.work import require_picture, require_writable, write_whole
 
 if TYPE_CHECKING:
-    from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-    from zeno_orbits.model.problem import ParameterValues, Problem
-    from zeno_orbits.orbits.orbit import ZenoOrbit
-    from zeno_orbits.simulation.simulator import SimulationSettings
-    from zeno_orbits.verification.verifier import VerificationSettings
+    from zeno_orbits.model import HybridDynamics, ParameterValues, Problem
+    from zeno_orbits.orbits import ZenoOrbit
+    from zeno_orbits.simulation import SimulationSettings
+    from zeno_orbits.verification import VerificationSettings
     from zeno_orbits.work import Place
 
 YES, NO, MISUSE, INTERRUPTED = 0, 1, 2, 130
+
+_HELP_WIDTH = 78
+
+Result = TypeVar("Result")
 
 
 class Parser(argparse.ArgumentParser):
@@ -81,54 +87,57 @@ def add_command(
     parser = commands.add_parser(
         name,
         help=summary,
-        description=summary[0].upper() + summary[1:] + ".",
+        description=textwrap.fill(f"{summary[0].upper()}{summary[1:]}.", _HELP_WIDTH),
         epilog="examples:\n" + "\n".join(f"  {example}" for example in examples),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.set_defaults(run=run)
     parser.add_argument("--json", action="store_true", help="print JSON for programs")
-    parser.add_argument("--debug", action="store_true", help="show where an error comes from")
+    parser.add_argument("--debug", action="store_true", help="print the traceback of an error")
     return parser
 
 
 def add_problem(parser: argparse.ArgumentParser) -> None:
     """Add the problem and its parameters."""
     parser.add_argument(
-        "problem", metavar="PROBLEM", help="a problem's name or Python file, or problem@fidelity"
+        "problem",
+        metavar="PROBLEM",
+        help="a problem's name (NAME@FIDELITY for a reduced model) or Python file",
     )
     add_parameters(parser)
 
 
-def add_parameters(parser: argparse.ArgumentParser) -> None:
-    """Add the parameters of a problem."""
+def _add_named(parser: argparse.ArgumentParser, option: str, form: str, meaning: str) -> None:
+    """Add an option that gives numbers by name and may be repeated."""
     parser.add_argument(
-        "--set",
+        option,
         action=Named,
         type=read_named_number,
-        metavar="NAME=VALUE",
-        help="change a parameter of the problem; may be repeated",
+        metavar=form,
+        help=f"{meaning}; may be repeated",
     )
+
+
+def add_parameters(parser: argparse.ArgumentParser) -> None:
+    """Add the parameters of a problem."""
+    _add_named(parser, "--set", "NAME=VALUE", "change a parameter of the problem")
 
 
 def add_gains(parser: argparse.ArgumentParser) -> None:
     """Add the gains of a problem."""
-    parser.add_argument(
-        "--gain",
-        action=Named,
-        type=read_named_number,
-        metavar="NAME=VALUE",
-        help="change a gain; may be repeated",
-    )
+    _add_named(parser, "--gain", "NAME=VALUE", "change a gain")
 
 
 def add_start(parser: argparse.ArgumentParser) -> None:
     """Add the initial state."""
+    meaning = "initial value of a state, 0 for the others; by default the problem's first start"
+    _add_named(parser, "--start", "STATE=VALUE", meaning)
+
+
+def add_problem_file(parser: argparse.ArgumentParser) -> None:
+    """Add the file of an orbit's problem."""
     parser.add_argument(
-        "--start",
-        action=Named,
-        type=read_named_number,
-        metavar="STATE=VALUE",
-        help="initial state, others zero; by default the problem's first start",
+        "--problem", metavar="FILE.py", help="the problem's file, if it is not a bundled one"
     )
 
 
@@ -138,15 +147,15 @@ def add_accuracy(parser: argparse.ArgumentParser) -> None:
         "--accuracy",
         type=read_number,
         metavar="A",
-        help="use the cheapest settings that reach this relative error, 1e-6 for instance, and "
-        "report the estimated error; by default as accurate as is cheap",
+        help="relative error to reach, for example 1e-6, with the cheapest settings that do; the "
+        "estimated error is reported",
     )
     parser.add_argument(
         "--engine",
         choices=tuple(ENGINES),
         default=next(iter(ENGINES)),
-        help="the integrator; automatic steps explicitly, and implicitly where the problem is "
-        "stiff; taylor needs the extra of that name",
+        help="the integrator; automatic takes explicit steps, and implicit ones where the problem "
+        "is stiff; taylor needs the extra `taylor`",
     )
 
 
@@ -161,14 +170,14 @@ def add_place(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scheduler",
         metavar="ADDRESS",
-        help="work on the Dask cluster of this scheduler instead, tcp://host:8786 for instance",
+        help="use the Dask cluster of this scheduler, for example tcp://host:8786",
     )
     parser.add_argument(
         "--checkpoint",
         type=Path,
         metavar="FOLDER",
         help="keep finished work in this folder and resume from it; by default a folder beside the "
-        "output, removed when the work is done",
+        "output, or a temporary one, removed when the work is done",
     )
 
 
@@ -184,41 +193,71 @@ def place_of(options: argparse.Namespace) -> Place:
     return Cluster(address=options.scheduler)
 
 
-def checkpoint_of(options: argparse.Namespace) -> Path | None:
-    """Return the folder that was named, else one beside the output."""
-    if options.checkpoint is not None:
-        return options.checkpoint
-    output = options.output
-    return None if output is None else output.with_name(f"{output.name}.checkpoint")
+def run_resumable(
+    options: argparse.Namespace,
+    work: Callable[[Path | None, report.ProgressLine], Result],
+    finish: Callable[[Result], int],
+    *,
+    keep: bool = True,
+) -> int:
+    """Do work whose finished parts outlive an interrupt, and return the exit code.
 
+    The parts are kept in the folder that was named, else beside the first output, else in a
+    temporary folder. A folder that nobody named is removed when it is of no more use.
 
-def drop_checkpoint(options: argparse.Namespace, checkpoint: Path | None) -> None:
-    """Remove the checkpoint of finished work, unless its folder was named by the user."""
+    Args:
+        options: The parsed options.
+        work: From the folder, and a function to report progress to, to the result.
+        finish: From the result to the exit code: prints and writes it.
+        keep: Whether there are parts to keep, if no folder was named.
+    """
     from zeno_orbits.work import remove_checkpoint
 
-    if options.checkpoint is None and checkpoint is not None:
-        remove_checkpoint(checkpoint)
+    folder = options.checkpoint or (_own_folder(options) if keep else None)
+    try:
+        with report.ProgressLine(options.interrupts.check) as progress:
+            found = work(folder, progress)
+    except KeyboardInterrupt:
+        report.print_error(f"interrupted; {_kept(options, folder) or 'nothing was written'}")
+        return INTERRUPTED
+    except WorkError as error:
+        kept = _kept(options, folder)
+        raise WorkError(f"{error}; {kept}" if kept else str(error), trace=error.trace) from error
+    code = finish(found)
+    if options.checkpoint is None and folder is not None:
+        remove_checkpoint(folder)
+    return code
 
 
-def interrupted(options: argparse.Namespace, checkpoint: Path | None) -> int:
-    """Say what is kept of interrupted work, and return the exit code."""
+def _own_folder(options: argparse.Namespace) -> Path:
+    """Return a folder for finished work, by what the work is for."""
+    output = options.output or getattr(options, "picture", None)
+    if output is not None:
+        return output.with_name(f"{output.name}.checkpoint")
+    return Path(tempfile.gettempdir(), f"zeno-orbits-{uuid4().hex[:8]}")
+
+
+def _kept(options: argparse.Namespace, folder: Path | None) -> str:
+    """Return a clause on what is kept of unfinished work and how to go on, if anything is."""
     from zeno_orbits.work import keeps_nothing, remove_checkpoint
 
-    if checkpoint is not None and options.checkpoint is None and keeps_nothing(checkpoint):
-        # Nobody asked for it, and it would stand in the way of another work with that output.
-        remove_checkpoint(checkpoint)
-        checkpoint = None
-    kept = "nothing was written" if checkpoint is None else f"`{checkpoint}` keeps what is finished"
-    report.print_error(f"interrupted; {kept}")
-    return INTERRUPTED
+    if folder is None:
+        return ""
+    if keeps_nothing(folder):
+        if options.checkpoint is None:
+            # It would stand in the way of other work with the same output.
+            remove_checkpoint(folder)
+        return ""
+    again = "the same command"
+    if options.checkpoint is None and folder != _own_folder(options):
+        again += f" with --checkpoint {folder}"
+    return f"`{folder}` keeps what is finished: {again} goes on from there"
 
 
 def add_orbit(parser: argparse.ArgumentParser) -> None:
     """Add the orbit file and its problem."""
     parser.add_argument("orbit", metavar="ORBIT.json", type=Path, help="an orbit file")
-    parser.add_argument(
-        "--problem", metavar="FILE.py", help="the problem's file, if it is not a bundled one"
-    )
+    add_problem_file(parser)
 
 
 def add_recording(parser: argparse.ArgumentParser) -> None:
@@ -247,16 +286,16 @@ def start_of(problem: Problem, options: argparse.Namespace) -> tuple[float, ...]
 
 def simulation_of(options: argparse.Namespace) -> SimulationSettings:
     """Return the simulator's settings for the engine that was asked for."""
-    from zeno_orbits.simulation.simulator import SimulationSettings
+    from zeno_orbits.simulation import SimulationSettings
 
     return SimulationSettings(engine=engine_named(options.engine))
 
 
 def verification_of(options: argparse.Namespace, tolerance: float) -> VerificationSettings:
     """Return how to check at the accuracy that was asked for, if one was."""
-    from zeno_orbits.orbits.looser_run import LOOSER
-    from zeno_orbits.precision.accuracy import FINEST, settings_for
-    from zeno_orbits.verification.verifier import VerificationSettings
+    from zeno_orbits.orbits import LOOSER
+    from zeno_orbits.precision import FINEST, settings_for
+    from zeno_orbits.verification import VerificationSettings
 
     simulation = simulation_of(options)
     if options.accuracy is None:
@@ -285,7 +324,7 @@ def require_engine(options: argparse.Namespace, dynamics: HybridDynamics) -> Non
 def orbit_and_problem(options: argparse.Namespace) -> tuple[ZenoOrbit, Problem]:
     """Return the orbit of a file and its problem."""
     from zeno_orbits.api import problem_of
-    from zeno_orbits.orbits.orbit_file import read_orbit
+    from zeno_orbits.orbits import read_orbit
 
     orbit = read_orbit(options.orbit)
     return orbit, problem_of(orbit, options.problem)
@@ -308,7 +347,7 @@ def require_outputs(
     Raises:
         InputError: If one cannot become a file, or would lie on another or on what is read.
     """
-    taken = {path.resolve(): "what is read" for path in reads}
+    taken = {path.resolve(): "the one that is read" for path in reads}
     for name in (*files, *pictures):
         path = getattr(options, name)
         if path is None:

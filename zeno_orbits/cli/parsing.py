@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from zeno_orbits.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
-    from zeno_orbits.continuation.families import Kind
-    from zeno_orbits.model.problem import Problem
-    from zeno_orbits.orbits.bounds import Bound
-    from zeno_orbits.orbits.shape import OrbitShape
-    from zeno_orbits.search.objectives import Objective, ObjectiveWord
+    from zeno_orbits.continuation import SpecialPointKind
+    from zeno_orbits.model import Problem
+    from zeno_orbits.orbits import Bound, OrbitShape
+    from zeno_orbits.search import Objective
+    from zeno_orbits.search.objectives import ObjectiveWord
 
 
 class Named(argparse.Action):
@@ -125,6 +125,16 @@ def read_named_number(text: str) -> tuple[str, float]:
     return name, _number(value, f"have a number for `{name}`")
 
 
+def read_interval(text: str) -> tuple[str, float, float]:
+    """Return name, middle and radius of an interval ``NAME=VALUE:RADIUS``."""
+    name, value, radius = _ends(text, "NAME=VALUE:RADIUS")
+    wanted = f"have numbers for `{name}`"
+    width = _number(radius, wanted)
+    if not 0.0 < width < math.inf:
+        raise argparse.ArgumentTypeError(f"must have a radius above 0, but it is {width:g}")
+    return name, _number(value, wanted), width
+
+
 def read_range(text: str) -> Range:
     """Return name and bounds from ``NAME=LOW:HIGH``."""
     name, low, high = _ends(text, "NAME=LOW:HIGH")
@@ -134,7 +144,7 @@ def read_range(text: str) -> Range:
 
 def read_bound(text: str) -> tuple[str, Bound]:
     """Return name and bound from ``NAME=LOWER:UPPER``, an open end left empty."""
-    from zeno_orbits.orbits.bounds import Bound
+    from zeno_orbits.orbits import Bound
 
     name, low, high = _ends(text, "NAME=LOWER:UPPER, one end may be empty")
     wanted = f"have numbers for `{name}`"
@@ -173,7 +183,7 @@ def read_fit(text: str) -> Fit:
 
 def read_shape(text: str) -> OrbitShape:
     """Return the shape that a text such as ``zeno*2`` names."""
-    from zeno_orbits.orbits.shape import OrbitShape
+    from zeno_orbits.orbits import OrbitShape
 
     try:
         return OrbitShape.parsed(text)
@@ -181,7 +191,7 @@ def read_shape(text: str) -> OrbitShape:
         raise argparse.ArgumentTypeError(str(error)) from error
 
 
-def read_point_kind(text: str) -> Kind:
+def read_point_kind(text: str) -> SpecialPointKind:
     """Return the kind of special points that a word such as ``fold`` names."""
     words = point_kinds()
     if text not in words:
@@ -190,11 +200,11 @@ def read_point_kind(text: str) -> Kind:
     return words[text]
 
 
-def point_kinds() -> dict[str, Kind]:
+def point_kinds() -> dict[str, SpecialPointKind]:
     """Return word to kind of the special points that can be located."""
-    from zeno_orbits.continuation.families import Kind
+    from zeno_orbits.continuation import SpecialPointKind
 
-    return {kind.name.lower().replace("_", "-"): kind for kind in Kind if kind.located}
+    return {kind.name.lower().replace("_", "-"): kind for kind in SpecialPointKind if kind.located}
 
 
 class Wish(NamedTuple):
@@ -224,7 +234,7 @@ class Wish(NamedTuple):
         if self.row.operand is Operand.NUMBERS:
             _check_targets(self.operand, free)
         elif not free:
-            message = f"must leave a gain or a parameter free for the {self.word}, but none is"
+            message = f"must leave a gain or a parameter free for the {self.word}, but none is free"
             raise InputError(f"Argument `objective` {message}.")
         return self.row.objective(problem, self.operand)
 
@@ -267,7 +277,7 @@ def _check_targets(targets: Mapping[str, float], free: Mapping[str, tuple[float,
     for name, value in targets.items():
         if name not in free:
             known = ", ".join(free) or "none"
-            message = f"must name what is free ({known}), but it names `{name}`"
+            message = f"must name free gains or parameters ({known}), but it names `{name}`"
             raise InputError(f"Argument `objective` {message}.")
         low, high = free[name]
         if not low <= value <= high:

@@ -16,7 +16,7 @@ from zeno_orbits.cli.options import (
 )
 from zeno_orbits.cli.parsing import read_count
 from zeno_orbits.errors import InputError
-from zeno_orbits.work.files import require_folder, write_all
+from zeno_orbits.work import require_folder, write_all
 
 _PICTURES = ("portraits", "time", "outputs", "zeno", "region")
 
@@ -50,8 +50,8 @@ def add_plot(commands: Any) -> None:
 
 def _run_plot(options: argparse.Namespace) -> int:
     from zeno_orbits.report import plots
-    from zeno_orbits.simulation.simulator import simulate
-    from zeno_orbits.verification.verifier import problem_dynamics
+    from zeno_orbits.simulation import simulate
+    from zeno_orbits.verification import problem_dynamics
 
     orbit, problem = orbit_and_problem(options)
     dynamics = problem_dynamics(orbit, problem)
@@ -76,7 +76,7 @@ def _run_plot(options: argparse.Namespace) -> int:
     kinds = options.kind or [kind for kind in _PICTURES if has.get(kind, True)]
     if "outputs" in kinds and not problem.outputs:
         raise InputError(
-            f"Argument `kind` must be one `{problem.name}` has, but it has no outputs."
+            f"Argument `kind` must be a picture that `{problem.name}` has, but it has no outputs."
         )
     if not rests and {"zeno", "region"} & {*kinds}:
         wanted = "must be a picture of an orbit without a Zeno point"

@@ -19,10 +19,10 @@ from zeno_orbits.cli.options import (
 )
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
-from zeno_orbits.work.files import require_picture, write_whole
+from zeno_orbits.work import require_picture, write_whole
 
 if TYPE_CHECKING:
-    from zeno_orbits.model.problem import ParameterValues, Problem
+    from zeno_orbits.model import ParameterValues, Problem
 
 
 def add_problems(commands: Any) -> None:
@@ -37,7 +37,7 @@ def add_problems(commands: Any) -> None:
 
 
 def _run_problems(options: argparse.Namespace) -> int:
-    from zeno_orbits.model.library import bundled_problems, load_problem
+    from zeno_orbits.model import bundled_problems, load_problem
 
     problems = [one for name in bundled_problems() for one in load_problem(name).ladder()]
     if options.json:
@@ -67,18 +67,18 @@ def add_new(commands: Any) -> None:
         commands,
         "new",
         _run_new,
-        "write a problem that works, to change into your own",
+        "write a working problem file, to change into your own",
         [
             "zeno-orbits new my_problem",
             "zeno-orbits new my_problem --with-motor",
             "zeno-orbits search ./my_problem.py",
         ],
     )
-    parser.add_argument("name", metavar="NAME", help="of the problem; the file is NAME.py")
+    parser.add_argument("name", metavar="NAME", help="name of the new problem; its file is NAME.py")
     parser.add_argument(
         "--with-motor",
         action="store_true",
-        help="a DC motor under feedback drives it; else a periodic force does",
+        help="let a DC motor under feedback drive it, in place of a periodic force",
     )
 
 
@@ -90,17 +90,17 @@ def template(*, with_motor: bool) -> str:
 
 
 def _run_new(options: argparse.Namespace) -> int:
-    from zeno_orbits.model.library import bundled_problems
+    from zeno_orbits.model import bundled_problems
 
     if not options.name.isidentifier():
         wanted = "must be a word of letters, digits and underscores"
         raise InputError(f"Argument `name` {wanted}, but it is `{options.name}`.")
     if options.name in bundled_problems():
-        wanted = "must not be that of a problem which comes with the package"
+        wanted = "must not be the name of a bundled problem"
         raise InputError(f"Argument `name` {wanted}, but `{options.name}` is one.")
     path = Path(f"{options.name}.py")
     if path.exists():
-        raise InputError(f"Argument `name` must be of a new file, but `{path}` exists.")
+        raise InputError(f"Argument `name` must name a new file, but `{path}` exists.")
     content = template(with_motor=options.with_motor)
     write_whole(path, content.replace("NAME", options.name))
     if options.json:
@@ -128,12 +128,12 @@ def add_conditions(commands: Any) -> None:
 
 
 def _run_conditions(options: argparse.Namespace) -> int:
+    from zeno_orbits.model import load_problem
     from zeno_orbits.model.formulas import (
         equilibrium_acceleration,
         six_digits,
         with_numbers,
     )
-    from zeno_orbits.model.library import load_problem
 
     problem = load_problem(options.problem)
     values = values_of(problem, options)
@@ -187,13 +187,13 @@ def add_fidelity(commands: Any) -> None:
     add_problem(parser)
     add_gains(parser)
     parser.add_argument(
-        "--measure", action="store_true", help="find the full problem's orbit, too, and compare"
+        "--measure", action="store_true", help="also find the full problem's orbit, and compare"
     )
 
 
 def _run_fidelity(options: argparse.Namespace) -> int:
-    from zeno_orbits.model.library import load_problem
-    from zeno_orbits.precision.reduced_models import reduction_costs
+    from zeno_orbits.model import load_problem
+    from zeno_orbits.precision import reduction_costs
 
     problem = load_problem(options.problem)
     values = values_of(problem, options)

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import zeno_orbits
 from zeno_orbits.cli.compare import add_compare
+from zeno_orbits.cli.completion import add_completion
 from zeno_orbits.cli.continue_command import add_continue
 from zeno_orbits.cli.figures import add_figures
 from zeno_orbits.cli.identify import add_identify
@@ -16,6 +17,7 @@ from zeno_orbits.cli.options import INTERRUPTED, MISUSE, NO, Parser
 from zeno_orbits.cli.plot import add_plot
 from zeno_orbits.cli.problems import add_conditions, add_fidelity, add_new, add_problems
 from zeno_orbits.cli.process import Interrupts, patient_streams
+from zeno_orbits.cli.prove import add_prove
 from zeno_orbits.cli.report_command import add_report
 from zeno_orbits.cli.rig import add_rig
 from zeno_orbits.cli.search import add_search
@@ -27,8 +29,8 @@ from zeno_orbits.report import terminal as report
 
 _COMMANDS = (
     *(add_problems, add_new, add_conditions, add_simulate, add_fidelity),
-    *(add_search, add_verify, add_map, add_continue, add_trade, add_rig),
-    *(add_plot, add_report, add_figures, add_compare, add_identify),
+    *(add_search, add_verify, add_prove, add_map, add_continue, add_trade, add_rig),
+    *(add_plot, add_report, add_figures, add_compare, add_identify, add_completion),
 )
 """In the order of the help."""
 
@@ -103,7 +105,7 @@ def build_parser() -> argparse.ArgumentParser:
     version = f"%(prog)s {zeno_orbits.__version__}"
     parser.add_argument("--version", action="version", version=version)
     parser.set_defaults(run=None)
-    commands = parser.add_subparsers(metavar="COMMAND")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND")
     for add in _COMMANDS:
         add(commands)
     return parser

@@ -20,11 +20,11 @@ from zeno_orbits.cli.options import (
 from zeno_orbits.cli.parsing import read_count, read_share
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
-from zeno_orbits.work.files import write_whole
+from zeno_orbits.work import write_whole
 
 if TYPE_CHECKING:
-    from zeno_orbits.orbits.orbit import ZenoOrbit
-    from zeno_orbits.precision.work_precision import WorkPrecision
+    from zeno_orbits.orbits import ZenoOrbit
+    from zeno_orbits.precision import WorkPrecision
 
 _PAGES = (".html", ".htm")
 
@@ -47,7 +47,10 @@ def add_report(commands: Any) -> None:
         "-o", "--output", type=Path, required=True, metavar="PAGE.html", help="write the page here"
     )
     parser.add_argument(
-        "--trade", type=Path, metavar="TRADE.json", help="show these figures of `trade -o`, too"
+        "--trade",
+        type=Path,
+        metavar="TRADE.json",
+        help="also show the figures of this file, written by `trade -o`",
     )
     parser.add_argument(
         "--tolerance",
@@ -62,8 +65,8 @@ def add_report(commands: Any) -> None:
 
 
 def _run_report(options: argparse.Namespace) -> int:
-    from zeno_orbits.report.page import load_bundle, page_of, subject_of
-    from zeno_orbits.verification.verifier import VerificationSettings, problem_dynamics, verify
+    from zeno_orbits.report import load_bundle, page_of, subject_of
+    from zeno_orbits.verification import VerificationSettings, problem_dynamics, verify
 
     reads = [path for path in (options.orbit, options.trade) if path is not None]
     require_outputs(options, pictures=(), reads=reads)
@@ -102,7 +105,7 @@ def _run_report(options: argparse.Namespace) -> int:
 
 
 def _trade(options: argparse.Namespace, orbit: ZenoOrbit) -> WorkPrecision | None:
-    from zeno_orbits.precision.work_precision import read_work_precision
+    from zeno_orbits.precision import read_work_precision
 
     if options.trade is None:
         return None

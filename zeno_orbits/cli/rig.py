@@ -13,6 +13,7 @@ from zeno_orbits.cli.options import (
     add_command,
     add_gains,
     add_parameters,
+    add_problem_file,
     add_start,
     orbit_and_problem,
     print_json,
@@ -28,8 +29,7 @@ from zeno_orbits.report import terminal as report
 if TYPE_CHECKING:
     from zeno_orbits.experiment import RigSettings
     from zeno_orbits.experiment.rig import RigRun
-    from zeno_orbits.model.problem import Problem
-    from zeno_orbits.model.rig_parts import Rig
+    from zeno_orbits.model import Problem, Rig
 
 _PARTS = ("friction", "gears", "bridge", "controller", "sensors")
 
@@ -54,11 +54,9 @@ def add_rig(commands: Any) -> None:
     parser.add_argument(
         "target",
         metavar="ORBIT.json|PROBLEM",
-        help="an orbit file, near whose orbit the machine settles; or a problem, from --start",
+        help="an orbit file (the machine settles near its orbit) or a problem (see --start)",
     )
-    parser.add_argument(
-        "--problem", metavar="FILE.py", help="the problem of an orbit, if not bundled"
-    )
+    add_problem_file(parser)
     add_gains(parser)
     add_parameters(parser)
     add_start(parser)
@@ -67,14 +65,15 @@ def add_rig(commands: Any) -> None:
         action=Named,
         type=read_named_number,
         metavar="PART.NAME=VALUE",
-        help="change a number of the machine, contact.stiffness=1e5, friction.COORDINATE.coulomb="
-        "0.01 or gears.MOTOR.play=0.01 for instance; may be repeated; docs/rig.md lists them",
+        help="change a number of the machine, for example contact.stiffness=1e5, "
+        "friction.COORDINATE.coulomb=0.01 or gears.MOTOR.play=0.01; may be repeated; "
+        "docs/rig.md lists them",
     )
     parser.add_argument(
         "--only",
         action="append",
         choices=(*_PARTS, "contact"),
-        help="the only part beside the contact; may be repeated; by default all that there are",
+        help="use this part only, beside the contact; may be repeated; by default all parts",
     )
     parser.add_argument(
         "--without", action="append", default=[], choices=_PARTS, help="leave out a part"
@@ -108,12 +107,11 @@ def _run_rig(options: argparse.Namespace) -> int:
 
 
 def _near_orbit(options: argparse.Namespace) -> int:
-    from zeno_orbits.experiment import rig_cycles
-    from zeno_orbits.experiment.rig.cycle_comparison import compare_cycles
+    from zeno_orbits.experiment import compare_cycles, rig_cycles
 
     for name in ("gain", "set", "start", "until"):
         if getattr(options, name) not in (None, {}):
-            has = "which has a period to count in" if name == "until" else "which has its own"
+            has = "whose periods --cycles counts" if name == "until" else "which has its own"
             raise InputError(f"Argument `{name}` must not be given with an orbit, {has}.")
     options.orbit = Path(options.target)
     orbit, problem = orbit_and_problem(options)
@@ -139,7 +137,7 @@ def _near_orbit(options: argparse.Namespace) -> int:
 
 def _from_start(options: argparse.Namespace) -> int:
     from zeno_orbits.experiment import simulate_rig
-    from zeno_orbits.model.library import load_problem
+    from zeno_orbits.model import load_problem
 
     for name in ("cycles", "problem"):
         if getattr(options, name) is not None:
@@ -174,7 +172,8 @@ def _rig_of(options: argparse.Namespace, problem: Problem) -> Rig:
     from dataclasses import replace
 
     from zeno_orbits.experiment.rig import default_rig
-    from zeno_orbits.model.rig_parts import PART_NAMES, Switching, with_numbers, without_parts
+    from zeno_orbits.model import Switching
+    from zeno_orbits.model.rig_parts import PART_NAMES, rig_with_numbers, without_parts
 
     left_out = options.without
     if options.only is not None:
@@ -182,7 +181,7 @@ def _rig_of(options: argparse.Namespace, problem: Problem) -> Rig:
             wanted = "must name the controller with the sensors, which it reads"
             raise InputError(f"Argument `only` {wanted}, but it does not.")
         left_out = [*left_out, *(name for name in PART_NAMES if name not in options.only)]
-    rig = with_numbers(without_parts(default_rig(problem), left_out), options.part)
+    rig = rig_with_numbers(without_parts(default_rig(problem), left_out), options.part)
     if not options.exact:
         return rig
     if rig.bridge is None:
@@ -193,7 +192,7 @@ def _rig_of(options: argparse.Namespace, problem: Problem) -> Rig:
 def _settings(rig: Rig) -> RigSettings:
     """Return an accuracy that noise and rounding by sensors leave worth having."""
     from zeno_orbits.experiment import RigSettings
-    from zeno_orbits.integrators.flow import Tolerance
+    from zeno_orbits.integrators import Tolerance
 
     if rig.controller is None:
         return RigSettings()
@@ -202,8 +201,7 @@ def _settings(rig: Rig) -> RigSettings:
 
 def _write(options: argparse.Namespace, run: RigRun, problem: Problem) -> None:
     if options.output is not None:
-        from zeno_orbits.experiment import write_recording
-        from zeno_orbits.experiment.rig.run import recording_of
+        from zeno_orbits.experiment import recording_of, write_recording
 
         notes: Mapping[str, str] = {"seed": str(options.seed)}
         write_recording(recording_of(run, problem, notes), options.output)

@@ -12,11 +12,9 @@ from zeno_orbits.cli.options import (
     add_command,
     add_place,
     add_problem,
-    checkpoint_of,
-    drop_checkpoint,
-    interrupted,
     place_of,
     require_engine,
+    run_resumable,
     verification_of,
 )
 from zeno_orbits.cli.parsing import (
@@ -34,11 +32,12 @@ from zeno_orbits.cli.parsing import (
 from zeno_orbits.cli.search_output import answer
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
-from zeno_orbits.work.files import require_writable
+from zeno_orbits.work import require_writable
 
 if TYPE_CHECKING:
-    from zeno_orbits.model.problem import ParameterValues, Problem
-    from zeno_orbits.orbits.orbit import ZenoOrbit
+    from zeno_orbits.model import ParameterValues, Problem
+    from zeno_orbits.orbits import ZenoOrbit
+    from zeno_orbits.search import SearchResult
 
 
 def add_search(commands: Any) -> None:
@@ -67,22 +66,22 @@ def add_search(commands: Any) -> None:
         action=Named,
         type=read_range,
         metavar="NAME=LOW:HIGH",
-        help="search a gain in this range; by default every gain in its range in the problem",
+        help="search a gain in this range; by default every gain in the problem's range",
     )
     parser.add_argument(
         "--free",
         action=Named,
         type=read_range,
         metavar="NAME=LOW:HIGH",
-        help="search a physical parameter (or a gain) in this range, too; what the problem derives "
-        "from it stays as it is at the start",
+        help="also search a physical parameter (or a gain) in this range; parameters derived from "
+        "it keep their values",
     )
     parser.add_argument(
         "--fix",
         action=Named,
         type=read_named_number,
         metavar="NAME=VALUE",
-        help="hold a gain; may be repeated",
+        help="fix a gain; may be repeated",
     )
     parser.add_argument(
         "--objective",
@@ -92,7 +91,7 @@ def add_search(commands: Any) -> None:
         help=(
             "nearest (to the problem's gains), nearest:NAME=VALUE,..., period=SECONDS, "
             "amplitude=VALUE, energy, peak=SIGNAL (least peak of current, voltage or a state), "
-            "contraction (least spectral radius), or margin (widest to losing the orbit)"
+            "contraction (least spectral radius), or margin (widest before the orbit is lost)"
         ),
     )
     parser.add_argument(
@@ -109,7 +108,7 @@ def add_search(commands: Any) -> None:
         dest="near",
         type=Path,
         metavar="ORBIT.json",
-        help="start from this orbit and its numbers, except those that --set or --fix change",
+        help="start from this orbit and its values, except those that --set or --fix change",
     )
     parser.add_argument(
         "--shape",
@@ -127,7 +126,7 @@ def add_search(commands: Any) -> None:
         help="continue until this many different orbits are verified, and rank them",
     )
     parser.add_argument(
-        "--allow-unstable", action="store_true", help="accept an orbit that does not attract, too"
+        "--allow-unstable", action="store_true", help="also accept an unstable orbit"
     )
     add_accuracy(parser)
     add_place(parser)
@@ -135,10 +134,12 @@ def add_search(commands: Any) -> None:
         "--until",
         type=read_number,
         metavar="T",
-        help="longest time to wait for a motion to repeat [s]; by default some hundred turns of "
+        help="longest time for a motion to repeat [s]; by default some hundred periods of "
         "the problem's clock, or of its slowest oscillation",
     )
-    parser.add_argument("--starts", type=read_count, default=12, metavar="N", help="random starts")
+    parser.add_argument(
+        "--starts", type=read_count, default=12, metavar="N", help="number of random starts"
+    )
     parser.add_argument(
         "--seed", type=read_seed, default=0, help="seed of the random starts; 0 by default"
     )
@@ -147,8 +148,8 @@ def add_search(commands: Any) -> None:
 
 def _run_search(options: argparse.Namespace) -> int:
     from zeno_orbits.api import Verified
-    from zeno_orbits.model.library import locate_problem
-    from zeno_orbits.search import SearchSettings, SettlingSettings, Spread, search_gains
+    from zeno_orbits.model import locate_problem
+    from zeno_orbits.search import SearchSettings, SettlingSettings, StartWorkers, search_gains
     from zeno_orbits.search.number_notes import far_from_own, held_derived
     from zeno_orbits.work import Plan
 
@@ -178,41 +179,35 @@ def _run_search(options: argparse.Namespace) -> int:
         accuracy=options.accuracy,
     )
     require_engine(options, problem.dynamics(values))
-    checkpoint = _checkpoint(options, several=bool(free))
-    plan = Plan(place=place_of(options), checkpoint=checkpoint)
-    try:
-        with report.ProgressLine(options.interrupts.check) as progress:
-            result = search_gains(
-                problem,
-                values,
-                free=free,
-                objective=objective,
-                bounds=bounds,
-                near=near,
-                settings=settings,
-                accept=judge,
-                on_progress=progress,
-                spread=Spread(problem_file=problem_file, plan=plan, tell=progress),
-                shape=options.shape,
-            )
-    except KeyboardInterrupt:
-        return interrupted(options, checkpoint)
-    held = held_derived(problem, values, free)
-    far = far_from_own(problem, values)
-    code = answer(options, problem, result, objective if free else None, bounds, held, far)
-    drop_checkpoint(options, checkpoint)
-    return code
+    place = place_of(options)
 
+    def work(checkpoint: Path | None, progress: report.ProgressLine) -> SearchResult:
+        plan = Plan(place=place, checkpoint=checkpoint)
+        return search_gains(
+            problem,
+            values,
+            free=free,
+            objective=objective,
+            bounds=bounds,
+            near=near,
+            settings=settings,
+            accept=judge,
+            on_progress=progress,
+            spread=StartWorkers(problem_file=problem_file, plan=plan, tell=progress),
+            shape=options.shape,
+        )
 
-def _checkpoint(options: argparse.Namespace, *, several: bool) -> Path | None:
-    """Return the folder that was named, else one beside the output if there are several starts."""
-    if options.checkpoint is not None or several:
-        return checkpoint_of(options)
-    return None
+    def finish(result: SearchResult) -> int:
+        held = held_derived(problem, values, free)
+        far = far_from_own(problem, values)
+        return answer(options, problem, result, objective if free else None, bounds, held, far)
+
+    # With nothing free there is one start, which is done or not.
+    return run_resumable(options, work, finish, keep=bool(free))
 
 
 def _known_orbit(options: argparse.Namespace, problem: Problem) -> ZenoOrbit | None:
-    from zeno_orbits.orbits.orbit_file import read_orbit
+    from zeno_orbits.orbits import read_orbit
 
     if options.near is None:
         return None
@@ -227,7 +222,7 @@ def _numbers(
     options: argparse.Namespace, problem: Problem, near: ZenoOrbit | None
 ) -> tuple[ParameterValues, dict[str, tuple[float, float]]]:
     """Return the numbers to start from and what is free."""
-    from zeno_orbits.model.quantities import unknown
+    from zeno_orbits.model import unknown
 
     fixed, given, boxes, named = options.fix, options.set, options.gain, options.free
     gains = {gain.name: (gain.lower, gain.upper) for gain in problem.gains}
@@ -254,6 +249,8 @@ def _numbers(
     for name in given:
         low, high = free.get(name, (-math.inf, math.inf))
         if not low <= given[name] <= high:
-            message = f"must start in its box [{low:g}, {high:g}], but it is set to {given[name]:g}"
+            message = (
+                f"must start in its range [{low:g}, {high:g}], but it is set to {given[name]:g}"
+            )
             raise InputError(f"Argument `{name}` {message}.")
     return values, free

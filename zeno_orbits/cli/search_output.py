@@ -12,12 +12,11 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
-    from zeno_orbits.model.problem import Problem
-    from zeno_orbits.orbits.bounds import Bound
-    from zeno_orbits.search import SearchResult
-    from zeno_orbits.search.objectives import Objective
+    from zeno_orbits.model import Problem
+    from zeno_orbits.orbits import Bound
+    from zeno_orbits.search import Objective, SearchResult
 
-_LOCAL = "One start led there: the optimum may be local; --candidates 3 tries other starts, too."
+_LOCAL = "One start led there, so the optimum may be local; --candidates 3 tries more starts."
 
 
 def answer(
@@ -40,9 +39,8 @@ def answer(
         held: Parameters that are derived from free ones but were held.
         far: Sentences that may explain a failure, one for each number far from the problem's own.
     """
-    from zeno_orbits.orbits.bounds import asked_and_reached
-    from zeno_orbits.orbits.orbit_file import write_orbit
-    from zeno_orbits.verification.verifier import certified
+    from zeno_orbits.orbits import asked_and_reached, write_orbit
+    from zeno_orbits.verification import certified
 
     if result.orbit is None:
         if options.json:
@@ -81,7 +79,7 @@ def answer(
                 report.print_lines([_LOCAL])
         report.print_bounds(certificate.asked)
         if held:
-            report.print_lines([f"Not free, and kept as at the start: {', '.join(held)}."])
+            report.print_lines([f"Derived, and held at their initial values: {', '.join(held)}."])
         if options.accuracy is not None:
             report.print_error_estimate(certificate.orbit_error)
         report.print_verdict(certificate)
@@ -106,7 +104,7 @@ def _ranking(options: argparse.Namespace, result: SearchResult) -> dict[str, Any
     if options.candidates == 1:
         return {}
     from zeno_orbits.search import SearchStatus
-    from zeno_orbits.verification.verifier import certified
+    from zeno_orbits.verification import certified
 
     ranked = [
         {

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from math import isfinite
+from dataclasses import replace
+from math import inf, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zeno_orbits.cli.options import (
+    NO,
     YES,
     add_accuracy,
     add_command,
@@ -22,14 +24,15 @@ from zeno_orbits.cli.options import (
     start_of,
     values_of,
 )
-from zeno_orbits.cli.parsing import read_number, read_seed
+from zeno_orbits.cli.parsing import read_count, read_number, read_seed
+from zeno_orbits.errors import SimulationError
 from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
     from zeno_orbits.experiment import Sampling
-    from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-    from zeno_orbits.model.problem import Problem
-    from zeno_orbits.precision.accuracy import Assured
+    from zeno_orbits.model import HybridDynamics, Problem
+    from zeno_orbits.precision import Assured
+    from zeno_orbits.simulation import SimulationSettings
 
 
 def add_simulate(commands: Any) -> None:
@@ -58,6 +61,15 @@ def add_simulate(commands: Any) -> None:
         help="end of the simulation [s]; 10 by default",
     )
     add_start(parser)
+    parser.add_argument(
+        "--most-steps",
+        type=read_count,
+        metavar="N",
+        help="stop after this many steps of the integrator; 2000000 by default",
+    )
+    parser.add_argument(
+        "--all-states", action="store_true", help="print every state, also those that stand still"
+    )
     parser.add_argument("-o", "--output", type=Path, help="draw the states over time here")
     parser.add_argument(
         "--data", type=Path, metavar="DATA.csv", help="write samples of the states here"
@@ -82,8 +94,8 @@ def add_simulate(commands: Any) -> None:
 
 
 def _run_simulate(options: argparse.Namespace) -> int:
-    from zeno_orbits.model.library import load_problem
-    from zeno_orbits.precision.accuracy import why_engine
+    from zeno_orbits.model import load_problem
+    from zeno_orbits.precision import why_engine
 
     problem = load_problem(options.problem)
     values = values_of(problem, options)
@@ -91,15 +103,22 @@ def _run_simulate(options: argparse.Namespace) -> int:
     require_outputs(options, files=("data",), pictures=("output",))
     sampling = None if options.data is None else _sampling_of(options)
     dynamics = problem.dynamics(values)
-    assured = _simulated(options, dynamics, state)
+    stopped = None
+    try:
+        assured = _simulated(options, dynamics, state)
+    except SimulationError as error:
+        if options.debug or error.execution is None:
+            raise
+        stopped, assured = error, _until(error, simulation_of(options))
     execution = assured.execution
     if options.json:
-        print_json(_execution_json(problem, assured))
+        print_json(_execution_json(problem, assured) | {"stopped": stopped and str(stopped)})
     else:
-        report.print_execution(problem, assured)
-        longest = max(arc.end_time - arc.start_time for arc in execution.arcs)
-        why = why_engine(dynamics, state, longest)
-        report.print_engine(options.engine, why, assured.error)
+        report.print_execution(problem, assured, all_states=options.all_states)
+        if stopped is None:
+            longest = max(arc.end_time - arc.start_time for arc in execution.arcs)
+            why = why_engine(dynamics, state, longest)
+            report.print_engine(options.engine, why, assured.error)
     if options.output is not None:
         from zeno_orbits.report import plots
 
@@ -110,7 +129,20 @@ def _run_simulate(options: argparse.Namespace) -> int:
 
         write_recording(sampled(problem, dynamics, execution, sampling), options.data)
         say_written(options, [options.data])
+    if stopped is not None:
+        report.print_error(str(stopped))
+        return NO
     return YES
+
+
+def _until(error: SimulationError, settings: SimulationSettings) -> Assured:
+    """Return what an execution that could not be continued has come to, its error unknown."""
+    from zeno_orbits.precision import Assured
+
+    n_points = len(error.execution.zeno_points)
+    return Assured(
+        execution=error.execution, settings=settings, error=inf, zeno_errors=(inf,) * n_points
+    )
 
 
 def _sampling_of(options: argparse.Namespace) -> Sampling:
@@ -126,9 +158,11 @@ def _simulated(
     options: argparse.Namespace, dynamics: HybridDynamics, state: Sequence[float]
 ) -> Assured:
     """Return the execution with its estimated error, to an accuracy if one was asked for."""
-    from zeno_orbits.precision.accuracy import simulate_to, simulate_with_error
+    from zeno_orbits.precision import simulate_to, simulate_with_error
 
     settings = simulation_of(options)
+    if options.most_steps is not None:
+        settings = replace(settings, most_steps=options.most_steps)
     with report.ProgressLine(options.interrupts.check) as progress:
         if options.accuracy is None:
             return simulate_with_error(
@@ -150,7 +184,7 @@ def _number(error: float) -> float | None:
 
 
 def _execution_json(problem: Problem, assured: Assured) -> dict[str, Any]:
-    from zeno_orbits.simulation.execution import Impact, ZenoPoint
+    from zeno_orbits.simulation import Impact, ZenoPoint
 
     execution, errors = assured.execution, iter(assured.zeno_errors)
 

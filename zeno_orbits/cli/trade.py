@@ -47,8 +47,8 @@ def add_trade(commands: Any) -> None:
 
 
 def _run_trade(options: argparse.Namespace) -> int:
-    from zeno_orbits.model.library import load_problem
-    from zeno_orbits.precision.trials import QUICK, WorkPrecisionSettings, trade
+    from zeno_orbits.model import load_problem
+    from zeno_orbits.precision import QUICK, WorkPrecisionSettings, trade
 
     problem = load_problem(options.problem)
     values = values_of(problem, options)

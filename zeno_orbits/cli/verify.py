@@ -39,7 +39,7 @@ def add_verify(commands: Any) -> None:
         "--tolerance",
         type=read_share,
         metavar="TOL",
-        help="largest relative residual that passes; the accuracy by default, or 1e-9",
+        help="largest relative residual that passes; by default the accuracy, if given, or 1e-9",
     )
     add_accuracy(parser)
     parser.add_argument(
@@ -58,7 +58,7 @@ def add_verify(commands: Any) -> None:
 
 
 def _run_verify(options: argparse.Namespace) -> int:
-    from zeno_orbits.verification.verifier import problem_dynamics, verify
+    from zeno_orbits.verification import problem_dynamics, verify
 
     tolerance = options.tolerance
     orbit, problem = orbit_and_problem(options)
@@ -86,5 +86,5 @@ def _run_verify(options: argparse.Namespace) -> int:
             report.print_error_estimate(certificate.orbit_error)
     certain = options.accuracy is None or certificate.orbit_error <= options.accuracy
     if certificate.passed and not certain and not options.json:
-        report.print_lines([f"That is more than the accuracy {options.accuracy:.0e}."])
+        report.print_lines([f"That exceeds the requested accuracy {options.accuracy:.0e}."])
     return YES if certificate.passed and certain else NO

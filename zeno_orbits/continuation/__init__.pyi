@@ -5,11 +5,11 @@ from .continuation import continue_impacts as continue_impacts
 from .continuation import continue_orbit as continue_orbit
 from .continuation import start_orbit as start_orbit
 from .continuation import values_inside as values_inside
-from .families import Boundary as Boundary
+from .families import SpecialCurve as SpecialCurve
 from .families import Continuation as Continuation
 from .families import Family as Family
 from .families import FamilyPoint as FamilyPoint
-from .families import Kind as Kind
+from .families import SpecialPointKind as SpecialPointKind
 from .families import SpecialPoint as SpecialPoint
 from .parallel import Crew as Crew
 from .setup import ContinuationSettings as ContinuationSettings

@@ -9,8 +9,7 @@ import numpy as np
 from zeno_orbits.continuation.families import Family, FamilyPoint
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import Problem
-from zeno_orbits.simulation import simulate
-from zeno_orbits.simulation.signals import extent_of
+from zeno_orbits.simulation import extent_of, simulate
 
 _SHORT = 1e-3
 """Part of the period below which an arc has no extremes but those of its neighbours."""

@@ -14,15 +14,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from zeno_orbits.continuation.corrector import BranchPoint, Metric, correct
+from zeno_orbits.continuation.corrector import BranchPoint, FamilyMetric, correct
 from zeno_orbits.continuation.ends import locate_end
-from zeno_orbits.continuation.families import Kind
+from zeno_orbits.continuation.families import SpecialPointKind
 from zeno_orbits.continuation.margins import Threat, stages, threats
-from zeno_orbits.continuation.return_maps import Loss, Return, ReturnMap
+from zeno_orbits.continuation.return_maps import DifferentiatedReturn, Loss, ReturnMap
 from zeno_orbits.continuation.special_points import Located, crossings, locate_inside
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.orbits import follow_path
-from zeno_orbits.orbits.path import Step, StepControl, StepError, returns_to_start
+from zeno_orbits.orbits import PathStep, StepControl, StepError, follow_path, returns_to_start
 from zeno_orbits.work import Progress
 
 
@@ -57,7 +56,7 @@ class Branch:
 
     points: tuple[BranchPoint, ...]
     special: tuple[tuple[int, Located], ...]
-    ending: Kind
+    ending: SpecialPointKind
     end: Located | None = None
     detail: str = ""
 
@@ -70,9 +69,9 @@ _SOON = 1.0
 """Distance in steps within which an end is sought before a step fails."""
 
 
-def follow(
+def follow_branch(
     returns: ReturnMap,
-    metric: Metric,
+    metric: FamilyMetric,
     start: BranchPoint,
     box: tuple[float, float],
     steps: FamilySteps,
@@ -99,7 +98,7 @@ def follow(
         shortened=follower.end_ahead,
         give_up=follower.last_end,
     )
-    end = path.end or _End(kind=Kind.MOST_STEPS, detail=f"{steps.most} steps")
+    end = path.end or _End(kind=SpecialPointKind.MOST_STEPS, detail=f"{steps.most} steps")
     return Branch(
         points=path.points,
         special=tuple(follower.special),
@@ -113,7 +112,7 @@ def follow(
 class _End:
     """Why a family ends."""
 
-    kind: Kind
+    kind: SpecialPointKind
     located: Located | None = None
     detail: str = ""
 
@@ -124,7 +123,7 @@ class _Follower:
     def __init__(
         self,
         returns: ReturnMap,
-        metric: Metric,
+        metric: FamilyMetric,
         box: tuple[float, float],
         steps: FamilySteps,
         on_progress: Progress,
@@ -135,7 +134,7 @@ class _Follower:
         self.special: list[tuple[int, Located]] = []
         self.tried: dict[Loss, float] = {}
 
-    def advance(self, points: Sequence[BranchPoint], step: float) -> Step[BranchPoint, _End]:
+    def advance(self, points: Sequence[BranchPoint], step: float) -> PathStep[BranchPoint, _End]:
         """Return the next point, or the end if it is near."""
         last = points[-1]
         self.on_progress(f"{len(points)} orbits, at {last.s:.6g}", None)
@@ -147,18 +146,18 @@ class _Follower:
             self._require_neighbour(last, new, step)
         self._pass(len(points), self._between(last, new))
         if at_bound:
-            return Step(points=(new,), end=_End(kind=Kind.BOUND))
+            return PathStep(points=(new,), end=_End(kind=SpecialPointKind.BOUND))
         if returns_to_start((*points, new), self.steps.stray, self.steps.turn):
-            return Step(points=(new,), end=_End(kind=Kind.CLOSED))
-        return Step(points=(new,), easy=self._effort(last, new, step) < _EASY)
+            return PathStep(points=(new,), end=_End(kind=SpecialPointKind.CLOSED))
+        return PathStep(points=(new,), easy=self._effort(last, new, step) < _EASY)
 
-    def end_ahead(self, points: Sequence[BranchPoint], step: float) -> Step[BranchPoint, _End]:
+    def end_ahead(self, points: Sequence[BranchPoint], step: float) -> PathStep[BranchPoint, _End]:
         """Return the end if the steps became short because of it."""
         if step < self.steps.first / 8:
-            return self._end_within(points, _FAR * 8 * step) or Step()
-        return Step()
+            return self._end_within(points, _FAR * 8 * step) or PathStep()
+        return PathStep()
 
-    def last_end(self, points: Sequence[BranchPoint], trouble: str) -> Step[BranchPoint, _End]:
+    def last_end(self, points: Sequence[BranchPoint], trouble: str) -> PathStep[BranchPoint, _End]:
         """Return the end where no step is possible."""
         self.tried.clear()
         ended = self._end_within(points, np.inf)
@@ -166,8 +165,10 @@ class _Follower:
             return ended
         nearest = min((abs(1 - mu) for mu in points[-1].multipliers), default=1.0)
         if trouble == _LOWER and nearest < _REJOINS:
-            return Step(end=_End(kind=Kind.REJOINS, detail="at the flip that is nearest"))
-        return Step(end=_End(kind=Kind.GAVE_UP, detail=trouble))
+            return PathStep(
+                end=_End(kind=SpecialPointKind.REJOINS, detail="at the flip that is nearest")
+            )
+        return PathStep(end=_End(kind=SpecialPointKind.GAVE_UP, detail=trouble))
 
     def _corrected(self, last: BranchPoint, step: float) -> tuple[BranchPoint, bool]:
         """Return the next point, and True if it lies on the bound of the parameter."""
@@ -225,7 +226,7 @@ class _Follower:
 
     def _end_within(
         self, points: Sequence[BranchPoint], distance: float
-    ) -> Step[BranchPoint, _End] | None:
+    ) -> PathStep[BranchPoint, _End] | None:
         """Return the way to the end, if one is near and can be located."""
         if len(points) < 2:
             return None
@@ -247,7 +248,7 @@ class _Follower:
                 continue
             for k, between in enumerate(found):
                 self._pass(len(points) + k, between)
-            return Step(points=end.path, end=_End(kind=end.kind, located=end))
+            return PathStep(points=end.path, end=_End(kind=end.kind, located=end))
         return None
 
     def _threats(self, points: Sequence[BranchPoint]) -> Sequence[Threat]:
@@ -273,19 +274,19 @@ class _Follower:
         return end
 
 
-def require_continuous(before: Return, after: Return) -> None:
+def require_continuous(before: DifferentiatedReturn, after: DifferentiatedReturn) -> None:
     """Refuse a step between returns that do not pass into each other.
 
     Raises:
         StepError: If the period jumps, or an impact comes or goes.
     """
     if not 1 / _SAME_PERIOD < after.time / before.time < _SAME_PERIOD:
-        raise StepError("the period is another one")
+        raise StepError("the period jumps")
     for margin, value in after.margins.items():
         if margin.loss is not Loss.FIRST_IMPACT or margin not in before.margins:
             continue
         if not 0.5 < value / before.margins[margin] < 2.0:
-            raise StepError("the first impact is another one")
+            raise StepError("the first impact jumps")
 
 
 _SAME_PERIOD = 1.3

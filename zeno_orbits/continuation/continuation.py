@@ -15,12 +15,12 @@ from typing import Any
 from zeno_orbits.continuation.assembly import FollowedFamily, joined
 from zeno_orbits.continuation.branch import Branch
 from zeno_orbits.continuation.corrector import first_point
-from zeno_orbits.continuation.families import Boundary, Continuation, Kind
+from zeno_orbits.continuation.families import Continuation, SpecialCurve, SpecialPointKind
 from zeno_orbits.continuation.jobs import FollowDirection, FollowDoubling
 from zeno_orbits.continuation.parallel import Crew, Dispatch
 from zeno_orbits.continuation.setup import (
     ContinuationSettings,
-    Start,
+    FamilyStart,
     plane_of,
     start_at_impact,
     start_at_release,
@@ -45,7 +45,7 @@ class SecondParameter:
 
     name: str
     box: tuple[float, float]
-    kinds: tuple[Kind, ...]
+    kinds: tuple[SpecialPointKind, ...]
 
 
 def continue_orbit(
@@ -117,7 +117,7 @@ def continue_impacts(
 
 
 def continue_from(
-    start: Start, dispatch: Dispatch, *, second: SecondParameter | None = None
+    start: FamilyStart, dispatch: Dispatch, *, second: SecondParameter | None = None
 ) -> Continuation:
     """Return the family through a state of a section, and what branches off it.
 
@@ -191,14 +191,14 @@ def start_orbit(
 
 
 def _continuation(
-    families: list[FollowedFamily], boundaries: tuple[Boundary, ...] = ()
+    families: list[FollowedFamily], boundaries: tuple[SpecialCurve, ...] = ()
 ) -> Continuation:
     return Continuation(
         families=tuple(one.family for one in families), boundaries=boundaries, versions=versions()
     )
 
 
-def _identity(start: Start, dispatch: Dispatch) -> dict[str, Any]:
+def _identity(start: FamilyStart, dispatch: Dispatch) -> dict[str, Any]:
     """Return all that a family depends on, as plain data."""
     setup = start.setup
     return {
@@ -214,7 +214,7 @@ def _identity(start: Start, dispatch: Dispatch) -> dict[str, Any]:
     }
 
 
-def _families(start: Start, dispatch: Dispatch) -> list[FollowedFamily]:
+def _families(start: FamilyStart, dispatch: Dispatch) -> list[FollowedFamily]:
     """Return the family through a state, and those that flips throw off."""
     found = [_both_directions(start, dispatch)]
     latest = list(found)
@@ -223,20 +223,20 @@ def _families(start: Start, dispatch: Dispatch) -> list[FollowedFamily]:
             (one.setup, located)
             for one in latest
             for located in one.special
-            if located.kind is Kind.FLIP
+            if located.kind is SpecialPointKind.FLIP
         ]
         jobs = [(FollowDoubling(setup=setup, flip=flip.point),) for setup, flip in flips]
         branches = dispatch.results(f"branches-{generation + 1}", "branches", jobs)
         latest = list[FollowedFamily]()
         for (setup, flip), (branch,) in zip(flips, branches, strict=True):
             if branch is not None:
-                root = Branch(points=(), special=(), ending=Kind.FLIP, end=flip)
+                root = Branch(points=(), special=(), ending=SpecialPointKind.FLIP, end=flip)
                 latest.append(joined(dispatch.problem, setup.doubled(), root, branch))
         found += latest
     return found
 
 
-def _both_directions(start: Start, dispatch: Dispatch) -> FollowedFamily:
+def _both_directions(start: FamilyStart, dispatch: Dispatch) -> FollowedFamily:
     setup = start.setup
     returns = setup.returns(dispatch.problem)
     jobs = tuple(
@@ -247,5 +247,5 @@ def _both_directions(start: Start, dispatch: Dispatch) -> FollowedFamily:
         for rising in (True, False)
     )
     ((forward, *backward),) = dispatch.results("directions", "directions", [jobs])
-    closed = Branch(points=(), special=(), ending=Kind.CLOSED)
+    closed = Branch(points=(), special=(), ending=SpecialPointKind.CLOSED)
     return joined(dispatch.problem, setup, backward[0] if backward else closed, forward)

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from zeno_orbits.arrays import Vector, eigenvalues
-from zeno_orbits.continuation.return_maps import Return, ReturnMap
+from zeno_orbits.continuation.return_maps import DifferentiatedReturn, ReturnMap
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.orbits import Section
 
@@ -26,7 +26,7 @@ _CONTRACTION = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Metric:
+class FamilyMetric:
     """Units in which distances along a family are measured.
 
     Attributes:
@@ -67,7 +67,7 @@ class BranchPoint:
     z: Vector
     tangent: Vector
     jacobian: Vector
-    found: Return
+    found: DifferentiatedReturn
     miss: float
 
     @cached_property
@@ -77,7 +77,12 @@ class BranchPoint:
 
 
 def correct(
-    returns: ReturnMap, metric: Metric, z: Vector, along: Vector, *, fixed: Vector | None = None
+    returns: ReturnMap,
+    metric: FamilyMetric,
+    z: Vector,
+    along: Vector,
+    *,
+    fixed: Vector | None = None,
 ) -> BranchPoint:
     r"""Return the point of the family in the plane through a place, at right angles to a tangent.
 
@@ -103,7 +108,7 @@ def correct(
     for _ in range(_MOST_ITERATIONS):
         x = returns.projected(x, s, metric.scale)
         here = returns.frame(x, s, metric.scale)
-        found = followed(returns, x, s, metric)
+        found = returned(returns, x, s, metric)
         missed = here.components(found.end - x)
         miss = float(np.max(np.abs(missed), initial=0.0))
         off = float(normal @ (metric.place(x, s) - z))
@@ -125,7 +130,7 @@ def correct(
     )
 
 
-def corrected_again(returns: ReturnMap, metric: Metric, point: BranchPoint) -> BranchPoint:
+def corrected_again(returns: ReturnMap, metric: FamilyMetric, point: BranchPoint) -> BranchPoint:
     """Return a point after one more correction, however small its miss is.
 
     Args:
@@ -137,7 +142,7 @@ def corrected_again(returns: ReturnMap, metric: Metric, point: BranchPoint) -> B
         ZenoOrbitsError: If a return fails.
     """
     here = returns.frame(point.x, point.s, metric.scale)
-    found = followed(returns, point.x, point.s, metric)
+    found = returned(returns, point.x, point.s, metric)
     rows, ambient = linearized(here, found, metric)
     matrix = np.concatenate([rows, (point.tangent @ ambient)[None, :]])
     missed = np.append(here.components(found.end - point.x), 0.0)
@@ -147,7 +152,7 @@ def corrected_again(returns: ReturnMap, metric: Metric, point: BranchPoint) -> B
 
 
 def first_point(
-    returns: ReturnMap, metric: Metric, x: Vector, s: float, *, rising: bool
+    returns: ReturnMap, metric: FamilyMetric, x: Vector, s: float, *, rising: bool
 ) -> BranchPoint:
     """Return the point of the family at a parameter, its tangent with the parameter or against it.
 
@@ -167,7 +172,7 @@ def first_point(
     return correct(returns, metric, z, upwards)
 
 
-def followed(returns: ReturnMap, x: Vector, s: float, metric: Metric) -> Return:
+def returned(returns: ReturnMap, x: Vector, s: float, metric: FamilyMetric) -> DifferentiatedReturn:
     """Return the return from a state.
 
     Args:
@@ -188,7 +193,9 @@ def followed(returns: ReturnMap, x: Vector, s: float, metric: Metric) -> Return:
         raise SimulationError(str(error), time=metric.horizon, state=tuple(x.tolist())) from error
 
 
-def linearized(here: Section, found: Return, metric: Metric) -> tuple[Vector, Vector]:
+def linearized(
+    here: Section, found: DifferentiatedReturn, metric: FamilyMetric
+) -> tuple[Vector, Vector]:
     """Return the derivative of `P - y` and of the ambient place, by coordinates and parameter.
 
     Args:
@@ -211,10 +218,10 @@ def linearized(here: Section, found: Return, metric: Metric) -> tuple[Vector, Ve
 def _point(
     x: Vector,
     s: float,
-    metric: Metric,
+    metric: FamilyMetric,
     rows: Vector,
     ambient: Vector,
-    found: Return,
+    found: DifferentiatedReturn,
     miss: float,
     along: Vector,
 ) -> BranchPoint:

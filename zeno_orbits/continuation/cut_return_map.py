@@ -14,23 +14,26 @@ from dataclasses import dataclass, replace
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.return_maps import (
     Composed,
+    DifferentiatedReturn,
     Loss,
     Margin,
     OnSection,
     ReleaseReturns,
-    Return,
     ReturnMap,
 )
 from zeno_orbits.continuation.separatrix import separatrix
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.model import HybridDynamics
-from zeno_orbits.model.contact import GAP_ACCELERATION
-from zeno_orbits.orbits import Line
-from zeno_orbits.orbits.monodromy import differentials_of
-from zeno_orbits.orbits.period import first_return, to_next_release
-from zeno_orbits.simulation import Ending, Impact, Mode
-from zeno_orbits.simulation.sensitivity import EventShift, Perturbations
-from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit
+from zeno_orbits.model import GAP_ACCELERATION, HybridDynamics
+from zeno_orbits.orbits import Line, differentials_of, first_return, to_next_release
+from zeno_orbits.simulation import (
+    Ending,
+    EventShift,
+    Impact,
+    Mode,
+    Perturbations,
+    TailEstimate,
+    ZenoLimit,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,7 +78,7 @@ class CutReturns(OnSection):
         """Return the same at a looser tolerance."""
         return replace(self, whole=self.whole.loosened())
 
-    def follow(self, x: Vector, s: float, *, horizon: float) -> Return:
+    def follow(self, x: Vector, s: float, *, horizon: float) -> DifferentiatedReturn:
         """Return the motion from a release to the next; its one margin is the cut's."""
         dynamics = self.whole.dynamics(s)
         settings = replace(self.whole.settings, completion=_PlasticAfter(n_impacts=self.n_impacts))
@@ -107,7 +110,7 @@ class CutReturns(OnSection):
             here = perturbations.struck(impact, perturbations.flown(arc, here))
         end = perturbations.released(arcs[-1], _rested(perturbations, impacts[-1], here))
         n_x = x.size
-        return Return(
+        return DifferentiatedReturn(
             time=release.time,
             end=release.state,
             by_state=end.state[:, :n_x],

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.continuation.corrector import BranchPoint, Metric, correct, corrected_again
+from zeno_orbits.continuation.corrector import BranchPoint, FamilyMetric, correct, corrected_again
 from zeno_orbits.continuation.lock_end import locate_cut
 from zeno_orbits.continuation.margins import ENDS, Threat, causes, stages
 from zeno_orbits.continuation.return_maps import Loss, Margin, ReturnMap
@@ -22,7 +22,7 @@ from zeno_orbits.errors import SimulationError, ZenoOrbitsError
 
 def locate_end(
     returns: ReturnMap,
-    metric: Metric,
+    metric: FamilyMetric,
     points: Sequence[BranchPoint],
     threat: Threat,
 ) -> Located:
@@ -42,7 +42,7 @@ def locate_end(
         return found
     cause, *others = causes(stages([*points[-2:], *found.path]), threat.margin)
     if cause.loss is Loss.ACCELERATION and returns.restitution(found.point.s) > 0.0:
-        raise SimulationError("The acceleration vanishes for no reason", time=0.0, state=())
+        raise SimulationError("The acceleration vanishes without a known cause", time=0.0, state=())
     if cause != threat.margin:
         found = _better(found, returns, metric, points, replace(threat, margin=cause))
     kinds = {ENDS[margin.loss]: None for margin in (cause, *others)}
@@ -52,7 +52,7 @@ def locate_end(
 
 def _located(
     returns: ReturnMap,
-    metric: Metric,
+    metric: FamilyMetric,
     points: Sequence[BranchPoint],
     threat: Threat,
 ) -> Located:
@@ -65,7 +65,7 @@ def _located(
 def _better(
     found: Located,
     returns: ReturnMap,
-    metric: Metric,
+    metric: FamilyMetric,
     points: Sequence[BranchPoint],
     cause: Threat,
 ) -> Located:
@@ -93,7 +93,7 @@ _GOOD = 1e-11
 
 
 def _approach(
-    returns: ReturnMap, metric: Metric, before: BranchPoint, last: BranchPoint, margin: Margin
+    returns: ReturnMap, metric: FamilyMetric, before: BranchPoint, last: BranchPoint, margin: Margin
 ) -> Located:
     """Return the limit of points at which a margin is halved again and again."""
     nodes = [before, last]
@@ -134,7 +134,7 @@ def _approach(
 
 
 def _noise(
-    returns: ReturnMap, metric: Metric, nodes: Sequence[BranchPoint], margin: Margin
+    returns: ReturnMap, metric: FamilyMetric, nodes: Sequence[BranchPoint], margin: Margin
 ) -> float:
     """Return by how much a looser computation moves the nearest points to an end, and it."""
     before, last = nodes[-2:]
@@ -153,7 +153,7 @@ def _noise(
 
 
 def _halved(
-    returns: ReturnMap, metric: Metric, nodes: Sequence[BranchPoint], margin: Margin
+    returns: ReturnMap, metric: FamilyMetric, nodes: Sequence[BranchPoint], margin: Margin
 ) -> BranchPoint:
     """Return a point at which a margin is about half that of the last one."""
     used = nodes[-4:]

@@ -11,7 +11,7 @@ FORMAT = 1
 """Version of the file format."""
 
 
-class Kind(Enum):
+class SpecialPointKind(Enum):
     """Kinds of special points of a family. The value is the word shown to the user."""
 
     START = "start"
@@ -40,12 +40,12 @@ class Kind(Enum):
 
 
 _OF_THE_CONTINUATION = (
-    Kind.START,
-    Kind.BOUND,
-    Kind.CLOSED,
-    Kind.REJOINS,
-    Kind.MOST_STEPS,
-    Kind.GAVE_UP,
+    SpecialPointKind.START,
+    SpecialPointKind.BOUND,
+    SpecialPointKind.CLOSED,
+    SpecialPointKind.REJOINS,
+    SpecialPointKind.MOST_STEPS,
+    SpecialPointKind.GAVE_UP,
 )
 
 
@@ -104,7 +104,7 @@ class SpecialPoint:
         detail: More about it.
     """
 
-    kind: Kind
+    kind: SpecialPointKind
     at: FamilyPoint
     error: float
     index: int
@@ -177,7 +177,7 @@ class Family:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Boundary:
+class SpecialCurve:
     """A special point followed in two parameters.
 
     Attributes:
@@ -190,7 +190,7 @@ class Boundary:
         cusps: Which points are cusps of a fold, where two folds meet.
     """
 
-    kind: Kind
+    kind: SpecialPointKind
     names: tuple[str, str]
     x: tuple[float, ...]
     y: tuple[float, ...]
@@ -232,12 +232,15 @@ class HalfCurve:
     @property
     def closes(self) -> bool:
         """True if it comes back to its start, so that it is the whole curve."""
-        return self.end == Kind.CLOSED.value
+        return self.end == SpecialPointKind.CLOSED.value
 
 
 def whole_curve(
-    kind: Kind, names: tuple[str, str], first: HalfCurve, second: HalfCurve | None = None
-) -> Boundary:
+    kind: SpecialPointKind,
+    names: tuple[str, str],
+    first: HalfCurve,
+    second: HalfCurve | None = None,
+) -> SpecialCurve:
     """Return a curve from its halves.
 
     Args:
@@ -249,7 +252,7 @@ def whole_curve(
     if second is None:
         second = replace(first, x=first.x[:1], y=first.y[:1], errors=first.errors[:1], cusps=())
     shift = len(second.x) - 1
-    return Boundary(
+    return SpecialCurve(
         kind=kind,
         names=names,
         x=(*second.x[:0:-1], *first.x),
@@ -271,7 +274,7 @@ class Continuation:
     """
 
     families: tuple[Family, ...]
-    boundaries: tuple[Boundary, ...] = ()
+    boundaries: tuple[SpecialCurve, ...] = ()
     versions: Mapping[str, str] = field(default_factory=dict[str, str])
 
     def __repr__(self) -> str:

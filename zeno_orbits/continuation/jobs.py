@@ -12,13 +12,13 @@ from typing import ClassVar, Protocol, TypeVar
 
 import numpy as np
 
-from zeno_orbits.continuation.branch import Branch, follow
+from zeno_orbits.continuation.branch import Branch, follow_branch
 from zeno_orbits.continuation.corrector import BranchPoint, correct
-from zeno_orbits.continuation.families import HalfCurve, Kind
+from zeno_orbits.continuation.families import HalfCurve, SpecialPointKind
 from zeno_orbits.continuation.return_maps import ReturnMap
 from zeno_orbits.continuation.setup import ContinuationSettings, Setup
 from zeno_orbits.continuation.two_parameters.boundary import half_boundary
-from zeno_orbits.continuation.two_parameters.plane import CurveSetup, CurveStart, Plane
+from zeno_orbits.continuation.two_parameters.plane import CurveSetup, CurveStart, ParameterPlane
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import Problem
 from zeno_orbits.work import Progress
@@ -150,7 +150,7 @@ class FollowHalfCurve:
 
     result: ClassVar[object] = HalfCurve
     setup: Setup
-    plane: Plane
+    plane: ParameterPlane
     start: CurveStart
     upwards: bool
 
@@ -173,7 +173,7 @@ class FollowHalfCurve:
             x=self.start.value[:1],
             y=self.start.value[1:],
             errors=(self.start.found.error / float(self.plane.units[0]),),
-            end=f"{Kind.GAVE_UP.value}: {reason}",
+            end=f"{SpecialPointKind.GAVE_UP.value}: {reason}",
         )
 
 
@@ -185,7 +185,7 @@ def _followed(
     on_progress: Progress,
     excluded: Callable[[BranchPoint], bool] | None = None,
 ) -> Branch:
-    return follow(
+    return follow_branch(
         returns,
         setup.metric,
         start,
@@ -197,4 +197,4 @@ def _followed(
 
 
 def _given_up(point: BranchPoint, reason: str) -> Branch:
-    return Branch(points=(point,), special=(), ending=Kind.GAVE_UP, detail=reason)
+    return Branch(points=(point,), special=(), ending=SpecialPointKind.GAVE_UP, detail=reason)

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.continuation.corrector import BranchPoint, Metric, correct, corrected_again
+from zeno_orbits.continuation.corrector import BranchPoint, FamilyMetric, correct, corrected_again
 from zeno_orbits.continuation.cut_return_map import cut_after
-from zeno_orbits.continuation.families import Kind
+from zeno_orbits.continuation.families import SpecialPointKind
 from zeno_orbits.continuation.return_maps import Loss, Margin, ReturnMap
 from zeno_orbits.continuation.separatrix import separatrix
 from zeno_orbits.continuation.special_points import Located
@@ -28,7 +28,7 @@ _MOST_IMPACTS = 400
 
 def locate_cut(
     returns: ReturnMap,
-    metric: Metric,
+    metric: FamilyMetric,
     last: BranchPoint,
     margin: Margin,
     distance: float,
@@ -54,7 +54,7 @@ def locate_cut(
 
 def locate_cut_near(
     returns: ReturnMap,
-    metric: Metric,
+    metric: FamilyMetric,
     z: Vector,
     along: Vector,
     place: int,
@@ -90,7 +90,7 @@ _BESIDE = 0.03
 
 def _cut_ever_later(
     returns: ReturnMap,
-    metric: Metric,
+    metric: FamilyMetric,
     here: BranchPoint,
     n: int,
     step: float,
@@ -127,7 +127,7 @@ def _cut_ever_later(
     slope = _slope(cut_after(returns, place, n), metric, here, cut, max(step, 1e-9))
     doubt = abs(loose.found.margins[cut] - here.found.margins[cut]) / abs(slope)
     return Located(
-        kind=Kind.LOCK_VANISHES,
+        kind=SpecialPointKind.LOCK_VANISHES,
         point=here,
         z=limits[-1][:-1],
         period=float(limits[-1][-1]),
@@ -141,7 +141,7 @@ _MOST_CUTS = 16
 
 
 def _first_cut(
-    returns: ReturnMap, metric: Metric, last: BranchPoint, place: int, cut: Margin
+    returns: ReturnMap, metric: FamilyMetric, last: BranchPoint, place: int, cut: Margin
 ) -> tuple[int, BranchPoint, float]:
     """Return the least number of impacts at which the cut tells how far the end is."""
     n = 2
@@ -155,7 +155,7 @@ def _first_cut(
 
 
 def _slope(
-    returns: ReturnMap, metric: Metric, point: BranchPoint, cut: Margin, step: float
+    returns: ReturnMap, metric: FamilyMetric, point: BranchPoint, cut: Margin, step: float
 ) -> float:
     """Return the derivative of the cut's margin along the family."""
     for _ in range(6):
@@ -185,7 +185,12 @@ _MOST_CUT_SECANTS, _MOST_CUT_TRIALS = 12, 5
 
 
 def _cut_root(
-    returns: ReturnMap, metric: Metric, start: BranchPoint, step: float, cut: Margin, near: _Near
+    returns: ReturnMap,
+    metric: FamilyMetric,
+    start: BranchPoint,
+    step: float,
+    cut: Margin,
+    near: _Near,
 ) -> BranchPoint:
     """Return the point at which a cut sequence is on the separatrix, by secants."""
     here = correct(returns, metric, start.z, start.tangent)
@@ -208,7 +213,7 @@ def _cut_root(
 
 
 def _less(
-    returns: ReturnMap, metric: Metric, here: BranchPoint, distance: float, cut: Margin
+    returns: ReturnMap, metric: FamilyMetric, here: BranchPoint, distance: float, cut: Margin
 ) -> BranchPoint:
     """Return a point ahead at which the cut's margin is smaller, as far ahead as it can be had."""
     for _ in range(_MOST_CUT_TRIALS):

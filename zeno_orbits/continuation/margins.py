@@ -14,19 +14,19 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.corrector import BranchPoint
-from zeno_orbits.continuation.families import Kind
+from zeno_orbits.continuation.families import SpecialPointKind
 from zeno_orbits.continuation.return_maps import Loss, Margin
 from zeno_orbits.continuation.separatrix import separatrix
 
 ENDS = {
-    Loss.AMPLITUDE: Kind.AMPLITUDE_ZERO,
-    Loss.LOCK: Kind.LOCK_VANISHES,
-    Loss.ACCELERATION: Kind.THEOREM_LOST,
-    Loss.FIRST_IMPACT: Kind.GRAZING,
-    Loss.NEAR_MISS: Kind.EARLIER_GRAZING,
-    Loss.LATER_IMPACT: Kind.LATER_GRAZING,
-    Loss.RELEASE_RATE: Kind.RELEASE_LOST,
-    Loss.ADHESION: Kind.EARLIER_RELEASE,
+    Loss.AMPLITUDE: SpecialPointKind.AMPLITUDE_ZERO,
+    Loss.LOCK: SpecialPointKind.LOCK_VANISHES,
+    Loss.ACCELERATION: SpecialPointKind.THEOREM_LOST,
+    Loss.FIRST_IMPACT: SpecialPointKind.GRAZING,
+    Loss.NEAR_MISS: SpecialPointKind.EARLIER_GRAZING,
+    Loss.LATER_IMPACT: SpecialPointKind.LATER_GRAZING,
+    Loss.RELEASE_RATE: SpecialPointKind.RELEASE_LOST,
+    Loss.ADHESION: SpecialPointKind.EARLIER_RELEASE,
 }
 """Kind of the end at which a margin vanishes."""
 

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import json
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar, cast
 
 from zeno_orbits.continuation.branch import Branch
-from zeno_orbits.continuation.families import HalfCurve, Kind
+from zeno_orbits.continuation.families import HalfCurve, SpecialPointKind
 from zeno_orbits.continuation.jobs import Job
 from zeno_orbits.continuation.setup import ContinuationSettings
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.model import Problem, ProblemFile
-from zeno_orbits.work import Lost, Plan, Pool, Progress, claim, plain, restored, silent, spread
+from zeno_orbits.work import LostPoint, Plan, Pool, Progress, claim, plain, restored, silent, spread
 
 R = TypeVar("R")
 
@@ -109,7 +108,7 @@ def _attempted(
 
 def _closes(result: object) -> bool:
     if isinstance(result, Branch):
-        return result.ending is Kind.CLOSED
+        return result.ending is SpecialPointKind.CLOSED
     return isinstance(result, HalfCurve) and result.closes
 
 
@@ -152,31 +151,10 @@ def _results_of_crew(
             checkpoint=plan.checkpoint / stage,
             identity={**plan.identity, "stage": stage, "jobs": digest},
         )
-    results = spread(
-        task, range(len(jobs)), plan, on_progress=_TimeLeft(crew.on_progress), pool=crew.pool
-    )
+    results = spread(task, range(len(jobs)), plan, on_progress=crew.on_progress, pool=crew.pool)
     return [
         job.failed(result.reason)
-        if isinstance(result, Lost)
+        if isinstance(result, LostPoint)
         else restored(cast("type[R]", job.result), result)
         for job, result in zip(jobs, results, strict=True)
     ]
-
-
-class _TimeLeft:
-    """Add the time that is left of a stage, however long earlier stages took."""
-
-    def __init__(self, on_progress: Progress) -> None:
-        self._on_progress, self._started = on_progress, time.monotonic()
-        self._part, self._ready = 0.0, self._started
-
-    def __call__(self, stage: str, part: float | None, /) -> None:
-        """Report progress of the stage."""
-        now = time.monotonic()
-        if part is not None and part > self._part:
-            # Jobs are few and unequal: those that are done tell the time of the others but roughly.
-            self._part, self._ready = part, now + (now - self._started) * (1 - part) / part
-        left = self._ready - now
-        self._on_progress(
-            f"{stage}, about {left:.0f} s left of these" if left > 1.0 else stage, None
-        )

@@ -22,15 +22,28 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.model import CompiledSystem, HybridDynamics
-from zeno_orbits.model.numeric.compiled import bind
-from zeno_orbits.orbits import Line, Section, return_derivative
-from zeno_orbits.orbits.looser_run import loosened
-from zeno_orbits.orbits.monodromy import differentials_of
-from zeno_orbits.orbits.section import IMPACT_ROWS, RELEASE_ROWS, projected, section_along
-from zeno_orbits.simulation import Arc, Ending, Execution, Mode, SimulationSettings, simulate
-from zeno_orbits.simulation.sensitivity import Perturbations
-from zeno_orbits.simulation.signals import least_inside
+from zeno_orbits.model import CompiledSystem, HybridDynamics, bind
+from zeno_orbits.orbits import (
+    IMPACT_ROWS,
+    RELEASE_ROWS,
+    Line,
+    Section,
+    differentials_of,
+    loosened,
+    projected,
+    return_derivative,
+    section_along,
+)
+from zeno_orbits.simulation import (
+    Arc,
+    Ending,
+    Execution,
+    Mode,
+    Perturbations,
+    SimulationSettings,
+    least_inside,
+    simulate,
+)
 
 
 class Loss(Enum):
@@ -66,7 +79,7 @@ class Margin:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Return:
+class DifferentiatedReturn:
     """A return and its derivatives in the full state.
 
     Attributes:
@@ -92,7 +105,7 @@ class ReturnMap(Protocol):
         """The line."""
         ...
 
-    def follow(self, x: Vector, s: float, *, horizon: float) -> Return:
+    def follow(self, x: Vector, s: float, *, horizon: float) -> DifferentiatedReturn:
         """Return the motion from a state of the section to the next.
 
         Args:
@@ -185,7 +198,7 @@ class ReleaseReturns(SectionReturns):
 
     rows = RELEASE_ROWS
 
-    def follow(self, x: Vector, s: float, *, horizon: float) -> Return:
+    def follow(self, x: Vector, s: float, *, horizon: float) -> DifferentiatedReturn:
         """Return the motion from a release to the next."""
         dynamics, line = self.dynamics(s), self.line
         found = return_derivative(
@@ -215,7 +228,7 @@ class ReleaseReturns(SectionReturns):
         hold = least_inside(locked, dynamics.multiplier, dynamics.multiplier_rate)
         if hold is not None:
             margins[Margin(loss=Loss.ADHESION)] = hold
-        return Return(
+        return DifferentiatedReturn(
             time=found.period.value,
             end=found.end,
             by_state=found.by_state,
@@ -305,7 +318,7 @@ class Composed(OnSection):
         """Return the same map at a looser tolerance."""
         return Composed(maps=tuple(one.loosened() for one in self.maps))
 
-    def follow(self, x: Vector, s: float, *, horizon: float) -> Return:
+    def follow(self, x: Vector, s: float, *, horizon: float) -> DifferentiatedReturn:
         """Return the motion until the last of the returns."""
         end, by_state, by_parameter = x, np.eye(x.size), np.zeros(x.size)
         time, margins = 0.0, dict[Margin, float]()
@@ -315,7 +328,7 @@ class Composed(OnSection):
             by_parameter = found.by_state @ by_parameter + found.by_parameter
             end, time = found.end, time + found.time
             margins |= {replace(key, place=place): value for key, value in found.margins.items()}
-        return Return(
+        return DifferentiatedReturn(
             time=time, end=end, by_state=by_state, by_parameter=by_parameter, margins=margins
         )
 
@@ -326,7 +339,7 @@ class ImpactReturns(SectionReturns):
 
     rows = IMPACT_ROWS
 
-    def follow(self, x: Vector, s: float, *, horizon: float) -> Return:
+    def follow(self, x: Vector, s: float, *, horizon: float) -> DifferentiatedReturn:
         """Return the flight from an impact to the next, and its derivatives.
 
         Raises:
@@ -353,7 +366,7 @@ class ImpactReturns(SectionReturns):
         least = least_inside(arc, dynamics.gap, dynamics.gap_rate)
         if least is not None:
             margins[Margin(loss=Loss.NEAR_MISS)] = least
-        return Return(
+        return DifferentiatedReturn(
             time=impact.time,
             end=end,
             by_state=after.state[:, :n_x],

@@ -8,14 +8,13 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.branch import FamilySteps
-from zeno_orbits.continuation.corrector import Metric
+from zeno_orbits.continuation.corrector import FamilyMetric
 from zeno_orbits.continuation.return_maps import Composed, ImpactReturns, ReleaseReturns, ReturnMap
-from zeno_orbits.continuation.two_parameters.plane import CurveSteps, Plane
+from zeno_orbits.continuation.two_parameters.plane import CurveSteps, ParameterPlane
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.model import ParameterValues, Problem, own_time
 from zeno_orbits.orbits import Line, ZenoOrbit
 from zeno_orbits.simulation import SimulationSettings, simulate
-from zeno_orbits.simulation.time_scale import own_time
 
 _PATIENCE = 4.0
 """Periods of the start to wait for a return."""
@@ -57,7 +56,7 @@ class Setup:
     parameter: str
     box: tuple[float, float]
     section: type[ReleaseReturns] | type[ImpactReturns]
-    metric: Metric
+    metric: FamilyMetric
     simulation: SimulationSettings
     n_returns: int = ONE_RETURN
 
@@ -78,7 +77,7 @@ class Setup:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Start:
+class FamilyStart:
     """The start of a family.
 
     Attributes:
@@ -98,7 +97,7 @@ def start_at_release(
     parameter: str,
     box: tuple[float, float],
     settings: ContinuationSettings,
-) -> Start:
+) -> FamilyStart:
     """Return the release of an orbit as the start of its family.
 
     Args:
@@ -121,13 +120,13 @@ def start_at_release(
         parameter=parameter,
         box=box,
         section=ReleaseReturns,
-        metric=Metric(
+        metric=FamilyMetric(
             scale=_sizes(problem, orbit), unit=box[1] - box[0], horizon=_PATIENCE * orbit.period
         ),
         simulation=settings.simulation,
     )
     x = np.array(problem.state_vector(orbit.release_state))
-    return Start(setup=setup, x=x, s=_checked(problem, values, "in", parameter, box))
+    return FamilyStart(setup=setup, x=x, s=_checked(problem, values, "in", parameter, box))
 
 
 def _sizes(problem: Problem, orbit: ZenoOrbit) -> Vector:
@@ -157,7 +156,7 @@ def start_at_impact(
     parameter: str,
     box: tuple[float, float],
     settings: ContinuationSettings,
-) -> Start:
+) -> FamilyStart:
     """Return a state after an impact that nearly repeats as the start of its family.
 
     Args:
@@ -181,10 +180,10 @@ def start_at_impact(
         parameter=parameter,
         box=box,
         section=ImpactReturns,
-        metric=Metric(scale=scale, unit=box[1] - box[0], horizon=_PATIENCE * flight),
+        metric=FamilyMetric(scale=scale, unit=box[1] - box[0], horizon=_PATIENCE * flight),
         simulation=settings.simulation,
     )
-    return Start(setup=setup, x=x, s=s)
+    return FamilyStart(setup=setup, x=x, s=s)
 
 
 def _settled(returns: ImpactReturns, x: Vector, s: float) -> tuple[Vector, float, Vector]:
@@ -208,13 +207,13 @@ def _settled(returns: ImpactReturns, x: Vector, s: float) -> tuple[Vector, float
             return x, impact.time, scale
         before = x
     raise SimulationError(
-        "The impacts do not settle to one a turn", time=longest, state=tuple(x.tolist())
+        "The motion does not settle to one impact per period", time=longest, state=tuple(x.tolist())
     )
 
 
 def plane_of(
     problem: Problem, values: ParameterValues, first: Setup, second: str, box: tuple[float, float]
-) -> Plane:
+) -> ParameterPlane:
     """Return the plane of two parameters around given numbers.
 
     Args:
@@ -231,7 +230,7 @@ def plane_of(
         raise InputError(f"Argument `second` must differ from `in`, but both are `{second}`.")
     _checked(problem, values, "second", second, box)
     names = (first.parameter, second)
-    return Plane(
+    return ParameterPlane(
         names=names,
         places=(problem.names.index(names[0]), problem.names.index(names[1])),
         box=np.array((first.box, box)),

@@ -13,8 +13,8 @@ from itertools import combinations
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.continuation.corrector import BranchPoint, Metric, correct, corrected_again
-from zeno_orbits.continuation.families import Kind
+from zeno_orbits.continuation.corrector import BranchPoint, FamilyMetric, correct, corrected_again
+from zeno_orbits.continuation.families import SpecialPointKind
 from zeno_orbits.continuation.return_maps import Margin, ReturnMap
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
 
@@ -37,7 +37,7 @@ class Located:
         also: At an end of codimension two, the other kinds.
     """
 
-    kind: Kind
+    kind: SpecialPointKind
     point: BranchPoint
     z: Vector
     period: float
@@ -45,7 +45,7 @@ class Located:
     margins: Mapping[Margin, float]
     place: int = 0
     path: tuple[BranchPoint, ...] = ()
-    also: tuple[Kind, ...] = ()
+    also: tuple[SpecialPointKind, ...] = ()
 
 
 def fold_test(point: BranchPoint) -> float:
@@ -73,11 +73,11 @@ def branching_test(point: BranchPoint) -> float:
     return float(determinant / (point.tangent[-1] or 1e-300))
 
 
-INSIDE: dict[Kind, TestFunction] = {
-    Kind.FOLD: fold_test,
-    Kind.FLIP: flip_test,
-    Kind.TORUS: torus_test,
-    Kind.BRANCHING: branching_test,
+INSIDE: dict[SpecialPointKind, TestFunction] = {
+    SpecialPointKind.FOLD: fold_test,
+    SpecialPointKind.FLIP: flip_test,
+    SpecialPointKind.TORUS: torus_test,
+    SpecialPointKind.BRANCHING: branching_test,
 }
 
 _ROOT = 1e-13
@@ -85,17 +85,17 @@ _MOST_TRIALS = 40
 _REAL = 1e-6
 
 
-def crossings(a: BranchPoint, b: BranchPoint) -> tuple[Kind, ...]:
+def crossings(a: BranchPoint, b: BranchPoint) -> tuple[SpecialPointKind, ...]:
     """Return the kinds of special points between two neighbours on a family."""
     found = [kind for kind, test in INSIDE.items() if test(a) * test(b) < 0.0]
-    if Kind.FOLD in found and Kind.BRANCHING in found:
+    if SpecialPointKind.FOLD in found and SpecialPointKind.BRANCHING in found:
         # The quotient of two numbers with one simple root each between the points.
-        found.remove(Kind.BRANCHING)
+        found.remove(SpecialPointKind.BRANCHING)
     return tuple(found)
 
 
 def locate_inside(
-    returns: ReturnMap, metric: Metric, a: BranchPoint, b: BranchPoint, kind: Kind
+    returns: ReturnMap, metric: FamilyMetric, a: BranchPoint, b: BranchPoint, kind: SpecialPointKind
 ) -> Located | None:
     """Return the special point between two neighbours, or ``None`` if nothing happens there.
 
@@ -111,7 +111,7 @@ def locate_inside(
     """
     root = root_between(returns, metric, a, b, INSIDE[kind])
     pair = max((abs(m.imag) for m in root.point.multipliers), default=0.0)
-    if kind is Kind.TORUS and pair < _REAL:
+    if kind is SpecialPointKind.TORUS and pair < _REAL:
         # Two real multipliers with product one: nothing happens to the orbit.
         return None
     return _located(kind, root, metric)
@@ -130,7 +130,7 @@ class Root:
     error: float
 
 
-def _located(kind: Kind, root: Root, metric: Metric) -> Located:
+def _located(kind: SpecialPointKind, root: Root, metric: FamilyMetric) -> Located:
     point = root.point
     return Located(
         kind=kind,
@@ -143,7 +143,7 @@ def _located(kind: Kind, root: Root, metric: Metric) -> Located:
 
 
 def root_between(
-    returns: ReturnMap, metric: Metric, a: BranchPoint, b: BranchPoint, test: TestFunction
+    returns: ReturnMap, metric: FamilyMetric, a: BranchPoint, b: BranchPoint, test: TestFunction
 ) -> Root:
     """Return the root of a test function between two points at which its signs differ.
 
@@ -188,7 +188,11 @@ _MOST_SECANTS = 15
 
 
 def located_near(
-    returns: ReturnMap, metric: Metric, start: BranchPoint, kind: Kind, test: TestFunction
+    returns: ReturnMap,
+    metric: FamilyMetric,
+    start: BranchPoint,
+    kind: SpecialPointKind,
+    test: TestFunction,
 ) -> Located:
     """Return the special point near a point of a family, by secants along it.
 
@@ -226,7 +230,7 @@ _NEAR, _TINY = 0.3, 1e-8
 
 
 def _doubt(
-    returns: ReturnMap, metric: Metric, point: BranchPoint, test: TestFunction, slope: float
+    returns: ReturnMap, metric: FamilyMetric, point: BranchPoint, test: TestFunction, slope: float
 ) -> float:
     """Return the change of a root along the parameter by a looser computation, in its unit."""
     try:

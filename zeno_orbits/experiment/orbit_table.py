@@ -15,19 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model import CompiledSystem, HybridDynamics, Problem
-from zeno_orbits.model.numeric.compiled_flow import dense_function
+from zeno_orbits.model import CompiledSystem, HybridDynamics, Problem, dense_function
 from zeno_orbits.orbits import Cycle, ZenoOrbit
 from zeno_orbits.search import cycle_near
-from zeno_orbits.simulation import Arc, Ending, Mode, SimulationSettings
+from zeno_orbits.simulation import Arc, Ending, Mode, SimulationSettings, signal, signal_names
 from zeno_orbits.simulation.batch.model import Columns
-from zeno_orbits.simulation.signals import signal, signal_names
 
 GAP = "gap"
 """Name of the signal that every problem has beside its own."""
 
 _BETWEEN = 6
-"""Nodes between two steps of the integrator."""
+"""CubicColumns between two steps of the integrator."""
 _AT_ONCE = 1 << 16
 """States that are evaluated at a time, each beside its own copy of the parameters."""
 _JUMP = 1e-6
@@ -130,7 +128,7 @@ def _formula(problem: Problem, compiled: CompiledSystem, name: str, x: ca.SX, p:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Nodes:
+class CubicColumns:
     """Columns over time, cubic between the nodes.
 
     Attributes:
@@ -179,8 +177,8 @@ class OrbitTable:
 
     cycle: Cycle
     measured: Measurement
-    nodes: Nodes
-    states: Nodes
+    nodes: CubicColumns
+    states: CubicColumns
     p: Vector
 
     @property
@@ -309,7 +307,7 @@ def tabulated(
     whole = state_nodes(dynamics, cycle.execution.arcs)
     whole = replace(whole, times=whole.times - cycle.start.time)
     slopes = measured.derivatives(whole.values, p)[:, :, : whole.values.shape[1]]
-    signals = Nodes(
+    signals = CubicColumns(
         times=whole.times,
         values=measured.values(whole.values, p),
         slopes=np.einsum("nsx,nx->ns", slopes, whole.slopes),
@@ -317,11 +315,11 @@ def tabulated(
     return OrbitTable(cycle=cycle, measured=measured, nodes=signals, states=whole, p=p)
 
 
-def state_nodes(dynamics: HybridDynamics, arcs: Sequence[Arc]) -> Nodes:
+def state_nodes(dynamics: HybridDynamics, arcs: Sequence[Arc]) -> CubicColumns:
     """Return the states along arcs in order, those that take no time left out."""
     pieces = [_arc_nodes(dynamics, arc) for arc in arcs if arc.end_time > arc.start_time]
     times, states, slopes = zip(*pieces, strict=True)
-    return Nodes(
+    return CubicColumns(
         times=np.concatenate(times), values=np.concatenate(states), slopes=np.concatenate(slopes)
     )
 

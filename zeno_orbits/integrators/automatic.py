@@ -120,7 +120,11 @@ _NONE = _Limits(fastest=0.0, first=0.0, values=np.zeros(0, dtype=np.complex128))
 
 def _limits(flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> _Limits:
     """Return the decay that holds explicit steps back and an implicit step to begin with."""
-    values = eigenvalues(flow, y)
+    try:
+        values = flow_eigenvalues(flow, y)
+    except np.linalg.LinAlgError:
+        # The state is finite still, its Jacobian is not: explicit steps come to their end soon.
+        return _NONE
     fastest, next_rate = rates_of(values)
     if not fastest > PAYS * staying_rate(values, math.inf):
         return _NONE
@@ -141,7 +145,7 @@ def _time_left(flow: GuardedFlow, step: Step) -> float:
     return -value / rate if rate < 0.0 else math.inf
 
 
-def eigenvalues(flow: GuardedFlow, y: Vector) -> Values:
+def flow_eigenvalues(flow: GuardedFlow, y: Vector) -> Values:
     """Return the eigenvalues of the Jacobian of a flow, ``(n_y,)`` [1/time]."""
     return np.linalg.eigvals(flow.jacobian(y)).astype(np.complex128)
 
@@ -152,7 +156,7 @@ def decay_rates(flow: GuardedFlow, y: Vector) -> tuple[float, float]:
     Rates are moduli of eigenvalues of the Jacobian. Decays within a factor of ten of the fastest,
     of several motors for instance, count with it.
     """
-    return rates_of(eigenvalues(flow, y))
+    return rates_of(flow_eigenvalues(flow, y))
 
 
 def rates_of(values: Values) -> tuple[float, float]:

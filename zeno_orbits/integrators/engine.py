@@ -54,7 +54,7 @@ class Outcome(Enum):
     """The end of a leg. The value is the phrase shown to the user."""
 
     FALL = "the guard fell through zero"
-    HORIZON = "the time was over"
+    HORIZON = "the end of the time was reached"
     LEFT = "the flow left the guard on the wrong side"
 
 

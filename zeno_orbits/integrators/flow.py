@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -24,6 +24,10 @@ class Tolerance:
 
     relative: float = 1e-12
     absolute: float = 1e-13
+
+    def times(self, size: float) -> Tolerance:
+        """Return it for entries of another size than 1: the absolute part times the size."""
+        return self if size == 1.0 else replace(self, absolute=size * self.absolute)
 
 
 class StageGuess(NamedTuple):

@@ -144,7 +144,7 @@ class Carrier:
         return int(outcome[0]), int(outcome[3]), float(taylor.time)
 
 
-class Stepper:
+class TaylorStepper:
     """Takes single steps of a mode."""
 
     def __init__(self, mode: SymbolicMode, tolerance: float) -> None:
@@ -207,7 +207,7 @@ def carrier(mode: SymbolicMode, tolerance: float, y: Vector) -> Carrier:
     return _carrier(mode, max(tolerance, _FINEST), resting, threading.get_ident())
 
 
-def stepper(mode: SymbolicMode, tolerance: float) -> Stepper:
+def stepper(mode: SymbolicMode, tolerance: float) -> TaylorStepper:
     """Return the integrator of a mode for single steps, kept from an earlier call."""
     return _stepper(mode, max(tolerance, _FINEST), threading.get_ident())
 
@@ -221,8 +221,8 @@ def _carrier(
 
 
 @lru_cache(maxsize=_KEPT)
-def _stepper(mode: SymbolicMode, tolerance: float, _thread: int) -> Stepper:
-    return Stepper(mode, tolerance)
+def _stepper(mode: SymbolicMode, tolerance: float, _thread: int) -> TaylorStepper:
+    return TaylorStepper(mode, tolerance)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,3 +9,5 @@ from .mapping import ParameterMap as ParameterMap
 from .mapping import parameter_map as parameter_map
 from .plane import Axis as Axis
 from .plane import Plane as Plane
+from .plane import chunk_of as chunk_of
+from .plane import require_plane as require_plane

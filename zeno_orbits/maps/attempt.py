@@ -15,14 +15,14 @@ from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.maps.attractors import Attractor, Fate
 from zeno_orbits.maps.newton import (
     RELEASES,
-    Bundle,
     Crossing,
+    DisplacedStates,
     FixedPoint,
     bundle_at,
     newton_step,
 )
 from zeno_orbits.model import HybridDynamics
-from zeno_orbits.simulation.batch.outcomes import Ended, Event, Released, Struck
+from zeno_orbits.simulation import Ended, LaneEvent, Released, Struck
 
 _MOST_ITERATIONS = 12
 _SHRINKS = 0.9
@@ -114,7 +114,7 @@ class Attempt:
     crossing: Crossing = RELEASES
     span: float
     period: int
-    bundle: Bundle
+    bundle: DisplacedStates
     final: bool = False
     origin: Vector
     earlier: Vector
@@ -135,7 +135,7 @@ class Attempt:
         tolerance = accuracy.orbit if self.final else accuracy.motion
         return Request(states, tolerance, True, 2 * self.span)
 
-    def hear(self, rank: int, event: Event) -> Request | Attractor | Lost | None:
+    def hear(self, rank: int, event: LaneEvent) -> Request | Attractor | Lost | None:
         """Take an event of one of the lanes; once all have returned, make a step."""
         if isinstance(event, Ended):
             return Lost()

@@ -20,8 +20,8 @@ class Fate(Enum):
     REST = "rest"
     HELD = "stays on its stop"
     ESCAPE = "a coordinate runs away"
-    UNSETTLED = "not settled in the time given"
-    FAILED = "the simulation stops"
+    UNSETTLED = "not settled yet"
+    FAILED = "simulation failed"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

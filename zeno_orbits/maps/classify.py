@@ -14,11 +14,8 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.maps.attempt import Accuracy, Request
 from zeno_orbits.maps.attractors import Attractor
 from zeno_orbits.maps.point import Point
-from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.simulation.attractor import WAITING, bounds_of
-from zeno_orbits.simulation.batch.batch import Batch
-from zeno_orbits.simulation.batch.model import model_in_rows
-from zeno_orbits.simulation.time_scale import own_time
+from zeno_orbits.model import OwnScale, ParameterValues, Problem, own_time
+from zeno_orbits.simulation import WAITING, Batch, BatchModel, bounds_of, model_in_rows
 from zeno_orbits.work import Progress, silent
 
 _OSCILLATIONS = 35
@@ -62,14 +59,22 @@ def attractors_at(
         return ()
     state = np.array(problem.state_vector(problem.starts[0] if start is None else start))
     time = usual_time(problem, settings, state) if until is None else until
-    run = _Run(problem, settings, state, time, _limits(problem, bounds), accuracy or Accuracy())
-    done = 0
-    while run.is_going:
-        run.advance()
-        if run.n_done > done:
-            on_progress("classifying motions", run.n_done / len(settings))
-        done = run.n_done
-    return tuple(_in_words(problem, run.found[k]) for k in range(len(settings)))
+    limits = _limits(problem, bounds)
+    alike: dict[OwnScale, list[int]] = {}
+    for k, values in enumerate(settings):
+        alike.setdefault(problem.dynamics(values).own, []).append(k)
+    found: dict[int, Attractor] = {}
+    for own, places in alike.items():
+        model, some = model_in_rows(problem, own), [settings[k] for k in places]
+        run = _Run(problem, model, some, state, time, limits, accuracy or Accuracy())
+        done = 0
+        while run.is_going:
+            run.advance()
+            if run.n_done > done:
+                on_progress("classifying motions", (len(found) + run.n_done) / len(settings))
+            done = run.n_done
+        found |= {places[k]: one for k, one in run.found.items()}
+    return tuple(_in_words(problem, found[k]) for k in range(len(settings)))
 
 
 def usual_time(
@@ -98,14 +103,13 @@ def _in_words(problem: Problem, found: Attractor) -> Attractor:
 
 
 def _limits(problem: Problem, bounds: Mapping[str, float] | None) -> Vector:
-    model = model_in_rows(problem)
     declared = {name: escape.beyond for name, escape in problem.escapes.items()}
     declared |= dict(bounds or {})
     problem.state_vector(declared)
     for name, bound in declared.items():
         if not bound > 0.0:
             raise InputError(f"Argument `bounds` must be positive, but `{name}` has {bound:g}.")
-    return bounds_of(problem.state_names, problem.state_units, model.n_q, declared)
+    return bounds_of(problem.state_names, problem.state_units, problem.compiled().n_q, declared)
 
 
 class _Run:
@@ -114,6 +118,7 @@ class _Run:
     def __init__(
         self,
         problem: Problem,
+        model: BatchModel,
         settings: Sequence[ParameterValues],
         start: Vector,
         until: float,
@@ -124,7 +129,8 @@ class _Run:
         self._problem = problem
         self._accuracy = accuracy
         self._start, self._until = start, until
-        self._batch = Batch(model_in_rows(problem), _LANES, bounds=limits)
+        self._usual = model.own.states(model.n_x)
+        self._batch = Batch(model, _LANES, bounds=limits)
         self._waiting = deque(range(len(settings)))
         self._points: dict[int, Point] = {}
         self._lanes: dict[int, list[int]] = {}
@@ -170,7 +176,7 @@ class _Run:
             index = self._waiting.popleft()
             dynamics = self._problem.dynamics(self._numbers[index])
             units = self._problem.state_units
-            point = Point(dynamics, units, self._start, self._until, self._accuracy)
+            point = Point(dynamics, units, self._start, self._until, self._accuracy, self._usual)
             self._points[index] = point
             granted.append((index, point.begin()))
             room -= 1

@@ -11,8 +11,7 @@ from zeno_orbits.errors import MapFileError
 from zeno_orbits.maps.attractors import attractor_from_json, attractor_json
 from zeno_orbits.maps.mapping import FORMAT, Boundary, ParameterMap
 from zeno_orbits.maps.plane import Axis
-from zeno_orbits.work import write_whole
-from zeno_orbits.work.files import read_object
+from zeno_orbits.work import read_object, write_whole
 
 
 def write_map(found: ParameterMap, path: Path) -> None:
@@ -43,7 +42,7 @@ def read_map(path: Path) -> ParameterMap:
     except (KeyError, TypeError, ValueError) as error:
         raise MapFileError(path, f"an entry does not fit ({error!r})") from error
     if len(found.attractors) != found.x.count * found.y.count:
-        raise MapFileError(path, "it has not one entry a point")
+        raise MapFileError(path, "it does not have one entry per point")
     return found
 
 

@@ -15,7 +15,16 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.maps.attractors import Attractor, Fate, attractor_from_json, attractor_json
 from zeno_orbits.maps.plane import Axis, Plane, require_plane
 from zeno_orbits.model import ProblemFile
-from zeno_orbits.work import Lost, Plan, Progress, Workers, silent, spread, versions
+from zeno_orbits.work import (
+    LostPoint,
+    Plan,
+    Progress,
+    Workers,
+    parts_told_to,
+    silent,
+    spread,
+    versions,
+)
 
 FORMAT = 1
 """Version of the file format that this code writes, and the newest that it reads."""
@@ -150,12 +159,19 @@ def _computed_here(plane: Plane, plan: Plan, on_progress: Progress) -> list[Any]
         InputError: If other processes or a checkpoint are asked for; both need the file.
     """
     if plan.place != Workers(count=1) or plan.checkpoint is not None:
-        wanted = "must be a name or a file where workers load it or a checkpoint tells it"
+        wanted = "must be a name or a file where workers or a checkpoint are used"
         raise InputError(f"Argument `problem` {wanted}, but it is an object.")
     points, results = plane.points(), list[Any]()
+
+    def tell(part: float) -> None:
+        done = len(results) + part * min(plan.chunk, len(points) - len(results))
+        on_progress(f"{int(done)} of {len(points)} {plan.noun}", done / len(points))
+
     for k in range(0, len(points), plan.chunk):
-        results += plane(points[k : k + plan.chunk])
-        on_progress(f"{len(results)} of {len(points)} {plan.noun}", len(results) / len(points))
+        with parts_told_to(tell):
+            found = plane(points[k : k + plan.chunk])
+        results += found
+        tell(0.0)
     return results
 
 
@@ -175,7 +191,7 @@ def _identity(plane: Plane, file: ProblemFile) -> dict[str, Any]:
 
 
 def _found(result: Any) -> Attractor:
-    if isinstance(result, Lost):
+    if isinstance(result, LostPoint):
         return Attractor(fate=Fate.FAILED, detail=result.reason)
     return attractor_from_json(result)
 

@@ -17,9 +17,8 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector, eigenvalues
 from zeno_orbits.model import HybridDynamics
-from zeno_orbits.orbits import Section, section_around
-from zeno_orbits.orbits.section import IMPACT_ROWS, RELEASE_ROWS, projected
-from zeno_orbits.simulation.batch.outcomes import Released, Struck
+from zeno_orbits.orbits import IMPACT_ROWS, RELEASE_ROWS, Section, projected, section_around
+from zeno_orbits.simulation import Released, Struck
 
 _DISPLACED = 1e-6
 """Displacement in scaled section coordinates.
@@ -32,7 +31,7 @@ _OFF = 0.3 * _DISPLACED
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Bundle:
+class DisplacedStates:
     """A state of a section and its displaced neighbours.
 
     Attributes:
@@ -45,7 +44,7 @@ class Bundle:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Cycle:
+class BatchReturn:
     """A return over a period: its end and its numbers.
 
     Attributes:
@@ -84,7 +83,9 @@ class FixedPoint:
         return max((abs(value) for value in self.multipliers), default=0.0)
 
 
-def bundle_at(dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector, scale: Vector) -> Bundle:
+def bundle_at(
+    dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector, scale: Vector
+) -> DisplacedStates:
     """Return a state of a section and its neighbours.
 
     The state is off its section by what the flow drifts from the stop. Where that is no small part
@@ -105,10 +106,10 @@ def bundle_at(dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector, scale:
     centre = section.state(dynamics, np.zeros(section.dimension))
     off = np.max(np.abs(centre - x) / scale)
     states = [x if off < _OFF else centre, *(section.state(dynamics, row) for row in eye)]
-    return Bundle(section=section, states=np.array(states))
+    return DisplacedStates(section=section, states=np.array(states))
 
 
-def _of_releases(dynamics: HybridDynamics, events: Sequence[Released]) -> Cycle:
+def _of_releases(dynamics: HybridDynamics, events: Sequence[Released]) -> BatchReturn:
     """Return what the releases of one period tell, margins at their smallest."""
     margins = np.array(
         [
@@ -122,13 +123,13 @@ def _of_releases(dynamics: HybridDynamics, events: Sequence[Released]) -> Cycle:
         ]
     )
     numbers = np.append(events[-1].time, margins.min(axis=0))
-    return Cycle(state=events[-1].state, numbers=numbers)
+    return BatchReturn(state=events[-1].state, numbers=numbers)
 
 
-def _of_impacts(_: HybridDynamics, events: Sequence[Struck]) -> Cycle:
+def _of_impacts(_: HybridDynamics, events: Sequence[Struck]) -> BatchReturn:
     """Return what the impacts of one period tell."""
     slowest = min(-event.rate for event in events)
-    return Cycle(state=events[-1].state, numbers=np.array([events[-1].time, slowest]))
+    return BatchReturn(state=events[-1].state, numbers=np.array([events[-1].time, slowest]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -147,7 +148,7 @@ class Crossing:
     event: type[Released | Struck]
     rows: tuple[int, ...]
     margins: tuple[str, ...]
-    cycle: Callable[[HybridDynamics, Sequence[Any]], Cycle]
+    cycle: Callable[[HybridDynamics, Sequence[Any]], BatchReturn]
     far: float
 
 
@@ -170,7 +171,7 @@ IMPACTS = Crossing(
 def newton_step(
     dynamics: HybridDynamics,
     section: Section,
-    cycles: Sequence[Cycle],
+    cycles: Sequence[BatchReturn],
     jacobian: Vector | None,
 ) -> FixedPoint:
     """Return Newton's step from the centre of a section.

@@ -14,8 +14,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.maps.attractors import Attractor, Fate, attractor_json
 from zeno_orbits.maps.classify import attractors_at, usual_time
 from zeno_orbits.model import ParameterValues, Problem, ProblemFile
-from zeno_orbits.work import Workers
-from zeno_orbits.work.pools import worker_count
+from zeno_orbits.work import Workers, tell_part, worker_count
 
 _CHUNKS, _CHUNKS_A_CORE = 4, 2
 """Chunks of a plane at least, and for each core."""
@@ -106,7 +105,13 @@ class Plane:
                 # An axis is inside its range, but what is derived from it need not be.
                 found[k] = Attractor(fate=Fate.FAILED, detail=str(error))
         start = dict(zip(problem.state_names, self.start, strict=True))
-        attractors = attractors_at(problem, tuple(known.values()), start=start, until=self.time)
+        attractors = attractors_at(
+            problem,
+            tuple(known.values()),
+            start=start,
+            until=self.time,
+            on_progress=lambda _stage, part: tell_part(part or 0.0),
+        )
         found |= dict(zip(known, attractors, strict=True))
         return [attractor_json(found[k]) for k in range(len(points))]
 
@@ -170,7 +175,7 @@ def _checked(problem: Problem, plane: Plane, side: str) -> Axis:
     axis = plane.x if side == "x" else plane.y
     quantity = problem.require_range(axis.name, (axis.lower, axis.upper), argument=side)
     if axis.name in {**plane.gains, **plane.parameters}:
-        message = f"must name what is not fixed, but `{axis.name}` is"
+        message = f"must name what is not fixed, but `{axis.name}` is fixed"
         raise InputError(f"Argument `{side}` {message}.")
     if axis.count < _LEAST:
         message = f"must be at least {_LEAST}x{_LEAST}, but one of them is {axis.count}"

@@ -13,18 +13,17 @@ from zeno_orbits.maps.attempt import SAME, Accuracy, Attempt, Lost, Request
 from zeno_orbits.maps.attractors import Attractor, Fate
 from zeno_orbits.maps.newton import IMPACTS, RELEASES, bundle_at
 from zeno_orbits.model import HybridDynamics
-from zeno_orbits.simulation.attractor import (
-    LOOK_BACK,
+from zeno_orbits.simulation import (
+    AttractorKind,
+    Ended,
+    LaneEvent,
     Motion,
-    Outcome,
-    Repetition,
-    Return,
-    Settling,
-    changes,
+    Reason,
+    SectionReturn,
+    Struck,
     outcome_of,
-    scale_of,
 )
-from zeno_orbits.simulation.batch.outcomes import Ended, Event, Reason, Struck
+from zeno_orbits.simulation.attractor import LOOK_BACK, Repetition, Settling, changes, scale_of
 
 _REMEMBERED = 40
 """Returns that are looked back on."""
@@ -50,15 +49,17 @@ class Point:
         start: Vector,
         until: float,
         accuracy: Accuracy,
+        usual: Vector | float = 1.0,
     ) -> None:
         self._dynamics = dynamics
         self._units = units
+        self._usual = usual
         self._start = start
         self._until = until
         self._accuracy = accuracy
         self._origin = 0.0
         self._tolerance = accuracy.motion
-        self._returns: list[Return] = []
+        self._returns: list[SectionReturn] = []
         self._strikes: list[Struck] = []
         self._amplitudes: list[float] = []
         self._unit: Vector | None = None
@@ -71,7 +72,7 @@ class Point:
         """Return the first lane to run."""
         return Request(self._start[None, :], self._tolerance, False, self._until)
 
-    def hear(self, rank: int, event: Event) -> Request | Attractor | None:
+    def hear(self, rank: int, event: LaneEvent) -> Request | Attractor | None:
         """Take an event of one of the point's lanes.
 
         Args:
@@ -96,15 +97,15 @@ class Point:
     def _returned(self, time: float, state: Vector) -> Request | Attractor | None:
         """Look back from a new release."""
         self._strikes.clear()
-        self._returns.append(Return(time=time, state=state))
+        self._returns.append(SectionReturn(time=time, state=state))
         del self._returns[:-_REMEMBERED]
         if self._unit is None:
-            self._unit = scale_of([state], self._units)
+            self._unit = scale_of([state], self._units, self._usual)
         self._amplitudes.append(float(np.max(np.abs(state) / self._unit)))
         if len(self._returns) < 2:
             return None
         settling = self._outcome()
-        if settling.outcome is Outcome.DIES_OUT:
+        if settling.outcome is AttractorKind.DIES_OUT:
             return Attractor(fate=Fate.REST, trend=settling.trend)
         for repeated in settling.repetitions:
             if self._is_worth_it(repeated):
@@ -115,6 +116,7 @@ class Point:
         """Return what the releases so far and the end of the motion tell."""
         motion = Motion(
             units=self._units,
+            usual=self._usual,
             returns=self._returns,
             amplitudes=self._amplitudes,
             gone=gone,
@@ -135,7 +137,8 @@ class Point:
         period = repeated.returns
         self._tried[period] = repeated.change, len(self._amplitudes)
         now, before = self._returns[-1], self._returns[-1 - period]
-        scale = scale_of([one.state for one in self._returns[-LOOK_BACK:]], self._units)
+        sizes = [one.state for one in self._returns[-LOOK_BACK:]]
+        scale = scale_of(sizes, self._units, self._usual)
         bundle = bundle_at(self._dynamics, RELEASES.rows, now.state, scale)
         if not np.all(np.isfinite(bundle.states)):
             return None
@@ -158,7 +161,7 @@ class Point:
             return self._go_on_from(self._returns[-1])
         return self._go_on_from(self._strikes[-1])
 
-    def _go_on_from(self, last: Return | Struck) -> Request:
+    def _go_on_from(self, last: SectionReturn | Struck) -> Request:
         """Follow the motion from a state on the stop that leaves it."""
         self._origin = last.time
         return Request(last.state[None, :], self._tolerance, True, self._until - last.time)
@@ -173,7 +176,7 @@ class Point:
         if len(self._strikes) < LOOK_BACK:
             return None
         states = [one.state for one in self._strikes]
-        scale = scale_of(states[-LOOK_BACK:], self._units)
+        scale = scale_of(states[-LOOK_BACK:], self._units, self._usual)
         repeats = self._accuracy.repeats
         for period, change in changes(states, scale).items():
             earlier = changes(states[:-period], scale).get(period, np.inf)
@@ -240,11 +243,11 @@ class Point:
             held=event.reason is Reason.HELD,
         )
         match settling.outcome:
-            case Outcome.GONE:
+            case AttractorKind.GONE:
                 return Attractor(fate=Fate.ESCAPE, escaped=settling.escaped)
-            case Outcome.RESTS | Outcome.DIES_OUT:
+            case AttractorKind.RESTS | AttractorKind.DIES_OUT:
                 return Attractor(fate=Fate.REST)
-            case Outcome.HELD:
+            case AttractorKind.HELD:
                 return Attractor(fate=Fate.HELD)
             case _:
                 reason = "" if self._amplitudes else "no release comes"

@@ -6,7 +6,8 @@ functions with derivatives (`numeric`). `contact` states the law of an impact, `
 files, `validation` refuses models that do not hold together.
 
 Offers: `load_problem`, `locate_problem`, `bundled_problems`; a `Problem` of `Quantity`s, its
-`ParameterValues`; the `HybridDynamics` and the `CompiledSystem` of one; `CompletedSystem`,
+`ParameterValues`; the `HybridDynamics` and the `CompiledSystem` of one, the `OwnScale` of its
+numbers and its `own_time`; `CompletedSystem`,
 `complete`, `HybridLagrangian`, `Clock`, `MotorBank` and the drives; the parts of a `Rig`.
 
 Imports: integrators, arrays, errors.

@@ -51,6 +51,8 @@ def load_problem(name_or_path: str | Path) -> Problem:
     else:
         path = Path(name)
         if not _is_there(path):
+            if path.suffix == ".py":
+                raise ProblemFileError(path, "it cannot be read (No such file or directory)")
             raise InputError(unknown("problem", name, tuple(bundled)))
     problem = _declared(path)
     if name not in bundled:
@@ -196,7 +198,7 @@ def _loaded(problem_file: ProblemFile) -> Problem:
     problem = load_problem(problem_file.word)
     if _digest(problem_file.word) != problem_file.digest:
         raise InputError(
-            f"Argument `problem` must be the same file for everybody who works on it, but "
+            f"Argument `problem` must be the same file for all workers, but "
             f"`{problem_file.word}` is another one here."
         )
     return problem

@@ -420,7 +420,10 @@ def _compiled(problem: Problem, transform: Transform | None) -> CompiledSystem:
         system = transform(system)
         extra = system.state.numel() - len(names)
         names = (*names, *(f"ledger{k}" for k in range(extra)))
-    return compile_system(system, symbols, names)
+    appended = (0.0,) * (len(names) - len(problem.state_names))
+    starts = tuple((*problem.state_vector(start), *appended) for start in problem.starts)
+    compiled = compile_system(system, symbols, names)
+    return replace(compiled, starts=starts, state_units=problem.state_units)
 
 
 def _require_states(problem: Problem) -> None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any, ClassVar
 
-from zeno_orbits.errors import InputError
+from zeno_orbits.errors import InputError, did_you_mean
 from zeno_orbits.model.quantities import Quantity, positive
 
 
@@ -260,7 +260,7 @@ def without_parts(rig: Rig, names: Sequence[str]) -> Rig:
     return replace(rig, **changes)
 
 
-def with_numbers(rig: Rig, numbers: Mapping[str, float]) -> Rig:
+def rig_with_numbers(rig: Rig, numbers: Mapping[str, float]) -> Rig:
     """Return a rig with other numbers; a part that is not there yet is added.
 
     Args:
@@ -313,8 +313,11 @@ def _made(kind: Any, part: str, values: dict[str, Any]) -> Any:
 
 def _unknown_number(name: str, part: str, known: Sequence[str]) -> str:
     if not known:
-        parts = ", ".join((*_ONE, *_MANY))
-        return f"Argument `part` must begin with one of {parts}, but it is `{name}`."
+        parts = (*_ONE, *_MANY)
+        near = did_you_mean(name.partition(".")[0], parts)
+        wanted = f"must begin with one of {', '.join(parts)}"
+        return f"Argument `part` {wanted}, but it is `{name}`.{near}"
     owner = {"friction": "COORDINATE.", "gears": "MOTOR."}.get(part, "")
-    forms = ", ".join(f"{part}.{owner}{field_name}" for field_name in known)
-    return f"Argument `part` must be one of {forms}, but it is `{name}`."
+    forms = [f"{part}.{owner}{field_name}" for field_name in known]
+    near = did_you_mean(name, forms)
+    return f"Argument `part` must be one of {', '.join(forms)}, but it is `{name}`.{near}"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from zeno_orbits.errors import InputError
-from zeno_orbits.simulation.signals import Extent
+from zeno_orbits.simulation import Extent
 
 KEPT = 1e-9
 """Part of its size by which a quantity may pass its bound: the accuracy of a simulation."""

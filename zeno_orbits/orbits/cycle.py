@@ -15,7 +15,7 @@ from zeno_orbits.orbits.shape import OrbitShape
 from zeno_orbits.simulation import Arc, Execution, Impact, Mode, ZenoPoint
 
 _VANISHING = 1e-9
-"""Part of the largest state below which one is rounding."""
+"""Part of the largest state, in the problem's own sizes, below which one is rounding."""
 
 _SAME = 1e-6
 """Starts of phases nearer than this, relative, are the same: it is how certain an orbit is."""
@@ -146,9 +146,10 @@ class Cycle:
 
     @cached_property
     def _sizes_at_events(self) -> Vector:
-        sizes = np.max(np.abs(self._event_states()), axis=0)
-        largest = float(np.max(sizes))
-        return np.where(sizes > _VANISHING * largest, sizes, largest if largest > 0.0 else 1.0)
+        usual = self.execution.own.states(len(self.state_names))
+        sizes = np.max(np.abs(self._event_states()), axis=0) / usual
+        largest = float(np.max(sizes)) or 1.0
+        return np.where(sizes > _VANISHING * largest, sizes, largest) * usual
 
     def _event_states(self) -> Vector:
         ends = [self.start.state, *(phase.end.state for phase in self.phases)]
@@ -188,6 +189,7 @@ def cycle_between(
         state_names=execution.state_names,
         arcs=execution.arcs[first:last],
         events=execution.events[before:after],
+        own=execution.own,
     )
     return Cycle(execution=cut, phases=tuple(phases))
 
@@ -251,4 +253,4 @@ def round_again(cycle: Cycle) -> str:
         return ""
     n = cycle.shape.n_phases // shorter.n_phases
     what = f"The orbit of shape `{cycle.shape.text}` is one of shape `{shorter.text}`"
-    return f"{what}, gone round {n} times."
+    return f"{what}, traversed {n} times."

@@ -12,14 +12,20 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model import HybridDynamics
-from zeno_orbits.model.numeric.derivatives import Differentials
+from zeno_orbits.model import Differentials, HybridDynamics
 from zeno_orbits.orbits.looser_run import extrapolated
 from zeno_orbits.orbits.period import cycle_of, first_return, placed, to_next_release
 from zeno_orbits.orbits.phases import Phase, phases_of
 from zeno_orbits.orbits.shape import OrbitShape
-from zeno_orbits.simulation import Arc, Execution, Mode, SimulationSettings
-from zeno_orbits.simulation.sensitivity import Bounce, EventShift, Perturbations
+from zeno_orbits.simulation import (
+    Arc,
+    Bounce,
+    EventShift,
+    Execution,
+    Mode,
+    Perturbations,
+    SimulationSettings,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -195,7 +201,7 @@ def differentials_of(dynamics: HybridDynamics, chosen: tuple[int, ...]) -> Diffe
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Passage:
+class EventMotion:
     """Motion of the events of a phase with its start.
 
     Attributes:
@@ -209,7 +215,7 @@ class Passage:
     end: EventShift
 
 
-def passed(perturbations: Perturbations, phase: Phase, here: EventShift) -> Passage:
+def passed(perturbations: Perturbations, phase: Phase, here: EventShift) -> EventMotion:
     """Return how the events of a phase move with its start.
 
     Args:
@@ -225,10 +231,10 @@ def passed(perturbations: Perturbations, phase: Phase, here: EventShift) -> Pass
         if phase.zeno is not None:
             bounces = perturbations.joined(bounces, impact, here)
     if phase.zeno is None or phase.locked is None:
-        return Passage(first=landings[0], zeno=None, end=here)
+        return EventMotion(first=landings[0], zeno=None, end=here)
     zeno = perturbations.limit(bounces, phase.zeno.state)
     end = perturbations.released(phase.locked, zeno)
-    return Passage(first=landings[0], zeno=zeno, end=end)
+    return EventMotion(first=landings[0], zeno=zeno, end=end)
 
 
 def _perturbations(
@@ -259,7 +265,7 @@ def _derivative(
     execution: Execution,
     start: Vector,
     phase: Phase,
-    passage: Passage,
+    passage: EventMotion,
     chosen: tuple[int, ...],
 ) -> ReturnDerivative:
     """Return what an execution to the next release tells, with derivatives."""

@@ -18,8 +18,7 @@ from zeno_orbits.orbits.orbit import (
     one_release_phase,
 )
 from zeno_orbits.orbits.shape import PhaseKind
-from zeno_orbits.work import restored, write_whole
-from zeno_orbits.work.serialization import EntryError
+from zeno_orbits.work import EntryError, restored, write_whole
 
 
 def write_orbit(orbit: ZenoOrbit, path: Path | str) -> None:
@@ -51,13 +50,13 @@ def read_orbit(path: Path | str) -> ZenoOrbit:
     except OSError as error:
         raise OrbitFileError(path, f"it cannot be read ({error.strerror})") from error
     except UnicodeDecodeError as error:
-        raise OrbitFileError(path, "it is no text in UTF-8") from error
+        raise OrbitFileError(path, "it is not UTF-8 text") from error
     try:
         data = json.loads(text, object_pairs_hook=_unique)
     except EntryError as error:
         raise OrbitFileError(path, str(error)) from error
     except (ValueError, RecursionError) as error:
-        raise OrbitFileError(path, f"it is no complete JSON ({error})") from error
+        raise OrbitFileError(path, f"it is not complete JSON ({error})") from error
     return orbit_from_json(data, path)
 
 

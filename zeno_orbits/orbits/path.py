@@ -53,7 +53,7 @@ class StepControl:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Step(Generic[P, E]):
+class PathStep(Generic[P, E]):
     """Outcome of a step that is not refused.
 
     Attributes:
@@ -83,10 +83,10 @@ class Path(Generic[P, E]):
 def follow_path(
     start: P,
     control: StepControl,
-    advance: Callable[[Sequence[P], float], Step[P, E]],
+    advance: Callable[[Sequence[P], float], PathStep[P, E]],
     *,
-    give_up: Callable[[Sequence[P], str], Step[P, E]],
-    shortened: Callable[[Sequence[P], float], Step[P, E]] | None = None,
+    give_up: Callable[[Sequence[P], str], PathStep[P, E]],
+    shortened: Callable[[Sequence[P], float], PathStep[P, E]] | None = None,
 ) -> Path[P, E]:
     """Return the path from a point, with steps as long as it allows.
 

@@ -12,8 +12,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector, null_space
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.model import HybridDynamics
-from zeno_orbits.model.contact import GAP, GAP_RATE, MULTIPLIER
+from zeno_orbits.model import GAP, GAP_RATE, MULTIPLIER, HybridDynamics
 from zeno_orbits.orbits.monodromy import differentials_of
 from zeno_orbits.orbits.shape import OrbitShape
 
@@ -162,12 +161,13 @@ def section_around(
         parameters: Places in ``p`` of the parameters that the section moves with, ``(k,)``.
     """
     gradient = _scaled_gradient(dynamics, rows, centre, scale)
+    sizes = _row_sizes(gradient)
     section = Section(
         rows=rows,
         centre=centre,
         scale=scale,
-        tangent=null_space(gradient, rcond=_RANK),
-        normal=np.asarray(np.linalg.pinv(gradient, rcond=_RANK), dtype=np.float64),
+        tangent=null_space(gradient / sizes, rcond=_RANK),
+        normal=_pseudo_inverse(gradient, sizes),
         drift=np.zeros((centre.size, 0)),
     )
     if not parameters:
@@ -212,7 +212,8 @@ def projected(dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector, scale:
     size = np.inf
     for _ in range(_MOST_CORRECTIONS):
         gradient = conditions_gradient(dynamics, (), rows, x) * scale
-        correction = np.linalg.pinv(gradient, rcond=_RANK) @ conditions(dynamics, rows, x)
+        inverse = _pseudo_inverse(gradient, _row_sizes(gradient))
+        correction = inverse @ conditions(dynamics, rows, x)
         x = x - scale * correction
         size = float(np.max(np.abs(correction)))
         if size <= _EXACT:
@@ -220,6 +221,22 @@ def projected(dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector, scale:
     if not size <= _OFF:
         raise SimulationError("There is no section here", time=0.0, state=tuple(x.tolist()))
     return x
+
+
+def _row_sizes(gradient: Vector) -> Vector:
+    """Return the size of each row, ``(n, 1)``, as conditions have different units.
+
+    Args:
+        gradient: Of the conditions by scaled states, ``(n, n_x)``.
+    """
+    sizes = np.linalg.norm(gradient, axis=1, keepdims=True)
+    return np.where(sizes > 0.0, sizes, 1.0)
+
+
+def _pseudo_inverse(gradient: Vector, sizes: Vector) -> Vector:
+    """Return the pseudo-inverse of a gradient whose rows have sizes, ``(n_x, n)``."""
+    inverse = np.linalg.pinv(gradient / sizes, rcond=_RANK)
+    return np.asarray(inverse / sizes[:, 0], dtype=np.float64)
 
 
 def conditions(dynamics: HybridDynamics, rows: tuple[int, ...], x: Vector) -> Vector:

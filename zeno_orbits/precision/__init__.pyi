@@ -1,7 +1,9 @@
 from .accuracy import Assured as Assured
+from .accuracy import FINEST as FINEST
 from .accuracy import settings_for as settings_for
 from .accuracy import simulate_to as simulate_to
 from .accuracy import simulate_with_error as simulate_with_error
+from .accuracy import why_engine as why_engine
 from .extended import ExtendedExecution as ExtendedExecution
 from .extended import extended_execution as extended_execution
 from .extended_fixed_point import ExtendedOrbit as ExtendedOrbit
@@ -12,6 +14,7 @@ from .reduced_models import reduction_costs as reduction_costs
 from .trials import QUICK as QUICK
 from .trials import WorkPrecisionSettings as WorkPrecisionSettings
 from .trials import trade as trade
+from .work_precision import SAME_WORK as SAME_WORK
 from .work_precision import Trial as Trial
 from .work_precision import WorkPrecision as WorkPrecision
 from .work_precision import read_work_precision as read_work_precision

@@ -17,7 +17,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, PenetrationError, SimulationError
 from zeno_orbits.integrators import Tolerance
-from zeno_orbits.integrators.automatic import PAYS, eigenvalues, rates_of, staying_rate
+from zeno_orbits.integrators.automatic import PAYS, flow_eigenvalues, rates_of, staying_rate
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.orbits import at_looser_tolerance
 from zeno_orbits.precision.landmark import ROUNDING, difference, sizes
@@ -30,7 +30,7 @@ from zeno_orbits.simulation import (
     ZenoPoint,
     simulate,
 )
-from zeno_orbits.work import Progress, silent
+from zeno_orbits.work import Progress, portion, silent
 
 FINEST, COARSEST = 1e-12, 1e-2
 """Accuracies that can be asked for."""
@@ -123,10 +123,12 @@ def simulate_to(
         tolerances.append(tolerances[-1] / _STEP)
     previous: Execution | None = None
     best = math.inf
-    for tolerance in tolerances:
+    for number, tolerance in enumerate(tolerances):
         tried = at_tolerance(tolerance, chosen)
+        # Two runs are the rule; each further one gets half of what was left.
+        progress = portion(on_progress, 1.0 - 0.5**number, 1.0 - 0.5 ** (number + 1))
         try:
-            found = simulate(dynamics, state, until=until, settings=tried, on_progress=on_progress)
+            found = simulate(dynamics, state, until=until, settings=tried, on_progress=progress)
         except PenetrationError:
             # So coarse a run may go through the stop; the finest one may not.
             if tolerance == tolerances[-1]:
@@ -138,7 +140,11 @@ def simulate_to(
                 return assured
             best = min(best, assured.error)
         previous = found
-    reached = f"the best estimate is {best:.1e}" if best < math.inf else "no two runs go one way"
+    reached = (
+        f"the best estimate is {best:.1e}"
+        if best < math.inf
+        else "no two runs have the same events"
+    )
     raise SimulationError(
         f"The accuracy {accuracy:.0e} is out of reach: {reached}",
         time=until,
@@ -168,14 +174,15 @@ def simulate_with_error(
         SimulationError: If the execution cannot be continued; that of the second run may end early.
     """
     fine = settings or SimulationSettings()
-    found = simulate(dynamics, state, until=until, settings=fine, on_progress=on_progress)
+    first, second = portion(on_progress, 0.0, 0.7), portion(on_progress, 0.7, 1.0)
+    found = simulate(dynamics, state, until=until, settings=fine, on_progress=first)
     try:
         looser = simulate(
             dynamics,
             state,
             until=until,
             settings=at_looser_tolerance(fine),
-            on_progress=on_progress,
+            on_progress=second,
         )
     except SimulationError:
         looser = None
@@ -224,16 +231,16 @@ def why_engine(dynamics: HybridDynamics, state: Sequence[float] | Vector, leg: f
         state: Where it starts, ``(n_x,)``.
         leg: How long it goes without an event [s]; what decays much sooner does not last.
     """
-    values = eigenvalues(dynamics.free, np.array(state, dtype=np.float64))
+    values = flow_eigenvalues(dynamics.free, np.array(state, dtype=np.float64))
     fastest, _ = rates_of(values)
     if fastest <= 0.0:
         return "explicit steps (DOP853): nothing decays."
     lasting = staying_rate(values, leg)
-    rates = f"the fastest mode decays at {fastest:.3g} 1/s, slow ones change at {lasting:.3g} 1/s"
+    rates = f"the fastest mode decays at {fastest:.3g} 1/s, the others change at {lasting:.3g} 1/s"
     if fastest > PAYS * lasting:
-        steps = "explicit steps (DOP853) while it decays, then implicit ones (Radau IIA, order 13)"
-        return f"{steps}: {rates}."
-    return f"explicit steps (DOP853): {rates}."
+        steps = "implicit steps (Radau IIA, order 13) after each fast transient"
+        return f"{steps}, explicit ones (DOP853) within; {rates}."
+    return f"explicit steps (DOP853); {rates}."
 
 
 def _limit_error(execution: Execution) -> float:

@@ -125,7 +125,7 @@ def extended_execution(
             times=arithmetic.numbers(sorted(times)),
         )
         traces.append(run.follow(state))
-    error = difference(*traces)
+    error = trace_difference(*traces)
     if not error < 10.0**-digits:
         message = f"The execution is certain to {error:.1g} only, not to {digits} digits"
         start = tuple(float(value) for value in state)
@@ -142,7 +142,7 @@ def extended_execution(
     )
 
 
-def difference(shorter: Trace, longer: Trace) -> float:
+def trace_difference(shorter: Trace, longer: Trace) -> float:
     """Return how far two runs are apart: the largest difference, relative to one plus the value.
 
     Impacts near a Zeno point that only one of them resolved do not count.

@@ -23,17 +23,16 @@ import numpy as np
 from zeno_orbits.arrays import Array
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import Section
-from zeno_orbits.orbits.section import release_section
+from zeno_orbits.orbits import Section, release_section
 from zeno_orbits.precision.extended import (
     SPARE_DIGITS,
     ExtendedImpact,
     ExtendedPoint,
     check_digits,
     check_state,
-    difference,
     impacts,
     point,
+    trace_difference,
 )
 from zeno_orbits.precision.extended_run import ExtendedRun, Trace
 from zeno_orbits.precision.extended_system import ExtendedSystem, State
@@ -123,7 +122,9 @@ def extended_orbit(
     longer = maps[2].close(shorter.release, jacobian)
     sizes = np.linalg.svd(np.eye(len(jacobian)) - jacobian, compute_uv=False)
     gain = 1 / float(np.min(sizes, initial=np.inf))
-    error = max(difference(shorter.trace, longer.trace), _off(shorter.release, longer.release))
+    error = max(
+        trace_difference(shorter.trace, longer.trace), _off(shorter.release, longer.release)
+    )
     error = max(error, gain * longer.closure)
     if not error < 10.0**-digits:
         message = f"The orbit is certain to {error:.1g} only, not to {digits} digits"

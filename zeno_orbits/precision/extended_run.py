@@ -15,8 +15,7 @@ from decimal import Decimal
 from zeno_orbits.errors import ChatterError, InputError, SimulationError
 from zeno_orbits.precision.extended_system import ExtendedSystem, State
 from zeno_orbits.precision.multiprecision import Real, SeriesStep
-from zeno_orbits.simulation import Mode
-from zeno_orbits.simulation.zeno_limit import limit_weights, tail_time
+from zeno_orbits.simulation import Mode, limit_weights, tail_time
 
 _CONTACT = 1e-12
 """A state this close to the stop is moved onto it, as the simulator does."""

@@ -11,8 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.simulation import Execution, Impact, ZenoPoint
-from zeno_orbits.simulation.execution import Event
+from zeno_orbits.simulation import Event, Execution, Impact, ZenoPoint
 
 ROUNDING = 4e-15
 """Differences below this, times the number of events, are rounding: two runs may share it."""

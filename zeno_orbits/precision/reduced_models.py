@@ -15,9 +15,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model import HybridDynamics, ParameterValues, Problem
-from zeno_orbits.orbits import ONE_ZENO, Cycle
-from zeno_orbits.orbits.poincare import return_slope
-from zeno_orbits.orbits.section import release_section
+from zeno_orbits.orbits import ONE_ZENO, Cycle, release_section, return_slope
 from zeno_orbits.search import close_cycle, cycle_near, find_orbit
 from zeno_orbits.simulation import SimulationSettings
 

@@ -11,9 +11,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, TranslationError, ZenoOrbitsError
-from zeno_orbits.integrators import Radau
-from zeno_orbits.integrators.automatic import decay_rates
-from zeno_orbits.integrators.casadi_to_heyoka import heyoka_is_installed
+from zeno_orbits.integrators import Radau, decay_rates, heyoka_is_installed
 from zeno_orbits.model import HybridDynamics, ParameterValues, Problem
 from zeno_orbits.precision.accuracy import at_tolerance
 from zeno_orbits.precision.landmark import (
@@ -140,7 +138,9 @@ def _truth_in_doubles(
 def _exact_landmarks(exact: ExtendedExecution) -> tuple[Landmark, ...]:
     points = exact.releases or exact.zeno_points
     if not points:
-        raise ZenoOrbitsError("There is nothing to compare: no release and no Zeno point so soon.")
+        raise ZenoOrbitsError(
+            "There is nothing to compare: no release and no Zeno point in this time."
+        )
     kind = Kind.RELEASE if exact.releases else Kind.ZENO
     return tuple(
         Landmark(kind=kind, time=float(p.time), state=np.array([float(v) for v in p.state]))

@@ -26,8 +26,14 @@ from zeno_orbits.precision.accuracy import at_tolerance
 from zeno_orbits.precision.landmark import apart, landmarks
 from zeno_orbits.precision.reference import Truth, is_too_stiff, true_landmarks
 from zeno_orbits.precision.work_precision import Trial, WorkPrecision
-from zeno_orbits.simulation import Completion, Execution, SimulationSettings, Truncation, simulate
-from zeno_orbits.simulation.completion import FixedImpacts
+from zeno_orbits.simulation import (
+    Completion,
+    Execution,
+    FixedImpacts,
+    SimulationSettings,
+    Truncation,
+    simulate,
+)
 from zeno_orbits.work import Progress, silent
 
 
@@ -221,8 +227,7 @@ def _meshes(
     """Solve for the periodic orbit on finer and finer meshes, each compared with a simulation."""
     if not settings.meshes:
         return
-    from zeno_orbits.search import SearchSettings, find_orbit
-    from zeno_orbits.search.transcription.arc import TranscriptionSettings
+    from zeno_orbits.search import SearchSettings, TranscriptionSettings, find_orbit
 
     for tolerance in settings.meshes:
         on_progress(f"mesh: {tolerance:.0e}", 0.99)

@@ -13,8 +13,7 @@ from typing import Any
 
 from zeno_orbits.errors import InputError
 from zeno_orbits.precision.landmark import ROUNDING
-from zeno_orbits.work import restored
-from zeno_orbits.work.serialization import EntryError
+from zeno_orbits.work import EntryError, restored
 
 SAME_WORK = ("engine", "cut", "impacts", "fidelity")
 """Sweeps whose trials follow the same motion, so that their times compare."""

@@ -4,7 +4,7 @@ A program is solved from one start after another, and what it finds is simulated
 check; `close_orbit` closes an orbit by simulation alone.
 
 Offers: `find_orbit` and `search_gains` (with `SearchSettings`, a `SearchResult` of `Candidate`
-orbits, `Judgement` for checks, `Spread` for workers), `close_orbit` and `close_cycle`, and the
+orbits, `Judgement` for checks, `StartWorkers`), `close_orbit` and `close_cycle`, and the
 objectives: `NearestGains`, `TargetPeriod`, `TargetAmplitude`, `LeastEnergy`, `LeastPeak`,
 `FastestContraction`, `WidestMargin`.
 

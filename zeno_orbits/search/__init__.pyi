@@ -6,7 +6,7 @@ from .fixed_point import ClosedCycle as ClosedCycle
 from .fixed_point import close_cycle as close_cycle
 from .fixed_point import cycle_near as cycle_near
 from .guess import SettlingSettings as SettlingSettings
-from .multistart import Spread as Spread
+from .multistart import StartWorkers as StartWorkers
 from .objectives import FastestContraction as FastestContraction
 from .objectives import LeastEnergy as LeastEnergy
 from .objectives import LeastPeak as LeastPeak
@@ -15,12 +15,13 @@ from .objectives import Objective as Objective
 from .objectives import TargetAmplitude as TargetAmplitude
 from .objectives import TargetPeriod as TargetPeriod
 from .objectives import WidestMargin as WidestMargin
-from .outcome import Attempt as Attempt
 from .outcome import Candidate as Candidate
 from .outcome import Judgement as Judgement
 from .outcome import OrbitNotFoundError as OrbitNotFoundError
 from .outcome import SearchResult as SearchResult
+from .outcome import StartAttempt as StartAttempt
 from .search import find_orbit as find_orbit
 from .search import search_gains as search_gains
 from .settings import SearchSettings as SearchSettings
 from .settings import SearchStatus as SearchStatus
+from .transcription.arc import TranscriptionSettings as TranscriptionSettings

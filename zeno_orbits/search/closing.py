@@ -21,12 +21,13 @@ from zeno_orbits.orbits import (
     OrbitImpact,
     OrbitPhase,
     OrbitShape,
+    Phase,
     ZenoOrbit,
+    gone_round_twice,
     new_orbit,
     placed,
+    round_again,
 )
-from zeno_orbits.orbits.cycle import gone_round_twice, round_again
-from zeno_orbits.orbits.phases import Phase
 from zeno_orbits.search.fixed_point import ClosedCycle, close_cycle, cycle_near
 from zeno_orbits.search.guess import SettlingSettings, settle
 from zeno_orbits.simulation import SimulationSettings, ZenoExtrapolation

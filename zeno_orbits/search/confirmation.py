@@ -17,6 +17,7 @@ from zeno_orbits.orbits import (
     ONE_ZENO,
     Bound,
     Cycle,
+    Moment,
     OrbitImpact,
     OrbitPhase,
     OrbitShape,
@@ -24,18 +25,24 @@ from zeno_orbits.orbits import (
     cycle_of,
     new_orbit,
     placed,
+    round_again,
 )
 from zeno_orbits.orbits.bounds import KEPT, excess
-from zeno_orbits.orbits.cycle import round_again
-from zeno_orbits.orbits.phases import Moment
 from zeno_orbits.search.closing import escape_of, named
 from zeno_orbits.search.objectives import Objective, Target
 from zeno_orbits.search.outcome import SimulatedSolution, StartOutcome
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.search.transcription.transcribe import labels_of, start_block
-from zeno_orbits.simulation import Impact, SimulationSettings, ZenoPoint
-from zeno_orbits.simulation.signals import Extent, extent_of, signal, signal_names
+from zeno_orbits.simulation import (
+    Extent,
+    Impact,
+    SimulationSettings,
+    ZenoPoint,
+    extent_of,
+    signal,
+    signal_names,
+)
 
 
 def confirm(
@@ -60,9 +67,9 @@ def confirm(
     start = placed(dynamics, shape, unknowns[start_block(shape, 0)][:, 0])
     cycle = one_cycle(dynamics, start, 2 * float(unknowns["period"][0, 0]), shape)
     if cycle is None:
-        detail = "From the solution's release no Zeno point and release follow."
+        detail = "From its release the simulation reaches no Zeno point with a later release."
         if not shape.has_one_release:
-            detail = f"From the solution's start no period of shape `{shape.text}` follows."
+            detail = f"From its start the simulation has no period of shape `{shape.text}` follows."
         return replace(outcome, status=SearchStatus.NOT_FOLLOWED, detail=detail)
     differs = _difference(cycle, unknowns)
     if isinstance(objective, Target):
@@ -73,7 +80,7 @@ def confirm(
         detail = f"Solution and simulation differ by {differs:.1e}."
     elif not detail and excesses:
         worst = max(excesses.items(), key=lambda item: item[1])
-        detail = f"Between its nodes `{worst[0]}` passes its bound by {worst[1]:.1e}."
+        detail = f"Between its nodes `{worst[0]}` exceeds its bound by {worst[1]:.1e}."
     return replace(
         outcome,
         status=SearchStatus.NOT_FOLLOWED if detail else SearchStatus.FOUND,

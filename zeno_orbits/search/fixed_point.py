@@ -21,13 +21,15 @@ from zeno_orbits.orbits import (
     OrbitShape,
     Section,
     cycle_of,
+    kinds_of,
+    phases_of,
     placed,
+    return_slope,
+    rows_of,
     section_around,
 )
 from zeno_orbits.orbits.cycle import cycle_between
-from zeno_orbits.orbits.phases import follow_each_other, kinds_of, phases_of
-from zeno_orbits.orbits.poincare import return_slope
-from zeno_orbits.orbits.section import rows_of
+from zeno_orbits.orbits.phases import follow_each_other
 from zeno_orbits.simulation import SimulationSettings, simulate
 
 _REPEATS = 1e-12
@@ -118,7 +120,7 @@ def close_cycle(
             # Least squares: at a fold of a family the matrix is singular, and that is no crash.
             at = best.at + share * np.linalg.lstsq(one - j, best.miss, rcond=None)[0]
     raise SimulationError(
-        f"No return repeats, the last misses by {np.inf if best is None else best.change:.1e}",
+        f"No return repeats; the last one differs by {np.inf if best is None else best.change:.1e}",
         time=period,
         state=tuple(release.tolist()),
     )
@@ -153,7 +155,7 @@ def _sized(trial: _Trial, count: int) -> ClosedCycle:
     cycle = trial.cycle
     if cycle.drift(cycle.scale_at_events()) > _OWN:
         raise SimulationError(
-            "What repeats is no orbit, its size goes to zero",
+            "The motion that repeats shrinks to a point",
             time=cycle.period,
             state=tuple(cycle.start.state.tolist()),
         )
@@ -222,7 +224,7 @@ def cycle_near(
         some = phases[k : k + n]
         if kinds_of(some) == wanted.phases and follow_each_other(some):
             return cycle_between(run, some)
-    what = "No Zeno point and release follow"
+    what = "No Zeno point with a later release is reached"
     if not wanted.has_one_release:
         what = f"No period of shape `{wanted.text}` follows"
     raise SimulationError(what, time=2 * period, state=tuple(x.tolist()))

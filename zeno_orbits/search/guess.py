@@ -11,19 +11,19 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, RunawayError, SimulationError
 from zeno_orbits.integrators import Tolerance
-from zeno_orbits.model import HybridDynamics, Problem
-from zeno_orbits.orbits import Cycle, OrbitShape, cycle_of, cycles, placed
-from zeno_orbits.orbits.period import to_next_release
+from zeno_orbits.model import HybridDynamics, Problem, own_time
+from zeno_orbits.orbits import Cycle, OrbitShape, cycle_of, cycles, placed, to_next_release
 from zeno_orbits.search.recurrence import Recurrence, Recurring
-from zeno_orbits.simulation import Execution, Mode, SimulationSettings, ZenoExtrapolation, simulate
-from zeno_orbits.simulation.attractor import (
+from zeno_orbits.simulation import (
     WAITING,
+    Execution,
+    Mode,
+    SimulationSettings,
+    ZenoExtrapolation,
     bounds_of,
-    growth_of,
-    has_left,
-    is_still,
+    simulate,
 )
-from zeno_orbits.simulation.time_scale import own_time
+from zeno_orbits.simulation.attractor import growth_of, has_left, is_still
 
 _DIFFERENCE = 1e-6
 """Step of a derivative; its error is that part of a correction that is small itself."""
@@ -70,7 +70,7 @@ class SettlingSettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Settling:
+class FollowedMotion:
     """Outcome of following a motion.
 
     Attributes:
@@ -111,7 +111,7 @@ def settle(
     settings: SettlingSettings | None = None,
     shape: OrbitShape | None = None,
     problem: Problem | None = None,
-) -> Settling:
+) -> FollowedMotion:
     """Return the last period of the first start whose motion repeats.
 
     Args:
@@ -132,7 +132,7 @@ def settle(
         if settling.cycle is not None:
             return settling
         reasons.append(settling.reason)
-    return Settling(cycle=None, reason=" / ".join(dict.fromkeys(reasons)))
+    return FollowedMotion(cycle=None, reason=" / ".join(dict.fromkeys(reasons)))
 
 
 def _watch(
@@ -159,7 +159,7 @@ def _watch(
 
 def _settle_from(
     dynamics: HybridDynamics, state: Vector, watch: _Watch, wanted: OrbitShape | None
-) -> Settling:
+) -> FollowedMotion:
     """Return the last period of the motion from a state, or why there is none."""
     n_q, names = dynamics.n_q, dynamics.state_names
     elapsed, at_release, patience, still, held = 0.0, False, watch.chunk, 0.0, 0.0
@@ -171,10 +171,10 @@ def _settle_from(
             run = _to_next_look(dynamics, state, watch, patience, at_release=at_release)
         except RunawayError as error:
             phrase = watch.phrases.get(error.coordinate, error.reason)
-            return Settling(cycle=None, reason=phrase)
+            return FollowedMotion(cycle=None, reason=phrase)
         except SimulationError as error:
             clause = error.reason[0].lower() + error.reason[1:]
-            return Settling(cycle=None, reason=f"the simulation stops: {clause}")
+            return FollowedMotion(cycle=None, reason=f"the simulation fails: {clause}")
         found = cycles(run, start=state if at_release else None)
         recurrence = recurrence.after(run, found, since=elapsed)
         elapsed += run.end_time
@@ -188,13 +188,13 @@ def _settle_from(
         if settled is not None:
             break
         if found and growth_of(speeds).dies_out:
-            return Settling(cycle=None, reason="the motion dies out")
+            return FollowedMotion(cycle=None, reason="the motion dies out")
         now = _rates(dynamics, run.end_state, locked=run.arcs[-1].mode is Mode.LOCKED)
         rates = np.max([rates, now, *_rates_at_impacts(dynamics, run)], axis=0)
         quiet = run.end_time if not run.events else -math.inf
         still = still + quiet if is_still(now[None, None], rates[None])[0] else 0.0
         if still >= watch.turn:
-            return Settling(cycle=None, reason="the motion comes to rest")
+            return FollowedMotion(cycle=None, reason="the motion comes to rest")
         held = held + quiet if run.arcs[-1].mode is Mode.LOCKED else 0.0
         still, held = max(still, 0.0), max(held, 0.0)
         if elapsed < watch.horizon / 2:
@@ -207,22 +207,24 @@ def _settle_from(
         return _period(dynamics, nearest, watch.settings)
     left = has_left(state[:n_q], position)
     if np.any(left):
-        return Settling(cycle=None, reason=f"{names[int(np.argmax(left))]} runs away")
+        return FollowedMotion(cycle=None, reason=f"{names[int(np.argmax(left))]} runs away")
     if held > watch.horizon / 2:
-        return Settling(cycle=None, reason=f"the motion stays on its stop for {held:.4g} s")
-    return Settling(cycle=None, reason=recurrence.reason(watch.horizon))
+        return FollowedMotion(cycle=None, reason=f"the motion stays on its stop for {held:.4g} s")
+    return FollowedMotion(cycle=None, reason=recurrence.reason(watch.horizon))
 
 
-def _period(dynamics: HybridDynamics, found: Recurring, settings: SimulationSettings) -> Settling:
+def _period(
+    dynamics: HybridDynamics, found: Recurring, settings: SimulationSettings
+) -> FollowedMotion:
     """Return the period itself: made anew, unless it was followed from its start to its end."""
     if found.cycle is not None:
-        return Settling(cycle=found.cycle)
+        return FollowedMotion(cycle=found.cycle)
     start = _repaired(dynamics, placed(dynamics, found.shape, found.start), locked=False)
     try:
         cycle = cycle_of(dynamics, start, found.shape, horizon=2 * found.period, settings=settings)
     except SimulationError as error:
-        return Settling(cycle=None, reason=error.reason[0].lower() + error.reason[1:])
-    return Settling(cycle=cycle)
+        return FollowedMotion(cycle=None, reason=error.reason[0].lower() + error.reason[1:])
+    return FollowedMotion(cycle=cycle)
 
 
 def _to_next_look(

@@ -10,8 +10,16 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import HybridDynamics, ParameterValues
-from zeno_orbits.orbits import Cycle, OrbitShape, ZenoOrbit, follow_path, placed
-from zeno_orbits.orbits.path import Step, StepControl, StepError
+from zeno_orbits.orbits import (
+    Cycle,
+    OrbitShape,
+    PathStep,
+    StepControl,
+    StepError,
+    ZenoOrbit,
+    follow_path,
+    placed,
+)
 from zeno_orbits.search.closing import ClosedCycle, close_cycle
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.simulation import SimulationSettings
@@ -21,8 +29,8 @@ _STEPS = StepControl(first=0.25, shortest=1e-4)
 
 _LOST = {
     "locked_time": "the locked arc shrinks to nothing",
-    "gap_acceleration": "the stop stops attracting at the Zeno point: d2h/dt2 comes to zero",
-    "first_impact_speed": "the first impact comes to graze",
+    "gap_acceleration": "d2h/dt2 at the Zeno point goes to zero: the stop no longer attracts",
+    "first_impact_speed": "the first impact grazes",
 }
 
 _GONE = 0.02
@@ -108,7 +116,7 @@ def follow(
     except ZenoOrbitsError:
         return Followed(cycle=None, values=easy, arrived=False)
 
-    def advance(points: Sequence[_Point], step: float) -> Step[_Point, bool]:
+    def advance(points: Sequence[_Point], step: float) -> PathStep[_Point, bool]:
         here, before = points[-1], points[-2:][0]
         part = min(1.0, here.part + step)
         guess = here.start
@@ -117,10 +125,10 @@ def follow(
             guess = guess + ratio * (here.start - before.start)
         search.tell(f"following orbits: {100 * part:.0f} % of the way")
         there = _closed(line, part, guess, here.closed.cycle.period)
-        return Step(points=(there,), easy=True, end=True if part >= 1.0 else None)
+        return PathStep(points=(there,), easy=True, end=True if part >= 1.0 else None)
 
-    def give_up(_points: Sequence[_Point], _reason: str) -> Step[_Point, bool]:
-        return Step(end=False)
+    def give_up(_points: Sequence[_Point], _reason: str) -> PathStep[_Point, bool]:
+        return PathStep(end=False)
 
     points: tuple[_Point, ...] = (first,)
     if first.part < 1.0:

@@ -13,7 +13,7 @@ from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.search.start import start_count, try_start
 from zeno_orbits.work import (
-    Lost,
+    LostPoint,
     Plan,
     Progress,
     plain,
@@ -25,7 +25,7 @@ from zeno_orbits.work import (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Spread:
+class StartWorkers:
     """Workers that try the starts of a search.
 
     Attributes:
@@ -46,7 +46,7 @@ def outcomes_here(search: SearchProblem, accept: Accept | None) -> Generator[Sta
 
 
 def outcomes_spread(
-    search: SearchProblem, accept: Accept | None, spread: Spread
+    search: SearchProblem, accept: Accept | None, spread: StartWorkers
 ) -> Generator[StartOutcome]:
     """Yield the outcome of each start in order: the first from this process, others from workers.
 
@@ -79,7 +79,7 @@ def outcomes_spread(
     )
     try:
         for result in results:
-            yield _lost(result) if isinstance(result, Lost) else restored(StartOutcome, result)
+            yield _lost(result) if isinstance(result, LostPoint) else restored(StartOutcome, result)
     finally:
         results.close()
 
@@ -125,5 +125,5 @@ def _identity(task: _Task) -> dict[str, Any]:
     }
 
 
-def _lost(lost: Lost) -> StartOutcome:
+def _lost(lost: LostPoint) -> StartOutcome:
     return StartOutcome(status=SearchStatus.NOT_SOLVED, detail=lost.reason)

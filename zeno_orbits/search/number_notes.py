@@ -45,5 +45,5 @@ def far_from_own(problem: Problem, values: ParameterValues) -> list[str]:
             continue
         unit = "" if quantity.unit == "1" else f" {quantity.unit}"
         times = f"{abs(given / own):.4g} times the problem's own {own:g}{unit}"
-        found.append(f"`{quantity.name}` is {given:g}{unit}, {times}: is that its unit?")
+        found.append(f"`{quantity.name}` is {given:g}{unit}, {times}: is its unit right?")
     return found

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from zeno_orbits.model import Problem
     from zeno_orbits.orbits import Cycle
     from zeno_orbits.search.transcription.transcribe import OrbitTerms
-    from zeno_orbits.simulation.signals import Extent
+    from zeno_orbits.simulation import Extent
 
 LEAST_RADIUS = 1e-4
 """A spectral radius below this is as good as zero: a perturbation is gone after one period."""
@@ -197,7 +197,7 @@ class TargetAmplitude(Target):
 
     def measured(self, cycle: Cycle) -> float:
         """Return the amplitude of a simulated cycle."""
-        from zeno_orbits.simulation.signals import extent_of
+        from zeno_orbits.simulation import extent_of
 
         index = cycle.state_names.index(self.state)
         extent = extent_of(lambda x: float(x[index]), cycle.arcs)
@@ -275,7 +275,7 @@ class LeastPeak(Objective):
     def cost(self, terms: OrbitTerms) -> ca.MX:
         """Return an unknown that the signal does not exceed anywhere, in units of its size."""
         from zeno_orbits.search.transcription.constraints import largest
-        from zeno_orbits.simulation.signals import signal
+        from zeno_orbits.simulation import signal
 
         quantity = signal(terms.compiled, self.signal)
         value = quantity.at(terms.numbers)

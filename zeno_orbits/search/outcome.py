@@ -12,7 +12,7 @@ from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import ParameterValues
 from zeno_orbits.orbits import Cycle, ZenoOrbit
 from zeno_orbits.search.settings import SearchStatus
-from zeno_orbits.simulation.signals import Extent
+from zeno_orbits.simulation import Extent
 from zeno_orbits.verification import OrbitCertificate
 
 
@@ -113,7 +113,7 @@ class StartOutcome:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Attempt:
+class StartAttempt:
     """One start of a search, for the user.
 
     Attributes:
@@ -157,7 +157,7 @@ class SearchResult:
     iterations: int
     solve_time: float
     wall_time: float
-    attempts: tuple[Attempt, ...]
+    attempts: tuple[StartAttempt, ...]
     candidates: tuple[Candidate, ...] = ()
     detail: str = ""
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.orbits import Cycle, OrbitShape, PhaseKind
-from zeno_orbits.simulation import Execution, Impact
-from zeno_orbits.simulation.attractor import PERIODS, Return, repetitions
+from zeno_orbits.simulation import Execution, Impact, SectionReturn
+from zeno_orbits.simulation.attractor import PERIODS, repetitions
 
 MOST_IMPACTS = 12
 """Longest period of a motion without releases that is looked for, in impacts."""
@@ -44,7 +44,7 @@ class Recurring:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Struck:
+class TimedImpact:
     """An impact of a motion without releases, and when it was."""
 
     time: float
@@ -66,7 +66,7 @@ class Recurrence:
     settled: float
     wanted: OrbitShape | None
     returns: tuple[Cycle, ...] = ()
-    struck: tuple[Struck, ...] = ()
+    struck: tuple[TimedImpact, ...] = ()
     best: Recurring | None = None
 
     def after(self, run: Execution, found: Sequence[Cycle], *, since: float) -> Recurrence:
@@ -77,7 +77,7 @@ class Recurrence:
             found: The returns in it.
             since: When it starts [s].
         """
-        struck = [*self.struck, *(Struck(time=since + i.time, impact=i) for i in run.impacts)]
+        struck = [*self.struck, *(TimedImpact(time=since + i.time, impact=i) for i in run.impacts)]
         if run.releases or run.zeno_points:
             struck = []
         returns = [*(() if run.releases and not found else self.returns), *found]
@@ -122,7 +122,7 @@ class Recurrence:
         if settled is not None:
             return f"the motion settles to an orbit of shape `{settled.shape.text}`"
         if self.wanted is not None:
-            return f"no period of shape `{self.wanted.text}` comes near to repeating"
+            return f"no period of shape `{self.wanted.text}` nearly repeats"
         what = "no release is followed by a Zeno point"
         if self.returns:
             what = "its periods differ"
@@ -176,12 +176,13 @@ class Recurrence:
         )
 
 
-def _as_returns(laps: Sequence[Cycle]) -> list[Return]:
+def _as_returns(laps: Sequence[Cycle]) -> list[SectionReturn]:
     """Return the releases that laps without a break start and end at."""
-    first = Return(
+    first = SectionReturn(
         time=laps[0].start.time, state=laps[0].start.state, size=laps[0].scale_at_events()
     )
     later = [
-        Return(time=lap.end.time, state=lap.end.state, size=lap.scale_at_events()) for lap in laps
+        SectionReturn(time=lap.end.time, state=lap.end.state, size=lap.scale_at_events())
+        for lap in laps
     ]
     return [first, *later]

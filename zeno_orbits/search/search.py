@@ -10,13 +10,13 @@ from dataclasses import replace
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Bound, OrbitShape, ZenoOrbit
-from zeno_orbits.search.multistart import Spread, outcomes_here, outcomes_spread
+from zeno_orbits.search.multistart import StartWorkers, outcomes_here, outcomes_spread
 from zeno_orbits.search.objectives import NearestGains, Objective, Target
 from zeno_orbits.search.outcome import (
     Accept,
-    Attempt,
     Candidate,
     SearchResult,
+    StartAttempt,
     StartOutcome,
 )
 from zeno_orbits.search.search_problem import SearchProblem, with_targets
@@ -59,7 +59,7 @@ def search_gains(
     settings: SearchSettings | None = None,
     accept: Accept | None = None,
     on_progress: Progress = silent,
-    spread: Spread | None = None,
+    spread: StartWorkers | None = None,
     shape: OrbitShape | None = None,
 ) -> SearchResult:
     """Find gains, parameters and initial states of an orbit, from one start after another.
@@ -114,7 +114,7 @@ def search_gains(
 def _ranked(search: SearchProblem, outcomes: Generator[StartOutcome]) -> SearchResult:
     """Rank the outcomes of starts, in the order of the starts, until there are enough."""
     started = time.perf_counter()
-    attempts: list[Attempt] = []
+    attempts: list[StartAttempt] = []
     candidates: list[Candidate] = []
     best: StartOutcome | None = None
     failures = 0
@@ -152,10 +152,10 @@ def _ranked(search: SearchProblem, outcomes: Generator[StartOutcome]) -> SearchR
     )
 
 
-def _attempt(search: SearchProblem, number: int, outcome: StartOutcome) -> Attempt:
+def _attempt(search: SearchProblem, number: int, outcome: StartOutcome) -> StartAttempt:
     values = numbered_start(search, number).values
     free = {name: values.parameters[name] for name in search.free if name in values.parameters}
-    return Attempt(
+    return StartAttempt(
         gains=values.gains, parameters=free, status=outcome.status, detail=outcome.detail
     )
 

@@ -14,9 +14,9 @@ class SearchStatus(Enum):
     """End of a search. The value is the sentence shown to the user."""
 
     FOUND = "The search found an orbit."
-    NO_GUESS = "No simulation settled to a motion that an orbit could be sought near."
+    NO_GUESS = "No simulation settled to a periodic motion from which to search."
     NOT_SOLVED = "The conditions of the orbit could not be met."
-    NOT_FOLLOWED = "A simulation does not follow the solution."
+    NOT_FOLLOWED = "Simulating the solution does not reproduce it."
     NOT_ACCEPTED = "The orbits that were found were not accepted."
 
 

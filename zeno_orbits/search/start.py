@@ -16,8 +16,8 @@ from zeno_orbits.orbits.bounds import objection_to
 from zeno_orbits.search.outcome import Accept, Candidate, Judgement, StartOutcome
 from zeno_orbits.search.search_problem import SearchProblem, clipped, listed
 from zeno_orbits.search.settings import SearchStatus
-from zeno_orbits.search.strategy import Start, from_start
-from zeno_orbits.simulation.signals import Extent
+from zeno_orbits.search.strategy import SearchStart, from_start
+from zeno_orbits.simulation import Extent
 from zeno_orbits.verification import measure
 
 
@@ -26,7 +26,7 @@ def start_count(search: SearchProblem) -> int:
     return 1 + (search.settings.n_starts if search.free else 0)
 
 
-def numbered_start(search: SearchProblem, number: int) -> Start:
+def numbered_start(search: SearchProblem, number: int) -> SearchStart:
     """Return a start: 0 is the given numbers, moved into their box, then a Halton sequence in it.
 
     It depends on the number and on what is searched, and not on what was tried before.
@@ -36,9 +36,9 @@ def numbered_start(search: SearchProblem, number: int) -> Start:
         settings = search.settings
         place = _halton(len(search.free), settings.n_starts, settings.seed)[number - 1]
         chosen = dict(zip(search.free, map(float, lower + place * (upper - lower)), strict=True))
-        return Start(values=search.values.replaced(chosen))
+        return SearchStart(values=search.values.replaced(chosen))
     first = clipped(search.values, search.free)
-    return Start(values=first, near=search.near, easy=_easy_values(search.problem, first))
+    return SearchStart(values=first, near=search.near, easy=_easy_values(search.problem, first))
 
 
 def try_start(search: SearchProblem, number: int, accept: Accept | None) -> StartOutcome:
@@ -59,7 +59,7 @@ def try_start(search: SearchProblem, number: int, accept: Accept | None) -> Star
 
 
 def _tried(
-    search: SearchProblem, start: Start, accept: Accept | None, name: str
+    search: SearchProblem, start: SearchStart, accept: Accept | None, name: str
 ) -> tuple[StartOutcome, Judgement | None]:
     """Search from one start, measure the orbit on a simulation, and accept or refuse it."""
     outcome = from_start(search, start)
@@ -91,7 +91,7 @@ _AT_LIMIT = 0.01
 
 def _attracting(
     search: SearchProblem,
-    start: Start,
+    start: SearchStart,
     accept: Accept | None,
     name: str,
     refused: StartOutcome,

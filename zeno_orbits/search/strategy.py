@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import HybridDynamics, ParameterValues
-from zeno_orbits.orbits import Cycle, ZenoOrbit
-from zeno_orbits.orbits.cycle import gone_round_twice, round_again
+from zeno_orbits.orbits import Cycle, ZenoOrbit, gone_round_twice, round_again
 from zeno_orbits.search.closing import close_cycle
 from zeno_orbits.search.confirmation import one_cycle
 from zeno_orbits.search.guess import settle
@@ -38,7 +37,7 @@ _VIOLATED = 1e-5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Start:
+class SearchStart:
     """Start of a search.
 
     Attributes:
@@ -52,7 +51,7 @@ class Start:
     easy: tuple[ParameterValues, ...] = ()
 
 
-def from_start(search: SearchProblem, start: Start) -> StartOutcome:
+def from_start(search: SearchProblem, start: SearchStart) -> StartOutcome:
     """Search from one start: a pure function of its arguments, whatever has been tried before."""
     values, near = start.values, start.near
     if near is not None:
@@ -111,7 +110,9 @@ def _brought_nearer(
     return one_cycle(dynamics, near.start.state, near.period, shorter) or near, ""
 
 
-def _by_an_easier_way(search: SearchProblem, start: Start, outcome: StartOutcome) -> StartOutcome:
+def _by_an_easier_way(
+    search: SearchProblem, start: SearchStart, outcome: StartOutcome
+) -> StartOutcome:
     """Follow orbits from an easier setting to the start's, where the direct way failed."""
     for easy in start.easy:
         if easy == start.values:
@@ -130,7 +131,7 @@ def _by_an_easier_way(search: SearchProblem, start: Start, outcome: StartOutcome
     return outcome
 
 
-def _along(search: SearchProblem, start: Start, path: Followed, origin: str) -> StartOutcome:
+def _along(search: SearchProblem, start: SearchStart, path: Followed, origin: str) -> StartOutcome:
     """Search from the end of a path, which may be short of the start's own numbers."""
     if path.cycle is None:
         detail = f"From {origin} no orbit could be followed."
@@ -193,7 +194,9 @@ def from_cycle(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> 
         # Nearness is a wish, the orbit the point: keep the one at the gains of the start.
         here = refine(held, values, cycle, objective)
         if here.status is SearchStatus.FOUND:
-            return replace(here, detail="Its gains are not the nearest: the way there was lost.")
+            return replace(
+                here, detail="Its gains are not the nearest ones: the path to them was lost."
+            )
     return outcome
 
 
@@ -236,7 +239,7 @@ def _where_bounds_are_kept(
     if not broken or not last.converged:
         return last.values, last.cycle, None
     where = listed({name: last.values.number(name) for name in search.free})
-    detail = f"No orbit was found that keeps all bounds; nearest to it, at {where}"
+    detail = f"No orbit was found that keeps all bounds; the nearest one, at {where}"
     lacking = StartOutcome(
         status=SearchStatus.NOT_SOLVED,
         detail=f"{detail}{_held(search, last.values)}, {', '.join(broken)}.",

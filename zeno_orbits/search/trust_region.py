@@ -10,8 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from zeno_orbits.model import ParameterValues
-from zeno_orbits.orbits import Cycle, follow_path
-from zeno_orbits.orbits.path import Step, StepControl, StepError
+from zeno_orbits.orbits import Cycle, PathStep, StepControl, StepError, follow_path
 from zeno_orbits.search.outcome import StartOutcome
 from zeno_orbits.search.refinement import ON_THE_WAY
 from zeno_orbits.search.search_problem import SearchProblem
@@ -58,7 +57,7 @@ def trust_region_steps(
         solve: One step, given the search in a smaller box.
     """
 
-    def advance(steps: Sequence[LastStep], half: float) -> Step[LastStep, bool]:
+    def advance(steps: Sequence[LastStep], half: float) -> PathStep[LastStep, bool]:
         last = steps[-1]
         box = _box_around(search, last.values, half)
         outcome = solve(replace(search, free=box), last.values, last.cycle)
@@ -70,10 +69,10 @@ def trust_region_steps(
         step = LastStep(
             values=there.values, cycle=there.cycle, outcome=outcome, converged=converged
         )
-        return Step(points=(step,), easy=True, end=True if converged else None)
+        return PathStep(points=(step,), easy=True, end=True if converged else None)
 
-    def give_up(_steps: Sequence[LastStep], _reason: str) -> Step[LastStep, bool]:
-        return Step(end=False)
+    def give_up(_steps: Sequence[LastStep], _reason: str) -> PathStep[LastStep, bool]:
+        return PathStep(end=False)
 
     start = LastStep(values=values, cycle=cycle)
     return follow_path(start, _BOXES, advance, give_up=give_up).points[-1]

@@ -64,7 +64,7 @@ class ArcFollower:
         engine: The integrator.
         tolerance: Its local error.
         until: When to stop [s].
-        contact: A gap or gap rate below this counts as zero.
+        contact: Part of the problem's own sizes below which a guard counts as zero.
         far: A coordinate beyond this ends the execution with an error: one bound for all
             coordinates, or one for each.
         most_steps: Steps of all arcs before the execution is given up.
@@ -104,15 +104,16 @@ class ArcFollower:
         Raises:
             SimulationError: If a limit is reached, or the state leaves the admissible set.
         """
-        n_x = len(start.state)
+        n_x, own = len(start.state), self.dynamics.own
         unit = 1.0 if start.speed is None else start.speed
+        size = own.multiplier if start.mode is Mode.LOCKED else own.gap
         leg = Leg(
             flow=flow,
             y=start.state if start.speed is None else _launched(start.state),
             horizon=(self.until - start.time) / unit,
             tolerance=self.tolerance,
             on_guard=on_guard,
-            rounding=self.contact,
+            rounding=self.contact * (size if start.speed is None else 1 / own.gap_acceleration),
             watch=self._watch(unit, start.time),
         )
         passage = self.engine.follow(leg)
@@ -148,7 +149,8 @@ class ArcFollower:
                 self._look(start + unit * offset, y)
             if self._n_steps > self.most_steps:
                 raise SimulationError(
-                    f"The execution takes more than {self.most_steps} steps",
+                    f"The execution needs more than {self.most_steps} steps: raise `most_steps`, "
+                    "or simulate a shorter time",
                     time=start + unit * offset,
                     state=tuple(y.tolist()),
                 )

@@ -63,7 +63,7 @@ _SCATTER = 0.2
 """Largest misfit of the law, for a unit of the logarithm at rest."""
 
 
-class Outcome(Enum):
+class AttractorKind(Enum):
     """Kinds of attractors. The value completes the sentence "The motion ..."."""
 
     REPEATS = "repeats"
@@ -76,7 +76,7 @@ class Outcome(Enum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Return:
+class SectionReturn:
     """A state in which a motion meets its section.
 
     Attributes:
@@ -97,6 +97,7 @@ class Motion:
 
     Attributes:
         units: Unit of each state, ``(n_x,)``: states of one unit are measured alike.
+        usual: Size that each state usually has in the problem, ``(n_x,)``.
         returns: Its last returns, in order, on one section.
         amplitudes: Size of each return so far as one number, of all of them.
         gone: Name of the coordinate that is gone; empty if there is none.
@@ -105,7 +106,8 @@ class Motion:
     """
 
     units: Sequence[str]
-    returns: Sequence[Return] = ()
+    usual: Vector | float = 1.0
+    returns: Sequence[SectionReturn] = ()
     amplitudes: Sequence[float] = ()
     gone: str = ""
     still: bool = False
@@ -123,7 +125,7 @@ class Settling:
         escaped: Name of the coordinate that is gone.
     """
 
-    outcome: Outcome
+    outcome: AttractorKind
     repetitions: tuple[Repetition, ...] = ()
     trend: float = math.nan
     escaped: str = ""
@@ -139,37 +141,39 @@ def outcome_of(motion: Motion, *, close: float, apart: float = 0.01) -> Settling
     """
     growth = growth_of(motion.amplitudes)
     if motion.gone:
-        return Settling(outcome=Outcome.GONE, trend=growth.factor, escaped=motion.gone)
+        return Settling(outcome=AttractorKind.GONE, trend=growth.factor, escaped=motion.gone)
     if motion.still:
-        return Settling(outcome=Outcome.RESTS, trend=growth.factor)
+        return Settling(outcome=AttractorKind.RESTS, trend=growth.factor)
     if growth.dies_out:
-        return Settling(outcome=Outcome.DIES_OUT, trend=growth.factor)
-    found = repetitions(motion.returns, motion.units, close=close, apart=apart)
+        return Settling(outcome=AttractorKind.DIES_OUT, trend=growth.factor)
+    found = repetitions(motion.returns, motion.units, close=close, apart=apart, usual=motion.usual)
     if found:
-        return Settling(outcome=Outcome.REPEATS, repetitions=found, trend=growth.factor)
+        return Settling(outcome=AttractorKind.REPEATS, repetitions=found, trend=growth.factor)
     if motion.held:
-        return Settling(outcome=Outcome.HELD)
+        return Settling(outcome=AttractorKind.HELD)
     grows = growth.factor > 1.0 + STEADY
-    outcome = Outcome.GROWS if grows else Outcome.UNDECIDED
+    outcome = AttractorKind.GROWS if grows else AttractorKind.UNDECIDED
     return Settling(outcome=outcome, trend=growth.factor)
 
 
 # ------------------------------------------------------------------ sizes
 
 
-def scale_of(states: Sequence[Vector], units: Sequence[str]) -> Vector:
+def scale_of(states: Sequence[Vector], units: Sequence[str], usual: Vector | float = 1.0) -> Vector:
     """Return the size of each state, nowhere near zero, ``(n_x,)``.
 
     Args:
         states: States of the motion, or their sizes, each ``(n_x,)``.
         units: Unit of each; one that nearly vanishes is measured against the others of its unit.
+        usual: Size that each usually has in the problem, ``(n_x,)``: only so can states of
+            different units be compared.
     """
-    largest = np.max(np.abs(np.array(states)), axis=0)
+    largest = np.max(np.abs(np.array(states)), axis=0) / usual
     for alike in _of_one_unit(tuple(units)):
         largest[alike] = np.maximum(largest[alike], _NEAR_ZERO * np.max(largest[alike]))
     # A coordinate that the stop holds at zero is rounding, if it is the only one of its unit.
     overall = float(np.max(largest)) or 1.0
-    return np.where(largest > _ROUNDING * overall, largest, overall)
+    return np.where(largest > _ROUNDING * overall, largest, overall) * usual
 
 
 @lru_cache(maxsize=64)
@@ -206,7 +210,12 @@ def changes(states: Sequence[Vector], scale: Vector) -> dict[int, float]:
 
 
 def repetitions(
-    returns: Sequence[Return], units: Sequence[str], *, close: float, apart: float
+    returns: Sequence[SectionReturn],
+    units: Sequence[str],
+    *,
+    close: float,
+    apart: float,
+    usual: Vector | float = 1.0,
 ) -> tuple[Repetition, ...]:
     """Return the numbers of returns after which a motion repeats, the shortest first.
 
@@ -216,11 +225,12 @@ def repetitions(
         close: Change that counts as repeating, relative.
         apart: It repeats after several returns only if these bring it nearer than any fewer do by
             this factor: a motion that throws over as it settles repeats after one.
+        usual: As for `scale_of`.
     """
     if len(returns) < 2:
         return ()
     sizes = [one.state if one.size is None else one.size for one in returns[-LOOK_BACK:]]
-    scale = scale_of(sizes, units)
+    scale = scale_of(sizes, units, usual)
     nearest = math.inf
     found: list[Repetition] = []
     for n, change in changes([one.state for one in returns], scale).items():
@@ -279,14 +289,14 @@ def _mean_factor(amplitudes: Sequence[float]) -> float:
 # ------------------------------------------------------------------ it rests
 
 
-def is_still(rates: Vector, largest: Vector, rounding: float = 0.0) -> Flags:
+def is_still(rates: Vector, largest: Vector, rounding: Vector | float = 0.0) -> Flags:
     """Return which motions have stopped, ``(n,)``, as flags.
 
     Args:
         rates: Rates of coordinates and velocities, now and in the other phases of the clock,
             ``(n, n_phases, 2 n_q)``.
         largest: The largest that each motion has had, ``(n, 2 n_q)``.
-        rounding: Rates below this are zero.
+        rounding: Rates below this are zero, ``(2 n_q,)``.
     """
     limit = np.maximum(_STILL * largest, rounding)
     return np.asarray(np.all(np.abs(rates) <= limit[:, None, :], axis=(1, 2)))

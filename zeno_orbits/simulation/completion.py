@@ -10,8 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from zeno_orbits.integrators import RungeKutta, Tolerance
-from zeno_orbits.integrators.engine import Stepper
+from zeno_orbits.integrators import RungeKutta, Stepper, Tolerance
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.simulation.event_rules import is_geometric
 from zeno_orbits.simulation.rescaled_flight import rescaled_flights
@@ -70,7 +69,7 @@ class ZenoExtrapolation:
         last = estimates[-1]
         if last.speed > self.resolved * estimates[0].speed:
             return None
-        raw = combine(estimates)
+        raw = combine(estimates, dynamics.own)
         if raw.error > self.tolerance:
             return None
         limit = ZenoLimit(time=raw.time, state=dynamics.on_stop(raw.state), error=raw.error)
@@ -117,7 +116,7 @@ class ZenoPassage:
         last = estimates[-1]
         return pass_through(
             dynamics,
-            rescaled_flights(dynamics, self.engine, _FINEST),
+            rescaled_flights(dynamics, self.engine, _FINEST.times(dynamics.own.least)),
             last.impact_time,
             last.resting,
             last.speed,
@@ -135,9 +134,11 @@ class ZenoPassage:
 
 def _is_due(dynamics: HybridDynamics, estimates: Sequence[TailEstimate]) -> bool:
     """Return True if the curve is worth a try after the last impact."""
-    last, e = estimates[-1], dynamics.restitution
+    last, e, own = estimates[-1], dynamics.restitution, dynamics.own
     again = len(estimates) in _TRIES
-    if not (is_settled(estimates, e) and (again or not is_settled(estimates[:-1], e))):
+    if not is_settled(estimates, e, own):
+        return False
+    if not again and is_settled(estimates[:-1], e, own):
         return False
     holds = dynamics.gap_acceleration(dynamics.on_stop(last.state)) / last.gap_acceleration
     return holds > _STILL_HOLDS

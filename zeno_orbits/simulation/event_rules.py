@@ -50,14 +50,15 @@ def closes_at_once(
     )
 
 
-def enters_stop(rate_after: Any, approach_rate: Any) -> Any:
+def enters_stop(rate_after: Any, approach_rate: Any, size: float) -> Any:
     """Return where a reset map sends a state into the stop.
 
     Args:
         rate_after: Gap rate of the state after the impact.
         approach_rate: The one before it, negative.
+        size: Of the problem's gap rates.
     """
-    return rate_after < -_INSIDE * (1.0 - approach_rate)
+    return rate_after < -_INSIDE * (size - approach_rate)
 
 
 def is_geometric(at_limit: Any, at_impact: Any) -> Any:

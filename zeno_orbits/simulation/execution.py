@@ -10,6 +10,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import Trajectory
+from zeno_orbits.model import USUAL, OwnScale
 
 
 class Mode(Enum):
@@ -185,11 +186,13 @@ class Execution:
         state_names: Name of each state.
         arcs: Arcs in order of time, without a break.
         events: Impacts, Zeno points and releases in order of time.
+        own: Sizes of the problem's numbers.
     """
 
     state_names: tuple[str, ...]
     arcs: tuple[Arc, ...]
     events: tuple[Event, ...]
+    own: OwnScale = USUAL
 
     def __repr__(self) -> str:
         """Return one line: the span of time and how much happens in it."""

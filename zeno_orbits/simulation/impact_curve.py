@@ -1,8 +1,9 @@
 r"""The curve on which the impacts of one sequence lie, as a polynomial (theory (22)).
 
 Let :math:`z = (x_\circ, t)` be the state moved onto the stop just after an impact and its time,
-and :math:`w` the gap rate after it. A flight leads from :math:`(z, w)` to :math:`(z', w')`. The
-impacts of one sequence lie on an analytic curve :math:`z(w)` that ends in their Zeno point, and
+in the problem's own sizes, and :math:`w` the gap rate after it. A flight leads from :math:`(z, w)`
+to :math:`(z', w')`. The impacts of one sequence lie on an analytic curve :math:`z(w)` that ends in
+their Zeno point, and
 
 .. math:: \frac{z(w') - z(w)}{w - w'} = g(z(w), w), \qquad g(z, w) = \frac{z' - z}{w - w'},
     \qquad g(z, 0) = \frac{2}{|\ddot h|\,(1 - e)} \binom{f_\mathrm{locked}}{1}
@@ -16,7 +17,7 @@ On a piece :math:`[w_0 - \Delta, w_0]` the curve is a polynomial, held by the va
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -59,6 +60,20 @@ class ImpactCurve:
     flight: Flight
     most_flights: int
     n_flights: int = 0
+    _unit: Vector = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Look up the sizes."""
+        own = self.dynamics.own
+        self._unit = np.append(own.states(len(self.dynamics.state_names)), own.time)
+
+    def scaled(self, x: Vector, time: float) -> Vector:
+        """Return a point of the curve from its state and time, ``(n_x + 1,)``."""
+        return np.append(x, time) / self._unit
+
+    def plain(self, z: Vector) -> Vector:
+        """Return state and time of a point, ``(n_x + 1,)``."""
+        return z * self._unit
 
     def on_stop(self, x: Vector) -> Vector:
         """Return a state moved onto the stop to rounding: the slope divides what is left by a fall.
@@ -67,7 +82,8 @@ class ImpactCurve:
         """
         for _ in range(_MOST_MOVES):
             x = self.dynamics.on_stop(x)
-            if abs(self.dynamics.gap(x)) <= _ON_STOP * (1 + float(np.max(np.abs(x)))):
+            size = 1 + float(np.max(np.abs(x / self._unit[:-1])))
+            if abs(self.dynamics.gap(x)) <= _ON_STOP * self.dynamics.own.gap * size:
                 break
         return x
 
@@ -78,13 +94,13 @@ class ImpactCurve:
             CurveLostError: If the stop repels there, the speed does not fall, or flights run out.
         """
         dynamics = self.dynamics
-        resting = self.on_stop(z[:-1])
+        resting = self.on_stop(self.plain(z)[:-1])
         acceleration = dynamics.gap_acceleration(resting)
         if not acceleration < 0.0:
             raise CurveLostError
         if w == 0.0:
             rate = tail_time(1.0, acceleration, dynamics.restitution)
-            return rate * np.append(dynamics.locked.rate(resting), 1.0), 0.0
+            return rate * self.scaled(dynamics.locked.rate(resting), 1.0), 0.0
         if self.n_flights >= self.most_flights:
             raise CurveLostError
         self.n_flights += 1
@@ -96,7 +112,7 @@ class ImpactCurve:
         if not fall > 0.0:
             raise CurveLostError
         after = self.on_stop(dynamics.reset_map(state_minus, approach_rate))
-        return np.append(after - resting, duration) / fall, fall
+        return self.scaled(after - resting, duration) / fall, fall
 
     def slopes(self, z: Vector, w: Vector) -> tuple[Vector, Vector]:
         """Return the slopes, ``(s, n_x + 1)``, and falls, ``(s,)``, at several points."""
@@ -105,9 +121,12 @@ class ImpactCurve:
 
     def tangents(self, z: Vector) -> Vector:
         """Return an orthonormal basis of the states on the stop near one of them, ``(n_x, m)``."""
-        x = z[:-1]
+        x, unit = z[:-1], self._unit[:-1]
         nudge = _NUDGE * (1 + float(np.max(np.abs(x))))
-        columns = [(self.dynamics.on_stop(x + nudge * one) - x) / nudge for one in np.eye(len(x))]
+        columns = [
+            (self.dynamics.on_stop((x + nudge * one) * unit) / unit - x) / nudge
+            for one in np.eye(len(x))
+        ]
         left, sizes, _ = np.linalg.svd(np.array(columns).T)
         return left[:, sizes > _PROJECTED_OUT]
 
@@ -126,7 +145,7 @@ class ImpactCurve:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Start:
+class CurveEnd:
     """The end of a piece from which it is grown.
 
     Attributes:
@@ -152,7 +171,7 @@ class Start:
         return float(np.max(np.abs(rates), initial=0.0))
 
 
-def start_at(curve: ImpactCurve, z: Vector, w: float) -> Start:
+def start_at(curve: ImpactCurve, z: Vector, w: float) -> CurveEnd:
     """Return the start of a piece; it costs a flight, and one for every direction on the stop.
 
     Args:
@@ -166,7 +185,7 @@ def start_at(curve: ImpactCurve, z: Vector, w: float) -> Start:
     basis = curve.tangents(z)
     slope, fall = curve.slope(z, w)
     derivative = curve.derivative(z, w, slope, basis)
-    return Start(z=z, w=w, basis=basis, slope=slope, fall=fall, derivative=derivative)
+    return CurveEnd(z=z, w=w, basis=basis, slope=slope, fall=fall, derivative=derivative)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -183,7 +202,7 @@ class Piece:
         changes: What every iteration changed, relative to ``1 + |z|``.
     """
 
-    start: Start
+    start: CurveEnd
     length: float
     nodes: Nodes
     slopes: Vector
@@ -208,7 +227,7 @@ class Piece:
         return np.maximum(self.start.w - self.length * places, 0.0)
 
 
-def straight_piece(start: Start, length: float, n: int, slope: Vector) -> Piece:
+def straight_piece(start: CurveEnd, length: float, n: int, slope: Vector) -> Piece:
     """Return a first guess of a piece, a straight line.
 
     Args:

@@ -8,8 +8,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import StepSizeError
-from zeno_orbits.integrators import Step, Tolerance
-from zeno_orbits.integrators.engine import Stepper
+from zeno_orbits.integrators import Step, Stepper, Tolerance
 from zeno_orbits.model import HybridDynamics
 
 Flight = Callable[[Vector, float], tuple[float, Vector, float] | None]

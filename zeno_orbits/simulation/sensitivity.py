@@ -19,10 +19,13 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import Tolerance
-from zeno_orbits.model import HybridDynamics
-from zeno_orbits.model.contact import GAP, GAP_ACCELERATION, GAP_RATE, MULTIPLIER
-from zeno_orbits.model.numeric.derivatives import (
+from zeno_orbits.model import (
+    GAP,
+    GAP_ACCELERATION,
+    GAP_RATE,
+    MULTIPLIER,
     Differentials,
+    HybridDynamics,
 )
 from zeno_orbits.simulation.execution import Arc, Impact
 from zeno_orbits.simulation.state_transition import carried

@@ -14,9 +14,15 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ChatterError, InputError, PenetrationError, SimulationError
-from zeno_orbits.integrators import Automatic, Engine, GuardedFlow, Tolerance, Trajectory
-from zeno_orbits.integrators.events import SteppedTrajectory
-from zeno_orbits.model import HybridDynamics
+from zeno_orbits.integrators import (
+    Automatic,
+    Engine,
+    GuardedFlow,
+    SteppedTrajectory,
+    Tolerance,
+    Trajectory,
+)
+from zeno_orbits.model import HybridDynamics, constraint_sizes
 from zeno_orbits.simulation.arc_follower import ArcFollower, ArcStart
 from zeno_orbits.simulation.completion import Completion, ZenoPassage
 from zeno_orbits.simulation.event_rules import closes_at_once, enters_stop, stop_holds
@@ -33,6 +39,9 @@ from zeno_orbits.simulation.execution import (
 from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit, estimate_tail
 from zeno_orbits.work import Progress, silent
 
+_OFF = 1e-9
+"""Part of a constraint's size by which an admissible state may miss it."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulationSettings:
@@ -42,7 +51,8 @@ class SimulationSettings:
         engine: The integrator.
         tolerance: Its local error.
         completion: How a Zeno point is reached.
-        contact: A gap or gap rate below this counts as zero.
+        contact: A gap, gap rate or gap acceleration below this part of the problem's own counts
+            as zero.
         far: A coordinate beyond this ends the execution with an error: one bound for all
             coordinates, or one for each.
         most_impacts: Impacts in one sequence before it is given up.
@@ -82,7 +92,8 @@ def simulate(
 
     Raises:
         InputError: If the state is not admissible or the horizon is not a positive number.
-        SimulationError: If the execution cannot be continued; it says where and why.
+        SimulationError: If the execution cannot be continued; it says where and why, and holds
+            what came before.
     """
     if not (math.isfinite(until) and until > 0.0):
         raise InputError(
@@ -95,7 +106,7 @@ def simulate(
         follower=ArcFollower(
             dynamics=dynamics,
             engine=chosen.engine,
-            tolerance=chosen.tolerance,
+            tolerance=chosen.tolerance.times(dynamics.own.least),
             until=until,
             contact=chosen.contact,
             far=chosen.far,
@@ -105,13 +116,15 @@ def simulate(
         most_impacts=math.inf if impacts is None else impacts,
     )
     start = run.admitted(np.array(state, dtype=np.float64))
-    while start is not None:
-        start = run.after_phase(start)
-        reached = run.arcs[-1].end_time if run.arcs else 0.0
-        on_progress("simulating", reached / until)
-    return Execution(
-        state_names=dynamics.state_names, arcs=tuple(run.arcs), events=tuple(run.events)
-    )
+    try:
+        while start is not None:
+            start = run.after_phase(start)
+            reached = run.arcs[-1].end_time if run.arcs else 0.0
+            on_progress("simulating", reached / until)
+    except SimulationError as error:
+        error.execution = run.execution() if run.arcs else None
+        raise
+    return run.execution()
 
 
 @dataclass(slots=True, kw_only=True)
@@ -142,13 +155,33 @@ class _Run:
     n_impacts: int = 0
     n_releases: int = 0
 
+    @property
+    def small_gap(self) -> float:
+        """A gap below this counts as zero."""
+        return self.settings.contact * self.dynamics.own.gap
+
+    @property
+    def small_rate(self) -> float:
+        """A gap rate below this does."""
+        return self.settings.contact * self.dynamics.own.gap_rate
+
+    def execution(self) -> Execution:
+        """Return the execution so far."""
+        names = self.dynamics.state_names
+        return Execution(
+            state_names=names,
+            arcs=tuple(self.arcs),
+            events=tuple(self.events),
+            own=self.dynamics.own,
+        )
+
     def admitted(self, x: Vector) -> ArcStart | None:
         """Return the first start.
 
         Raises:
             InputError: If the state is not admissible; it says why.
         """
-        dynamics, small = self.dynamics, self.settings.contact
+        dynamics, small, small_rate = self.dynamics, self.small_gap, self.small_rate
         names = dynamics.state_names
         if x.shape != (len(names),):
             message = (
@@ -157,20 +190,38 @@ class _Run:
             raise InputError(message)
         if not np.all(np.isfinite(x)):
             raise InputError("Argument `state` must be finite, but it holds NaN or infinity.")
-        off = dynamics.holonomic(x)
-        if off.size and float(np.max(np.abs(off))) > 1e-9:
-            message = "Argument `state` must keep the holonomic constraints, but it is off by"
-            raise InputError(f"{message} {float(np.max(np.abs(off))):.3g}.")
+        self._require_constraints(x)
         gap, rate = dynamics.gap(x), dynamics.gap_rate(x)
         if gap < -small:
             raise InputError(f"Argument `state` must have a gap >= 0, but it is {gap:.6g}.")
         if gap > small:
             return ArcStart(mode=Mode.FREE, time=0.0, state=x)
-        if rate > small:
+        if rate > small_rate:
             return ArcStart(mode=Mode.FREE, time=0.0, state=x, speed=rate)
-        if rate < -small:
+        if rate < -small_rate:
             return self.impact(0.0, x, rate)
         return self.on_stop(0.0, dynamics.on_stop(x))
+
+    def _require_constraints(self, x: Vector) -> None:
+        """Refuse a state off its constraints, relative to what the problem's own sizes change.
+
+        Raises:
+            InputError: With how far it is off.
+        """
+        dynamics = self.dynamics
+        off = np.abs(dynamics.holonomic(x))
+        if dynamics.own.least == 1.0 and not np.any(off > _OFF):
+            return
+        if not np.any(off > _OFF * constraint_sizes(dynamics, x)):
+            return
+        if dynamics.clock and off[-1] > _OFF:
+            names = " and ".join(f"`{dynamics.state_names[k]}`" for k in dynamics.clock)
+            seen = " and ".join(f"{x[k]:g}" for k in dynamics.clock)
+            message = f"must have {names} on the unit circle, as a clock, but they are {seen}"
+            first = dynamics.state_names[dynamics.clock[0]]
+            raise InputError(f"Argument `state` {message}; a turn starts with {first}=1.")
+        message = "Argument `state` must keep the holonomic constraints, but it is off by"
+        raise InputError(f"{message} {float(np.max(off)):.3g}.")
 
     def after_phase(self, start: ArcStart) -> ArcStart | None:
         """Follow a locked arc, a flight, or a sequence of impacts to its Zeno point."""
@@ -195,15 +246,28 @@ class _Run:
 
     def free_flight(self, start: ArcStart) -> ArcStart | None:
         """Follow the free flow from a start or a release to an impact."""
-        released = self.dynamics.gap(start.state) <= self.settings.contact
+        released = self.dynamics.gap(start.state) <= self.small_gap
         arc, _ = self._arc(start, self.dynamics.free, Ending.IMPACT, on_guard=released)
         if arc.ending is Ending.HORIZON:
             return None
         rate = self.dynamics.gap_rate(arc.end_state)
-        if abs(rate) <= self.settings.contact:
+        if abs(rate) <= self.small_rate:
             # The gap closes no faster than rounding: the stop is touched, not struck.
             return self.on_stop(arc.end_time, self.dynamics.on_stop(arc.end_state))
-        return self.impact(arc.end_time, arc.end_state, rate)
+        return self.landing(arc.end_time, arc.end_state, rate)
+
+    def landing(self, time: float, state: Vector, rate: float) -> ArcStart | None:
+        """Apply the impact at the end of a flight, or fly on from a graze.
+
+        Args:
+            time: When the gap closes [s].
+            state: State there, ``(n_x,)``.
+            rate: Gap rate there. Dense output may see a fall where the steps, a rounding later,
+                find the gap opening again.
+        """
+        if rate > 0.0:
+            return ArcStart(mode=Mode.FREE, time=time, state=state, speed=rate)
+        return self.impact(time, state, rate)
 
     def impact(self, time: float, state_minus: Vector, approach_rate: float) -> ArcStart | None:
         """Apply the reset map and return what follows it, if anything is to.
@@ -225,7 +289,7 @@ class _Run:
             )
         state_plus = dynamics.reset_map(state_minus, approach_rate)
         speed = dynamics.speed_after(approach_rate)
-        if enters_stop(dynamics.gap_rate(state_plus), approach_rate):
+        if enters_stop(dynamics.gap_rate(state_plus), approach_rate, dynamics.own.gap_rate):
             raise PenetrationError(
                 "The reset map sends the state into the stop",
                 time=time,
@@ -241,7 +305,7 @@ class _Run:
         self.n_impacts += 1
         if self.arcs and self.n_impacts >= self.most_impacts:
             return None
-        if speed <= self.settings.contact:
+        if speed <= self.small_rate:
             state = dynamics.on_stop(state_plus)
             after = self.on_stop(time, state)
             if after.mode is Mode.FREE:
@@ -283,7 +347,7 @@ class _Run:
         arc, end = self._arc(start, flight, Ending.IMPACT, on_guard=True)
         if arc.ending is Ending.HORIZON:
             return None
-        return self.impact(arc.end_time, arc.end_state, speed * float(end[-1]))
+        return self.landing(arc.end_time, arc.end_state, speed * float(end[-1]))
 
     def _zeno_point(
         self, start: ArcStart, speed: float, estimates: list[TailEstimate]
@@ -343,7 +407,7 @@ class _Run:
     def _is_slack(self, x: Vector) -> bool:
         """Return True if the stop neither holds nor repels a state on it, to rounding."""
         lift = self.dynamics.gap_acceleration(x)
-        if abs(lift) <= self.settings.contact:
+        if abs(lift) <= self.settings.contact * self.dynamics.own.gap_acceleration:
             return True
         if not lift > 0.0:
             return False

@@ -16,12 +16,18 @@ from collections.abc import Iterator
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators import Automatic, GuardedFlow, Step, Tolerance
-from zeno_orbits.integrators.collocation import Collocation, radau
+from zeno_orbits.integrators import (
+    Automatic,
+    Collocation,
+    GuardedFlow,
+    Step,
+    SteppedTrajectory,
+    Tolerance,
+)
+from zeno_orbits.integrators.collocation import radau
 from zeno_orbits.integrators.dop853 import ExplicitStep
-from zeno_orbits.integrators.events import SteppedTrajectory
 from zeno_orbits.integrators.radau import RadauStep
-from zeno_orbits.model.numeric.compiled_derivatives import N_STAGES
+from zeno_orbits.model import N_STAGES
 from zeno_orbits.model.numeric.derivatives import FlowDifferential
 from zeno_orbits.simulation.execution import Arc
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import Step
-from zeno_orbits.model import HybridDynamics
+from zeno_orbits.model import USUAL, HybridDynamics, OwnScale
 
 N_NODES = 5
 """Impacts that the extrapolation uses at most."""
@@ -136,7 +136,8 @@ class ZenoLimit:
     Attributes:
         time: Zeno time [s].
         state: Zeno state, ``(n_x,)``, on the stop.
-        error: Estimate of the error of time and state, relative to ``1 + |t|`` and ``1 + |x|``,
+        error: Estimate of the error of time and state, relative to ``1 + |t|`` and ``1 + |x|``, the
+            1 in units of the problem's own sizes,
             had the impacts been exact: the difference from the limit that the impacts a node
             earlier gave.
         path: The states on the stop on the way from the last impact, where they are known, with
@@ -182,12 +183,12 @@ def extrapolate(dynamics: HybridDynamics, estimates: Sequence[TailEstimate]) -> 
         estimates: One an impact, at least one. With a single one the error is unknown: infinite,
             or zero if the impact was plastic.
     """
-    limit = combine(estimates)
+    limit = combine(estimates, dynamics.own)
     state = dynamics.on_stop(limit.state)
     return ZenoLimit(time=limit.time, state=state, error=limit.error)
 
 
-def combine(estimates: Sequence[TailEstimate]) -> ZenoLimit:
+def combine(estimates: Sequence[TailEstimate], own: OwnScale = USUAL) -> ZenoLimit:
     """Return the extrapolated limit before it is moved onto the stop, which it misses by rounding.
 
     The error estimate is the difference from what the impacts a node earlier gave: the error of
@@ -196,6 +197,7 @@ def combine(estimates: Sequence[TailEstimate]) -> ZenoLimit:
 
     Args:
         estimates: As for `extrapolate`.
+        own: Sizes of the problem's numbers.
     """
     speeds = [estimate.speed for estimate in estimates]
     chosen = spread_nodes(speeds)
@@ -205,8 +207,8 @@ def combine(estimates: Sequence[TailEstimate]) -> ZenoLimit:
     else:
         earlier = spread_nodes(speeds[: chosen[-2] + 1])
         time_before, state_before = _limit(tuple([estimates[k] for k in earlier]))
-        change = np.abs(state - state_before) / (1 + np.abs(state))
-        error = max(abs(time - time_before) / (1 + abs(time)), float(change.max()))
+        change = np.abs(state - state_before) / (own.states(len(state)) + np.abs(state))
+        error = max(abs(time - time_before) / (own.time + abs(time)), float(change.max()))
     return ZenoLimit(time=time, state=state, error=error)
 
 

@@ -24,12 +24,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model import HybridDynamics
+from zeno_orbits.model import USUAL, HybridDynamics, OwnScale
 from zeno_orbits.simulation.impact_curve import (
+    CurveEnd,
     CurveLostError,
     ImpactCurve,
     Piece,
-    Start,
     converged,
     correction,
     differentiated,
@@ -103,7 +103,7 @@ def pass_through(
     curve = ImpactCurve(dynamics, flight, most_flights)
     rounding = _ROUNDING / (1 - dynamics.restitution)
     allowed = max(tolerance, 2 * rounding)
-    z, w, error = np.append(dynamics.on_stop(state), 0.0), speed, rounding
+    z, w, error = curve.scaled(dynamics.on_stop(state), 0.0), speed, rounding
     layer = _Layer(decades=math.inf)
     path: list[CurveStep] = []
     try:
@@ -118,10 +118,11 @@ def pass_through(
                 break
     except CurveLostError:
         return None
-    resting = dynamics.on_stop(z[:-1])
+    *end, passed_time = curve.plain(z)
+    resting = dynamics.on_stop(np.array(end))
     if w > 0.0 or not dynamics.gap_acceleration(resting) < 0.0:
         return None
-    return ZenoLimit(time=time + float(z[-1]), state=resting, error=error, path=tuple(path))
+    return ZenoLimit(time=time + float(passed_time), state=resting, error=error, path=tuple(path))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,13 +135,13 @@ class _Layer:
 
     decades: float
 
-    def length(self, start: Start) -> float:
+    def length(self, start: CurveEnd) -> float:
         """Return how long a piece it allows."""
         if self.decades > _PASSED or start.fastest == 0.0:
             return start.w
         return min(start.w, (_FIRST_DECAY + _NEXT_DECAY * self.decades) / start.fastest)
 
-    def behind(self, start: Start, length: float) -> _Layer:
+    def behind(self, start: CurveEnd, length: float) -> _Layer:
         """Return what is left of it after a piece."""
         return _Layer(decades=self.decades + start.fastest * length / math.log(10))
 
@@ -150,37 +151,39 @@ class CurveStep:
     """A piece of the curve, read along time: the state on the stop, below the flights.
 
     Attributes:
+        curve: The curve.
         piece: The polynomial.
         missed: Correction of its end, ``(n_x + 1,)``; it grows evenly along the piece.
     """
 
+    curve: ImpactCurve
     piece: Piece
     missed: Vector
 
     @property
     def end(self) -> Vector:
-        """State and time at its end, ``(n_x + 1,)``."""
+        """The point at its end, ``(n_x + 1,)``."""
         return self.piece.end + self.missed
 
     @property
     def start(self) -> float:
         """Time at its start, from the impact at which the curve starts."""
-        return float(self.piece.start.z[-1])
+        return float(self.curve.plain(self.piece.start.z)[-1])
 
     @property
     def size(self) -> float:
         """Its length in time."""
-        return float(self.end[-1]) - self.start
+        return float(self.curve.plain(self.end)[-1]) - self.start
 
     @property
     def before(self) -> Vector:
         """State at its start, ``(n_x,)``."""
-        return self.piece.start.z[:-1]
+        return self.curve.plain(self.piece.start.z)[:-1]
 
     @property
     def after(self) -> Vector:
         """State at its end, ``(n_x,)``."""
-        return self.end[:-1]
+        return self.curve.plain(self.end)[:-1]
 
     def state_at(self, offset: float) -> Vector:
         """Return the state ``offset`` after its start, ``(n_x,)``."""
@@ -200,7 +203,7 @@ class CurveStep:
     def _point(self, place: float) -> Vector:
         piece = self.piece
         along = piece.nodes.integrals(np.array([place]))[0] @ piece.slopes
-        return piece.start.z + piece.length * along + place * self.missed
+        return self.curve.plain(piece.start.z + piece.length * along + place * self.missed)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -225,7 +228,7 @@ class _TooLong:
     rough: bool
 
 
-def _longest_piece(curve: ImpactCurve, start: Start, layer: _Layer, tolerance: float) -> _Passed:
+def _longest_piece(curve: ImpactCurve, start: CurveEnd, layer: _Layer, tolerance: float) -> _Passed:
     """Return a converged piece, as long as possible.
 
     Raises:
@@ -247,7 +250,7 @@ def _longest_piece(curve: ImpactCurve, start: Start, layer: _Layer, tolerance: f
 
 
 def _attempt(
-    curve: ImpactCurve, start: Start, length: float, layer: _Layer, tolerance: float
+    curve: ImpactCurve, start: CurveEnd, length: float, layer: _Layer, tolerance: float
 ) -> _Passed | _TooLong:
     """Return a piece of a length, or a shorter length.
 
@@ -275,10 +278,12 @@ def _attempt(
     return _shorter(tolerance, passed.error, rough=False)
 
 
-def _shaped(curve: ImpactCurve, start: Start, length: float) -> Piece:
+def _shaped(curve: ImpactCurve, start: CurveEnd, length: float) -> Piece:
     """Return a rough piece with few nodes and good derivatives."""
-    end = curve.dynamics.on_stop((start.z + length * start.slope)[:-1])
-    bend = curve.dynamics.gap_acceleration(end) / curve.dynamics.gap_acceleration(start.z[:-1])
+    dynamics = curve.dynamics
+    end = dynamics.on_stop(curve.plain(start.z + length * start.slope)[:-1])
+    begin = curve.plain(start.z)[:-1]
+    bend = dynamics.gap_acceleration(end) / dynamics.gap_acceleration(begin)
     slope = start.slope if _MAY_BEND < bend < 1 / _MAY_BEND else np.zeros_like(start.slope)
     piece = iterated(curve, straight_piece(start, length, _FEW, slope))
     piece = differentiated(curve, piece)
@@ -294,7 +299,7 @@ def _shaped(curve: ImpactCurve, start: Start, length: float) -> Piece:
 def _passed(curve: ImpactCurve, piece: Piece, layer: _Layer) -> _Passed:
     missed = correction(curve, piece)
     return _Passed(
-        step=CurveStep(piece=piece, missed=missed),
+        step=CurveStep(curve=curve, piece=piece, missed=missed),
         error=relative(missed, piece.end) + piece.rest,
         layer=layer.behind(piece.start, piece.length),
     )
@@ -317,7 +322,9 @@ _WORTH_WAITING = 150
 """Impacts that cost less than the pieces of a layer."""
 
 
-def is_settled(estimates: Sequence[TailEstimate], restitution: float) -> bool:
+def is_settled(
+    estimates: Sequence[TailEstimate], restitution: float, own: OwnScale = USUAL
+) -> bool:
     r"""Return True if the curve of the impacts is worth a try, as far as the last six tell.
 
     Along the curve a state changes smoothly over :math:`1 / (1 - e)` impacts, and the fourth
@@ -329,10 +336,12 @@ def is_settled(estimates: Sequence[TailEstimate], restitution: float) -> bool:
     Args:
         estimates: One an impact.
         restitution: :math:`e`.
+        own: Sizes of the problem's numbers.
     """
     if len(estimates) < _DIFFERENCES + 2:
         return False
     states = np.array([estimate.resting for estimate in estimates[-_DIFFERENCES - 2 :]])
+    states = states / own.states(states.shape[1])
     differences = np.diff(states, n=_DIFFERENCES, axis=0)
     before, now = (relative(difference, states[-1]) for difference in differences)
     if now <= _SEEN + _SMOOTH * (1 - restitution) ** _DIFFERENCES or now >= before:

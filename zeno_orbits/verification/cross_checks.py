@@ -10,11 +10,9 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.model import HybridDynamics, Problem
+from zeno_orbits.model import HybridDynamics, Problem, load_reference
 from zeno_orbits.model.hybrid import audited
-from zeno_orbits.model.library import load_reference
-from zeno_orbits.orbits import Cycle, PhaseKind, ZenoOrbit, placed
-from zeno_orbits.orbits.phases import Phase
+from zeno_orbits.orbits import Cycle, Phase, PhaseKind, ZenoOrbit, placed
 from zeno_orbits.simulation import Impact, SimulationSettings, Truncation, ZenoPassage, simulate
 from zeno_orbits.verification.certificate import DeltaCut
 from zeno_orbits.verification.claim import Claim

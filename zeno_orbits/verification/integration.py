@@ -10,10 +10,17 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import HybridDynamics
-from zeno_orbits.orbits import Cycle, OrbitShape, at_looser_tolerance, placed
-from zeno_orbits.orbits.cycle import first_cycles
+from zeno_orbits.orbits import (
+    Cycle,
+    Moment,
+    OrbitShape,
+    at_looser_tolerance,
+    first_cycles,
+    kinds_of,
+    phases_of,
+    placed,
+)
 from zeno_orbits.orbits.period import followed
-from zeno_orbits.orbits.phases import Moment, kinds_of, phases_of
 from zeno_orbits.simulation import Arc, Execution, Mode, SimulationSettings, ZenoExtrapolation
 from zeno_orbits.verification.claim import Claim
 

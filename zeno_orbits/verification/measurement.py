@@ -7,12 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model import HybridDynamics, Problem
-from zeno_orbits.model.numeric.compiled import bind
+from zeno_orbits.errors import InputError, SimulationError, did_you_mean
+from zeno_orbits.model import HybridDynamics, Problem, bind
 from zeno_orbits.orbits import Cycle, ZenoOrbit, floquet_multipliers, placed
-from zeno_orbits.simulation import SimulationSettings
-from zeno_orbits.simulation.signals import Extent, extent_of, signal, signal_names
+from zeno_orbits.simulation import Extent, SimulationSettings, extent_of, signal, signal_names
 from zeno_orbits.verification.claim import Claim, claim_of
 from zeno_orbits.verification.cross_checks import energies_of
 from zeno_orbits.verification.integration import FirstCycle, observe
@@ -45,7 +43,8 @@ def require_quantities(names: Sequence[str], problem: Problem, argument: str) ->
     for name in names:
         if name not in known:
             wanted = f"must name a quantity of the problem ({', '.join(known)})"
-            raise InputError(f"Argument `{argument}` {wanted}, but it names `{name}`.")
+            near = did_you_mean(name, known)
+            raise InputError(f"Argument `{argument}` {wanted}, but it names `{name}`.{near}")
 
 
 def measure(
@@ -102,7 +101,7 @@ def _number(
     elif name == "energy":
         value = energies_of(orbit, problem, claim, cycle, simulation)["input_work"]
     elif name == "margin":
-        value = smallest_share(dynamics, cycle)
+        value = measured_smallest_share(dynamics, cycle)
     elif name == "spectral_radius":
         multipliers = floquet_multipliers(
             dynamics,
@@ -122,7 +121,7 @@ def _number(
     return Extent(lowest=value, highest=value, error=error)
 
 
-def smallest_share(dynamics: HybridDynamics, cycle: Cycle) -> float:
+def measured_smallest_share(dynamics: HybridDynamics, cycle: Cycle) -> float:
     r"""Return the smallest margin of all phases as a share of the most it could be (theory (32)).
 
     The locked arc in periods; :math:`-\ddot h` at the Zeno point and the speed of the first impact,

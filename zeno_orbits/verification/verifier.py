@@ -13,8 +13,7 @@ from dataclasses import dataclass, field, replace
 
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.integrators import Tolerance
-from zeno_orbits.model import HybridDynamics, Problem
-from zeno_orbits.model.library import load_reference
+from zeno_orbits.model import HybridDynamics, Problem, load_reference
 from zeno_orbits.orbits import Multipliers, ZenoOrbit, floquet_multipliers, placed
 from zeno_orbits.orbits.digest import digest_of, same_equations
 from zeno_orbits.simulation import SimulationSettings
@@ -161,7 +160,7 @@ def _contradictions(
 ) -> Iterator[str]:
     """Yield clauses on what an orbit says of itself, and on coordinates that escape."""
     if orbit.problem_digest and not same_equations(orbit.problem_digest, digest_of(problem)):
-        yield f"the equations of problem `{problem.name}` are not those that gave the orbit"
+        yield f"the equations of problem `{problem.name}` differ from those that gave the orbit"
     shape = orbit.shape.at_restitution(dynamics.restitution)
     if shape != orbit.shape:
         at = f"at restitution {dynamics.restitution:g} it is `{shape.text}`"

@@ -5,9 +5,10 @@ result passes through JSON, and a finished chunk is kept in a checkpoint. So the
 same for any number of workers, and after any number of restarts.
 
 Offers: `spread` and `spread_in_order` run a `Task` as a `Plan` says, at a `Place` (`Workers` or a
-`Cluster`), in a pool that `open_pool` opens (`Pool`), with `Lost` for a point that kills workers;
-`claim`, `keeps_nothing` and `remove_checkpoint` for checkpoints; `Progress` and `silent` for
-progress reports; `write_whole` for files; `plain` and `restored` between values and JSON;
+`Cluster`), in a pool that `open_pool` opens (`Pool`), with `LostPoint` for a point that kills
+workers; `claim`, `keeps_nothing` and `remove_checkpoint` for checkpoints; `Progress` and `silent`
+for progress reports, `portion` for a step of several, `tell_part` and `parts_told_to` for those
+from inside a chunk; `write_whole` for files; `plain` and `restored` between values and JSON;
 `versions` of the software.
 
 Imports: arrays, errors.

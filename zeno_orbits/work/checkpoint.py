@@ -12,7 +12,7 @@ from typing import Any, cast
 
 from zeno_orbits.errors import CheckpointError
 from zeno_orbits.work.files import read_object, write_whole
-from zeno_orbits.work.plan import Lost
+from zeno_orbits.work.plan import LostPoint
 
 FORMAT = 1
 """Version of the files in the folder."""
@@ -45,8 +45,8 @@ class Checkpoint:
         Raises:
             InputError: If the folder cannot be written.
         """
-        lost = [k for k, result in enumerate(results) if isinstance(result, Lost)]
-        kept = [None if isinstance(result, Lost) else result for result in results]
+        lost = [k for k, result in enumerate(results) if isinstance(result, LostPoint)]
+        kept = [None if isinstance(result, LostPoint) else result for result in results]
         body = {"chunk": chunk, "lost": lost, "results": kept}
         entries = {"format": FORMAT, "work": self.work, "checksum": _digest(body)} | body
         write_whole(self._file(chunk), json.dumps(entries, allow_nan=False) + "\n")
@@ -68,13 +68,13 @@ class Checkpoint:
         entries = _object(path)
         body = {name: entries.get(name) for name in ("chunk", "lost", "results")}
         if entries.get("work") != self.work or body["chunk"] != chunk:
-            raise _broken(path, "it belongs to another work or chunk")
+            raise _broken(path, "it belongs to other work or another chunk")
         if entries.get("checksum") != _digest(body):
             raise _broken(path, "its checksum is wrong")
         lost, kept = cast("list[int]", body["lost"]), cast("list[Any]", body["results"])
         if len(kept) != self.sizes[chunk]:
             raise _broken(path, f"it has {len(kept)} results in place of {self.sizes[chunk]}")
-        return [Lost() if k in lost else result for k, result in enumerate(kept)]
+        return [LostPoint() if k in lost else result for k, result in enumerate(kept)]
 
 
 def open_checkpoint(folder: Path, identity: Mapping[str, Any], sizes: Sequence[int]) -> Checkpoint:
@@ -120,11 +120,11 @@ def keeps_nothing(folder: Path) -> bool:
 
 def _require_empty(folder: Path) -> None:
     if not folder.parent.is_dir() or (folder.exists() and not folder.is_dir()):
-        raise CheckpointError(folder, "it is no folder and cannot become one")
+        raise CheckpointError(folder, "it is not a folder and cannot become one")
     # A process that is killed while it writes leaves a file with a dot behind.
     strange = [] if not folder.exists() else [p.name for p in folder.iterdir() if p.name[0] != "."]
     if strange:
-        raise CheckpointError(folder, f"it is no checkpoint: it holds `{sorted(strange)[0]}`")
+        raise CheckpointError(folder, f"it is not a checkpoint: it holds `{sorted(strange)[0]}`")
 
 
 def _object(path: Path) -> dict[str, Any]:
@@ -136,9 +136,9 @@ def _object(path: Path) -> dict[str, Any]:
 
 def _broken(path: Path, reason: str) -> CheckpointError:
     if path.name == _IDENTITY:
-        help_ = "Nothing tells what it belongs to: name another folder, or remove it"
+        help_ = "It does not tell what it belongs to: name another folder, or remove it"
     else:
-        help_ = "Remove that file alone and start again; only its points are computed anew"
+        help_ = "Remove that file alone and start again; only its points are computed again"
     return CheckpointError(path.parent, f"`{path.name}` is broken: {reason}. {help_}")
 
 

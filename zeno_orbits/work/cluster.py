@@ -39,6 +39,10 @@ class ClusterPool:
         """Send a chunk to the scheduler."""
         return self._executor.submit(run_chunk, task, points, code_digest())
 
+    def part(self, future: Future[str]) -> float:  # noqa: ARG002 (its notes are elsewhere)
+        """Return 0: a worker on another machine tells nothing before it has finished."""
+        return 0.0
+
     def died(self, future: Future[str]) -> bool:
         """Return True if a chunk killed one worker after the other.
 
@@ -95,7 +99,7 @@ def open_cluster(cluster: Cluster) -> Generator[ClusterPool]:
         from distributed import Client
     except ImportError as error:
         raise InputError(
-            "Argument `scheduler` must not be given without the extra `cluster`, but Dask is not "
+            "Argument `scheduler` must come with the extra `cluster`, but Dask is not "
             "installed; run `pip install 'zeno_orbits[cluster]'`."
         ) from error
     _require_scheduler(cluster)
@@ -139,7 +143,7 @@ def _require_scheduler(cluster: Cluster) -> None:
             late = f"does not answer within {cluster.patience:g} s"
             raise InputError(f"{_asked(cluster)} {late}.") from error
         except Exception as error:
-            reason = f"is none ({type(error).__name__}: {error})"
+            reason = f"is not one ({type(error).__name__}: {error})"
             raise InputError(f"{_asked(cluster)} {reason}.") from error
     if found != "Scheduler":
         raise InputError(f"{_asked(cluster)} is that of a {found}.")

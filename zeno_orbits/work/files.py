@@ -67,11 +67,11 @@ def read_json(path: Path) -> Any:
     except OSError as error:
         raise ValueError(f"it cannot be read ({error.strerror})") from error
     except UnicodeDecodeError as error:
-        raise ValueError("it is no text in UTF-8") from error
+        raise ValueError("it is not UTF-8 text") from error
     except _TwiceError:
         raise
     except (ValueError, RecursionError) as error:
-        raise ValueError(f"it is no complete JSON ({error})") from error
+        raise ValueError(f"it is not complete JSON ({error})") from error
 
 
 def read_object(path: Path) -> dict[str, Any]:
@@ -85,7 +85,7 @@ def read_object(path: Path) -> dict[str, Any]:
     """
     entries = read_json(path)
     if not isinstance(entries, dict):
-        raise ValueError("it is no object with names")  # noqa: TRY004 (a fault of the file)
+        raise ValueError("it is not an object with names")  # noqa: TRY004 (a fault of the file)
     return cast("dict[str, Any]", entries)
 
 

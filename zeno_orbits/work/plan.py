@@ -65,7 +65,7 @@ class Plan:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Lost:
+class LostPoint:
     """In place of a result: the point that killed every worker that computed it.
 
     Attributes:

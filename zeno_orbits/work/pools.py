@@ -9,18 +9,20 @@ from __future__ import annotations
 
 import os
 import signal
+import tempfile
 import threading
 import time
 from collections.abc import Generator, Sequence
 from concurrent.futures import Executor, Future
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, Protocol
 
 from zeno_orbits.errors import InputError, WorkError
 from zeno_orbits.work.cluster import open_cluster
 from zeno_orbits.work.plan import Cluster, Place, Workers
 from zeno_orbits.work.software import code_digest
-from zeno_orbits.work.tasks import Task, run_chunk
+from zeno_orbits.work.tasks import Task, read_note, run_chunk
 
 _ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS"), "1"
@@ -45,6 +47,10 @@ class Pool(Protocol):
 
     def submit(self, task: Task, points: Sequence[Any]) -> Future[str]:
         """Start a chunk; a dead worker is replaced first."""
+        ...
+
+    def part(self, future: Future[str]) -> float:
+        """Return how much of a chunk under way is done, in [0, 1]; 0 where nobody tells."""
         ...
 
     def died(self, future: Future[str]) -> bool:
@@ -107,24 +113,36 @@ class _CorePool:
         self.window = count
         self.attempts = attempts
         self._executor: Executor | None = None
+        self._folder = tempfile.TemporaryDirectory(prefix="zeno-orbits-")
+        self._notes: dict[Future[str], Path] = {}
+        self._n_notes = 0
 
     def submit(self, task: Task, points: Sequence[Any]) -> Future[str]:
         from joblib.externals.loky.process_executor import BrokenProcessPool
 
+        self._n_notes += 1
+        note = Path(self._folder.name) / str(self._n_notes)
+        work = (run_chunk, task, points, code_digest(), str(note))
         try:
-            return self._open().submit(run_chunk, task, points, code_digest())
+            future = self._open().submit(*work)
         except BrokenProcessPool:
             # A worker died with nothing to do.
-            self.close()
-            return self._open().submit(run_chunk, task, points, code_digest())
+            self.end_processes()
+            future = self._open().submit(*work)
+        self._notes[future] = note
+        return future
+
+    def part(self, future: Future[str]) -> float:
+        return read_note(self._notes[future])
 
     def died(self, future: Future[str]) -> bool:
         from joblib.externals.loky.process_executor import BrokenProcessPool
 
         error = future.exception()
+        self._notes.pop(future, None)
         if error is None:
             return False
-        self.close()
+        self.end_processes()
         if not isinstance(error, BrokenProcessPool):
             raise WorkError(f"A chunk cannot be sent to a worker: {error}") from error
         return True
@@ -145,7 +163,12 @@ class _CorePool:
         return self._executor
 
     def close(self) -> None:
-        """End the processes."""
+        """End the processes, and remove their notes."""
+        self.end_processes()
+        self._folder.cleanup()
+
+    def end_processes(self) -> None:
+        """End the processes; others take their place when they are needed."""
         if self._executor is not None:
             # Loky adds the second argument to those of an executor.
             self._executor.shutdown(wait=True, kill_workers=True)  # pyright: ignore[reportCallIssue]

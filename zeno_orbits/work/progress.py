@@ -21,5 +21,20 @@ class Progress(Protocol):
         ...
 
 
+def portion(on_progress: Progress, low: float, high: float) -> Progress:
+    """Return the progress of one step of several, for the step to report its own parts to.
+
+    Args:
+        on_progress: The progress of the whole.
+        low: Part of the whole that is done before the step.
+        high: The same after it.
+    """
+
+    def tell(stage: str, part: float | None, /) -> None:
+        on_progress(stage, None if part is None else low + (high - low) * part)
+
+    return tell
+
+
 def silent(_stage: str, _part: float | None, /) -> None:
     """Ignore a report: the default of every ``on_progress``."""

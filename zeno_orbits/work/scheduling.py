@@ -5,19 +5,21 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter, deque
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Any
 
 from zeno_orbits.work.checkpoint import Checkpoint, open_checkpoint
-from zeno_orbits.work.plan import Lost, Plan, Workers
+from zeno_orbits.work.plan import LostPoint, Plan, Workers
 from zeno_orbits.work.pools import Pool, open_pool
 from zeno_orbits.work.progress import Progress, silent
 from zeno_orbits.work.software import code_digest
 from zeno_orbits.work.tasks import Task, results_of
 
+_NEARLY = 0.99
+"""A chunk under way counts at most this much."""
 _TICK = 0.2
 """Longest time between two progress reports; a report may look for an interrupt [s]."""
 
@@ -52,7 +54,7 @@ def spread(
         pool: Workers of `open_pool` in place of the plan's own, for one stage after another.
 
     Returns:
-        One result a point as it comes out of JSON, or ``Lost`` where the point kills its worker.
+        One result a point as it comes out of JSON, ``LostPoint`` where the point kills its worker.
 
     Raises:
         InputError: If the place cannot be had, or the checkpoint is another's.
@@ -133,14 +135,17 @@ def _report(
     noun: str,
     chunks: Sequence[Sequence[Any]],
     found: dict[int, list[Any]],
-) -> Callable[[], None]:
-    """Return a function that reports progress; chunks that were kept do not count."""
+) -> Callable[..., None]:
+    """Return a function of the points that are done in chunks under way: it reports progress.
+
+    The time left is that of the points which were not kept from an earlier run.
+    """
     total = sum(map(len, chunks))
     before = sum(map(len, found.values()))
 
-    def report() -> None:
-        done = sum(map(len, found.values()))
-        on_progress(f"{done} of {total} {noun}", (done - before) / max(total - before, 1))
+    def report(under_way: float = 0.0) -> None:
+        done = sum(map(len, found.values())) + under_way
+        on_progress(f"{int(done)} of {total} {noun}", (done - before) / max(total - before, 1))
 
     return report
 
@@ -156,7 +161,7 @@ class _Run:
     pool: Pool
     task: Task
     chunks: Sequence[Sequence[Any]]
-    report: Callable[[], None]
+    report: Callable[..., None]
     deaths: Counter[int] = field(default_factory=Counter[int])
 
     def finish(self, todo: Sequence[int]) -> Iterator[tuple[int, list[Any]]]:
@@ -168,7 +173,7 @@ class _Run:
                 chunk = waiting.popleft()
                 flying[self.pool.submit(self.task, self.chunks[chunk])] = chunk
             crowd = len(flying)
-            landed = [(flying.pop(future), future) for future in self._landed(list(flying))]
+            landed = [(flying.pop(future), future) for future in self._landed(flying)]
             fallen = [chunk for chunk, future in landed if self.pool.died(future)]
             for chunk, future in landed:
                 if chunk not in fallen:
@@ -178,7 +183,7 @@ class _Run:
                 guilty = crowd == 1 and self._is_killer(fallen[0])
                 if guilty:
                     doubtful.discard(fallen[0])
-                    yield fallen[0], self._one_by_one(self.chunks[fallen[0]])
+                    yield fallen[0], self._one_by_one(fallen[0])
                 else:
                     waiting.extendleft(fallen)
                     doubtful.update(fallen)
@@ -186,31 +191,38 @@ class _Run:
             if not doubtful:
                 window = self.pool.window
 
-    def _landed(self, flying: Sequence[Future[str]]) -> list[Future[str]]:
-        """Wait a moment and return the futures that are done."""
+    def _landed(self, flying: Mapping[Future[str], int]) -> list[Future[str]]:
+        """Wait a moment and return the futures that are done.
+
+        Args:
+            flying: Those under way, each with the index of its chunk.
+        """
         done = wait(flying, timeout=_TICK, return_when=FIRST_COMPLETED).done
         if self.pool.one_fate and any(future.exception() is not None for future in done):
             done = wait(flying).done
         self.pool.check()
-        self.report()
+        parts = [self.pool.part(future) * len(self.chunks[k]) for future, k in flying.items()]
+        # What is not kept yet is not done.
+        self.report(_NEARLY * sum(parts))
         return [future for future in flying if future in done]
 
     def _is_killer(self, chunk: int) -> bool:
         self.deaths[chunk] += 1
         return self.deaths[chunk] >= self.pool.attempts
 
-    def _one_by_one(self, points: Sequence[Any]) -> list[Any]:
+    def _one_by_one(self, chunk: int) -> list[Any]:
         """Return the results of a chunk that always dies, each point computed by itself."""
         results: list[Any] = []
+        points = self.chunks[chunk]
         for k in range(len(points)):
-            answer = self._alone(points[k : k + 1])
-            results.append(Lost() if answer is None else results_of(answer)[0])
+            answer = self._alone(chunk, points[k : k + 1])
+            results.append(LostPoint() if answer is None else results_of(answer)[0])
         return results
 
-    def _alone(self, points: Sequence[Any]) -> str | None:
+    def _alone(self, chunk: int, points: Sequence[Any]) -> str | None:
         for _ in range(self.pool.attempts):
             future = self.pool.submit(self.task, points)
-            while not self._landed([future]):
+            while not self._landed({future: chunk}):
                 pass
             if not self.pool.died(future):
                 return future.result()

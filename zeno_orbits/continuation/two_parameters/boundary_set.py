@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from zeno_orbits.continuation.assembly import FollowedFamily
-from zeno_orbits.continuation.families import Boundary, Kind, whole_curve
+from zeno_orbits.continuation.families import SpecialCurve, SpecialPointKind, whole_curve
 from zeno_orbits.continuation.jobs import FollowHalfCurve
 from zeno_orbits.continuation.parallel import Dispatch
 from zeno_orbits.continuation.setup import Setup
-from zeno_orbits.continuation.two_parameters.plane import CurveStart, Plane
+from zeno_orbits.continuation.two_parameters.plane import CurveStart, ParameterPlane
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,10 +30,10 @@ class _Candidate:
 
 def curves_through(
     dispatch: Dispatch,
-    plane: Plane,
+    plane: ParameterPlane,
     families: Sequence[FollowedFamily],
-    kinds: Collection[Kind],
-) -> tuple[Boundary, ...]:
+    kinds: Collection[SpecialPointKind],
+) -> tuple[SpecialCurve, ...]:
     """Return the curves through special points of families, each once.
 
     A curve may come back through another point of its kind. So points of a kind take turns, and
@@ -46,7 +46,7 @@ def curves_through(
         kinds: Which kinds of points.
     """
     waiting = dict(enumerate(_candidates(plane, families, kinds)))
-    curves: dict[int, Boundary] = {}
+    curves: dict[int, SpecialCurve] = {}
     turn = 0
     while waiting:
         turn += 1
@@ -73,7 +73,7 @@ def curves_through(
 
 
 def _candidates(
-    plane: Plane, families: Sequence[FollowedFamily], kinds: Collection[Kind]
+    plane: ParameterPlane, families: Sequence[FollowedFamily], kinds: Collection[SpecialPointKind]
 ) -> list[_Candidate]:
     second = float(plane.p[plane.places[1]])
     return [
@@ -95,7 +95,7 @@ _SAME = 1e-6
 """Part of a range by which two points on one boundary may differ."""
 
 
-def _known(boundaries: Sequence[Boundary], plane: Plane, start: CurveStart) -> bool:
+def _known(boundaries: Sequence[SpecialCurve], plane: ParameterPlane, start: CurveStart) -> bool:
     """Return True if a boundary runs through a point: a curve may come back to its line."""
     first, second = start.value
     for boundary in boundaries:

@@ -14,15 +14,14 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.corrector import BranchPoint, correct
 from zeno_orbits.continuation.ends import locate_end
-from zeno_orbits.continuation.families import Kind
+from zeno_orbits.continuation.families import SpecialPointKind
 from zeno_orbits.continuation.lock_end import locate_cut_near
 from zeno_orbits.continuation.margins import ENDS, Stage, Threat, meeting
 from zeno_orbits.continuation.return_maps import Loss, Margin, ReturnMap
 from zeno_orbits.continuation.special_points import INSIDE, Located, TestFunction, located_near
 from zeno_orbits.continuation.two_parameters.plane import CurveSetup
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
-from zeno_orbits.orbits import follow_path
-from zeno_orbits.orbits.path import Step, StepError
+from zeno_orbits.orbits import PathStep, StepError, follow_path
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +63,7 @@ class Before:
 class SecantCurve:
     """Follow a curve by secants."""
 
-    def __init__(self, setup: CurveSetup, kind: Kind, place: int) -> None:
+    def __init__(self, setup: CurveSetup, kind: SpecialPointKind, place: int) -> None:
         self.setup, self.kind, self.place = setup, kind, place
         self.plane, self.metric, self.steps = setup.plane, setup.metric, setup.steps
         self.forward = np.zeros(2)
@@ -74,7 +73,7 @@ class SecantCurve:
         try:
             heading = self._heading(first)
         except ZenoOrbitsError as error:
-            return [first], f"{Kind.GAVE_UP.value}: {error}"
+            return [first], f"{SpecialPointKind.GAVE_UP.value}: {error}"
         self.forward = heading if upwards else -heading
         path = follow_path(first, self.steps, self._advance, give_up=self._last_end)
         return path.points, path.end or f"{self.steps.most} steps"
@@ -104,14 +103,14 @@ class SecantCurve:
             step /= 8
         raise SimulationError(trouble, time=0.0, state=())
 
-    def _advance(self, spots: Sequence[Spot], step: float) -> Step[Spot, str]:
+    def _advance(self, spots: Sequence[Spot], step: float) -> PathStep[Spot, str]:
         """Return the next point on the line across the curve a step ahead."""
         last, forward = spots[-1], self.forward
         at = last.at + step * forward
         if not self.plane.holds(at):
             reach = self._to_edge(last.at, forward)
             if reach < self.steps.shortest or reach > step:
-                return Step(end=Kind.BOUND.value)
+                return PathStep(end=SpecialPointKind.BOUND.value)
             at = last.at + reach * forward
         new = self._located(last, at, forward, spots)
         strayed = float(np.linalg.norm(new.at - at))
@@ -121,23 +120,23 @@ class SecantCurve:
                 self.forward = _direction(last, new)
             raise StepError("the curve bends too fast")
         if not 1 / _LIKE < new.located.period / last.located.period < _LIKE:
-            raise StepError("the period is another one")
+            raise StepError("the period jumps")
         if new.amplitude < last.amplitude / _LIKE:
             raise StepError("the orbit collapses")
         if not self.plane.holds(new.at):
             # The curve leaves the plane beside the place that was predicted.
-            raise StepError(Kind.BOUND.value)
+            raise StepError(SpecialPointKind.BOUND.value)
         self.forward = _direction(last, new)
         self.setup.report(self.kind.value, new.at)
-        return Step(points=(new,), easy=strayed < self.steps.bend * step / 3)
+        return PathStep(points=(new,), easy=strayed < self.steps.bend * step / 3)
 
-    def _last_end(self, spots: Sequence[Spot], trouble: str) -> Step[Spot, str]:
+    def _last_end(self, spots: Sequence[Spot], trouble: str) -> PathStep[Spot, str]:
         """Return the end where no step is possible."""
-        if trouble == Kind.BOUND.value:
-            return Step(end=trouble)
+        if trouble == SpecialPointKind.BOUND.value:
+            return PathStep(end=trouble)
         way = [Stage(z=spot.at, margins=self._others(spot)) for spot in spots]
         met = meeting(way, self.setup.restitution_at(spots[-1].at))
-        return Step(end=met or f"{Kind.GAVE_UP.value}: {trouble}")
+        return PathStep(end=met or f"{SpecialPointKind.GAVE_UP.value}: {trouble}")
 
     def _others(self, spot: Spot) -> dict[Margin, float]:
         """Return the margins at a point that do not vanish on the curve."""
@@ -193,7 +192,7 @@ class SecantCurve:
         self, returns: ReturnMap, z: Vector, last: Spot, across: Vector
     ) -> tuple[Located, tuple[Before, ...]]:
         """Return an end, approached as the last one was from points at the same distance."""
-        if self.kind is Kind.LOCK_VANISHES and returns.restitution(0.0) > 0.0:
+        if self.kind is SpecialPointKind.LOCK_VANISHES and returns.restitution(0.0) > 0.0:
             along = last.located.point.tangent
             found = locate_cut_near(returns, self.metric, np.append(z, 0.0), along, self.place)
             return found, last.before
@@ -232,12 +231,12 @@ def _direction(last: Spot, new: Spot) -> Vector:
     return np.asarray(chord / np.linalg.norm(chord), dtype=np.float64)
 
 
-def _margin(kind: Kind, place: int) -> Margin:
+def _margin(kind: SpecialPointKind, place: int) -> Margin:
     """Return the margin that vanishes at an end."""
     return Margin(loss=next(loss for loss, end in ENDS.items() if end is kind), place=place)
 
 
-def left_of(point: BranchPoint, kind: Kind, place: int) -> float:
+def left_of(point: BranchPoint, kind: SpecialPointKind, place: int) -> float:
     """Return the value, at a point of a family, of the margin that vanishes at an end.
 
     Args:

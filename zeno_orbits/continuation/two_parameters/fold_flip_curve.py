@@ -13,15 +13,14 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.continuation.branch import require_continuous
-from zeno_orbits.continuation.families import HalfCurve, Kind
+from zeno_orbits.continuation.families import HalfCurve, SpecialPointKind
 from zeno_orbits.continuation.margins import CLOSE, Stage, meeting
 from zeno_orbits.continuation.two_parameters.fold_flip_point import FoldFlipPoint, FoldFlipSystem
 from zeno_orbits.continuation.two_parameters.plane import CurveSetup, CurveStart
 from zeno_orbits.errors import SimulationError
-from zeno_orbits.orbits import follow_path
-from zeno_orbits.orbits.path import Step, StepControl, StepError, returns_to_start
+from zeno_orbits.orbits import PathStep, StepControl, StepError, follow_path, returns_to_start
 
-MULTIPLIERS = {Kind.FOLD: 1.0, Kind.FLIP: -1.0}
+MULTIPLIERS = {SpecialPointKind.FOLD: 1.0, SpecialPointKind.FLIP: -1.0}
 """Multiplier of a fold and of a flip."""
 
 _EASY = 0.4
@@ -78,16 +77,16 @@ def half_fold_flip(setup: CurveSetup, start: CurveStart, *, upwards: bool) -> Ha
 class _Follower:
     """The steps along a curve, and the cusps passed so far."""
 
-    def __init__(self, system: FoldFlipSystem, kind: Kind) -> None:
+    def __init__(self, system: FoldFlipSystem, kind: SpecialPointKind) -> None:
         self.system, self.setup, self.kind = system, system.setup, kind
         self.steps, self.cusps = system.setup.steps, list[int]()
 
-    def advance(self, points: Sequence[FoldFlipPoint], step: float) -> Step[FoldFlipPoint, str]:
+    def advance(self, points: Sequence[FoldFlipPoint], step: float) -> PathStep[FoldFlipPoint, str]:
         """Return the next point, and a cusp before it if there is one."""
         last = points[-1]
         new, at_bound = self._predicted(last, step)
         if new is None:
-            return Step(end=Kind.BOUND.value)
+            return PathStep(end=SpecialPointKind.BOUND.value)
         self._require_neighbour(last, new, step)
         cusp = self._cusp_between(last, new)
         if cusp is not None:
@@ -96,20 +95,24 @@ class _Follower:
         self.setup.report(self.kind.value, new.at)
         passed = () if cusp is None else (cusp,)
         if at_bound:
-            return Step(points=(*passed, new), end=Kind.BOUND.value)
+            return PathStep(points=(*passed, new), end=SpecialPointKind.BOUND.value)
         if returns_to_start((*points, *passed, new), self.steps.bend, self.steps.turn):
-            return Step(points=(*passed, points[0]), end=Kind.CLOSED.value)
-        return Step(points=(*passed, new), easy=self._effort(last, new) < _EASY)
+            return PathStep(points=(*passed, points[0]), end=SpecialPointKind.CLOSED.value)
+        return PathStep(points=(*passed, new), easy=self._effort(last, new) < _EASY)
 
-    def end_ahead(self, points: Sequence[FoldFlipPoint], step: float) -> Step[FoldFlipPoint, str]:
+    def end_ahead(
+        self, points: Sequence[FoldFlipPoint], step: float
+    ) -> PathStep[FoldFlipPoint, str]:
         """Return the end if the steps became short because something else is lost there."""
         if step < _REACHED:
-            return Step(end=self._meeting(points, 10 * _REACHED) or None)
-        return Step()
+            return PathStep(end=self._meeting(points, 10 * _REACHED) or None)
+        return PathStep()
 
-    def last_end(self, points: Sequence[FoldFlipPoint], trouble: str) -> Step[FoldFlipPoint, str]:
+    def last_end(
+        self, points: Sequence[FoldFlipPoint], trouble: str
+    ) -> PathStep[FoldFlipPoint, str]:
         """Return the end where no step is possible."""
-        return Step(end=self._meeting(points) or f"{Kind.GAVE_UP.value}: {trouble}")
+        return PathStep(end=self._meeting(points) or f"{SpecialPointKind.GAVE_UP.value}: {trouble}")
 
     def _predicted(self, last: FoldFlipPoint, step: float) -> tuple[FoldFlipPoint | None, bool]:
         """Return the next point, and True if it lies on a bound; no point if the last one does."""
@@ -147,7 +150,9 @@ class _Follower:
             raise StepError("the steps lead to another point")
         if float(new.tangent @ last.tangent) < np.cos(steps.turn):
             raise StepError("the curve turns too fast")
-        if self.kind is Kind.FOLD and abs(float(new.normal @ last.normal)) < np.cos(steps.turn):
+        if self.kind is SpecialPointKind.FOLD and abs(float(new.normal @ last.normal)) < np.cos(
+            steps.turn
+        ):
             raise StepError("the curve turns too fast in the plane")
         if _stray(last, new) > steps.bend:
             raise StepError("the curve bends too fast")
@@ -159,7 +164,7 @@ class _Follower:
     def _effort(self, last: FoldFlipPoint, new: FoldFlipPoint) -> float:
         """Return the turn and stray of a step, as part of what is allowed."""
         angles = [float(new.tangent @ last.tangent)]
-        if self.kind is Kind.FOLD:
+        if self.kind is SpecialPointKind.FOLD:
             angles.append(abs(float(new.normal @ last.normal)))
         turn = max(float(np.arccos(min(1.0, angle))) for angle in angles) / self.steps.turn
         return max(turn, _stray(last, new) / self.steps.bend)
@@ -171,7 +176,7 @@ class _Follower:
         """
         from scipy.optimize import brentq
 
-        if self.kind is not Kind.FOLD or _speed(last, last) * _speed(new, last) >= 0.0:
+        if self.kind is not SpecialPointKind.FOLD or _speed(last, last) * _speed(new, last) >= 0.0:
             return None
         known = {0.0: last, 1.0: new}
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.continuation.corrector import CLOSED, STALLED, Metric, followed, linearized
-from zeno_orbits.continuation.return_maps import Return
+from zeno_orbits.continuation.corrector import CLOSED, STALLED, FamilyMetric, linearized, returned
+from zeno_orbits.continuation.return_maps import DifferentiatedReturn
 from zeno_orbits.continuation.two_parameters.plane import CurveSetup
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
 
@@ -53,7 +53,7 @@ class _Look:
     test: float
     rows: Vector
     basis: Vector
-    found: Return
+    found: DifferentiatedReturn
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +78,7 @@ class FoldFlipPoint:
     tangent: Vector
     gradient: Vector
     normal: Vector
-    found: Return
+    found: DifferentiatedReturn
     error: float
 
 
@@ -95,7 +95,7 @@ class FoldFlipSystem:
     multiplier: float
 
     @property
-    def metric(self) -> Metric:
+    def metric(self) -> FamilyMetric:
         """Units."""
         return self.setup.metric
 
@@ -167,7 +167,7 @@ class FoldFlipSystem:
                 returns = self.setup.returns_on(at, _DIAGONALS[0])
                 x = returns.projected(x, 0.0, self.metric.scale)
                 here = returns.frame(x, 0.0, self.metric.scale)
-                found = followed(returns, x, 0.0, self.metric)
+                found = returned(returns, x, 0.0, self.metric)
                 rows = linearized(here, found, self.metric)[0]
                 sides.append(_test(rows, self.multiplier))
             slopes.append((sides[0] - sides[1]) / (2 * _WIDTH))
@@ -215,8 +215,8 @@ def _seen(system: FoldFlipSystem, x: Vector, at: Vector) -> _Look:
     # Any rotation of a chart is as good as another, but both lines must be seen in one.
     other = replace(here, drift=other.drift)
     lift = np.column_stack([here.lift, other.drift])
-    found = followed(first, x, 0.0, system.metric)
-    beside = followed(second, x, 0.0, system.metric)
+    found = returned(first, x, 0.0, system.metric)
+    beside = returned(second, x, 0.0, system.metric)
     rows = linearized(here, found, system.metric)[0]
     rows = np.column_stack([rows, linearized(other, beside, system.metric)[0][:, d]])
     basis = np.zeros((size + 2, d + 2))

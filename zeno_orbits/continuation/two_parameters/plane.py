@@ -7,16 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.continuation.corrector import BranchPoint, Metric
+from zeno_orbits.continuation.corrector import BranchPoint, FamilyMetric
 from zeno_orbits.continuation.return_maps import ReturnMap
 from zeno_orbits.continuation.special_points import Located
-from zeno_orbits.orbits import Line
-from zeno_orbits.orbits.path import StepControl
+from zeno_orbits.orbits import Line, StepControl
 from zeno_orbits.work import Progress
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Plane:
+class ParameterPlane:
     """Two parameters and their ranges.
 
     Attributes:
@@ -85,9 +84,9 @@ class CurveSetup:
         on_progress: Called with each point.
     """
 
-    plane: Plane
+    plane: ParameterPlane
     returns: ReturnMap
-    metric: Metric
+    metric: FamilyMetric
     steps: CurveSteps
     on_progress: Progress
 

@@ -31,7 +31,7 @@ _BINS = 240
 _TURNED = 0.95
 """All signs as they are count as best from this part of the best with signs turned on."""
 _OPPOSED = -0.4
-"""A correlation below this is that of a signal with its sign turned."""
+"""A correlation below this is that of a signal with its sign reversed."""
 
 _FACTORS: tuple[tuple[float, str], ...] = (
     (180.0 / math.pi, "degrees labelled as radians"),
@@ -173,7 +173,7 @@ def _likeness(name: str, model: Vector, data: Vector, opposed: bool) -> Likeness
     correlation = float(a @ b) / size if size > 0.0 else 0.0
     suspicion = _like_factor(abs(gain), _FACTORS) if abs(correlation) > -_OPPOSED else ""
     if opposed:
-        suspicion = " and ".join(filter(None, ("its sign turned", suspicion)))
+        suspicion = " and ".join(filter(None, ("its sign reversed", suspicion)))
     return Likeness(
         name=name,
         correlation=correlation,

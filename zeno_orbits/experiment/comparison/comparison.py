@@ -24,7 +24,7 @@ from zeno_orbits.experiment.comparison.metrics import Metric, contact_metrics, m
 from zeno_orbits.experiment.comparison.overlay import Overlay, lay_over, shared_signals
 from zeno_orbits.experiment.comparison.signal_metrics import (
     portrait_metrics,
-    portraits_of,
+    recorded_portraits_of,
     signal_metrics,
 )
 from zeno_orbits.experiment.comparison.stop_level import Stop, refined_stop, stop_level
@@ -39,6 +39,8 @@ __all__ = ["Comparison", "Metric", "compare"]
 
 _SEEN = 0.5
 """Part of the cycles that must show a locked phase and an impact."""
+_LOCKED_SAMPLES = 12
+"""Samples of the orbit's locked phase from which on one must be seen."""
 _FEWEST_CYCLES = 6
 _STRAY = 0.1
 """Part of the variance that does not repeat and is not said: harmonics leave some of jumps."""
@@ -114,7 +116,7 @@ class Comparison:
             metrics += contact_metrics(table, events, self.overlay.where, stop, unit)
         if self.deviations is not None:
             metrics += signal_metrics(self.problem, self.deviations, self.signals)
-            portraits = portraits_of(self.problem, self.signals)
+            portraits = recorded_portraits_of(self.problem, self.signals)
             metrics += portrait_metrics(self.deviations, portraits)
         return tuple(metrics)
 
@@ -191,12 +193,14 @@ def compare(orbit: ZenoOrbit, problem: Problem, recording: Recording) -> Compari
     contacts = None if gap is None else _contacts(overlay, problem, gap)
     if gap is None:
         missing = "coordinates that the gap depends on were not recorded"
-        remarks.append(f"impacts, locked phase and release are not told: {missing}")
+        remarks.append(f"impacts, locked phase and release cannot be determined: {missing}")
     else:
-        reasons += _contact_reasons(contacts)
-        remarks += _unresolved(contacts)
+        unlike, unresolved = _contact_findings(contacts, overlay)
+        reasons, remarks = reasons + unlike, remarks + unresolved
     if found.repeats < 1.0 - _STRAY:
-        remarks.append(f"{100 * (1 - found.repeats):.2g} % of the signals' variance do not repeat")
+        remarks.append(
+            f"{100 * (1 - found.repeats):.2g} % of the signals' variance does not repeat"
+        )
     deviation = deviations(overlay.table, recording.time, overlay.values, overlay.where)
     remarks += _settling(deviation, recording.time, overlay.where)
     return replace(
@@ -211,12 +215,12 @@ def compare(orbit: ZenoOrbit, problem: Problem, recording: Recording) -> Compari
 
 def _more_signals(problem: Problem, names: Sequence[str]) -> tuple[str, ...]:
     """Return what portraits need beside the recorded signals."""
-    seconds = [one.signals[1] for one in portraits_of(problem, names)]
+    seconds = [one.signals[1] for one in recorded_portraits_of(problem, names)]
     return tuple(dict.fromkeys(second for second in seconds if second not in names))
 
 
 def _contacts(overlay: Overlay, problem: Problem, gap: Vector) -> Contacts | None:
-    """Return the stop and what each cycle shows of it, or nothing if the gap rests nowhere."""
+    """Return the stop and what each cycle shows of it, or nothing if the gap is never at rest."""
     stop = stop_level(gap)
     if stop is None:
         return None
@@ -261,35 +265,40 @@ def _settling(found: Deviations, time: Vector, where: Alignment) -> list[str]:
         return []
     begin = where.release + where.period * math.floor((time[0] - where.release) / where.period)
     until = begin + (int(strange[-1]) + 1) * where.period
-    return [f"the motion still settles at first; leave that out with --from {until:.4g}"]
+    return [f"the motion is still settling at first; skip that part with --from {until:.4g}"]
 
 
-def _contact_reasons(contacts: Contacts | None) -> list[str]:
+def _contact_findings(contacts: Contacts | None, overlay: Overlay) -> tuple[list[str], list[str]]:
+    """Return why the contacts are not the orbit's, and what the samples are too few to tell."""
+    table = overlay.table
+    step = float(np.median(np.diff(overlay.time)))
+    resolved = table.period - table.zeno_time > _LOCKED_SAMPLES * step
     if contacts is None:
-        return ["no locked phase is seen: the gap rests nowhere"]
-    events = contacts.events
-    whats = (
-        ("locked phase", sum(one.rested for one in events)),
-        ("impact", sum(one.closed for one in events)),
-    )
-    return [
-        f"no {what} is seen in {len(events) - seen} of {len(events)} cycles"
-        for what, seen in whats
-        if seen < _SEEN * len(events)
-    ]
-
-
-def _unresolved(contacts: Contacts | None) -> list[str]:
-    """Return a remark if cycles show a contact in which the samples are too few for its numbers."""
-    events = [] if contacts is None else [one for one in contacts.events if one.closed]
+        if resolved:
+            return ["no locked phase is seen: the gap rests nowhere"], []
+        return [], ["locked phases are too short for the sampling: not resolved"]
+    events, reasons, remarks = contacts.events, list[str](), list[str]()
+    rested, closed = sum(one.rested for one in events), sum(one.closed for one in events)
+    if rested < _SEEN * len(events):
+        unseen = f"in {len(events) - rested} of {len(events)} cycles"
+        if resolved:
+            reasons.append(f"no locked phase is seen {unseen}")
+        else:
+            remarks.append(f"locked phases are too short for the sampling {unseen}: not resolved")
+    if closed < _SEEN * len(events):
+        reasons.append(f"no impact is seen in {len(events) - closed} of {len(events)} cycles")
+    struck = [one for one in events if one.closed]
     for what, numbers in (
-        ("impacts", [one.first_impact for one in events]),
-        ("rebounds", [one.restitution for one in events]),
+        ("impacts", [one.first_impact for one in struck]),
+        ("rebounds", [one.restitution for one in struck]),
     ):
         unknown = sum(not number.known for number in numbers)
-        if events and unknown > (1.0 - _SEEN) * len(events):
-            return [f"{what} are too short for the sampling in {unknown} cycles: not resolved"]
-    return []
+        if struck and unknown > (1.0 - _SEEN) * len(struck):
+            remarks.append(
+                f"{what} are too short for the sampling in {unknown} cycles: not resolved"
+            )
+            break
+    return reasons, remarks
 
 
 def _plain(value: float) -> float | None:

@@ -13,7 +13,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.orbit_table import (
     GAP,
-    Nodes,
+    CubicColumns,
     OrbitTable,
     gap_coordinates,
     measurement,
@@ -53,7 +53,7 @@ class GapModel:
         period: [s].
     """
 
-    nodes: Nodes
+    nodes: CubicColumns
     flights: tuple[Flight, ...]
     restitution: float
     zeno_time: float
@@ -118,7 +118,7 @@ def gap_model(table: OrbitTable, problem: Problem, period: float) -> GapModel:
         )
         for start, impact in zip(starts, cycle.impacts, strict=False)
     )
-    nodes = Nodes(
+    nodes = CubicColumns(
         times=table.nodes.times * stretch,
         values=table.nodes.values[:, column],
         slopes=table.nodes.slopes[:, column] / stretch,

@@ -18,8 +18,7 @@ from zeno_orbits.experiment.comparison.alignment import Alignment, aligned
 from zeno_orbits.experiment.orbit_table import OrbitTable, measurable, tabulate_orbit
 from zeno_orbits.experiment.recordings.periodicity import Periodicity, periodicity
 from zeno_orbits.experiment.recordings.recording import Recording
-from zeno_orbits.model import Problem
-from zeno_orbits.model.units import powers_of
+from zeno_orbits.model import Problem, powers_of
 from zeno_orbits.orbits import ZenoOrbit
 
 _REPEATS = 0.4
@@ -65,7 +64,7 @@ class Overlay:
         found, ratio = self.found, self.found.period / self.table.period
         reasons: list[str] = []
         if found.repeats < _REPEATS:
-            reasons.append(f"only {100 * found.repeats:.0f} % of the signals' variance repeat")
+            reasons.append(f"only {100 * found.repeats:.0f} % of the signals' variance repeats")
         if self.where.time_suspicion:
             asked = f"{self.where.time_suspicion}?"
             reasons.append(f"the period is {ratio:.6g} times the orbit's: {asked}")
@@ -75,7 +74,7 @@ class Overlay:
                 reasons.append(f"`{one.name}` looks like {one.suspicion} ({numbers})")
             elif one.correlation < _LIKE:
                 reasons.append(
-                    f"`{one.name}` moves otherwise: its correlation with the orbit's is "
+                    f"`{one.name}` moves differently: its correlation with the orbit is "
                     f"{one.correlation:.2f}"
                 )
         return reasons + self._multiples(ratio)
@@ -86,7 +85,7 @@ class Overlay:
         reasons: list[str] = []
         if found.alternation > _ALTERNATES and found.alternation > _SURE * found.alternation_noise:
             reasons.append(
-                f"cycles differ in turn by {100 * found.alternation:.2g} % of the signals: the "
+                f"every other cycle differs by {100 * found.alternation:.2g} % of the signals: the "
                 f"period is doubled, {2 * found.period:.6g} s"
             )
         unlike = min((one.correlation for one in self.where.likeness), default=1.0) < _LIKE

@@ -49,7 +49,7 @@ def signal_metrics(problem: Problem, found: Deviations, names: Sequence[str]) ->
         yield metric(f"delay of {name}", "s", 0.0, delay(found, k))
 
 
-def portraits_of(problem: Problem, names: Sequence[str]) -> tuple[Portrait, ...]:
+def recorded_portraits_of(problem: Problem, names: Sequence[str]) -> tuple[Portrait, ...]:
     """Return the portraits of a problem that recorded signals can be drawn in.
 
     Args:

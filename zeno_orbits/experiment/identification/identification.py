@@ -257,9 +257,9 @@ def _remarks(fitted: Sequence[Fitted], found: Fit) -> list[str]:
     for one in fitted:
         low, high = one.unknown.lower, one.unknown.upper
         if min(one.value - low, high - one.value) < _EDGE * (high - low):
-            remarks.append(f"`{one.unknown.label}` ended at an end of its range")
+            remarks.append(f"`{one.unknown.label}` reached an end of its range")
     if not found.converged:
-        remarks.append("the fit did not come to its end: other numbers may be nearer")
+        remarks.append("the fit did not converge: better values may exist")
     if found.spread.misfit > _MISFIT:
         remarks.append(
             f"the model does not follow the recording: what repeats of the deviations is "

@@ -135,7 +135,7 @@ def fit(
             phases = samples.phases - float(x[-1])
             data = samples.without(bent | beside_jumps(orbits.table(x), phases, width))
         stage = weighed(orbits, data, found, x)
-    on_progress("how sure it is", 0.95)
+    on_progress("computing the intervals", 0.95)
     jacobian, residuals = stage.jacobian(x), stage.residuals(x)
     spread = spread_of(jacobian, residuals, data)
     # Both figures are of the same samples, beside no jump of either orbit.

@@ -18,27 +18,26 @@ from dataclasses import dataclass
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.experiment.orbit_table import Nodes
-from zeno_orbits.model import HybridDynamics
-from zeno_orbits.model.numeric.compiled_derivatives import N_STAGES
+from zeno_orbits.experiment.orbit_table import CubicColumns
+from zeno_orbits.model import N_STAGES, HybridDynamics
 from zeno_orbits.model.numeric.derivatives import FlowDifferential
-from zeno_orbits.orbits import return_derivative
-from zeno_orbits.orbits.monodromy import differentials_of
-from zeno_orbits.orbits.poincare import section_derivative
+from zeno_orbits.orbits import differentials_of, return_derivative, section_derivative
 from zeno_orbits.simulation import (
     Arc,
+    Bounce,
     Ending,
+    EventShift,
     Execution,
     Impact,
     Mode,
+    Perturbations,
     SimulationSettings,
     ZenoPoint,
+    courses,
 )
-from zeno_orbits.simulation.sensitivity import Bounce, EventShift, Perturbations
-from zeno_orbits.simulation.state_transition import courses
 
 _PARTS = 3
-"""Nodes in a step of the integrator: between them the derivatives are cubic."""
+"""CubicColumns in a step of the integrator: between them the derivatives are cubic."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -54,7 +53,7 @@ class OrbitSlope:
 
     period: Vector
     release: Vector
-    states: Nodes
+    states: CubicColumns
     conditioning: float
 
     def at(self, times: Vector) -> Vector:
@@ -110,7 +109,7 @@ def orbit_slope(
     return OrbitSlope(
         period=by_period,
         release=start,
-        states=Nodes(times=times, values=values, slopes=slopes),
+        states=CubicColumns(times=times, values=values, slopes=slopes),
         conditioning=float(np.linalg.cond(matrix)) if d else 1.0,
     )
 

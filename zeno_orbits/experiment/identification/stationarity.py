@@ -131,7 +131,7 @@ def unsteady(found: Fit) -> Unsteady | None:
     begins, early = cycles.apart(place == 0, place > 0)
     halves, later = cycles.apart(place < n // 2, place >= n // 2)
     if loud or begins > max(most, halves if n > 3 else 0.0):
-        reason = "its first cycle is not like the later ones: the motion still settles"
+        reason = "its first cycle differs from the later ones: the motion is still settling"
         size = math.inf if loud else early
         return Unsteady(reason=reason, first=True, skip=skip, size=size)
     if halves > most:

@@ -20,7 +20,6 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.recordings.delays import delays_of, period_error
 
 _MOST_BINS = 1 << 15
-_LEAST_BINS = 1 << 8
 _PEAK = 0.9
 """A peak of the autocorrelation counts from this part of the greatest on."""
 _OVERLAP = 0.15
@@ -112,7 +111,8 @@ class _Grid:
 
 
 def _gathered(time: Vector, values: Vector) -> _Grid:
-    n = int(np.clip(2 ** math.ceil(math.log2(len(time))), _LEAST_BINS, _MOST_BINS))
+    # One sample a bin, if they are even: empty bins would hide a period of few samples.
+    n = int(np.clip(len(time), 2, _MOST_BINS))
     since = time - time[0]
     step = since[-1] / (n - 1) if since[-1] > 0.0 else 1.0
     places = np.minimum(np.rint(since / step).astype(np.int64), n - 1)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import DataFileError, InputError
-from zeno_orbits.experiment.recordings.table import Head, Table, read_head, read_table
+from zeno_orbits.experiment.recordings.table import ColumnTable, Head, read_head, read_table
 from zeno_orbits.model.units import in_si
 from zeno_orbits.work.files import write_pieces
 
@@ -47,7 +47,7 @@ class Source(Enum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Signal:
+class RecordedSignal:
     """One quantity over time.
 
     Attributes:
@@ -77,7 +77,7 @@ class Recording:
     source: Source | None
     problem: str
     time: Vector
-    signals: tuple[Signal, ...]
+    signals: tuple[RecordedSignal, ...]
     notes: Mapping[str, str] = field(default_factory=dict[str, str])
     remarks: tuple[str, ...] = ()
 
@@ -104,7 +104,7 @@ class Recording:
         """Names of the signals."""
         return tuple(signal.name for signal in self.signals)
 
-    def signal(self, name: str) -> Signal:
+    def signal(self, name: str) -> RecordedSignal:
         """Return a signal by its name.
 
         Raises:
@@ -194,7 +194,7 @@ def read_recording(path: Path, *, only: Collection[str] = ()) -> Recording:
             raise DataFileError(path, f"two of its columns are named `{names[k]}`")
     units = [_unit(path, *titles[k]) for k in (time, *chosen)]
     if units[0][0] != "s":
-        raise DataFileError(path, f"column `{head.columns[time]}` is no time")
+        raise DataFileError(path, f"column `{head.columns[time]}` is not a time")
     table = read_table(path, head, (time, *chosen))
     kept, remarks = _sound_rows(path, table)
     # Whole columns are scaled in place: a second copy of a long recording may not fit.
@@ -208,7 +208,7 @@ def read_recording(path: Path, *, only: Collection[str] = ()) -> Recording:
         problem=_problem(notes),
         time=values[0],
         signals=tuple(
-            Signal(name=names[k], unit=unit, values=row)
+            RecordedSignal(name=names[k], unit=unit, values=row)
             for k, (unit, _), row in zip(chosen, units[1:], values[1:], strict=True)
         ),
         notes=notes,
@@ -270,7 +270,7 @@ def _unit(path: Path, name: str, unit: str | None) -> tuple[str, float]:
         raise DataFileError(path, f"the unit of column `{name}` is not clear: {error}") from error
 
 
-def _sound_rows(path: Path, table: Table) -> tuple[NDArray[np.int64] | None, tuple[str, ...]]:
+def _sound_rows(path: Path, table: ColumnTable) -> tuple[NDArray[np.int64] | None, tuple[str, ...]]:
     """Return the numbers of the rows to keep, or nothing for all of them, and what was odd."""
     time, lines = table.values[0], table.lines
     remarks: list[str] = []

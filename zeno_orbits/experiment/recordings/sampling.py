@@ -9,7 +9,7 @@ import numpy as np
 
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment.orbit_table import state_nodes
-from zeno_orbits.experiment.recordings.recording import Recording, Signal, Source
+from zeno_orbits.experiment.recordings.recording import RecordedSignal, Recording, Source
 from zeno_orbits.model import HybridDynamics, Problem
 from zeno_orbits.simulation import Execution
 
@@ -81,7 +81,7 @@ def sampled(
     random = np.random.default_rng(sampling.seed)
     values = values + sampling.noise * extent * random.normal(size=values.shape)
     signals = tuple(
-        Signal(name=name, unit=unit, values=values[:, k].copy())
+        RecordedSignal(name=name, unit=unit, values=values[:, k].copy())
         for k, (name, unit) in enumerate(zip(problem.state_names, problem.state_units, strict=True))
     )
     noisy = {"noise": f"{sampling.noise:g}", "seed": str(sampling.seed)}

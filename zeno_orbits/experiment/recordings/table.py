@@ -49,7 +49,7 @@ class Head:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Table:
+class ColumnTable:
     """Chosen columns of a table.
 
     Attributes:
@@ -91,7 +91,7 @@ def _head(path: Path, text: str, comments: tuple[str, ...], line: int) -> Head:
     return Head(comments=comments, columns=columns, separator=separator, line=line)
 
 
-def read_table(path: Path, head: Head, chosen: Sequence[int]) -> Table:
+def read_table(path: Path, head: Head, chosen: Sequence[int]) -> ColumnTable:
     """Return the numbers of chosen columns.
 
     A last line without an end that is cut short is left out, for a logger that was switched off
@@ -219,7 +219,7 @@ class _Reader:
             message += "; with decimal commas, separate the columns by semicolons or tabs"
         return message
 
-    def table(self) -> Table:
+    def table(self) -> ColumnTable:
         n_rows = sum(len(block[1]) for block in self.blocks if block is not None)
         values = np.empty((len(self.chosen), n_rows))
         lines = np.empty(n_rows, dtype=np.int64)
@@ -231,7 +231,7 @@ class _Reader:
                 at = after
             # Each piece is given back as soon as it is copied, so that only one copy is held.
             self.blocks[k] = None
-        return Table(values=values, lines=lines, remarks=tuple(self.remarks))
+        return ColumnTable(values=values, lines=lines, remarks=tuple(self.remarks))
 
 
 def _opened(path: Path) -> BinaryIO:

@@ -14,8 +14,8 @@ from enum import Enum
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model import Rig
-from zeno_orbits.model.rig_parts import Bridge, Controller, Sensors, Switching
+from zeno_orbits.model import Bridge, Rig, Switching
+from zeno_orbits.model.rig_parts import Controller, Sensors
 
 
 class ControlLoop:
@@ -46,7 +46,7 @@ class ControlLoop:
         self._reader = Encoders(rig.sensors, self._controller, n_q, random)
         self._readings, self._periods = 0, 0
         self._waiting: deque[tuple[float, Vector]] = deque()
-        self._edges: deque[tuple[float, int, Leg, float]] = deque()
+        self._edges: deque[tuple[float, int, BridgeLeg, float]] = deque()
         self._asked: Vector | None = None
         self.log: list[tuple[float, Vector, Vector]] = []
         self.held: Vector = np.zeros(0)
@@ -85,7 +85,7 @@ class ControlLoop:
         if self.held.size != asked.size:
             self.held = np.zeros_like(asked)
         if time >= self._periods / bridge.frequency:
-            edges: list[tuple[float, int, Leg, float]] = []
+            edges: list[tuple[float, int, BridgeLeg, float]] = []
             for motor, voltage in enumerate(asked.tolist()):
                 share = min(abs(voltage) / bridge.supply, 1.0)
                 sign = math.copysign(1.0, voltage)
@@ -102,7 +102,9 @@ class ControlLoop:
 def _as_fast_as(bridge: Bridge | None) -> Controller:
     """Return the controller of a bridge without one: it knows the state at the start of a pulse."""
     if bridge is None:
-        raise ValueError("Argument `rig` must have a controller or switch exactly, but it has not.")
+        raise ValueError(
+            "Argument `rig` must have a controller or exact switching, but it has neither."
+        )
     return Controller(period=1.0 / bridge.frequency)
 
 
@@ -166,7 +168,7 @@ class Encoders:
         return exact + self._random.normal(0.0, self._sensors.current_noise, exact.size)
 
 
-class Leg(Enum):
+class BridgeLeg(Enum):
     """Which transistors of the switching leg are on."""
 
     HIGH = "high"
@@ -174,7 +176,7 @@ class Leg(Enum):
     NONE = "none"
 
 
-def pulse(bridge: Bridge, share: float) -> tuple[tuple[float, Leg], ...]:
+def pulse(bridge: Bridge, share: float) -> tuple[tuple[float, BridgeLeg], ...]:
     """Return when in a period the switching leg changes, and to what, from the start of the period.
 
     Every edge that turns a transistor on waits for the dead time.
@@ -186,22 +188,22 @@ def pulse(bridge: Bridge, share: float) -> tuple[tuple[float, Leg], ...]:
     period, dead = 1.0 / bridge.frequency, bridge.dead_time
     on = share * period
     if share <= 0.0:
-        return ((0.0, Leg.LOW),)
+        return ((0.0, BridgeLeg.LOW),)
     if share >= 1.0:
-        return ((0.0, Leg.HIGH),)
-    edges: list[tuple[float, Leg]] = []
+        return ((0.0, BridgeLeg.HIGH),)
+    edges: list[tuple[float, BridgeLeg]] = []
     if dead > 0.0:
-        edges.append((0.0, Leg.NONE))
+        edges.append((0.0, BridgeLeg.NONE))
     if on > dead:
-        edges.append((dead, Leg.HIGH))
+        edges.append((dead, BridgeLeg.HIGH))
     if dead > 0.0 and on > dead:
-        edges.append((on, Leg.NONE))
+        edges.append((on, BridgeLeg.NONE))
     if on + dead < period:
-        edges.append((on + dead, Leg.LOW))
+        edges.append((on + dead, BridgeLeg.LOW))
     return tuple(edges)
 
 
-def level(bridge: Bridge, leg: Leg, sign: float, current: float) -> float:
+def level(bridge: Bridge, leg: BridgeLeg, sign: float, current: float) -> float:
     """Return the voltage over a motor and its transistors while a leg is in a state [V].
 
     Args:
@@ -210,9 +212,9 @@ def level(bridge: Bridge, leg: Leg, sign: float, current: float) -> float:
         sign: Sign of the voltage that is asked for.
         current: Of the motor, which a diode carries while no transistor does [A].
     """
-    if leg is Leg.HIGH:
+    if leg is BridgeLeg.HIGH:
         return sign * bridge.supply
-    if leg is Leg.LOW:
+    if leg is BridgeLeg.LOW:
         return 0.0
     along = sign * current
     if along > 0.0:

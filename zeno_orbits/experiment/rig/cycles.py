@@ -19,7 +19,7 @@ from zeno_orbits.experiment.rig.run import RigRun, RigSettings, Touch
 from zeno_orbits.experiment.rig.simulator import simulate_rig
 from zeno_orbits.model import Problem, Rig
 from zeno_orbits.orbits import ZenoOrbit
-from zeno_orbits.simulation.attractor import Motion, Outcome, Return, outcome_of
+from zeno_orbits.simulation import AttractorKind, Motion, SectionReturn, outcome_of
 from zeno_orbits.work import Progress, silent
 
 _CLOSE = 0.02
@@ -142,7 +142,7 @@ def rig_cycles(
 
 def _outcome(
     run: RigRun, cycles: Sequence[RigCycle], orbit: ZenoOrbit, problem: Problem
-) -> Outcome:
+) -> AttractorKind:
     """Return what a machine settles to that does not move in cycles like the orbit's."""
     n_x, swing = len(problem.state_names), run.of(problem.amplitude_of)
     edges = np.arange(run.times[0], run.times[-1], orbit.period)
@@ -150,7 +150,7 @@ def _outcome(
     touching = bool(run.touches) and math.isinf(run.touches[-1].end)
     motion = Motion(
         units=problem.state_units,
-        returns=[Return(time=one.end, state=one.end_state[:n_x]) for one in cycles],
+        returns=[SectionReturn(time=one.end, state=one.end_state[:n_x]) for one in cycles],
         amplitudes=[float(np.ptp(window)) for window in windows[:-1]],
         held=touching and float(run.times[-1]) - run.touches[-1].start > orbit.period,
     )

@@ -19,10 +19,17 @@ from zeno_orbits.experiment.rig.forces import (
     friction_force,
     teeth_torque,
 )
-from zeno_orbits.model import CompletedSystem, MotorBank, Problem, Rig
-from zeno_orbits.model.hybrid import accelerate
-from zeno_orbits.model.numeric.compiled_flow import ModeFunctions, dense_function, mode_functions
-from zeno_orbits.model.rig_parts import Switching
+from zeno_orbits.model import (
+    CompletedSystem,
+    ModeFunctions,
+    MotorBank,
+    Problem,
+    Rig,
+    Switching,
+    accelerate,
+    dense_function,
+    mode_functions,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

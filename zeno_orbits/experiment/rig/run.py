@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.experiment.recordings.recording import Recording, Signal, Source
+from zeno_orbits.experiment.recordings.recording import RecordedSignal, Recording, Source
 from zeno_orbits.integrators import Automatic, Engine, Tolerance
 from zeno_orbits.model import Problem, Rig
 
@@ -151,13 +151,13 @@ def recording_of(
     n_motors = record.currents.shape[1]
     ends = [""] if n_motors == 1 else [str(k + 1) for k in range(n_motors)]
     signals = [
-        Signal(name=name, unit=unit, values=values)
+        RecordedSignal(name=name, unit=unit, values=values)
         for name, unit, values in zip(
             problem.state_names[:n_q], problem.state_units[:n_q], record.coordinates.T, strict=True
         )
     ]
     signals += [
-        Signal(name=f"current{end}", unit="A", values=values)
+        RecordedSignal(name=f"current{end}", unit="A", values=values)
         for end, values in zip(ends, record.currents.T, strict=True)
     ]
     return Recording(

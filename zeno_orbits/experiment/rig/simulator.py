@@ -20,14 +20,13 @@ from zeno_orbits.experiment.rig.controller import ControlLoop
 from zeno_orbits.experiment.rig.machine import machine
 from zeno_orbits.experiment.rig.run import Record, RigRun, RigSettings, Touch
 from zeno_orbits.integrators import Leg, Outcome, Passage
-from zeno_orbits.model import ParameterValues, Problem, Rig
-from zeno_orbits.model.numeric.calls import Call
+from zeno_orbits.model import Call, ParameterValues, Problem, Rig
 from zeno_orbits.model.numeric.compiled_flow import CompiledFlow, FlowMemory
 from zeno_orbits.simulation.batch.model import Columns
 from zeno_orbits.work import Progress, silent
 
 _MOST_AT_ONCE = 1000
-"""Contacts that may begin and end without time going on."""
+"""Contacts that may begin and end without time advancing."""
 _IN_CONTACT = 257
 """Records of a contact at least, where nothing else divides it."""
 
@@ -145,7 +144,7 @@ class _Follower:
             self._leg(edge)
             at_once = at_once + 1 if self._time == before else 0
             if at_once > _MOST_AT_ONCE:
-                self._stop(SimulationError, "Contacts begin and end without time going on")
+                self._stop(SimulationError, "Contacts begin and end without time advancing")
             escaped = self._problem.escaped(self._y[: self._machine.n_x].tolist())
             if escaped:
                 self._stop(RunawayError, f"`{escaped}` ran away")

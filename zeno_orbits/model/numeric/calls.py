@@ -6,8 +6,7 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators import Tolerance
-from zeno_orbits.integrators.casadi_calls import caller
+from zeno_orbits.integrators import Tolerance, caller
 from zeno_orbits.model.numeric.hybrid_dynamics import Resting
 
 

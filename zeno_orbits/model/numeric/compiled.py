@@ -33,6 +33,8 @@ from zeno_orbits.model.numeric.compiled_flow import (
 )
 from zeno_orbits.model.numeric.derivatives import Differentiation
 from zeno_orbits.model.numeric.hybrid_dynamics import FusedResting, HybridDynamics
+from zeno_orbits.model.numeric.own_scale import own_scale
+from zeno_orbits.model.scale import USUAL, OwnScale
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +57,8 @@ class CompiledSystem:
         energy: ``(x, p) -> energy`` [J].
         holonomic: ``(x, p) -> (eta, eta_rate)``.
         motors: ``(x, p) -> (current, voltage)`` of every motor, each ``(n_M,)``.
+        starts: States at which the problem starts, if they are known, each ``(n_x,)``.
+        state_units: Units of the states of the problem.
     """
 
     state_names: tuple[str, ...]
@@ -72,6 +76,8 @@ class CompiledSystem:
     energy: ca.Function
     holonomic: ca.Function
     motors: ca.Function
+    starts: tuple[tuple[float, ...], ...] = ()
+    state_units: tuple[str, ...] = ()
 
     @cached_property
     def points(self) -> PointFunctions:
@@ -240,6 +246,7 @@ def bind(compiled: CompiledSystem, values: Sequence[float] | Vector) -> HybridDy
         normal_inertia=lambda x: float(impulse(x, 1)[0]),
         energy=lambda x: float(energy(x)[0]),
         holonomic=lambda x: holonomic(x).copy(),
+        clock=compiled.clock,
     )
     at_rest = FusedResting(evaluate=RestingCall(compiled.resting, p), parts=plain.resting_parts)
 
@@ -249,4 +256,11 @@ def bind(compiled: CompiledSystem, values: Sequence[float] | Vector) -> HybridDy
         return CompiledDifferentials(modes, compiled.points, p, chosen)
 
     derivable = Differentiation(by=derivatives, parts=plain.derivable_parts)
-    return replace(plain, fused_resting=at_rest, differentiation=derivable)
+
+    @lru_cache(maxsize=1)
+    def scaling() -> OwnScale:
+        if not compiled.starts:
+            return USUAL
+        return own_scale(plain, compiled.starts, compiled.state_units, compiled.clock)
+
+    return replace(plain, fused_resting=at_rest, differentiation=derivable, scaling=scaling)

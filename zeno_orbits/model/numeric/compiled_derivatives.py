@@ -17,8 +17,7 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators.casadi_calls import caller
-from zeno_orbits.integrators.dop853_step import explicit_attempt
+from zeno_orbits.integrators import caller, explicit_attempt
 from zeno_orbits.model.numeric.calls import Call
 from zeno_orbits.model.numeric.compiled_flow import ModeFunctions, dense_function
 

@@ -9,12 +9,16 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators import Tolerance
-from zeno_orbits.integrators.casadi_calls import caller
-from zeno_orbits.integrators.collocation import Collocation
-from zeno_orbits.integrators.dop853_step import error_norm, explicit_attempt, overflow
+from zeno_orbits.integrators import (
+    Collocation,
+    Tolerance,
+    caller,
+    error_norm,
+    explicit_attempt,
+    implicit_expressions,
+    overflow,
+)
 from zeno_orbits.integrators.flow import FIRST_ITERATIONS, Corrected, NewtonPieces, StageGuess
-from zeno_orbits.integrators.radau_step import implicit_expressions
 from zeno_orbits.model.numeric.calls import Call, StepCall
 
 

@@ -16,6 +16,7 @@ from zeno_orbits.arrays import Scalar, Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.integrators import GuardedFlow, PlainFlow
 from zeno_orbits.model.numeric.derivatives import Differentiation
+from zeno_orbits.model.scale import OwnScale, usual
 
 _BEYOND = ": the drive's correction is as large as what it corrects; take the full problem."
 
@@ -75,6 +76,9 @@ class HybridDynamics:
         fused_resting: The method `resting` in one evaluation, if there is such a thing. It serves
             as long as the functions that it stands for are this system's own.
         differentiation: Its derivatives, if it has formulas. They serve as long, too.
+        clock: Places of the clock in the state; the last of `holonomic` is how far it is off its
+            circle.
+        scaling: From nothing to the sizes of its numbers, if it knows them.
     """
 
     state_names: tuple[str, ...]
@@ -96,6 +100,8 @@ class HybridDynamics:
     holonomic: Callable[[Vector], Vector]
     fused_resting: FusedResting | None = None
     differentiation: Differentiation | None = None
+    clock: tuple[int, ...] = ()
+    scaling: Callable[[], OwnScale] = usual
 
     def __post_init__(self) -> None:
         """Refuse a restitution that is none, as a corrected drive beyond its reach has."""
@@ -109,6 +115,11 @@ class HybridDynamics:
             message = f"must lie in [0, 1) at these numbers, but it is {self.restitution:g}"
             reason = "." if not math.isnan(self.restitution) else _BEYOND
             raise InputError(f"Argument `restitution` {message}{reason}")
+
+    @property
+    def own(self) -> OwnScale:
+        """Sizes of its numbers."""
+        return self.scaling()
 
     @property
     def resting_parts(self) -> tuple[object, ...]:

@@ -15,8 +15,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import Problem
-from zeno_orbits.precision import WorkPrecision
-from zeno_orbits.precision.work_precision import SAME_WORK
+from zeno_orbits.precision import SAME_WORK, WorkPrecision
 from zeno_orbits.report.page.subject import Subject
 from zeno_orbits.report.zeno_neighbourhood import CloseUp, close_up
 from zeno_orbits.simulation import Ending, Execution, Mode
@@ -69,7 +68,7 @@ def curves_of(subject: Subject) -> dict[str, Any]:
     return curves
 
 
-def label_of(names: Sequence[str], index: int, unit: str) -> str:
+def html_label_of(names: Sequence[str], index: int, unit: str) -> str:
     """Return the label of an axis that shows a state, with its unit, as HTML.
 
     Args:
@@ -98,8 +97,8 @@ def _portraits(problem: Problem, execution: Execution) -> list[dict[str, Any]]:
         impacts = [(impact.state_minus, impact.state_plus) for impact in execution.impacts]
         drawn.append(
             {
-                "x": label_of(names, i, units[i]),
-                "y": label_of(names, k, units[k]),
+                "x": html_label_of(names, i, units[i]),
+                "y": html_label_of(names, k, units[k]),
                 "title": f"{pair[1]} over {pair[0]}",
                 "arcs": [
                     {"kind": kind, "x": _short(states[:, i]), "y": _short(states[:, k])}
@@ -120,7 +119,7 @@ def _series(subject: Subject, execution: Execution) -> dict[str, Any]:
     # The clock of a forced problem, states without a unit behind the velocities, tells nothing.
     rows = [*range(2 * n_q), *(k for k in range(2 * n_q, len(names)) if units[k] != "1")]
     paths = _paths(execution)
-    labels = [label_of(names, row, units[row]) for row in rows]
+    labels = [html_label_of(names, row, units[row]) for row in rows]
     entries = [[states[:, row] for _, _, states in paths] for row in rows]
     if problem.outputs:
         values = subject.orbit.values(problem)

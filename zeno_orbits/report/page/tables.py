@@ -13,8 +13,7 @@ from zeno_orbits.report.page import words
 from zeno_orbits.report.page.plotly_bundle import Bundle
 from zeno_orbits.report.page.subject import Subject
 from zeno_orbits.report.table import Column, Table, number_column, table_of, text_column
-from zeno_orbits.simulation import Execution, Impact, Mode, ZenoPoint
-from zeno_orbits.simulation.execution import Event
+from zeno_orbits.simulation import Event, Execution, Impact, Mode, ZenoPoint
 from zeno_orbits.verification import RESIDUALS, OrbitCertificate
 from zeno_orbits.work import versions
 

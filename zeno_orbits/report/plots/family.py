@@ -12,11 +12,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from zeno_orbits.continuation import (
-    Boundary,
     Continuation,
     Family,
     FamilyPoint,
-    Kind,
+    SpecialCurve,
+    SpecialPointKind,
     orbit_amplitude,
 )
 from zeno_orbits.model import Problem
@@ -33,20 +33,20 @@ from zeno_orbits.report.plots.style import (
 _DOUBLINGS = 4
 """Period doublings that have a colour of their own."""
 _SPOT: dict[str, Any] = {"ls": "", "ms": 6.5, "mew": 1.0, "mec": INK, "zorder": 5}
-_MARKS: dict[Kind, dict[str, Any]] = {
-    Kind.FOLD: {"marker": "o", "mfc": "#F0E442"},
-    Kind.FLIP: {"marker": "D", "mfc": "#CC79A7", "ms": 5.5},
-    Kind.TORUS: {"marker": "h", "mfc": "#56B4E9"},
-    Kind.BRANCHING: {"marker": "P", "mfc": "#E69F00"},
-    Kind.LOCK_VANISHES: {"marker": "*", "mfc": "#F0E442", "ms": 10.0},
-    Kind.THEOREM_LOST: {"marker": "X", "mfc": "#56B4E9"},
-    Kind.GRAZING: {"marker": "v", "mfc": "#E69F00"},
-    Kind.EARLIER_GRAZING: {"marker": "^", "mfc": "#E69F00"},
-    Kind.RELEASE_LOST: {"marker": "s", "mfc": "#009E73", "ms": 5.5},
-    Kind.EARLIER_RELEASE: {"marker": "p", "mfc": "#009E73"},
-    Kind.AMPLITUDE_ZERO: {"marker": "o", "mfc": "white"},
-    Kind.REJOINS: {"marker": ".", "mfc": INK},
-    Kind.GAVE_UP: {"marker": "x", "mfc": INK},
+_MARKS: dict[SpecialPointKind, dict[str, Any]] = {
+    SpecialPointKind.FOLD: {"marker": "o", "mfc": "#F0E442"},
+    SpecialPointKind.FLIP: {"marker": "D", "mfc": "#CC79A7", "ms": 5.5},
+    SpecialPointKind.TORUS: {"marker": "h", "mfc": "#56B4E9"},
+    SpecialPointKind.BRANCHING: {"marker": "P", "mfc": "#E69F00"},
+    SpecialPointKind.LOCK_VANISHES: {"marker": "*", "mfc": "#F0E442", "ms": 10.0},
+    SpecialPointKind.THEOREM_LOST: {"marker": "X", "mfc": "#56B4E9"},
+    SpecialPointKind.GRAZING: {"marker": "v", "mfc": "#E69F00"},
+    SpecialPointKind.EARLIER_GRAZING: {"marker": "^", "mfc": "#E69F00"},
+    SpecialPointKind.RELEASE_LOST: {"marker": "s", "mfc": "#009E73", "ms": 5.5},
+    SpecialPointKind.EARLIER_RELEASE: {"marker": "p", "mfc": "#009E73"},
+    SpecialPointKind.AMPLITUDE_ZERO: {"marker": "o", "mfc": "white"},
+    SpecialPointKind.REJOINS: {"marker": ".", "mfc": INK},
+    SpecialPointKind.GAVE_UP: {"marker": "x", "mfc": INK},
 }
 
 
@@ -99,20 +99,20 @@ def plot_boundaries(
     return figure
 
 
-_BOUNDARIES: dict[Kind, tuple[str, Any]] = {
-    Kind.FOLD: ("#0072B2", "-"),
-    Kind.FLIP: ("#CC79A7", "-"),
-    Kind.TORUS: ("#56B4E9", "-"),
-    Kind.LOCK_VANISHES: ("#D55E00", "--"),
-    Kind.AMPLITUDE_ZERO: ("#009E73", ":"),
-    Kind.GRAZING: ("#E69F00", "-."),
-    Kind.EARLIER_GRAZING: ("#E69F00", (0, (1, 1))),
-    Kind.RELEASE_LOST: (INK, "-."),
-    Kind.EARLIER_RELEASE: (INK, ":"),
+_BOUNDARIES: dict[SpecialPointKind, tuple[str, Any]] = {
+    SpecialPointKind.FOLD: ("#0072B2", "-"),
+    SpecialPointKind.FLIP: ("#CC79A7", "-"),
+    SpecialPointKind.TORUS: ("#56B4E9", "-"),
+    SpecialPointKind.LOCK_VANISHES: ("#D55E00", "--"),
+    SpecialPointKind.AMPLITUDE_ZERO: ("#009E73", ":"),
+    SpecialPointKind.GRAZING: ("#E69F00", "-."),
+    SpecialPointKind.EARLIER_GRAZING: ("#E69F00", (0, (1, 1))),
+    SpecialPointKind.RELEASE_LOST: (INK, "-."),
+    SpecialPointKind.EARLIER_RELEASE: (INK, ":"),
 }
 
 
-def draw_boundaries(ax: Axes, boundaries: tuple[Boundary, ...]) -> None:
+def draw_boundaries(ax: Axes, boundaries: tuple[SpecialCurve, ...]) -> None:
     """Draw boundaries into axes, a colour and a dash a kind."""
     for boundary in boundaries:
         colour, dash = _BOUNDARIES.get(boundary.kind, (INK, "--"))
@@ -154,7 +154,7 @@ _CONSTANT = 1e-6
 def _draw(ax: Axes, family: Family, value: Callable[[FamilyPoint], float], colour: str) -> None:
     """Draw a family piece by piece of one stability, ends included, neighbours joined."""
     # A flip at which a family begins is an orbit of half its period, marked on the other family.
-    root = [] if family.first.kind is Kind.FLIP else [family.first.at]
+    root = [] if family.first.kind is SpecialPointKind.FLIP else [family.first.at]
     points = [*root, *family.points, family.last.at]
     returns = "" if family.n_returns == 1 else f", {family.n_returns} returns"
     for stable, group in groupby(range(len(points)), key=lambda k: _is_stable(points[k])):
@@ -178,7 +178,7 @@ def _mark_all(ax: Axes, found: Continuation, value: Callable[[FamilyPoint], floa
     low, high = ax.get_ylim()
     for family in found.families:
         for special in family.named:
-            rooted = special is family.first and special.kind is Kind.FLIP
+            rooted = special is family.first and special.kind is SpecialPointKind.FLIP
             place = value(special.at)
             # A value outside the panel, or an unknown one, has no place to mark.
             if special.kind in _MARKS and not rooted and low <= place <= high:

@@ -119,7 +119,7 @@ def _over_time(
     impacts = [impact.time for impact in execution.impacts]
     paths = [(times, values(states), look) for times, states, look in paths_of(execution)]
     for column, (ax, label) in enumerate(zip(panels, labels, strict=True)):
-        for mode, start, end in phases_of(execution):
+        for mode, start, end in drawn_phases_of(execution):
             ax.axvspan(start, end, color=TINTS[mode], lw=0, gid=mode.value)
         for times, drawn, look in paths:
             ax.plot(times, drawn[:, column], **look)
@@ -142,7 +142,7 @@ def _end(execution: Execution) -> float:
     return end + _EDGE * (end - start) if last > end - _EDGE * (end - start) else end
 
 
-def phases_of(execution: Execution) -> list[tuple[Mode, float, float]]:
+def drawn_phases_of(execution: Execution) -> list[tuple[Mode, float, float]]:
     """Return mode, start and end of every phase; a Zeno tail belongs to the flights before it."""
     starts = [execution.arcs[0]]
     starts += [arc for last, arc in pairwise(execution.arcs) if arc.mode is not last.mode]

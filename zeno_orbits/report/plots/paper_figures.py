@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from matplotlib.figure import Figure
 
-from zeno_orbits.experiment.comparison.counterpart import Counterpart
+from zeno_orbits.experiment import Counterpart
 from zeno_orbits.model import HybridDynamics, ParameterValues, Problem
 from zeno_orbits.report.plots.animation import film_of, gif_of, has_ffmpeg, mp4_of
 from zeno_orbits.report.plots.graph import plot_graph

@@ -12,10 +12,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.experiment import Comparison
-from zeno_orbits.experiment.comparison.deviations import Deviations, Portrait
-from zeno_orbits.experiment.comparison.signal_metrics import portraits_of
-from zeno_orbits.experiment.orbit_table import OrbitTable, measurable
+from zeno_orbits.experiment import (
+    Comparison,
+    Deviations,
+    OrbitTable,
+    Portrait,
+    measurable,
+    recorded_portraits_of,
+)
 from zeno_orbits.model import Problem
 from zeno_orbits.report.plots.style import FULL_WIDTH, INK, TEXT, TINTS, add_legend, label_of
 from zeno_orbits.simulation import Mode
@@ -44,7 +48,7 @@ def plot_comparison(problem: Problem, found: Comparison, *, width: float = FULL_
     if deviations is None or where is None:
         raise ValueError("Argument `found` must have deviations to draw, but it has none.")
     table = deviations.table
-    portraits = portraits_of(problem, found.signals)
+    portraits = recorded_portraits_of(problem, found.signals)
     rows = len(found.signals) + math.ceil(len(portraits) / 2)
     figure = Figure(figsize=(width, 1.25 * len(found.signals) + 2.2 * (rows - len(found.signals))))
     figure.set_layout_engine("constrained")

@@ -19,8 +19,7 @@ from matplotlib.font_manager import FontProperties
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import Problem
 from zeno_orbits.simulation import Ending, Execution, Mode
-from zeno_orbits.work import write_whole
-from zeno_orbits.work.files import require_picture
+from zeno_orbits.work import require_picture, write_whole
 
 COLUMN_WIDTH = 3.4
 """Width of one column of a paper [in]."""

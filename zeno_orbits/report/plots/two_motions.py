@@ -13,9 +13,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.experiment.comparison.counterpart import Counterpart
+from zeno_orbits.experiment import Counterpart
 from zeno_orbits.model import HybridDynamics, Problem
-from zeno_orbits.report.plots.orbit import phases_of
+from zeno_orbits.report.plots.orbit import drawn_phases_of
 from zeno_orbits.report.plots.style import (
     ARCS,
     COLUMN_WIDTH,
@@ -215,7 +215,7 @@ def _coordinates(
     n_q = problem.model(problem.symbols()).n_q
     figure, panels = panels_of(width, n_q, height=1.15, columns=1)
     for row, ax in enumerate(panels):
-        for mode, start, end in phases_of(execution):
+        for mode, start, end in drawn_phases_of(execution):
             word = "locked phase" if mode is Mode.LOCKED else None
             ax.axvspan(
                 start / unit, end / unit, color=TINTS[mode], lw=0, gid=mode.value, label=word

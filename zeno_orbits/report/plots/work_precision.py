@@ -9,8 +9,7 @@ from itertools import groupby
 
 from matplotlib.figure import Figure
 
-from zeno_orbits.precision import WorkPrecision
-from zeno_orbits.precision.work_precision import SAME_WORK
+from zeno_orbits.precision import SAME_WORK, WorkPrecision
 from zeno_orbits.report.plots.style import (
     FULL_WIDTH,
     INK,

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.text import Text
 
+_FILE_WIDTH = 100
+"""A file has no width of its own; a hundred columns split no cell of ours."""
 _GAP = 2
 """Columns of space between the columns of a table."""
 
@@ -55,8 +57,7 @@ def plain_console(width: int | None = None) -> Console:
             raise BrokenPipeError
 
     if width is None and not sys.stdout.isatty():
-        # A file has no width of its own; a hundred columns split no cell of ours.
-        width = 100
+        width = _FILE_WIDTH
     return Plain(highlight=False, markup=False, width=width)
 
 

@@ -10,8 +10,7 @@ from zeno_orbits.report.table import Column, name_column, number_column, text_co
 from zeno_orbits.report.terminal.console import counted, print_lines, print_table
 
 if TYPE_CHECKING:
-    from zeno_orbits.experiment import Comparison, Identification, Metric, Recording
-    from zeno_orbits.experiment.identification.identification import Fitted
+    from zeno_orbits.experiment import Comparison, Fitted, Identification, Metric, Recording
     from zeno_orbits.experiment.rig.cycle_comparison import RigComparison
 
 _RIG_ROWS = {

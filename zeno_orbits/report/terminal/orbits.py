@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from zeno_orbits.report.table import Column, name_column, number_column, text_column
 from zeno_orbits.report.terminal.console import (
@@ -16,37 +18,47 @@ from zeno_orbits.report.terminal.console import (
 )
 
 if TYPE_CHECKING:
+    from zeno_orbits.arrays import Vector
     from zeno_orbits.model import Problem
     from zeno_orbits.orbits import ZenoOrbit
     from zeno_orbits.precision import Assured
-    from zeno_orbits.simulation.execution import Event
+    from zeno_orbits.simulation import Event
     from zeno_orbits.verification import DeltaCut, OrbitCertificate
 
 _MOST_EVENTS = 40
 """Events of an execution that are printed."""
+_MOST_STATES = 3
+"""States of an event that are printed: as many as 80 columns hold."""
+_STILL = 1e-9
+"""A state that changes less from event to event stands still, relative."""
 
 
-def print_execution(problem: Problem, assured: Assured) -> None:
+def print_execution(problem: Problem, assured: Assured, *, all_states: bool = False) -> None:
     """Print the events of an execution, the errors of its Zeno points and its end.
 
     Args:
         problem: The problem.
         assured: The execution with its estimated errors.
+        all_states: Whether to print every state, and not only those that tell something new.
     """
     execution = assured.execution
     names = problem.state_names
     errors = dict(zip(map(id, execution.zeno_points), assured.zeno_errors, strict=False))
-    shown = problem.portraits[0] if problem.portraits else names[:2]
+    events = execution.events
+    moving = names if all_states else _moving(problem, events)[:_MOST_STATES]
     columns: list[Column[Event]] = [
         number_column("t [s]", lambda event: f"{event.time:.10g}"),
-        text_column("event", lambda event: _event_name(event, errors.get(id(event), math.nan))),
+        text_column("event", _event_name),
+        number_column("error", lambda event: _error(event, errors.get(id(event), math.nan))),
         number_column("dh/dt", _approach_rate),
-        *(_state_column(name, names.index(name)) for name in dict.fromkeys((*shown, names[-1]))),
+        *(_state_column(name, names.index(name)) for name in moving),
     ]
-    events = execution.events
     print_table(columns, events[:_MOST_EVENTS])
     if len(events) > _MOST_EVENTS:
         print_text(f"... and {len(events) - _MOST_EVENTS} more events; --json lists them all.")
+    rest = [name for name in names if name not in moving]
+    if events and rest:
+        print_text(f"Not shown: {', '.join(rest)}; --all-states prints them.")
     counts = (
         counted(len(execution.impacts), "resolved impact"),
         counted(len(execution.zeno_points), "Zeno point"),
@@ -56,14 +68,45 @@ def print_execution(problem: Problem, assured: Assured) -> None:
     print_text(f"{', '.join(counts)} in {execution.end_time:g} s; the last arc is {last}.")
 
 
-def _event_name(event: Event, error: float) -> str:
+def _moving(problem: Problem, events: Sequence[Event]) -> list[str]:
+    """Return the states that tell something about events: neither time, nor still, nor dh/dt."""
+    from zeno_orbits.simulation import Impact
+
+    if not events:
+        return []
+    states = np.array([_state_at(event) for event in events])
+    rates = np.array([one.approach_rate if isinstance(one, Impact) else 0.0 for one in events])
+    n_timeless = len(problem.state_names) - (2 if problem.compiled().clock else 0)
+    found: list[str] = []
+    for k, name in enumerate(problem.state_names[:n_timeless]):
+        size = _STILL * (1.0 + float(np.max(np.abs(states[:, k]))))
+        same = float(np.max(np.abs(np.abs(states[:, k]) - np.abs(rates)))) < size
+        if not same and float(np.ptp(states[:, k])) > size:
+            found.append(name)
+    return found
+
+
+def _event_name(event: Event) -> str:
     from zeno_orbits.simulation import Impact, ZenoPoint
 
     if isinstance(event, Impact):
         return "impact"
-    if isinstance(event, ZenoPoint):
-        return f"Zeno point (+- {error:.0e})" if math.isfinite(error) else "Zeno point (+- ?)"
-    return "release"
+    return "Zeno point" if isinstance(event, ZenoPoint) else "release"
+
+
+def _error(event: Event, error: float) -> str:
+    from zeno_orbits.simulation import ZenoPoint
+
+    if not isinstance(event, ZenoPoint):
+        return ""
+    return f"{error:.0e}" if math.isfinite(error) else "?"
+
+
+def _state_at(event: Event) -> Vector:
+    """Return the state at an event, at an impact just before it, ``(n_x,)``."""
+    from zeno_orbits.simulation import Impact
+
+    return event.state_minus if isinstance(event, Impact) else event.state
 
 
 def _approach_rate(event: Event) -> str:
@@ -73,14 +116,8 @@ def _approach_rate(event: Event) -> str:
 
 
 def _state_column(name: str, index: int) -> Column[Event]:
-    """Return the column of a state, at an impact just before it."""
-    from zeno_orbits.simulation import Impact
-
-    def cell(event: Event) -> str:
-        state = event.state_minus if isinstance(event, Impact) else event.state
-        return f"{state[index]:.6g}"
-
-    return number_column(name, cell)
+    """Return the column of a state."""
+    return number_column(name, lambda event: f"{_state_at(event)[index]:.5g}")
 
 
 def print_engine(engine: str, why: str, error: float) -> None:
@@ -195,7 +232,7 @@ def print_certificate(certificate: OrbitCertificate) -> None:
         cut_columns: list[Column[DeltaCut]] = [
             number_column("cut-off |dh/dt|", lambda cut: f"{cut.delta:.3g}"),
             number_column("|dh/dt| at the cut", lambda cut: f"{cut.speed:.3g}"),
-            number_column("relative error after it", lambda cut: f"{cut.error:.1e}"),
+            number_column("relative error", lambda cut: f"{cut.error:.1e}"),
         ]
         print_table(cut_columns, certificate.delta_sweep)
         order = certificate.delta_order

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Callable
@@ -10,8 +11,43 @@ from typing import Self
 
 _PATIENCE = 1.0
 """Work shorter than this prints nothing [s]."""
+_TELLING = 2.0
+"""Time in a stage before its pace tells how long it will take [s]."""
 _RARER = 0.1
 """A file gets no more lines than one in this part of the time so far."""
+
+
+class _TimeLeft:
+    """The time left of a stage, which never rises before the next stage begins."""
+
+    def __init__(self) -> None:
+        self._began = 0.0
+        self._part = 0.0
+        self._ends = self._left = math.inf
+
+    def at(self, now: float, part: float) -> float:
+        """Return the time left [s]; infinite while it is too early to tell.
+
+        Args:
+            now: Time since the start [s].
+            part: The part of the stage that is done, in [0, 1]; the next stage begins with less.
+        """
+        if part < self._part:
+            self._began, self._part = now, part
+            self._ends = self._left = math.inf
+        elif part > self._part:
+            self._part = part
+            self._ends = now + (now - self._began) * (1.0 - part) / part
+        if now - self._began >= _TELLING:
+            self._left = min(self._left, max(self._ends - now, 0.0))
+        return self._left
+
+
+def _duration(seconds: float) -> str:
+    """Return a duration in the unit in which a reader thinks of it."""
+    if seconds < 100.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 6000.0 else f"{seconds / 3600.0:.1f} h"
 
 
 class ProgressLine:
@@ -27,6 +63,7 @@ class ProgressLine:
         self._check = check
         self._started = time.perf_counter()
         self._said = -_PATIENCE
+        self._left = _TimeLeft()
         self._terminal = sys.stderr.isatty()
         self._width = 0
 
@@ -54,13 +91,16 @@ class ProgressLine:
         """
         self._check()
         elapsed = time.perf_counter() - self._started
+        left = math.inf if part is None else self._left.at(elapsed, part)
         pause = 0.1 if self._terminal else max(_PATIENCE, _RARER * elapsed)
         if elapsed < _PATIENCE or elapsed - self._said < pause:
             return
         self._said = elapsed
         line = f"{elapsed:6.1f} s  {stage}"
         if part is not None and part > 0.0:
-            line += f"  {100 * part:3.0f} %, {elapsed * (1 - part) / part:.0f} s left"
+            line += f"  {100 * part:3.0f} %"
+        if left < math.inf:
+            line += f", about {_duration(left)} left"
         if self._terminal:
             self._width = max(self._width, len(line))
             sys.stderr.write("\r" + line.ljust(self._width))

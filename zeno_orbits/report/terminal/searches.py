@@ -10,15 +10,15 @@ from zeno_orbits.report.table import Column, number_column, text_column
 from zeno_orbits.report.terminal.console import counted, print_lines, print_table, print_text
 
 if TYPE_CHECKING:
-    from zeno_orbits.search import Attempt, Candidate, SearchResult
-    from zeno_orbits.simulation.signals import Extent
+    from zeno_orbits.search import Candidate, SearchResult, StartAttempt
+    from zeno_orbits.simulation import Extent
 
 
 def print_search(result: SearchResult) -> None:
     """Print how a search went."""
     print_lines([f"{result.status.value} {result.detail}".strip()])
     if len(result.attempts) > 1:
-        columns: list[Column[Attempt]] = [
+        columns: list[Column[StartAttempt]] = [
             text_column("start", lambda one: _listed({**one.gains, **one.parameters}, 4)),
             text_column("ended", lambda one: one.status.name.lower().replace("_", " ")),
             text_column("reason", lambda one: one.detail),

@@ -10,7 +10,7 @@ from zeno_orbits.report.table import Column, number_column, text_column
 from zeno_orbits.report.terminal.console import counted, print_lines, print_table
 
 if TYPE_CHECKING:
-    from zeno_orbits.continuation import Boundary, Continuation, Family, SpecialPoint
+    from zeno_orbits.continuation import Continuation, Family, SpecialCurve, SpecialPoint
     from zeno_orbits.maps import Attractor, ParameterMap
     from zeno_orbits.precision import Trial, WorkPrecision
 
@@ -95,7 +95,7 @@ def print_families(found: Continuation) -> None:
     for family in found.families:
         _print_family(family)
     if found.boundaries:
-        columns: list[Column[Boundary]] = [
+        columns: list[Column[SpecialCurve]] = [
             text_column("boundary", lambda one: one.kind.value),
             number_column("points", lambda one: str(len(one.x))),
             text_column("in", lambda one: ", ".join(one.names)),
@@ -123,7 +123,7 @@ def _print_family(family: Family) -> None:
     print_lines(f"{one.kind.value}: {one.detail}" for one in family.named if one.detail)
 
 
-def _cusp(boundary: Boundary, place: int) -> str:
+def _cusp(boundary: SpecialCurve, place: int) -> str:
     values = zip(boundary.names, (boundary.x[place], boundary.y[place]), strict=True)
     return "Two folds meet in a cusp at " + ", ".join(f"{n} = {v:.10g}" for n, v in values) + "."
 

@@ -8,9 +8,9 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Array, Vector
-from zeno_orbits.integrators.collocation import Collocation, radau
-from zeno_orbits.model import CompiledSystem
-from zeno_orbits.model.numeric.compiled_flow import ModeFunctions
+from zeno_orbits.integrators import Collocation
+from zeno_orbits.integrators.collocation import radau
+from zeno_orbits.model import CompiledSystem, ModeFunctions
 from zeno_orbits.search.transcription.mesh import graded_mesh, stage_fractions
 from zeno_orbits.search.transcription.program import ProgramBuilder
 from zeno_orbits.simulation import Arc

@@ -14,13 +14,14 @@ import numpy as np
 
 from zeno_orbits.arrays import Array
 from zeno_orbits.errors import InputError
-from zeno_orbits.integrators.collocation import lagrange_basis
-from zeno_orbits.model.contact import GAP_ACCELERATION, GAP_RATE
+from zeno_orbits.integrators import lagrange_basis
+from zeno_orbits.model import GAP_ACCELERATION, GAP_RATE
 from zeno_orbits.orbits import Bound
 from zeno_orbits.search.transcription.arc import CollocatedArc
 from zeno_orbits.search.transcription.spectral_radius import keep_radius_below
 from zeno_orbits.search.transcription.transcribe import OrbitTerms
-from zeno_orbits.simulation.signals import Signal, peaks, signal, signal_names
+from zeno_orbits.simulation import signal, signal_names
+from zeno_orbits.simulation.signals import Signal, peaks
 
 RADIUS_SLACK = 1e-7
 """By how much less a spectral radius is asked of the program: what its mesh may be wrong by."""

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators.collocation import lagrange_basis
+from zeno_orbits.integrators import lagrange_basis
 from zeno_orbits.search.transcription.arc import CollocatedArc
 from zeno_orbits.search.transcription.transcribe import OrbitTerms
 from zeno_orbits.simulation import Arc

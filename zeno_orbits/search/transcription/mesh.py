@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from zeno_orbits.arrays import Array
-from zeno_orbits.integrators.collocation import Collocation, lagrange_basis
+from zeno_orbits.integrators import Collocation, lagrange_basis
 
 
 def graded_mesh(

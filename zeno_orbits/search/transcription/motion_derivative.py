@@ -25,7 +25,7 @@ from zeno_orbits.search.transcription.program import (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Motion:
+class ProgramMotion:
     """A motion in a program: which unknowns move with it and which equations it meets.
 
     Attributes:
@@ -37,8 +37,8 @@ class Motion:
     equations: tuple[Equation, ...]
 
 
-def carried(
-    program: ProgramBuilder, motion: Motion, start: ca.MX, targets: Array, end: ca.MX
+def derivative_along(
+    program: ProgramBuilder, motion: ProgramMotion, start: ca.MX, targets: Array, end: ca.MX
 ) -> Derived:
     r"""Return how the end of a motion moves with its start, and how that changes.
 
@@ -79,7 +79,9 @@ _LINEAR = "qr"
 """CasADi's sparse QR; its sparse LU, unpivoted, missed such equations by 1e-7 and more."""
 
 
-def _bend(motion: Motion, start: ca.MX, end: ca.MX, moving: ca.MX, unknowns: ca.MX) -> ca.Function:
+def _bend(
+    motion: ProgramMotion, start: ca.MX, end: ca.MX, moving: ca.MX, unknowns: ca.MX
+) -> ca.Function:
     """Return the gradient by the unknowns of ``c end' v - w (G', start') v``, of u, v, w and c."""
     along = ca.MX.sym("v", moving.numel())
     weights = ca.MX.sym("w", moving.numel())
@@ -115,7 +117,7 @@ def _moved(
     return ca.vec(rows) / _scales(origin, equation.scale, n)
 
 
-def _jacobian(motion: Motion, extra: ca.MX, unknowns: ca.MX) -> ca.MX:
+def _jacobian(motion: ProgramMotion, extra: ca.MX, unknowns: ca.MX) -> ca.MX:
     rows: list[ca.MX | MappedRows] = []
     for equation in motion.equations:
         origin = equation.origin

@@ -9,11 +9,9 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Array, Vector, null_space
-from zeno_orbits.model import CompiledSystem, HybridDynamics, ImpactLaw
-from zeno_orbits.model.contact import GAP, GAP_RATE, MULTIPLIER
-from zeno_orbits.orbits import Cycle, OrbitShape
-from zeno_orbits.orbits.phases import Phase
-from zeno_orbits.orbits.section import RELEASE_ROWS, REST_ROWS, rows_of
+from zeno_orbits.model import GAP, GAP_RATE, MULTIPLIER, CompiledSystem, HybridDynamics, ImpactLaw
+from zeno_orbits.orbits import RELEASE_ROWS, Cycle, OrbitShape, Phase, rows_of
+from zeno_orbits.orbits.section import REST_ROWS
 from zeno_orbits.search.transcription.arc import (
     ArcWriter,
     CollocatedArc,
@@ -22,8 +20,7 @@ from zeno_orbits.search.transcription.arc import (
 )
 from zeno_orbits.search.transcription.closure import Closure
 from zeno_orbits.search.transcription.program import ProgramBuilder
-from zeno_orbits.simulation import Arc
-from zeno_orbits.simulation.zeno_limit import limit_weights, tail_time
+from zeno_orbits.simulation import Arc, limit_weights, tail_time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,7 +11,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Array, null_space
 from zeno_orbits.errors import InputError
-from zeno_orbits.search.transcription.motion_derivative import carried
+from zeno_orbits.search.transcription.motion_derivative import derivative_along
 from zeno_orbits.search.transcription.program import ProgramBuilder
 from zeno_orbits.search.transcription.transcribe import OrbitTerms
 
@@ -47,7 +47,9 @@ def section_map(terms: OrbitTerms) -> ca.MX:
     n_ends = ends.numel()
     targets = np.vstack([np.zeros((n_ends, d)), np.eye(d)])
     arrival = ca.mtimes(ca.DM(basis).T, end / ca.DM(terms.scale))
-    slope_of_map = carried(program, terms.motion, ca.vertcat(ends, chart), targets, arrival)
+    slope_of_map = derivative_along(
+        program, terms.motion, ca.vertcat(ends, chart), targets, arrival
+    )
     return program.derived("slope of the return map", slope_of_map)
 
 

@@ -14,12 +14,12 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Array, Vector
-from zeno_orbits.integrators.collocation import Collocation
+from zeno_orbits.integrators import Collocation
 from zeno_orbits.model import CompiledSystem, HybridDynamics, ImpactLaw, ParameterValues
 from zeno_orbits.orbits import Cycle, OrbitShape
 from zeno_orbits.search.transcription.arc import CollocatedArc, TranscriptionSettings
 from zeno_orbits.search.transcription.closure import Closure
-from zeno_orbits.search.transcription.motion_derivative import Motion
+from zeno_orbits.search.transcription.motion_derivative import ProgramMotion
 from zeno_orbits.search.transcription.phase import PhaseTerms, PhaseWriter, WrittenPhase
 from zeno_orbits.search.transcription.program import ProgramBuilder
 
@@ -60,7 +60,7 @@ class OrbitTerms:
     end: ca.MX
     scale: Vector
     tangent: Array
-    motion: Motion
+    motion: ProgramMotion
     scheme: Collocation
     state_names: tuple[str, ...]
     numbers: tuple[float, ...]
@@ -122,7 +122,7 @@ def transcribe(
         if written:
             writer.join(labels[k], phase, written[-1].end, here.terms.start, written[-1].rows)
         written.append(here)
-    motion = Motion(blocks=program.blocks[n_free:], equations=program.equations)
+    motion = ProgramMotion(blocks=program.blocks[n_free:], equations=program.equations)
     last, start = written[-1], written[0].terms.start
     tangent = writer.close(cycle.start.state, start, last.end, last.rows)
 

@@ -21,7 +21,7 @@ from zeno_orbits.simulation.attractor import has_left, is_still, keeps_holding
 from zeno_orbits.simulation.batch.events import Mask, first_falls, may_fall
 from zeno_orbits.simulation.batch.lanes import FREE, LOCKED, empty_lanes
 from zeno_orbits.simulation.batch.model import BatchFlow, BatchModel
-from zeno_orbits.simulation.batch.outcomes import Event, Reason
+from zeno_orbits.simulation.batch.outcomes import LaneEvent, Reason
 from zeno_orbits.simulation.batch.rules import BatchSettings, Transitions
 
 _SAFETY, _SHRINK, _GROW = 0.9, 0.2, 8.0
@@ -108,7 +108,7 @@ class Batch:
         for lane in lanes:
             self._transitions.leave(lane)
 
-    def round(self) -> list[Event]:
+    def round(self) -> list[LaneEvent]:
         """Advance every lane by one step and return what happened."""
         lanes = self._lanes
         groups = [np.flatnonzero(lanes.alive & (lanes.mode == mode)) for mode in range(3)]
@@ -204,7 +204,11 @@ class Batch:
         lanes, model = self._lanes, self.model
         change = np.maximum(np.abs(lanes.guard[rows, 1]), np.abs(guard[:, 1])) * size
         lanes.largest[rows] = np.maximum(lanes.largest[rows], change)
-        small = np.maximum(_LEAVES * lanes.largest[rows], self.settings.contact)
+        own, mode = model.own, lanes.mode[rows]
+        unit = np.select(
+            [mode == LOCKED, mode == FREE], [own.multiplier, own.gap], 1 / own.gap_acceleration
+        )
+        small = np.maximum(_LEAVES * lanes.largest[rows], self.settings.contact * unit)
         left = lanes.on_guard[rows] & (guard[:, 0] < -small)
         lanes.on_guard[rows] &= (guard[:, 0] <= 0.0)[self._transitions.lead(rows)]
         lanes.y[rows, : after.shape[1]], lanes.guard[rows] = after, guard
@@ -262,7 +266,8 @@ class Batch:
             step = turn[1] / self._clock_rate(mode, rows)
         flat = x.reshape(-1, model.n_x)
         rates = flow.rate(flat, p)[:, : 2 * model.n_q].reshape(len(rows), n_phases, -1)
-        rests = is_still(rates, lanes.largest_rate[rows], self.settings.contact)
+        zero = self.settings.contact * model.own.rates(model.n_q)
+        rests = is_still(rates, lanes.largest_rate[rows], zero)
         if mode == LOCKED and n_phases > 1:
             guard = flow.guard(flat, p).reshape(len(rows), n_phases, 2)
             rests &= keeps_holding(guard[:, :, 0], guard[:, :, 1], step)

@@ -13,20 +13,26 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators.dop853_step import overflow
+from zeno_orbits.integrators import overflow
 from zeno_orbits.integrators.rosenbrock import rosenbrock_step
-from zeno_orbits.model import CompiledSystem, Problem
-from zeno_orbits.model.numeric.compiled_flow import ModeFunctions, dense_function
+from zeno_orbits.model import (
+    USUAL,
+    CompiledSystem,
+    ModeFunctions,
+    OwnScale,
+    Problem,
+    dense_function,
+)
 
 
 class BatchFlow:
     """A mode for many rows ``(y, p)``."""
 
-    def __init__(self, mode: ModeFunctions) -> None:
+    def __init__(self, mode: ModeFunctions, absolute: float) -> None:
         self.n_y = mode.rate.size1_in(0)
         self._rate = Columns(mode.rate)
         self._guard = Columns(mode.guard)
-        self._step = Columns(_step_function(mode))
+        self._step = Columns(_step_function(mode, absolute))
 
     def rate(self, y: Vector, p: Vector) -> Vector:
         """Return ``dy/dt``, ``(n, n_y)``."""
@@ -45,19 +51,19 @@ class BatchFlow:
             y: States before it, ``(n, n_y)``.
             p: Parameters, ``(n, n_p)``.
             size: Step sizes, ``(n,)``.
-            tolerance: Local errors allowed relative to ``|y| + 0.1``, ``(n,)``.
+            tolerance: Local errors allowed relative to ``absolute + |y|``, ``(n,)``.
         """
         after, error, guard = self._step(y, p, np.stack([size, tolerance], axis=1))
         return after, error[:, 0], guard
 
 
-def _step_function(mode: ModeFunctions) -> ca.Function:
+def _step_function(mode: ModeFunctions, absolute: float) -> ca.Function:
     y = ca.SX.sym("y", mode.rate.size1_in(0))
     p = ca.SX.sym("p", mode.rate.size1_in(1))
     numbers = ca.SX.sym("numbers", 2)
     size, tolerance = ca.vertsplit(numbers)
     after, miss = rosenbrock_step(lambda state: mode.rate(state, p), mode.jacobian(y, p), y, size)
-    scale = tolerance * (ABSOLUTE + ca.fmax(ca.fabs(y), ca.fabs(after)))
+    scale = tolerance * (absolute + ca.fmax(ca.fabs(y), ca.fabs(after)))
     error = ca.sqrt(ca.sumsqr(miss / scale) / y.numel()) + overflow(ca.sum1(after), ca)
     name = f"{mode.rate.name()}_rosenbrock"
     return dense_function(name, [y, p, numbers], [after, error, mode.guard(after, p)])
@@ -84,6 +90,7 @@ class BatchModel:
         rebound: ``(p, approach rate) -> gap rate after the impact``.
         reset: ``(x, p, approach rate) -> x`` after the impact.
         resting: ``(x, p) -> (x on the stop, its gap_acceleration, its locked flow)``.
+        own: Sizes of the problem's numbers.
     """
 
     state_names: tuple[str, ...]
@@ -98,6 +105,12 @@ class BatchModel:
     rebound: Columns
     reset: Columns
     resting: Columns
+    own: OwnScale
+
+    @property
+    def absolute(self) -> float:
+        """Absolute over relative local error."""
+        return ABSOLUTE * self.own.least
 
     @property
     def n_x(self) -> int:
@@ -105,8 +118,14 @@ class BatchModel:
         return len(self.state_names)
 
 
-def batch_model(compiled: CompiledSystem) -> BatchModel:
-    """Return the functions of a compiled problem for many rows."""
+def batch_model(compiled: CompiledSystem, own: OwnScale = USUAL) -> BatchModel:
+    """Return the functions of a compiled problem for many rows.
+
+    Args:
+        compiled: The problem.
+        own: Sizes of its numbers.
+    """
+    absolute = ABSOLUTE * own.least
     n_p = compiled.contact.size1_in(1)
     x, p = ca.SX.sym("x", compiled.n_x), ca.SX.sym("p", n_p)
     restitution = compiled.impulse(x, p)[2][0]
@@ -115,21 +134,22 @@ def batch_model(compiled: CompiledSystem) -> BatchModel:
         n_q=compiled.n_q,
         clock=compiled.clock,
         n_p=n_p,
-        free=BatchFlow(compiled.free),
-        locked=BatchFlow(compiled.locked),
-        flight=BatchFlow(compiled.flight),
+        free=BatchFlow(compiled.free, absolute),
+        locked=BatchFlow(compiled.locked, absolute),
+        flight=BatchFlow(compiled.flight, absolute),
         contact=Columns(compiled.contact),
         restitution=Columns(dense_function("restitution", [x, p], [restitution])),
         rebound=Columns(compiled.rebound),
         reset=Columns(compiled.reset),
         resting=Columns(compiled.resting),
+        own=own,
     )
 
 
 @lru_cache(maxsize=4)
-def model_in_rows(problem: Problem) -> BatchModel:
-    """Return the functions of a problem for many rows, built once."""
-    return batch_model(problem.compiled())
+def model_in_rows(problem: Problem, own: OwnScale = USUAL) -> BatchModel:
+    """Return the functions of a problem for many rows, built once for each scale."""
+    return batch_model(problem.compiled(), own)
 
 
 _LARGEST = 8

@@ -51,7 +51,7 @@ class Struck:
 class Reason(Enum):
     """Why a lane ended."""
 
-    HORIZON = "the time was over"
+    HORIZON = "the end of the time was reached"
     ESCAPE = "a coordinate left its bounds"
     REST = "it came to rest"
     HELD = "it stays on its stop"
@@ -77,4 +77,4 @@ class Ended:
     detail: str = ""
 
 
-Event = Released | Struck | Ended
+LaneEvent = Released | Struck | Ended

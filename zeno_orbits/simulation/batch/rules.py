@@ -11,18 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Rows, Vector
-from zeno_orbits.model.contact import GAP_RATE, MULTIPLIER_RATE
+from zeno_orbits.model import GAP_RATE
+from zeno_orbits.model.contact import MULTIPLIER_RATE
 from zeno_orbits.simulation.batch.lanes import (
     FLIGHT,
     FREE,
     LOCKED,
     Lanes,
 )
-from zeno_orbits.simulation.batch.model import ABSOLUTE, BatchFlow, BatchModel
-from zeno_orbits.simulation.batch.outcomes import Ended, Event, Reason, Released, Struck
+from zeno_orbits.simulation.batch.model import BatchFlow, BatchModel
+from zeno_orbits.simulation.batch.outcomes import Ended, LaneEvent, Reason, Released, Struck
 from zeno_orbits.simulation.batch.zeno_limit import Tails
 from zeno_orbits.simulation.event_rules import enters_stop, is_geometric, stop_holds
 from zeno_orbits.simulation.zeno_limit import tail_time
+
+_HARDLY, _FIRST = 1e-5, 1e-3
+"""A flow that changes by less than this in the problem's own time; its first step, in these."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,7 +36,8 @@ class BatchSettings:
     Attributes:
         completion: Largest estimated error of a Zeno limit, for a unit of the lane's tolerance.
         resolved: Impacts are resolved one by one until their speed has fallen to this part.
-        contact: A gap or gap rate below this counts as zero.
+        contact: A gap, gap rate or gap acceleration below this part of the problem's own counts
+            as zero.
         most_impacts: Impacts without a release before a lane is given up.
         most_steps: Steps before a lane is given up.
     """
@@ -51,9 +56,10 @@ class Transitions:
         self.model = model
         self.lanes = lanes
         self.settings = settings
-        self.events: list[Event] = []
+        self.events: list[LaneEvent] = []
         self.flows: tuple[BatchFlow, ...] = (model.free, model.flight, model.locked)
-        self._tails = Tails(len(lanes.alive), model.n_x)
+        unit = np.append(model.own.time, model.own.states(model.n_x))
+        self._tails = Tails(len(lanes.alive), unit)
         self._where = np.zeros(len(lanes.alive), dtype=np.intp)
 
     def end(self, row: int, reason: Reason, detail: str) -> None:
@@ -119,8 +125,9 @@ class Transitions:
         p = self.numbers(mode, rows)
         lanes.guard[rows] = flow.guard(y, p)
         slope = flow.rate(y, p)
-        ratio = np.max(np.abs(slope / (ABSOLUTE + np.abs(y))), axis=1)
-        size = np.where(ratio > 1e-5, 0.01 / ratio, 1e-3)
+        ratio = np.max(np.abs(slope / (self.model.absolute + np.abs(y))), axis=1)
+        own_time = self.model.own.time / unit
+        size = np.where(ratio * own_time > _HARDLY, 0.01 / ratio, _FIRST * own_time)
         n_q = self.model.n_q
         rate = np.abs(slope[:, : 2 * n_q]) / np.reshape(unit, (-1, 1))
         lanes.largest_rate[rows] = np.fmax(lanes.largest_rate[rows], rate)
@@ -143,8 +150,8 @@ class Transitions:
 
     def admit(self, rows: Rows, x: Vector) -> None:
         """Start lanes at time 0 in the mode that their states ask for."""
-        small = self.settings.contact
-        lanes = self.lanes
+        own, lanes = self.model.own, self.lanes
+        small, small_rate = self.settings.contact * own.gap, self.settings.contact * own.gap_rate
         p = lanes.p[rows, :-1]
         gap, rate = self.model.contact(x, p)[0][:, :2].T
         time, unit = np.zeros(len(rows)), np.ones(len(rows))
@@ -156,11 +163,11 @@ class Transitions:
         well = ~outside & ~unfit
         off = well & (gap > small)
         self.begin(rows[off], FREE, time[off], x[off], unit[off], on_guard=False)
-        up = well & (gap <= small) & (rate > small)
+        up = well & (gap <= small) & (rate > small_rate)
         self._launch(rows[up], time[up], x[up], rate[up])
-        down = well & (gap <= small) & (rate < -small)
+        down = well & (gap <= small) & (rate < -small_rate)
         self._hit(rows[down], time[down], x[down], rate[down])
-        still = well & (gap <= small) & (np.abs(rate) <= small)
+        still = well & (gap <= small) & (np.abs(rate) <= small_rate)
         self._rest(rows[still], time[still], x[still])
 
     def arrive(self, mode: int, rows: Rows, time: Vector, y: Vector, guard: Vector) -> None:
@@ -183,7 +190,8 @@ class Transitions:
         else:
             self._tails.clear(rows)
             # The gap closes no faster than rounding: the stop is touched, not struck.
-            touched = (np.abs(guard[:, 1]) <= self.settings.contact)[self.lead(rows)]
+            small = self.settings.contact * self.model.own.gap_rate
+            touched = (np.abs(guard[:, 1]) <= small)[self.lead(rows)]
             self._rest(rows[touched], time[touched], x[touched])
             self._hit(rows[~touched], time[~touched], x[~touched], guard[~touched, 1])
 
@@ -216,7 +224,7 @@ class Transitions:
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Tell where the stop holds, and where it neither holds nor repels, to rounding."""
         lead = self.lead(rows)
-        slack = np.abs(acceleration) <= self.settings.contact
+        slack = np.abs(acceleration) <= self.settings.contact * self.model.own.gap_acceleration
         rate = np.full(len(rows), np.nan)
         if slack.any():
             rate = self.model.contact(state, self.lanes.p[rows, :-1])[0][:, MULTIPLIER_RATE]
@@ -242,7 +250,8 @@ class Transitions:
         """Apply the reset map and go on."""
         if not len(rows):
             return
-        lanes, model, small = self.lanes, self.model, self.settings.contact
+        lanes, model = self.lanes, self.model
+        small = self.settings.contact * model.own.gap_rate
         p = lanes.p[rows, :-1]
         x_plus = model.reset(x, p, rate[:, None])[0]
         speed = model.rebound(p, rate[:, None])[0][:, 0]
@@ -250,7 +259,7 @@ class Transitions:
         lanes.struck[rows] = np.where(lanes.impacts[rows] == 0, rate, lanes.struck[rows])
         lanes.impacts[rows] += 1
         self.fail(rows[~(rate < 0.0)], "An impact must close the gap, but it opens")
-        inside = (rate < 0.0) & enters_stop(rate_plus, rate)
+        inside = (rate < 0.0) & enters_stop(rate_plus, rate, model.own.gap_rate)
         self.fail(rows[inside], "The reset map sends the state into the stop")
         chatter = lanes.impacts[rows] > self.settings.most_impacts
         most = f"More than {self.settings.most_impacts} impacts came without a release"

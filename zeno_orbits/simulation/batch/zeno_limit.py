@@ -19,10 +19,17 @@ class Tails:
         speed: Gap rate after each, falling, ``(n_lanes, n)``.
     """
 
-    def __init__(self, n_lanes: int, n_x: int) -> None:
+    def __init__(self, n_lanes: int, unit: Vector) -> None:
+        """Make room.
+
+        Args:
+            n_lanes: For how many.
+            unit: Size of a time and of each state, ``(n_x + 1,)``.
+        """
+        self._unit = unit
         self.count = np.zeros(n_lanes, dtype=np.intp)
         self.speed = np.zeros((n_lanes, _FIRST_LENGTH))
-        self._point = np.zeros((n_lanes, _FIRST_LENGTH, n_x + 1))
+        self._point = np.zeros((n_lanes, _FIRST_LENGTH, len(unit)))
 
     def clear(self, lanes: Rows) -> None:
         """Forget the sequences of some lanes."""
@@ -63,7 +70,7 @@ class Tails:
         alone = nodes[:, 1] < 0
         earlier = self._nodes(leaders, np.where(alone, nodes[:, 0], nodes[:, 1]))
         before = self._limit(lanes, earlier)
-        change = np.abs(limit - before) / (1 + np.abs(limit))
+        change = np.abs(limit - before) / (self._unit + np.abs(limit))
         error = np.where(alone, np.where(self.last_speed(lanes) == 0.0, 0.0, np.inf), 0.0)
         return limit[:, 0], limit[:, 1:], np.maximum(error, change.max(axis=1))
 

@@ -1,0 +1,434 @@
+"""The checker of certificates: on orbits in closed form, made by hand, and on false ones."""
+
+from __future__ import annotations
+
+import copy
+import json
+import random
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import mpmath as mp
+import pytest
+
+from tests.support.certificates import BITS, forced_oscillator, impact_oscillator, text_of
+from zeno_orbits.errors import InputError
+from zeno_orbits.model import load_problem
+from zeno_orbits.proof import ProofVerdict, check
+
+Certificate = dict[str, Any]
+
+MULTIPLIER = -0.58429531434153 + 0.00560035149247j
+"""As published of the impact oscillator, with its conjugate."""
+
+
+@pytest.fixture(scope="module")
+def zeno() -> Certificate:
+    return forced_oscillator(load_problem("forced_oscillator"))
+
+
+@pytest.fixture(scope="module")
+def impact() -> Certificate:
+    return impact_oscillator(load_problem("impact_oscillator"))
+
+
+def test_a_zeno_orbit_in_closed_form_is_proved(zeno: Certificate) -> None:
+    verdict = check(zeno)
+    assert verdict.ok, verdict.claims
+    names = [claim.name for claim in verdict.claims]
+    assert names == ["motion 0", "exists", "unique", "period", "zeno_time", "impact_time"]
+
+
+def test_an_orbit_with_one_impact_a_turn_is_proved(impact: Certificate) -> None:
+    verdict = check(impact)
+    assert verdict.ok, verdict.claims
+    discs = [[_value(x) for x in disc] for disc in _claim(impact, "multipliers")["discs"]]
+    for known in (MULTIPLIER, MULTIPLIER.conjugate()):
+        assert any(abs(complex(x, y) - known) < r for x, y, r in discs)
+
+
+def test_what_is_proved_reads_from_a_file(tmp_path: Path, impact: Certificate) -> None:
+    path = tmp_path / "proof.json"
+    path.write_text(json.dumps(impact))
+    assert check(path) == check(impact)
+
+
+def _moved(text: str, by: float) -> str:
+    with mp.workdps(80):
+        return text_of(mp.mpf(_units(text)) / mp.mpf(2) ** BITS + mp.mpf(by))
+
+
+def _units(text: str) -> int:
+    mantissa, exponent = text.replace("0x", "").split("p")
+    return int(mantissa, 16) << (int(exponent) + BITS)
+
+
+def _value(text: str) -> float:
+    return _units(text) / 2**BITS
+
+
+def _claim(certificate: Certificate, name: str) -> Any:
+    return next(claim for claim in certificate["claims"] if claim["name"] == name)
+
+
+def _period_too_long(c: Certificate) -> None:
+    claim = _claim(c, "period")
+    claim["low"], claim["high"] = _moved(claim["low"], 1e-6), _moved(claim["high"], 1e-6)
+
+
+def _state_too_far(c: Certificate) -> None:
+    claim = _claim(c, "start_state")
+    claim["low"][1] = claim["high"][1]
+
+
+def _disc_too_small(c: Certificate) -> None:
+    _claim(c, "multipliers")["discs"][1][2] = "0x1p-80"
+
+
+def _disc_elsewhere(c: Certificate) -> None:
+    _claim(c, "multipliers")["discs"][0][0] = text_of(0.5)
+
+
+def _norm_in_a_bad_basis(c: Certificate) -> None:
+    _claim(c, "stable")["basis"] = {
+        "re": [[text_of(1), text_of(1)], [text_of(0), text_of(1e-3)]],
+        "im": [[text_of(0)] * 2] * 2,
+    }
+
+
+def _repelling(c: Certificate) -> None:
+    basis = _claim(c, "stable")["basis"]
+    c["claims"].append({"name": "repelling", "pass": 0, "basis": basis})
+
+
+@pytest.mark.parametrize(
+    ("falsify", "name"),
+    [
+        (_period_too_long, "period"),
+        (_state_too_far, "start_state"),
+        (_disc_too_small, "multipliers"),
+        (_disc_elsewhere, "multipliers"),
+        (_norm_in_a_bad_basis, "stable"),
+        (_repelling, "repelling"),
+    ],
+)
+def test_a_false_claim_is_refused_by_its_name(
+    impact: Certificate, falsify: Callable[[Certificate], None], name: str
+) -> None:
+    false = copy.deepcopy(impact)
+    falsify(false)
+    assert _refused(check(false)) == [name]
+
+
+def test_the_time_of_a_zeno_point_that_is_moved_is_refused(zeno: Certificate) -> None:
+    false = copy.deepcopy(zeno)
+    claim = _claim(false, "zeno_time")
+    claim["low"] = claim["high"]
+    assert _refused(check(false)) == ["zeno_time"]
+
+
+def _refused(verdict: ProofVerdict) -> list[str]:
+    return [claim.name for claim in verdict.claims if not claim.ok]
+
+
+def _other_restitution(c: Certificate) -> str:
+    c["parameters"]["restitution"] = _moved(c["parameters"]["restitution"], 1e-9)
+    return "(impact): r[1]"
+
+
+def _box_far_too_large(c: Certificate) -> str:
+    c["passes"][0]["box"]["radius"] = [text_of(1e-3)] * 2
+    return "section: state 2 of the section is not found"
+
+
+def _start_beside_the_section(c: Certificate) -> str:
+    c["passes"][0]["start"]["m"][2] = _moved(c["passes"][0]["start"]["m"][2], 1e-20)
+    return "section: r[2]"
+
+
+def _start_that_does_not_turn(c: Certificate) -> str:
+    c["passes"][0]["start"]["C"][2][1] = text_of(0)
+    return "section: R[2]"
+
+
+def _a_step_left_out(c: Certificate) -> str:
+    del c["passes"][0]["records"][3]
+    return "record 3 (step): r["
+
+
+def _a_step_too_long(c: Certificate) -> str:
+    c["passes"][0]["records"][3]["h"] = text_of(0.5 + 1e-12)
+    return "record 3 (step): r["
+
+
+def _a_set_too_small(c: Certificate) -> str:
+    c["passes"][0]["records"][4]["set"]["r"][2] = "0x0p+0"
+    return "record 4 (step): r[2]"
+
+
+def _a_derivative_too_sure(c: Certificate) -> str:
+    c["passes"][0]["records"][12]["set"]["R"][1][0] = "0x0p+0"
+    return "record 12 (cross): R[1]"
+
+
+def _an_order_too_low(c: Certificate) -> str:
+    c["passes"][0]["records"][5]["orders"] = [10, 20]
+    return "record 5 (step): r["
+
+
+def _a_window_before_the_impact(c: Certificate) -> str:
+    window = c["passes"][0]["records"][12]["window"]
+    window[1] = c["passes"][0]["records"][12]["centre"][1]
+    return "record 12 (cross): the guard may vanish outside its window"
+
+
+def _a_centre_that_misses(c: Certificate) -> str:
+    centre = c["passes"][0]["records"][12]["centre"]
+    centre[0] = centre[1]
+    return "record 12 (cross): the guard may vanish outside its window"
+
+
+def _a_box_of_others_elsewhere(c: Certificate) -> str:
+    c["passes"][0]["box"]["others"]["centre"][0] = text_of(0.9)
+    return "section: state 2"
+
+
+def _a_return_elsewhere(c: Certificate) -> str:
+    c["passes"][0]["box"]["others"]["radius"][0] = text_of(1e-10)
+    return "section: state 2"
+
+
+@pytest.mark.parametrize(
+    "falsify",
+    [
+        _other_restitution,
+        _box_far_too_large,
+        _start_beside_the_section,
+        _start_that_does_not_turn,
+        _a_step_left_out,
+        _a_step_too_long,
+        _a_set_too_small,
+        _a_derivative_too_sure,
+        _an_order_too_low,
+        _a_window_before_the_impact,
+        _a_centre_that_misses,
+        _a_box_of_others_elsewhere,
+        _a_return_elsewhere,
+    ],
+)
+def test_a_motion_that_is_not_shown_is_refused_with_the_record_and_the_reason(
+    impact: Certificate, falsify: Callable[[Certificate], str]
+) -> None:
+    false = copy.deepcopy(impact)
+    reason = falsify(false)
+    verdict = check(false)
+    assert reason in verdict.claims[0].evidence
+    assert _refused(verdict) == [claim.name for claim in verdict.claims]
+
+
+def _tail_that_is_too_sure(c: Certificate) -> str:
+    _tail(c)["set"]["r"][3] = text_of(1e-12)
+    return "(tail): r[3]"
+
+
+def _tail_over_too_large_a_disc(c: Certificate) -> str:
+    _tail(c)["radius"] = [text_of(2.0)] * 4
+    return "(tail): the gap's acceleration may vanish"
+
+
+def _tail_over_too_small_a_disc(c: Certificate) -> str:
+    _tail(c)["radius"][2] = text_of(1e-12)
+    return "(tail): the polydisc is too small"
+
+
+def _tail_whose_impacts_are_faster(c: Certificate) -> str:
+    _tail(c)["speed"] = text_of(1e-13)
+    return "(tail): the speed after the impact"
+
+
+def _tail(c: Certificate) -> Any:
+    return next(record for record in c["passes"][0]["records"] if record["kind"] == "tail")
+
+
+@pytest.mark.parametrize(
+    "falsify",
+    [
+        _tail_that_is_too_sure,
+        _tail_over_too_large_a_disc,
+        _tail_over_too_small_a_disc,
+        _tail_whose_impacts_are_faster,
+    ],
+)
+def test_a_zeno_tail_that_is_not_shown_is_refused_with_the_inequality(
+    zeno: Certificate, falsify: Callable[[Certificate], str]
+) -> None:
+    false = copy.deepcopy(zeno)
+    reason = falsify(false)
+    assert reason in check(false).claims[0].evidence
+
+
+def _another_digest(c: Certificate) -> None:
+    c["digest"] = "0" * 64
+
+
+def _another_problem(c: Certificate) -> None:
+    c["problem"] = "vibrating_table"
+
+
+def _a_number_that_is_none(c: Certificate) -> None:
+    c["passes"][0]["start"]["m"][1] = "nan"
+
+
+def _a_double(c: Certificate) -> None:
+    c["passes"][0]["records"][0]["h"] = 0.5
+
+
+def _another_format(c: Certificate) -> None:
+    c["format"] = 2
+
+
+def _an_unknown_entry(c: Certificate) -> None:
+    c["statement"] = "there is an orbit of period 1"
+
+
+def _no_claim_of_ours(c: Certificate) -> None:
+    c["claims"].append({"name": "beautiful", "pass": 0})
+
+
+def _no_pass_of_ours(c: Certificate) -> None:
+    c["claims"][0]["pass"] = 1
+
+
+def _no_impact_at_the_end(c: Certificate) -> None:
+    del c["passes"][0]["records"][-1]
+
+
+def _two_impacts(c: Certificate) -> None:
+    records = c["passes"][0]["records"]
+    records.append(records[-1])
+
+
+def _a_row_too_few(c: Certificate) -> None:
+    del c["passes"][0]["start"]["Q"][0]
+
+
+def _a_negative_radius(c: Certificate) -> None:
+    c["passes"][0]["start"]["r"][1] = "-0x1p-100"
+
+
+def _an_endless_order(c: Certificate) -> None:
+    c["passes"][0]["records"][0]["orders"] = [10**6, 20]
+
+
+def _a_gap_that_is_another_coordinate(c: Certificate) -> None:
+    c["gap_row"] = 1
+
+
+def _a_number_finer_than_the_unit(c: Certificate) -> None:
+    c["passes"][0]["records"][0]["h"] = "0x1p-400"
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        _another_digest,
+        _another_problem,
+        _a_number_that_is_none,
+        _a_double,
+        _another_format,
+        _an_unknown_entry,
+        _no_claim_of_ours,
+        _no_pass_of_ours,
+        _no_impact_at_the_end,
+        _two_impacts,
+        _a_row_too_few,
+        _a_negative_radius,
+        _an_endless_order,
+        _a_gap_that_is_another_coordinate,
+        _a_number_finer_than_the_unit,
+    ],
+)
+def test_what_is_no_certificate_is_refused_in_one_line(
+    impact: Certificate, spoil: Callable[[Certificate], None]
+) -> None:
+    spoiled = copy.deepcopy(impact)
+    spoil(spoiled)
+    with pytest.raises(InputError) as refusal:
+        check(spoiled)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_file_that_is_cut_short_is_refused(tmp_path: Path, impact: Certificate) -> None:
+    path = tmp_path / "proof.json"
+    path.write_text(json.dumps(impact)[:-1000])
+    with pytest.raises(InputError, match="must hold a certificate"):
+        check(path)
+
+
+def test_no_mutation_is_accepted_with_a_claim_that_is_false(impact: Certificate) -> None:
+    _require_sound_under_mutations(impact, count=40, seed=1)
+
+
+@pytest.mark.slow
+def test_none_of_300_mutations_is_accepted_with_a_claim_that_is_false(impact: Certificate) -> None:
+    _require_sound_under_mutations(impact, count=300, seed=2)
+
+
+def _require_sound_under_mutations(certificate: Certificate, count: int, seed: int) -> None:
+    """Check that what is accepted after a change says nothing that the closed form denies."""
+    chance = random.Random(seed)
+    statement = ("format", "kind", "problem", "digest", "parameters", "over", "gap_row", "section")
+    for _ in range(count):
+        mutant = copy.deepcopy(certificate)
+        _mutate(mutant, chance)
+        try:
+            accepted = check(mutant).ok
+        except InputError:
+            continue
+        if accepted and mutant != certificate:
+            assert all(mutant[key] == certificate[key] for key in statement)
+            _require_true(mutant, certificate)
+
+
+def _mutate(data: Any, chance: random.Random) -> None:
+    """Change one entry of plain data, at any depth."""
+    while True:
+        key: Any = chance.choice(list(data) if isinstance(data, dict) else range(len(data)))
+        if not isinstance(data[key], dict | list) or not data[key] or chance.random() < 0.02:
+            break
+        data = data[key]
+    if isinstance(data, list) and chance.random() < 0.1:
+        data.insert(key, copy.deepcopy(chance.choice(data)))
+    elif chance.random() < 0.1:
+        del data[key]
+    elif isinstance(data[key], int):
+        data[key] += chance.choice([-1, 1])
+    elif isinstance(data[key], str):
+        place = chance.randrange(len(data[key]))
+        data[key] = data[key][:place] + chance.choice("0123456789abcdef-px") + data[key][place + 1 :]
+    else:
+        data[key] = None
+
+
+def _require_true(mutant: Certificate, original: Certificate) -> None:
+    """Check the claims of a mutant against what is known of the orbit."""
+    start = [
+        (_value(a) + _value(b)) / 2
+        for a, b in zip(*(_claim(original, "start_state")[end] for end in ("low", "high")), strict=True)
+    ]
+    for claim in mutant["claims"]:
+        if claim["name"] == "period":
+            assert _value(claim["low"]) <= 2 * mp.pi <= _value(claim["high"])
+        elif claim["name"] == "start_state":
+            ends = zip(claim["low"], start, claim["high"], strict=True)
+            assert all(_value(a) <= x <= _value(b) for a, x, b in ends)
+        elif claim["name"] == "multipliers":
+            discs = [[_value(x) for x in disc] for disc in claim["discs"]]
+            for known in (MULTIPLIER, MULTIPLIER.conjugate()):
+                assert any(abs(complex(x, y) - known) < r for x, y, r in discs)
+        else:
+            assert claim["name"] in ("exists", "unique", "stable")
+    centre, radius = (mutant["passes"][0]["box"][name] for name in ("centre", "radius"))
+    for place, middle, reach in zip((1, 3), centre, radius, strict=True):
+        assert abs(_value(middle) - start[place]) < _value(reach)

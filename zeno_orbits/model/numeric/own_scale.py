@@ -1,0 +1,159 @@
+r"""The sizes of a problem's own numbers, against which small numbers are small in any units.
+
+Everything that counts as zero, and every local error, is a part of one of these. With
+:math:`|q|, |v|, |a|` where the problem starts and the time :math:`T` of its clock, or
+:math:`\sqrt{|q| / |a|}`, a coordinate has the size :math:`\max(|q|, |v| T, |a| T^2)`, the largest
+among those of its unit; an angle has the size 1, and the gap that of its change over such a way.
+Sizes far from 1 are rounded to powers of a thousand, all others to 1: a machine of everyday size
+has the size 1 in SI units.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model.scale import OwnScale
+
+_DAMPED = 1e-3
+"""An eigenvalue whose imaginary part is less than this part of it does not oscillate."""
+_BAND, _WIDE = 3, 5
+"""Decades around 1 in which a size is an everyday one; of accelerations and forces more."""
+_DECADES = 3
+"""Other sizes are rounded to powers of ten with exponents that this divides."""
+_PHASES = 4
+_FIXED = ("rad", "1")
+"""Units of coordinates that have the size 1 whatever the problem."""
+
+
+def own_time(dynamics: HybridDynamics, state: Vector) -> float:
+    r"""Return the slowest time scale of a problem [s]: of its clock or its oscillations.
+
+    It is :math:`2 \pi / |\mu|` with the smallest oscillating eigenvalue :math:`\mu` of the free
+    flow, which has those of the clock. Where nothing oscillates it is
+    :math:`2 \pi \sqrt{|q| / |\ddot q|}`.
+
+    Args:
+        dynamics: The system.
+        state: Where to look, ``(n_x,)``.
+    """
+    n_q = dynamics.n_q
+    eigenvalues = np.linalg.eigvals(dynamics.free.jacobian(state))
+    turning = np.abs(eigenvalues[np.abs(eigenvalues.imag) > _DAMPED * np.abs(eigenvalues)])
+    if turning.size:
+        return float(2 * math.pi / np.min(turning))
+    size = float(np.max(np.abs(state[:n_q])))
+    pull = float(np.max(np.abs(dynamics.free.rate(state)[n_q : 2 * n_q])))
+    return 2 * math.pi * math.sqrt(size / pull) if size > 0.0 and pull > 0.0 else 1.0
+
+
+def own_scale(
+    dynamics: HybridDynamics,
+    starts: Sequence[Sequence[float]],
+    units: Sequence[str],
+    clock: Sequence[int] = (),
+) -> OwnScale:
+    """Return the sizes of a problem's numbers, from where it starts.
+
+    Args:
+        dynamics: The system.
+        starts: States at which the problem starts, each ``(n_x,)``.
+        units: Unit of each state; coordinates of one unit are measured alike.
+        clock: Places of the clock in the state; it is looked at in four phases.
+    """
+    states = np.array(starts, dtype=np.float64)
+    if clock:
+        turns = np.tile(2 * math.pi * np.arange(_PHASES) / _PHASES, len(states))
+        states = np.repeat(states, _PHASES, axis=0)
+        states[:, clock[0]], states[:, clock[1]] = np.cos(turns), np.sin(turns)
+    n_q = dynamics.n_q
+    rates = np.array([dynamics.free.rate(x) for x in states])
+    places = _alike(np.max(np.abs(states[:, :n_q]), axis=0), units)
+    velocities = _alike(np.max(np.abs(rates[:, :n_q]), axis=0), units, fixed=0.0)
+    accelerations = _alike(np.max(np.abs(rates[:, n_q : 2 * n_q]), axis=0), units, fixed=0.0)
+    if clock:
+        time = 1 / float(np.linalg.norm(rates[0, list(clock)]))
+    else:
+        time = _swing(places, accelerations) or _slowest(dynamics, states[0])
+    largest = np.maximum(np.maximum(places, velocities * time), accelerations * time**2)
+    largest = _alike(largest, units)
+    gap = max(_gap_reach(dynamics, x, largest) for x in states)
+    inertia = max(abs(dynamics.normal_inertia(x)) for x in states)
+    return OwnScale(
+        time=_rounded(time),
+        gap=_rounded(gap),
+        gap_rate=_rounded(gap / time),
+        gap_acceleration=_rounded(gap / time**2, _WIDE),
+        multiplier=_rounded(gap / time**2 * inertia, _WIDE),
+        sizes=tuple(_rounded(size) for size in (*largest.tolist(), *(largest / time).tolist())),
+    )
+
+
+def _alike(sizes: Vector, units: Sequence[str], fixed: float = 1.0) -> Vector:
+    """Return the largest size among the coordinates of one unit, for each, ``(n_q,)``.
+
+    Args:
+        sizes: Of the coordinates.
+        units: Their units, and those of further states.
+        fixed: Least size of an angle.
+    """
+    found = sizes.copy()
+    for unit in dict.fromkeys(units[: len(sizes)]):
+        same = [k for k in range(len(sizes)) if units[k] == unit]
+        found[same] = np.max(sizes[same])
+        if unit in _FIXED:
+            found[same] = fixed or found[same]
+    return found
+
+
+def _swing(places: Vector, accelerations: Vector) -> float:
+    """Return the longest time in which a coordinate goes as far as it is; 0 if none moves."""
+    moves = (places > 0.0) & (accelerations > 0.0)
+    return float(np.max(np.sqrt(places[moves] / accelerations[moves]), initial=0.0))
+
+
+def _slowest(dynamics: HybridDynamics, x: Vector) -> float:
+    """Return the slowest time scale of the linearized flow, over a turn; 1 if it has none."""
+    try:
+        return own_time(dynamics, x) / (2 * math.pi)
+    except np.linalg.LinAlgError:
+        return 1.0
+
+
+def constraint_sizes(dynamics: HybridDynamics, x: Vector) -> Vector:
+    """Return how much the holonomic constraints change where states do by their size, ``(n,)``.
+
+    At most by that a state may be off; 1 for a system without formulas.
+
+    Args:
+        dynamics: The system.
+        x: A state, ``(n_x,)``.
+    """
+    derivable = dynamics.differentiation
+    if derivable is None:
+        return np.ones_like(dynamics.holonomic(x))
+    sizes = np.maximum(np.abs(x), dynamics.own.states(len(x)))
+    return np.abs(derivable.by(()).holonomic(x)) @ sizes
+
+
+def _gap_reach(dynamics: HybridDynamics, x: Vector, sizes: Vector) -> float:
+    """Return how far the gap goes if a coordinate goes as far as it does."""
+    gap, moved = dynamics.gap(x), np.tile(x, (len(sizes), 1))
+    moved[:, : len(sizes)] += np.diag(sizes)
+    return max(abs(gap), *(abs(dynamics.gap(one) - gap) for one in moved))
+
+
+def _rounded(size: float, band: int = _BAND) -> float:
+    """Return 1 for an everyday size, else the nearest power of a thousand; 1 where there is none.
+
+    Args:
+        size: The size.
+        band: Decades around 1 that are everyday ones.
+    """
+    if not (math.isfinite(size) and size > 0.0) or abs(math.log10(size)) <= band:
+        return 1.0
+    return 10.0 ** (_DECADES * round(math.log10(size) / _DECADES))

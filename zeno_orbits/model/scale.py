@@ -1,0 +1,55 @@
+"""Sizes of the numbers of a problem, against which small numbers are small in any units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OwnScale:
+    """Sizes of the numbers of a problem, powers of a thousand; by default all are 1.
+
+    Attributes:
+        time: [s].
+        gap: Of the gap.
+        gap_rate: Of its rate.
+        gap_acceleration: Of its second derivative.
+        multiplier: Of the multiplier.
+        sizes: Of the states, coordinates and velocities first; those that are left out have 1.
+    """
+
+    time: float = 1.0
+    gap: float = 1.0
+    gap_rate: float = 1.0
+    gap_acceleration: float = 1.0
+    multiplier: float = 1.0
+    sizes: tuple[float, ...] = ()
+
+    @property
+    def least(self) -> float:
+        """The smallest size of a state, at most 1: what a local error is absolute in."""
+        return min([1.0, *self.sizes])
+
+    def rates(self, n_q: int) -> Vector:
+        """Return the size of the rates of coordinates and velocities, ``(2 n_q,)``."""
+        velocities = self.states(2 * n_q)[n_q:]
+        return np.concatenate([velocities, velocities / self.time])
+
+    def states(self, n_x: int) -> Vector:
+        """Return the size of each state, ``(n_x,)``."""
+        sizes = np.ones(n_x)
+        sizes[: len(self.sizes)] = self.sizes
+        return sizes
+
+
+USUAL = OwnScale()
+"""That of a system of which nothing is known."""
+
+
+def usual() -> OwnScale:
+    """Return the sizes of a system of which nothing is known."""
+    return USUAL

@@ -1,0 +1,6 @@
+"""Check certificates of Zeno periodic orbits, without the prover and in another arithmetic.
+
+A certificate is proved in exact integers: one inclusion a record, in any order. Nothing of the
+prover is imported; what both share is the problem, whose CasADi instructions are walked here anew.
+Format: `docs/certificate.md`. Offers: `check`. May import: `model`, `errors`.
+"""

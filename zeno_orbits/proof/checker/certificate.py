@@ -1,0 +1,239 @@
+"""Judge a certificate: read it, prove its start, its records and its claims, one by one."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from os import cpu_count
+from pathlib import Path
+from typing import Any, NamedTuple, cast
+
+from zeno_orbits.errors import InputError
+from zeno_orbits.model import Problem, load_problem
+from zeno_orbits.proof.checker.balls import (
+    Ball,
+    NotProved,
+    Vector,
+    dot,
+    entries,
+    number,
+    require,
+    times,
+)
+from zeno_orbits.proof.checker.claims import CLAIMS, Passage, show
+from zeno_orbits.proof.checker.formulas import formulas_of
+from zeno_orbits.proof.checker.motion import KINDS, Enclosure, Place, require_enclosed
+from zeno_orbits.proof.checker.section import Box, Section, require_start
+from zeno_orbits.proof.checker.system import LAW, System, bound_system
+
+_TOP = (
+    *("format", "kind", "problem", "digest", "parameters", "over", "gap_row", "bits", "section"),
+    *("passes", "claims", "versions"),
+)
+_RECORDS = {
+    "step": ("h", "orders"),
+    "cross": ("h", "orders", "window", "centre"),
+    "impact": (),
+    "tail": ("radius", "speed"),
+}
+_BITS = range(64, 1025)
+_CHUNK = 16
+"""Records that a process proves before it is asked for more."""
+
+
+class ClaimVerdict(NamedTuple):
+    """One claim: its name, whether it was proved, and by what, or why not."""
+
+    name: str
+    ok: bool
+    evidence: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProofVerdict:
+    """What a check found, claim by claim."""
+
+    problem: str
+    claims: tuple[ClaimVerdict, ...]
+
+    @property
+    def ok(self) -> bool:
+        """True if every claim was proved."""
+        return all(claim.ok for claim in self.claims)
+
+
+def check(
+    certificate: str | Path | Mapping[str, Any], problem: Problem | None = None
+) -> ProofVerdict:
+    """Check a certificate, claim by claim, on all cores.
+
+    Args:
+        certificate: The path of a certificate, or what is in it.
+        problem: What it is about; by default the problem that it names.
+
+    Raises:
+        InputError: If it is no certificate, or one of other formulas.
+    """
+    try:
+        data = _read(certificate)
+        problem = load_problem(data["problem"]) if problem is None else problem
+        system, over = _system(data, problem)
+        section = Section.of(system, data["section"])
+        passages, verdicts = list[Passage | str](), list[ClaimVerdict]()
+        first: Box | None = None
+        for k, part in enumerate(data["passes"]):
+            box_data, start, records = entries(part, "box", "start", "records")
+            box = Box.of(system, section, box_data, over)
+            first = box if first is None else first
+            if not first.holds(box):
+                raise InputError("The certificate's boxes must lie in the first of them.")
+            passages.append(_passage(system, section, box, start, records))
+            failure = passages[-1] if isinstance(passages[-1], str) else ""
+            evidence = failure or f"{len(records)} inclusions"
+            verdicts.append(ClaimVerdict(f"motion {k}", not failure, evidence))
+        for claim in data["claims"]:
+            verdicts.append(_claimed(passages, claim))
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"The certificate does not fit together ({error!r:.80}).") from error
+    return ProofVerdict(problem=problem.name, claims=tuple(verdicts))
+
+
+def _read(certificate: str | Path | Mapping[str, Any]) -> Mapping[str, Any]:
+    if not isinstance(certificate, Mapping):
+        path = Path(certificate)
+        try:
+            certificate = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError, RecursionError) as error:
+            raise InputError(
+                f"File `{path}` must hold a certificate, but it does not ({error})."
+            ) from None
+    entries(certificate, *_TOP)
+    data = cast("Mapping[str, Any]", certificate)
+    if (data["format"], data["kind"]) != (1, "zeno_orbits proof") or data["bits"] not in _BITS:
+        raise InputError("The certificate must be of format 1 and of 64 to 1024 bits.")
+    return data
+
+
+def _system(data: Mapping[str, Any], problem: Problem) -> tuple[System, list[tuple[Ball, Ball]]]:
+    """Return the problem at the certificate's numbers, and its varied parameters."""
+    formulas, bits = formulas_of(problem), data["bits"]
+    if data["digest"] != formulas.digest:
+        raise InputError(f"The certificate is about other formulas than those of `{problem.name}`.")
+    if tuple(data["parameters"]) != problem.names:
+        raise InputError(f"The certificate must have the numbers {', '.join(problem.names)}.")
+    numbers = {name: number(text, bits) for name, text in data["parameters"].items()}
+    radii = {name: number(text, bits) for name, text in data["over"].items()}
+    over = [name for name in numbers if name in radii]
+    if over != list(radii) or any(radius.m < 0 for radius in radii.values()):
+        raise InputError("The certificate's `over` must be radii of parameters, in their order.")
+    row = data["gap_row"]
+    if row is not None and (type(row) is not int or not 0 <= row < formulas.n_q):
+        raise InputError("The certificate's `gap_row` must be a coordinate.")
+    system = bound_system(formulas, numbers, over, row)
+    return system, [(numbers[name], radii[name]) for name in over]
+
+
+def _passage(
+    system: System, section: Section, box: Box, start: Any, records: Sequence[Any]
+) -> Passage | str:
+    """Prove all records, each by itself; return the passage, or why there is none."""
+    sets = [start, *(record["set"] for record in records)]
+    first, last = (_set(system, box, data) for data in (sets[0], sets[-1]))
+    tasks = list(zip(_stations(system, section, records), sets, records, strict=False))
+    try:
+        require_start(system, section, box, first)
+        hull = last.hull
+        for k, middle, reach in zip(section.others, box.others, box.others_spread, strict=True):
+            require((hull[k] - middle).size <= reach.r, f"state {k} does not return to the section")
+    except NotProved as failure:
+        return f"section: {failure}"
+    chunks = [tasks[k : k + _CHUNK] for k in range(0, len(tasks), _CHUNK)]
+    judge = partial(_proved, system, box)
+    if len(chunks) == 1:
+        proved = judge(tasks)
+    else:
+        with ProcessPoolExecutor(min(len(chunks), cpu_count() or 1)) as pool:
+            proved = [one for found in pool.map(judge, chunks) for one in found]
+    time, row = Ball(0, 0, system.bits), [Ball(0, 0, system.bits)] * len(box.spread)
+    events: dict[str, list[tuple[Ball, Vector]]] = {
+        "period": [],
+        "zeno_time": [],
+        "impact_time": [],
+    }
+    for k, (record, found) in enumerate(zip(records, proved, strict=True)):
+        if isinstance(found, str):
+            return f"record {k} ({record['kind']}): {found}"
+        time, row = time + found[0], [x + y for x, y in zip(row, found[1], strict=True)]
+        if record["kind"] in ("tail", "impact"):
+            events["zeno_time" if record["kind"] == "tail" else "impact_time"].append((time, row))
+    events["period"].append((time, row))
+    return Passage(
+        n_x=system.n_x, places=section.places, box=box, start=first, end=last, times=events
+    )
+
+
+def _set(system: System, box: Box, data: Any) -> Enclosure:
+    return Enclosure.of(data, box.spread, len(system.z), system.bits)
+
+
+def _stations(system: System, section: Section, records: Sequence[Any]) -> list[Place]:
+    """Return where in the motion each record stands, if their order is one of a motion."""
+    plastic = system.value(LAW, [Ball(0, 0, system.bits)] * len(system.z))[0].size == 0
+    mode, began = section.mode, "release" if section.end == "cross" else "impact"
+    stations = list[Place]()
+    for k, record in enumerate(records):
+        kind = record["kind"]
+        entries(record, "kind", "set", *_RECORDS[kind])
+        possible = {"impact"} if mode == "closed" else {"step", "cross"}
+        if (mode, began) == ("free", "impact"):
+            possible.add("tail")
+        if kind not in possible:
+            raise InputError(f"The certificate's record {k} must be {' or '.join(possible)}.")
+        stations.append(Place(mode, began))
+        if kind == "step":
+            began = ""
+        elif kind == "cross":
+            mode, began = ("closed", "") if mode == "free" else ("free", "release")
+        else:
+            mode, began = ("locked", "") if plastic or kind == "tail" else ("free", "impact")
+    if not records or records[-1]["kind"] != section.end or mode != section.mode:
+        raise InputError("The certificate's last record must end on the section.")
+    return stations
+
+
+def _proved(
+    system: System, box: Box, tasks: Sequence[tuple[Place, Any, Mapping[str, Any]]]
+) -> list[tuple[Ball, Vector] | str]:
+    """Prove records; return the time of each and its derivative, or why it is not proved."""
+    found = list[tuple[Ball, Vector] | str]()
+    for place, before, record in tasks:
+        old, new = _set(system, box, before), _set(system, box, record["set"])
+        try:
+            mapped = KINDS[record["kind"]](system, place, old, record)
+            require_enclosed(old, mapped, new)
+        except NotProved as failure:
+            found.append(str(failure))
+            continue
+        noise = times([mapped.time_slope], old.Q)[0]
+        row = times([mapped.time_slope], old.derivative)[0]
+        found.append((mapped.time + dot(noise, old.r), row))
+    return found
+
+
+def _claimed(passages: Sequence[Passage | str], claim: Any) -> ClaimVerdict:
+    """Judge one claim."""
+    name, which = claim["name"], claim["pass"]
+    if name not in CLAIMS or type(which) is not int or not 0 <= which < len(passages):
+        raise InputError("The certificate has a claim of no known name, or about no pass.")
+    passage = passages[which]
+    if isinstance(passage, str):
+        return ClaimVerdict(name, False, f"the motion is not proved: {passage}")
+    try:
+        return ClaimVerdict(name, True, show(passage, claim))
+    except NotProved as failure:
+        return ClaimVerdict(name, False, str(failure))

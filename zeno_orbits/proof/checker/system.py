@@ -1,0 +1,188 @@
+"""What a certificate is about: a problem at its numbers, as nodes, and its values in balls."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import zip_longest
+
+from zeno_orbits.errors import InputError
+from zeno_orbits.proof.checker.balls import Ball, Matrix, Vector, identity
+from zeno_orbits.proof.checker.formulas import Formulas, Graph, walked
+from zeno_orbits.proof.checker.series import taylor, values
+
+Rates = dict[int, int | None]
+Rows = list[list[int | None]]
+FREE, LOCKED, CONTACT, IMPULSE, LAW, HOLONOMIC = range(6)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class System:
+    """Nodes of a completed system; its states are ``z = (x, [h, hdot], [parameters])``.
+
+    Attributes:
+        z: Inputs of the states, ``(N,)``.
+        V: Inputs of the tangents, ``(N, N)``.
+        constants: Inputs that stay, the parameters, and their values.
+        flow: Rates of the states, by the mode.
+        variational: Rates of the tangents, by the mode.
+        outputs: Nodes of free flow, locked flow, contact, impulse direction, law and constraints.
+        tangents: Their tangents, a row each.
+        gap_row: Row of the states that tells the gap.
+        rate_row: Row of the states that tells the gap rate.
+        unit: By how much the gap changes with its row.
+        stop: Value of the gap's row on the stop.
+    """
+
+    graph: Graph
+    n_x: int
+    z: list[int]
+    V: list[list[int]]
+    constants: dict[int, Ball]
+    flow: dict[str, Rates]
+    variational: dict[str, Rates]
+    outputs: list[list[int]]
+    tangents: list[Rows]
+    gap_row: int
+    rate_row: int
+    unit: Ball
+    stop: Ball
+
+    @property
+    def bits(self) -> int:
+        """The unit is ``2^-bits``."""
+        return self.unit.bits
+
+    @property
+    def is_pinned(self) -> bool:
+        """True if a coordinate tells the gap."""
+        return self.gap_row < self.n_x
+
+    @property
+    def n_over(self) -> int:
+        """Number of parameters among the states."""
+        return len(self.z) - max(self.n_x, self.rate_row + 1)
+
+    @property
+    def nothing(self) -> Vector:
+        """A row of zeros, ``(N,)``."""
+        return [Ball(0, 0, self.bits)] * len(self.z)
+
+    def at(self, z: Sequence[Ball]) -> dict[int, Ball]:
+        """Return all inputs at states, the tangents those of the states themselves."""
+        return self.constants | dict(zip(self.z, z, strict=True)) | self.seeds
+
+    @property
+    def seeds(self) -> dict[int, Ball]:
+        """The tangents of the states themselves."""
+        rows = zip(self.V, identity(len(self.z), self.bits), strict=True)
+        return {v: x for row, ones in rows for v, x in zip(row, ones, strict=True)}
+
+    def value(self, output: int, z: Sequence[Ball]) -> Vector:
+        """Return one of the outputs over a box of states."""
+        return values(self.graph, self.at(z), self.outputs[output])
+
+    def gradient(self, output: int, z: Sequence[Ball], row: int) -> Vector:
+        """Return the derivative of an entry of an output over a box of states, ``(N,)``."""
+        return values(self.graph, self.at(z), self.tangents[output][row])
+
+    def rates(self, mode: str, z: Sequence[Ball]) -> Vector:
+        """Return the rates of the states over a box of them."""
+        return values(self.graph, self.at(z), [self.flow[mode][place] for place in self.z])
+
+    def gap(self, z: Sequence[Ball]) -> Ball:
+        """Return the gap over a box of states."""
+        return self.unit * (z[self.gap_row] - self.stop)
+
+    def gap_rate(self, z: Sequence[Ball]) -> Ball:
+        """Return the gap rate over a box of states."""
+        return self.unit * z[self.rate_row]
+
+    def across(self, row: int) -> Vector:
+        """Return the gradient of the gap, or of its rate, whose row it is."""
+        zero = Ball(0, 0, self.bits)
+        return [self.unit if k == row else zero for k in range(len(self.z))]
+
+    def put_exactly(self, point: Vector, slope: Matrix, row: int, value: Ball) -> None:
+        """Set a row to a value that it has for every state."""
+        point[row], slope[row] = value, [Ball(0, 0, self.bits)] * len(point)
+
+    def third_derivative(self, z: Sequence[Ball]) -> Ball:
+        """Return the third time derivative of the gap off the stop."""
+        node, one = self.outputs[CONTACT][2], Ball(1 << self.bits, 0, self.bits)
+        return taylor(self.graph, self.flow["free"], self.at(z), one, 1, [node])[node][1]
+
+
+def bound_system(
+    formulas: Formulas, numbers: Mapping[str, Ball], over: Sequence[str], row: int | None
+) -> System:
+    """Return the nodes of a problem at its numbers.
+
+    Args:
+        formulas: Its instructions.
+        numbers: All gains and parameters.
+        over: Names of those that vary.
+        row: The coordinate that alone tells the gap; ``None`` if gap and rate are carried.
+    """
+    graph, n_x, n_q = Graph(), formulas.function.numel_in(0), formulas.n_q
+    bits = next(iter(numbers.values())).bits
+    x = [graph.put("input") for _ in range(n_x)]
+    p = {name: graph.put("input") for name in numbers}
+    carried = [graph.put("input") for _ in range(2 if row is None else 0)]
+    outputs = walked(formulas.function, graph, [x, list(p.values())])
+    moving = [p[name] for name in over]
+    z = [*x, *carried, *moving]
+    V = [[graph.put("input") for _ in z] for _ in z]
+    seeds = dict(zip(z, V, strict=True))
+    pinned = () if row is None else (row, n_q + row)
+    rates: dict[str, list[int | None]] = {
+        "free": [*outputs[FREE], *([carried[1], outputs[CONTACT][2]] if carried else [])],
+        "locked": [None if k in pinned else node for k, node in enumerate(outputs[LOCKED])],
+    }
+    flow = {mode: dict(zip_longest(z, nodes)) for mode, nodes in rates.items()}
+    variational = {mode: _variational(graph, nodes, seeds) for mode, nodes in flow.items()}
+    unit, stop = Ball(1 << bits, 0, bits), Ball(0, 0, bits)
+    constants = {p[name]: ball for name, ball in numbers.items() if name not in over}
+    if row is not None:
+        unit, stop = _coordinate(graph, outputs[CONTACT][0], x[row], constants, bits)
+    return System(
+        graph=graph,
+        n_x=n_x,
+        z=z,
+        V=V,
+        constants=constants,
+        flow=flow,
+        variational=variational,
+        outputs=outputs,
+        tangents=[graph.tangents(nodes, seeds) for nodes in outputs],
+        gap_row=n_x if row is None else row,
+        rate_row=n_x + 1 if row is None else n_q + row,
+        unit=unit,
+        stop=stop,
+    )
+
+
+def _variational(graph: Graph, rates: Rates, seeds: Mapping[int, Sequence[int]]) -> Rates:
+    """Return the rates of the tangents: what moves them is the derivative of the flow."""
+    moving = {place: node for place, node in rates.items() if node is not None}
+    rows = dict(zip(moving, graph.tangents(list(moving.values()), seeds), strict=True))
+    return {
+        v: None if place not in rows else rows[place][k]
+        for place, vs in seeds.items()
+        for k, v in enumerate(vs)
+    }
+
+
+def _coordinate(
+    graph: Graph, gap: int, x: int, constants: Mapping[int, Ball], bits: int
+) -> tuple[Ball, Ball]:
+    """Return slope and root of the gap in its coordinate, if it is affine in that one alone."""
+    one = graph.put("input")
+    slope = graph.tangents([gap], {x: [one]})[0][0]
+    given = {place for place in graph.needed([gap]) if graph.nodes[place] == ("input",)}
+    turned = {place for place in graph.needed([slope]) if graph.nodes[place] == ("input",)}
+    if slope is None or not given <= {x, *constants} or not turned <= {one, *constants}:
+        raise InputError("The certificate's `gap_row` must be the one coordinate of the gap.")
+    inputs = {**constants, x: Ball(0, 0, bits), one: Ball(1 << bits, 0, bits)}
+    unit, origin = values(graph, inputs, [slope, gap])
+    return unit, -(origin / unit)

@@ -1,0 +1,441 @@
+r"""A CasADi function as a program of operations on balls, and on Taylor series of balls.
+
+Coefficients come one by one from recurrences: with :math:`c = a b`,
+:math:`c_k = \sum_j a_j b_{k-j}` and so on [JorbaZou2005]_. Series division
+and sine by Newton's method would be faster, and blow up on wide balls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from operator import mul
+from typing import Any
+
+import casadi as ca
+from flint import arb, arb_series, ctx
+
+from zeno_orbits.errors import TranslationError
+from zeno_orbits.proof.expressions import operation_name
+
+Ball = Any
+"""A ball of python-flint, real or complex; it has no types to name."""
+Series = list[Any]
+"""Coefficients of a series, lowest power first."""
+
+ZERO, ONE = arb(0), arb(1)
+
+
+class BallProgram:
+    """The outputs of a CasADi function of two inputs, the second fixed, as operations on balls."""
+
+    def __init__(self, function: ca.Function, numbers: Sequence[Ball], *, n_flow: int = 0) -> None:
+        """Translate a function.
+
+        Args:
+            function: Of states and numbers, with any outputs; of type SX.
+            numbers: The second input.
+            n_flow: How many entries of the first output are rates of the states, whose series
+                `flow_series` finds; the others are evaluated on series that are known.
+
+        Raises:
+            TranslationError: If an operation has no translation.
+        """
+        self.n = function.numel_in(0)
+        self.fixed: list[Ball | None] = [None] * self.n
+        self.operations: list[tuple[str, int, int]] = [("input", k, k) for k in range(self.n)]
+        self._known: dict[tuple[str, int, int], int] = {}
+        outputs = [[self._constant(ZERO)] * function.nnz_out(k) for k in range(function.n_out())]
+        work: dict[int, int] = {}
+        exponent: dict[int, float] = {}
+        for k in range(function.n_instructions()):
+            code = function.instruction_id(k)
+            takes, gives = function.instruction_input(k), function.instruction_output(k)
+            if code == ca.OP_OUTPUT:
+                outputs[gives[0]][gives[1]] = work[takes[0]]
+            elif code == ca.OP_INPUT:
+                place = takes[1]
+                work[gives[0]] = place if takes[0] == 0 else self._constant(numbers[place])
+            elif code == ca.OP_CONST:
+                value = function.instruction_constant(k)
+                work[gives[0]] = self._constant(arb(value))
+                exponent[work[gives[0]]] = value
+            elif code in (ca.OP_POW, ca.OP_CONSTPOW):
+                work[gives[0]] = self._power(work[takes[0]], work[takes[1]], exponent)
+            else:
+                work[gives[0]] = self._translated(code, [work[one] for one in takes])
+        self.outputs = outputs
+        self._online = self._needed(outputs[0][:n_flow]) if n_flow else []
+        self._flow = outputs[0][:n_flow]
+        online = set(self._online)
+        every = [place for output in outputs for place in output]
+        self._offline = [k for k in self._needed(every) if k not in online]
+
+    def __call__(self, x: Sequence[Ball]) -> list[list[Ball]]:
+        """Return the nonzero entries of every output at a state, of real or complex balls."""
+        values = list(x)
+        for k in range(self.n, len(self.operations)):
+            fixed = self.fixed[k]
+            name, a, b = self.operations[k]
+            values.append(_VALUES[name](values[a], values[b]) if fixed is None else fixed)
+        return [[values[place] for place in output] for output in self.outputs]
+
+    def flow_series(self, x: Sequence[Ball], order: int) -> list[Series]:
+        """Return the series of the flow from a state, and of all operations that it needs.
+
+        Args:
+            x: State, ``(n,)``.
+            order: Of the last coefficient of the states.
+
+        Returns:
+            One series for each operation, empty where it is none of the flow's: first the states
+            to ``order``, then the others to one below.
+        """
+        series: list[Series] = [[] for _ in self.operations]
+        for k in range(self.n):
+            series[k].append(x[k])
+        steps = [self._stepper(k, series) for k in self._online]
+        rates = [
+            (series[k], series[place], self.fixed[place]) for k, place in enumerate(self._flow)
+        ]
+        for k in range(order):
+            for step in steps:
+                step(k)
+            for state, rate, fixed in rates:
+                if fixed is None:
+                    state.append(rate[k] / (k + 1))
+                else:
+                    state.append(fixed if k == 0 else ZERO)
+        return series
+
+    def follow(self, series: list[Series], order: int) -> list[list[Series]]:
+        """Return the series of all outputs along a flow, to an order.
+
+        Args:
+            series: As `flow_series` returns it; what is missing there is filled in.
+            order: Of the last coefficient, at most that of the flow's rates.
+        """
+        n = order + 1
+        ctx.cap = n
+        known: dict[int, Any] = {}
+
+        def polynomial(place: int) -> Any:
+            found = known.get(place)
+            if found is None:
+                found = known[place] = arb_series(series[place][:n], n)
+            return found
+
+        for k in self._offline:
+            name, a, b = self.operations[k]
+            if name in _POLYNOMIAL:
+                fixed_a, fixed_b = self.fixed[a], self.fixed[b]
+                left = polynomial(a) if fixed_a is None else fixed_a
+                right = polynomial(b) if fixed_b is None else fixed_b
+                known[k] = _POLYNOMIAL[name](left, right)
+                continue
+            for place in (a, b):
+                if self.fixed[place] is None and not series[place]:
+                    series[place].extend(_coefficients(known[place], n))
+            step = self._stepper(k, series)
+            for j in range(n):
+                step(j)
+        for output in self.outputs:
+            for place in output:
+                if not series[place] and self.fixed[place] is None:
+                    series[place].extend(_coefficients(known[place], n))
+        zeros = [ZERO] * order
+        return [
+            [series[p][:n] if self.fixed[p] is None else [self.fixed[p], *zeros] for p in output]
+            for output in self.outputs
+        ]
+
+    def _needed(self, places: Sequence[int]) -> list[int]:
+        """Return the operations that some outputs are made of, in order, inputs left out."""
+        needed: set[int] = set()
+        left = list(places)
+        while left:
+            place = left.pop()
+            if place in needed or place < self.n or self.fixed[place] is not None:
+                continue
+            needed.add(place)
+            left += self.operations[place][1:]
+        return sorted(needed)
+
+    def _constant(self, value: Ball) -> int:
+        self.fixed.append(value)
+        self.operations.append(("constant", 0, 0))
+        return len(self.fixed) - 1
+
+    def _add(self, name: str, a: int, b: int | None = None) -> int:
+        """Return the place of an operation; of constants it is a constant."""
+        b = a if b is None else b
+        left, right = self.fixed[a], self.fixed[b]
+        if left is not None and right is not None:
+            return self._constant(_VALUES[name](left, right))
+        key = (name, a, b)
+        if key not in self._known:
+            if name in ("sin", "cos"):
+                # The two are found together, cosine next to sine: each recurrence needs the other.
+                sine = self._append("sin", a, a)
+                self._known["sin", a, b] = sine
+                self._known["cos", a, b] = self._append("cos", a, sine)
+            else:
+                self._known[key] = self._append(name, a, b)
+        return self._known[key]
+
+    def _append(self, name: str, a: int, b: int) -> int:
+        self.fixed.append(None)
+        self.operations.append((name, a, b))
+        return len(self.fixed) - 1
+
+    def _power(self, base: int, exponent: int, values: dict[int, float]) -> int:
+        """Return a power: whole exponents by products, others by exponential and logarithm."""
+        value = values.get(exponent)
+        if value is None or value != round(value) or abs(value) > 64:
+            return self._add("exp", self._add("mul", exponent, self._add("log", base)))
+        result = self._constant(ONE) if value == 0 else base
+        for _ in range(abs(int(value)) - 1):
+            result = self._add("mul", result, base)
+        return result if value >= 0 else self._add("div", self._constant(ONE), result)
+
+    def _translated(self, code: int, takes: list[int]) -> int:
+        """Return the place of CasADi's operation, made of the few that have a recurrence."""
+        name = operation_name(code)
+        if name in _DIRECT:
+            return self._add(name, *takes)
+        a, b = takes[0], takes[-1]
+        one, add = self._constant(ONE), self._add
+        if name in ("assign", "lift"):
+            return a
+        if name == "twice":
+            return add("mul", self._constant(arb(2)), a)
+        if name == "inv":
+            return add("div", one, a)
+        if name == "tan":
+            return add("div", add("sin", a), add("cos", a))
+        if name == "expm1":
+            return add("sub", add("exp", a), one)
+        if name == "log1p":
+            return add("log", add("add", one, a))
+        if name == "hypot":
+            return add("sqrt", add("add", add("sq", a), add("sq", b)))
+        if name in ("sinh", "cosh", "tanh"):
+            return self._hyperbolic(name, a)
+        if name in _SLOPES:
+            square, scale = add("sq", a), self._constant(arb(_SLOPES[name][0]))
+            root = add("add", self._constant(arb(_SLOPES[name][1])), add("mul", scale, square))
+            if name not in ("atan", "atanh"):
+                root = add("sqrt", root)
+            sign = self._constant(arb(-1 if name == "acos" else 1))
+            return add(name, a, add("div", sign, root))
+        raise TranslationError(name, "which the prover does not know")
+
+    def _hyperbolic(self, name: str, a: int) -> int:
+        add = self._add
+        up = add("exp", a)
+        down = add("div", self._constant(ONE), up)
+        high, low = add("add", up, down), add("sub", up, down)
+        if name == "tanh":
+            return add("div", low, high)
+        return add("div", low if name == "sinh" else high, self._constant(arb(2)))
+
+    def _stepper(self, k: int, series: list[Series]) -> Callable[[int], None]:
+        """Return what appends the next coefficient of an operation."""
+        name, a, b = self.operations[k]
+        x, y, out = series[a], series[b], series[k]
+        p, q = self.fixed[a], self.fixed[b]
+        if name == "cos":
+            return _nothing
+        if name == "sin":
+            return _sine_and_cosine(x, out, series[k + 1])
+        if name in _CONSTANT_RULES and (p is not None or q is not None):
+            return _CONSTANT_RULES[name](x, y, p, q, out)
+        return _RULES[name](x, y, out) if name in _RULES else _integral(name, x, y, out)
+
+
+def _nothing(k: int) -> None:
+    """Append nothing."""
+
+
+def _coefficients(polynomial: Any, n: int) -> Series:
+    found = list(polynomial)
+    return found[:n] + [ZERO] * (n - len(found))
+
+
+def _dot(x: Series, y: Series) -> Ball:
+    return sum(map(mul, x, y), ZERO)
+
+
+def _add(x: Series, y: Series, out: Series) -> Callable[[int], None]:
+    return lambda k: out.append(x[k] + y[k])
+
+
+def _sub(x: Series, y: Series, out: Series) -> Callable[[int], None]:
+    return lambda k: out.append(x[k] - y[k])
+
+
+def _neg(x: Series, _: Series, out: Series) -> Callable[[int], None]:
+    return lambda k: out.append(-x[k])
+
+
+def _mul(x: Series, y: Series, out: Series) -> Callable[[int], None]:
+    return lambda k: out.append(_dot(x[: k + 1], y[k::-1]))
+
+
+def _sq(x: Series, _: Series, out: Series) -> Callable[[int], None]:
+    def step(k: int) -> None:
+        half = (k + 1) // 2
+        value = 2 * _dot(x[:half], x[k:0:-1])
+        out.append(value if k % 2 else value + x[k // 2] * x[k // 2])
+
+    return step
+
+
+def _div(x: Series, y: Series, out: Series) -> Callable[[int], None]:
+    def step(k: int) -> None:
+        out.append((x[k] - _dot(y[1 : k + 1], out[::-1])) / y[0])
+
+    return step
+
+
+def _exp(x: Series, _: Series, out: Series) -> Callable[[int], None]:
+    slopes: Series = []
+
+    def step(k: int) -> None:
+        if k == 0:
+            out.append(x[0].exp())
+            return
+        slopes.append(k * x[k])
+        out.append(_dot(slopes, out[::-1]) / k)
+
+    return step
+
+
+def _sine_and_cosine(x: Series, sine: Series, cosine: Series) -> Callable[[int], None]:
+    slopes: Series = []
+
+    def step(k: int) -> None:
+        if k == 0:
+            sine.append(x[0].sin())
+            cosine.append(x[0].cos())
+            return
+        slopes.append(k * x[k])
+        following = _dot(slopes, cosine[::-1]) / k
+        cosine.append(_dot(slopes, sine[::-1]) / -k)
+        sine.append(following)
+
+    return step
+
+
+def _log(x: Series, _: Series, out: Series) -> Callable[[int], None]:
+    slopes: Series = []
+
+    def step(k: int) -> None:
+        if k == 0:
+            out.append(x[0].log())
+            return
+        out.append((x[k] - _dot(slopes, x[k - 1 : 0 : -1]) / k) / x[0])
+        slopes.append(k * out[k])
+
+    return step
+
+
+def _sqrt(x: Series, _: Series, out: Series) -> Callable[[int], None]:
+    def step(k: int) -> None:
+        if k == 0:
+            out.append(x[0].sqrt())
+            return
+        out.append((x[k] - _dot(out[1:k], out[k - 1 : 0 : -1])) / (2 * out[0]))
+
+    return step
+
+
+def _integral(name: str, x: Series, g: Series, out: Series) -> Callable[[int], None]:
+    """Return the rule of a function by its derivative: ``y' = x' g``, ``g`` a series."""
+    slopes: Series = []
+
+    def step(k: int) -> None:
+        if k == 0:
+            out.append(getattr(x[0], name)())
+            return
+        slopes.append(k * x[k])
+        out.append(_dot(slopes, g[k - 1 :: -1]) / k)
+
+    return step
+
+
+Constant = Ball | None
+
+
+def _add_constant(
+    x: Series, y: Series, p: Constant, q: Constant, out: Series
+) -> Callable[[int], None]:
+    other, number = (y, p) if q is None else (x, q)
+    return lambda k: out.append(other[k] if k else other[k] + number)
+
+
+def _sub_constant(
+    x: Series, y: Series, p: Constant, q: Constant, out: Series
+) -> Callable[[int], None]:
+    if q is None:
+        return lambda k: out.append(-y[k] if k else p - y[k])
+    return lambda k: out.append(x[k] if k else x[k] - q)
+
+
+def _mul_constant(
+    x: Series, y: Series, p: Constant, q: Constant, out: Series
+) -> Callable[[int], None]:
+    other, number = (y, p) if q is None else (x, q)
+    return lambda k: out.append(number * other[k])
+
+
+def _div_constant(
+    x: Series, y: Series, p: Constant, q: Constant, out: Series
+) -> Callable[[int], None]:
+    if q is not None:
+        return lambda k: out.append(x[k] / q)
+    return lambda k: out.append((-_dot(y[1 : k + 1], out[::-1]) if k else p) / y[0])
+
+
+_RULES = {
+    "add": _add,
+    "sub": _sub,
+    "neg": _neg,
+    "mul": _mul,
+    "sq": _sq,
+    "div": _div,
+    "exp": _exp,
+    "log": _log,
+    "sqrt": _sqrt,
+}
+_CONSTANT_RULES = {
+    "add": _add_constant,
+    "sub": _sub_constant,
+    "mul": _mul_constant,
+    "div": _div_constant,
+}
+_DIRECT = {*_RULES, "sin", "cos"}
+_SLOPES = {
+    "asin": (-1, 1),
+    "acos": (-1, 1),
+    "atan": (1, 1),
+    "asinh": (1, 1),
+    "acosh": (1, -1),
+    "atanh": (-1, 1),
+}
+"""Factor of the square and offset of what the slope divides by, under a root or not."""
+
+
+def _method(name: str) -> Callable[[Ball, Ball], Ball]:
+    return lambda a, _: getattr(a, name)()
+
+
+_VALUES: dict[str, Callable[[Ball, Ball], Ball]] = {
+    "add": lambda a, b: a + b,
+    "sub": lambda a, b: a - b,
+    "mul": lambda a, b: a * b,
+    "div": lambda a, b: a / b,
+    "neg": lambda a, _: -a,
+    "sq": lambda a, _: a * a,
+    **{name: _method(name) for name in ("exp", "log", "sqrt", "sin", "cos", *_SLOPES)},
+}
+_POLYNOMIAL = {name: _VALUES[name] for name in ("add", "sub", "mul", "neg", "sq")}

@@ -1,0 +1,185 @@
+"""The release section: its points as a function of some of their states, in balls.
+
+On it gap, gap rate and multiplier are zero, and the constraints of the problem hold, the clock's
+circle among them. The states that these leave free are the section's coordinates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from flint import arb
+from scipy.linalg import qr
+
+from zeno_orbits.errors import ProofError
+from zeno_orbits.proof.ball_system import BallSystem
+from zeno_orbits.proof.balls import ZERO, Ball, Matrix, column, matrix, product
+from zeno_orbits.proof.sets import BallSet, start_set
+
+_NEWTON_STEPS = 8
+_REACHES = (1e4, 1e3, 100.0, 10.0, 2.0)
+"""Radii tried for the other states, as multiples of what the coordinates move them by."""
+_LEAST_REACH = 1e-12
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SectionStart:
+    """The start of a proof on the section.
+
+    Attributes:
+        places: Places of the section's coordinates in the state.
+        others: Places of the states that the section gives.
+        centre: Coordinates of the middle, exact, ``(d,)``.
+        around: Box around the other states, as balls; the section has one point over each of the
+            coordinates with its others there.
+        at: The set of the points over the box of coordinates, and of carried parameters.
+    """
+
+    places: list[int]
+    others: list[int]
+    centre: list[Ball]
+    around: list[Ball]
+    at: BallSet
+
+
+def section_places(system: BallSystem, y: Sequence[float]) -> tuple[list[int], list[int]]:
+    """Return the places of the section's coordinates, and of the states that it gives.
+
+    Args:
+        system: The problem.
+        y: A state near the section, ``(n,)``.
+    """
+    free = _free_places(system)
+    slopes = _slopes(system, [arb(v) for v in y])
+    n_constraints = len(slopes)
+    floats = np.array([[float(row[k].mid()) for k in free] for row in slopes])
+    scale = np.array([1e-3 + abs(y[k]) for k in free])
+    order: list[int] = qr(floats * scale, pivoting=True, mode="economic")[2].tolist()
+    others = sorted(free[k] for k in order[:n_constraints])
+    return [k for k in free if k not in others], others
+
+
+def start_on_section(
+    system: BallSystem,
+    y: Sequence[Ball],
+    places: list[int],
+    others: list[int],
+    radii: Sequence[float],
+) -> SectionStart:
+    """Return the set of the section's points over a box of coordinates.
+
+    Args:
+        system: The problem.
+        y: A state near the middle, exact in the coordinates, ``(n,)``.
+        places: Places of the coordinates.
+        others: Places of the states that the section gives.
+        radii: Of the coordinates, then of carried parameters.
+
+    Raises:
+        ProofError: If the section is not proved to have one point over each of them.
+    """
+    carried = list(range(system.n - len(system.carried), system.n))
+    inputs, n = [*places, *carried], system.n
+    middle = [ZERO if k in (system.gap, system.rate) else value for k, value in enumerate(y)]
+    for _ in range(_NEWTON_STEPS):
+        step = _newton(system, middle, middle, others)
+        for k, change in zip(others, step, strict=True):
+            middle[k] = (middle[k] - change).mid()
+    box = list(middle)
+    deviations = [arb(0, radius) for radius in radii]
+    for k, change in zip(inputs, deviations, strict=True):
+        box[k] = middle[k] + change
+    slopes = _section_derivative(system, middle, others, inputs)
+    moved = product(slopes, deviations) if inputs else [ZERO] * len(others)
+    for reach in _REACHES:
+        for k, change in zip(others, moved, strict=True):
+            radius = reach * (change.abs_upper() + _LEAST_REACH * (1 + middle[k].abs_upper()))
+            box[k] = middle[k] + arb(0, arb(float(radius)))
+        found = _newton_box(system, box, middle, others)
+        if found is not None:
+            break
+    else:
+        raise ProofError("start", "the release section is not proved to be smooth there")
+    around = [box[k] for k in others]
+    thin, exact = list(middle), _newton_box(system, _around(box, middle, others), middle, others)
+    for k, value in zip(others, exact or found, strict=True):
+        thin[k] = value
+    for k, value in zip(others, found, strict=True):
+        box[k] = value
+    derivative = [[ZERO] * len(inputs) for _ in range(n)]
+    for j, k in enumerate(inputs):
+        derivative[k][j] = arb(1)
+    if inputs:
+        rows = _section_derivative(system, box, others, inputs).table()
+        for k, row in zip(others, rows, strict=True):
+            derivative[k] = row
+    return SectionStart(
+        places=places,
+        others=others,
+        centre=[middle[k] for k in places],
+        around=around,
+        at=start_set(thin, matrix(derivative, len(inputs)), deviations, others),
+    )
+
+
+def _around(box: list[Ball], middle: list[Ball], others: list[int]) -> list[Ball]:
+    """Return the box with nothing but the other states wide."""
+    return [box[k] if k in others else value for k, value in enumerate(middle)]
+
+
+def _free_places(system: BallSystem) -> list[int]:
+    last = system.n - len(system.carried)
+    return [k for k in range(last) if k not in (system.gap, system.rate)]
+
+
+def _slopes(system: BallSystem, y: Sequence[Ball]) -> list[list[Ball]]:
+    values, slopes = system.constraints(y)
+    rows = [[ZERO] * system.n for _ in values]
+    for (row, col), one in zip(system.constraint_places, slopes, strict=True):
+        rows[row][col] = one
+    return rows
+
+
+def _part(rows: list[list[Ball]], places: Sequence[int]) -> Matrix:
+    return matrix([[row[k] for k in places] for row in rows], len(places))
+
+
+def _section_derivative(
+    system: BallSystem, y: Sequence[Ball], others: list[int], inputs: list[int]
+) -> Matrix:
+    """Return the derivative of the other states with respect to the inputs."""
+    rows = _slopes(system, y)
+    return _inverse(_part(rows, others)) * _part(rows, inputs) * -1
+
+
+def _inverse(m: Matrix) -> Matrix:
+    try:
+        return m.inv()
+    except ZeroDivisionError as error:
+        raise ProofError("start", "the release section is not proved to be smooth there") from error
+
+
+def _newton(
+    system: BallSystem, at: Sequence[Ball], slopes_at: Sequence[Ball], others: list[int]
+) -> list[Ball]:
+    values = system.constraints(at)[0]
+    inverse = _inverse(_part(_slopes(system, slopes_at), others))
+    return (inverse * column(values)).entries()
+
+
+def _newton_box(
+    system: BallSystem, box: Sequence[Ball], middle: Sequence[Ball], others: list[int]
+) -> list[Ball] | None:
+    """Return where the other states are over a box by interval Newton; None if it fails."""
+    at = [middle[k] if k in others else value for k, value in enumerate(box)]
+    try:
+        steps = _newton(system, at, box, others)
+    except ProofError:
+        return None
+    found = [middle[k] - step for k, step in zip(others, steps, strict=True)]
+    inside = all(
+        x.is_finite() and box[k].contains_interior(x) for k, x in zip(others, found, strict=True)
+    )
+    return found if inside else None

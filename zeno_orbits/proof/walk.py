@@ -1,0 +1,329 @@
+"""From a set on the release section once around the period, record by record.
+
+Steps are as long as their remainders allow. On each it is proved that the motions touch the stop
+where they should and nowhere else.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+from flint import arb
+
+from zeno_orbits.errors import ProofError
+from zeno_orbits.proof.ball_system import BallSystem
+from zeno_orbits.proof.balls import ZERO, Ball, product
+from zeno_orbits.proof.crossing import cross
+from zeno_orbits.proof.flow import BallFlow, FlowStep, enclose
+from zeno_orbits.proof.impacts import settle, strike
+from zeno_orbits.proof.program import Series
+from zeno_orbits.proof.stage import BallTime, Departure, ProofRecord, Stage
+
+_SHORTEST = 1e-5
+"""Least step in flight off the stop and on it, as a part of the longest, before it is given up."""
+_GRID = 16
+"""Parts of a step in which a crossing is looked for."""
+_BEYOND = 1 + 2.0**-6
+"""How far beyond a crossing its step reaches, as a multiple of its time."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WalkSettings:
+    """How a period is followed.
+
+    Attributes:
+        orders: Of Taylor's method for a point, and for the derivative.
+        rest: Largest remainder of a step for a point, per size of a state.
+        derivative_rest: Largest remainder of its derivative.
+        first: First step that is tried [s].
+        longest: Longest step [s].
+        slowest: Gap rate below which impacts are summed up.
+        most_impacts: Impacts in a flight phase beyond which it is given up.
+    """
+
+    orders: tuple[int, int] = (34, 28)
+    rest: float = 1e-21
+    derivative_rest: float = 3e-13
+    first: float = 2e-3
+    longest: float = 0.1
+    slowest: float = 1e-19
+    most_impacts: int = 5000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Passage:
+    """A set once around.
+
+    Attributes:
+        records: What led from set to set.
+        impact_times: Of the impacts that were resolved one by one.
+        zeno_times: Of the Zeno points, or plastic impacts that held.
+        release_times: Of the releases, the last of which ends the period.
+        end: The set at the end.
+    """
+
+    records: tuple[ProofRecord, ...]
+    impact_times: tuple[BallTime, ...]
+    zeno_times: tuple[BallTime, ...]
+    release_times: tuple[BallTime, ...]
+    end: Stage
+
+
+@dataclass(slots=True, kw_only=True)
+class _Pace:
+    """The next step's length, from the remainders of the last."""
+
+    size: float
+    most: float
+
+
+Tell = Callable[[str, float], None]
+
+
+def walk(
+    system: BallSystem, start: Stage, releases: int, settings: WalkSettings, tell: Tell
+) -> Passage:
+    """Follow a set once around.
+
+    Args:
+        system: The problem.
+        start: Where it is released.
+        releases: How many releases end the period.
+        settings: How.
+        tell: Called with what is being done and the time that was reached [s].
+
+    Raises:
+        ProofError: If something is not proved; its claim says what.
+    """
+    records: list[ProofRecord] = []
+    impacts: list[BallTime] = []
+    zenos: list[BallTime] = []
+    ends: list[BallTime] = []
+    stage, pace = start, _Pace(size=settings.first, most=settings.longest)
+    while len(ends) < releases:
+        locked = stage.departure is Departure.LOCKED
+        flow, least = system.locked if locked else system.free, pace.size * _SHORTEST
+        met = False
+        while not met:
+            record, stage, met = _move(system, flow, stage, pace, settings, least)
+            records.append(record)
+            tell(stage.departure.value, float(stage.time.middle.mid()))
+        if stage.departure is Departure.RELEASED:
+            ends.append(stage.time)
+            continue
+        impacts.append(stage.time)
+        record, stage = strike(system, stage)
+        records.append(record)
+        slow = bool(stage.at.box[system.rate] < settings.slowest)
+        if stage.departure is Departure.STRUCK and slow:
+            record, stage = settle(system, stage)
+            records.append(record)
+        if stage.departure is Departure.LOCKED:
+            zenos.append(stage.time)
+            pace.size = settings.first
+        elif len(impacts) > settings.most_impacts:
+            raise ProofError("zeno_point", f"impacts do not accumulate in {len(impacts)} of them")
+    return Passage(
+        records=tuple(records),
+        impact_times=tuple(impacts),
+        zeno_times=tuple(zenos),
+        release_times=tuple(ends),
+        end=stage,
+    )
+
+
+def _move(
+    system: BallSystem,
+    flow: BallFlow,
+    stage: Stage,
+    pace: _Pace,
+    settings: WalkSettings,
+    least: float,
+) -> tuple[ProofRecord, Stage, bool]:
+    """Return one record, a step or a crossing, the stage after it, and whether it is the latter."""
+    size, orders = min(pace.size, pace.most), settings.orders
+    points = flow.point_series(stage.at.m, orders[0])
+    guess = _meeting(system, stage, points, 1.5 * size)
+    if guess is not None:
+        size = guess * _BEYOND if guess * _BEYOND <= size else guess / 2
+        orders = _orders(size, pace.size, settings)
+        least = min(least, guess / 64)
+    shortened = guess is not None
+    over = flow.series(stage.at.box, orders[1])
+    reason = "no box holds the motions over a step"
+    while size >= least:
+        exact = _dyadic(size)
+        meets = guess is not None and guess < float(exact)
+        step = enclose(flow, over, exact, orders)
+        if step is None:
+            size = size / 2
+            continue
+        excess = _excess(step, settings)
+        if excess > 1.0 and size > least:
+            size = max(least, size * max(0.25, 0.9 * excess ** (-1 / (orders[1] + 1))))
+            continue
+        image, derivative = step.point(points, exact), step.derivative(exact)
+        end = image[system.gap] + product(derivative, stage.at.deviation)[system.gap]
+        reason = _contact(system, flow, stage, step, None if meets else end)
+        if reason:
+            shortened = True
+            size = guess / 2 if meets and guess is not None else size / 2
+            continue
+        if meets and guess is not None:
+            record, after = cross(system, stage, step, points, arb(guess))
+            return record, after, True
+        if not shortened:
+            pace.size = size * max(0.5, min(4.0, 0.9 * excess ** (-1 / (orders[1] + 1))))
+        locked = stage.departure is Departure.LOCKED
+        groups = system.groups["beside" if locked else "all"]
+        result = stage.at.mapped(image, derivative, groups)
+        record = ProofRecord(kind="step", numbers={"h": exact}, orders=orders, result=result)
+        departure = Departure.LOCKED if locked else Departure.FLYING
+        return record, stage.next(result, departure, stage.time.later(exact)), False
+    raise ProofError(_CLAIMS[stage.departure], reason)
+
+
+_CLAIMS = {
+    Departure.FLYING: "flight",
+    Departure.RELEASED: "leaves",
+    Departure.STRUCK: "flight",
+    Departure.LOCKED: "locked",
+}
+"""Name of the claim that a step serves."""
+
+
+def _dyadic(size: float) -> Ball:
+    """Return a number of few bits just below a size."""
+    mantissa, exponent = math.frexp(size)
+    return arb(math.ldexp(math.floor(mantissa * 4096), exponent - 12))
+
+
+def _excess(step: FlowStep, settings: WalkSettings) -> float:
+    """Return the largest remainder of a step as a multiple of what is allowed."""
+    order, order_v = step.orders
+    far, near = step.size ** (order + 1), step.size ** (order_v + 1)
+    worst = 1e-12
+    for one, x in zip(step.rest, step.box, strict=True):
+        allowed = settings.rest * (1e-3 + float(x.abs_upper()))
+        worst = max(worst, float((one * far).abs_upper()) / allowed)
+    entries = step.derivative_rest.entries()
+    scale = [1e-3 + float(x.abs_upper()) for x in step.box]
+    n = len(scale)
+    for k, one in enumerate(entries):
+        allowed = settings.derivative_rest * scale[k // n] / scale[k % n]
+        worst = max(worst, float((one * near).abs_upper()) / allowed)
+    return worst
+
+
+def _orders(size: float, usual: float, settings: WalkSettings) -> tuple[int, int]:
+    """Return the orders that are enough for a short step, where the usual step has the usual."""
+    reach = 4.0 * size / usual
+
+    def enough(allowed: float, most: int) -> int:
+        for k in range(3, most):
+            if reach**k / math.factorial(k + 1) < allowed * 1e-3:
+                return k
+        return most
+
+    k = enough(settings.derivative_rest, settings.orders[1])
+    return max(k, enough(settings.rest, settings.orders[0])), k
+
+
+def _meeting(system: BallSystem, stage: Stage, points: list[Series], within: float) -> float | None:
+    """Return when the middle of the set meets its guard, if it does soon; not for certain."""
+    if stage.departure is Departure.LOCKED:
+        return _release_guess(system, points, within)
+    coefficients = [float(c.mid()) for c in points[system.gap]]
+    skipped = {Departure.FLYING: 0, Departure.STRUCK: 1, Departure.RELEASED: 3}[stage.departure]
+    return _first_root(coefficients[skipped:], within)
+
+
+def _release_guess(system: BallSystem, points: list[Series], within: float) -> float | None:
+    def multiplier(time: float) -> float:
+        at = [_horner([float(c.mid()) for c in one], time) for one in points]
+        return float(system.locked.guard([arb(x) for x in at])[0].mid())
+
+    times = [within * k / _GRID for k in range(_GRID + 1)]
+    values = [multiplier(time) for time in times]
+    for k in range(_GRID):
+        if values[k] > 0.0 >= values[k + 1]:
+            return _bisected(multiplier, times[k], times[k + 1])
+    return None
+
+
+def _first_root(coefficients: list[float], within: float) -> float | None:
+    def value(time: float) -> float:
+        return _horner(coefficients, time)
+
+    grid = [within * k / (2 * _GRID) for k in range(2 * _GRID + 1)]
+    if coefficients[0] > 0.0 and len(coefficients) > 2:
+        # A flight near a Zeno point is far shorter than a step.
+        short = -coefficients[0] / coefficients[1] if coefficients[1] < 0 else within
+        grid = sorted({*grid, *(short * k / 8 for k in range(1, 17) if short * k / 8 < within)})
+    for left, right in pairwise(grid):
+        if value(left) > 0.0 >= value(right):
+            return _bisected(value, left, right)
+    return None
+
+
+def _bisected(value: Callable[[float], float], left: float, right: float) -> float:
+    for _ in range(100):
+        middle = (left + right) / 2
+        if not left < middle < right:
+            break
+        if value(middle) > 0.0:
+            left = middle
+        else:
+            right = middle
+    return (left + right) / 2
+
+
+def _horner(coefficients: list[float], time: float) -> float:
+    value = 0.0
+    for one in reversed(coefficients):
+        value = value * time + one
+    return value
+
+
+def _contact(
+    system: BallSystem, flow: BallFlow, stage: Stage, step: FlowStep, end: Ball | None
+) -> str:
+    """Return what is not proved of the stop on a step, or nothing.
+
+    Args:
+        system: The problem.
+        flow: The flow of the mode.
+        stage: Where the step starts.
+        step: The step.
+        end: Gap at its end; None if the guard is to be met in it.
+    """
+    if stage.departure is Departure.LOCKED:
+        multiplier, gradient, speeds = flow.guard(step.box)
+        slope = sum((g * f for g, f in zip(gradient, speeds, strict=True)), ZERO)
+        if end is None:
+            holds, what = bool(slope < 0), f"to fall at the release ({slope})"
+        else:
+            holds, what = bool(multiplier > 0), f"positive on the stop ({multiplier})"
+        return "" if holds else f"`multiplier` is not proved {what}"
+    if stage.departure is Departure.RELEASED:
+        jerk = _jerk(flow, step.box, system.rate)
+        left = bool(jerk > 0) and end is not None
+        return "" if left else f"`d3h/dt3` is not proved positive at the release ({jerk})"
+    gap, rate = step.box[system.gap], step.box[system.rate]
+    struck, start = stage.departure is Departure.STRUCK, stage.at.box
+    away = bool(start[system.rate if struck else system.gap] > 0)
+    hump = away and bool(flow.rate(step.box)[system.rate] < 0)
+    if end is None:
+        once = hump or (away and not struck and bool(rate < 0))
+        return "" if once else "`gap` is not proved to fall once only before an impact"
+    clear = bool(rate > 0) if struck else bool(gap > 0)
+    over = hump and bool(end > 0)
+    return "" if clear or over else "`gap` is not proved positive in flight"
+
+
+def _jerk(flow: BallFlow, box: list[Ball], rate: int) -> Ball:
+    """Return the third derivative of the gap over a box."""
+    return 2 * flow.point_series(box, 2)[rate][2]
