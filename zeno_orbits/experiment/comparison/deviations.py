@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.comparison.alignment import Alignment
@@ -116,9 +117,9 @@ class Deviations:
         if not self.by_cycles or len(self.sums) >= _MOST_GROUPS:
             return np.zeros(0)
         each = self._mean(self.sums, self.counts)
-        seen = np.isfinite(each).all(axis=2)
+        seen: NDArray[np.bool_] = np.asarray(np.isfinite(each).all(axis=2))
         whole = seen.mean(axis=1) > _WHOLE
-        known = seen[whole].all(axis=0)
+        known: NDArray[np.bool_] = np.asarray(seen[whole].all(axis=0))
         if not (whole.any() and known.any()):
             return np.zeros(0)
         each = np.where(whole[:, None, None], each, np.nan)[:, known]

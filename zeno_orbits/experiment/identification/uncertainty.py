@@ -108,9 +108,10 @@ def spread_of(jacobian: Vector, residuals: Vector, data: Folded) -> Spread:
     if information[k, k] > 0.0:
         across = information[:k, k]
         reduced = reduced - np.outer(across, across) / information[k, k]
+    factors = np.array([float(student.ppf((1 + LEVEL) / 2, freedom)) for freedom in freedoms])
     return Spread(
         errors=errors,
-        half=np.max(student.ppf((1 + LEVEL) / 2, freedoms)[:, None] * sizes, axis=0),
+        half=np.max(factors[:, None] * sizes, axis=0),
         correlation=covariances[1][:k, :k] / np.outer(size, size),
         information=reduced,
         inflation=float(np.max(errors / plain)),

@@ -43,7 +43,7 @@ def delays_of(cycles: NDArray[np.int64], late: Vector, rest: Vector) -> Delays:
         late: Derivatives of what is predicted by a delay, ``(n,)``.
         rest: The residuals, ``(n,)``.
     """
-    information = np.bincount(cycles, weights=late**2)
+    information: Vector = np.bincount(cycles, weights=late**2).astype(np.float64)
     told = information > 0.5 * np.median(information)
     moved = np.bincount(cycles, weights=late * rest)
     return Delays(

@@ -278,7 +278,7 @@ def _described(grid: _Grid, period: float) -> Periodicity:
         repeats=1.0 - left / total if total > 0.0 else 0.0,
         alternation=math.sqrt(max(odd, 0.0)),
         alternation_noise=math.sqrt(max(noise, 0.0)),
-        template=np.column_stack([constant, grid.scale[:, None] * waves]),
+        template=np.column_stack([constant, grid.scale[:, None] * waves]).astype(np.complex128),
     )
 
 
