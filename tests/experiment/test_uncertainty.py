@@ -125,7 +125,7 @@ ODD = np.arange(CYCLES) % 2.0
 @pytest.mark.parametrize(
     ("change", "reason", "skip", "size"),
     [
-        (1.3 * FIRST, "first cycle is not like the later ones", 1, 1.3),
+        (1.3 * FIRST, "first cycle differs from the later ones", 1, 1.3),
         (0.8 * HALF, "two halves give different parameters", CYCLES // 2, 0.8),
         (0.8 * ODD, "every other cycle gives different parameters", 0, 0.8),
     ],
@@ -152,5 +152,5 @@ def test_a_first_cycle_that_is_loud_has_not_settled() -> None:
     loud = np.where(data.groups == 0, 2.0, 1.0) * noise
     found = unsteady(fit_of(data, loud))
     assert found is not None
-    assert "still settles" in found.reason
+    assert "still settling" in found.reason
     assert found.size == math.inf
