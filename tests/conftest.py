@@ -21,6 +21,10 @@ from zeno_orbits.verification.verifier import problem_dynamics, verify
 # Matrices are small: threads of linear algebra would only wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+# Compiling takes seconds, and which steps it serves is a matter of time: tests interpret, but for
+# those of the compiled code itself (`tests/support/compiling.py`).
+os.environ.setdefault("ZENO_ORBITS_COMPILE", "never")
+
 # The same examples every time, and no clock: a run that fails must fail again, on any machine.
 settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
 settings.register_profile("new examples", database=None, deadline=None)

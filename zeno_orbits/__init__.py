@@ -7,7 +7,7 @@ importing the package loads neither NumPy nor CasADi.
 The rooms, top first; each imports from those below it:
 ``cli``, ``api`` (the functions of this door), ``report``, ``experiment`` and ``precision``,
 ``continuation`` and ``maps``, ``search``, ``verification``, ``orbits``, ``simulation``, ``model``,
-``integrators``, ``work``; at the bottom the modules ``arrays`` and ``errors``.
+``integrators``, ``kernels`` and ``work``; at the bottom the modules ``arrays`` and ``errors``.
 """
 
 import lazy_loader as lazy

@@ -160,8 +160,8 @@ def search_gains(
         shape: The orbit's shape; by default what a simulation settles to.
         settings: How hard to look.
         allow_unstable: Accept orbits that do not attract.
-        workers: Processes that try starts; with several, ``problem`` is a name or a file, and
-            ``start`` is not given. The answer does not depend on their number.
+        workers: Processes that try starts; with several, ``problem`` is a name or a file. The
+            answer does not depend on their number.
         on_progress: Called with what is being done and the part of it that is done.
 
     Returns:
@@ -170,27 +170,21 @@ def search_gains(
     Raises:
         InputError: If a name is unknown, a number out of range, or bounds are the wrong way round.
     """
-    from zeno_orbits.search import search
+    from zeno_orbits.search import free_gains, search
     from zeno_orbits.work import Plan, Workers
 
-    known = _known(problem, start)
+    known = _known(problem)
     spread = None
     if workers > 1:
         spread = search.StartWorkers(
-            problem_file=_file_of(problem, start),
+            problem_file=_file_of(problem),
             plan=Plan(place=Workers(count=workers)),
             tell=on_progress,
         )
-    if free is None:
-        free = {
-            gain.name: (gain.lower, gain.upper)
-            for gain in known.gains
-            if gain.name not in (gains or {})
-        }
     result = search.search_gains(
         known,
         known.values(gains=gains, parameters=parameters),
-        free=free,
+        free=free_gains(known, fixed=gains or {}) if free is None else free,
         objective=objective,
         bounds=bounds,
         near=_read(near) if near is not None else None,
@@ -199,6 +193,7 @@ def search_gains(
         on_progress=on_progress,
         spread=spread,
         shape=shape,
+        initial_states=() if start is None else (dict(start),),
     )
     return _with_certificates(result)
 
@@ -231,7 +226,9 @@ def close_orbit(
     """
     from zeno_orbits.search import closing
 
-    known = _known(problem, start)
+    known = _known(problem)
+    if start is not None:
+        known = replace(known, starts=(dict(start),))
     return closing.close_orbit(
         known,
         known.values(gains=gains, parameters=parameters),
@@ -556,18 +553,15 @@ def _with_certificates(result: SearchResult) -> SearchResult:
     return replace(result, orbit=best, candidates=candidates)
 
 
-def _known(problem: Named, start: Numbers | None = None) -> Problem:
-    """Return a problem; with ``start``, searches of it start there alone."""
-    known = problem if isinstance(problem, Problem) else locate_problem(problem).load()
-    return known if start is None else replace(known, starts=(dict(start),))
+def _known(problem: Named) -> Problem:
+    return problem if isinstance(problem, Problem) else locate_problem(problem).load()
 
 
-def _file_of(problem: Named, start: Numbers | None = None) -> ProblemFile:
+def _file_of(problem: Named) -> ProblemFile:
     """Return what several workers can load."""
-    if isinstance(problem, Problem) or start is not None:
-        given = "an object" if isinstance(problem, Problem) else "one with another `start`"
+    if isinstance(problem, Problem):
         wanted = "must be a name or a file where `workers` load it themselves"
-        raise InputError(f"Argument `problem` {wanted}, but it is {given}.")
+        raise InputError(f"Argument `problem` {wanted}, but it is an object.")
     return locate_problem(problem)
 
 

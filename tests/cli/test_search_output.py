@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import pytest
 
-from zeno_orbits.cli.search_output import answer
+from zeno_orbits.cli.program import build_parser
+from zeno_orbits.cli.search_output import SearchNotes, answer, map_command
+from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.problem import Problem
-from zeno_orbits.search import SearchResult, SearchStatus
-from zeno_orbits.search.number_notes import far_from_own
+from zeno_orbits.orbits import Bound
+from zeno_orbits.search import NearestGains, SearchResult, SearchStatus
+from zeno_orbits.search.number_notes import at_ends, far_from_own
 
 NOTHING = SearchResult(
     status=SearchStatus.NO_GUESS,
@@ -45,18 +51,107 @@ def test_zero_is_not_taken_for_a_mistaken_unit(problem: Problem) -> None:
     assert far_from_own(problem, problem.values().replaced({"restitution": 0.0, "Kp": 0.0})) == []
 
 
+def _notes(far: list[str]) -> SearchNotes:
+    return SearchNotes(
+        free={"Kp": (1.0, 5.0)},
+        objective=NearestGains(target={}),
+        bounds=(Bound(name="period", upper=2.0),),
+        held=(),
+        far=far,
+    )
+
+
+def _options(**given: Any) -> argparse.Namespace:
+    usual: dict[str, Any] = {
+        "json": False,
+        "problem": "motor_pendulum",
+        "output": None,
+        "until": None,
+        "allow_unstable": False,
+        "fix": {"Kd": -1.0},
+        "set": {"R": 2.0},
+    }
+    return argparse.Namespace(**usual | given)
+
+
 @pytest.mark.parametrize("as_json", [False, True])
 def test_a_search_that_fails_names_the_numbers_that_may_be_in_another_unit(
     problem: Problem, capsys: pytest.CaptureFixture[str], *, as_json: bool
 ) -> None:
     far = far_from_own(problem, problem.values().replaced({"R": 3000.0}))
-    options = argparse.Namespace(json=as_json)
-    assert answer(options, problem, NOTHING, None, (), (), far) == 1
+    options = _options(json=as_json)
+    assert answer(options, problem, NOTHING, _notes(far)) == 1
     said = capsys.readouterr().out
     sentence = "`R` is 3000 ohm, 1000 times the problem's own 3 ohm: is its unit right?"
     if as_json:
         assert json.loads(said)["far"] == [sentence]
     else:
         assert sentence in said
-        assert answer(options, problem, NOTHING, None, (), ()) == 1
-        assert "unit" not in capsys.readouterr().out
+        assert answer(options, problem, NOTHING, _notes([])) == 1
+        assert "is that its unit" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("status", "levers", "others"),
+    [
+        (
+            SearchStatus.NO_GUESS,
+            (
+                "--start",
+                "--until",
+                "--keep than period=:2",
+                "zeno-orbits map motor_pendulum --x Kp=1:5 --y Kd=-1.5:-0.4 --set R=2",
+            ),
+            ("--allow-unstable", "wider ranges"),
+        ),
+        (SearchStatus.NOT_SOLVED, ("--keep", "wider ranges than Kp=1:5"), ("--start", "map")),
+        (SearchStatus.NOT_ACCEPTED, ("--allow-unstable", "--keep"), ("--until", "map")),
+    ],
+)
+def test_every_no_says_which_options_to_try_and_which_are_of_no_use(
+    problem: Problem,
+    capsys: pytest.CaptureFixture[str],
+    status: SearchStatus,
+    levers: tuple[str, ...],
+    others: tuple[str, ...],
+) -> None:
+    answer(_options(json=True), problem, replace(NOTHING, status=status), _notes([]))
+    said = " ".join(json.loads(capsys.readouterr().out)["try"])
+    assert all(word in said for word in levers), said
+    assert not any(word in said for word in others), said
+
+
+def test_the_map_that_a_failed_search_names_can_be_made() -> None:
+    notes = replace(_notes([]), free={"restitution": (0.1, 0.2)})
+    for name in ("motor_pendulum", "bouncing_ball", "forced_oscillator"):
+        command = map_command(load_problem(name), _options(problem=name, fix={}, set={}), notes)
+        options = build_parser().parse_args(command.split()[1:])
+        assert options.x[0] == "restitution"
+        assert options.y[0] in load_problem(name).names
+
+
+def test_a_failed_search_says_that_the_file_it_would_have_written_is_older(
+    problem: Problem, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    older = tmp_path / "orbit.json"
+    answer(_options(output=older), problem, NOTHING, _notes([]))
+    assert "older" not in capsys.readouterr().out
+    older.write_text("{}")
+    answer(_options(output=older), problem, NOTHING, _notes([]))
+    said = " ".join(capsys.readouterr().out.split())
+    assert "was not written: what it holds is older." in said
+    answer(_options(output=older, json=True), problem, NOTHING, _notes([]))
+    assert json.loads(capsys.readouterr().out)["older_output"] is True
+
+
+def test_a_number_at_an_end_of_its_range_is_told_and_whose_range_it_is(problem: Problem) -> None:
+    own = {gain.name: (gain.lower, gain.upper) for gain in problem.gains}
+    low, high = own["Kp"]
+    inside = problem.values()
+    assert at_ends(problem, inside, own, {}) == []
+    (said,) = at_ends(problem, inside.replaced({"Kp": high}), own, {})
+    assert said.startswith(f"`Kp` = {high:g} is the upper end of the problem's own range {low:g}:")
+    (said,) = at_ends(problem, inside.replaced({"Kp": 2.4}), {"Kp": (2.4, 2.6)}, {})
+    assert said.startswith("`Kp` = 2.4 is the lower end of its range 2.4:2.6")
+    # Who asks for the end itself gets what is asked.
+    assert at_ends(problem, inside.replaced({"Kp": high}), own, {"Kp": high}) == []

@@ -13,7 +13,6 @@ from zeno_orbits.errors import StepSizeError
 from zeno_orbits.integrators import Automatic, Leg, Outcome, Passage, Radau, RungeKutta
 from zeno_orbits.integrators.automatic import decay_rates, staying_rate
 from zeno_orbits.integrators.collocation import radau
-from zeno_orbits.integrators.dop853 import ExplicitStep
 from zeno_orbits.integrators.events import SteppedTrajectory
 from zeno_orbits.integrators.flow import (
     GuardedFlow,
@@ -21,7 +20,7 @@ from zeno_orbits.integrators.flow import (
     StageGuess,
     Tolerance,
 )
-from zeno_orbits.integrators.radau import solved
+from zeno_orbits.integrators.steps import ExplicitStep, solved
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.compiled import bind
 from zeno_orbits.model.numeric.compiled_flow import CompiledFlow, ModeFunctions
@@ -260,10 +259,7 @@ def test_a_singular_newton_matrix_refuses_the_step_and_no_wrong_state_comes_out(
     y, p = ca.SX.sym("y"), ca.SX.sym("p", 0)
     rate = ca.Function("rate", [y, p], [y])
     dummy = ca.Function("dummy", [y, p], [ca.vertcat(y, y)])
-    numbers = ca.SX.sym("numbers", 3)
-    step = ca.Function("step", [y, p, numbers], [y, y])
-    jacobian = ca.Function("jacobian", [y, p], [ca.SX(1.0)])
-    mode = ModeFunctions(rate=rate, jacobian=jacobian, guard=dummy, step=step)
+    mode = ModeFunctions(rate=rate, guard=dummy)
     flow = CompiledFlow(mode, np.zeros(0))
     scheme = radau(7)
     singular = scheme.spectrum.values[0].real

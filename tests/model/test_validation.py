@@ -6,12 +6,15 @@ import re
 from pathlib import Path
 
 import casadi as ca
+import numpy as np
 import pytest
 
 from zeno_orbits.cli import main
 from zeno_orbits.cli.problems import template
 from zeno_orbits.errors import ProblemFileError
-from zeno_orbits.model.drives import MotorBank
+from zeno_orbits.model.clock import Clock
+from zeno_orbits.model.drives import MotorBank, no_drive
+from zeno_orbits.model.hybrid import complete
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.library import bundled_problems, load_problem
 from zeno_orbits.model.units import is_rate_of, powers_of
@@ -324,6 +327,26 @@ def test_matrices_give_the_equations_that_their_energies_give() -> None:
     left = ca.Function("f", [q], [known.passive_force, by_matrices.passive_force + gravity])
     for force in left([0.3, 0.4]):
         assert float(ca.norm_inf(force)) < 1e-15
+
+
+def test_matrices_keep_an_applied_force_and_its_clock() -> None:
+    q, v, mass, coriolis, gravity = _links()
+    clock = Clock.at(ca.SX(3.0))
+    pushed = ca.vertcat(2.0 * clock.cosine, -0.5)
+    given = {"q": q, "v": v, "gap": q[1], "coriolis": coriolis, "gravity": gravity}
+    forced = HybridLagrangian.from_matrices(
+        mass_matrix=mass, applied_force=pushed, clock=clock, **given
+    )
+    free = HybridLagrangian.from_matrices(mass_matrix=mass, **given)
+    systems = [complete(one, no_drive(one), ca.SX(0.5)) for one in (forced, free)]
+    states = [one.state for one in systems]
+    accelerations = [one.free_flow[2:4] for one in systems]
+    look = ca.Function("a", [states[0]], [*accelerations, systems[0].input_power, mass])
+    x = [0.3, 0.4, -1.0, 2.0, 0.6, 0.8]
+    with_force, without, power, inertia = (one.full() for one in look(x))
+    # M a = F + what there is without it; the power of F is F v.
+    assert inertia @ (with_force - without) == pytest.approx(np.array([[1.2], [-0.5]]), abs=1e-12)
+    assert float(power[0, 0]) == pytest.approx(1.2 * -1.0 - 0.5 * 2.0, abs=1e-14)
 
 
 def test_matrices_that_do_not_go_together_are_refused_by_name() -> None:

@@ -48,7 +48,7 @@ def test_a_bound_is_kept_to_the_accuracy_of_the_measurement_and_no_further() -> 
 def test_an_objection_names_what_is_passed_and_by_how_much() -> None:
     bounds = (Bound(name="a", upper=1.0), Bound(name="b", lower=0.0))
     extents = {"a": Extent(lowest=0.0, highest=1.5), "b": Extent(lowest=0.0, highest=9.0)}
-    assert objection_to(bounds, extents) == "`a` leaves :1 by 0.5."
+    assert objection_to(bounds, extents) == "`a` leaves its bounds :1 by 0.5."
     assert objection_to(bounds[1:], extents) == ""
     first, second = asked_and_reached(bounds, extents)
     assert (first["upper"], first["lower"], first["highest"], first["kept"]) == (
@@ -58,3 +58,17 @@ def test_an_objection_names_what_is_passed_and_by_how_much() -> None:
         False,
     )
     assert second["kept"]
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize(("passed", "kept"), [(1e-10, True), (1e-8, False)])
+def test_a_bound_may_be_passed_by_rounding_and_no_more_in_any_unit(
+    unit: float, passed: float, *, kept: bool
+) -> None:
+    upper = Bound(name="current", upper=2.0 * unit)
+    above = Extent(lowest=-unit, highest=(2.0 + 2.0 * passed) * unit)
+    assert is_kept(upper, above) is kept
+    assert (objection_to([upper], {"current": above}) == "") is kept
+    lower = Bound(name="current", lower=-2.0 * unit)
+    below = Extent(lowest=-(2.0 + 2.0 * passed) * unit, highest=unit)
+    assert is_kept(lower, below) is kept

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from zeno_orbits.errors import InputError, SimulationError, WorkError
 from zeno_orbits.orbits.path import PathStep, StepControl, StepError, follow_path, returns_to_start
 
 CONTROL = StepControl(first=0.1, longest=0.4, shortest=0.01, most=100)
@@ -58,12 +59,27 @@ def test_a_path_ends_after_its_number_of_points_or_where_a_step_or_what_looks_ah
     assert (path.points[-1], path.end) == (1.0, "the wall")
 
 
-def test_an_error_that_is_no_outcome_of_a_step_is_passed_on() -> None:
+@pytest.mark.parametrize("error", [TypeError(), InputError("A name is wrong."), WorkError("Gone.")])
+def test_an_error_that_is_no_outcome_of_a_step_is_passed_on(error: Exception) -> None:
     def broken(_points: Sequence[float], _step: float) -> PathStep[float, str]:
-        raise TypeError
+        raise error
 
-    with pytest.raises(TypeError):
+    with pytest.raises(type(error)):
         follow_path(0.0, CONTROL, broken, give_up=gave_up)
+
+
+@pytest.mark.parametrize(
+    "error", [StepError("too far"), SimulationError("too far", time=0.0, state=())]
+)
+def test_a_motion_that_cannot_be_simulated_refuses_the_step_as_a_bad_point_does(
+    error: Exception,
+) -> None:
+    def refused(_points: Sequence[float], _step: float) -> PathStep[float, str]:
+        raise error
+
+    path = follow_path(0.0, CONTROL, refused, give_up=gave_up)
+    assert path.points == (0.0,)
+    assert "too far" in str(path.end)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import pytest
 
 import zeno_orbits as zo
 from zeno_orbits.orbits import ZenoOrbit
-from zeno_orbits.proof import check
+from zeno_orbits.proof import check_proof
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,7 @@ def test_the_orbit_of_the_vibrating_table_is_proved_and_its_certificate_holds(
     # The period is that of the table; its frequency is the double 30.
     assert proof.bounds.period.holds(2 * math.pi / 30) or proof.bounds.period.width < 1e-16
     assert abs(float(proof.bounds.period.low) - 2 * math.pi / 30) < 1e-15
-    assert check(dict(proof.certificate)).ok
+    assert check_proof(dict(proof.certificate)).ok
 
 
 @pytest.mark.parametrize(

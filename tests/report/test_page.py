@@ -406,7 +406,7 @@ def test_an_unstable_orbit_is_not_called_one_that_the_machine_keeps(
     ("arguments", "said"),
     [
         (("-o", "missing/report.html"), "must be in a writable folder"),
-        (("-o", "orbit.json"), "must be another file than what is read"),
+        (("-o", "orbit.json"), "must be another file than the one that is read"),
         (("-o", "report.pdf"), "`output` must end in .html or .htm, but it is `report.pdf`"),
         (("-o", "r.html", "--tolerance", "2"), "`tolerance` must lie in (0, 1)"),
         (("-o", "r.html", "--trade", "nowhere.json"), "must hold what `trade -o` wrote"),

@@ -748,7 +748,7 @@ def test_a_problem_is_searched_at_its_own_numbers(
     [
         (("orbit.json", "-o", "orbit.json"), "must be a folder, but `orbit.json` is a file"),
         (("orbit.json", "-o", "orbit.json/a"), "must be a folder that can be made"),
-        (("none.json", "-o", "f"), "Orbit file `none.json` must hold a Zeno orbit"),
+        (("none.json", "-o", "f"), "Orbit file `none.json` cannot be read"),
         (("no_scene", "-o", "f"), "must be one of"),
         (("motor_pendulum", "--problem", "a.py", "-o", "f"), "must come with an orbit file"),
         (("orbit.json", "-o", "f", "--kind", "graph", "--data", "a.csv"), "the kind `beside`"),

@@ -6,11 +6,12 @@ import re
 
 import pytest
 
+from zeno_orbits.errors import counted
 from zeno_orbits.model.library import bundled_problems, load_problem
 from zeno_orbits.report import terminal
 from zeno_orbits.report.table import name_column, number_column, text_column
 from zeno_orbits.report.terminal import progress
-from zeno_orbits.report.terminal.console import counted, print_table
+from zeno_orbits.report.terminal.console import print_table
 
 
 def plain(text: str) -> str:

@@ -236,6 +236,16 @@ def test_a_ball_has_no_orbit() -> None:
     assert caught.value.result is result
 
 
+def test_orbits_are_looked_for_from_the_given_states_alone(problem: Problem) -> None:
+    # Hanging still, the machine stays as it is; from the problem's own starts it settles.
+    hanging = {"theta1": 0.0}
+    result = search_gains(problem, problem.values(), free={}, initial_states=[hanging])
+    assert result.status is SearchStatus.NO_GUESS
+    assert "rest" in result.detail
+    with pytest.raises(InputError, match="knee"):
+        search_gains(problem, problem.values(), free={}, initial_states=[{"knee": 1.0}])
+
+
 def test_an_orbit_that_nobody_accepts_is_not_returned(problem: Problem) -> None:
     seen: list[ZenoOrbit] = []
 

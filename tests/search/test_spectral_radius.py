@@ -16,6 +16,7 @@ from zeno_orbits.orbits.period import placed
 from zeno_orbits.orbits.poincare import floquet_multipliers
 from zeno_orbits.search import close_orbit
 from zeno_orbits.search.confirmation import one_cycle
+from zeno_orbits.search.nearness import Nearness
 from zeno_orbits.search.transcription.arc import TranscriptionSettings
 from zeno_orbits.search.transcription.closure import closures_of
 from zeno_orbits.search.transcription.program import ProgramBuilder
@@ -45,7 +46,7 @@ def _terms(
         cycle=cycle,
         closures=closures_of(cycle, dynamics, 1e-11),
         free=free or {},
-        first={name: values.number(name) for name in free or {}},
+        nearness=Nearness(first={}, sizes={}),
         settings=TranscriptionSettings(),
     )
     multipliers = floquet_multipliers(

@@ -17,6 +17,7 @@ from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.cycle import Cycle, cycles
 from zeno_orbits.search import SearchStatus, find_orbit
+from zeno_orbits.search.nearness import Nearness
 from zeno_orbits.search.transcription.arc import TranscriptionSettings
 from zeno_orbits.search.transcription.closure import closures_of
 from zeno_orbits.search.transcription.ipopt import Hessian, IpoptSettings, SolveStatus, solve
@@ -54,7 +55,7 @@ def _program(
         cycle=cycle,
         closures=closures_of(cycle, dynamics, settings.closure_tolerance),
         free=free or {},
-        first={name: values.number(name) for name in free or {}},
+        nearness=Nearness(first={}, sizes={}),
         settings=settings,
     )
     return terms.program.build()

@@ -12,7 +12,7 @@ from zeno_orbits.model.library import load_problem
 from zeno_orbits.simulation.batch.batch import Batch, BatchSettings
 from zeno_orbits.simulation.batch.events import first_falls, may_fall
 from zeno_orbits.simulation.batch.model import model_in_rows
-from zeno_orbits.simulation.batch.outcomes import Ended, Reason, Released
+from zeno_orbits.simulation.batch.outcomes import Ended, Reason, Released, Struck
 from zeno_orbits.simulation.batch.zeno_limit import Tails
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 from zeno_orbits.simulation.zeno_limit import TailEstimate, combine
@@ -276,3 +276,46 @@ def test_limits_in_rows_are_those_of_single_sequences():
         assert times[lane] == pytest.approx(limit.time, rel=1e-13)
         assert states[lane] == pytest.approx(limit.state, rel=1e-12)
         assert errors[lane] == pytest.approx(limit.error, rel=1e-6, abs=1e-14)
+
+
+@pytest.mark.parametrize("e", [0.0, 0.3])
+def test_starts_on_the_stop_begin_as_single_simulations_do(e: float) -> None:
+    numbers = BALL.values(parameters={"restitution": e})
+    g, speed = numbers.parameters["g"], 2.0
+    starts = np.array([[0.0, speed], [0.0, -speed], [0.0, 0.0], [1e-13, 0.0], [1e-3, 0.0]])
+    batch = Batch(model_in_rows(BALL), len(starts))
+    p = np.tile(numbers.vector, (len(starts), 1))
+    lanes = batch.start(p, starts, 1e-9, np.full(len(starts), 9.0))
+    events = run(batch)
+    fall = math.sqrt(2e-3 / g)
+    # Thrown up: a flight, then all that follow it. Struck at once: those alone. At rest: none.
+    expected = [
+        2 * speed / g / (1 - e),
+        2 * e * speed / g / (1 - e),
+        math.nan,
+        math.nan,
+        fall * (1 + e) / (1 - e),
+    ]
+    zeno = batch._lanes.zeno_time[lanes]
+    assert zeno == pytest.approx(expected, rel=1e-11, abs=1e-15, nan_ok=True)
+    struck = {one.lane: one for one in reversed(events) if isinstance(one, Struck)}
+    first = [struck[lane].rate if lane in struck else math.nan for lane in lanes.tolist()]
+    rates = [-speed, -speed, math.nan, math.nan, -g * fall]
+    assert first == pytest.approx(rates, rel=1e-9, nan_ok=True)
+    ended = {event.lane: event for event in events if isinstance(event, Ended)}
+    assert [ended[lane].reason for lane in lanes.tolist()] == [Reason.REST] * len(starts)
+
+
+def test_starts_that_are_none_are_refused_each_for_its_reason() -> None:
+    good = list(BALL.values().vector)
+    place = BALL.names.index("restitution")
+    p = np.array([good] * 5)
+    p[3, place], p[4, place] = 1.0, -0.1
+    starts = np.array([[-1e-6, 0.0], [math.nan, 0.0], [1.0, math.inf], [1.0, 0.0], [1.0, 0.0]])
+    batch = Batch(model_in_rows(BALL), len(starts))
+    lanes = batch.start(p, starts, 1e-9, np.full(len(starts), 9.0))
+    ended = {event.lane: event for event in batch.round() if isinstance(event, Ended)}
+    details = [ended[lane].detail for lane in lanes.tolist()]
+    assert details[:3] == ["The start is not admissible: the gap is negative"] * 3
+    assert details[3:] == ["The restitution does not lie in [0, 1)"] * 2
+    assert {event.reason for event in ended.values()} == {Reason.FAILURE}

@@ -17,12 +17,15 @@ from tests.support.mechanisms import forced_oscillator, oscillator_state
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model.scale import OwnScale
 from zeno_orbits.simulation.completion import ZenoExtrapolation
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 from zeno_orbits.simulation.zeno_limit import (
     N_NODES,
     NODE_RATIO,
     TailEstimate,
+    ZenoLimit,
+    combine,
     estimate_tail,
     extrapolate,
     limit_slopes,
@@ -274,3 +277,63 @@ def test_the_slopes_of_the_weights_do_not_know_the_unit_of_speed() -> None:
     # A change of unit changes no weight, and weights always add up to one.
     assert tiny.sum(axis=1) == pytest.approx(np.zeros(4), abs=1e-12)
     assert tiny.sum(axis=0) == pytest.approx(np.zeros(4), abs=1e-12)
+
+
+def _extrapolated(nodes: list[TailEstimate]) -> tuple[float, np.ndarray]:
+    """Return time and state at speed zero of polynomials without a linear term."""
+    w = np.array([node.speed for node in nodes]) / nodes[0].speed
+    powers = [0, *range(2, len(nodes) + 1)]
+    matrix = np.stack([w**k for k in powers], axis=1)
+    values = np.array([[node.time, *node.state] for node in nodes])
+    first = np.linalg.solve(matrix, values)[0]
+    return float(first[0]), first[1:]
+
+
+@pytest.mark.parametrize(("restitution", "apart"), [(0.2, 1), (0.5, 1), (0.8, 4), (0.9, 7)])
+def test_the_error_is_the_difference_from_what_was_known_a_node_earlier(
+    restitution: float, apart: int
+) -> None:
+    # Limits that differ at every impact: a cubic in the speed, which few nodes do not tell.
+    count = 4 * apart + 3
+    speeds = [3.0 * restitution**k for k in range(count)]
+    estimates = [
+        TailEstimate(
+            impact_time=0.0,
+            resting=np.zeros(2),
+            speed=w,
+            time=2.0 + 0.3 * w**2 + math.sin(w) * w**2,
+            state=np.array([5.0 + 0.2 * w**2 * math.cos(w), -0.5 + w**2 / (1 + w)]),
+            gap_acceleration=-1.0,
+        )
+        for w in speeds
+    ]
+    now = _extrapolated(estimates[::-1][: 4 * apart + 1 : apart])
+    before = _extrapolated(estimates[::-1][apart : 5 * apart + 1 : apart])
+    found = combine(estimates)
+    assert found.time == pytest.approx(now[0], rel=1e-10)
+    assert found.state == pytest.approx(now[1], rel=1e-10)
+    expected = max(
+        abs(now[0] - before[0]) / (1 + now[0]),
+        *(np.abs(now[1] - before[1]) / (1 + np.abs(now[1]))),
+    )
+    assert found.error == pytest.approx(expected, rel=1e-3)
+
+
+def test_the_error_is_relative_to_the_sizes_of_the_problem() -> None:
+    # A machine a thousand times as small, and as slow, has numbers and errors as much smaller.
+    def of(length: float, time: float) -> ZenoLimit:
+        estimates = [
+            TailEstimate(
+                impact_time=0.0,
+                resting=np.zeros(1),
+                speed=w * length / time,
+                time=time * (0.5 + w**3),
+                state=np.array([length * (0.2 + w**3)]),
+                gap_acceleration=-1.0,
+            )
+            for w in (0.4**k for k in range(7))
+        ]
+        return combine(estimates, OwnScale(time=time, sizes=(length,)))
+
+    assert of(1e-6, 1e-6).error == pytest.approx(of(1.0, 1.0).error, rel=1e-9)
+    assert of(1e-6, 1e3).error == pytest.approx(of(1.0, 1.0).error, rel=1e-9)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -20,6 +21,7 @@ from zeno_orbits.integrators import Automatic, Taylor
 from zeno_orbits.integrators.casadi_to_heyoka import heyoka_is_installed
 from zeno_orbits.integrators.engine import Leg, Passage
 from zeno_orbits.integrators.flow import Tolerance
+from zeno_orbits.model.hybrid import CompletedSystem
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
@@ -28,6 +30,7 @@ from zeno_orbits.orbits.orbit import OrbitImpact, ZenoOrbit
 from zeno_orbits.orbits.shape import PhaseKind
 from zeno_orbits.search import close_orbit, find_orbit
 from zeno_orbits.simulation.completion import ZenoExtrapolation
+from zeno_orbits.simulation.execution import Execution, Mode
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit
 from zeno_orbits.verification.certificate import RESIDUALS, OrbitCertificate
@@ -517,6 +520,136 @@ def test_the_cuts_go_on_where_the_locked_arc_is_about_to_vanish(problem: Problem
     assert seen.delta_sweep[-1].error < seen.tolerance / 10
     late = SimulationSettings(completion=_Late(delay=1e-6))
     assert "delta_sweep" in verify(near, problem, settings=replace(QUICK, simulation=late)).failed
+
+
+@pytest.mark.slow
+def test_a_release_that_is_none_fails_alone(
+    check: Check, orbit: ZenoOrbit, machine: HybridDynamics
+) -> None:
+    # The flow's own guard knows better; what the certificate asks is off by a millionth.
+    largest = max(abs(machine.multiplier(x)) for x in _locked_of(orbit, machine))
+    seen = check(
+        orbit, replace(machine, multiplier=lambda x: machine.multiplier(x) + 1e-6 * largest)
+    )
+    assert seen.failed == ("release",)
+    assert seen.residuals["release"] == pytest.approx(1e-6, rel=1e-3)
+
+
+def test_a_gap_rate_that_breaks_the_law_of_impact_fails_alone(
+    check: Check, orbit: ZenoOrbit, machine: HybridDynamics
+) -> None:
+    def rate(x: Vector) -> float:
+        found = machine.gap_rate(x)
+        return found * (1 + 1e-7) if found > 0.0 else found
+
+    seen = check(orbit, replace(machine, gap_rate=rate))
+    assert seen.failed == ("restitution",)
+    # A part 1e-7 of the speed after the first impact, e = 0.2 times the one before.
+    assert seen.residuals["restitution"] == pytest.approx(0.2e-7, rel=1e-3)
+
+
+def test_a_motion_that_does_not_come_back_fails_at_its_end_alone(
+    check: Check, orbit: ZenoOrbit, machine: HybridDynamics
+) -> None:
+    # A release beside the orbit's, and all that follows it: true but for its end.
+    start = {**orbit.release_state, "dtheta1": orbit.release_state["dtheta1"] + 1e-4}
+    state = machine.on_stop(np.array(list(start.values())))
+    motion = simulate(machine, state, until=1.5 * orbit.period, releases=1)
+    names, zeno = machine.state_names, motion.zeno_points[0]
+
+    def named(x: Vector) -> dict[str, float]:
+        return dict(zip(names, x.tolist(), strict=True))
+
+    seen = check(
+        changed(
+            orbit,
+            period=motion.releases[0].time,
+            release_state=named(state),
+            impacts=tuple(
+                OrbitImpact(time=one.time, state_minus=named(one.state_minus))
+                for one in motion.impacts
+            ),
+            zeno_time=zeno.time,
+            zeno_state=named(zeno.state),
+        )
+    )
+    assert seen.failed == ("closure", "drift")
+    # The multiplier is -0.019: the return is as far off as the start, nearly.
+    assert seen.residuals["closure"] == pytest.approx(1e-4 / _largest(motion, 2), rel=0.05)
+
+
+def test_a_later_period_that_goes_elsewhere_fails_alone(orbit: ZenoOrbit, problem: Problem) -> None:
+    since = orbit.period + 0.5 * orbit.zeno_time
+    completion = _OffOnce(since=since, until=since + orbit.period)
+    off = replace(FAST.simulation, completion=completion)
+    settings = replace(FAST, n_periods=3, simulation=off)
+    seen = verify(orbit, problem, settings=settings)
+    assert seen.failed == ("drift",)
+    assert verify(orbit, problem, settings=replace(settings, n_periods=1)).passed
+
+
+@pytest.mark.slow
+def test_a_power_that_the_motion_does_not_take_fails_alone(
+    orbit: ZenoOrbit, problem: Problem
+) -> None:
+    def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
+        system = problem.model(p)
+        return replace(system, input_power=(1 + 1e-6) * system.input_power)
+
+    seen = verify(orbit, replace(problem, model=model, reference=None), settings=FAST)
+    assert seen.failed == ("energy_balance",)
+    assert seen.residuals["energy_balance"] == pytest.approx(1e-6, rel=0.5)
+
+
+def test_cuts_that_tend_elsewhere_fail_alone(
+    orbit: ZenoOrbit, problem: Problem, machine: HybridDynamics
+) -> None:
+    hasty = SimulationSettings(engine=_HastyAtTheEnd(flow=machine.locked, end=0.3))
+    settings = replace(QUICK, simulation=hasty)
+    seen = verify(orbit, problem, settings=settings, dynamics=machine)
+    assert seen.failed == ("delta_sweep",)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _HastyAtTheEnd:
+    """An engine that follows one flow carelessly if little time is left."""
+
+    flow: object
+    end: float
+
+    def follow(self, leg: Leg) -> Passage:
+        hasty = leg.flow is self.flow and leg.horizon < self.end
+        coarse = Tolerance(relative=1e-5, absolute=1e-6)
+        return Automatic().follow(replace(leg, tolerance=coarse) if hasty else leg)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _OffOnce:
+    """The extrapolated limit, with another state between two times only."""
+
+    since: float
+    until: float
+
+    def limit(
+        self, dynamics: HybridDynamics, estimates: Sequence[TailEstimate]
+    ) -> ZenoLimit | None:
+        limit = ZenoExtrapolation().limit(dynamics, estimates)
+        if limit is None or not self.since < limit.time < self.until:
+            return limit
+        state = limit.state.copy()
+        state[0] += 1e-6
+        return replace(limit, state=state)
+
+
+def _locked_of(orbit: ZenoOrbit, machine: HybridDynamics) -> Vector:
+    """Return states from the Zeno point to the release, ``(n, n_x)``."""
+    start = machine.on_stop(np.array(list(orbit.release_state.values())))
+    run = simulate(machine, start, until=1.5 * orbit.period, releases=1)
+    return next(arc for arc in reversed(run.arcs) if arc.mode is Mode.LOCKED).sampled()[1]
+
+
+def _largest(motion: Execution, state: int) -> float:
+    return float(np.max(np.abs(motion.sampled()[1][:, state])))
 
 
 # Motions that a problem does not allow.

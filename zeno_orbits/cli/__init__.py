@@ -7,7 +7,7 @@ mistyped option need no CasADi.
 Offers: `main` runs one command, `build_parser` returns the parser of all of them.
 
 Imports: api, report, experiment, precision, continuation, maps, search, proof, verification,
-orbits, simulation, model, integrators, work, arrays, errors.
+orbits, simulation, model, integrators, kernels, work, arrays, errors.
 """
 
 import lazy_loader as lazy

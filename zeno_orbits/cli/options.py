@@ -93,6 +93,9 @@ def add_command(
     )
     parser.set_defaults(run=run)
     parser.add_argument("--json", action="store_true", help="print JSON for programs")
+    parser.add_argument(
+        "--verbose", action="store_true", help="say how steps were computed, and why"
+    )
     parser.add_argument("--debug", action="store_true", help="print the traceback of an error")
     return parser
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 
 import zeno_orbits
+from zeno_orbits.cli.cache import add_cache
 from zeno_orbits.cli.compare import add_compare
 from zeno_orbits.cli.completion import add_completion
 from zeno_orbits.cli.continue_command import add_continue
@@ -30,7 +32,7 @@ from zeno_orbits.report import terminal as report
 _COMMANDS = (
     *(add_problems, add_new, add_conditions, add_simulate, add_fidelity),
     *(add_search, add_verify, add_prove, add_map, add_continue, add_trade, add_rig),
-    *(add_plot, add_report, add_figures, add_compare, add_identify, add_completion),
+    *(add_plot, add_report, add_figures, add_compare, add_identify, add_cache, add_completion),
 )
 """In the order of the help."""
 
@@ -78,6 +80,22 @@ def _answer(options: argparse.Namespace) -> int:
         text = f"internal error, please report it ({type(error).__name__}: {error}); see --debug"
         report.print_error(text)
         return MISUSE
+    finally:
+        _tell_of_kernels(options)
+
+
+def _tell_of_kernels(options: argparse.Namespace) -> None:
+    """Say why steps were not compiled if something is wrong, or anyway if `--verbose` asks."""
+    if "zeno_orbits.kernels.requests" not in sys.modules:
+        return
+    from zeno_orbits.kernels import account, complaints
+
+    # A variable that says nothing known has been refused already.
+    with suppress(InputError):
+        if options.verbose and account():
+            report.print_note(f"{account()}.")
+        elif complaints():
+            report.print_note(f"{complaints()[0]}: steps are interpreted, as accurate and slower.")
 
 
 def _end(error: Exception, code: int, options: argparse.Namespace) -> int:

@@ -29,7 +29,7 @@ from zeno_orbits.cli.parsing import (
     read_shape,
     read_wish,
 )
-from zeno_orbits.cli.search_output import answer
+from zeno_orbits.cli.search_output import SearchNotes, answer
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 from zeno_orbits.work import require_writable
@@ -42,6 +42,8 @@ if TYPE_CHECKING:
 
 def add_search(commands: Any) -> None:
     """Add the command `search`."""
+    from zeno_orbits.search.objectives import objective_help
+
     parser = add_command(
         commands,
         "search",
@@ -88,11 +90,7 @@ def add_search(commands: Any) -> None:
         action=Once,
         type=read_wish,
         metavar="WISH",
-        help=(
-            "nearest (to the problem's gains), nearest:NAME=VALUE,..., period=SECONDS, "
-            "amplitude=VALUE, energy, peak=SIGNAL (least peak of current, voltage or a state), "
-            "contraction (least spectral radius), or margin (widest before the orbit is lost)"
-        ),
+        help=objective_help(),
     )
     parser.add_argument(
         "--keep",
@@ -102,6 +100,14 @@ def add_search(commands: Any) -> None:
         help="bounds that the orbit must keep, an open end left empty (NAME=:1.2): a state, "
         "current or voltage at all times; period, energy, spectral_radius, or a margin of the "
         "certificate; may be repeated",
+    )
+    parser.add_argument(
+        "--start",
+        action=Named,
+        type=read_named_number,
+        metavar="STATE=VALUE",
+        help="simulate from this state, others zero, to find orbits; by default from each start of "
+        "the problem",
     )
     parser.add_argument(
         "--from",
@@ -138,10 +144,14 @@ def add_search(commands: Any) -> None:
         "the problem's clock, or of its slowest oscillation",
     )
     parser.add_argument(
-        "--starts", type=read_count, default=12, metavar="N", help="number of random starts"
+        "--starts",
+        type=read_count,
+        default=12,
+        metavar="N",
+        help="most starts after the first, of places all over the box the most promising ones",
     )
     parser.add_argument(
-        "--seed", type=read_seed, default=0, help="seed of the random starts; 0 by default"
+        "--seed", type=read_seed, default=0, help="seed of these places; 0 by default"
     )
     parser.add_argument("-o", "--output", type=Path, help="write the verified orbit here")
 
@@ -195,12 +205,18 @@ def _run_search(options: argparse.Namespace) -> int:
             on_progress=progress,
             spread=StartWorkers(problem_file=problem_file, plan=plan, tell=progress),
             shape=options.shape,
+            initial_states=(options.start,) if options.start else (),
         )
 
     def finish(result: SearchResult) -> int:
-        held = held_derived(problem, values, free)
-        far = far_from_own(problem, values)
-        return answer(options, problem, result, objective if free else None, bounds, held, far)
+        notes = SearchNotes(
+            free=free,
+            objective=objective,
+            bounds=bounds,
+            held=held_derived(problem, values, free),
+            far=far_from_own(problem, values),
+        )
+        return answer(options, problem, result, notes)
 
     # With nothing free there is one start, which is done or not.
     return run_resumable(options, work, finish, keep=bool(free))
@@ -223,9 +239,10 @@ def _numbers(
 ) -> tuple[ParameterValues, dict[str, tuple[float, float]]]:
     """Return the numbers to start from and what is free."""
     from zeno_orbits.model import unknown
+    from zeno_orbits.search import free_gains
 
     fixed, given, boxes, named = options.fix, options.set, options.gain, options.free
-    gains = {gain.name: (gain.lower, gain.upper) for gain in problem.gains}
+    gains = free_gains(problem)
     for name in boxes:
         if name not in gains:
             raise InputError(unknown("gain", name, tuple(gains)))

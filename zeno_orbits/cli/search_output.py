@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from zeno_orbits.cli.options import NO, YES, print_json, say_written
@@ -19,14 +19,27 @@ if TYPE_CHECKING:
 _LOCAL = "One start led there, so the optimum may be local; --candidates 3 tries more starts."
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SearchNotes:
+    """The question of a search, and what is known of its numbers.
+
+    Attributes:
+        free: Name to range of what was free.
+        objective: The objective, of what is free.
+        bounds: The bounds that the orbit had to keep.
+        held: Parameters that are derived from free ones but were held.
+        far: Sentences that may explain a failure, one for each number far from the problem's own.
+    """
+
+    free: Mapping[str, tuple[float, float]]
+    objective: Objective
+    bounds: Sequence[Bound]
+    held: Sequence[str]
+    far: Sequence[str]
+
+
 def answer(
-    options: argparse.Namespace,
-    problem: Problem,
-    result: SearchResult,
-    objective: Objective | None,
-    bounds: Sequence[Bound],
-    held: Sequence[str],
-    far: Sequence[str] = (),
+    options: argparse.Namespace, problem: Problem, result: SearchResult, notes: SearchNotes
 ) -> int:
     """Print what a search found, write its orbit, and return the exit code.
 
@@ -34,57 +47,131 @@ def answer(
         options: The command line.
         problem: The problem.
         result: The result of the search.
-        objective: The objective, if anything was free.
-        bounds: The bounds that the orbit had to keep.
-        held: Parameters that are derived from free ones but were held.
-        far: Sentences that may explain a failure, one for each number far from the problem's own.
+        notes: What was asked.
     """
     from zeno_orbits.orbits import asked_and_reached, write_orbit
     from zeno_orbits.verification import certified
 
     if result.orbit is None:
-        if options.json:
-            print_json(
-                {
-                    "found": False,
-                    "status": result.status.value,
-                    "detail": result.detail,
-                    "attempts": _attempts(result),
-                    "far": list(far),
-                }
-            )
-        else:
-            report.print_search(result)
-            report.print_lines(far)
+        _say_no(options, problem, result, notes)
         return NO
     options.interrupts.check()
     best = result.candidates[0]
     certificate = best.certificate
     if certificate is None:
         raise InputError("Argument `accept` must give a certificate, but it gave none.")
-    certificate = replace(certificate, asked=tuple(asked_and_reached(bounds, best.extents)))
+    asked = asked_and_reached(notes.bounds, best.extents)
+    certificate = replace(certificate, asked=tuple(asked))
     orbit = certified(result.orbit, certificate)
     if options.output is not None:
         write_orbit(orbit, options.output)
     if options.json:
         print_json(orbit.as_json() | _ranking(options, result))
-    else:
-        report.print_search(result)
-        if options.candidates > 1:
-            report.print_candidates(result)
-        report.print_orbit(problem, orbit, certificate, result.attempts[0].parameters)
-        if objective is not None:
-            report.print_objective(objective.wish, best.extents, objective.quantities)
-            if objective.quantities and best.starts == 1:
-                report.print_lines([_LOCAL])
-        report.print_bounds(certificate.asked)
-        if held:
-            report.print_lines([f"Derived, and held at their initial values: {', '.join(held)}."])
-        if options.accuracy is not None:
-            report.print_error_estimate(certificate.orbit_error)
-        report.print_verdict(certificate)
-        say_written(options, [] if options.output is None else [options.output])
+        return YES
+    report.print_search(result)
+    if options.candidates > 1:
+        report.print_candidates(result)
+    report.print_orbit(problem, orbit, certificate, result.attempts[0].parameters)
+    report.print_lines(_on_the_optimum(options, problem, result, notes))
+    report.print_bounds(certificate.asked)
+    if notes.held:
+        report.print_lines([f"Derived, and held at their initial values: {', '.join(notes.held)}."])
+    if options.accuracy is not None:
+        report.print_error_estimate(certificate.orbit_error)
+    report.print_verdict(certificate)
+    say_written(options, [] if options.output is None else [options.output])
     return YES
+
+
+def _on_the_optimum(
+    options: argparse.Namespace, problem: Problem, result: SearchResult, notes: SearchNotes
+) -> list[str]:
+    """Return what was asked and reached, and what more there may be, as sentences."""
+    from zeno_orbits.search.number_notes import at_ends
+
+    if not notes.free:
+        return []
+    best, objective = result.candidates[0], notes.objective
+    said = report.objective_reached(objective.wish, best.extents, objective.quantities)
+    if objective.quantities and best.score > objective.least:
+        one = best.starts == 1
+        said.append(_LOCAL if one else f"{best.starts} of {len(result.attempts)} starts led there.")
+    if objective.quantities or objective.goal:
+        values = best.orbit.values(problem)
+        said += at_ends(problem, values, notes.free, objective.goal)
+    lacking = options.candidates - len(result.candidates)
+    if lacking > 0:
+        led = f"{sum(one.starts for one in result.candidates)} of {len(result.attempts)} starts"
+        said.append(f"{lacking} fewer than asked: {led} led to an orbit, no other one among them.")
+    return said
+
+
+def _say_no(
+    options: argparse.Namespace, problem: Problem, result: SearchResult, notes: SearchNotes
+) -> None:
+    """Print why nothing was found, what may help, and what an older output still holds."""
+    older = options.output is not None and options.output.exists()
+    hints = _levers(options, problem, result, notes)
+    if options.json:
+        print_json(
+            {
+                "found": False,
+                "status": result.status.value,
+                "detail": result.detail,
+                "scan": result.scan,
+                "attempts": _attempts(result),
+                "far": list(notes.far),
+                "try": hints,
+                "older_output": older,
+            }
+        )
+        return
+    report.print_search(result)
+    report.print_lines([*notes.far, *(f"Try: {hint}" for hint in hints)])
+    if older:
+        report.print_lines([f"{options.output} was not written: what it holds is older."])
+
+
+def _levers(
+    options: argparse.Namespace, problem: Problem, result: SearchResult, notes: SearchNotes
+) -> list[str]:
+    """Return the options and commands that may lead to an orbit where there was none."""
+    from zeno_orbits.search import SearchStatus
+
+    found: list[str] = []
+    if result.status is SearchStatus.NO_GUESS:
+        found.append("--start STATE=VALUE, to simulate from elsewhere.")
+        if options.until is None or "after" in result.detail:
+            found.append("--until T, to wait longer for a motion to repeat.")
+        found.append(f"{map_command(problem, options, notes)}, to see where orbits are.")
+    if result.status is SearchStatus.NOT_ACCEPTED and not options.allow_unstable:
+        found.append("--allow-unstable, to take an orbit that does not attract.")
+    if notes.bounds:
+        kept = ", ".join(f"{bound.name}={bound.text}" for bound in notes.bounds)
+        found.append(f"a wider --keep than {kept}.")
+    if notes.free and result.status is not SearchStatus.NO_GUESS:
+        ranges = ", ".join(f"{name}={low:g}:{high:g}" for name, (low, high) in notes.free.items())
+        found.append(f"wider ranges than {ranges} (--gain, --free).")
+    if not notes.free and problem.gains:
+        found.append("fewer --fix, so that gains are searched.")
+    return found
+
+
+def map_command(problem: Problem, options: argparse.Namespace, notes: SearchNotes) -> str:
+    """Return the command that maps the first two numbers that a search is about."""
+    from zeno_orbits.search import free_gains
+
+    around = {q.name: (q.default / 2, 2 * q.default) for q in problem.parameters if q.default}
+    others = {**free_gains(problem), **around, "restitution": (0.0, 0.9)}
+    axes = list({**notes.free, **others})[:2]
+    ranges = {**others, **notes.free}
+    words = [f"zeno-orbits map {options.problem}"]
+    for side, name in zip("xy", axes, strict=False):
+        low, high = ranges[name]
+        words.append(f"--{side} {name}={low:g}:{high:g}")
+    for option, given in (("gain", options.fix), ("set", options.set)):
+        words += [f"--{option} {name}={x:g}" for name, x in given.items() if name not in axes]
+    return " ".join(words)
 
 
 def _attempts(result: SearchResult) -> list[dict[str, Any]]:

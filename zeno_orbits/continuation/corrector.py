@@ -14,7 +14,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector, eigenvalues
 from zeno_orbits.continuation.return_maps import DifferentiatedReturn, ReturnMap
-from zeno_orbits.errors import SimulationError
+from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.orbits import Section
 
 _MOST_ITERATIONS = 9
@@ -188,8 +188,8 @@ def returned(returns: ReturnMap, x: Vector, s: float, metric: FamilyMetric) -> D
         raise SimulationError("Newton's method diverges", time=0.0, state=tuple(x.tolist()))
     try:
         return returns.follow(x, s, horizon=metric.horizon)
-    except (np.linalg.LinAlgError, OverflowError) as error:
-        # A trial far off the family may run away before it is stopped.
+    except (InputError, np.linalg.LinAlgError, OverflowError) as error:
+        # A trial far off the family may be no state of the machine, or run away unstopped.
         raise SimulationError(str(error), time=metric.horizon, state=tuple(x.tolist())) from error
 
 

@@ -12,8 +12,9 @@ from zeno_orbits.continuation.branch import Branch
 from zeno_orbits.continuation.families import HalfCurve, SpecialPointKind
 from zeno_orbits.continuation.jobs import Job
 from zeno_orbits.continuation.setup import ContinuationSettings
-from zeno_orbits.errors import InputError, ZenoOrbitsError
+from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import Problem, ProblemFile
+from zeno_orbits.orbits.path import StepError
 from zeno_orbits.work import LostPoint, Plan, Pool, Progress, claim, plain, restored, silent, spread
 
 R = TypeVar("R")
@@ -99,10 +100,10 @@ class Dispatch:
 def _attempted(
     job: Job[R], problem: Problem, settings: ContinuationSettings, on_progress: Progress
 ) -> R:
-    """Return the result of a job; if it fails, the others go on."""
+    """Return the result of a job; if its orbits are lost, the others go on."""
     try:
         return job.run(problem, settings, on_progress)
-    except ZenoOrbitsError as error:
+    except (SimulationError, StepError) as error:
         return job.failed(str(error))
 
 

@@ -12,9 +12,10 @@ from zeno_orbits.continuation.corrector import FamilyMetric
 from zeno_orbits.continuation.return_maps import Composed, ImpactReturns, ReleaseReturns, ReturnMap
 from zeno_orbits.continuation.two_parameters.plane import CurveSteps, ParameterPlane
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.model import ParameterValues, Problem, own_time
-from zeno_orbits.orbits import Line, ZenoOrbit
-from zeno_orbits.simulation import SimulationSettings, simulate
+from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.orbits import Line, OrbitShape, PhaseKind, ZenoOrbit
+from zeno_orbits.search import settle
+from zeno_orbits.simulation import SimulationSettings
 
 _PATIENCE = 4.0
 """Periods of the start to wait for a return."""
@@ -131,8 +132,8 @@ def start_at_release(
 
 def _sizes(problem: Problem, orbit: ZenoOrbit) -> Vector:
     """Return the size of each state over the events of an orbit, nowhere near zero, ``(n_x,)``."""
-    events = [orbit.release_state, orbit.zeno_state, *(i.state_minus for i in orbit.impacts)]
-    sizes = np.max(np.abs([problem.state_vector(state) for state in events]), axis=0)
+    events = [problem.state_vector(state) for state in orbit.states_at_events]
+    sizes = np.max(np.abs(events), axis=0)
     return _not_small(sizes, 1e-9)
 
 
@@ -142,11 +143,9 @@ def _not_small(sizes: Vector, part: float) -> Vector:
     return np.where(sizes > part * largest, sizes, largest)
 
 
-_MOST_IMPACTS = 400
 _SETTLED = 1e-3
 """Change of the state from impact to impact, in units of its size, at which it nearly repeats."""
-_LONGEST_FLIGHT = 20.0
-"""Longest flight, in the problem's own time."""
+_ONE_IMPACT = OrbitShape(phases=(PhaseKind.IMPACT,))
 
 
 def start_at_impact(
@@ -172,43 +171,25 @@ def start_at_impact(
         SimulationError: If the impacts do not settle.
     """
     s = _checked(problem, values, "in", parameter, box)
-    line = line_in(problem, np.array(values.vector), parameter)
-    returns = ImpactReturns(compiled=problem.compiled(), line=line, settings=settings.simulation)
-    x, flight, scale = _settled(returns, np.array(state), s)
+    settling = settle(problem.dynamics(values), [state], shape=_ONE_IMPACT, problem=problem)
+    cycle = settling.cycle
+    if cycle is None or cycle.drift(cycle.scale_at_events()) > _SETTLED:
+        raise SimulationError(
+            "The motion does not settle to one impact per period", time=settling.waited, state=state
+        )
     setup = Setup(
         values=values,
         parameter=parameter,
         box=box,
         section=ImpactReturns,
-        metric=FamilyMetric(scale=scale, unit=box[1] - box[0], horizon=_PATIENCE * flight),
+        metric=FamilyMetric(
+            scale=_not_small(cycle.scale(), _SETTLED),
+            unit=box[1] - box[0],
+            horizon=_PATIENCE * cycle.period,
+        ),
         simulation=settings.simulation,
     )
-    return FamilyStart(setup=setup, x=x, s=s)
-
-
-def _settled(returns: ImpactReturns, x: Vector, s: float) -> tuple[Vector, float, Vector]:
-    """Return a state after an impact that nearly repeats, the flight's length [s], and sizes.
-
-    Raises:
-        SimulationError: If none does.
-    """
-    dynamics = returns.dynamics(s)
-    longest = _LONGEST_FLIGHT * own_time(dynamics, x)
-    before: Vector | None = None
-    for _ in range(_MOST_IMPACTS):
-        run = simulate(dynamics, x, until=longest, settings=returns.settings, releases=1, impacts=1)
-        if not run.impacts:
-            break
-        impact = run.impacts[0]
-        x = impact.state_plus
-        sizes = np.max(np.abs(run.arcs[0].flow_states[:, : x.size]), axis=0)
-        scale = _not_small(sizes, _SETTLED)
-        if before is not None and float(np.max(np.abs(x - before) / scale)) < _SETTLED:
-            return x, impact.time, scale
-        before = x
-    raise SimulationError(
-        "The motion does not settle to one impact per period", time=longest, state=tuple(x.tolist())
-    )
+    return FamilyStart(setup=setup, x=cycle.end.state, s=s)
 
 
 def plane_of(

@@ -1,9 +1,10 @@
 from .automatic import Automatic as Automatic
 from .automatic import decay_rates as decay_rates
-from .casadi_calls import caller as caller
 from .casadi_to_heyoka import heyoka_is_installed as heyoka_is_installed
 from .collocation import Collocation as Collocation
 from .collocation import lagrange_basis as lagrange_basis
+from .compiled_leg import CompilableFlow as CompilableFlow
+from .compiled_leg import LegCode as LegCode
 from .dop853 import RungeKutta as RungeKutta
 from .dop853_step import error_norm as error_norm
 from .dop853_step import explicit_attempt as explicit_attempt
@@ -23,7 +24,10 @@ from .events import SteppedTrajectory as SteppedTrajectory
 from .flow import GuardedFlow as GuardedFlow
 from .flow import PlainFlow as PlainFlow
 from .flow import Tolerance as Tolerance
+from .leg_source import follow_source as follow_source
 from .radau import Radau as Radau
 from .radau_step import implicit_expressions as implicit_expressions
 from .scipy import SciPy as SciPy
+from .steps import ExplicitStep as ExplicitStep
+from .steps import RadauStep as RadauStep
 from .taylor import Taylor as Taylor

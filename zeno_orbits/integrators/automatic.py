@@ -15,38 +15,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.integrators.compiled_leg import StepLoop
 from zeno_orbits.integrators.dop853 import RungeKutta
-from zeno_orbits.integrators.engine import FAR, Leg, Passage, Step
-from zeno_orbits.integrators.events import follow_steps
+from zeno_orbits.integrators.engine import FAR, Step
 from zeno_orbits.integrators.flow import GuardedFlow, Tolerance
 from zeno_orbits.integrators.radau import Radau
+from zeno_orbits.integrators.stepping import SteppingEngine
 
 Values = NDArray[np.complex128]
 
-_FIRST_LOOK = 5
+FIRST_LOOK = 5
 """Explicit steps before the decay rates of a flow are asked for."""
 
-_PATIENCE = 24
+PATIENCE = 24
 """Explicit steps between two looks at the rates."""
 
-_HELD, _STUCK = 3.0, 1.0
+HELD, STUCK = 3.0, 1.0
 """Step times fastest decay from which stability sets the explicit step, near its 6: of any step,
 and of one that no longer grows, as it does to the end of a layer."""
 
 PAYS = 25.0
 """Fastest decay over the rates that stay from which an implicit step pays."""
 
-_LONG = 60.0
+LONG = 60.0
 """Decay times what is left of the leg from which it is gone for most of that, and so from which
 going over pays."""
 
-_FIRST_STEP = 2.5
+FIRST_STEP = 2.5
 """First implicit step times the next rate, over the eighth root of the tolerance: what the error
 estimate of order 8 mostly takes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Automatic:
+class Automatic(SteppingEngine):
     """Explicit steps, and implicit ones once stiffness holds the explicit ones back.
 
     Attributes:
@@ -57,38 +58,26 @@ class Automatic:
     explicit: RungeKutta = field(default_factory=RungeKutta)
     implicit: Radau = field(default_factory=Radau)
 
-    def follow(self, leg: Leg) -> Passage:
-        """Follow a flow until its guard falls through zero or the time is over.
-
-        Raises:
-            StepSizeError: If the step size falls to rounding level.
-        """
-        return follow_steps(self.steps(leg.flow, leg.y, leg.tolerance, leg.horizon), leg)
+    @property
+    def loop(self) -> StepLoop:
+        """Explicit steps, then implicit ones."""
+        explicit, implicit = self.explicit.largest_step, self.implicit.largest_step
+        return StepLoop(True, True, explicit, implicit, self.implicit.scheme)
 
     def steps(
         self, flow: GuardedFlow, y: Vector, tolerance: Tolerance, horizon: float = FAR
     ) -> Iterator[Step]:
-        """Yield steps from ``y`` on, without end.
-
-        Args:
-            flow: The flow.
-            y: State at the start, ``(n_y,)``.
-            tolerance: Local error of a step.
-            horizon: No step is longer.
-
-        Raises:
-            StepSizeError: If the step size falls to rounding level.
-        """
+        """Yield explicit steps, then perhaps implicit ones, without end."""
         limits, size = _NONE, 0.0
         for count, step in enumerate(self.explicit.steps(flow, y, tolerance, horizon), start=1):
             yield step
-            if count == _FIRST_LOOK or count % _PATIENCE == 0:
+            if count == FIRST_LOOK or count % PATIENCE == 0:
                 limits = _limits(flow, step.after, tolerance)
             stuck, size = step.size <= size, step.size
-            if size * limits.fastest > (_STUCK if stuck else _HELD):
+            if size * limits.fastest > (STUCK if stuck else HELD):
                 end = step.start + size
                 left = min(_time_left(flow, step), horizon - end)
-                if left * limits.fastest > _LONG and limits.pay(left):
+                if left * limits.fastest > LONG and limits.pay(left):
                     size = max(2 * size, min(limits.first, 1.1 * left))
                     yield from self.implicit.steps(
                         flow, step.after, tolerance, horizon, time=end, size=size
@@ -128,7 +117,7 @@ def _limits(flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> _Limits:
     fastest, next_rate = rates_of(values)
     if not fastest > PAYS * staying_rate(values, math.inf):
         return _NONE
-    first = _FIRST_STEP * tolerance.relative ** (1 / 8)
+    first = FIRST_STEP * tolerance.relative ** (1 / 8)
     return _Limits(
         fastest=fastest, first=first / next_rate if next_rate > 0.0 else 0.0, values=values
     )
@@ -179,6 +168,6 @@ def staying_rate(values: Values, left: float) -> float:
     staying = [
         abs(value)
         for value in values
-        if not (value.real < -abs(value.imag) and -float(value.real) * left > _LONG)
+        if not (value.real < -abs(value.imag) and -float(value.real) * left > LONG)
     ]
     return float(max(staying, default=0.0))

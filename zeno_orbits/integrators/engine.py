@@ -39,6 +39,8 @@ class Leg:
         on_guard: The start is a root of the guard that does not count.
         rounding: A guard that was never positive and falls below minus this has been left.
         watch: Told of the progress; it ends a leg that takes too long or goes too far.
+        reach: Moduli of the first entries of the state beyond which the watch is told at once,
+            ``(n,)``; an engine may else take many steps between two words to it.
     """
 
     flow: GuardedFlow
@@ -48,6 +50,7 @@ class Leg:
     on_guard: bool
     rounding: float = 0.0
     watch: Watch = unwatched
+    reach: Vector | None = None
 
 
 class Outcome(Enum):

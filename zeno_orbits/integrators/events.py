@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -59,10 +59,10 @@ def is_cubic(middle: Any, size: Any, before: Any, after: Any) -> Any:
         after: As for `inner_coefficients`.
     """
     expected = (before[0] + after[0]) / 2 + size * (before[1] - after[1]) / 8
-    return abs(middle - expected) < _CUBIC * (abs(before[0]) + abs(after[0]))
+    return abs(middle - expected) < CUBIC * (abs(before[0]) + abs(after[0]))
 
 
-_CUBIC = 0.1
+CUBIC = 0.1
 """Part of a guard's size by which the middle of a step may differ from its cubic interpolant."""
 
 
@@ -137,20 +137,20 @@ def _polished(flow: GuardedFlow, step: Step, offset: float) -> float:
         value, rate = flow.guard(step.end_at(offset))
         change = -value / rate if rate < 0.0 else 0.0
         moved = min(max(offset + change, 0.0), step.size)
-        if abs(moved - offset) > _POLISH * step.size:
+        if abs(moved - offset) > POLISH * step.size:
             # A guard that falls so slowly that dense output and steps disagree: graze, not fall.
             return _slow_root(flow, step, offset)
-        if abs(moved - offset) <= _DOUBLES * step.size:
+        if abs(moved - offset) <= DOUBLES * step.size:
             # Newton's method squares what is left.
             return moved
         offset = moved
     return offset
 
 
-_DOUBLES = 1e-9
+DOUBLES = 1e-9
 """After a last change below this part of the step, Newton's method leaves less than rounding."""
 
-_POLISH = 1e-3
+POLISH = 1e-3
 """Newton's method moves a root of the dense output by no more than this part of the step."""
 
 
@@ -160,7 +160,7 @@ def _slow_root(flow: GuardedFlow, step: Step, offset: float) -> float:
     def true(at: float) -> Guard:
         return flow.guard(step.end_at(at))
 
-    width = _POLISH * step.size
+    width = POLISH * step.size
     while width < step.size:
         left, right = max(offset - width, 0.0), min(offset + width, step.size)
         low, high = true(left), true(right)
@@ -203,7 +203,7 @@ def _root(
     if high[0] == 0.0:
         return right
     accuracy = TINY * (right - left)
-    close = _DOUBLES * (right - left)
+    close = DOUBLES * (right - left)
     at, last = _cubic_root(left, right, low, high), right - left
     while right - left > accuracy:
         value, rate = function(at)
@@ -234,7 +234,7 @@ def _cubic_root(left: float, right: float, low: Pair, high: Pair) -> float:
         # In units of the value at the left, on [0, 1]: 1 + b x + c x^2 + d x^3.
         b, end = low[1] / low[0] * (right - left), high[1] / low[0] * (right - left)
         c, d = -3.0 * drop - 2.0 * b - end, 2.0 * drop + b + end
-        for _ in range(_CUBIC_STEPS):
+        for _ in range(CUBIC_STEPS):
             rate = b + at * (2.0 * c + at * 3.0 * d)
             moved = at - (1.0 + at * (b + at * (c + at * d))) / rate if rate < 0.0 else math.nan
             if not 0.0 < moved < 1.0:
@@ -243,7 +243,7 @@ def _cubic_root(left: float, right: float, low: Pair, high: Pair) -> float:
     return left + at * (right - left)
 
 
-_CUBIC_STEPS = 4
+CUBIC_STEPS = 4
 
 
 def end_state(step: Step, offset: float) -> Vector:
@@ -251,7 +251,7 @@ def end_state(step: Step, offset: float) -> Vector:
     return step.after if offset == step.size else step.end_at(offset)
 
 
-_LEAVES = 1e-6
+LEAVES = 1e-6
 """A guard that was never positive and is below minus this part of its change has been left."""
 
 
@@ -265,7 +265,7 @@ class SteppedTrajectory:
         end: State there, ``(n_y,)``.
     """
 
-    steps: tuple[Step, ...]
+    steps: Sequence[Step]
     duration: float
     end: Vector
 
@@ -307,7 +307,7 @@ def follow_steps(steps: Iterator[Step], leg: Leg) -> Passage:
             return _passage(Outcome.FALL, taken, step.start + fall, end_state(step, fall))
         if on_guard:
             largest = max(largest, abs(before[1]) * step.size, abs(after[1]) * step.size)
-            if after[0] < -max(_LEAVES * largest, leg.rounding):
+            if after[0] < -max(LEAVES * largest, leg.rounding):
                 return _passage(Outcome.LEFT, taken, step.start, step.before)
             on_guard = after[0] <= 0.0
         before = after

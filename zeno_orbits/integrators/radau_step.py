@@ -87,6 +87,11 @@ def implicit_expressions(rate: ca.Function, p: ca.SX, scheme: Collocation) -> Im
     )
 
 
+def n_factors(n_y: int, scheme: Collocation) -> int:
+    """Return the number of entries of the factors: twice as many of a complex matrix."""
+    return sum(n_y**2 * (1 if mu.imag == 0.0 else 2) for mu in scheme.spectrum.values)
+
+
 def _shifted(jacobian: ca.SX, mu: complex, size: ca.SX) -> TriangularFactors:
     """Return ``(mu / size) I - J``, entry by entry."""
     n = jacobian.shape[0]

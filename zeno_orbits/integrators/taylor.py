@@ -14,10 +14,10 @@ from functools import cached_property
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators.dop853 import first_size
 from zeno_orbits.integrators.engine import Leg, Outcome, Passage
 from zeno_orbits.integrators.events import SteppedTrajectory, follow_steps
 from zeno_orbits.integrators.flow import GuardedFlow, Tolerance
+from zeno_orbits.integrators.steps import first_size
 from zeno_orbits.integrators.taylor_modes import Carrier, SymbolicMode, carrier, stepper, symbols_of
 
 _FIRST_BOUND, _BOUND_GROWTH = 1.0, 16.0

@@ -10,7 +10,7 @@ Offers: `load_problem`, `locate_problem`, `bundled_problems`; a `Problem` of `Qu
 numbers and its `own_time`; `CompletedSystem`,
 `complete`, `HybridLagrangian`, `Clock`, `MotorBank` and the drives; the parts of a `Rig`.
 
-Imports: integrators, arrays, errors.
+Imports: integrators, kernels, arrays, errors.
 """
 
 import lazy_loader as lazy

@@ -24,10 +24,11 @@ from .library import split_fidelity as split_fidelity
 from .numeric.calls import Call as Call
 from .numeric.compiled import CompiledSystem as CompiledSystem
 from .numeric.compiled import bind as bind
-from .numeric.compiled_derivatives import N_STAGES as N_STAGES
+from .numeric.compiled_flow import N_STAGES as N_STAGES
 from .numeric.compiled_flow import ModeFunctions as ModeFunctions
 from .numeric.compiled_flow import dense_function as dense_function
 from .numeric.compiled_flow import mode_functions as mode_functions
+from .numeric.compiled_flow import renamed as renamed
 from .numeric.derivatives import Differentials as Differentials
 from .numeric.hybrid_dynamics import HybridDynamics as HybridDynamics
 from .numeric.own_scale import constraint_sizes as constraint_sizes

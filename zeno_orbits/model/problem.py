@@ -31,6 +31,7 @@ from zeno_orbits.model.quantities import (
     unknown,
 )
 from zeno_orbits.model.rig_parts import Rig
+from zeno_orbits.model.units import energy_unit, require_coherent
 from zeno_orbits.model.validation import (
     built,
     require_known_symbols,
@@ -107,6 +108,7 @@ class Problem:
     def __post_init__(self) -> None:
         """Refuse names, units and ranges that cannot be; the model is looked at by `checked`."""
         require_names(self.state_names, self.state_units, (*self.gains, *self.parameters))
+        require_coherent(self.units)
         require_ranges(self.gains, self.parameters, derives=self.derive is not None)
         _require_states(self)
         for name in self.escapes:
@@ -261,6 +263,17 @@ class Problem:
     def quantities(self) -> tuple[Quantity, ...]:
         """Gains, then parameters, in the order of the parameter vector."""
         return (*self.gains, *self.parameters)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Name to unit of every state, gain, parameter and output."""
+        others = {one.name: one.unit for one in (*self.quantities, *self.outputs)}
+        return dict(zip(self.state_names, self.state_units, strict=True)) | others
+
+    @property
+    def energy_unit(self) -> str:
+        """Unit of its energies: J, or what its own units make."""
+        return energy_unit(self.units)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -1,7 +1,9 @@
 """Parse unit strings such as ``N m s/rad``; reject malformed ones.
 
 A unit is a product of SI symbols with whole powers and at most one slash: ``kg m^2``, ``V s/rad``,
-``m/s^2``, ``1``. The radian counts as a unit of its own, for an angle is not a length.
+``m/s^2``, ``1``. The radian counts as a unit of its own, for an angle is not a length. Another
+length or mass, ``mm`` or ``g``, is one too, and no multiple of the metre or kilogram: laws hold in
+any units as long as all numbers are in the same ones (`require_coherent`).
 """
 
 from __future__ import annotations
@@ -14,6 +16,9 @@ Powers = Mapping[str, int]
 """Base unit to its power; one that is missing has the power 0."""
 
 _BASE = ("kg", "m", "s", "A", "rad", "K", "mol", "cd")
+_ALIKE = (("m", "mm", "cm", "um", "km"), ("kg", "g", "mg"))
+"""Base units of one kind, of which a problem has one."""
+_OTHERS = tuple(unit for units in _ALIKE for unit in units[1:])
 _DERIVED: Mapping[str, Powers] = {
     "N": {"kg": 1, "m": 1, "s": -2},
     "J": {"kg": 1, "m": 2, "s": -2},
@@ -27,6 +32,7 @@ _DERIVED: Mapping[str, Powers] = {
     "F": {"kg": -1, "m": -2, "s": 4, "A": 2},
     "Wb": {"kg": 1, "m": 2, "s": -2, "A": -1},
     "T": {"kg": 1, "s": -2, "A": -1},
+    "mN": {"kg": 1, "mm": 1, "s": -2},
 }
 _POWER = re.compile(r"([^\^]+?)(?:\^(-?\d+))?")
 _FACTOR = re.compile(r"([A-Za-z]+)(?:\^(-?\d+))?")
@@ -49,6 +55,40 @@ def powers_of(text: str) -> dict[str, int]:
     return {base: power for base, power in total.items() if power}
 
 
+def require_coherent(units: Mapping[str, str]) -> None:
+    """Refuse units of which two measure the same: a problem has one of mass, and one of length.
+
+    Args:
+        units: Name of a number to its unit.
+
+    Raises:
+        ValueError: With two names at fault.
+    """
+    seen: dict[str, tuple[str, str]] = {}
+    for name, unit in units.items():
+        powers = powers_of(unit)
+        for kind in _ALIKE:
+            for base in (one for one in kind if one in powers):
+                first, other = seen.setdefault(kind[0], (base, name))
+                if first != base:
+                    wanted = "must be of one system for all numbers of a problem"
+                    raise ValueError(
+                        f"Argument `unit` {wanted}, but `{other}` counts in {first} and `{name}`, "
+                        f"in {unit}, in {base}."
+                    )
+
+
+def energy_unit(units: Mapping[str, str]) -> str:
+    """Return the unit of energies where numbers are in these units: J, or a product like it.
+
+    Args:
+        units: Name of a number to its unit.
+    """
+    used = {base for unit in units.values() for base in powers_of(unit)}
+    length, mass = (next((one for one in kind if one in used), kind[0]) for kind in _ALIKE)
+    return "J" if (length, mass) == ("m", "kg") else f"{mass} {length}^2/s^2"
+
+
 def is_rate_of(rate: str, unit: str) -> bool:
     """Return True if one unit is another one per second."""
     wanted = powers_of(unit)
@@ -61,8 +101,8 @@ def _factor(factor: str, text: str) -> Powers:
         return {}
     found = _FACTOR.fullmatch(factor)
     symbol = found[1] if found else factor
-    if found is None or (symbol not in _BASE and symbol not in _DERIVED):
-        known = ", ".join((*_BASE, *_DERIVED))
+    if found is None or (symbol not in {*_BASE, *_OTHERS} and symbol not in _DERIVED):
+        known = ", ".join((*_BASE, *_OTHERS, *_DERIVED))
         raise ValueError(f"`{factor}` in `{text}` is no unit; known are {known}")
     power = int(found[2] or 1)
     return {base: n * power for base, n in _DERIVED.get(symbol, {symbol: 1}).items()}

@@ -10,7 +10,7 @@ from typing import Any
 from zeno_orbits.errors import InputError
 from zeno_orbits.simulation import Extent
 
-KEPT = 1e-9
+_KEPT = 1e-9
 """Part of its size by which a quantity may pass its bound: the accuracy of a simulation."""
 
 
@@ -49,15 +49,21 @@ def excess(bound: Bound, extent: Extent) -> float:
     return max(bound.lower - extent.lowest, extent.highest - bound.upper)
 
 
+def allowance(bound: Bound, extent: Extent) -> float:
+    """Return by how much a quantity may pass its bounds: the accuracy of a simulation."""
+    ends = (abs(end) for end in (bound.lower, bound.upper) if math.isfinite(end))
+    return _KEPT * max(extent.largest, *ends)
+
+
 def is_kept(bound: Bound, extent: Extent) -> bool:
     """Return True if a quantity stays within its bounds, to the accuracy of its measurement."""
-    return excess(bound, extent) <= max(KEPT * max(extent.largest, 1.0), extent.error)
+    return excess(bound, extent) <= max(allowance(bound, extent), extent.error)
 
 
 def objection_to(bounds: Sequence[Bound], extents: Mapping[str, Extent]) -> str:
     """Return a clause on the bounds that are not kept and by how much; empty if all are."""
     broken = [
-        f"`{bound.name}` leaves {bound.text} by {excess(bound, extents[bound.name]):.3g}"
+        f"`{bound.name}` leaves its bounds {bound.text} by {excess(bound, extents[bound.name]):.3g}"
         for bound in bounds
         if not is_kept(bound, extents[bound.name])
     ]

@@ -106,6 +106,13 @@ class ZenoOrbit:
         return tuple(impact for phase in self.phases for impact in phase.impacts)
 
     @property
+    def states_at_events(self) -> tuple[Mapping[str, float], ...]:
+        """State name to value at the start of each phase, before its impacts, at its Zeno point."""
+        starts = [phase.start_state for phase in self.phases]
+        zeno = [phase.zeno_state for phase in self.phases if phase.zeno_state is not None]
+        return (*starts, *zeno, *(impact.state_minus for impact in self.impacts))
+
+    @property
     def release_state(self) -> Mapping[str, float]:
         """State name to value at the release of an orbit that has one a period.
 

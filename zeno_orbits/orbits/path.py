@@ -6,9 +6,10 @@ of the path. A step that fails, or leads to a point that is refused, is repeated
 :math:`g > 1`. The path ends where a step says so, where :math:`h < h_\mathrm{min}`, or after a
 number of points. [Keller1977]_
 
-The loop knows no equations: `follow_path` is given functions, and the unit of a step is theirs. An
-error of a prediction or correction refuses the step and is not passed on; the last one is told to
-whoever names the end.
+The loop knows no equations: `follow_path` is given functions, and the unit of a step is theirs. A
+motion that cannot be simulated, or a point that is refused, refuses the step; the last reason is
+told to whoever names the end. Every other error is one of the question or of the program, which no
+shorter step mends, and is passed on.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.errors import SimulationError, ZenoOrbitsError
 
 P = TypeVar("P")
 E = TypeVar("E")
@@ -94,7 +95,7 @@ def follow_path(
         start: The first point.
         control: Lengths of steps.
         advance: Predict, correct and judge the next point, given all points so far and the length
-            of the step. Raises `ZenoOrbitsError`, `StepError` for instance, to refuse the step.
+            of the step. Raises `StepError` or `SimulationError` to refuse the step.
         give_up: Return the end of a path whose steps became too short, given all points and the
             last reason for which a step was refused.
         shortened: Look for an end ahead, given all points and the new length, each time a step was
@@ -104,7 +105,7 @@ def follow_path(
     while len(points) <= control.most:
         try:
             taken = advance(points, step)
-        except ZenoOrbitsError as error:
+        except (SimulationError, StepError) as error:
             step *= control.shrinkage
             if step < control.shortest:
                 taken = give_up(points, str(error))

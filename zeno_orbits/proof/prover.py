@@ -40,7 +40,8 @@ class ProofSettings:
     """How a proof is tried.
 
     Attributes:
-        radius: Radius of the box per size of a coordinate; None to find one.
+        radius: Radius of the box per size of a coordinate, and then of one box alone; None to
+            find one, and a far smaller one in it for the digits.
         bits: Length of the numbers.
         walk: How a period is followed.
     """
@@ -105,7 +106,7 @@ def prove(
             system = BallSystem(problem, values, over)
             found = _found(orbit, problem, system, over, settings, on_progress)
             passes = [found]
-            if found.start.places and not over:
+            if found.start.places and not over and settings.radius is None:
                 passes.append(_refined(orbit, system, found, settings, on_progress))
             proof = _proof(orbit, problem, values, over, system, passes)
     except ProofError as error:
@@ -314,6 +315,7 @@ def _proof(
             for k, c, u in zip(found.start.places, centres, found.start.at.U, strict=False)
         },
         over={n: (float(system.carried[n]), r) for n, r in over.items()},
+        plastic=bool(system.restitution.is_zero()),
         inside=found.returned.included,
         stable=bool(found.start.places) and fine.discs.stable,
         repelling=fine.discs.repelling,

@@ -8,7 +8,7 @@ orbits, `Judgement` for checks, `StartWorkers`), `close_orbit` and `close_cycle`
 objectives: `NearestGains`, `TargetPeriod`, `TargetAmplitude`, `LeastEnergy`, `LeastPeak`,
 `FastestContraction`, `WidestMargin`.
 
-Imports: verification, orbits, simulation, model, integrators, work, arrays, errors.
+Imports: maps, verification, orbits, simulation, model, integrators, work, arrays, errors.
 """
 
 import lazy_loader as lazy

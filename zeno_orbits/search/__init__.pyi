@@ -6,6 +6,7 @@ from .fixed_point import ClosedCycle as ClosedCycle
 from .fixed_point import close_cycle as close_cycle
 from .fixed_point import cycle_near as cycle_near
 from .guess import SettlingSettings as SettlingSettings
+from .guess import settle as settle
 from .multistart import StartWorkers as StartWorkers
 from .objectives import FastestContraction as FastestContraction
 from .objectives import LeastEnergy as LeastEnergy
@@ -19,6 +20,7 @@ from .outcome import Candidate as Candidate
 from .outcome import Judgement as Judgement
 from .outcome import OrbitNotFoundError as OrbitNotFoundError
 from .outcome import SearchResult as SearchResult
+from .number_notes import free_gains as free_gains
 from .outcome import StartAttempt as StartAttempt
 from .search import find_orbit as find_orbit
 from .search import search_gains as search_gains

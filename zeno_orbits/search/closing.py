@@ -28,20 +28,10 @@ from zeno_orbits.orbits import (
     placed,
     round_again,
 )
-from zeno_orbits.search.fixed_point import ClosedCycle, close_cycle, cycle_near
+from zeno_orbits.search.fixed_point import close_cycle, cycle_near
 from zeno_orbits.search.guess import SettlingSettings, settle
 from zeno_orbits.simulation import SimulationSettings, ZenoExtrapolation
 from zeno_orbits.work import Progress, silent
-
-__all__ = [
-    "ClosedCycle",
-    "Closing",
-    "OrbitNotClosedError",
-    "close_cycle",
-    "close_orbit",
-    "cycle_near",
-    "orbit_of",
-]
 
 _NEAR = (1e-2, 1e-4)
 """Change over a period at which a motion is closed: early, and if that fails, late."""

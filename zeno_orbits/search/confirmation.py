@@ -27,7 +27,7 @@ from zeno_orbits.orbits import (
     placed,
     round_again,
 )
-from zeno_orbits.orbits.bounds import KEPT, excess
+from zeno_orbits.orbits.bounds import allowance, excess
 from zeno_orbits.search.closing import escape_of, named
 from zeno_orbits.search.objectives import Objective, Target
 from zeno_orbits.search.outcome import SimulatedSolution, StartOutcome
@@ -105,7 +105,7 @@ def _excesses(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> d
             value = signal(search.compiled, bound.name).at(values.vector)
             extent: Extent = extent_of(value, cycle.arcs)
             size = excess(bound, extent)
-            if size > KEPT * max(extent.largest, 1.0) / 2:
+            if size > allowance(bound, extent) / 2:
                 found[bound.name] = max(found.get(bound.name, 0.0), size)
     return found
 

@@ -31,6 +31,9 @@ _DIFFERENCE = 1e-6
 _OSCILLATIONS = 115
 """Oscillations of a problem without a clock in which a motion has to settle."""
 
+_SHARE = 1 / 3
+"""Part of the longest wait that a start has however long motions from others were followed."""
+
 _LOOK = 6
 """Oscillations, or turns of the clock, between two looks at a motion without releases."""
 
@@ -76,10 +79,12 @@ class FollowedMotion:
     Attributes:
         cycle: Its last period, if it is fit for a guess.
         reason: Reason why there is none, as a clause; empty if there is one.
+        waited: How long it was followed [s].
     """
 
     cycle: Cycle | None
     reason: str = ""
+    waited: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,13 +130,18 @@ def settle(
     settings = settings or SettlingSettings()
     wanted = None if shape is None else shape.at_restitution(dynamics.restitution)
     reasons: list[str] = []
+    waited = 0.0
     for start in starts:
         state = np.array(start, dtype=np.float64)
         watch = _watch(dynamics, state, settings, problem)
+        if waited > 0.0:
+            left = max(watch.horizon - waited, _SHARE * watch.horizon)
+            watch = replace(watch, horizon=left)
         settling = _settle_from(dynamics, state, watch, wanted)
         if settling.cycle is not None:
             return settling
         reasons.append(settling.reason)
+        waited += settling.waited
     return FollowedMotion(cycle=None, reason=" / ".join(dict.fromkeys(reasons)))
 
 
@@ -209,7 +219,9 @@ def _settle_from(
     if np.any(left):
         return FollowedMotion(cycle=None, reason=f"{names[int(np.argmax(left))]} runs away")
     if held > watch.horizon / 2:
-        return FollowedMotion(cycle=None, reason=f"the motion stays on its stop for {held:.4g} s")
+        return FollowedMotion(
+            cycle=None, reason=f"the motion stays on its stop for {held:.4g} s", waited=elapsed
+        )
     return FollowedMotion(cycle=None, reason=recurrence.reason(watch.horizon))
 
 

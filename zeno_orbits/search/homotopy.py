@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import HybridDynamics, ParameterValues
 from zeno_orbits.orbits import (
     Cycle,
@@ -20,9 +20,10 @@ from zeno_orbits.orbits import (
     follow_path,
     placed,
 )
-from zeno_orbits.search.closing import ClosedCycle, close_cycle
+from zeno_orbits.search.fixed_point import ClosedCycle, close_cycle
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.simulation import SimulationSettings
+from zeno_orbits.simulation.attractor import scale_of
 
 _STEPS = StepControl(first=0.25, shortest=1e-4)
 """Parts of the way: the first that is tried, and the least before it is given up."""
@@ -46,12 +47,14 @@ class Followed:
         values: Its numbers.
         arrived: True if they are the ones that were wanted.
         ending: Place and reason of the end, as a sentence, if it did not arrive.
+        left: Part of the way that is left.
     """
 
     cycle: Cycle | None
     values: ParameterValues
     arrived: bool
     ending: str = ""
+    left: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,13 +110,14 @@ def follow(
         wanted: The numbers to reach.
     """
     if isinstance(near, Cycle):
-        start = near.start.state
+        start, scale = near.start.state, near.scale_at_events()
     else:
-        start = np.array(search.problem.state_vector(near.start_state))
+        start, *others = map(np.array, map(search.problem.state_vector, near.states_at_events))
+        scale = scale_of([start, *others], search.problem.state_units)
     line = _Line(search=search, first=easy, last=wanted, shape=near.shape)
     try:
-        first = _closed(line, 1.0 if easy == wanted else 0.0, start, near.period)
-    except ZenoOrbitsError:
+        first = _closed(line, 1.0 if easy == wanted else 0.0, start, scale, near.period)
+    except (SimulationError, StepError):
         return Followed(cycle=None, values=easy, arrived=False)
 
     def advance(points: Sequence[_Point], step: float) -> PathStep[_Point, bool]:
@@ -124,7 +128,8 @@ def follow(
             ratio = (part - here.part) / (here.part - before.part)
             guess = guess + ratio * (here.start - before.start)
         search.tell(f"following orbits: {100 * part:.0f} % of the way")
-        there = _closed(line, part, guess, here.closed.cycle.period)
+        cycle = here.closed.cycle
+        there = _closed(line, part, guess, cycle.scale_at_events(), cycle.period)
         return PathStep(points=(there,), easy=True, end=True if part >= 1.0 else None)
 
     def give_up(_points: Sequence[_Point], _reason: str) -> PathStep[_Point, bool]:
@@ -137,20 +142,25 @@ def follow(
     if reached:
         return Followed(cycle=cycle, values=wanted, arrived=True)
     ending = _ending(first, points[-1], easy, wanted)
-    return Followed(cycle=cycle, values=points[-1].values, arrived=False, ending=ending)
+    last = points[-1]
+    return Followed(
+        cycle=cycle, values=last.values, arrived=False, ending=ending, left=1 - last.part
+    )
 
 
-def _closed(line: _Line, part: float, guess: Vector, period: float) -> _Point:
+def _closed(line: _Line, part: float, guess: Vector, scale: Vector, period: float) -> _Point:
     """Return the orbit at a part of a line that closes near a guess.
 
     Args:
         line: The line.
         part: Place on it, from 0 to 1.
         guess: A state near its start, ``(n_x,)``.
+        scale: Size of each state, ``(n_x,)``.
         period: Of the orbit, roughly [s].
 
     Raises:
-        ZenoOrbitsError: If none closes.
+        SimulationError: If none closes.
+        StepError: If no motion can start there.
     """
     first, last = line.first, line.last
     numbers = {n: (1 - part) * x + part * last.number(n) for n, x in first.numbers.items()}
@@ -161,12 +171,13 @@ def _closed(line: _Line, part: float, guess: Vector, period: float) -> _Point:
         closed = close_cycle(
             dynamics,
             start,
-            scale=np.maximum(np.abs(start), 1.0),
+            scale=scale,
             period=period,
             settings=SimulationSettings(),
             shape=line.shape,
         )
-    except ValueError as error:
+    except (InputError, np.linalg.LinAlgError) as error:
+        # These numbers make no machine, or the guess is no state of it.
         raise StepError(str(error)) from error
     margins = _margins(dynamics, closed.cycle)
     return _Point(part=part, values=values, closed=closed, margins=margins)

@@ -11,7 +11,7 @@ from zeno_orbits.model import ProblemFile
 from zeno_orbits.search.outcome import Accept, StartOutcome
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.search.settings import SearchStatus
-from zeno_orbits.search.start import start_count, try_start
+from zeno_orbits.search.start import scanned, start_count, try_start
 from zeno_orbits.work import (
     LostPoint,
     Plan,
@@ -42,6 +42,7 @@ class StartWorkers:
 def outcomes_here(search: SearchProblem, accept: Accept | None) -> Generator[StartOutcome]:
     """Yield the outcome of each start, tried in this process when it is asked for."""
     for number in range(start_count(search)):
+        search = scanned(search, number)
         yield try_start(search, number, accept)
 
 
@@ -65,6 +66,7 @@ def outcomes_spread(
     if spread.problem_file.load() is not search.problem:
         wanted = "must be what the `problem` of `spread` loads"
         raise InputError(f"Argument `problem` {wanted}, but it is another `{search.problem.name}`.")
+    search = scanned(search, 0)
     question = search.question()
     task = _Task(problem_file=spread.problem_file, question=question, accept=accept)
     plan = replace(spread.plan, chunk=1, noun="starts at most")
@@ -105,13 +107,17 @@ class _Task:
 
     def outcomes(self, search: SearchProblem, numbers: Sequence[int]) -> list[dict[str, Any]]:
         """Return the outcomes of starts of a search that is at hand, as plain data."""
-        return [plain(try_start(search, number, self.accept)) for number in numbers]
+        return [
+            plain(try_start(scanned(search, number), number, self.accept)) for number in numbers
+        ]
 
 
 def _identity(task: _Task) -> dict[str, Any]:
     """Return everything that the outcome of a start depends on."""
     question = dict(task.question)
     values = question.pop("values")
+    # The order follows from all the rest.
+    del question["order"]
     return {
         "work": "search",
         "problem": task.problem_file.load().name,

@@ -24,14 +24,12 @@ if TYPE_CHECKING:
 
     from zeno_orbits.model import Problem
     from zeno_orbits.orbits import Cycle
+    from zeno_orbits.search.nearness import Nearness
     from zeno_orbits.search.transcription.transcribe import OrbitTerms
     from zeno_orbits.simulation import Extent
 
 LEAST_RADIUS = 1e-4
 """A spectral radius below this is as good as zero: a perturbation is gone after one period."""
-
-_SMALLEST_SIZE = 1e-3
-"""Size in which a free number near zero is measured."""
 
 
 class Objective(ABC):
@@ -49,13 +47,19 @@ class Objective(ABC):
         """Names of what has to be measured of an orbit to score it."""
         return ()
 
+    @property
+    def least(self) -> float:
+        """The least score that there can be."""
+        return -math.inf
+
     @abstractmethod
     def cost(self, terms: OrbitTerms) -> ca.MX:
         """Add rows to the program of an orbit and return the cost to minimise."""
 
-    def goal(self, first: Mapping[str, float]) -> Mapping[str, float]:
-        """Return the free numbers that are wanted, given those where the search started."""
-        return first
+    @property
+    def goal(self) -> Mapping[str, float]:
+        """The free numbers that are wanted; what is not named stays near where it started."""
+        return {}
 
     def rank(self, extent: Extent) -> float:
         """Return the score of the first of `quantities`; less is better."""
@@ -64,19 +68,19 @@ class Objective(ABC):
     def score(
         self,
         numbers: Mapping[str, float],
-        first: Mapping[str, float],
+        nearness: Nearness,
         extents: Mapping[str, Extent],
     ) -> float:
         """Return the score of an orbit; less is better.
 
         Args:
             numbers: Name to value of what is free, at the orbit.
-            first: The same where the search started.
+            nearness: How their distance from what is wanted is measured.
             extents: The measured quantities.
         """
         if self.quantities:
             return self.rank(extents[self.quantities[0]])
-        return _distance(numbers, self.goal(first))
+        return float(nearness.distance(numbers, self.goal))
 
     def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
         """Raise `InputError` if the objective makes no sense for a problem."""
@@ -101,11 +105,12 @@ class NearestGains(Objective):
 
     def cost(self, terms: OrbitTerms) -> ca.MX:
         """Return half the squared distance of the free numbers from the target."""
-        return _distance(terms.free, self.goal(terms.first))
+        return terms.nearness.distance(terms.free, self.goal)
 
-    def goal(self, first: Mapping[str, float]) -> Mapping[str, float]:
-        """Return the target, completed by where the search started."""
-        return {**first, **self.target}
+    @property
+    def goal(self) -> Mapping[str, float]:
+        """The target."""
+        return self.target
 
     def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
         """Refuse names that are neither gains nor free, and targets that are not finite."""
@@ -145,7 +150,7 @@ class Target(Objective):
     def cost(self, terms: OrbitTerms) -> ca.MX:
         """Require the value; return the squared distance of the free numbers from their start."""
         terms.program.equal(self.wish, self.value(terms) - self.target)
-        return _distance(terms.free, terms.first)
+        return terms.nearness.distance(terms.free, self.goal)
 
     def check(self, problem: Problem, free: Mapping[str, tuple[float, float]]) -> None:
         """Refuse a target that is not positive."""
@@ -249,7 +254,7 @@ class LeastEnergy(Objective):
     def cost(self, terms: OrbitTerms) -> ca.MX:
         """Return the electrical work of one period, in units of the guess's."""
         size = abs(float(terms.guessed(terms.electrical_work)[0, 0]))
-        return terms.electrical_work / max(size, 1e-9)
+        return terms.electrical_work / (size or 1.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -278,9 +283,8 @@ class LeastPeak(Objective):
         from zeno_orbits.simulation import signal
 
         quantity = signal(terms.compiled, self.signal)
-        value = quantity.at(terms.numbers)
-        size = max(*(abs(value(one.guess.start_state)) for one in terms.arcs), 1e-6)
-        return largest(terms, quantity, terms.arcs, f"peak of {self.signal}") / size
+        peak = largest(terms, quantity, terms.arcs, f"peak of {self.signal}")
+        return peak / (float(terms.guessed(peak)[0, 0]) or 1.0)
 
     def rank(self, extent: Extent) -> float:
         """Return the peak, in the unit of the signal."""
@@ -307,6 +311,11 @@ class FastestContraction(Objective):
     def quantities(self) -> tuple[str, ...]:
         """The spectral radius."""
         return ("spectral_radius",)
+
+    @property
+    def least(self) -> float:
+        """As good as zero."""
+        return LEAST_RADIUS
 
     def cost(self, terms: OrbitTerms) -> ca.MX:
         """Return an unknown that no multiplier exceeds in size (theory (31))."""
@@ -410,7 +419,7 @@ OBJECTIVES: Mapping[str, ObjectiveWord] = {
     ),
     "margin": ObjectiveWord(
         usage="margin",
-        meaning=" (widest to losing the orbit)",
+        meaning=" (widest before the orbit is lost)",
         objective=lambda _, __: WidestMargin(),
     ),
 }
@@ -421,15 +430,3 @@ def objective_help() -> str:
     """Return the words of ``--objective`` with their meanings, for its help."""
     *most, last = (word.usage + word.meaning for word in OBJECTIVES.values())
     return f"{', '.join(most)}, or {last}"
-
-
-def _distance(numbers: Mapping[str, Any], target: Mapping[str, float]) -> Any:
-    """Return half the squared distance of numbers or unknowns from a target.
-
-    Each is measured in units of the size of its target.
-    """
-    parts = [
-        ((value - target[name]) / max(abs(target[name]), _SMALLEST_SIZE)) ** 2 / 2
-        for name, value in numbers.items()
-    ]
-    return sum(parts[1:], parts[0]) if parts else 0.0

@@ -85,6 +85,7 @@ class StartOutcome:
 
     Attributes:
         status: The end.
+        start: Name to value of what is free where it started.
         detail: The reason in words, if nothing was accepted.
         residuals: Row name to scaled violation in its last program.
         agreement: Relative difference of program and simulation over one period.
@@ -100,6 +101,7 @@ class StartOutcome:
     """
 
     status: SearchStatus
+    start: Mapping[str, float] = field(default_factory=dict[str, float])
     detail: str = ""
     residuals: Mapping[str, float] = field(default_factory=dict[str, float])
     agreement: float = np.inf
@@ -146,6 +148,7 @@ class SearchResult:
         attempts: Every start, in order.
         candidates: The accepted orbits, the best first.
         detail: The reason in words, if there is no orbit.
+        scan: What motions settle to all over the box, if there is no orbit and it was looked at.
     """
 
     status: SearchStatus
@@ -160,6 +163,7 @@ class SearchResult:
     attempts: tuple[StartAttempt, ...]
     candidates: tuple[Candidate, ...] = ()
     detail: str = ""
+    scan: str = ""
 
     def __repr__(self) -> str:
         """Return a few lines: the status and the best orbit."""

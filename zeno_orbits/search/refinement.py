@@ -150,7 +150,7 @@ def _transcribed(
         cycle=cycle,
         closures=closures,
         free=search.free,
-        first={name: origin.number(name) for name in search.free},
+        nearness=search.nearness(origin),
         settings=replace(settings, mesh_tolerance=coarseness * settings.mesh_tolerance),
     )
     asked = {bound.name for bound in search.bounds}

@@ -19,14 +19,16 @@ from zeno_orbits.search.outcome import (
     StartAttempt,
     StartOutcome,
 )
+from zeno_orbits.search.scan import scan_summary
 from zeno_orbits.search.search_problem import SearchProblem, with_targets
 from zeno_orbits.search.settings import SearchSettings, SearchStatus
-from zeno_orbits.search.start import numbered_start
 from zeno_orbits.search.validation import check_search
 from zeno_orbits.work import Progress, silent
 
 _SAME = 1e-6
 """Orbits whose free numbers and periods differ by less, relative, are the same candidate."""
+_SAME_OPTIMUM = 1e-3
+"""The same for optima, and for their scores."""
 
 
 def find_orbit(
@@ -61,12 +63,14 @@ def search_gains(
     on_progress: Progress = silent,
     spread: StartWorkers | None = None,
     shape: OrbitShape | None = None,
+    initial_states: Sequence[Mapping[str, float]] = (),
 ) -> SearchResult:
     """Find gains, parameters and initial states of an orbit, from one start after another.
 
     Args:
         problem: The problem.
-        values: Its numbers; what is free starts here, then at quasi-random places in its box.
+        values: Its numbers; what is free starts here, then at places in its box, the most promising
+            first by a scan of short simulations. An optimum is sought from these at once.
         free: Name to bounds of the gains and parameters to be found; none at fixed numbers. What
             the problem derives from a free parameter keeps its number in ``values``.
         objective: The objective; by default numbers near their start.
@@ -81,6 +85,8 @@ def search_gains(
             a function of a module, or a frozen dataclass with ``__call__``.
         shape: The shape of the orbits that are wanted; by default that of ``near``, or whatever a
             simulation settles to.
+        initial_states: States from which simulations look for orbits, name to value; by default
+            those of the problem.
 
     Returns:
         The accepted orbits, the best first, or why there is none.
@@ -99,6 +105,7 @@ def search_gains(
         bounds=tuple(bounds),
         near=near,
         shape=shape,
+        initial_states=tuple(initial_states) or problem.starts,
         settings=settings or SearchSettings(),
         on_progress=on_progress,
     )
@@ -120,16 +127,16 @@ def _ranked(search: SearchProblem, outcomes: Generator[StartOutcome]) -> SearchR
     failures = 0
     # Workers on other starts are stopped when there are enough.
     with closing(outcomes):
-        for number, outcome in enumerate(outcomes):
-            attempts.append(_attempt(search, number, outcome))
+        for outcome in outcomes:
+            attempts.append(_attempt(search, outcome))
             failures += outcome.status not in (SearchStatus.NO_GUESS, SearchStatus.FOUND)
             if outcome.candidate is None:
                 best = outcome if best is None else max(best, outcome, key=_merit)
             else:
                 candidates = _joined(search, candidates, outcome.candidate)
-                if min(candidates, key=lambda one: one.score) is outcome.candidate:
+                if outcome.candidate.score <= min(one.score for one in candidates):
                     best = outcome
-            if len(candidates) >= search.settings.candidates:
+            if _enough(search, candidates, len(attempts)):
                 break
             if not candidates and failures >= _enough_failures(search):
                 break
@@ -149,11 +156,28 @@ def _ranked(search: SearchProblem, outcomes: Generator[StartOutcome]) -> SearchR
         attempts=tuple(attempts),
         candidates=ranked,
         detail=best.detail,
+        scan="" if ranked or len(attempts) == 1 else scan_summary(search),
     )
 
 
-def _attempt(search: SearchProblem, number: int, outcome: StartOutcome) -> StartAttempt:
-    values = numbered_start(search, number).values
+_AGREE = 2
+"""Starts that lead to the same optimum before it is believed."""
+_MOST_TRIED = 4
+"""Starts that are compared if no two agree on the best optimum."""
+
+
+def _enough(search: SearchProblem, candidates: Sequence[Candidate], n_tried: int) -> bool:
+    """Return True if there are as many orbits as asked, and starts agree on the best optimum."""
+    if not candidates or len(candidates) < search.settings.candidates:
+        return False
+    best = min(candidates, key=lambda one: one.score)
+    if not search.seeks_optimum or best.score <= search.objective.least:
+        return True
+    return best.starts >= _AGREE or n_tried >= _MOST_TRIED
+
+
+def _attempt(search: SearchProblem, outcome: StartOutcome) -> StartAttempt:
+    values = search.values.replaced(outcome.start)
     free = {name: values.parameters[name] for name in search.free if name in values.parameters}
     return StartAttempt(
         gains=values.gains, parameters=free, status=outcome.status, detail=outcome.detail
@@ -164,20 +188,29 @@ def _joined(
     search: SearchProblem, candidates: Sequence[Candidate], found: Candidate
 ) -> list[Candidate]:
     """Return the candidates with another one, or with one more start that led to one of them."""
-    same = [_same(search, found, other) for other in candidates]
-    counted = [
-        replace(one, starts=one.starts + alike) for one, alike in zip(candidates, same, strict=True)
-    ]
-    return counted if any(same) else [*candidates, found]
+    for k, one in enumerate(candidates):
+        if _same(search, found, one):
+            better = min(one, found, key=lambda either: either.score)
+            both = replace(better, starts=one.starts + found.starts)
+            return [*candidates[:k], both, *candidates[k + 1 :]]
+    return [*candidates, found]
 
 
 def _same(search: SearchProblem, one: Candidate, other: Candidate) -> bool:
-    """Return True if two candidates are the same orbit at the same numbers."""
+    """Return True if two candidates are the same orbit at the same numbers.
+
+    The numbers of an optimum are told less exactly than its score: that is flat there.
+    """
+    if one.orbit.shape != other.orbit.shape:
+        return False
     a, b = one.orbit.values(search.problem), other.orbit.values(search.problem)
     pairs = [(a.number(name), b.number(name)) for name in search.free]
     pairs.append((one.orbit.period, other.orbit.period))
-    alike = one.orbit.shape == other.orbit.shape
-    return alike and all(abs(p - q) <= _SAME * max(abs(p), abs(q)) for p, q in pairs)
+    close = _SAME
+    if search.seeks_optimum:
+        close = _SAME_OPTIMUM
+        pairs.append((one.score, other.score))
+    return all(abs(p - q) <= close * max(abs(p), abs(q)) for p, q in pairs)
 
 
 def _enough_failures(search: SearchProblem) -> int:

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import lru_cache
 
-import numpy as np
-
-from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Bound, ZenoOrbit
 from zeno_orbits.orbits.bounds import objection_to
+from zeno_orbits.search.number_notes import far_from_own
 from zeno_orbits.search.outcome import Accept, Candidate, Judgement, StartOutcome
-from zeno_orbits.search.search_problem import SearchProblem, clipped, listed
+from zeno_orbits.search.scan import start_order, start_place
+from zeno_orbits.search.search_problem import SearchProblem, listed
 from zeno_orbits.search.settings import SearchStatus
-from zeno_orbits.search.strategy import SearchStart, from_start
+from zeno_orbits.search.strategy import SearchStart, beside, from_start
 from zeno_orbits.simulation import Extent
 from zeno_orbits.verification import measure
 
@@ -26,19 +24,36 @@ def start_count(search: SearchProblem) -> int:
     return 1 + (search.settings.n_starts if search.free else 0)
 
 
-def numbered_start(search: SearchProblem, number: int) -> SearchStart:
-    """Return a start: 0 is the given numbers, moved into their box, then a Halton sequence in it.
+def scanned(search: SearchProblem, number: int) -> SearchProblem:
+    """Return the search with the order of its starts, if that is needed for one of them.
 
-    It depends on the number and on what is searched, and not on what was tried before.
+    Args:
+        search: The search.
+        number: The start. The first one of a search for what is near is at the given numbers.
     """
-    if number > 0:
-        lower, upper = np.array(list(search.free.values())).T
-        settings = search.settings
-        place = _halton(len(search.free), settings.n_starts, settings.seed)[number - 1]
-        chosen = dict(zip(search.free, map(float, lower + place * (upper - lower)), strict=True))
-        return SearchStart(values=search.values.replaced(chosen))
-    first = clipped(search.values, search.free)
-    return SearchStart(values=first, near=search.near, easy=_easy_values(search.problem, first))
+    if search.order is not None or not (number > 0 or search.seeks_optimum):
+        return search
+    search.tell("looking at places all over the box")
+    return replace(search, order=start_order(search))
+
+
+def numbered_start(search: SearchProblem, number: int) -> SearchStart:
+    """Return a start: a pure function of its arguments, whatever has been tried before.
+
+    Args:
+        search: The search; all but the first start of one for what is near need its order.
+        number: Which start it is, from 0.
+    """
+    place = number if search.order is None else search.order[number]
+    values = start_place(search, place)
+    if place > 0:
+        return SearchStart(values=values)
+    if number > 0 or start_count(search) == 1:
+        # A long way, for where nothing else leads to an orbit.
+        return SearchStart(
+            values=values, near=search.near, easy=_easy_values(search.problem, values)
+        )
+    return SearchStart(values=values, near=search.near)
 
 
 def try_start(search: SearchProblem, number: int, accept: Accept | None) -> StartOutcome:
@@ -46,23 +61,23 @@ def try_start(search: SearchProblem, number: int, accept: Accept | None) -> Star
 
     Args:
         search: The search.
-        number: Which start it is, from 0.
+        number: Which start it is, as for `numbered_start`.
         accept: The check of orbits; any orbit is accepted by default.
     """
     start = numbered_start(search, number)
     name = f"start {number + 1}"
     search.tell(f"{name}: simulating {listed(search.numbers(start.values))}")
-    outcome, judgement = _tried(search, start, accept, name)
+    outcome, judgement = _judged(search, from_start(search, start), accept, name)
     if judgement is not None and judgement.repels and search.free:
         outcome = _attracting(search, start, accept, name, outcome, judgement)
-    return replace(outcome, solution=None)
+    numbers = {name: start.values.number(name) for name in search.free}
+    return replace(outcome, solution=None, start=numbers)
 
 
-def _tried(
-    search: SearchProblem, start: SearchStart, accept: Accept | None, name: str
+def _judged(
+    search: SearchProblem, outcome: StartOutcome, accept: Accept | None, name: str
 ) -> tuple[StartOutcome, Judgement | None]:
-    """Search from one start, measure the orbit on a simulation, and accept or refuse it."""
-    outcome = from_start(search, start)
+    """Measure the orbit of a start on a simulation, if there is one, and accept or refuse it."""
     orbit = None if outcome.solution is None else outcome.solution.orbit
     if outcome.status is not SearchStatus.FOUND or orbit is None:
         return outcome, None
@@ -77,7 +92,8 @@ def _tried(
     if judgement.objection:
         refused = replace(outcome, status=SearchStatus.NOT_ACCEPTED, detail=judgement.objection)
         return refused, judgement
-    score, certificate = _score(search, orbit, extents), judgement.certificate
+    score = search.score(orbit.values(search.problem), extents)
+    certificate = judgement.certificate
     candidate = Candidate(orbit=orbit, score=score, extents=extents, certificate=certificate)
     return replace(outcome, candidate=candidate), judgement
 
@@ -112,8 +128,12 @@ def _attracting(
     where = listed(search.numbers(refused.solution.values))
     search.tell(f"{name}: looking for an orbit that attracts")
     bound = Bound(name="spectral_radius", upper=_ATTRACTS)
+    bounded = replace(search, bounds=(*search.bounds, bound))
     try:
-        outcome, _ = _tried(replace(search, bounds=(*search.bounds, bound)), start, accept, name)
+        # It is most often near.
+        outcome, _ = _judged(bounded, beside(bounded, start, refused.solution), accept, name)
+        if outcome.candidate is None:
+            outcome, _ = _judged(bounded, from_start(bounded, start), accept, name)
     except InputError:
         # Only a few multipliers can be bounded.
         return refused
@@ -138,30 +158,15 @@ def _measured(search: SearchProblem, orbit: ZenoOrbit, name: str) -> Mapping[str
     return measure(orbit, search.problem, names)
 
 
-def _score(search: SearchProblem, orbit: ZenoOrbit, extents: Mapping[str, Extent]) -> float:
-    if not search.free:
-        return 0.0
-    found = orbit.values(search.problem)
-    return search.objective.score(
-        {name: found.number(name) for name in search.free},
-        {name: search.values.number(name) for name in search.free},
-        extents,
-    )
-
-
-@lru_cache(maxsize=1)
-def _halton(dimension: int, count: int, seed: int) -> Vector:
-    """Return quasi-random places in the unit box, ``(count, dimension)``."""
-    # SciPy's statistics take half a second to import, and most searches end at their first start.
-    from scipy.stats import qmc
-
-    return qmc.Halton(dimension, seed=seed).random(count)
-
-
 def _easy_values(problem: Problem, values: ParameterValues) -> tuple[ParameterValues, ...]:
-    """Return easier numbers: the problem's own gains, half the restitution, or both."""
+    """Return easier numbers: the problem's own gains, half the restitution, or both.
+
+    All of the problem's own numbers are another, unless one is so far off that no path leads there.
+    """
     gains = {gain.name: gain.default for gain in problem.gains if gain.default is not None}
     own = values.replaced(gains)
     dull = {"restitution": values.parameters["restitution"] / 2}
-    found = [own, values.replaced(dull), own.replaced(dull), problem.values()]
+    found = [own, values.replaced(dull), own.replaced(dull)]
+    if not far_from_own(problem, values):
+        found.append(problem.values())
     return tuple(one for k, one in enumerate(found) if one != values and one not in found[:k])

@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import HybridDynamics, ParameterValues
 from zeno_orbits.orbits import Cycle, ZenoOrbit, gone_round_twice, round_again
-from zeno_orbits.search.closing import close_cycle
 from zeno_orbits.search.confirmation import one_cycle
+from zeno_orbits.search.fixed_point import close_cycle
 from zeno_orbits.search.guess import settle
 from zeno_orbits.search.homotopy import Followed, follow
 from zeno_orbits.search.objectives import NearestGains, Objective, Target, TowardTarget
-from zeno_orbits.search.outcome import StartOutcome
+from zeno_orbits.search.outcome import SimulatedSolution, StartOutcome
 from zeno_orbits.search.refinement import (
     COARSE,
     ON_THE_WAY,
@@ -44,11 +44,13 @@ class SearchStart:
         values: The numbers.
         near: An orbit at these numbers or near them; by default the problem is simulated.
         easy: Numbers from which to follow orbits to these where a simulation finds none.
+        known_empty: True if it is known that a simulation finds none.
     """
 
     values: ParameterValues
     near: ZenoOrbit | None = None
     easy: tuple[ParameterValues, ...] = ()
+    known_empty: bool = False
 
 
 def from_start(search: SearchProblem, start: SearchStart) -> StartOutcome:
@@ -57,7 +59,7 @@ def from_start(search: SearchProblem, start: SearchStart) -> StartOutcome:
     if near is not None:
         path = follow(search, near, near.values(search.problem), values)
         return _along(search, start, path, "the known orbit")
-    cycle, reason = simulated(search, values)
+    cycle, reason = (None, "no orbit is near") if start.known_empty else simulated(search, values)
     if cycle is not None:
         outcome = from_cycle(search, values, cycle)
         if outcome.status is SearchStatus.FOUND or search.free:
@@ -69,10 +71,15 @@ def from_start(search: SearchProblem, start: SearchStart) -> StartOutcome:
     return _by_an_easier_way(search, start, outcome)
 
 
+def beside(search: SearchProblem, start: SearchStart, solution: SimulatedSolution) -> StartOutcome:
+    """Search from the solution of a search with fewer bounds."""
+    return refine(search, solution.values, solution.cycle, search.objective, start.values)
+
+
 def simulated(search: SearchProblem, values: ParameterValues) -> tuple[Cycle | None, str]:
     """Return a period to which the problem settles, or why there is none."""
     dynamics = search.dynamics(values)
-    starts = [search.problem.state_vector(start) for start in search.problem.starts]
+    starts = [search.problem.state_vector(start) for start in search.initial_states]
     settling = settle(dynamics, starts, search.settings.settling, search.shape, search.problem)
     cycle = settling.cycle
     if cycle is None:
@@ -127,7 +134,8 @@ def _by_an_easier_way(
         reached = _along(search, start, path, listed(_differing(easy, start.values)))
         if reached.status is SearchStatus.FOUND:
             return reached
-        return replace(outcome, detail=f"{outcome.detail} {path.ending}".strip())
+        detail = f"{outcome.detail} {path.ending}".strip()
+        return replace(outcome, detail=detail, shortfall=min(outcome.shortfall, path.left))
     return outcome
 
 
@@ -232,7 +240,8 @@ def _where_bounds_are_kept(
     unknowns = last.outcome.solution.unknowns
     slacks = [float(unknowns[f"slack {k}"][0, 0]) for k in range(len(search.bounds))]
     broken = [
-        f"`{bound.name}` leaves {bound.text} by {float(unknowns[f'excess {k}'][0, 0]):.3g}"
+        f"`{bound.name}` leaves its bounds {bound.text} by "
+        f"{float(unknowns[f'excess {k}'][0, 0]):.3g}"
         for k, bound in enumerate(search.bounds)
         if slacks[k] > _VIOLATED
     ]

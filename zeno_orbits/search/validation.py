@@ -21,6 +21,8 @@ def check_search(search: SearchProblem) -> None:
     """
     problem, near = search.problem, search.near
     _check_boxes(problem, search.free)
+    for state in search.initial_states:
+        problem.state_vector(state)
     search.objective.check(problem, search.free)
     _check_bounds(problem, search.bounds)
     if near is not None and near.problem != problem.name:

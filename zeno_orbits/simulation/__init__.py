@@ -7,7 +7,7 @@ Offers: `simulate` with `SimulationSettings`; an `Execution` of `Arc`s (of a `Mo
 `Ending`) and events `Impact`, `ZenoPoint`, `Release`; how a Zeno point is reached: `ZenoPassage`,
 `ZenoExtrapolation`, `Truncation`.
 
-Imports: model, integrators, work, arrays, errors.
+Imports: model, integrators, kernels, work, arrays, errors.
 """
 
 import lazy_loader as lazy

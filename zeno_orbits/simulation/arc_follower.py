@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import PenetrationError, RunawayError, SimulationError
+from zeno_orbits.errors import PenetrationError, RunawayError, SimulationError, counted
 from zeno_orbits.integrators import Engine, GuardedFlow, Leg, Outcome, Tolerance
 from zeno_orbits.integrators.engine import Watch
 from zeno_orbits.model import HybridDynamics
@@ -79,6 +79,13 @@ class ArcFollower:
     most_steps: int
     _n_steps: int = 0
     _looks: list[_Look] = field(default_factory=list[_Look])
+    _reach: Vector | None = None
+
+    def __post_init__(self) -> None:
+        """Give the bound of every coordinate, if there is one."""
+        if np.min(self.far) < math.inf:
+            far = np.asarray(self.far, dtype=np.float64)
+            self._reach = np.broadcast_to(far, (self.dynamics.n_q,))
 
     def follow(
         self,
@@ -115,6 +122,7 @@ class ArcFollower:
             on_guard=on_guard,
             rounding=self.contact * (size if start.speed is None else 1 / own.gap_acceleration),
             watch=self._watch(unit, start.time),
+            reach=self._reach,
         )
         passage = self.engine.follow(leg)
         time = start.time + unit * passage.duration
@@ -141,7 +149,7 @@ class ArcFollower:
     def _watch(self, unit: float, start: float) -> Watch:
         """Return what ends a leg that takes too long or goes too far."""
         n_q = self.dynamics.n_q
-        far = np.asarray(self.far) if np.min(self.far) < math.inf else None
+        far = self._reach
 
         def watch(steps: int, offset: float, y: Vector) -> None:
             self._n_steps += steps
@@ -149,8 +157,8 @@ class ArcFollower:
                 self._look(start + unit * offset, y)
             if self._n_steps > self.most_steps:
                 raise SimulationError(
-                    f"The execution needs more than {self.most_steps} steps: raise `most_steps`, "
-                    "or simulate a shorter time",
+                    f"The execution needs more than {counted(self.most_steps, 'step')}: "
+                    "raise `most_steps`, or simulate a shorter time",
                     time=start + unit * offset,
                     state=tuple(y.tolist()),
                 )

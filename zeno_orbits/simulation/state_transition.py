@@ -19,14 +19,14 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import (
     Automatic,
     Collocation,
+    ExplicitStep,
     GuardedFlow,
+    RadauStep,
     Step,
     SteppedTrajectory,
     Tolerance,
 )
 from zeno_orbits.integrators.collocation import radau
-from zeno_orbits.integrators.dop853 import ExplicitStep
-from zeno_orbits.integrators.radau import RadauStep
 from zeno_orbits.model import N_STAGES
 from zeno_orbits.model.numeric.derivatives import FlowDifferential
 from zeno_orbits.simulation.execution import Arc

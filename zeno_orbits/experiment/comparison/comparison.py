@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError
+from zeno_orbits.errors import InputError, counted
 from zeno_orbits.experiment.comparison.alignment import Alignment
 from zeno_orbits.experiment.comparison.contact_events import CycleEvents, cycle_events
 from zeno_orbits.experiment.comparison.deviations import Deviations, deviations
@@ -275,28 +275,28 @@ def _contact_findings(contacts: Contacts | None, overlay: Overlay) -> tuple[list
     resolved = table.period - table.zeno_time > _LOCKED_SAMPLES * step
     if contacts is None:
         if resolved:
-            return ["no locked phase is seen: the gap rests nowhere"], []
+            return ["no locked phase is seen: the gap is never at rest"], []
         return [], ["locked phases are too short for the sampling: not resolved"]
     events, reasons, remarks = contacts.events, list[str](), list[str]()
     rested, closed = sum(one.rested for one in events), sum(one.closed for one in events)
     if rested < _SEEN * len(events):
-        unseen = f"in {len(events) - rested} of {len(events)} cycles"
+        unseen = f"in {len(events) - rested} of {counted(len(events), 'cycle')}"
         if resolved:
             reasons.append(f"no locked phase is seen {unseen}")
         else:
             remarks.append(f"locked phases are too short for the sampling {unseen}: not resolved")
     if closed < _SEEN * len(events):
-        reasons.append(f"no impact is seen in {len(events) - closed} of {len(events)} cycles")
+        cycles = counted(len(events), "cycle")
+        reasons.append(f"no impact is seen in {len(events) - closed} of {cycles}")
     struck = [one for one in events if one.closed]
     for what, numbers in (
         ("impacts", [one.first_impact for one in struck]),
-        ("rebounds", [one.restitution for one in struck]),
+        ("flights between impacts", [one.restitution for one in struck]),
     ):
         unknown = sum(not number.known for number in numbers)
         if struck and unknown > (1.0 - _SEEN) * len(struck):
-            remarks.append(
-                f"{what} are too short for the sampling in {unknown} cycles: not resolved"
-            )
+            cycles = counted(unknown, "cycle")
+            remarks.append(f"{what} are too short for the sampling in {cycles}: not resolved")
             break
     return reasons, remarks
 

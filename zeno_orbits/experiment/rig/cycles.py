@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.errors import InputError, SimulationError, counted
 from zeno_orbits.experiment.rig.run import RigRun, RigSettings, Touch
 from zeno_orbits.experiment.rig.simulator import simulate_rig
 from zeno_orbits.model import Problem, Rig
@@ -133,8 +133,8 @@ def rig_cycles(
             # More time will not make them: the machine moves otherwise.
             break
     raise SimulationError(
-        f"The machine made {len(found)} cycles with a lock where {wanted} were expected: "
-        f"it {_outcome(run, found, orbit, problem).value}",
+        f"The machine made {counted(len(found), 'cycle')} with a lock where "
+        f"{wanted} were expected: it {_outcome(run, found, orbit, problem).value}",
         time=until,
         state=tuple(run.states[-1].tolist()),
     )

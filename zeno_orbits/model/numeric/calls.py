@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators import Tolerance, caller
+from zeno_orbits.integrators import Tolerance
+from zeno_orbits.kernels import caller
 from zeno_orbits.model.numeric.hybrid_dynamics import Resting
+
+Connect = Callable[[Sequence[Vector], Sequence[Vector]], Callable[[], None]]
+"""From arrays that are read and arrays that are written to a call of a function."""
 
 
 class Call:
@@ -28,13 +34,13 @@ class Call:
 class StepCall:
     """A step of a flow at fixed ``p``, called through preallocated memory."""
 
-    def __init__(self, function: ca.Function, p: Vector) -> None:
-        self._y = np.zeros(function.size1_in(0))
+    def __init__(self, n_y: int, p: Vector, connect: Connect) -> None:
+        self._y = np.zeros(n_y)
         self._numbers = np.zeros(3)
         self._after = np.zeros_like(self._y)
         self._told = np.zeros(3)
         results = (self._after, self._told[:1], self._told[1:])
-        self._evaluate = caller(function, (self._y, p, self._numbers), results)
+        self._evaluate = connect((self._y, p, self._numbers), results)
         self._tolerance: Tolerance | None = None
 
     def __call__(

@@ -91,6 +91,17 @@ class CompiledSystem:
             resting=self.resting,
         )
 
+    def interpreted(self) -> CompiledSystem:
+        """Return the same functions, to be interpreted whatever is compiled."""
+        free, locked, flight = (
+            replace(mode, interpreted=True) for mode in (self.free, self.locked, self.flight)
+        )
+        return replace(self, free=free, locked=locked, flight=flight)
+
+    def build(self) -> bool:
+        """Compile the steps of all modes now, wait for it, and return True if that was done."""
+        return all(mode.kernels.build() for mode in (self.free, self.locked, self.flight))
+
     @property
     def n_x(self) -> int:
         """Number of states."""

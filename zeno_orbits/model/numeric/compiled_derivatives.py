@@ -10,32 +10,98 @@ together is the exact derivative of the step of `y`. Source: [HairerNorsettWanne
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 
 import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators import caller, explicit_attempt
+from zeno_orbits.integrators import explicit_attempt
+from zeno_orbits.kernels import Kernels, Recipe, Source, caller
 from zeno_orbits.model.numeric.calls import Call
-from zeno_orbits.model.numeric.compiled_flow import ModeFunctions, dense_function
-
-N_STAGES = 7
-"""Stages of the implicit steps, those of the implicit engine."""
+from zeno_orbits.model.numeric.compiled_flow import N_STAGES, ModeFunctions, dense_function, renamed
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class VariationFunctions:
-    """The variational equation of a mode for some columns of perturbations.
+    """The variational equation of a mode for some columns of perturbations, built when needed."""
 
-    Attributes:
-        step: ``(y, p, size, V, Q) -> (V after the step, its error estimate of order 5)``.
-        linear: ``(states, p) -> (J, F)``, side by side, for every stage of an implicit step.
+    def __init__(self, mode: ModeFunctions, chosen: tuple[int, ...], n_columns: int) -> None:
+        """Take a mode.
+
+        Args:
+            mode: The mode.
+            chosen: Places of the parameters that are perturbed.
+            n_columns: Number of perturbations.
+        """
+        self._mode, self._chosen, self._n_columns = mode, chosen, n_columns
+
+    @cached_property
+    def step(self) -> ca.Function:
+        """``(y, p, size, V, Q) -> (V after the step, its error estimate of order 5)``."""
+        n_columns, chosen = self._n_columns, self._chosen
+        y, p, rate, jacobian, by_parameters = self._expressions
+        n_y, name, size = y.numel(), self._mode.rate.name(), ca.SX.sym("size")
+        v, q = ca.SX.sym("v", n_y, n_columns), ca.SX.sym("q", len(chosen), n_columns)
+        varied = ca.mtimes(jacobian, v) + ca.mtimes(by_parameters, q)
+        # Dense, as the stages of both are added up in one column.
+        whole = ca.densify(ca.vertcat(rate, ca.vec(varied)))
+        column = ca.vertcat(y, ca.vec(v))
+        both = ca.Function(f"{name}_varied", [column, p, q], [whole], {"cse": True})
+        after, fifth, _ = explicit_attempt(lambda state: both(state, p, q), column, size)
+        varied_after, error = (
+            ca.reshape(part[n_y:], n_y, n_columns) for part in (after, size * fifth)
+        )
+        return dense_function(f"{name}_varied_step", [y, p, size, v, q], [varied_after, error])
+
+    @cached_property
+    def linear(self) -> ca.Function:
+        """``(y, p) -> (J, F)``, side by side."""
+        y, p, _, jacobian, by_parameters = self._expressions
+        both = ca.horzcat(jacobian, by_parameters)
+        return dense_function(f"{self._mode.rate.name()}_linear", [y, p], [both])
+
+    @cached_property
+    def linear_stages(self) -> ca.Function:
+        """The same for every stage of an implicit step."""
+        return self.linear.map(f"{self.linear.name()}_stages", "serial", N_STAGES, [1], [])
+
+    @cached_property
+    def kernels(self) -> Kernels:
+        """The same compiled."""
+        maker = f"{__name__}:{variation_kernels.__name__}"
+        numbers = (self._n_columns, *self._chosen)
+        functions = (self._mode.rate, self._mode.guard)
+        recipe = Recipe(maker=maker, functions=functions, numbers=numbers)
+        return Kernels(None if self._mode.interpreted else recipe)
+
+    @cached_property
+    def _expressions(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
+        """State, parameters, rate, and its derivatives by the state and the chosen parameters."""
+        y, p = ca.SX.sym("y", self._mode.n_y), ca.SX.sym("p", self._mode.n_p)
+        rate = self._mode.rate(y, p)
+        return y, p, rate, ca.jacobian(rate, y), ca.jacobian(rate, _picked(p, self._chosen))
+
+
+def variation_kernels(functions: Sequence[ca.Function], numbers: Sequence[float]) -> Source:
+    """Return the source of the kernels of a variational equation.
+
+    Args:
+        functions: Rate and guard of a mode.
+        numbers: Number of perturbations, then places of the parameters that are perturbed.
     """
+    mode = ModeFunctions(rate=functions[0], guard=functions[1])
+    n_columns, *places = map(int, numbers)
+    made = VariationFunctions(mode, tuple(places), n_columns)
+    return Source(functions=[renamed(made.step, "zk_step"), renamed(made.linear, "zk_linear")])
 
-    step: ca.Function
-    linear: ca.Function
+
+@lru_cache(maxsize=256)
+def _variation_functions(
+    mode: ModeFunctions, chosen: tuple[int, ...], n_columns: int
+) -> VariationFunctions:
+    return VariationFunctions(mode, chosen, n_columns)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -67,35 +133,6 @@ class _PointJacobians:
     reset: ca.Function
     resting: ca.Function
     restitution: ca.Function
-
-
-@lru_cache(maxsize=256)
-def _variation_functions(
-    mode: ModeFunctions, chosen: tuple[int, ...], n_columns: int
-) -> VariationFunctions:
-    n_y, n_p = mode.rate.size1_in(0), mode.rate.size1_in(1)
-    y, p = ca.SX.sym("y", n_y), ca.SX.sym("p", n_p)
-    v, q = ca.SX.sym("v", n_y, n_columns), ca.SX.sym("q", len(chosen), n_columns)
-    size = ca.SX.sym("size")
-    rate = mode.rate(y, p)
-    jacobian = ca.jacobian(rate, y)
-    by_parameters = ca.jacobian(rate, _picked(p, chosen))
-    name = mode.rate.name()
-    varied = ca.mtimes(jacobian, v) + ca.mtimes(by_parameters, q)
-    # Dense, as the stages of both are added up in one column.
-    whole = ca.densify(ca.vertcat(rate, ca.vec(varied)))
-    both = ca.Function(f"{name}_varied", [ca.vertcat(y, ca.vec(v)), p, q], [whole], {"cse": True})
-    after, fifth, _ = explicit_attempt(
-        lambda state: both(state, p, q), ca.vertcat(y, ca.vec(v)), size
-    )
-    varied_after, error = (
-        ca.reshape(column[n_y:], n_y, n_columns) for column in (after, size * fifth)
-    )
-    linear = dense_function(f"{name}_linear", [y, p], [ca.horzcat(jacobian, by_parameters)])
-    return VariationFunctions(
-        step=dense_function(f"{name}_varied_step", [y, p, size, v, q], [varied_after, error]),
-        linear=linear.map(f"{name}_linear_stages", "serial", N_STAGES, [1], []),
-    )
 
 
 @lru_cache(maxsize=64)
@@ -133,6 +170,10 @@ def _picked(p: ca.SX, chosen: tuple[int, ...]) -> ca.SX:
     return ca.vertcat(*(p[k] for k in chosen)) if chosen else ca.SX(0, 1)
 
 
+_SAVED = 1e-5
+"""What compiling saves in a step of state and perturbations [s], measured."""
+
+
 class CompiledVariation:
     """The variational equation of a flow at fixed numbers, called through preallocated memory."""
 
@@ -140,17 +181,28 @@ class CompiledVariation:
         self, mode: ModeFunctions, p: Vector, chosen: tuple[int, ...], n_columns: int
     ) -> None:
         functions = _variation_functions(mode, chosen, n_columns)
-        n_y = mode.rate.size1_in(0)
+        n_y = mode.n_y
         self.p = p
         self._states = np.zeros((N_STAGES, n_y))
-        self._pieces = np.zeros((N_STAGES, n_y + len(chosen), n_y))
-        self._linear = caller(functions.linear, (self._states, p), (self._pieces,))
         # CasADi's matrices are stored by columns: here they lie on their side.
+        self._pieces = np.zeros((N_STAGES, n_y + len(chosen), n_y))
         self._y, self._size = np.zeros(n_y), np.zeros(1)
         self._v, self._q = np.zeros((n_columns, n_y)), np.zeros((n_columns, len(chosen)))
         self._after, self._error = np.zeros((n_columns, n_y)), np.zeros((n_columns, n_y))
-        arguments = (self._y, p, self._size, self._v, self._q)
-        self._step = caller(functions.step, arguments, (self._after, self._error))
+        self._owe = functions.kernels.owe
+        step = (self._y, p, self._size, self._v, self._q), (self._after, self._error)
+        linear = (self._states, p), (self._pieces,)
+        library = functions.kernels.library()
+        if library is None:
+            self._saved = _SAVED
+            with functions.kernels.owing():
+                self._step = caller(functions.step, *step)
+                self._linear = caller(functions.linear_stages, *linear)
+        else:
+            self._saved = 0.0
+            self._step = library.caller("zk_step", *step)
+            rows = library.rows("zk_linear", (n_y, 0), (self._pieces[0].size,))
+            self._linear = partial(rows, N_STAGES, *linear)
 
     def step(self, y: Vector, size: float, v: Vector, q: Vector) -> tuple[Vector, float]:
         """Return the perturbations after a step, ``(n_y, m)``, and their error, relative."""
@@ -159,6 +211,7 @@ class CompiledVariation:
         self._v[:] = v.T
         self._q[:] = q.T
         self._step()
+        self._owe(self._saved)
         # NaN where a column vanishes, which has no error.
         with np.errstate(invalid="ignore"):
             errors = np.abs(self._error).max(axis=1) / np.abs(self._after).max(axis=1)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -11,37 +13,118 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import (
     Collocation,
+    CompilableFlow,
+    LegCode,
     Tolerance,
-    caller,
     error_norm,
     explicit_attempt,
+    follow_source,
     implicit_expressions,
     overflow,
 )
+from zeno_orbits.integrators.collocation import radau
 from zeno_orbits.integrators.flow import FIRST_ITERATIONS, Corrected, NewtonPieces, StageGuess
-from zeno_orbits.model.numeric.calls import Call, StepCall
+from zeno_orbits.integrators.radau_step import n_factors
+from zeno_orbits.kernels import KernelLibrary, Kernels, Recipe, Source, caller
+from zeno_orbits.model.numeric.calls import Call, Connect, StepCall
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class ModeFunctions:
-    """A flow and its guard as functions of ``(y, p)``, and a whole DOP853 step of the flow.
+    """A flow and its guard as functions of ``(y, p)``, and what is made of them when it is needed.
 
     Attributes:
         rate: ``(y, p) -> dy/dt``.
-        jacobian: ``(y, p) -> d(dy/dt)/dy``.
         guard: ``(y, p) -> (guard, its time derivative)``.
-        step: ``(y, p, (size, relative, absolute)) -> (y after, error in units of the tolerance,
-            guard after)``.
+        interpreted: They stay interpreted, for comparisons.
     """
 
     rate: ca.Function
-    jacobian: ca.Function
     guard: ca.Function
-    step: ca.Function
+    interpreted: bool = False
+
+    @property
+    def n_y(self) -> int:
+        """Number of states."""
+        return self.rate.size1_in(0)
+
+    @property
+    def n_p(self) -> int:
+        """Number of parameters."""
+        return self.rate.size1_in(1)
+
+    @cached_property
+    def jacobian(self) -> ca.Function:
+        """``(y, p) -> d(dy/dt)/dy``."""
+        y, p = self._symbols()
+        name = f"{self.rate.name()}_jacobian"
+        return dense_function(name, [y, p], [ca.jacobian(self.rate(y, p), y)])
+
+    @cached_property
+    def step(self) -> ca.Function:
+        """A step of DOP853.
+
+        ``(y, p, (size, relative, absolute)) -> (y after, error in units of the tolerance, guard
+        after)``.
+        """
+        y, p = self._symbols()
+        numbers = ca.SX.sym("numbers", 3)
+        size, relative, absolute = ca.vertsplit(numbers)
+        after, fifth, third = explicit_attempt(lambda state: self.rate(state, p), y, size)
+        scale = absolute + relative * ca.fmax(ca.fabs(y), ca.fabs(after))
+        error = overflow(ca.sum1(after), ca) + error_norm(
+            ca.sumsqr(fifth / scale), ca.sumsqr(third / scale), ca.fabs(size), y.numel(), ca
+        )
+        name = f"{self.rate.name()}_step"
+        return dense_function(name, [y, p, numbers], [after, error, self.guard(after, p)])
+
+    @cached_property
+    def kernels(self) -> Kernels:
+        """The same compiled, with the loop over the steps of a leg."""
+        maker = f"{__name__}:{leg_kernels.__name__}"
+        functions = (self.rate, self.guard)
+        recipe = Recipe(maker=maker, functions=functions, numbers=(N_STAGES,))
+        return Kernels(None if self.interpreted else recipe)
+
+    def _symbols(self) -> tuple[ca.SX, ca.SX]:
+        return ca.SX.sym("y", self.n_y), ca.SX.sym("p", self.n_p)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class NewtonFunctions:
+N_STAGES = 7
+"""Stages of the implicit steps that are compiled, those of the implicit engine."""
+
+
+def leg_kernels(functions: Sequence[ca.Function], numbers: Sequence[float]) -> Source:
+    """Return the source of the kernels of a mode and of the loop over its steps.
+
+    Args:
+        functions: Rate and guard of the mode.
+        numbers: Stages of an implicit step.
+    """
+    rate, guard = functions
+    mode, scheme = ModeFunctions(rate=rate, guard=guard), radau(int(numbers[0]))
+    newton = newton_functions(mode, scheme)
+    kernels = {
+        "rate": rate,
+        "guard": guard,
+        "jacobian": mode.jacobian,
+        "step": mode.step,
+        "begin": newton.begin,
+        "correct": newton.correct,
+        "error": newton.error,
+    }
+    named = [renamed(function, f"zk_{name}") for name, function in kernels.items()]
+    code = follow_source(mode.n_y, n_factors(mode.n_y, scheme), scheme)
+    return Source(functions=named, code=code)
+
+
+def renamed(function: ca.Function, name: str) -> ca.Function:
+    """Return a function of scalar instructions under another name."""
+    inputs = [ca.SX.sym(f"i{k}", function.sparsity_in(k)) for k in range(function.n_in())]
+    return ca.Function(name, inputs, function.call(inputs))
+
+
+class NewtonFunctions(NamedTuple):
     """The pieces of an implicit step as functions.
 
     ``numbers`` are ``(size, relative, absolute, start, ratio)``, the last two of the continuation.
@@ -72,21 +155,9 @@ def mode_functions(name: str, y: ca.SX, p: ca.SX, rate: ca.SX, guard: ca.SX) -> 
     Raises:
         ValueError: If an expression holds another symbol.
     """
-    field = dense_function(f"{name}_rate", [y, p], [rate])
-    numbers = ca.SX.sym("numbers", 3)
-    size, relative, absolute = ca.vertsplit(numbers)
-    after, fifth, third = explicit_attempt(lambda state: field(state, p), y, size)
-    scale = absolute + relative * ca.fmax(ca.fabs(y), ca.fabs(after))
-    error = overflow(ca.sum1(after), ca) + error_norm(
-        ca.sumsqr(fifth / scale), ca.sumsqr(third / scale), ca.fabs(size), y.numel(), ca
-    )
     return ModeFunctions(
-        rate=field,
-        jacobian=dense_function(f"{name}_jacobian", [y, p], [ca.jacobian(rate, y)]),
+        rate=dense_function(f"{name}_rate", [y, p], [rate]),
         guard=dense_function(f"{name}_guard", [y, p], [guard]),
-        step=dense_function(
-            f"{name}_step", [y, p, numbers], [after, error, ca.substitute(guard, y, after)]
-        ),
     )
 
 
@@ -118,9 +189,10 @@ class FlowMemory:
 
     def __init__(self, mode: ModeFunctions) -> None:
         self.mode = mode
-        self.p: Vector = np.zeros(mode.rate.size1_in(1))
+        self.p: Vector = np.zeros(mode.n_p)
         self.owner: object = None
         self._newton: tuple[Collocation, NewtonCalls] | None = None
+        self._leg_code: LegCode | None = None
 
     @cached_property
     def rate(self) -> Call:
@@ -140,17 +212,40 @@ class FlowMemory:
     @cached_property
     def step(self) -> StepCall:
         """One step of DOP853."""
-        return StepCall(self.mode.step, self.p)
+        library = self.mode.kernels.library()
+        if library is not None:
+            return StepCall(self.mode.n_y, self.p, _kernel(library, "step"))
+        with self.mode.kernels.owing():
+            step = self.mode.step
+        return StepCall(self.mode.n_y, self.p, partial(caller, step))
 
     def newton(self, scheme: Collocation) -> NewtonCalls:
         """Return one step of a collocation scheme, in pieces."""
         if self._newton is None or self._newton[0] is not scheme:
-            calls = NewtonCalls(_newton_functions(self.mode, scheme), self.p, scheme.n_stages)
-            self._newton = (scheme, calls)
+            library = self.mode.kernels.library() if scheme is radau(N_STAGES) else None
+            if library is None:
+                with self.mode.kernels.owing():
+                    functions = newton_functions(self.mode, scheme)
+                connect = _NewtonConnect(*(partial(caller, function) for function in functions))
+            else:
+                connect = _NewtonConnect(*(_kernel(library, n) for n in NewtonFunctions._fields))
+            self._newton = (scheme, NewtonCalls(connect, self.p, self.mode.n_y, scheme))
         return self._newton[1]
 
+    def leg_code(self) -> LegCode | None:
+        """Return the compiled loop over the steps of a leg, if there is one by now."""
+        if self._leg_code is None:
+            library = self.mode.kernels.library()
+            if library is not None:
+                self._leg_code = LegCode(library, self.p, self.mode.n_y, radau(N_STAGES))
+        return self._leg_code
 
-class CompiledFlow:
+
+def _kernel(library: KernelLibrary, name: str) -> Connect:
+    return partial(library.caller, f"zk_{name}")
+
+
+class CompiledFlow(CompilableFlow):
     """A guarded flow whose step is one CasADi call through preallocated memory.
 
     Flows that differ in their numbers alone, as the flights of a problem, can share the memory.
@@ -201,6 +296,14 @@ class CompiledFlow:
         """Return the iteration for an implicit step of a collocation scheme."""
         return CompiledNewton(self, scheme)
 
+    def leg_code(self) -> LegCode | None:
+        """Return the compiled loop over the steps of a leg, with the numbers of this flow in it."""
+        return self.calls().leg_code()
+
+    def owe(self, seconds: float) -> None:
+        """Hear of time that compiled code would have saved [s]; in the end that repays it."""
+        self.mode.kernels.owe(seconds)
+
 
 class CompiledNewton:
     """Newton's iteration for an implicit step of a flow."""
@@ -227,15 +330,22 @@ class CompiledNewton:
         return self._flow.calls().newton(self.scheme).error(stages)
 
 
-class NewtonCalls:
-    """Newton's iteration for an implicit step, each piece one CasADi call."""
+class _NewtonConnect(NamedTuple):
+    """What makes calls of the pieces of an implicit step, as `NewtonFunctions` lists them."""
 
-    def __init__(self, functions: NewtonFunctions, p: Vector, n_stages: int) -> None:
-        n_y = functions.begin.size1_in(0)
-        shape = (n_stages, n_y)
+    begin: Connect
+    correct: Connect
+    error: Connect
+
+
+class NewtonCalls:
+    """Newton's iteration for an implicit step, each piece one call."""
+
+    def __init__(self, connect: _NewtonConnect, p: Vector, n_y: int, scheme: Collocation) -> None:
+        shape = (scheme.n_stages, n_y)
         self._y, self._numbers = np.zeros(n_y), np.zeros(5)
         self._continued, self._nothing = np.zeros(shape), np.zeros(shape)
-        self._factors = np.zeros(functions.begin.numel_out(0))
+        self._factors = np.zeros(n_factors(n_y, scheme))
         self._begun, self._coefficients = np.zeros(shape), np.zeros(shape)
         self._after, self._told = np.zeros(n_y), np.zeros(5)
         self._stages, self._corrected = np.zeros(shape), np.zeros(shape)
@@ -243,9 +353,9 @@ class NewtonCalls:
         step = (self._y, p, self._numbers)
         begun = (self._factors, self._begun, self._coefficients, self._after, self._told)
         iterate = (*step, self._factors, self._stages)
-        self._begin = caller(functions.begin, (*step, self._continued), begun)
-        self._correct = caller(functions.correct, iterate, (self._corrected, self._size))
-        self._estimate = caller(functions.error, iterate, (self._error,))
+        self._begin = connect.begin((*step, self._continued), begun)
+        self._correct = connect.correct(iterate, (self._corrected, self._size))
+        self._estimate = connect.error(iterate, (self._error,))
 
     def begin(
         self, y: Vector, size: float, tolerance: Tolerance, guess: StageGuess | None
@@ -276,7 +386,7 @@ class NewtonCalls:
 
 
 @lru_cache(maxsize=64)
-def _newton_functions(mode: ModeFunctions, scheme: Collocation) -> NewtonFunctions:
+def newton_functions(mode: ModeFunctions, scheme: Collocation) -> NewtonFunctions:
     """Build the pieces of an implicit step; only a problem that turns out stiff needs them."""
     p = ca.SX.sym("p", mode.rate.size1_in(1))
     pieces = implicit_expressions(mode.rate, p, scheme)

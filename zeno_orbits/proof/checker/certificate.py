@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import partial
 from os import cpu_count
 from pathlib import Path
@@ -61,11 +62,13 @@ class ProofVerdict:
 
     @property
     def ok(self) -> bool:
-        """True if every claim was proved."""
-        return all(claim.ok for claim in self.claims)
+        """True if every claim was proved, and one of them is that there is an orbit."""
+        return all(claim.ok for claim in self.claims) and any(
+            claim.name == "exists" for claim in self.claims
+        )
 
 
-def check(
+def check_proof(
     certificate: str | Path | Mapping[str, Any], problem: Problem | None = None
 ) -> ProofVerdict:
     """Check a certificate, claim by claim, on all cores.
@@ -96,7 +99,7 @@ def check(
             verdicts.append(ClaimVerdict(f"motion {k}", not failure, evidence))
         for claim in data["claims"]:
             verdicts.append(_claimed(passages, claim))
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+    except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"The certificate does not fit together ({error!r:.80}).") from error
@@ -127,6 +130,9 @@ def _system(data: Mapping[str, Any], problem: Problem) -> tuple[System, list[tup
     if tuple(data["parameters"]) != problem.names:
         raise InputError(f"The certificate must have the numbers {', '.join(problem.names)}.")
     numbers = {name: number(text, bits) for name, text in data["parameters"].items()}
+    for name, ball in numbers.items():
+        if Fraction(float(Fraction(ball.m, 1 << bits))) != Fraction(ball.m, 1 << bits):
+            raise InputError(f"The certificate's `{name}` must be a double.")
     radii = {name: number(text, bits) for name, text in data["over"].items()}
     over = [name for name in numbers if name in radii]
     if over != list(radii) or any(radius.m < 0 for radius in radii.values()):

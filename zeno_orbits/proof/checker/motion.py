@@ -182,10 +182,10 @@ def crossed(system: System, place: Place, old: Enclosure, record: Mapping[str, A
     bits, free = system.bits, place.mode == "free"
     (a, b), (first, last) = ((number(x, bits) for x in record[k]) for k in ("window", "centre"))
     require(0 <= a.m <= first.m <= last.m <= b.m <= flow.h.m, "the windows are not nested")
-    for time, centre in ((a, False), (b, False), (first, True), (last, True)):
-        value = _guard(system, flow, time, centre=centre, free=free)
-        value = -value if time in (b, last) else value
-        require(value.low > 0, f"the guard may vanish outside its window: {value.shown()}")
+    for time, centre, sign in ((a, 0, 1), (b, 0, -1), (first, 1, 1), (last, 1, -1)):
+        value = _guard(system, flow, time, centre=centre == 1, free=free)
+        after = (value if sign > 0 else -value).low > 0
+        require(after, f"the guard may vanish outside its window: {value.shown()}")
     _, slope, box = flow.at(between(a.low, b.high, bits))
     rates = system.rates(place.mode, box)
     if free:
@@ -239,25 +239,22 @@ def _require_apart(
 def struck(system: System, _: Place, old: Enclosure, __: Mapping[str, Any]) -> Mapped:
     """Return the state after an impact: ``x - (1 + e) hdot d(x)``."""
     bits, box, slope = system.bits, old.hull, identity(len(old.m), system.bits)
-    one = Ball(1 << bits, 0, bits)
-    e = system.value(LAW, box)[0]
-    rate, direction, rate_slope = (
-        system.gap_rate(box),
-        system.value(IMPULSE, box),
-        system.across(system.rate_row),
-    )
-    point = list(old.m)
-    for i, at_point in enumerate(system.value(IMPULSE, old.m)):
-        point[i] = point[i] - (one + e) * system.gap_rate(old.m) * at_point
-        gradient = system.gradient(IMPULSE, box, i)
+    one, row = Ball(1 << bits, 0, bits), system.rate_row
+    e, at_point = (system.value(LAW, z)[0] for z in (box, old.m))
+    e_slope, rate_slope = system.gradient(LAW, box, 0), system.across(row)
+    rate, direction = system.gap_rate(box), system.value(IMPULSE, box)
+    point, speed = list(old.m), (one + at_point) * system.gap_rate(old.m)
+    for i, along in enumerate(system.value(IMPULSE, old.m)):
+        point[i] = point[i] - speed * along
+        entries = zip(slope[i], system.gradient(IMPULSE, box, i), rate_slope, e_slope, strict=True)
         slope[i] = [
-            x - (one + e) * (rate * y + direction[i] * z)
-            for x, y, z in zip(slope[i], gradient, rate_slope, strict=True)
+            x - (one + e) * (rate * y + direction[i] * z) - rate * direction[i] * u
+            for x, y, z, u in entries
         ]
-    row = system.rate_row
     system.put_exactly(point, slope, system.gap_row, system.stop)
-    system.put_exactly(point, slope, row, -(e * old.m[row]))
-    slope[row][row] = -e
+    system.put_exactly(point, slope, row, -(at_point * old.m[row]))
+    slope[row] = [-(x * box[row]) for x in e_slope]
+    slope[row][row] = slope[row][row] - e
     return Mapped(point, slope, Ball(0, 0, bits), system.nothing)
 
 
@@ -266,14 +263,14 @@ def accumulated(system: System, _: Place, old: Enclosure, record: Mapping[str, A
     bits, box, n_x = system.bits, old.hull, system.n_x
     one, zero = Ball(1 << bits, 0, bits), Ball(0, 0, bits)
     inner = [k for k in range(len(box)) if k < n_x or k > max(n_x - 1, system.rate_row)]
-    speed, w, e = number(record["speed"], bits), system.gap_rate(box), system.value(LAW, box)[0]
+    speed, w = number(record["speed"], bits), system.gap_rate(box)
     require(w.low > 0 and w.high < speed.m, f"the speed after the impact is {w.shown()}")
     radius = {k: number(x, bits) for k, x in zip(inner, record["radius"], strict=True)}
     discs = {place: (ball, 0) for place, ball in system.constants.items()}
     discs |= {system.z[k]: (box[k], radius[k].m) for k in inner}
-    nodes = [*system.outputs[FREE], *system.outputs[IMPULSE], system.outputs[CONTACT][2]]
-    *found, fall = complex_values(system.graph, discs, nodes)
-    bound = [Ball(modulus(*pair), 0, bits) for pair in found]
+    nodes = [*(x for k in (FREE, IMPULSE, LAW) for x in system.outputs[k])]
+    *found, fall = complex_values(system.graph, discs, [*nodes, system.outputs[CONTACT][2]])
+    *bound, e = (Ball(modulus(*pair), 0, bits) for pair in found)
     spread = Ball(modulus(Ball(0, fall[0].r, bits), fall[1]), 0, bits)
     least = Ball(-fall[0].m, 0, bits) - spread
     require(least.low > 0, "the gap's acceleration may vanish on the polydisc")

@@ -174,6 +174,8 @@ def complex_values(
         elif name not in ("input", "slope") and all(a in found for a in given):
             extra = () if name == "neg" else (found[given[1]],)
             found[place] = _COMPLEX[name](found[given[0]], *extra, prec)
+        if place in found:
+            _require_finite(found[place])
     return [(_ball(found[place][0], bits), _ball(found[place][1], bits)) for place in outputs]
 
 
@@ -194,7 +196,12 @@ def _interval(low: int, high: int, bits: int) -> tuple[Any, Any]:
 
 
 def _ball(interval: Any, bits: int) -> Ball:
-    if not all(mantissa or not exponent for _, mantissa, exponent, _ in interval):
-        raise NotProved("a bound over complex numbers is not finite")
     low, high = (_EXACT.to_fixed(end, bits) for end in interval)
     return between(low - 1, high + 1, bits)
+
+
+def _require_finite(parts: Any) -> None:
+    """Refuse infinities and what is no number, which mpmath writes without a mantissa."""
+    for _, mantissa, exponent, _ in (end for part in parts for end in part):
+        if not mantissa and exponent:
+            raise NotProved("a bound over complex numbers is not finite")

@@ -50,7 +50,7 @@ def tables_of(subject: Subject, bundle: Bundle) -> dict[str, Table[Any]]:
         "multipliers": multipliers_table(certificate),
         "checks": checks_table(certificate),
         "margins": margins_table(certificate, problem.gap_unit),
-        "energies": energies_table(certificate),
+        "energies": energies_table(certificate, problem.energy_unit),
         "parameters": parameters_table(subject.orbit, problem),
         "versions": versions_table(subject.orbit, bundle),
     }
@@ -179,13 +179,18 @@ def margins_table(certificate: OrbitCertificate, unit: str) -> Table[Any]:
     return table_of("Margins", columns, certificate.margins)
 
 
-def energies_table(certificate: OrbitCertificate) -> Table[Any]:
-    """Return where the energy of a period goes."""
+def energies_table(certificate: OrbitCertificate, unit: str) -> Table[Any]:
+    """Return where the energy of a period goes.
+
+    Args:
+        certificate: The certificate.
+        unit: Of energies in the problem.
+    """
     columns: list[Column[str]] = [
         text_column("where", lambda name: words.ENERGIES.get(name, name)),
-        number_column("energy [J]", lambda name: f"{certificate.energies[name]:.6g}"),
+        number_column(f"energy [{unit}]", lambda name: f"{certificate.energies[name]:.6g}"),
     ]
-    return table_of("Energy over one period [J]", columns, certificate.energies)
+    return table_of(f"Energy over one period [{unit}]", columns, certificate.energies)
 
 
 def trade_table(trade: WorkPrecision) -> Table[Any]:

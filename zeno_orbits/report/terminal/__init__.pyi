@@ -4,6 +4,8 @@ from .experiments import print_comparison as print_comparison
 from .experiments import print_contacts as print_contacts
 from .experiments import print_identification as print_identification
 from .experiments import print_rig as print_rig
+from .kernels import print_kernels as print_kernels
+from .kernels import print_note as print_note
 from .orbits import print_certificate as print_certificate
 from .orbits import print_engine as print_engine
 from .orbits import print_error_estimate as print_error_estimate
@@ -16,7 +18,7 @@ from .problems import print_reduction_costs as print_reduction_costs
 from .progress import ProgressLine as ProgressLine
 from .searches import print_bounds as print_bounds
 from .searches import print_candidates as print_candidates
-from .searches import print_objective as print_objective
+from .searches import objective_reached as objective_reached
 from .searches import print_search as print_search
 from .studies import print_families as print_families
 from .studies import print_map as print_map

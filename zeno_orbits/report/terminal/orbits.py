@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from zeno_orbits.errors import counted
 from zeno_orbits.report.table import Column, name_column, number_column, text_column
 from zeno_orbits.report.terminal.console import (
-    counted,
     plain_console,
     print_lines,
     print_table,
@@ -168,7 +168,7 @@ def print_orbit(
     rows = [
         *_value_rows(problem, orbit, set(free)),
         *_phase_rows(problem, orbit),
-        *_certificate_rows(certificate),
+        *_certificate_rows(certificate, problem.energy_unit),
     ]
     print_table(columns, rows)
 
@@ -202,12 +202,12 @@ def _state_rows(problem: Problem, where: str, state: Mapping[str, float]) -> Ite
         yield f"{name} {where}", f"{state[name]:.12g}", unit
 
 
-def _certificate_rows(certificate: OrbitCertificate) -> Iterator[_Row]:
+def _certificate_rows(certificate: OrbitCertificate, energy_unit: str) -> Iterator[_Row]:
     for k, multiplier in enumerate(certificate.multipliers):
         yield f"multiplier {k + 1}", _complex(multiplier), "1"
     work = certificate.energies.get("input_work")
     if work is not None:
-        yield "input work per period", f"{work:.9g}", "J"
+        yield "input work per period", f"{work:.9g}", energy_unit
 
 
 def print_certificate(certificate: OrbitCertificate) -> None:

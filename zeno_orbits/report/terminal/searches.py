@@ -6,8 +6,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from zeno_orbits.errors import counted
 from zeno_orbits.report.table import Column, number_column, text_column
-from zeno_orbits.report.terminal.console import counted, print_lines, print_table, print_text
+from zeno_orbits.report.terminal.console import print_lines, print_table, print_text
 
 if TYPE_CHECKING:
     from zeno_orbits.search import Candidate, SearchResult, StartAttempt
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 def print_search(result: SearchResult) -> None:
     """Print how a search went."""
     print_lines([f"{result.status.value} {result.detail}".strip()])
+    if result.scan:
+        print_lines([result.scan])
     if len(result.attempts) > 1:
         columns: list[Column[StartAttempt]] = [
             text_column("start", lambda one: _listed({**one.gains, **one.parameters}, 4)),
@@ -59,20 +62,24 @@ def _listed(values: Mapping[str, float], digits: int) -> str:
     return ", ".join(f"{name} = {value:.{digits}g}" for name, value in values.items())
 
 
-def print_objective(wish: str, extents: Mapping[str, Extent], quantities: Sequence[str]) -> None:
-    """Print an objective and what a simulation of the orbit measures of it.
+def objective_reached(
+    wish: str, extents: Mapping[str, Extent], quantities: Sequence[str]
+) -> list[str]:
+    """Return an objective and what a simulation of the orbit measures of it, as sentences.
 
     Args:
         wish: The objective in words.
         extents: Name of a quantity to its range along the orbit.
         quantities: The names that the objective is about.
     """
+    found: list[str] = []
     for name in quantities:
         extent = extents[name]
         reached = f"{extent.lowest:.8g}"
         if extent.highest > extent.lowest:
             reached = f"{extent.lowest:.8g} to {extent.highest:.8g}"
-        print_lines([f"Asked for {wish}; measured on a simulation, {name}: {reached}."])
+        found.append(f"Asked for {wish}; measured on a simulation, {name}: {reached}.")
+    return found
 
 
 def print_bounds(asked: Sequence[Mapping[str, Any]]) -> None:

@@ -98,7 +98,7 @@ def largest(
         label: Name of the unknown.
     """
     columns, at_guess = _places(terms, quantity, arcs)
-    size = max(float(np.max(np.abs(at_guess))), 1e-9)
+    size = float(np.max(np.abs(at_guess))) or 1.0
     most = terms.program.variable(label, 1.001 * size, scale=size, lower=0.0)[0, 0]
     for sign, word in ((1.0, "above"), (-1.0, "below minus")):
         _hold(terms, f"{label}: not {word} it", quantity, columns, -sign, most, size)
@@ -132,7 +132,7 @@ def keep(terms: OrbitTerms, bound: Bound, slack: ca.MX | float = 0.0) -> float:
     if len(values) > 1 and math.isfinite(bound.upper):
         wanted = f"must bound `{bound.name}` from below only for the shape `{terms.shape.text}`"
         raise InputError(f"Argument `keep` {wanted}, but it has {bound.text}.")
-    size = size_of(bound, 0.0)
+    size = size_of(bound, max(abs(float(terms.guessed(value)[0, 0])) for value in values))
     for value in values:
         for sign, end in ((1.0, bound.lower), (-1.0, bound.upper)):
             if math.isfinite(end):
@@ -144,7 +144,7 @@ def keep(terms: OrbitTerms, bound: Bound, slack: ca.MX | float = 0.0) -> float:
 def size_of(bound: Bound, largest_value: float) -> float:
     """Return the size in which a bounded quantity is measured."""
     ends = [abs(end) for end in (bound.lower, bound.upper) if math.isfinite(end)]
-    return max(*ends, largest_value, 1e-6)
+    return max(*ends, largest_value) or 1.0
 
 
 def _label(bound: Bound, sign: float) -> str:

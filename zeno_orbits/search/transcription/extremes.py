@@ -52,10 +52,8 @@ def extreme(terms: OrbitTerms, index: int, sign: float) -> ca.MX:
     basis = cast("ca.MX", ca.vertcat(*lagrange_basis(points.tolist(), place)))
     height = ca.mtimes(values, basis)
     slope = ca.jacobian(height, place)
-    size = float(np.max(np.abs([_value(found.arc.guess, index, f) for f in (0.0, 0.5, 1.0)])))
-    terms.program.equal(
-        f"{terms.state_names[index]} is {label} there", slope, scale=max(size, 1e-3)
-    )
+    name = f"{terms.state_names[index]} is {label} there"
+    terms.program.equal(name, slope, scale=float(terms.scale[index]))
     return height
 
 

@@ -17,6 +17,7 @@ from zeno_orbits.arrays import Array, Vector
 from zeno_orbits.integrators import Collocation
 from zeno_orbits.model import CompiledSystem, HybridDynamics, ImpactLaw, ParameterValues
 from zeno_orbits.orbits import Cycle, OrbitShape
+from zeno_orbits.search.nearness import Nearness
 from zeno_orbits.search.transcription.arc import CollocatedArc, TranscriptionSettings
 from zeno_orbits.search.transcription.closure import Closure
 from zeno_orbits.search.transcription.motion_derivative import ProgramMotion
@@ -33,7 +34,7 @@ class OrbitTerms:
         compiled: The functions of the problem.
         p: Gains, then parameters, numbers or unknowns, ``(n_p,)``.
         free: Name to unknown of what is free.
-        first: Name to value of what is free, where the search started.
+        nearness: How near what is free is to where the search started.
         shape: The shape of the orbit.
         period: [s].
         electrical_work: Work of the sources in one period [J].
@@ -52,7 +53,7 @@ class OrbitTerms:
     compiled: CompiledSystem
     p: ca.MX
     free: Mapping[str, ca.MX]
-    first: Mapping[str, float]
+    nearness: Nearness
     shape: OrbitShape
     period: ca.MX
     electrical_work: ca.MX
@@ -89,7 +90,7 @@ def transcribe(
     cycle: Cycle,
     closures: Sequence[Closure],
     free: Mapping[str, tuple[float, float]],
-    first: Mapping[str, float],
+    nearness: Nearness,
     settings: TranscriptionSettings,
 ) -> OrbitTerms:
     """Declare the unknowns and the conditions of an orbit of the shape of its guess.
@@ -101,7 +102,7 @@ def transcribe(
         cycle: One simulated period, the guess.
         closures: Of each phase, which impacts are resolved and which tell the Zeno point.
         free: Name to bounds of the gains and parameters that are unknown.
-        first: Anys from which the search started, for the objective.
+        nearness: How near what is free is to where the search started, for the objective.
         settings: Scheme, mesh and closure.
 
     Returns:
@@ -139,7 +140,7 @@ def transcribe(
         compiled=compiled,
         p=p,
         free=unknown,
-        first=first,
+        nearness=nearness,
         shape=cycle.shape,
         period=period,
         electrical_work=work,

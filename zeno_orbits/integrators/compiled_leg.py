@@ -1,0 +1,253 @@
+"""A whole leg in one call of compiled code: `follow.c`, the loop of the stepping engines in C.
+
+The loop in Python is the reference, and the fall-back where there is no compiled code. Both take
+the same steps, and so leave the same record of them, to rounding.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
+from typing import Any, NamedTuple, overload
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.integrators.collocation import Collocation
+from zeno_orbits.integrators.engine import Leg, Outcome, Passage, Step
+from zeno_orbits.integrators.events import SteppedTrajectory
+from zeno_orbits.integrators.flow import GuardedFlow, Tolerance
+from zeno_orbits.integrators.steps import ExplicitStep, RadauStep, not_finite, too_small
+from zeno_orbits.kernels import KernelLibrary
+
+_CAPACITY = 256
+"""Steps that one call records; longer legs take several."""
+
+ENDINGS = ("FALL", "HORIZON", "LEFT")
+"""What a call returns at the end of a leg, in the order of `follow.c`."""
+
+_FULL, _FAR, _EXPLICIT_SINGULAR, _IMPLICIT_SINGULAR, _NOT_FINITE, _RATES = range(3, 9)
+"""What else it returns."""
+
+
+class StepLoop(NamedTuple):
+    """The loop of an engine.
+
+    Attributes:
+        explicit: It begins with explicit steps.
+        implicit: It takes implicit ones, from the beginning or once they pay.
+        largest_explicit: No explicit step is longer, in the time of the flow.
+        largest_implicit: No implicit step is longer.
+        scheme: Of the implicit steps.
+    """
+
+    explicit: bool
+    implicit: bool
+    largest_explicit: float
+    largest_implicit: float
+    scheme: Collocation | None
+
+
+@cache
+def _leg_type(n_y: int, n_stages: int) -> type[ctypes.Structure]:
+    """Return the type `Leg` of `follow.c`."""
+    number, count, address = ctypes.c_double, ctypes.c_longlong, ctypes.c_void_p
+    numbers = "horizon relative absolute rounding largest_explicit largest_implicit time size "
+    numbers += "last_size earlier_size fastest first largest_change offset"
+    arrays = {"guard": 2, "y": n_y, "end": n_y, "reach": n_y, "eigenvalues": 2 * n_y}
+    arrays["coefficients"] = n_stages * n_y
+    counts = "switches implicit on_guard started refused has_last has_rates n_steps n_explicit "
+    counts += "n_recorded capacity"
+    fields = [
+        *((name, number) for name in numbers.split()),
+        *((name, number * length) for name, length in arrays.items()),
+        *((name, count) for name in counts.split()),
+        *((name, address) for name in ("p", "rows", "polynomials")),
+    ]
+    return type("_Leg", (ctypes.Structure,), {"_fields_": fields})
+
+
+class LegCode:
+    """The compiled loop of a mode at numbers that are read anew for every leg."""
+
+    def __init__(self, library: KernelLibrary, p: Vector, n_y: int, scheme: Collocation) -> None:
+        """Make room for a leg.
+
+        Args:
+            library: Of the kernels of the mode, with the loop.
+            p: Parameters of the flow, read in place.
+            n_y: Number of states.
+            scheme: Of the implicit steps that were compiled.
+        """
+        self._follow = library.function("zk_follow")
+        self._scheme = scheme
+        self._kept = p
+        self._rows = np.zeros((_CAPACITY, 2 + n_y))
+        self._polynomials = np.zeros((_CAPACITY, scheme.n_stages, n_y))
+        self._addresses = tuple(a.ctypes.data for a in (p, self._rows, self._polynomials))
+        self._leg: Any = _leg_type(n_y, scheme.n_stages)()
+        self._given = ctypes.byref(self._leg)
+        self._y = np.frombuffer(self._leg.y, dtype=np.float64)
+        self._end = np.frombuffer(self._leg.end, dtype=np.float64)
+        self._reach = np.frombuffer(self._leg.reach, dtype=np.float64)
+        self._rates = np.frombuffer(self._leg.eigenvalues, dtype=np.float64).reshape(2, n_y)
+
+    def serves(self, loop: StepLoop) -> bool:
+        """Return True if this loop was compiled."""
+        return not loop.implicit or loop.scheme is self._scheme
+
+    def follow(self, leg: Leg, loop: StepLoop) -> Passage:
+        """Follow a flow until its guard falls through zero or the time is over.
+
+        Args:
+            leg: The leg; its flow is the one whose numbers are in place.
+            loop: What steps to take.
+
+        Raises:
+            StepSizeError: If the step size falls to rounding level.
+        """
+        self._begin(leg, loop)
+        taken = _Record(start=leg.y, chunks=[])
+        own = self._leg
+        while True:
+            ending = self._follow(self._given)
+            n = own.n_recorded
+            if n:
+                implicit = max(own.n_explicit - (own.n_steps - n), 0)
+                rows = self._rows[:n].copy()
+                taken.chunks.append((rows, self._polynomials[implicit:n].copy()))
+                leg.watch(n, rows[-1, 0], rows[-1, 2:])
+            if ending < len(ENDINGS):
+                break
+            self._go_on(leg, ending)
+        steps = RecordedSteps(taken, leg.flow, leg.tolerance, self._scheme)
+        start = own.time
+        if ending == 0:
+            return _passage(Outcome.FALL, steps, start + own.offset, self._end.copy())
+        if ending == 1:
+            return _passage(Outcome.HORIZON, steps, leg.horizon, self._end.copy())
+        return _passage(Outcome.LEFT, steps, start, self._y.copy())
+
+    def _begin(self, leg: Leg, loop: StepLoop) -> None:
+        own, tolerance = self._leg, leg.tolerance
+        ctypes.memset(self._given, 0, ctypes.sizeof(own))
+        own.horizon, own.rounding = leg.horizon, leg.rounding
+        own.relative, own.absolute = tolerance.relative, tolerance.absolute
+        own.largest_explicit = min(loop.largest_explicit, leg.horizon)
+        own.largest_implicit = min(loop.largest_implicit, leg.horizon)
+        own.switches = loop.explicit and loop.implicit
+        own.implicit = not loop.explicit
+        own.on_guard = leg.on_guard
+        own.capacity = _CAPACITY
+        own.p, own.rows, own.polynomials = self._addresses
+        self._y[:] = leg.y
+        self._reach[:] = math.inf
+        if leg.reach is not None:
+            self._reach[: leg.reach.size] = leg.reach
+
+    def _go_on(self, leg: Leg, ending: int) -> None:
+        """Do what the loop cannot do by itself, or raise what it met."""
+        own = self._leg
+        if ending == _RATES:
+            values = np.linalg.eigvals(leg.flow.jacobian(self._rows[own.n_recorded, 2:]))
+            self._rates[:] = values.real, values.imag
+            own.has_rates = 1
+        elif ending == _NOT_FINITE:
+            raise not_finite(leg.y)
+        elif ending == _EXPLICIT_SINGULAR:
+            raise too_small("the flow is too stiff or singular", own.time, self._y)
+        elif ending == _IMPLICIT_SINGULAR:
+            raise too_small("the flow is singular", own.time, self._y)
+
+
+class CompilableFlow(ABC):
+    """A guarded flow whose legs compiled code may follow."""
+
+    @abstractmethod
+    def leg_code(self) -> LegCode | None:
+        """Return the compiled loop over the steps of a leg, if there is one by now."""
+
+    @abstractmethod
+    def owe(self, seconds: float) -> None:
+        """Hear of time that compiled code would have saved [s]; in the end that repays it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Record:
+    """Steps as they were recorded.
+
+    Attributes:
+        start: State at the start, ``(n_y,)``.
+        chunks: Start, size and state after of each step, and polynomials of the implicit ones.
+    """
+
+    start: Vector
+    chunks: list[tuple[Vector, Vector]]
+
+
+class RecordedSteps(Sequence[Step]):
+    """The steps of a leg, made of their record once somebody asks for one."""
+
+    def __init__(
+        self,
+        record: _Record,
+        flow: GuardedFlow,
+        tolerance: Tolerance,
+        scheme: Collocation,
+    ) -> None:
+        """Keep the record.
+
+        Args:
+            record: The record.
+            flow: The flow.
+            tolerance: Local error of the steps.
+            scheme: Of the implicit steps.
+        """
+        self._record, self._flow, self._tolerance = record, flow, tolerance
+        self._scheme = scheme
+
+    @cached_property
+    def _steps(self) -> tuple[Step, ...]:
+        steps: list[Step] = []
+        before = self._record.start
+        flow, tolerance, scheme = self._flow, self._tolerance, self._scheme
+        for rows, polynomials in self._record.chunks:
+            first = len(rows) - len(polynomials)
+            times = rows[:, :2].tolist()
+            for k, ((start, size), after) in enumerate(zip(times, rows[:, 2:], strict=True)):
+                if k < first:
+                    steps.append(ExplicitStep(flow, tolerance, start, size, before, after))
+                else:
+                    steps.append(
+                        RadauStep(
+                            flow=flow,
+                            scheme=scheme,
+                            tolerance=tolerance,
+                            start=start,
+                            size=size,
+                            before=before,
+                            after=after,
+                            coefficients=polynomials[k - first],
+                        )
+                    )
+                before = after
+        return tuple(steps)
+
+    def __len__(self) -> int:
+        return sum(len(rows) for rows, _ in self._record.chunks)
+
+    @overload
+    def __getitem__(self, index: int) -> Step: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Step]: ...
+    def __getitem__(self, index: int | slice) -> Step | Sequence[Step]:
+        return self._steps[index]
+
+
+def _passage(outcome: Outcome, steps: Sequence[Step], duration: float, state: Vector) -> Passage:
+    trajectory = SteppedTrajectory(steps=steps, duration=duration, end=state)
+    return Passage(outcome=outcome, duration=duration, state=state, trajectory=trajectory)

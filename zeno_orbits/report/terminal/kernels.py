@@ -1,0 +1,33 @@
+"""What the terminal tells of compiled kernels."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+from zeno_orbits.errors import counted
+from zeno_orbits.report.terminal.console import print_lines
+
+
+def print_kernels(facts: Mapping[str, Any]) -> None:
+    """Print where compiled kernels are, how large, and what compiles them.
+
+    Args:
+        facts: As ``zeno-orbits cache --json`` prints them.
+    """
+    size = facts["bytes"] / 1e6
+    lines = [
+        f"Folder: {facts['folder']}",
+        f"Kept: {counted(facts['libraries'], 'compiled mode')}, {size:.1f} MB",
+        f"Compiler: {facts['compiler'] or 'none; steps are interpreted'}",
+        f"Compiling: {facts['compile']}",
+    ]
+    if "removed" in facts:
+        lines.insert(0, f"Removed: {counted(facts['removed'], 'compiled mode')}")
+    print_lines([*lines, *(f"Failed: {reason}." for reason in facts["failures"])])
+
+
+def print_note(message: str) -> None:
+    """Print one line on standard error that is no error."""
+    sys.stderr.write(f"zeno-orbits: note: {' '.join(message.split())}\n")

@@ -1,0 +1,221 @@
+"""A scan of the box of what is free: short simulations tell where orbits are, and the best of them.
+
+A program finds the optimum near its start. The places of the scan are the starts of a search, in
+the order of what motions settle to there: for an optimum first the best place of each valley of the
+objective, then places far from these; the places without an orbit come last.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.maps import Attractor, Fate, attractors_at
+from zeno_orbits.maps.attempt import Accuracy
+from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.orbits import Cycle, OrbitShape, PhaseKind, cycle_of, placed
+from zeno_orbits.orbits.bounds import objection_to
+from zeno_orbits.search.closing import orbit_of
+from zeno_orbits.search.guess import SettlingSettings
+from zeno_orbits.search.objectives import Target
+from zeno_orbits.search.search_problem import SearchProblem, clipped
+from zeno_orbits.simulation import simulate
+from zeno_orbits.simulation.signals import Extent
+from zeno_orbits.verification import measure
+
+_PLACES = 24
+"""Places of a scan for each free number."""
+_MOST_DIMENSIONS = 3
+_ACCURACY = Accuracy(motion=1e-4, orbit=1e-5, near=0.05, exact=1e-3, repeats=1e-4)
+"""To know where to start, three digits do."""
+_ARRIVED = 1e-3
+"""Part of the period after its end within which the last impact of an orbit is found."""
+
+_PHASE = {Fate.ZENO: PhaseKind.ZENO, Fate.SIMPLE: PhaseKind.PLASTIC, Fate.NO_ZENO: PhaseKind.IMPACT}
+"""The orbits among the attractors of a map, and the phases that they consist of."""
+
+
+def start_place(search: SearchProblem, number: int) -> ParameterValues:
+    """Return the numbers of a place: 0 is what is given, moved into the box, the others Halton's.
+
+    Args:
+        search: The search.
+        number: Which place it is.
+    """
+    if number == 0:
+        return clipped(search.values, search.free)
+    lower, upper = np.array(list(search.free.values())).T
+    place = _halton(len(search.free), _n_places(search), search.settings.seed)[number - 1]
+    chosen = dict(zip(search.free, map(float, lower + place * (upper - lower)), strict=True))
+    return search.values.replaced(chosen)
+
+
+def start_order(search: SearchProblem) -> tuple[int, ...]:
+    """Return the numbers of places in the order in which a search starts there, all of them.
+
+    If there is no orbit at any of them the first one comes twice.
+
+    Args:
+        search: The search; at least one number is free.
+    """
+    places, attractors = _places(search), _attractors(search)
+    ranks = [_rank(search, *pair) for pair in zip(places, attractors, strict=True)]
+    by_rank = sorted(range(len(places)), key=lambda k: ranks[k])
+    if not any(rank.group == 0 for rank in ranks):
+        # From the first place once more, by an easier way.
+        return (0, 0, *(k for k in by_rank if k != 0))
+    if not search.seeks_optimum:
+        return (0, *(k for k in by_rank if k != 0))
+    low, high = np.array(list(search.free.values())).T
+    free = np.array([[place.number(name) for name in search.free] for place in places])
+    unit = (free - low) / (high - low)
+    orbits = [k for k in by_rank if ranks[k].group == 0]
+    order = [k for k in orbits if _is_valley(k, orbits, unit, ranks)]
+    others = [k for k in orbits if k not in order][: len(orbits) // 2]
+    while others:
+        away = [min(float(np.linalg.norm(unit[k] - unit[j])) for j in order) for k in others]
+        order.append(others.pop(int(np.argmax(away))))
+    return (*order, *(k for k in by_rank if k not in order))
+
+
+def scan_summary(search: SearchProblem) -> str:
+    """Return how many places of the box settle to what, as a sentence.
+
+    Args:
+        search: The search; at least one number is free.
+    """
+    counts = Counter(one.phrase for one in _attractors(search)).most_common()
+    found = ", ".join(f"{phrase} ({count})" for phrase, count in counts)
+    return f"{len(_places(search))} places in the box were looked at by simulation: {found}."
+
+
+class _Rank(NamedTuple):
+    """Place of an attractor in the order of starts: orbits within the bounds, the best first."""
+
+    group: int
+    violates: bool = False
+    score: float = 0.0
+
+
+def _n_places(search: SearchProblem) -> int:
+    """Return how many places there are besides the first, no fewer than starts."""
+    return max(search.settings.n_starts, _PLACES * min(len(search.free), _MOST_DIMENSIONS))
+
+
+def _places(search: SearchProblem) -> list[ParameterValues]:
+    return [start_place(search, k) for k in range(1 + _n_places(search))]
+
+
+def _attractors(search: SearchProblem) -> tuple[Attractor, ...]:
+    """Return what motions settle to at the places of a search."""
+    return _settled(
+        search.problem,
+        tuple(place.vector for place in _places(search)),
+        tuple(map(search.problem.state_vector, search.initial_states)),
+        search.settings.settling.horizon,
+    )
+
+
+@lru_cache(maxsize=1)
+def _settled(
+    problem: Problem,
+    places: tuple[tuple[float, ...], ...],
+    starts: tuple[tuple[float, ...], ...],
+    until: float | None,
+) -> tuple[Attractor, ...]:
+    """Return what motions settle to: from the first start that leads to an orbit, if one does."""
+    n_gains = len(problem.gains)
+    values = [
+        ParameterValues(
+            gains=dict(zip(problem.names[:n_gains], place, strict=False)),
+            parameters=dict(zip(problem.names[n_gains:], place[n_gains:], strict=True)),
+        )
+        for place in places
+    ]
+    found: list[Attractor | None] = [None] * len(values)
+    for start in starts:
+        left = [k for k, one in enumerate(found) if one is None or one.fate not in _PHASE]
+        named = dict(zip(problem.state_names, start, strict=True))
+        some = [values[k] for k in left]
+        try:
+            seen = attractors_at(problem, some, start=named, until=until, accuracy=_ACCURACY)
+        except ZenoOrbitsError as error:
+            seen = tuple(Attractor(fate=Fate.FAILED, detail=str(error)) for _ in left)
+        for k, one in zip(left, seen, strict=True):
+            if found[k] is None or one.fate in _PHASE:
+                found[k] = one
+    return tuple(one for one in found if one is not None)
+
+
+def _rank(search: SearchProblem, values: ParameterValues, attractor: Attractor) -> _Rank:
+    if attractor.fate not in _PHASE:
+        decided = attractor.fate not in (Fate.UNSETTLED, Fate.FAILED)
+        return _Rank(2 if decided else 1)
+    if search.shape is not None and not _is_of_shape(attractor, search.shape):
+        return _Rank(1)
+    try:
+        return _scored(search, values, attractor)
+    except ZenoOrbitsError:
+        return _Rank(1)
+
+
+def _is_of_shape(attractor: Attractor, shape: OrbitShape) -> bool:
+    """Return True if an orbit may be of a shape, as far as its number of releases tells."""
+    return attractor.returns == shape.n_releases
+
+
+def _scored(search: SearchProblem, values: ParameterValues, attractor: Attractor) -> _Rank:
+    """Return the rank of an orbit: what a map tells of it, and what a simulation of it does."""
+    objective = search.objective
+    names = [*objective.quantities, *(bound.name for bound in search.bounds)]
+    told = {"period": attractor.period, **attractor.margins}
+    if attractor.multipliers:
+        told["spectral_radius"] = attractor.spectral_radius
+    extents = {name: Extent(lowest=x, highest=x) for name, x in told.items()}
+    missing = [name for name in names if name not in told]
+    target = objective if isinstance(objective, Target) else None
+    cycle = _cycle(search, values, attractor) if missing or target is not None else None
+    if cycle is not None and missing:
+        orbit = orbit_of(cycle, search.problem, values)
+        simulation = SettlingSettings().simulation
+        extents |= measure(orbit, search.problem, missing, simulation=simulation)
+    if target is not None and cycle is not None:
+        score = target.miss(cycle)
+    else:
+        score = search.score(values, extents)
+    return _Rank(0, bool(objection_to(search.bounds, extents)), score)
+
+
+def _cycle(search: SearchProblem, values: ParameterValues, attractor: Attractor) -> Cycle:
+    """Return a period of an attractor that is an orbit."""
+    dynamics, settings = search.dynamics(values), SettlingSettings().simulation
+    state = np.array(search.problem.state_vector(attractor.state))
+    n = attractor.returns
+    if n == 0:
+        until = (1 + _ARRIVED) * attractor.period
+        n = len(simulate(dynamics, state, until=until, settings=settings).impacts)
+    shape = OrbitShape(phases=n * (_PHASE[attractor.fate],))
+    start = placed(dynamics, shape, state)
+    return cycle_of(dynamics, start, shape, horizon=2 * attractor.period, settings=settings)
+
+
+def _is_valley(k: int, orbits: Sequence[int], unit: Vector, ranks: Sequence[_Rank]) -> bool:
+    """Return True if none of the nearest places, two for each free number, has a better orbit."""
+    away = {j: float(np.linalg.norm(unit[k] - unit[j])) for j in orbits if j != k}
+    near = sorted(away, key=lambda j: away[j])[: 2 * unit.shape[1]]
+    return all(ranks[k] <= ranks[j] for j in near)
+
+
+@lru_cache(maxsize=1)
+def _halton(dimension: int, count: int, seed: int) -> Vector:
+    """Return quasi-random places in the unit box, ``(count, dimension)``."""
+    # SciPy's statistics take half a second to import, and most searches end at their first start.
+    from scipy.stats import qmc
+
+    return qmc.Halton(dimension, seed=seed).random(count)
