@@ -474,9 +474,10 @@ LABELS = {
 
 def draw(sweeps: Mapping[float, tuple[list[float], list[Row], list[Row]]], path: Path) -> None:
     """Draw the distances over the stiffness, the fits, and the numerical error below them."""
-    from zeno_orbits.report.plots.style import FULL_WIDTH, add_legend, panels_of, save_figure
+    from zeno_orbits.report.plots.panels import panels_of
+    from zeno_orbits.report.plots.style import FULL_WIDTH, save_figure
 
-    figure, panels = panels_of(FULL_WIDTH, len(sweeps), height=3.4, columns=2)
+    panels = panels_of(FULL_WIDTH, len(sweeps), height=3.4, columns=2)
     for ax, (exponent, (stiffnesses, rows, errors)) in zip(panels, sweeps.items(), strict=True):
         for name, (label, marker, colour) in LABELS.items():
             values = np.array([abs(row[name]) for row in rows])
@@ -502,8 +503,7 @@ def draw(sweeps: Mapping[float, tuple[list[float], list[Row], list[Row]]], path:
         law = r"$k\,\delta$" if exponent == 1.0 else rf"$k\,\delta^{{{exponent:g}}}$"
         ax.set_xlabel(f"stiffness $k$ [{unit}], force {law}")
         ax.set_ylabel("distance from the Zeno orbit")
-    add_legend(figure, FULL_WIDTH)
-    save_figure(figure, path)
+    save_figure(panels.finished(), path)
     print(f"Written: {path}")
 
 

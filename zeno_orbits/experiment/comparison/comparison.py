@@ -33,6 +33,7 @@ from zeno_orbits.experiment.recordings.periodicity import Periodicity
 from zeno_orbits.experiment.recordings.recording import Recording
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.work import Columns, Displayed
 
 __all__ = ["Comparison", "Metric", "compare"]
 
@@ -63,8 +64,8 @@ class Contacts:
     events: tuple[CycleEvents, ...]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Comparison:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Comparison(Displayed):
     """A recording beside an orbit.
 
     Attributes:
@@ -88,6 +89,18 @@ class Comparison:
     deviations: Deviations | None = None
     reasons: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        """Return one line: whether the recording shows the orbit, and why not."""
+        found = f"agrees={self.agrees}, signals={', '.join(self.signals)}"
+        return (
+            f"<Comparison with {self.orbit.problem}: {found} {' '.join(self.reasons)}".strip() + ">"
+        )
+
+    def _columns(self) -> Columns:
+        """Return the numbers of the recording beside those of the orbit."""
+        names = ("name", "unit", "orbit", "data", "error")
+        return {name: [getattr(metric, name) for metric in self.metrics] for name in names}
 
     @property
     def period(self) -> Periodicity | None:
