@@ -146,7 +146,7 @@ def _move(
     guess = meeting_guess(system, stage, points, 1.5 * size)
     if guess is not None:
         size = guess * _BEYOND if guess * _BEYOND <= size else guess / 2
-        orders = _orders(size, pace.size, settings)
+        orders = _orders(size, pace.size, settings, flow.n)
         least = min(least, guess / 64)
     shortened = guess is not None
     over = flow.series(stage.at.box, orders[1])
@@ -215,12 +215,16 @@ def _excess(step: FlowStep, settings: WalkSettings) -> float:
     return worst
 
 
-def _orders(size: float, usual: float, settings: WalkSettings) -> tuple[int, int]:
-    """Return the orders that are enough for a short step, where the usual step has the usual."""
+def _orders(size: float, usual: float, settings: WalkSettings, n: int) -> tuple[int, int]:
+    """Return the orders that are enough for a short step, where the usual step has the usual.
+
+    None is below the number of states: what a state comes to depend on through the others only
+    must show in the series, or the box of the step has no room for it.
+    """
     reach = 4.0 * size / usual
 
     def enough(allowed: float, most: int) -> int:
-        for k in range(3, most):
+        for k in range(min(n, most), most):
             if reach**k / math.factorial(k + 1) < allowed * 1e-3:
                 return k
         return most
