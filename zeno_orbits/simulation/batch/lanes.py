@@ -13,6 +13,14 @@ FREE, FLIGHT, LOCKED = 0, 1, 2
 """Modes of a lane: free from a release or a start, rescaled after an impact, on the stop."""
 
 
+Mask = NDArray[np.bool_]
+
+
+def true_rows(mask: Mask) -> Rows:
+    """Return where a mask is true, ``(m,)``; `np.flatnonzero` takes four times as long."""
+    return mask.nonzero()[0]
+
+
 @dataclass(slots=True, kw_only=True)
 class Lanes:
     """The state of every lane; arrays of length ``n_lanes``, changed in place by the batch.
