@@ -62,6 +62,8 @@ from .precision.accuracy import simulate_to as simulate_to
 from .precision.accuracy import simulate_with_error as simulate_with_error
 from .precision.trials import QUICK as QUICK
 from .precision.trials import trade as trade
+from .proof.checker.certificate import ProofVerdict as ProofVerdict
+from .proof.checker.certificate import check_proof as check_proof
 from .proof.theorem import Proof as Proof
 from .report.plots import plot_zeno_region as plot_zeno_region
 from .report.plots import plot_zeno_zoom as plot_zeno_zoom

@@ -2,7 +2,8 @@
 
 A problem is given as an object, by the name of a bundled one, or by the path of its file. Numbers
 that are not given are the problem's own. Functions of an orbit find its problem by its name;
-``problem=`` overrides. The rooms offer the same steps with everything adjustable.
+``problem=`` overrides. Work of more than a second shows its progress in terminals and notebooks;
+``on_progress=`` takes it elsewhere. The rooms offer the same steps with everything adjustable.
 
 Offers: the functions below; `zeno_orbits` exports them.
 Imports: every room but ``cli``.
@@ -10,14 +11,15 @@ Imports: every room but ``cli``.
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import wraps
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
-from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.errors import InputError
 from zeno_orbits.model import (
     Problem,
     ProblemFile,
@@ -30,6 +32,7 @@ from zeno_orbits.orbits import ZenoOrbit, read_orbit
 from zeno_orbits.work import Progress, silent
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from zeno_orbits.continuation import Continuation, ContinuationSettings, Crew
@@ -49,7 +52,28 @@ Numbers = Mapping[str, float]
 Axis = tuple[str, float, float, int]
 """Name of a gain or parameter, its range, and the number of points along it."""
 
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
 
+
+def _shows_progress(work: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Show progress in a notebook or terminal, unless the caller takes it elsewhere."""
+
+    @wraps(work)
+    def shown(*args: _P.args, **options: _P.kwargs) -> _R:
+        from zeno_orbits.report import line_for_watcher
+
+        line = None if "on_progress" in options else line_for_watcher()
+        if line is None:
+            return work(*args, **options)
+        told: Any = work
+        with line:
+            return told(*args, **{**options, "on_progress": line})
+
+    return shown
+
+
+@_shows_progress
 def simulate(
     problem: Named,
     *,
@@ -85,6 +109,7 @@ def simulate(
     )
 
 
+@_shows_progress
 def find_orbit(
     problem: Named,
     *,
@@ -129,6 +154,7 @@ def find_orbit(
     )
 
 
+@_shows_progress
 def search_gains(
     problem: Named,
     *,
@@ -198,6 +224,7 @@ def search_gains(
     return _with_certificates(result)
 
 
+@_shows_progress
 def close_orbit(
     problem: Named,
     *,
@@ -239,6 +266,7 @@ def close_orbit(
     )
 
 
+@_shows_progress
 def verify(
     orbit: ZenoOrbit | str | Path,
     *,
@@ -311,31 +339,13 @@ def floquet_multipliers(
         InputError: If the orbit's problem is not known, or its numbers do not fit the problem.
         SimulationError: If the orbit does not return.
     """
-    import numpy as np
-
-    from zeno_orbits.orbits import first_cycles, placed, poincare
-    from zeno_orbits.simulation import simulator
+    from zeno_orbits.verification import multipliers_of
 
     orbit = _read(orbit)
-    known = problem_of(orbit, problem)
-    dynamics, settings = known.dynamics(orbit.values(known)), simulator.SimulationSettings()
-    shape = orbit.shape.at_restitution(dynamics.restitution)
-    release = known.state_vector(orbit.phases[0].start_state)
-    start = placed(dynamics, shape, np.array(release, dtype=np.float64))
-    motion = simulator.simulate(dynamics, start, until=1.5 * orbit.period, settings=settings)
-    found = first_cycles(motion, start, shape)
-    if not found:
-        raise SimulationError("The orbit does not return", time=motion.end_time, state=release)
-    return poincare.floquet_multipliers(
-        dynamics,
-        start,
-        scale=found[0].scale(),
-        period=found[0].period,
-        settings=settings,
-        shape=shape,
-    )
+    return multipliers_of(orbit, problem_of(orbit, problem))
 
 
+@_shows_progress
 def continue_orbit(
     orbit: ZenoOrbit | str | Path,
     parameter: str,
@@ -397,6 +407,7 @@ def _crew(problem: Named, workers: int, on_progress: Progress) -> Generator[Crew
         yield Crew(problem_file=_file_of(problem), plan=plan, pool=pool, on_progress=on_progress)
 
 
+@_shows_progress
 def parameter_map(
     problem: Named,
     *,
@@ -419,7 +430,7 @@ def parameter_map(
         parameters: Parameters that differ from the problem's own.
         start: State name to value where every motion starts; by default the problem's first start.
         until: How long a motion may take to settle [s]; by default 300 turns of the problem's
-            clock, or 35 of its slowest oscillation.
+            clock, or 35 of its slowest oscillation; more above a restitution of 0.5.
         workers: Processes; with 1 no other than this one; 0 means one a core.
         on_progress: Called with what is being done and the part of it that is done.
 
@@ -445,17 +456,34 @@ def parameter_map(
     return maps.parameter_map(plane, plan, on_progress=on_progress)
 
 
-def plot(result: Any, *, problem: Named | None = None, **style: Any) -> Figure:
+def plot(
+    result: Any,
+    *,
+    problem: Named | None = None,
+    ax: Axes | None = None,
+    axes: Sequence[Axes] = (),
+    width: float | None = None,
+    title: str = "",
+) -> Figure:
     """Return a picture of a result.
 
     Args:
-        result: An execution, orbit, family, map, certificate, trade or comparison.
+        result: An execution, orbit, search result, certificate, family, continuation, map, trade or
+            comparison. An orbit is simulated over one period.
         problem: Its problem, where the result does not tell it.
-        style: As `zeno_orbits.report.plots.figure_of` takes it.
+        ax: Axes to draw into, for a picture of one panel.
+        axes: Axes to draw into, as many as the picture has panels.
+        width: Width of the picture [in]; by default 7, that of a page.
+        title: Words above the picture; none by default.
+
+    Raises:
+        InputError: If there is no picture of such a value, its problem is not known, or the axes
+            are not as many as its panels.
     """
     from zeno_orbits.report import figure_of
 
-    return figure_of(result, problem=None if problem is None else _known(problem), **style)
+    known = None if problem is None else _known(problem)
+    return figure_of(result, problem=known, ax=ax, axes=axes, width=width, title=title)
 
 
 def equilibrium_acceleration(

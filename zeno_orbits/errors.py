@@ -179,5 +179,12 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     from difflib import get_close_matches
 
     words = {word.casefold(): word for word in known}
-    near = get_close_matches(name.casefold(), words, n=1)
+    # Of two letters, such as those of gains, one may be wrong.
+    alike = 0.5 if len(name) < 4 else 0.6
+    near = get_close_matches(name.casefold(), words, n=1, cutoff=alike)
     return f" Did you mean `{words[near[0]]}`?" if near else ""
+
+
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun, such as ``1 impact`` or ``2 impacts``."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

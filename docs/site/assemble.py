@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from commands import command_page
+from examples import examples
 from navigation import navigation
 
 import zeno_orbits
@@ -22,6 +23,7 @@ ROOT = Path(__file__).parents[2]
 ELSEWHERE = ("CONTRIBUTING.md", "CHANGELOG.md", "LICENSE", "CITATION.cff")
 READ_BY_DEVELOPERS = ("tests/README.md", "benchmarks/README.md")
 REFERENCE, COMMANDS = "docs/reference.md", "docs/commands.md"
+EXAMPLES = "docs/examples.md"
 
 
 def assemble(folder: Path) -> None:
@@ -71,9 +73,11 @@ def _write_reference(folder: Path) -> None:
     )
     pages = [f"api/{name}.md" for name in names]
     _write(folder / REFERENCE, "\n".join([page, *_toctree(pages)]))
+    shown = examples((ROOT / EXAMPLES).read_text())
     for name in names:
         directive = ("```{eval-rst}", *_directive(name), "```", "")
-        _write(folder / "docs" / "api" / f"{name}.md", "\n".join([f"# `{name}`", "", *directive]))
+        text = "\n".join([f"# `{name}`", "", *directive, "## Example", "", shown[name], ""])
+        _write(folder / "docs" / "api" / f"{name}.md", text)
 
 
 def listed_names(page: str) -> list[str]:

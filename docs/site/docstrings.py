@@ -30,7 +30,8 @@ def _readable(
     returned: str | None,
 ) -> tuple[str | None, str | None]:
     """Return a signature that parses: a default that is made anew has no expression."""
-    return (signature or "").replace("<factory>", "...") or None, returned
+    words = re.sub(r"<function (\w+)(?: at \w+)?>", r"\1", signature or "")
+    return words.replace("<factory>", "...") or None, returned
 
 
 def setup(app: Any) -> dict[str, bool]:

@@ -37,6 +37,16 @@ BAD_ARGUMENTS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "parameter with a slip": (simulating("--set", "restution=0"), ("mean `restitution`?",)),
     "state with a slip": (simulating("--start", "thta2=1"), ("Did you mean `theta2`?",)),
     "objective with a slip": (searching("--objective", "enrgy"), ("Did you mean `energy`?",)),
+    "gain with a wrong letter": (simulating("--gain", "Kq=1"), ("Did you mean `Kp`?",)),
+    "bound with a slip": (searching("--keep", "curent=:1"), ("Did you mean `current`?",)),
+    "part with a slip": (
+        ("rig", "motor_pendulum", "--part", "contact.stifness=1e5"),
+        ("Did you mean `contact.stiffness`?",),
+    ),
+    "family in an unknown number": (
+        ("continue", "motor_pendulum", "--in", "e=0:0.5"),
+        ("`in`", "`e`", "restitution"),
+    ),
     "unknown option": (("problems", "--frobnicate"), ("--frobnicate",)),
     "no problem": (("simulate",), ("PROBLEM",)),
     "unknown problem": (("search", "pendulum"), ("`pendulum`", "motor_pendulum")),
@@ -188,7 +198,14 @@ BAD_ARGUMENTS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "plot into an unknown format": (("plot", "o.json", "--format", "gif"), ("gif", "svg")),
     "plot an unknown kind": (("plot", "o.json", "--kind", "pie"), ("pie", "portraits")),
     "verify nothing": (("verify",), ("ORBIT.json",)),
-    "orbit file missing": (("verify", "none.json"), ("`none.json`", "read")),
+    "orbit file missing": (
+        ("verify", "none.json"),
+        ("Orbit file `none.json` cannot be read (No such file or directory).",),
+    ),
+    "problem file not there": (
+        ("simulate", "./none.py"),
+        ("Problem file `none.py` cannot be read",),
+    ),
     "orbit file missing, plot": (("plot", "none.json", "-o", "pictures"), ("`none.json`", "read")),
     "orbit file a folder": (("verify", "."), ("Orbit file", "read")),
     "problem file missing": (("simulate", "none.py"), ("`none.py`",)),

@@ -92,7 +92,7 @@ def test_a_false_recording_is_a_no_with_the_reason(folder: Path) -> None:
         ),
         (
             ("identify", "motor_pendulum", "data.csv", "--fit", "R", "-o", "./data.csv"),
-            "`output` must be another file than what is read",
+            "`output` must be another file than the one that is read",
         ),
         (
             ("identify", "motor_pendulum", "data.csv", "--fit", "R", "-o", "f", "--orbit", "f"),

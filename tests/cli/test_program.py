@@ -66,9 +66,7 @@ def test_work_that_is_done_at_once_shows_no_progress(monkeypatch: pytest.MonkeyP
 
 
 def test_an_unexpected_error_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        "zeno_orbits.model.library.load_problem", raising(RuntimeError("two\nlines"))
-    )
+    monkeypatch.setattr("zeno_orbits.model.load_problem", raising(RuntimeError("two\nlines")))
     answer = ask("simulate", "motor_pendulum")
     assert_refused(answer, "internal error", "RuntimeError: two lines", "--debug")
 
@@ -76,9 +74,7 @@ def test_an_unexpected_error_is_one_line(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_debug_shows_where_an_error_comes_from(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ValueError, match="pendulum"):
         main(["simulate", "pendulum", "--debug"])
-    monkeypatch.setattr(
-        "zeno_orbits.model.library.load_problem", raising(RuntimeError("deep inside"))
-    )
+    monkeypatch.setattr("zeno_orbits.model.load_problem", raising(RuntimeError("deep inside")))
     with pytest.raises(RuntimeError, match="deep inside"):
         main(["simulate", "motor_pendulum", "--debug"])
 

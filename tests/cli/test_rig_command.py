@@ -152,12 +152,13 @@ def test_misuse_is_one_line(file: Path, arguments: tuple[str, ...], message: str
 
 def test_the_orbit_that_is_read_is_not_written_over(file: Path) -> None:
     before = file.read_bytes()
-    assert refused(ask("rig", file, "-o", file), "`output` must be another file than what is read")
+    other = "`output` must be another file than the one that is read"
+    assert refused(ask("rig", file, "-o", file), other)
     assert file.read_bytes() == before
 
 
 def test_files_that_are_no_orbits_and_problems_that_are_none_are_refused(tmp_path: Path) -> None:
-    assert refused(ask("rig", tmp_path / "no.json"), "must hold a Zeno orbit")
+    assert refused(ask("rig", tmp_path / "no.json"), "no.json` cannot be read")
     assert refused(ask("rig", "no_scene"), "`problem` must be one of")
     ball = ("rig", "bouncing_ball")
     assert refused(ask(*ball, "--cycles", "2"), "`cycles` must come with an orbit")

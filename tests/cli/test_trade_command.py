@@ -66,13 +66,13 @@ def test_trade_where_nothing_happens_so_soon_is_a_no_in_one_line(here: Path) -> 
 
 @pytest.mark.parametrize(
     "where",
-    ["precision.trials.trade", "report.plots.plot_trade", "report.plots.save_figure"],
+    ["precision.trade", "report.plots.plot_trade", "report.plots.save_figure"],
 )
 def test_an_interrupted_trade_writes_nothing(
     where: str, traded: tuple[Answer, Path], here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     measured = read_work_precision(traded[1] / "trade.json")
-    monkeypatch.setattr("zeno_orbits.precision.trials.trade", lambda *_, **__: measured)
+    monkeypatch.setattr("zeno_orbits.precision.trade", lambda *_, **__: measured)
     monkeypatch.setattr(f"zeno_orbits.{where}", raising(KeyboardInterrupt()))
     answer = ask(*TRADING, "-o", "t.json", "--picture", "t.png")
     assert answer.code == INTERRUPTED

@@ -267,7 +267,7 @@ def test_a_hole_in_every_line_of_a_long_file_is_kept(write: Write) -> None:
         ("", "it has no line of column titles"),
         ("\n\n", "it has no line of column titles"),
         (HEAD, "it has no line of column titles"),
-        (TITLES, "it has 0 rows of numbers, and two are the least"),
+        (TITLES, "it has 0 rows of numbers, and two are needed"),
         (TITLES + "0,1,2\n", "it has 1 row of numbers"),
         (TITLES + "nan,1,2\nnan,1,2\n", "it has 0 rows of numbers"),
         (ROWS, "line 1 must hold the column titles, and it holds numbers"),

@@ -48,7 +48,7 @@ def test_a_bound_is_kept_to_the_accuracy_of_the_measurement_and_no_further() -> 
 def test_an_objection_names_what_is_passed_and_by_how_much() -> None:
     bounds = (Bound(name="a", upper=1.0), Bound(name="b", lower=0.0))
     extents = {"a": Extent(lowest=0.0, highest=1.5), "b": Extent(lowest=0.0, highest=9.0)}
-    assert objection_to(bounds, extents) == "`a` leaves :1 by 0.5."
+    assert objection_to(bounds, extents) == "`a` leaves its bounds :1 by 0.5."
     assert objection_to(bounds[1:], extents) == ""
     first, second = asked_and_reached(bounds, extents)
     assert (first["upper"], first["lower"], first["highest"], first["kept"]) == (

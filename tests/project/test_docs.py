@@ -6,8 +6,10 @@ from pathlib import Path
 
 import pytest
 
+import zeno_orbits as zo
 from docs.site.commands import command_page
 from docs.site.docstrings import linked
+from docs.site.examples import examples
 from docs.site.navigation import navigation
 from zeno_orbits.verification.certificate import RESIDUALS
 
@@ -77,15 +79,18 @@ def test_a_page_that_the_list_of_documents_lacks_comes_last(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_begins_with_what_is_expected_and_ends_by_asserting_it(path: Path) -> None:
+def test_a_notebook_says_what_it_expects_asserts_it_and_ends_with_two_things_to_try(
+    path: Path,
+) -> None:
     cells = json.loads(path.read_text())["cells"]
-    first = "".join(cells[0]["source"])
+    first, last = ("".join(cells[k]["source"]) for k in (0, -1))
     assert first.startswith("# ")
     assert "| expected |" in first
-    last = cells[-1]
-    assert last["cell_type"] == "code"
-    assert "".join(last["source"]).splitlines()[-1].strip().startswith("assert ")
-    assert all(not cell.get("outputs") for cell in cells)
+    checks = cells[-2]
+    assert checks["cell_type"] == "code"
+    assert "".join(checks["source"]).splitlines()[-1].strip().startswith("assert ")
+    assert last.startswith("## Two things to try\n")
+    assert len(re.findall(r"^\* ", last, re.MULTILINE)) == 2
 
 
 def test_pages_and_notebooks_import_from_the_front_door_alone() -> None:
@@ -115,6 +120,14 @@ def test_the_page_of_the_command_line_has_every_command_and_option() -> None:
         assert f"## `{name}`" in page
     assert "`--keep NAME=LOWER:UPPER`" in page
     assert "zeno-orbits search motor_pendulum -o orbit.json" in page
+
+
+def test_every_public_name_has_an_example() -> None:
+    shown = examples((ROOT / "docs" / "examples.md").read_text())
+    assert sorted(shown) == sorted(zo.__all__)
+    for name, text in shown.items():
+        assert "```python" in text
+        assert re.search(rf"\b{name}\b", text), name
 
 
 def test_every_dependency_is_accounted_for() -> None:

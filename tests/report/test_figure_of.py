@@ -29,6 +29,7 @@ from zeno_orbits.report.plots import (
     save_figure,
 )
 from zeno_orbits.search.settings import SearchStatus
+from zeno_orbits.verification import RESIDUALS
 
 
 def family() -> Family:
@@ -122,7 +123,49 @@ def test_a_search_is_drawn_as_its_best_orbit(orbit: zo.ZenoOrbit) -> None:
 def test_an_execution_without_its_problem_is_drawn_without_units(ball: zo.Execution) -> None:
     assert [ax.get_ylabel() for ax in figure_of(ball).axes] == ["height", "speed"]
     units = [ax.get_ylabel() for ax in figure_of(ball, problem=zo.load_problem(BALL)).axes]
-    assert units == ["height [m]"]
+    assert units == ["height [m]", "speed [m/s]"]
+
+
+PANELS = {"family": 3, "continuation": 3, "boundaries": 1, "map": 1, "trade": 1}
+
+
+@pytest.mark.parametrize("name", RESULTS)
+def test_every_result_is_drawn_into_axes_that_are_there(name: str) -> None:
+    figure = Figure(figsize=(5.0, 4.0))
+    axes = np.atleast_1d(figure.subplots(1, PANELS[name]))
+    others = figure.add_axes((0.9, 0.9, 0.1, 0.1))
+    assert zo.plot(RESULTS[name](), axes=axes, title="A title") is figure
+    assert all(ax.lines or ax.collections for ax in axes)
+    assert not figure.legends
+    assert len(others.lines) + len(others.collections) == 0
+    assert axes[0].get_legend() is not None
+    assert axes[0].get_title() == "A title"
+
+
+def test_an_orbit_and_a_certificate_are_drawn_into_axes_that_are_there(
+    orbit: zo.ZenoOrbit, certificate: zo.OrbitCertificate
+) -> None:
+    for result in (orbit, certificate):
+        figure = Figure()
+        axes = figure.subplots(2)
+        assert zo.plot(result, axes=axes) is figure
+        assert figure.axes == list(axes)
+        assert all(ax.lines for ax in axes)
+
+
+def test_one_panel_takes_one_axes(ball: zo.Execution) -> None:
+    ax = Figure().add_subplot()
+    zo.plot(TRADE, ax=ax)
+    assert len(ax.lines) == 5
+    with pytest.raises(
+        zo.InputError, match="as many as the picture has panels, 2, but there are 1"
+    ):
+        zo.plot(ball, ax=ax)
+    with pytest.raises(zo.InputError, match="must not come together"):
+        zo.plot(TRADE, ax=ax, axes=[ax])
+    with pytest.raises(zo.InputError, match="`width` must come without axes"):
+        zo.plot(TRADE, ax=ax, width=3.4)
+    assert float(zo.plot(TRADE, width=3.4).get_figwidth()) == 3.4
 
 
 BALL = "bouncing_ball"
@@ -134,19 +177,75 @@ def ball() -> zo.Execution:
 
 
 @pytest.mark.parametrize("width", [COLUMN_WIDTH, FULL_WIDTH])
-def test_a_certificate_shows_what_failed_and_which_multiplier_is_outside(
+def test_a_certificate_shows_each_residual_at_its_size_and_what_failed(
     certificate: zo.OrbitCertificate, width: float
 ) -> None:
-    residuals = {**certificate.residuals, "drift": np.inf}
-    refused = replace(certificate, residuals=residuals, multipliers=(1.5 + 0j, 0.2 + 0j))
-    for one, failed, outside in ((certificate, 0, 0), (refused, 1, 1)):
-        residual, circle = plot_certificate(one, width=width).axes
-        labels = [line.get_label() for line in residual.get_lines()]
-        assert labels.count("residual, failed") == failed
-        assert labels.count("residual, passed") == len(one.residuals) - failed
-        shown = [line.get_label() for line in circle.get_lines()]
-        assert shown.count("multiplier outside the circle") == outside
-        assert len(shown) == len(one.multipliers)
+    residuals = {**certificate.residuals, "drift": 1e-3, "period": np.inf, "escape": 0.0}
+    refused = replace(certificate, residuals=residuals)
+    for one, failed in ((certificate, 0), (refused, 1)):
+        ax, _ = plot_certificate(one, width=width).axes
+        names = [label.get_text().replace(" ", "_") for label in ax.get_yticklabels()]
+        assert names == [name for name in RESIDUALS if name in one.residuals]
+        bars = {
+            names[int(np.ravel(line.get_ydata())[0])]: line
+            for line in ax.get_lines()
+            if str(line.get_label()).startswith("residual")
+        }
+        sizes = {name: np.ravel(line.get_xdata())[1] for name, line in bars.items()}
+        words = {names[round(text.get_position()[1])]: text.get_text() for text in ax.texts}
+        for name, size in one.residuals.items():
+            if size == 0.0 or size == np.inf:
+                # No bar stands for what has no place on a logarithmic axis.
+                assert words[name] == ("0" if size == 0.0 else "never reached")
+            else:
+                assert sizes[name] == size
+        assert [bar.get_label() for bar in bars.values()].count("residual, failed") == failed
+        # The axis ends a decade below what it shows.
+        assert ax.get_xlim()[0] == pytest.approx(0.1 * min(*sizes.values(), one.tolerance))
+
+
+def test_a_certificate_shows_each_multiplier_where_it_is(
+    certificate: zo.OrbitCertificate,
+) -> None:
+    values = (1.5 + 0.25j, 0.2 - 0.75j)
+    _, circle = plot_certificate(replace(certificate, multipliers=values)).axes
+    drawn = {complex(*np.ravel(line.get_xydata())): line.get_label() for line in circle.get_lines()}
+    assert drawn == {
+        values[0]: "multiplier outside the circle",
+        values[1]: "multiplier inside the circle",
+    }
+
+
+def test_each_panel_of_a_family_shows_its_own_number_and_dashes_where_it_repels(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(
+        "zeno_orbits.report.plots.family.orbit_amplitude", lambda _, __, point: 7.0 * point.value
+    )
+    one = family()
+    period, amplitude, radius = figure_of(one).axes
+    expected = {
+        period: [point.period for point in one.points],
+        amplitude: [7.0 * point.value for point in one.points],
+        radius: [0.4, 0.8, 1.2, 1.6],
+    }
+    assert [ax.get_ylabel().partition(" ")[0] for ax in expected] == [
+        *("period", "amplitude", "spectral")
+    ]
+    for ax, values in expected.items():
+        true = dict(zip([point.value for point in one.points], values, strict=True))
+        looks = {
+            label: [line for line in ax.get_lines() if line.get_label() == label]
+            for label in ("stable", "unstable")
+        }
+        for label, (line,) in looks.items():
+            for x, y in np.asarray(line.get_xydata()):
+                assert y == pytest.approx(true[x], rel=1e-15), (label, x)
+            assert (line.get_linestyle() == "-") == (label == "stable")
+        stable, unstable = (np.ravel(lines[0].get_xdata()) for lines in looks.values())
+        # The orbits of radius below 1 are the first two; a line joins the next one.
+        assert sorted(set(stable)) == [0.1, 0.2]
+        assert sorted(set(unstable)) == [0.2, 0.1 * 3, 0.1 * 4]
 
 
 def test_a_value_without_a_picture_is_refused() -> None:

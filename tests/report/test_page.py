@@ -18,6 +18,7 @@ from io import StringIO
 from pathlib import Path
 from typing import Any, NoReturn
 
+import numpy as np
 import pytest
 
 from tests.support import browser as browsers
@@ -103,7 +104,7 @@ def orbit_file(orbit: ZenoOrbit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 class _Reader(HTMLParser):
     """Collects the words of a page and its scripts, and sees that elements are closed."""
 
-    EMPTY = ("meta", "link", "img", "br")
+    EMPTY = ("meta", "link", "img", "br", "input")
 
     def __init__(self, page: str) -> None:
         super().__init__()
@@ -162,6 +163,44 @@ def test_every_event_of_the_period_stands_on_the_page(page: str, subject: Subjec
     assert f"{subject.execution.zeno_points[0].time:.12g}Zeno point" in text
 
 
+def test_the_page_has_the_problem_for_its_heading_a_date_and_its_contents(
+    page: str, subject: Subject
+) -> None:
+    title = subject.problem.title
+    heading = f"<h1>{title[0].upper()}{title[1:]}</h1>"
+    assert heading in page
+    assert "checked on" not in page
+    assert "checked on 2026-02-03" in page_of(replace(subject, date="2026-02-03"), load_bundle())
+    sections = re.findall(r'<section id="([^"]+)"', page)
+    assert re.findall(r'<li><a href="#([^"]+)">', page) == sections
+    assert len(sections) == 10
+
+
+def test_no_table_repeats_the_title_that_it_stands_under(page: str) -> None:
+    for section in re.findall(r"<section.*?</section>", page, re.DOTALL):
+        (title,) = re.findall(r"<h2[^>]*>([^<]*)</h2>", section)
+        assert title not in re.findall(r"<(?:caption|th)[^>]*>([^<]*)<", section)
+
+
+@pytest.mark.parametrize(("turns", "cautions"), [(0.0, 0), (1.0, 1)])
+def test_an_angle_that_passes_a_turn_gets_a_caution(
+    subject: Subject, turns: float, cautions: int
+) -> None:
+    execution = subject.execution
+    assert execution is not None
+    turned = np.array([2.0 * math.pi * turns, 0.0, 0.0, 0.0, 0.0])
+    arc = execution.arcs[0]
+    moved = replace(
+        arc,
+        start_state=arc.start_state + turned,
+        end_state=arc.end_state + turned,
+        trajectory=None,
+    )
+    found = words.cautions(subject.problem, replace(execution, arcs=(moved,)))
+    assert len(found) == cautions
+    assert all("theta1 runs from" in caution for caution in found)
+
+
 def test_a_long_sequence_of_hits_is_cut_in_its_middle(
     page: str, subject: Subject, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -200,7 +239,12 @@ def test_the_page_names_no_other_place(page: str) -> None:
     # Outside the packed library nothing is linked but data inside the page itself.
     addresses = re.findall(r'(?:src|href)="([^"]*)"', page)
     assert addresses
-    assert all(address.startswith("data:") for address in addresses)
+    reader = _Reader(page)
+    places = {address[1:] for address in addresses if address.startswith("#")}
+    # Links inside the page lead somewhere: to a section, or a law.
+    assert {"theory-15", "theory-19", "reproduce"} < places
+    assert places <= set(reader.ids)
+    assert all(address.startswith(("data:", "#")) for address in addresses)
     assert "http" not in re.sub(r"http-equiv", "", page)
 
 
@@ -406,7 +450,7 @@ def test_an_unstable_orbit_is_not_called_one_that_the_machine_keeps(
     ("arguments", "said"),
     [
         (("-o", "missing/report.html"), "must be in a writable folder"),
-        (("-o", "orbit.json"), "must be another file than what is read"),
+        (("-o", "orbit.json"), "must be another file than the one that is read"),
         (("-o", "report.pdf"), "`output` must end in .html or .htm, but it is `report.pdf`"),
         (("-o", "r.html", "--tolerance", "2"), "`tolerance` must lie in (0, 1)"),
         (("-o", "r.html", "--trade", "nowhere.json"), "must hold what `trade -o` wrote"),

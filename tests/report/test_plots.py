@@ -13,9 +13,12 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, QuadMesh
+from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.text import Annotation
 
 from zeno_orbits.errors import InputError
 from zeno_orbits.maps.attractors import Attractor, Fate
@@ -40,7 +43,7 @@ from zeno_orbits.report.plots import (
     save_figure,
 )
 from zeno_orbits.simulation.completion import Truncation, ZenoExtrapolation
-from zeno_orbits.simulation.execution import Execution, Mode
+from zeno_orbits.simulation.execution import Ending, Execution, Mode
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 
 RELEASE = (0.1985068301199, 0.0, -5.2365375521764, 0.0, -1.8591703843225)
@@ -230,16 +233,64 @@ def test_locked_phases_are_shaded_from_zeno_point_to_release(orbit: Shown) -> No
         assert np.allclose(spans(ax, Mode.FREE), free, rtol=0, atol=1e-12)
 
 
-def test_time_series_show_coordinates_and_current_but_no_velocity(orbit: Shown) -> None:
+def test_time_series_show_coordinates_their_velocities_beside_them_and_the_current(
+    orbit: Shown,
+) -> None:
     figure = plot_time_series(orbit.problem, orbit.execution)
-    labels = [ax.get_ylabel() for ax in figure.axes]
-    assert labels == [r"$\theta_{1}$ [rad]", r"$\theta_{2}$ [rad]", "$i$ [A]"]
+    labels = {ax.get_ylabel(): ax for ax in figure.axes}
+    columns = {
+        r"$\theta_{1}$ [rad]": 0,
+        r"$\dot{\theta}_{1}$ [rad/s]": 2,
+        r"$\theta_{2}$ [rad]": 1,
+        r"$\dot{\theta}_{2}$ [rad/s]": 3,
+        "$i$ [A]": 4,
+    }
+    assert list(labels) == list(columns)
+    arcs = [arc for arc in orbit.execution.arcs if arc.ending is not Ending.ZENO]
+    for label, column in columns.items():
+        ax = labels[label]
+        lines = [line for line in ax.lines if line.get_label() in {"free arc", "locked arc"}]
+        for line, arc in zip(lines, arcs, strict=True):
+            times, values = points(line).T
+            assert values == pytest.approx([arc.state_at(t)[column] for t in times], abs=1e-9)
+        stars = [points(line)[0].tolist() for line in labelled(ax, "Zeno point")]
+        zeno = orbit.execution.zeno_points
+        assert stars == [[point.time, point.state[column]] for point in zeno]
+
+
+def test_portraits_show_each_arc_over_the_states_that_their_axes_name(orbit: Shown) -> None:
+    figure = plot_portraits(orbit.problem, orbit.execution)
+    arcs = [arc for arc in orbit.execution.arcs if arc.ending is not Ending.ZENO]
+    for ax, pair in zip(figure.axes, ([0, 2], [1, 3]), strict=True):
+        assert ax.get_xlabel() == rf"$\theta_{{{pair[0] + 1}}}$ [rad]"
+        assert ax.get_ylabel() == rf"$\dot{{\theta}}_{{{pair[0] + 1}}}$ [rad/s]"
+        lines = [line for line in ax.lines if line.get_label() in {"free arc", "locked arc"}]
+        for line, arc in zip(lines, arcs, strict=True):
+            ends = points(line)[[0, -1]]
+            assert ends.tolist() == [arc.start_state[pair].tolist(), arc.end_state[pair].tolist()]
+            assert line.get_label() == f"{arc.mode.value} arc"
+
+
+def test_arrows_in_a_portrait_point_the_way_the_motion_goes(orbit: Shown) -> None:
+    figure = plot_portraits(orbit.problem, orbit.execution)
+    for ax, pair in zip(figure.axes, ([0, 2], [1, 3]), strict=True):
+        arrows = [text for text in ax.texts if text.get_gid() == "direction"]
+        assert 2 <= len(arrows) <= 6
+        times, states = orbit.execution.sampled(400)
+        curve = states[:, pair]
+        sizes = np.ptp(curve, axis=0)
+        for arrow in arrows:
+            assert isinstance(arrow, Annotation)
+            tail, head = np.array(arrow.xyann), np.array(arrow.xy)
+            # Where both ends were passed last, the head is passed later.
+            at = [np.argmin(np.sum(((curve - end) / sizes) ** 2, axis=1)) for end in (tail, head)]
+            assert times[at[0]] < times[at[1]]
 
 
 def test_a_zeno_tail_without_impacts_leaves_no_hole_in_the_curve() -> None:
     ball = early_ball()
     (zeno,) = ball.execution.zeno_points
-    (ax,) = plot_time_series(ball.problem, ball.execution).axes
+    ax = plot_time_series(ball.problem, ball.execution).axes[0]
     (tail,) = labelled(ax, "Zeno tail, summed")
     assert points(tail)[:, 0].tolist() == [ball.execution.impacts[-1].time, zeno.time]
 
@@ -296,7 +347,7 @@ def test_a_zoom_needs_a_zeno_point() -> None:
 def test_a_flight_without_events_is_drawn_all_the_same() -> None:
     falling = simulated(load_problem("bouncing_ball"), (1.0, 0.0), until=0.1)
     (portrait,) = plot_portraits(falling.problem, falling.execution).axes
-    (series,) = plot_time_series(falling.problem, falling.execution).axes
+    series = plot_time_series(falling.problem, falling.execution).axes[0]
     assert len(labelled(portrait, "free arc")) == len(labelled(series, "free arc")) == 1
     assert spans(series, Mode.LOCKED) == []
 
@@ -406,11 +457,11 @@ def test_a_trade_without_any_result_is_an_empty_picture(tmp_path: Path) -> None:
     assert (tmp_path / "lost.png").read_bytes().startswith(b"\x89PNG")
 
 
-def small_map(*attractors: Attractor) -> ParameterMap:
+def small_map(*attractors: Attractor, columns: int = 3) -> ParameterMap:
     return ParameterMap(
         problem="motor_pendulum",
-        x=Axis(name="Kp", lower=1.0, upper=3.0, count=3, unit="V/rad"),
-        y=Axis(name="Kd", lower=-2.0, upper=-1.0, count=len(attractors) // 3, unit="V s/rad"),
+        x=Axis(name="Kp", lower=1.0, upper=3.0, count=columns, unit="V/rad"),
+        y=Axis(name="Kd", lower=-2.0, upper=-1.0, count=len(attractors) // columns, unit="V s/rad"),
         gains={},
         parameters={},
         start={},
@@ -453,11 +504,10 @@ def test_a_map_names_every_fate_once_in_a_colour_of_its_own(width: float) -> Non
     entries = _legend(figure)
     phrases = {attractor.phrase for attractor in EVERY_FATE}
     assert phrases <= set(entries)
-    assert {"period [s]", "spectral radius"} <= set(entries)
     colours = [entries[phrase].get_facecolor() for phrase in phrases]
     assert len(set(colours)) == len(phrases)
     (ax,) = figure.axes
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("Kp [V/rad]", "Kd [V s/rad]")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("$K_{p}$ [V/rad]", "$K_{d}$ [V s/rad]")
 
 
 @pytest.mark.parametrize("width", [COLUMN_WIDTH, FULL_WIDTH])
@@ -496,5 +546,41 @@ def test_boundaries_are_drawn_on_top_of_a_map_and_leave_its_limits() -> None:
 def test_a_map_of_one_fate_has_no_contours() -> None:
     rest = [Attractor(fate=Fate.REST)] * 6
     assert list(_legend(plot_map(small_map(*rest)))) == ["rest"]
-    same = [_zeno(1.8, 0.1)] * 6
-    assert list(_legend(plot_map(small_map(*same)))) == ["Zeno periodic orbit, period 1"]
+    same = [_zeno(1.8, 0.1)] * 400
+    figure = plot_map(small_map(*same, columns=20))
+    assert list(_legend(figure)) == ["Zeno periodic orbit, period 1"]
+
+
+def sloping_map(n: int) -> ParameterMap:
+    """Return a map whose period rises to the right and whose spectral radius rises upwards."""
+    points = [(i / (n - 1), k / (n - 1)) for k in range(n) for i in range(n)]
+    return small_map(*(_zeno(1.5 + 0.4 * x, 0.95 * y) for x, y in points), columns=n)
+
+
+def test_a_map_of_few_points_draws_cells_and_no_contours() -> None:
+    assert list(_legend(plot_map(sloping_map(6)))) == ["Zeno periodic orbit, period 1"]
+    assert {"period [s]", "spectral radius [1]"} <= set(_legend(plot_map(sloping_map(20))))
+
+
+def test_contours_of_a_map_lie_where_the_map_has_their_level() -> None:
+    (ax,) = plot_map(sloping_map(20)).axes
+    contours = [one for one in ax.collections if isinstance(one, QuadContourSet)]
+    assert len(contours) == 2
+    for lines in contours:
+        for level, path in zip(lines.levels, lines.get_paths(), strict=True):
+            x, y = (np.asarray(path.vertices).T - [[1.0], [-2.0]]) / [[2.0], [1.0]]
+            across = lines is contours[0]
+            field = 1.5 + 0.4 * x if across else 0.95 * y
+            # The field is linear, so that contours between cells are exact.
+            assert np.allclose(field, level, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("width", [COLUMN_WIDTH, FULL_WIDTH])
+def test_labels_of_contours_keep_off_each_other(width: float) -> None:
+    figure = plot_map(sloping_map(20), width=width)
+    figure.savefig(io.BytesIO(), format="png")
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    boxes = [text.get_window_extent(renderer) for text in figure.axes[0].texts]
+    assert len(boxes) >= 6
+    for k, box in enumerate(boxes):
+        assert not any(box.overlaps(other) for other in boxes[k + 1 :])

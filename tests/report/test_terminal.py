@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import io
 import re
+import sys
+from types import ModuleType, SimpleNamespace
+from typing import cast
 
 import pytest
 
+import zeno_orbits as zo
+from zeno_orbits.errors import counted
 from zeno_orbits.model.library import bundled_problems, load_problem
 from zeno_orbits.report import terminal
 from zeno_orbits.report.table import name_column, number_column, text_column
-from zeno_orbits.report.terminal import progress
-from zeno_orbits.report.terminal.console import counted, print_table
+from zeno_orbits.report.terminal import NotebookLine, line_for_watcher, progress
+from zeno_orbits.report.terminal.console import print_table
 
 
 def plain(text: str) -> str:
@@ -91,3 +97,68 @@ def test_the_time_left_only_falls_within_a_stage_and_begins_anew_with_the_next(
         assert len(one) > 3
         assert one == sorted(one, reverse=True)
     assert left[1][0] > left[0][-1]
+
+
+class _Display:
+    """IPython's `display`, which remembers what the cell shows."""
+
+    def __init__(self) -> None:
+        self.texts: list[str] = []
+
+    def __call__(self, data: dict[str, str], **_: object) -> _Display:
+        self.texts.append(data["text/plain"])
+        return self
+
+    update = __call__
+
+
+class _Hurried(Clock):
+    """A clock on which an hour passes whenever it is looked at."""
+
+    def perf_counter(self) -> float:
+        self.now += 3600.0
+        return self.now
+
+
+@pytest.fixture
+def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(progress, "_PATIENCE", 1.0)
+    monkeypatch.setattr(progress, "time", _Hurried())
+
+
+@pytest.mark.usefixtures("_impatient")
+def test_a_notebook_shows_one_line_that_disappears() -> None:
+    display = _Display()
+    with NotebookLine(display) as line:
+        line("looking", 0.5)
+    assert "looking   50 %" in display.texts[0]
+    assert display.texts[-1] == ""
+
+
+def test_a_line_is_shown_unasked_where_somebody_watches(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "IPython", raising=False)
+    monkeypatch.setattr("sys.stderr", io.StringIO())
+    assert line_for_watcher() is None
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    assert isinstance(line_for_watcher(), progress.ProgressLine)
+    shell = SimpleNamespace(kernel=object())
+    ipython = SimpleNamespace(
+        get_ipython=lambda: shell, display=SimpleNamespace(display=_Display())
+    )
+    monkeypatch.setitem(sys.modules, "IPython", cast("ModuleType", ipython))
+    assert isinstance(line_for_watcher(), NotebookLine)
+
+
+@pytest.mark.usefixtures("_impatient")
+def test_the_front_door_shows_progress_unless_it_is_taken_elsewhere(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    display, told = _Display(), list[str]()
+    monkeypatch.setattr("zeno_orbits.report.line_for_watcher", lambda: NotebookLine(display))
+    plane = {"x": ("restitution", 0.1, 0.3, 2), "y": ("g", 9.0, 10.0, 2)}
+    zo.parameter_map("bouncing_ball", **plane)
+    assert any("4 of 4 points" in text for text in display.texts)
+    shown = len(display.texts)
+    zo.parameter_map("bouncing_ball", **plane, on_progress=lambda stage, _: told.append(stage))
+    assert len(display.texts) == shown
+    assert told

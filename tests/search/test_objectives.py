@@ -180,9 +180,9 @@ def test_bounds_that_contradict_each_other_are_named_with_what_they_lack(
     # Of two starts that fail the one is told that comes nearest.
     assert result.detail == told[0].detail
     assert "No orbit was found that keeps all bounds" in result.detail
-    assert "`theta2` leaves :1.5 by 0." in result.detail
+    assert "`theta2` leaves its bounds :1.5 by 0." in result.detail
     assert "`period`" not in result.detail
-    lacking = float(result.detail.split("`theta2` leaves :1.5 by ")[1].rstrip("."))
+    lacking = float(result.detail.split("`theta2` leaves its bounds :1.5 by ")[1].rstrip("."))
     least = _scan(problem, "Kd", [-1.05, -0.95], "theta2")
     assert lacking == pytest.approx(min(least) - 1.5, rel=1e-2)
     # In units of the largest value in the guess, which is one of an orbit in the box.
@@ -220,7 +220,7 @@ def test_the_nearest_orbit_to_bounds_that_no_gains_keep_is_that_of_a_scan(proble
         assert peak(there - 0.05) > 0.0
         assert _scan(problem, "Kd", [there + 0.05], "spectral_radius", Kp=proportional) > lacks[-1:]
     assert lacks == sorted(lacks)
-    lacking = float(result.detail.split("leaves :0.2 by ")[1].rstrip("."))
+    lacking = float(result.detail.split("leaves its bounds :0.2 by ")[1].rstrip("."))
     assert lacking == pytest.approx(lacks[0] - radius, rel=1e-2)
 
 
@@ -251,7 +251,7 @@ def test_an_orbit_at_fixed_numbers_that_passes_a_bound_is_refused(problem: Probl
     )
     assert result.status is SearchStatus.NOT_ACCEPTED
     assert result.orbit is None
-    assert result.detail == "`theta2` leaves :1.9 by 0.0883."
+    assert result.detail == "`theta2` leaves its bounds :1.9 by 0.0883."
 
 
 # What is free.

@@ -106,16 +106,13 @@ def _run_figures(options: argparse.Namespace) -> int:
 
 
 def _material(options: argparse.Namespace, progress: report.ProgressLine) -> Material:
+    from zeno_orbits.report.orbit_motion import motion_of
     from zeno_orbits.report.plots.paper_figures import Material
-    from zeno_orbits.simulation import simulate
     from zeno_orbits.verification import problem_dynamics
 
     orbit, problem = _orbit_and_problem(options, progress)
     dynamics = problem_dynamics(orbit, problem)
-    start = problem.state_vector(orbit.start_state)
-    # A little longer, so that rounding does not cut off the last release.
-    long = orbit.period * (1 + 1e-6)
-    one = simulate(dynamics, start, until=long)
+    one = motion_of(orbit, problem, dynamics)
     if not one.zeno_points:
         message = "must reach a Zeno point in its period, but it reaches none"
         raise InputError(f"Argument `orbit` {message}; see `verify`.")
@@ -139,7 +136,7 @@ def _material(options: argparse.Namespace, progress: report.ProgressLine) -> Mat
         dynamics=dynamics,
         period=orbit.period,
         one=one,
-        several=simulate(dynamics, start, until=options.periods * long),
+        several=motion_of(orbit, problem, dynamics, periods=options.periods),
         other=other,
     )
 

@@ -50,16 +50,13 @@ def add_plot(commands: Any) -> None:
 
 def _run_plot(options: argparse.Namespace) -> int:
     from zeno_orbits.report import plots
-    from zeno_orbits.simulation import simulate
+    from zeno_orbits.report.orbit_motion import motion_of
     from zeno_orbits.verification import problem_dynamics
 
     orbit, problem = orbit_and_problem(options)
     dynamics = problem_dynamics(orbit, problem)
     require_folder(options.output)
-    start = problem.state_vector(orbit.start_state)
-    # A little longer, so that rounding does not cut off the last release.
-    horizon = options.periods * orbit.period * (1 + 1e-6)
-    execution = simulate(dynamics, start, until=horizon)
+    execution = motion_of(orbit, problem, dynamics, periods=options.periods)
     draw = {
         "portraits": lambda: plots.plot_portraits(problem, execution),
         "time": lambda: plots.plot_time_series(problem, execution),

@@ -17,6 +17,7 @@ from zeno_orbits.cli.options import (
 )
 from zeno_orbits.cli.parsing import read_interval, read_share
 from zeno_orbits.errors import InputError
+from zeno_orbits.model import Problem, locate_problem
 from zeno_orbits.report import terminal as report
 
 
@@ -26,19 +27,26 @@ def add_prove(commands: Any) -> None:
         commands,
         "prove",
         _run_prove,
-        "prove that the orbit of a file exists, as a theorem with a certificate",
+        "prove that the orbit of a file exists, or check such a proof",
         [
             "zeno-orbits prove orbit.json -o proof.json",
+            "zeno-orbits prove --check proof.json",
             "zeno-orbits prove orbit.json --radius 1e-6",
             "zeno-orbits prove orbit.json --over Kp=2.5:1e-8",
         ],
     )
-    parser.add_argument("orbit", metavar="ORBIT.json", type=Path, help="an orbit file")
+    parser.add_argument("orbit", metavar="ORBIT.json", type=Path, nargs="?", help="an orbit file")
     parser.add_argument(
         "--problem", metavar="FILE.py", help="the problem's file, if it is not a bundled one"
     )
     parser.add_argument(
         "-o", "--output", type=Path, metavar="PROOF.json", help="write the certificate here"
+    )
+    parser.add_argument(
+        "--check",
+        type=Path,
+        metavar="PROOF.json",
+        help="check a certificate instead, without the prover and in another arithmetic",
     )
     parser.add_argument(
         "--radius",
@@ -57,11 +65,41 @@ def add_prove(commands: Any) -> None:
 
 
 def _run_prove(options: argparse.Namespace) -> int:
+    if (options.orbit is None) == (options.check is None):
+        given = "both are there" if options.orbit else "both are missing"
+        raise InputError(f"Argument `ORBIT.json` must be given or `--check` must, but {given}.")
+    if options.check is not None:
+        return _check(options)
     from zeno_orbits.api import prove
 
     require_outputs(options, pictures=(), reads=(options.orbit,))
     orbit, problem = orbit_and_problem(options)
-    known = {**orbit.gains, **orbit.parameters}
+    with report.ProgressLine(options.interrupts.check) as progress:
+        proof = prove(
+            orbit,
+            problem=problem,
+            over=_over(options, problem, {**orbit.gains, **orbit.parameters}),
+            radius=options.radius,
+            on_progress=progress,
+        )
+    written = options.output if proof.proved else None
+    if written is not None:
+        from zeno_orbits.proof import write_proof
+
+        write_proof(proof.certificate, written)
+    if options.json:
+        print_json(proof.as_json())
+    else:
+        report.print_lines(proof.lines())
+        if written is not None:
+            say_written(options, [written])
+    return YES if proof.proved else NO
+
+
+def _over(
+    options: argparse.Namespace, problem: Problem, known: dict[str, float]
+) -> dict[str, float]:
+    """Return name to radius; the middle must be the orbit's own number."""
     over: dict[str, float] = {}
     for name, value, radius in options.over:
         problem.place(name, argument="over")
@@ -69,18 +107,21 @@ def _run_prove(options: argparse.Namespace) -> int:
             wanted = f"must have the orbit's own `{name}`, {known[name]!r}, in the middle"
             raise InputError(f"Argument `over` {wanted}, but it has {value!r}.")
         over[name] = radius
-    with report.ProgressLine(options.interrupts.check) as progress:
-        proof = prove(
-            orbit, problem=problem, over=over, radius=options.radius, on_progress=progress
-        )
-    if proof.proved and options.output is not None:
-        from zeno_orbits.proof import write_proof
+    return over
 
-        write_proof(proof.certificate, options.output)
+
+def _check(options: argparse.Namespace) -> int:
+    """Check a certificate, and print what holds."""
+    from zeno_orbits.proof import check_proof
+
+    problem = None if options.problem is None else locate_problem(options.problem).load()
+    verdict = check_proof(options.check, problem)
     if options.json:
-        print_json(proof.as_json())
-    else:
-        report.print_lines(proof.lines())
-        if proof.proved and options.output is not None:
-            say_written(options, [options.output])
-    return YES if proof.proved else NO
+        claims = [claim._asdict() for claim in verdict.claims]
+        print_json({"proved": verdict.ok, "problem": verdict.problem, "claims": claims})
+        return YES if verdict.ok else NO
+    for claim in verdict.claims:
+        report.print_lines([f"{'holds' if claim.ok else 'FAILS'}  {claim.name}: {claim.evidence}"])
+    what = "every claim holds" if verdict.ok else "a claim does not hold"
+    report.print_lines([f"Certificate of `{verdict.problem}`: {what}."])
+    return YES if verdict.ok else NO

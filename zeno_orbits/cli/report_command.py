@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -93,6 +94,7 @@ def _run_report(options: argparse.Namespace) -> int:
             problem_file=options.problem or "",
             content=options.orbit.read_text(encoding="utf-8"),
             command=_command(options),
+            date=datetime.now(tz=UTC).date().isoformat(),
         )
         page = page_of(subject, bundle).encode()
     write_whole(options.output, page)

@@ -20,7 +20,7 @@ from zeno_orbits.continuation.families import SpecialPointKind
 from zeno_orbits.continuation.margins import Threat, stages, threats
 from zeno_orbits.continuation.return_maps import DifferentiatedReturn, Loss, ReturnMap
 from zeno_orbits.continuation.special_points import Located, crossings, locate_inside
-from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.errors import ZenoOrbitsError, counted
 from zeno_orbits.orbits import PathStep, StepControl, StepError, follow_path, returns_to_start
 from zeno_orbits.work import Progress
 
@@ -98,7 +98,7 @@ def follow_branch(
         shortened=follower.end_ahead,
         give_up=follower.last_end,
     )
-    end = path.end or _End(kind=SpecialPointKind.MOST_STEPS, detail=f"{steps.most} steps")
+    end = path.end or _End(kind=SpecialPointKind.MOST_STEPS, detail=counted(steps.most, "step"))
     return Branch(
         points=path.points,
         special=tuple(follower.special),
@@ -137,7 +137,7 @@ class _Follower:
     def advance(self, points: Sequence[BranchPoint], step: float) -> PathStep[BranchPoint, _End]:
         """Return the next point, or the end if it is near."""
         last = points[-1]
-        self.on_progress(f"{len(points)} orbits, at {last.s:.6g}", None)
+        self.on_progress(f"{counted(len(points), 'orbit')}, at {last.s:.6g}", None)
         ended = self._end_within(points, _SOON * step)
         if ended is not None:
             return ended

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any
+
+from zeno_orbits.work import Columns, Displayed, by_name
 
 FORMAT = 1
 """Version of the file format."""
@@ -126,7 +128,7 @@ _MOST_NAMED = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class Family:
+class Family(Displayed):
     """A connected piece of a family, in order along it.
 
     Attributes:
@@ -160,6 +162,14 @@ class Family:
             f"<Family of {self.problem} in {self.parameter}: points={len(self.points)}, "
             f"n_returns={self.n_returns}; {', '.join([*named, *rest])}>"
         )
+
+    def _columns(self) -> Columns:
+        """Return the orbits in order, those with a name among them."""
+        return _orbits_of((self,))
+
+    def _shown_columns(self) -> Columns:
+        """Return the named orbits."""
+        return _named_of((self,))
 
     @property
     def named(self) -> tuple[SpecialPoint, ...]:
@@ -264,7 +274,7 @@ def whole_curve(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class Continuation:
+class Continuation(Displayed):
     """All that a continuation found.
 
     Attributes:
@@ -283,6 +293,14 @@ class Continuation:
         counts = f"families={len(self.families)}, boundaries={len(self.boundaries)}"
         return f"<Continuation: {counts}{shown}>"
 
+    def _columns(self) -> Columns:
+        """Return the orbits of all families, one family below the other."""
+        return _orbits_of(self.families)
+
+    def _shown_columns(self) -> Columns:
+        """Return the named orbits."""
+        return _named_of(self.families)
+
     def as_json(self) -> dict[str, Any]:
         """Return everything as the plain data of a family file."""
         main = self.families[0]
@@ -296,3 +314,38 @@ class Continuation:
             "boundaries": [boundary.as_json() for boundary in self.boundaries],
             "versions": dict(self.versions),
         }
+
+
+def _orbits_of(families: Sequence[Family]) -> Columns:
+    """Return all orbits of families, in order along each."""
+    rows: list[tuple[int, str, FamilyPoint]] = []
+    for k, family in enumerate(families):
+        names = {id(one.at): one.kind.value for one in family.named}
+        points = list(family.points)
+        for one in reversed(family.named):
+            if all(one.at is not point for point in points):
+                points.insert(0 if one is family.first else one.index + 1, one.at)
+        rows += [(k, names.get(id(point), ""), point) for point in points]
+    return {
+        "family": [k for k, _, _ in rows],
+        "name": [name for _, name, _ in rows],
+        families[0].parameter: [point.value for _, _, point in rows],
+        "period": [point.period for _, _, point in rows],
+        "stable": [point.stable for _, _, point in rows],
+        "spectral_radius": [point.spectral_radius for _, _, point in rows],
+        **by_name([point.margins for _, _, point in rows]),
+        **by_name([point.state for _, _, point in rows]),
+    }
+
+
+def _named_of(families: Sequence[Family]) -> Columns:
+    """Return the orbits of families that have a name."""
+    named = [(k, one) for k, family in enumerate(families) for one in family.named]
+    return {
+        "family": [k for k, _ in named],
+        "name": [one.kind.value for _, one in named],
+        families[0].parameter: [one.at.value for _, one in named],
+        "error": [one.error for _, one in named],
+        "period": [one.at.period for _, one in named],
+        "spectral_radius": [one.at.spectral_radius for _, one in named],
+    }

@@ -128,7 +128,7 @@ class FollowDoubling:
             except ZenoOrbitsError:
                 continue
             if not closes_earlier(start) and float(start.tangent @ direction) > 0.0:
-                on_progress(f"branch of {setup.n_returns} returns at {start.s:.6g}", None)
+                on_progress(f"branch of period {setup.n_returns} at {start.s:.6g}", None)
                 return _followed(setup, returns, start, settings, on_progress, closes_earlier)
         return None
 

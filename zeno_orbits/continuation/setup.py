@@ -134,13 +134,7 @@ def _sizes(problem: Problem, orbit: ZenoOrbit) -> Vector:
     """Return the size of each state over the events of an orbit, nowhere near zero, ``(n_x,)``."""
     events = [problem.state_vector(state) for state in orbit.states_at_events]
     sizes = np.max(np.abs(events), axis=0)
-    return _not_small(sizes, 1e-9)
-
-
-def _not_small(sizes: Vector, part: float) -> Vector:
-    """Return sizes with those replaced by the largest that are below a part of it."""
-    largest = float(np.max(sizes))
-    return np.where(sizes > part * largest, sizes, largest)
+    return problem.dynamics(orbit.values(problem)).own.not_small(sizes, 1e-9)
 
 
 _SETTLED = 1e-3
@@ -183,7 +177,7 @@ def start_at_impact(
         box=box,
         section=ImpactReturns,
         metric=FamilyMetric(
-            scale=_not_small(cycle.scale(), _SETTLED),
+            scale=cycle.execution.own.not_small(cycle.scale(), _SETTLED),
             unit=box[1] - box[0],
             horizon=_PATIENCE * cycle.period,
         ),

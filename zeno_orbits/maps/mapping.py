@@ -16,10 +16,13 @@ from zeno_orbits.maps.attractors import Attractor, Fate, attractor_from_json, at
 from zeno_orbits.maps.plane import Axis, Plane, require_plane
 from zeno_orbits.model import ProblemFile
 from zeno_orbits.work import (
+    Columns,
+    Displayed,
     LostPoint,
     Plan,
     Progress,
     Workers,
+    by_name,
     parts_told_to,
     silent,
     spread,
@@ -44,7 +47,7 @@ class Boundary:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class ParameterMap:
+class ParameterMap(Displayed):
     """The attractors over a plane.
 
     Attributes:
@@ -78,6 +81,25 @@ class ParameterMap:
         counts = Counter(attractor.fate.value for attractor in self.attractors)
         found = ", ".join(f"{phrase}: {count}" for phrase, count in counts.most_common())
         return f"<ParameterMap of {self.problem}: {axes}; {found}>"
+
+    def _columns(self) -> Columns:
+        """Return the points, row by row from below."""
+        x, y = np.meshgrid(self.x.values(), self.y.values())
+        return {
+            self.x.name: x.ravel(),
+            self.y.name: y.ravel(),
+            "settles_to": [one.phrase for one in self.attractors],
+            "returns": [one.returns for one in self.attractors],
+            "period": [one.period for one in self.attractors],
+            "spectral_radius": [one.spectral_radius for one in self.attractors],
+            **by_name([one.margins for one in self.attractors]),
+            **by_name([one.state for one in self.attractors]),
+        }
+
+    def _shown_columns(self) -> Columns:
+        """Return how many points settle to what."""
+        counts = Counter(one.phrase for one in self.attractors).most_common()
+        return {"settles to": [phrase for phrase, _ in counts], "points": [n for _, n in counts]}
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -54,8 +54,10 @@ def load_problem(name_or_path: str | Path) -> Problem:
             if path.suffix == ".py":
                 raise ProblemFileError(path, "it cannot be read (No such file or directory)")
             raise InputError(unknown("problem", name, tuple(bundled)))
-    problem = _declared(path)
-    if name not in bundled:
+    if name in bundled:
+        problem = _bundled(path)
+    else:
+        problem = _declared(path)
         _require_sound(path, problem)
     return problem.at_fidelity(fidelity) if fidelity is not None else problem
 
@@ -78,6 +80,12 @@ def split_fidelity(name_or_path: str | Path) -> tuple[str, str | None]:
     if not at or (name not in bundled_problems() and _is_there(Path(whole))):
         return whole, None
     return name, word
+
+
+@lru_cache(maxsize=_MOST)
+def _bundled(path: Path) -> Problem:
+    """Return a problem that comes with the package, the same object every time in one process."""
+    return _declared(path)
 
 
 def _declared(path: Path) -> Problem:

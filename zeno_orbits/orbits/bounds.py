@@ -63,7 +63,7 @@ def is_kept(bound: Bound, extent: Extent) -> bool:
 def objection_to(bounds: Sequence[Bound], extents: Mapping[str, Extent]) -> str:
     """Return a clause on the bounds that are not kept and by how much; empty if all are."""
     broken = [
-        f"`{bound.name}` leaves {bound.text} by {excess(bound, extents[bound.name]):.3g}"
+        f"`{bound.name}` leaves its bounds {bound.text} by {excess(bound, extents[bound.name]):.3g}"
         for bound in bounds
         if not is_kept(bound, extents[bound.name])
     ]

@@ -10,7 +10,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits.digest import digest_of
 from zeno_orbits.orbits.shape import OrbitShape, PhaseKind
-from zeno_orbits.work import versions
+from zeno_orbits.work import Columns, Displayed, by_name, versions
 
 FORMAT = 2
 """Version of the file format, the newest that this code reads."""
@@ -53,7 +53,7 @@ class OrbitPhase:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class ZenoOrbit:
+class ZenoOrbit(Displayed):
     """Enough numbers to rebuild and recheck a periodic orbit; times count from its start.
 
     Attributes:
@@ -89,6 +89,13 @@ class ZenoOrbit:
             f"<ZenoOrbit of {self.problem}: {gains}period={self.period:.10g} s, "
             f"shape={self.shape.text}, impacts={len(self.impacts)}, {moduli}verified={verified}>"
         )
+
+    def _columns(self) -> Columns:
+        """Return the impacts with the states before them."""
+        return {
+            "time": [impact.time for impact in self.impacts],
+            **by_name([impact.state_minus for impact in self.impacts]),
+        }
 
     @property
     def shape(self) -> OrbitShape:

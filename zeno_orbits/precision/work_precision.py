@@ -13,7 +13,7 @@ from typing import Any
 
 from zeno_orbits.errors import InputError
 from zeno_orbits.precision.landmark import ROUNDING
-from zeno_orbits.work import EntryError, restored
+from zeno_orbits.work import Columns, Displayed, EntryError, restored
 
 SAME_WORK = ("engine", "cut", "impacts", "fidelity")
 """Sweeps whose trials follow the same motion, so that their times compare."""
@@ -51,8 +51,8 @@ class Trial:
         return _CLOSURES.get(self.sweep, f"model {self.name}")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WorkPrecision:
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class WorkPrecision(Displayed):
     """All trials of one piece of work.
 
     Attributes:
@@ -68,6 +68,20 @@ class WorkPrecision:
     truth: str
     truth_error: float
     trials: tuple[Trial, ...]
+
+    def __repr__(self) -> str:
+        """Return one line: what was measured, how often, against what."""
+        return (
+            f"<WorkPrecision of {self.problem}: {self.work}, trials={len(self.trials)}, "
+            f"front={len(self.front)}; truth: {self.truth}, error {self.truth_error:.0e}>"
+        )
+
+    def _columns(self) -> Columns:
+        """Return the trials."""
+        names = ("sweep", "name", "value", "seconds", "error", "n_impacts", "trouble")
+        front = set(map(id, self.front))
+        table = {name: [getattr(trial, name) for trial in self.trials] for name in names}
+        return {**table, "on_front": [id(trial) in front for trial in self.trials]}
 
     @property
     def front(self) -> tuple[Trial, ...]:

@@ -7,7 +7,8 @@ tells that one orbit passes through the box. In the order in which it runs: `exp
 the Zeno tail), `walk` (once around), `fixed_point`, `theorem`, `proof_file`, `prover`. `checker`
 judges certificates and shares no module with what makes them.
 
-Offers: `prove`, `Proof`, `ProofSettings`, `write_proof`; `check`, `ProofVerdict`, `ClaimVerdict`.
+Offers: `prove`, `Proof`, `ProofSettings`, `write_proof`; `check_proof`, `ProofVerdict`,
+`ClaimVerdict`.
 
 Imports: orbits, model, work, arrays, errors. Balls are python-flint's (the extra `proof`). Never
 search, continuation, maps, experiment or precision; `checker` imports model and errors alone.

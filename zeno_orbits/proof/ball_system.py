@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import casadi as ca
 from flint import arb
 
-from zeno_orbits.errors import ProofError
+from zeno_orbits.errors import InputError, ProofError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.proof.balls import ZERO, Ball, Matrix, identity, matrix
 from zeno_orbits.proof.expressions import proof_expressions
@@ -55,9 +55,15 @@ class BallSystem:
 
         Raises:
             TranslationError: If an operation of the problem is not analytic.
+            InputError: If the restitution or the place of the stop is to vary.
         """
         carried = tuple(over or ())
         e = self.expressions = proof_expressions(problem, carried)
+        offset = e.coordinate.offset if e.coordinate else ca.SX(0)
+        for what, expression in (("restitution", e.restitution), ("place of the stop", offset)):
+            if ca.depends_on(expression, e.states):
+                wanted = f"must leave the {what} as it is"
+                raise InputError(f"Argument `over` {wanted}, but it changes with {carried[0]}.")
         named = dict(zip(problem.names, values.vector, strict=True))
         self.carried = {name: arb(float(named[name])) for name in carried}
         exact = [arb(float(named[name])) for name in problem.names if name not in carried]
@@ -65,7 +71,6 @@ class BallSystem:
         self.n, self.gap, self.rate = e.states.numel(), e.gap_place, e.rate_place
         self.n_x = self.n - len(carried) - (2 if e.coordinate is None else 0)
         (self.restitution,) = self._program(e.restitution)([ZERO] * self.n)[0] or [ZERO]
-        offset = e.coordinate.offset if e.coordinate else ca.SX(0)
         self.gap_offset = (self._program(offset)([ZERO] * self.n)[0] or [ZERO])[0]
         self.free = BallFlow(e.states, e.numbers, e.free, None, self.numbers)
         self.locked = BallFlow(e.states, e.numbers, e.locked, e.multiplier, self.numbers)

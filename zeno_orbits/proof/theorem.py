@@ -44,9 +44,9 @@ class Enclosure:
         return bool(self.low <= value) and bool(self.high >= value)
 
     def misses(self, value: float) -> float:
-        """Return how far a number is from the farther end."""
+        """Return how far a number is outside; 0 inside."""
         with ctx.workprec(_BITS):
-            return max(size(self.low - value), size(self.high - value))
+            return max(0.0, float(self.low - value), float(value - self.high))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,6 +93,7 @@ class Proof:
         reason: Why not.
         box: Coordinate of the section to its middle and radius.
         over: Gain or parameter to the middle and radius of its interval.
+        plastic: Whether the stop takes all speed, so that a single impact holds.
         inside: Whether the return map takes the box into itself.
         stable: Whether the orbit is proved to attract.
         repelling: Whether a multiplier is proved to lie outside the unit circle.
@@ -108,6 +109,7 @@ class Proof:
     reason: str = ""
     box: Mapping[str, tuple[float, float]]
     over: Mapping[str, tuple[float, float]]
+    plastic: bool = False
     inside: bool = False
     stable: bool = False
     repelling: bool = False
@@ -189,27 +191,25 @@ class Proof:
         return lines
 
     def _statement(self, bounds: Bounds) -> list[str]:
-        places = ", ".join(f"{name} in {m:.10g} +- {r:.1e}" for name, (m, r) in self.box.items())
-        where = f" from every point of the release section with {places}" if places else ""
+        places = ", ".join(f"{name} = {m:.10g} +- {r:.1e}" for name, (m, r) in self.box.items())
         points = len(bounds.zeno_times)
-        times = "once" if points == 1 else f"{points} times"
+        again = "" if points == 1 else f"; so {points} times, the last time on the section"
+        strikes = "once, plastically," if self.plastic else "infinitely often up to a Zeno point,"
         lines = [
-            f"(1) The motion{where} leaves the stop, and returns to the section after impacts",
-            f"    that accumulate {times} and hold the stop until it lets go; in between it",
-            "    touches nothing.",
+            f"(1) From every point of the release section with {places}"
+            if places
+            else "(1) From the release section, here a single point,",
+            f"    the motion leaves the stop, strikes it {strikes} is held by it and",
+            f"    released{again}. In between it touches nothing.",
         ]
-        if self.inside and self.box:
-            lines.append("(2) The return map is analytic and takes the box into its interior.")
-        elif self.box:
-            lines.append("(2) The return map is analytic on the box.")
-        else:
-            lines.append("(2) The section is a single point, to which the motion returns.")
-        if self.box:
-            lines.append("(3) Exactly one periodic orbit passes through the box.")
+        if not self.box:
+            return [*lines, "(2) The motion returns to that point: it is periodic."]
+        onto = "takes the box into its interior" if self.inside else "need not stay in the box"
+        lines.append(f"(2) The return map is analytic on the box, and {onto}.")
+        lines.append("(3) Exactly one periodic orbit passes through the box.")
         if self.stable:
-            lines.append(
-                f"(4) It is exponentially stable: norm of the derivative {bounds.norm:.6g}."
-            )
+            norm = f"{bounds.norm:.6g}"
+            lines.append(f"(4) It is exponentially stable: norm of the map's derivative {norm}.")
         elif self.repelling:
             lines.append("(4) It repels: a multiplier lies outside the unit circle.")
         return lines

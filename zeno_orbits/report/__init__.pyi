@@ -4,3 +4,4 @@ from .page import subject_of as subject_of
 from .plots import figure_of as figure_of
 from .plots import save_figure as save_figure
 from .terminal import ProgressLine as ProgressLine
+from .terminal import line_for_watcher as line_for_watcher

@@ -41,11 +41,13 @@ class Table(Generic[Item]):
         caption: Its subject.
         columns: Its columns.
         rows: The cells, row by row.
+        is_titled: Whether it stands under a title that says its caption already.
     """
 
     caption: str
     columns: tuple[Column[Item], ...]
     rows: tuple[tuple[Cell, ...], ...]
+    is_titled: bool = False
 
 
 def text_column(heading: str, cell: Callable[[Item], Cell]) -> Column[Item]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,6 +44,27 @@ class CloseUp:
         """Return times and gaps along an arc, the latter without negative rounding."""
         times, states = arc.sampled(SAMPLES)
         return times, np.array([max(self.dynamics.gap(state), 0.0) for state in states])
+
+    def speeds(self) -> tuple[Vector, Vector]:
+        """Return times left to the Zeno point and speeds of the impacts before it."""
+        seen = [impact for impact in self.impacts if impact.time < self.zeno.time]
+        left = np.array([self.zeno.time - impact.time for impact in seen])
+        return left, np.array([-impact.approach_rate for impact in seen])
+
+    def law(self, tail: Sequence[tuple[Vector, Vector]]) -> tuple[Vector, Vector]:
+        r"""Return the first-order law :math:`|\dot h| = a (1 - e)/(2 e) (t_\infty - t)` as a line.
+
+        Args:
+            tail: The flights that it is drawn for beyond the resolved ones.
+
+        Returns:
+            Times left to the Zeno point at its ends, and speeds; nothing without impacts before.
+        """
+        left, e = self.speeds()[0], self.dynamics.restitution
+        if not left.size:
+            return left, left
+        ends = np.array([left[0], min([left[-1], *(-float(times[0]) for times, _ in tail)])])
+        return ends, self.pull * (1 - e) / (2 * e) * ends
 
     def tail(self, least: float = 0.02) -> list[tuple[Vector, Vector]]:
         r"""Return times before the Zeno point and gaps of flights left out, by the first-order law.

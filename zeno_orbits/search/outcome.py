@@ -14,6 +14,7 @@ from zeno_orbits.orbits import Cycle, ZenoOrbit
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.simulation import Extent
 from zeno_orbits.verification import OrbitCertificate
+from zeno_orbits.work import Columns, Displayed, by_name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,7 +133,7 @@ class StartAttempt:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class SearchResult:
+class SearchResult(Displayed):
     """Outcome of a search, successful or not.
 
     Attributes:
@@ -173,6 +174,16 @@ class SearchResult:
             f"<SearchResult {self.status.name}: {detail} starts={len(self.attempts)}, "
             f"candidates={len(self.candidates)}, wall_time={self.wall_time:.1f} s{best}>"
         )
+
+    def _columns(self) -> Columns:
+        """Return the accepted orbits, the best first."""
+        orbits = [candidate.orbit for candidate in self.candidates]
+        return {
+            **by_name([orbit.gains for orbit in orbits]),
+            "period": [orbit.period for orbit in orbits],
+            "impacts": [len(orbit.impacts) for orbit in orbits],
+            "score": [candidate.score for candidate in self.candidates],
+        }
 
     def unwrap(self) -> ZenoOrbit:
         """Return the best orbit.

@@ -240,7 +240,8 @@ def _where_bounds_are_kept(
     unknowns = last.outcome.solution.unknowns
     slacks = [float(unknowns[f"slack {k}"][0, 0]) for k in range(len(search.bounds))]
     broken = [
-        f"`{bound.name}` leaves {bound.text} by {float(unknowns[f'excess {k}'][0, 0]):.3g}"
+        f"`{bound.name}` leaves its bounds {bound.text} by "
+        f"{float(unknowns[f'excess {k}'][0, 0]):.3g}"
         for k, bound in enumerate(search.bounds)
         if slacks[k] > _VIOLATED
     ]

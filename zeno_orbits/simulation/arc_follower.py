@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import PenetrationError, RunawayError, SimulationError
+from zeno_orbits.errors import PenetrationError, RunawayError, SimulationError, counted
 from zeno_orbits.integrators import Engine, GuardedFlow, Leg, Outcome, Tolerance
 from zeno_orbits.integrators.engine import Watch
 from zeno_orbits.model import HybridDynamics
@@ -157,8 +157,8 @@ class ArcFollower:
                 self._look(start + unit * offset, y)
             if self._n_steps > self.most_steps:
                 raise SimulationError(
-                    f"The execution needs more than {self.most_steps} steps: raise `most_steps`, "
-                    "or simulate a shorter time",
+                    f"The execution needs more than {counted(self.most_steps, 'step')}: "
+                    "raise `most_steps`, or simulate a shorter time",
                     time=start + unit * offset,
                     state=tuple(y.tolist()),
                 )

@@ -11,6 +11,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import Trajectory
 from zeno_orbits.model import USUAL, OwnScale
+from zeno_orbits.work import Columns, Displayed
 
 
 class Mode(Enum):
@@ -129,16 +130,15 @@ class Arc:
     def sampled(self, n: int = 150) -> tuple[Vector, Vector]:
         """Return times ``(m,)`` and states ``(m, n_x)`` along the arc, for plots.
 
-        They stand close where the arc starts and ends and where the integrator slowed down, so
-        that no thin layer is missed.
+        They stand close where the arc starts and ends, and none of the integrator's steps is left
+        out, so that neither a thin layer nor an oscillation is missed.
 
         Args:
             n: Samples at least.
         """
         steps = self.time_unit * self.flow_times[:-1]
-        own = steps[:: max(len(steps) // (2 * n), 1)]
         dense_ends = (1 - np.cos(np.linspace(0, np.pi, n))) / 2
-        offsets = np.union1d(dense_ends * (self.end_time - self.start_time), own)
+        offsets = np.union1d(dense_ends * (self.end_time - self.start_time), steps)
         times = (self.start_time + offsets).tolist()
         inside = [time for time in times if time < self.end_time]
         states = [*(self.state_at(time) for time in inside), self.end_state]
@@ -179,7 +179,7 @@ class Arc:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class Execution:
+class Execution(Displayed):
     """A completed execution on the hybrid time domain ``(t, j)``.
 
     Attributes:
@@ -203,6 +203,27 @@ class Execution:
             f"{self.end_time:.9g} s: arcs={len(self.arcs)}, impacts={len(self.impacts)}, "
             f"zeno_points={len(self.zeno_points)}, releases={len(self.releases)}>"
         )
+
+    def _columns(self) -> Columns:
+        """Return the sampled states, with the mode and number of the arc they are of."""
+        pairs = [(arc, *arc.sampled()) for arc in self.arcs]
+        states = np.concatenate([states for _, _, states in pairs])
+        return {
+            "time": np.concatenate([times for _, times, _ in pairs]),
+            "arc": np.repeat(np.arange(len(pairs)), [len(times) for _, times, _ in pairs]),
+            "mode": [arc.mode.value for arc, times, _ in pairs for _ in times],
+            **{name: states[:, k] for k, name in enumerate(self.state_names)},
+        }
+
+    def _shown_columns(self) -> Columns:
+        """Return the events."""
+        words = {Impact: "impact", ZenoPoint: "Zeno point", Release: "release"}
+        after = [e.state_plus if isinstance(e, Impact) else e.state for e in self.events]
+        return {
+            "time": [event.time for event in self.events],
+            "event": [words[type(event)] for event in self.events],
+            **{name: [float(x[k]) for x in after] for k, name in enumerate(self.state_names)},
+        }
 
     @property
     def end_time(self) -> float:

@@ -6,8 +6,8 @@ what the orbit claims; nothing here knows how the orbit was found. In the order 
 model), `certificate`; `verifier` puts these together. `measurement` answers another question:
 how large a quantity is on an orbit.
 
-Offers: `verify`, `VerificationSettings`, `OrbitCertificate`, `RESIDUALS`, `certified`,
-`problem_dynamics`; `measure`, `require_quantities`.
+Offers: `verify`, `multipliers_of`, `VerificationSettings`, `OrbitCertificate`, `RESIDUALS`,
+`certified`, `problem_dynamics`; `measure`, `require_quantities`.
 
 Imports: orbits, simulation, model, integrators, work, arrays, errors. Never search, continuation,
 maps, experiment or precision.

@@ -5,5 +5,6 @@ from .measurement import measure as measure
 from .measurement import require_quantities as require_quantities
 from .verifier import VerificationSettings as VerificationSettings
 from .verifier import certified as certified
+from .verifier import multipliers_of as multipliers_of
 from .verifier import problem_dynamics as problem_dynamics
 from .verifier import verify as verify

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from zeno_orbits.orbits import ONE_ZENO, OrbitShape
+from zeno_orbits.work import Columns, Displayed
 
 RESIDUALS: Mapping[str, str] = {
     "release": "gap, gap rate and multiplier are zero at the release",
@@ -78,7 +79,7 @@ class DeltaCut:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class OrbitCertificate:
+class OrbitCertificate(Displayed):
     """Result of the forward integration of an orbit.
 
     Attributes:
@@ -129,6 +130,16 @@ class OrbitCertificate:
     def __repr__(self) -> str:
         """Return one line: the verdict and how stable the orbit is."""
         return f"<OrbitCertificate: {self.verdict()} spectral_radius={self.spectral_radius:.6g}>"
+
+    def _columns(self) -> Columns:
+        """Return the residuals, in causal order."""
+        names = [name for name in RESIDUALS if name in self.residuals]
+        return {
+            "check": [RESIDUALS[name] for name in names],
+            "name": names,
+            "residual": [self.residuals[name] for name in names],
+            "passed": [self.residuals[name] <= self.tolerance for name in names],
+        }
 
     @property
     def failed(self) -> tuple[str, ...]:

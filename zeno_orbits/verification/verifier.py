@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
-from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.errors import SimulationError, ZenoOrbitsError
 from zeno_orbits.integrators import Tolerance
 from zeno_orbits.model import HybridDynamics, Problem, load_reference
 from zeno_orbits.orbits import Multipliers, ZenoOrbit, floquet_multipliers, placed
@@ -92,7 +93,8 @@ def verify(
         residuals |= again.residuals
         residuals["integration"] = seen.integration_error
         on_progress("computing the multipliers", None)
-        multipliers = _multipliers(dynamics, claim, seen.first, settings, seen.integration_error)
+        with suppress(ZenoOrbitsError):
+            multipliers = _multipliers(dynamics, claim, seen.first, settings, seen)
     stable = multipliers is not None and multipliers.spectral_radius < 1.0
     trouble = seen.trouble
     if not stable:
@@ -197,27 +199,44 @@ def problem_dynamics(
     return problem.dynamics(values)
 
 
+def multipliers_of(
+    orbit: ZenoOrbit, problem: Problem, *, settings: VerificationSettings | None = None
+) -> Multipliers:
+    """Return the multipliers of an orbit as `verify` computes them, without its other checks.
+
+    Args:
+        orbit: The orbit; its own multipliers are not looked at.
+        problem: Its problem.
+        settings: Accuracy.
+
+    Raises:
+        InputError: If the orbit does not fit the problem.
+        SimulationError: If the orbit does not return.
+    """
+    settings = settings or VerificationSettings()
+    claim, dynamics = claim_of(orbit, problem), problem_dynamics(orbit, problem)
+    seen = observe(dynamics, claim, settings.simulation, 1)
+    if seen.first is None:
+        raise SimulationError(seen.trouble, time=claim.period, state=tuple(claim.start))
+    return _multipliers(dynamics, claim, seen.first, settings, seen)
+
+
 def _multipliers(
     dynamics: HybridDynamics,
     claim: Claim,
     first: FirstCycle,
     settings: VerificationSettings,
-    integration_error: float,
-) -> Multipliers | None:
-    try:
-        return floquet_multipliers(
-            dynamics,
-            placed(dynamics, claim.shape, claim.start),
-            scale=first.scale,
-            period=first.cycle.end.time,
-            settings=replace(
-                settings.simulation, tolerance=_no_finer(settings.simulation.tolerance)
-            ),
-            noise=integration_error * _SHARE,
-            shape=claim.shape,
-        )
-    except ZenoOrbitsError:
-        return None
+    seen: Observation,
+) -> Multipliers:
+    return floquet_multipliers(
+        dynamics,
+        placed(dynamics, claim.shape, claim.start),
+        scale=first.scale,
+        period=first.cycle.end.time,
+        settings=replace(settings.simulation, tolerance=_no_finer(settings.simulation.tolerance)),
+        noise=seen.integration_error * _SHARE,
+        shape=claim.shape,
+    )
 
 
 def _no_finer(tolerance: Tolerance) -> Tolerance:

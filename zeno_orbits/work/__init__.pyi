@@ -1,5 +1,8 @@
 from .checkpoint import keeps_nothing as keeps_nothing
 from .checkpoint import remove_checkpoint as remove_checkpoint
+from .display import Columns as Columns
+from .display import Displayed as Displayed
+from .display import by_name as by_name
 from .files import read_object as read_object
 from .files import require_folder as require_folder
 from .files import require_picture as require_picture

@@ -20,7 +20,7 @@ from zeno_orbits.continuation.margins import ENDS, Stage, Threat, meeting
 from zeno_orbits.continuation.return_maps import Loss, Margin, ReturnMap
 from zeno_orbits.continuation.special_points import INSIDE, Located, TestFunction, located_near
 from zeno_orbits.continuation.two_parameters.plane import CurveSetup
-from zeno_orbits.errors import SimulationError, ZenoOrbitsError
+from zeno_orbits.errors import SimulationError, ZenoOrbitsError, counted
 from zeno_orbits.orbits import PathStep, StepError, follow_path
 
 
@@ -76,7 +76,7 @@ class SecantCurve:
             return [first], f"{SpecialPointKind.GAVE_UP.value}: {error}"
         self.forward = heading if upwards else -heading
         path = follow_path(first, self.steps, self._advance, give_up=self._last_end)
-        return path.points, path.end or f"{self.steps.most} steps"
+        return path.points, path.end or counted(self.steps.most, "step")
 
     def _heading(self, first: Spot) -> Vector:
         """Return the direction in which the curve leaves its first point, upwards if it may.

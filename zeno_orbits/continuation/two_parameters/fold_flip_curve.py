@@ -17,7 +17,7 @@ from zeno_orbits.continuation.families import HalfCurve, SpecialPointKind
 from zeno_orbits.continuation.margins import CLOSE, Stage, meeting
 from zeno_orbits.continuation.two_parameters.fold_flip_point import FoldFlipPoint, FoldFlipSystem
 from zeno_orbits.continuation.two_parameters.plane import CurveSetup, CurveStart
-from zeno_orbits.errors import SimulationError
+from zeno_orbits.errors import SimulationError, counted
 from zeno_orbits.orbits import PathStep, StepControl, StepError, follow_path, returns_to_start
 
 MULTIPLIERS = {SpecialPointKind.FOLD: 1.0, SpecialPointKind.FLIP: -1.0}
@@ -69,7 +69,7 @@ def half_fold_flip(setup: CurveSetup, start: CurveStart, *, upwards: bool) -> Ha
         x=tuple(values[:, 0].tolist()),
         y=tuple(values[:, 1].tolist()),
         errors=tuple(point.error for point in path.points),
-        end=path.end or f"{steps.most_arcs} steps",
+        end=path.end or counted(steps.most_arcs, "step"),
         cusps=tuple(follower.cusps),
     )
 

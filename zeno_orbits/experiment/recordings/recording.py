@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import DataFileError, InputError
+from zeno_orbits.errors import DataFileError, InputError, counted
 from zeno_orbits.experiment.recordings.table import ColumnTable, Head, read_head, read_table
 from zeno_orbits.model.units import in_si
 from zeno_orbits.work.files import write_pieces
@@ -187,7 +187,8 @@ def read_recording(path: Path, *, only: Collection[str] = ()) -> Recording:
     titles = [_split(title) for title in head.columns]
     names = [name for name, _ in titles]
     time = _time_column(path, names)
-    chosen = [k for k, name in enumerate(names) if k != time and name and _is_wanted(name, only)]
+    wanted = only or names
+    chosen = [k for k, name in enumerate(names) if k != time and name and name in wanted]
     for k in chosen:
         if names.count(names[k]) > 1:
             raise DataFileError(path, f"two of its columns are named `{names[k]}`")
@@ -213,10 +214,6 @@ def read_recording(path: Path, *, only: Collection[str] = ()) -> Recording:
         notes=notes,
         remarks=(*table.remarks, *remarks),
     )
-
-
-def _is_wanted(name: str, only: Collection[str]) -> bool:
-    return not only or name in only
 
 
 def _notes(path: Path, head: Head) -> dict[str, str]:
@@ -280,7 +277,9 @@ def _sound_rows(path: Path, table: ColumnTable) -> tuple[NDArray[np.int64] | Non
     timed = np.isfinite(time)
     if not timed.all():
         at = int(lines[np.argmin(timed)])
-        remarks.append(f"{_rows(int((~timed).sum()))} without a time left out, first line {at}")
+        remarks.append(
+            f"{counted(int((~timed).sum()), 'row')} without a time left out, first line {at}"
+        )
     rows = np.flatnonzero(timed)
     steps = np.diff(time[rows])
     if np.any(steps < 0.0):
@@ -295,11 +294,13 @@ def _sound_rows(path: Path, table: ColumnTable) -> tuple[NDArray[np.int64] | Non
         raise DataFileError(path, f"{reason}; write the time with more digits")
     if repeated.any():
         at = int(lines[rows[np.argmax(repeated)]])
-        what = f"{_rows(int(repeated.sum()))} with the time of the row before left out"
+        what = f"{counted(int(repeated.sum()), 'row')} with the time of the row before left out"
         remarks.append(f"{what}, first line {at}")
         rows = rows[~repeated]
     if len(rows) < 2:
-        raise DataFileError(path, f"it has {_rows(len(rows))} of numbers, and two are the least")
+        raise DataFileError(
+            path, f"it has {counted(len(rows), 'row')} of numbers, and two are needed"
+        )
     return (None if len(rows) == len(time) else rows), tuple(remarks)
 
 
@@ -311,7 +312,7 @@ def _missing(values: Vector, names: list[str]) -> tuple[str, ...]:
             row[infinite] = np.nan
         missing = int(np.isnan(row).sum())
         if missing:
-            remarks.append(f"`{name}` is missing in {missing} of {_rows(len(row))}")
+            remarks.append(f"`{name}` is missing in {missing} of {counted(len(row), 'row')}")
     return tuple(remarks)
 
 
@@ -321,9 +322,5 @@ def _gaps(time: Vector) -> tuple[str, ...]:
     if not len(gaps):
         return ()
     longest = gaps[np.argmax(steps[gaps])]
-    what = f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} in time, the longest"
+    what = f"{counted(len(gaps), 'gap')} in time, the longest"
     return (f"{what} {steps[longest]:.4g} s after t = {time[longest]:.9g} s",)
-
-
-def _rows(count: int) -> str:
-    return f"{count} row" if count == 1 else f"{count} rows"

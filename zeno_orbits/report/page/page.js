@@ -117,7 +117,7 @@
         });
       });
     });
-    shape.xaxis = axis("time since the release [s]", { anchor: n === 1 ? "y" : "y" + n, nticks: narrow() ? 5 : 10 });
+    shape.xaxis = axis("time since the start of the period [s]", { anchor: n === 1 ? "y" : "y" + n, nticks: narrow() ? 5 : 10 });
     shape.shapes = series.locked.map(([x0, x1]) => ({
       type: "rect", xref: "x", yref: "paper", x0, x1, y0: 0, y1: 1, fillcolor: colour.tint, line: { width: 0 }, layer: "below",
     }));
@@ -202,6 +202,53 @@
       xaxis: decades("relative error [1]", found.lines.flatMap((line) => line.x), { autorange: "reversed" }),
       yaxis: decades("processor time [ms]", found.lines.flatMap((line) => line.y)),
     });
+  }
+
+  // ------------------------------------------------------------------ machine
+
+  // Draws the machine at a part of its period; between two pictures corners move straight.
+  function showMachine(part) {
+    const found = data.machine, n = found.modes.length, at = (part % 1) * n;
+    const k = Math.floor(at), next = (k + 1) % n, rest = at - k, mode = found.modes[k];
+    found.lines.forEach((line, j) => {
+      const here = line.corners[k].map((value, i) => value + rest * (line.corners[next][i] - value));
+      const shape = byId("machine").children[j];
+      if (here.length === 2) {
+        shape.setAttribute("cx", here[0]);
+        shape.setAttribute("cy", -here[1]);
+      } else {
+        const corners = [];
+        for (let i = 0; i < here.length; i += 2) corners.push(here[i] + "," + -here[i + 1]);
+        shape.setAttribute("points", corners.join(" "));
+      }
+      shape.setAttribute("class", line.stop ? "stop" : mode);
+    });
+    byId("at").value = part;
+    const digits = Math.max(0, 2 - Math.floor(Math.log10(found.period)));
+    byId("shown").textContent = (part * found.period).toFixed(digits) + " s: " + wordOf[mode] + found.speed;
+  }
+
+  function startMachine() {
+    const found = data.machine;
+    if (!found) return;
+    // A period is shown in two to ten seconds.
+    const seconds = Math.min(10, Math.max(2, found.period)), slower = seconds / found.period;
+    const times = Number(Math.max(slower, 1 / slower).toPrecision(2));
+    found.speed = Math.abs(slower - 1) < 0.1 ? "" : ", shown " + times + " times " + (slower > 1 ? "slower" : "faster");
+    let last = null;
+    const step = (now) => {
+      if (last === null) return;
+      showMachine((Number(byId("at").value) + (now - last) / 1000 / seconds) % 1);
+      last = now;
+      requestAnimationFrame(step);
+    };
+    byId("play").addEventListener("click", () => {
+      last = last === null ? performance.now() : null;
+      byId("play").textContent = last === null ? "Play" : "Pause";
+      if (last !== null) requestAnimationFrame(step);
+    });
+    byId("at").addEventListener("input", (event) => showMachine(Number(event.target.value)));
+    showMachine(0);
   }
 
   // ------------------------------------------------------------------ zoom
@@ -290,6 +337,7 @@
 
   async function start() {
     await unpack();
+    startMachine();
     drawAll();
     document.querySelectorAll("button[data-plot]").forEach((button) => button.addEventListener("click", onZoom));
     dark.addEventListener("change", drawAll);

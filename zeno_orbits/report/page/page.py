@@ -42,12 +42,18 @@ def page_of(subject: Subject, bundle: Bundle) -> str:
     certificate, execution = subject.certificate, subject.execution
     kind = "refused" if not certificate.passed else "passed" if certificate.stable else "unsure"
     zoom = close_up(execution, subject.dynamics) if execution and execution.zeno_points else None
-    error = certificate.orbit_error
+    error, curves = certificate.orbit_error, curves_of(subject)
+    heading = subject.problem.title[:1].upper() + subject.problem.title[1:]
+    what = "Zeno periodic orbit" if subject.orbit.shape.starts_at_release else "Periodic orbit"
     return (
         template_environment()
         .get_template("page.html")
         .render(
-            title=f"Zeno periodic orbit of {subject.orbit.problem}",
+            title=f"{heading}: {what}",
+            heading=heading,
+            kind=what,
+            contents=_contents(subject),
+            cautions=words.cautions(subject.problem, execution),
             policy=Markup(
                 f"default-src 'none'; script-src {_hashed(script)} {_hashed(library)}; "
                 "style-src 'unsafe-inline'; img-src data: blob:; "
@@ -70,9 +76,26 @@ def page_of(subject: Subject, bundle: Bundle) -> str:
             orbit_error=f"{error:.0e}" if math.isfinite(error) else "",
             commands="\n".join(shlex.join(command) for command in commands_of(subject)),
             file=base64.b64encode(subject.content.encode()).decode(),
-            curves=curves_of(subject),
+            curves=curves,
         )
     )
+
+
+def _contents(subject: Subject) -> dict[str, str]:
+    """Return the names and titles of the sections that the subject has, in order."""
+    titles = {
+        "happens": "What happens",
+        "asked": "What was asked",
+        "motion": "The motion",
+        "stability": "Stability",
+        "checks": "Can it be trusted?",
+        "margins": "Margins" if subject.certificate.margins else "",
+        "trade": "What accuracy costs" if subject.trade is not None else "",
+        "parameters": "Parameters",
+        "theory": "The theory in short",
+        "reproduce": "How to reproduce it",
+    }
+    return {name: title for name, title in titles.items() if title}
 
 
 def template_environment() -> Environment:

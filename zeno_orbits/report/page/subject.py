@@ -29,6 +29,7 @@ class Subject:
         problem_file: Path of the problem's file; empty for a bundled problem.
         content: The orbit's file itself.
         command: The words of the command that wrote the report.
+        date: The day of the check, as text; empty if it shall not be told.
     """
 
     orbit: ZenoOrbit
@@ -42,6 +43,7 @@ class Subject:
     problem_file: str
     content: str
     command: tuple[str, ...]
+    date: str = ""
 
 
 def subject_of(
@@ -55,6 +57,7 @@ def subject_of(
     problem_file: str = "",
     content: str = "",
     command: tuple[str, ...] = (),
+    date: str = "",
 ) -> Subject:
     """Return the subject of a report, one period simulated.
 
@@ -68,6 +71,7 @@ def subject_of(
         problem_file: Path of the problem's file; empty for a bundled problem.
         content: The orbit's file itself.
         command: The words of the command that wrote the report.
+        date: The day of the check, as text; by default it is not told.
     """
     execution, trouble = None, ""
     try:
@@ -87,4 +91,5 @@ def subject_of(
         problem_file=problem_file,
         content=content,
         command=command,
+        date=date,
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, cast
 
 from zeno_orbits.model import Problem, Quantity
@@ -20,8 +21,10 @@ from zeno_orbits.work import versions
 _ACCURACIES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 _MOST_EVENTS = 40
 """Rows of the table of events."""
-_FORCES = {"m": "N", "rad": "N m"}
-"""Unit of a gap to that of the force that holds it closed."""
+_FORCES = {("J", "m"): "N", ("J", "rad"): "N m", ("J", "1"): "J"}
+"""Units of energy and gap to that of the force that holds the gap closed, where it has a name."""
+_ROUNDING = 1e-13
+"""Part of the largest energy below which one is rounding, and is zero."""
 
 
 def tiles_of(subject: Subject) -> tuple[tuple[str, str, str], ...]:
@@ -31,7 +34,7 @@ def tiles_of(subject: Subject) -> tuple[tuple[str, str, str], ...]:
     points = execution.zeno_points if execution else ()
     arcs = execution.arcs if execution else ()
     resting = sum(arc.end_time - arc.start_time for arc in arcs if arc.mode is Mode.LOCKED)
-    push = "unknown" if math.isnan(radius) else f"{radius:.4g}"
+    push = "unknown" if math.isnan(radius) else number_text(radius, 4)
     return (
         ("period", f"{orbit.period:.10g}", "s"),
         ("first hit after", f"{orbit.impacts[0].time:.10g}", "s"),
@@ -49,7 +52,7 @@ def tables_of(subject: Subject, bundle: Bundle) -> dict[str, Table[Any]]:
         "bounds": bounds_table(subject.orbit),
         "multipliers": multipliers_table(certificate),
         "checks": checks_table(certificate),
-        "margins": margins_table(certificate, problem.gap_unit),
+        "margins": margins_table(certificate, problem.gap_unit, problem.energy_unit),
         "energies": energies_table(certificate, problem.energy_unit),
         "parameters": parameters_table(subject.orbit, problem),
         "versions": versions_table(subject.orbit, bundle),
@@ -61,10 +64,24 @@ def tables_of(subject: Subject, bundle: Bundle) -> dict[str, Table[Any]]:
     return tables
 
 
-def _quantity_columns(kind: str, values: Mapping[str, float]) -> list[Column[Quantity]]:
+def number_text(value: float, digits: int) -> str:
+    """Return a number to some digits; zero is 0, without sign."""
+    return f"{value + 0.0:.{digits}g}"
+
+
+def size_text(size: float) -> str:
+    """Return the size of an error to two digits; zero is 0."""
+    return "0" if size == 0.0 else f"{size:.1e}"
+
+
+def _titled(table: Table[Any]) -> Table[Any]:
+    return replace(table, is_titled=True)
+
+
+def _quantity_columns(values: Mapping[str, float]) -> list[Column[Quantity]]:
     return [
-        text_column(kind, lambda quantity: quantity.name),
-        number_column("value", lambda quantity: f"{values[quantity.name]:.12g}"),
+        text_column("name", lambda quantity: quantity.name),
+        number_column("value", lambda quantity: number_text(values[quantity.name], 12)),
         text_column("unit", lambda quantity: quantity.unit),
         text_column("meaning", lambda quantity: quantity.meaning),
     ]
@@ -74,13 +91,13 @@ def gains_table(orbit: ZenoOrbit, problem: Problem) -> Table[Any]:
     """Return the gains with their units."""
     known = {gain.name: gain for gain in problem.gains}
     gains = [known[name] for name in orbit.gains]
-    return table_of("Gains", _quantity_columns("gain", orbit.gains), gains)
+    return table_of("Gains", _quantity_columns(orbit.gains), gains)
 
 
 def parameters_table(orbit: ZenoOrbit, problem: Problem) -> Table[Any]:
     """Return the physical parameters with their units."""
-    columns = _quantity_columns("parameter", orbit.parameters)
-    return table_of("Physical parameters of the problem", columns, problem.parameters)
+    columns = _quantity_columns(orbit.parameters)
+    return _titled(table_of("Parameters", columns, problem.parameters))
 
 
 def bounds_table(orbit: ZenoOrbit) -> Table[Any]:
@@ -105,7 +122,7 @@ def events_table(execution: Execution, unit: str) -> Table[Any]:
         unit: Unit of the gap.
     """
     columns: list[Column[Event]] = [
-        number_column("time [s]", lambda event: f"{event.time:.12g}"),
+        number_column("time [s]", lambda event: number_text(event.time, 12)),
         text_column("event", _event_name),
         number_column(f"speed of the hit [{unit}/s]", _hit_speed),
     ]
@@ -114,8 +131,7 @@ def events_table(execution: Execution, unit: str) -> Table[Any]:
         return table
     half = _MOST_EVENTS // 2
     between = ("...", f"and {len(table.rows) - 2 * half} more", "")
-    rows = (*table.rows[:half], between, *table.rows[-half:])
-    return Table(caption=table.caption, columns=table.columns, rows=rows)
+    return replace(table, rows=(*table.rows[:half], between, *table.rows[-half:]))
 
 
 def _event_name(event: Event) -> str:
@@ -132,13 +148,19 @@ def _hit_speed(event: Event) -> str:
 
 def multipliers_table(certificate: OrbitCertificate) -> Table[Any]:
     """Return the Floquet multipliers."""
+    error = size_text(certificate.multiplier_error)
+
+    def cell(value: float) -> str:
+        # What is smaller than the error of a multiplier is not known from zero.
+        return "0" if abs(value) < min(certificate.multiplier_error, 1e-9) else f"{value:.8g}"
+
     columns: list[Column[tuple[int, complex]]] = [
-        text_column("multiplier", lambda one: f"{one[0]}"),
-        number_column("real part [1]", lambda one: f"{one[1].real + 0.0:.8g}"),
-        number_column("imaginary part [1]", lambda one: f"{one[1].imag + 0.0:.8g}"),
-        number_column("modulus [1]", lambda one: f"{abs(one[1]):.8g}"),
+        text_column("number", lambda one: f"{one[0]}"),
+        number_column("real part [1]", lambda one: cell(one[1].real)),
+        number_column("imaginary part [1]", lambda one: cell(one[1].imag)),
+        number_column("modulus [1]", lambda one: cell(abs(one[1]))),
     ]
-    caption = f"Floquet multipliers (error of the largest: {certificate.multiplier_error:.0e})"
+    caption = f"Floquet multipliers (error of the largest: {error})"
     return table_of(caption, columns, enumerate(certificate.multipliers, start=1))
 
 
@@ -156,27 +178,28 @@ def checks_table(certificate: OrbitCertificate) -> Table[Any]:
 
 
 def _residual(size: float) -> str:
-    return f"{size:.1e}" if math.isfinite(size) else "never reached"
+    return size_text(size) if math.isfinite(size) else "never reached"
 
 
-def margins_table(certificate: OrbitCertificate, unit: str) -> Table[Any]:
+def margins_table(certificate: OrbitCertificate, unit: str, energy: str) -> Table[Any]:
     """Return how far the orbit is from being lost.
 
     Args:
         certificate: The certificate.
         unit: Unit of the gap.
+        energy: Unit of energies.
     """
-    force = _FORCES.get(unit, "SI")
+    force = _FORCES.get((energy, unit), f"{energy}/{unit}")
     columns: list[Column[str]] = [
-        text_column("margin", lambda name: name),
-        number_column("value", lambda name: f"{certificate.margins[name]:.6g}"),
+        text_column("name", lambda name: name),
+        number_column("value", lambda name: number_text(certificate.margins[name], 6)),
         text_column(
             "unit",
             lambda name: words.MARGINS[name][1].format(gap=unit, force=force),
         ),
         text_column("meaning", lambda name: words.MARGINS[name][0]),
     ]
-    return table_of("Margins", columns, certificate.margins)
+    return _titled(table_of("Margins", columns, certificate.margins))
 
 
 def energies_table(certificate: OrbitCertificate, unit: str) -> Table[Any]:
@@ -186,11 +209,16 @@ def energies_table(certificate: OrbitCertificate, unit: str) -> Table[Any]:
         certificate: The certificate.
         unit: Of energies in the problem.
     """
+    energies = certificate.energies
+    least = _ROUNDING * max((abs(value) for value in energies.values()), default=0.0)
     columns: list[Column[str]] = [
-        text_column("where", lambda name: words.ENERGIES.get(name, name)),
-        number_column(f"energy [{unit}]", lambda name: f"{certificate.energies[name]:.6g}"),
+        text_column("part", lambda name: words.ENERGIES.get(name, name)),
+        number_column(
+            f"energy [{unit}]",
+            lambda name: number_text(energies[name] if abs(energies[name]) > least else 0.0, 6),
+        ),
     ]
-    return table_of(f"Energy over one period [{unit}]", columns, certificate.energies)
+    return table_of("Energy over one period", columns, energies)
 
 
 def trade_table(trade: WorkPrecision) -> Table[Any]:
@@ -216,7 +244,7 @@ def versions_table(orbit: ZenoOrbit, bundle: Bundle) -> Table[Any]:
     """Return the versions that found the orbit beside those that wrote the page."""
     here = {**versions(), "plotly": bundle.version}
     columns: list[Column[str]] = [
-        text_column("of", lambda name: name),
+        text_column("package", lambda name: name),
         text_column("that found the orbit", lambda name: orbit.versions.get(name, "-")),
         text_column("that wrote this page", lambda name: here.get(name, "-")),
     ]

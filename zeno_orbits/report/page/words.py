@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
+from zeno_orbits.model import Problem
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.simulation import Execution
 from zeno_orbits.verification import OrbitCertificate
@@ -62,6 +64,50 @@ ENERGIES: Mapping[str, str] = {
 """Name of an energy to its meaning."""
 
 
+LAWS: tuple[tuple[int, str, str], ...] = (
+    (
+        7,
+        "<i>ḣ</i><sup>+</sup> = −<i>e</i> <i>ḣ</i><sup>−</sup>",
+        "Newton's law of an impact: the part leaves the stop with the restitution e times the "
+        "speed at which it came.",
+    ),
+    (
+        9,
+        "<i>h</i> = <i>ḣ</i> = 0, <i>ḧ</i> &lt; 0",
+        "The Zeno point (Theorem 1): near a state at rest on a stop that holds it, impacts "
+        "accumulate, infinitely many in finite time.",
+    ),
+    (
+        12,
+        "<i>λ</i> = 0, d<i>λ</i>/d<i>t</i> &lt; 0",
+        "The release: the stop would have to pull, and lets go.",
+    ),
+    (
+        13,
+        "<i>E</i>(<i>T</i>) = <i>E</i>(0)",
+        "The energy balance: over a period as much is lost as is put in.",
+    ),
+    (
+        15,
+        "<i>t</i><sub>∞</sub> − <i>t</i> ≈ 2<i>w</i> / (|<i>ḧ</i>| (1 − <i>e</i>))",
+        "The time that all later flights take together, after an impact that the part leaves with "
+        "the speed w: a geometric series, drawn dashed.",
+    ),
+    (
+        18,
+        "<i>P</i>(<i>x</i>*) = <i>x</i>*, <i>μ</i> = eigenvalues of d<i>P</i>/d<i>x</i>",
+        "The return map P leads from one start of a period to the next. Its multipliers say what "
+        "is left of a small push after a period.",
+    ),
+    (
+        19,
+        "|simulated − stated| / size",
+        "A residual: zero for a true orbit, relative to the size of what is compared.",
+    ),
+)
+"""Number of a law in the theory, the law as HTML, and what it says."""
+
+
 def headline(certificate: OrbitCertificate) -> str:
     """Return the answer in a few words."""
     if not certificate.passed:
@@ -71,6 +117,27 @@ def headline(certificate: OrbitCertificate) -> str:
     if certificate.unstable:
         return "Verified, but unstable: the smallest push makes the machine leave this motion."
     return "Verified; it is not known whether small pushes die out."
+
+
+def cautions(problem: Problem, execution: Execution | None) -> list[str]:
+    """Return what a reader of the numbers should know: angles that pass half a turn.
+
+    Args:
+        problem: The problem.
+        execution: One period, if it could be simulated.
+    """
+    if execution is None:
+        return []
+    states = execution.sampled(20)[1]
+    found: list[str] = []
+    for k, (name, unit) in enumerate(zip(problem.state_names, problem.state_units, strict=True)):
+        low, high = float(states[:, k].min()), float(states[:, k].max())
+        if unit == "rad" and max(-low, high) > math.pi:
+            found.append(
+                f"{name} runs from {low:.4g} to {high:.4g} rad, beyond half a turn. Angles are "
+                "counted on and never wrapped: is the mechanism free to turn so far?"
+            )
+    return found
 
 
 def story(orbit: ZenoOrbit, certificate: OrbitCertificate, execution: Execution | None) -> str:

@@ -9,10 +9,7 @@ from .family import plot_families as plot_families
 from .figure import figure_of as figure_of
 from .graph import plot_graph as plot_graph
 from .map import plot_map as plot_map
-from .orbit import plot_outputs as plot_outputs
-from .orbit import plot_portraits as plot_portraits
-from .orbit import plot_states as plot_states
-from .orbit import plot_time_series as plot_time_series
+from .portraits import plot_portraits as plot_portraits
 from .recording import plot_comparison as plot_comparison
 from .region import has_zeno_region as has_zeno_region
 from .region import plot_zeno_region as plot_zeno_region
@@ -20,6 +17,10 @@ from .style import COLUMN_WIDTH as COLUMN_WIDTH
 from .style import FULL_WIDTH as FULL_WIDTH
 from .style import rendered as rendered
 from .style import save_figure as save_figure
+from .time_series import plot_outputs as plot_outputs
+from .time_series import plot_states as plot_states
+from .time_series import plot_time_series as plot_time_series
+from .two_motions import TwoMotions as TwoMotions
 from .two_motions import plot_beside_by_phase as plot_beside_by_phase
 from .two_motions import plot_beside_impacts as plot_beside_impacts
 from .two_motions import plot_beside_over_time as plot_beside_over_time

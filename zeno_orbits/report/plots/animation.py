@@ -22,32 +22,32 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError, ZenoOrbitsError
+from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.report.machine import STOP, MachineMotion, frame_of, machine_motion
+from zeno_orbits.report.paths import paths_of
+from zeno_orbits.report.plots.panels import Panels
 from zeno_orbits.report.plots.style import (
     ARCS,
     FULL_WIDTH,
     INK,
     JUMP,
+    LOOKS,
     TEXT,
-    add_legend,
-    label_of,
     mark_completion,
-    paths_of,
 )
+from zeno_orbits.report.symbols import label_of
 from zeno_orbits.simulation import Execution, Mode
 
 _RATE = 25
 """Pictures a second of what is shown [1/s]."""
 _FEWEST, _MOST = 40, 250
 """Pictures of one animation: two to ten seconds, whatever the period is."""
-_DOTS = 100
+_DOTS = 160
 """Of the animation, an inch."""
 _COLOURS = 63
 _KEPT = 63
 """In the place of a colour: what the picture before shows there."""
-STOP = "stop"
-"""The line of a drawing that is the stop itself, and is drawn as such."""
 _TRAIL = 0.12
 """Part of the period that the moving points drag behind them."""
 _PORTRAITS = 2
@@ -81,12 +81,9 @@ def film_of(problem: Problem, values: ParameterValues, execution: Execution, per
     Raises:
         InputError: If the problem has no drawing.
     """
-    if problem.drawing is None:
-        raise InputError(f"Argument `problem` must have a drawing, but `{problem.name}` has none.")
     count = int(np.clip(round(period * _RATE), _FEWEST, _MOST))
-    times = np.linspace(0.0, period, count, endpoint=False)
-    states = np.array([execution.state_at(time) for time in times])
-    lines = problem.drawn_lines(values, states[:, : len(problem.state_names)])
+    motion = machine_motion(problem, values, execution, period, n=count)
+    times, states, lines = motion.times, motion.states, motion.lines
     figure = Figure(figsize=(FULL_WIDTH, _TALL), layout="constrained", dpi=_DOTS)
     canvas = FigureCanvasAgg(figure)
     pairs = [
@@ -96,7 +93,7 @@ def film_of(problem: Problem, values: ParameterValues, execution: Execution, per
     grid = figure.add_gridspec(len(pairs), 2)
     machine = figure.add_subplot(grid[:, 0])
     portraits = [figure.add_subplot(grid[k, 1]) for k in range(len(pairs))]
-    parts = _draw_machine(machine, lines)
+    parts = _draw_machine(machine, motion)
     points = [
         _draw_portrait(ax, problem, execution, pair)
         for ax, pair in zip(portraits, pairs, strict=True)
@@ -105,8 +102,8 @@ def film_of(problem: Problem, values: ParameterValues, execution: Execution, per
     if abs(slower - 1.0) > 0.1:
         words = "slower" if slower > 1.0 else "faster"
         portraits[0].set_title(f"shown {max(slower, 1 / slower):.2g} times {words}", size=TEXT)
-    add_legend(figure, FULL_WIDTH)
-    figure.align_ylabels(portraits)
+    shown = (*portraits, machine)
+    Panels(figure=figure, axes=shown, width=FULL_WIDTH, across=1, is_own=True).finished()
     machine.set_title("Zeno model", size=TEXT)
     # Laid out once, twice for what depends on the first: nothing but the machine is to move.
     canvas.draw()
@@ -115,7 +112,7 @@ def film_of(problem: Problem, values: ParameterValues, execution: Execution, per
     digits = max(0, 2 - math.floor(math.log10(period)))
     frames: list[Image.Image] = []
     for k, time in enumerate(times.tolist()):
-        mode = _mode_at(execution, time)
+        mode = motion.modes[k]
         for name, part in parts.items():
             part.set_data(*lines[name][k].T)
             part.set_color(INK if name == STOP else ARCS[mode]["color"])
@@ -199,12 +196,10 @@ def mp4_of(film: Film) -> bytes:
         return path.read_bytes()
 
 
-def _draw_machine(ax: Axes, lines: dict[str, Vector]) -> dict[str, Any]:
+def _draw_machine(ax: Axes, motion: MachineMotion) -> dict[str, Any]:
     """Prepare the axes of the machine and return its lines, to be moved."""
-    corners = np.concatenate([points.reshape(-1, 2) for points in lines.values()])
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    centre, reach = (low + high) / 2, 0.56 * float(np.max(high - low)) or 1.0
-    ax.set(xlim=(centre[0] - reach, centre[0] + reach), ylim=(centre[1] - reach, centre[1] + reach))
+    lines, (across, upwards) = motion.lines, frame_of(motion)
+    ax.set(xlim=across, ylim=upwards)
     ax.set_aspect("equal")
     ax.set(xlabel="across [m]", ylabel="upwards [m]")
     ax.grid(visible=True, lw=0.4, alpha=0.5)
@@ -221,9 +216,9 @@ def _draw_portrait(
     ax: Axes, problem: Problem, execution: Execution, pair: Sequence[int]
 ) -> tuple[Any, Any]:
     """Draw the whole orbit, and return the moving point and its trail."""
-    for _, states, look in paths_of(execution):
-        thin: dict[str, Any] = look | {"lw": 1.0}
-        ax.plot(*states[:, list(pair)].T, **thin)
+    for path in paths_of(execution):
+        thin: dict[str, Any] = LOOKS[path.kind] | {"lw": 1.0}
+        ax.plot(*path.states[:, list(pair)].T, **thin)
     for impact in execution.impacts:
         ends = np.array([impact.state_minus, impact.state_plus])[:, list(pair)]
         ax.plot(*ends.T, **JUMP)
@@ -238,7 +233,3 @@ def _trail_start(execution: Execution, times: Vector, k: int) -> int:
     """Return the first picture of the moving point's trail: no earlier than its last jump."""
     jumped = max((i.time for i in execution.impacts if i.time <= times[k]), default=0.0)
     return max(k - round(_TRAIL * len(times)), int(np.searchsorted(times, jumped)))
-
-
-def _mode_at(execution: Execution, time: float) -> Mode:
-    return next((arc.mode for arc in execution.arcs if arc.end_time > time), Mode.FREE)

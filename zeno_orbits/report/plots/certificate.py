@@ -5,63 +5,65 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from zeno_orbits.report.plots.style import (
-    COLUMN_WIDTH,
-    FULL_WIDTH,
-    INK,
-    LEAST_ERROR,
-    PALETTE,
-    add_legend,
-)
+from zeno_orbits.report.plots.panels import is_wide, panels_of
+from zeno_orbits.report.plots.style import FULL_WIDTH, INK, PALETTE, TEXT
 from zeno_orbits.verification import RESIDUALS, OrbitCertificate
 
 _PASSED, _FAILED = PALETTE[:2]
 
 
-def plot_certificate(certificate: OrbitCertificate, *, width: float = FULL_WIDTH) -> Figure:
+def plot_certificate(
+    certificate: OrbitCertificate, *, width: float = FULL_WIDTH, axes: Sequence[Axes] = ()
+) -> Figure:
     """Return the residuals of a certificate and the Floquet multipliers in the unit circle.
 
     Args:
         certificate: The certificate.
         width: Width of the picture [in].
+        axes: Two panels to draw into; by default a new figure is made.
     """
-    wide = width > 1.5 * COLUMN_WIDTH
-    height = 0.17 * len(certificate.residuals) + 0.9
-    figure = Figure(figsize=(width, height if wide else height + 2.6), layout="constrained")
-    shape = (1, 2) if wide else (2, 1)
-    ratios = {"width_ratios": (3, 2)} if wide else {"height_ratios": (height, 2.6)}
-    grid = figure.add_gridspec(*shape, **ratios)
-    _draw_residuals(figure.add_subplot(grid[0]), certificate)
-    _draw_multipliers(figure.add_subplot(grid[1]), certificate)
-    add_legend(figure, width)
-    return figure
+    wide, height = is_wide(width), 0.17 * len(certificate.residuals) + 0.4
+    panels = panels_of(
+        width,
+        2,
+        height=(height,) if wide else (height, 2.6),
+        columns=2 if wide else 1,
+        widths=(3, 2) if wide else None,
+        axes=axes,
+    )
+    residuals, multipliers = panels
+    _draw_residuals(residuals, certificate)
+    _draw_multipliers(multipliers, certificate)
+    return panels.finished()
 
 
 def _draw_residuals(ax: Axes, certificate: OrbitCertificate) -> None:
-    """Draw a row a residual in causal order; one that is not finite reaches the frame."""
+    """Draw a row a residual in causal order; zero and what is not finite are words, no bars."""
     names = [name for name in RESIDUALS if name in certificate.residuals]
     sizes = [certificate.residuals[name] for name in names]
-    finite = [size for size in sizes if math.isfinite(size)]
-    right = 30 * max([certificate.tolerance, *finite])
+    shown = [size for size in (*sizes, certificate.tolerance) if math.isfinite(size) and size > 0.0]
+    left, right = 0.1 * min(shown), 30 * max(shown)
     for row, size in enumerate(sizes):
         passed = size <= certificate.tolerance
-        ax.plot(
-            [LEAST_ERROR, min(max(size, LEAST_ERROR), right)],
-            [row, row],
-            color=_PASSED if passed else _FAILED,
-            lw=4.0,
-            solid_capstyle="butt",
-            label="residual, passed" if passed else "residual, failed",
-        )
+        colour = _PASSED if passed else _FAILED
+        label = "residual, passed" if passed else "residual, failed"
+        if size in shown:
+            look: dict[str, Any] = {"lw": 4.0, "solid_capstyle": "butt"}
+            ax.plot([left, size], [row, row], color=colour, label=label, **look)
+        else:
+            words = "0" if size == 0.0 else "never reached"
+            ax.text(1.3 * left, row, words, color=colour, size=TEXT - 1, va="center")
     ax.axvline(certificate.tolerance, color=INK, lw=1.0, ls="--", label="tolerance")
-    ax.set(xscale="log", xlim=(LEAST_ERROR, right), xlabel="relative residual [1]")
+    ax.set(xscale="log", xlim=(left, right), xlabel="relative residual [1]")
     ax.set_yticks(range(len(names)), labels=[name.replace("_", " ") for name in names])
-    ax.invert_yaxis()
+    ax.set_ylim(len(names) - 0.5, -0.5)
 
 
 def _draw_multipliers(ax: Axes, certificate: OrbitCertificate) -> None:

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import groupby
 from typing import Any
 
@@ -20,15 +20,14 @@ from zeno_orbits.continuation import (
     orbit_amplitude,
 )
 from zeno_orbits.model import Problem
+from zeno_orbits.report.plots.panels import panels_of
 from zeno_orbits.report.plots.style import (
     COLUMN_WIDTH,
     FULL_WIDTH,
     INK,
     PALETTE,
-    add_legend,
-    panels_of,
-    symbol_of,
 )
+from zeno_orbits.report.symbols import math_symbol, quantity_label
 
 _DOUBLINGS = 4
 """Period doublings that have a colour of their own."""
@@ -50,39 +49,49 @@ _MARKS: dict[SpecialPointKind, dict[str, Any]] = {
 }
 
 
-def plot_families(found: Continuation, problem: Problem, *, width: float = FULL_WIDTH) -> Figure:
+def plot_families(
+    found: Continuation,
+    problem: Problem,
+    *,
+    width: float = FULL_WIDTH,
+    axes: Sequence[Axes] = (),
+) -> Figure:
     """Return families over their parameter, stable ones solid, unstable ones dashed.
 
     Args:
         found: What was found.
         problem: The problem, for units.
         width: Width of the picture [in].
+        axes: Three panels to draw into; by default a new figure is made.
     """
     main = found.families[0]
-    index = problem.state_names.index(problem.amplitude_of)
-    symbol, unit = symbol_of(problem.state_names, index), problem.state_units[index]
+    unit = problem.state_units[problem.state_names.index(problem.amplitude_of)]
+    symbol = math_symbol(problem.amplitude_of, problem.state_names)
     quantities: list[tuple[str, Callable[[FamilyPoint], float]]] = [
         ("period [s]", lambda point: point.period),
         (f"amplitude of {symbol} [{unit}]", _amplitudes(found, problem)),
         ("spectral radius [1]", lambda point: point.spectral_radius),
     ]
-    figure, panels = panels_of(width, len(quantities), height=2.3)
+    panels = panels_of(width, len(quantities), height=2.3, axes=axes)
     for ax, (label, value) in zip(panels, quantities, strict=True):
         for family in found.families:
             doublings = family.n_returns.bit_length() - 1
             _draw(ax, family, value, PALETTE[doublings % _DOUBLINGS])
         ax.set(xlabel=_named(problem, main.parameter), ylabel=label)
         ax.margins(0.06)
-    _show_radii(panels[-1], found)
-    _show_period(panels[0], found)
+    _show_radii(panels.axes[-1], found)
+    _show_period(panels.axes[0], found)
     for ax, (_, value) in zip(panels, quantities, strict=True):
         _mark_all(ax, found, value)
-    add_legend(figure, width)
-    return figure
+    return panels.finished()
 
 
 def plot_boundaries(
-    found: Continuation, problem: Problem, *, width: float = COLUMN_WIDTH
+    found: Continuation,
+    problem: Problem,
+    *,
+    width: float = COLUMN_WIDTH,
+    axes: Sequence[Axes] = (),
 ) -> Figure:
     """Return the boundaries in the plane of two parameters.
 
@@ -90,13 +99,14 @@ def plot_boundaries(
         found: What was found; it must have a boundary.
         problem: The problem, for units.
         width: Width of the picture [in].
+        axes: One panel to draw into; by default a new figure is made.
     """
-    figure, (ax,) = panels_of(width, 1, height=0.75 * width)
-    draw_boundaries(ax, found.boundaries)
+    panels = panels_of(width, 1, height=0.75 * width, axes=axes)
+    (ax,) = panels
+    _draw_boundaries(ax, found.boundaries)
     names = found.boundaries[0].names
     ax.set(xlabel=_named(problem, names[0]), ylabel=_named(problem, names[1]))
-    add_legend(figure, width)
-    return figure
+    return panels.finished()
 
 
 _BOUNDARIES: dict[SpecialPointKind, tuple[str, Any]] = {
@@ -112,7 +122,7 @@ _BOUNDARIES: dict[SpecialPointKind, tuple[str, Any]] = {
 }
 
 
-def draw_boundaries(ax: Axes, boundaries: tuple[SpecialCurve, ...]) -> None:
+def _draw_boundaries(ax: Axes, boundaries: tuple[SpecialCurve, ...]) -> None:
     """Draw boundaries into axes, a colour and a dash a kind."""
     for boundary in boundaries:
         colour, dash = _BOUNDARIES.get(boundary.kind, (INK, "--"))
@@ -198,4 +208,4 @@ def _amplitudes(found: Continuation, problem: Problem) -> Callable[[FamilyPoint]
 
 
 def _named(problem: Problem, name: str) -> str:
-    return f"{name} [{problem.quantity(name).unit}]"
+    return quantity_label(name, problem.quantity(name).unit)

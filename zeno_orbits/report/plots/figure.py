@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from zeno_orbits.continuation import Continuation, Family
@@ -18,9 +20,11 @@ from zeno_orbits.report.orbit_motion import motion_of
 from zeno_orbits.report.plots.certificate import plot_certificate
 from zeno_orbits.report.plots.family import plot_boundaries, plot_families
 from zeno_orbits.report.plots.map import plot_map
-from zeno_orbits.report.plots.orbit import plot_portraits, plot_states, plot_time_series
+from zeno_orbits.report.plots.panels import add_title
+from zeno_orbits.report.plots.portraits import plot_portraits
 from zeno_orbits.report.plots.recording import plot_comparison
-from zeno_orbits.report.plots.style import FULL_WIDTH, add_title
+from zeno_orbits.report.plots.style import FULL_WIDTH
+from zeno_orbits.report.plots.time_series import plot_states, plot_time_series
 from zeno_orbits.report.plots.work_precision import plot_trade
 from zeno_orbits.search import SearchResult
 from zeno_orbits.simulation import Execution
@@ -28,7 +32,13 @@ from zeno_orbits.verification import OrbitCertificate, problem_dynamics
 
 
 def figure_of(
-    result: object, *, problem: Problem | None = None, width: float = FULL_WIDTH, title: str = ""
+    result: object,
+    *,
+    problem: Problem | None = None,
+    ax: Axes | None = None,
+    axes: Sequence[Axes] = (),
+    width: float | None = None,
+    title: str = "",
 ) -> Figure:
     """Return the picture of a result.
 
@@ -40,78 +50,71 @@ def figure_of(
             comparison.
         problem: Its problem; by default the bundled one of its name. An execution knows no name:
             without its problem it is drawn without units.
-        width: Width of the picture [in].
+        ax: Axes to draw into, for a picture of one panel.
+        axes: Axes to draw into, as many as the picture has panels.
+        width: Width of the picture [in]; by default that of a page.
         title: Words above the picture; none by default.
 
     Raises:
-        InputError: If there is no picture of such a value, or its problem is not known.
+        InputError: If there is no picture of such a value, its problem is not known, or the axes
+            are not as many as its panels.
         OrbitNotFoundError: If a search result has no orbit.
         SimulationError: If the orbit cannot be simulated.
     """
+    given = [*np.ravel(np.asarray(axes, dtype=object))] if ax is None else [ax]
+    if ax is not None and len(axes):
+        raise InputError("Arguments `ax` and `axes` must not come together, but both are given.")
+    if given and width is not None:
+        raise InputError("Argument `width` must come without axes, which have one, but does not.")
     for kind, draw in _PICTURES.items():
         if isinstance(result, kind):
-            figure = draw(result, problem, width)
+            figure = draw(result, problem, FULL_WIDTH if width is None else width, given)
             if title:
-                add_title(figure, title)
+                add_title(figure, title, given)
             return figure
     kinds = ", ".join(f"`{kind.__name__}`" for kind in _PICTURES)
     message = f"must be one of {kinds}, but it is a `{type(result).__name__}`"
     raise InputError(f"Argument `result` {message}.")
 
 
-def _of_execution(execution: Execution, problem: Problem | None, width: float) -> Figure:
-    if problem is None:
-        return plot_states(execution, width=width)
-    return plot_time_series(problem, execution, width=width)
-
-
-def _of_orbit(orbit: ZenoOrbit, problem: Problem | None, width: float) -> Figure:
+def _of_orbit(
+    orbit: ZenoOrbit, problem: Problem | None, width: float, axes: Sequence[Axes]
+) -> Figure:
     problem = problem or load_problem(orbit.problem)
     execution = motion_of(orbit, problem, problem_dynamics(orbit, problem))
-    return plot_portraits(problem, execution, width=width)
+    return plot_portraits(problem, execution, width=width, axes=axes)
 
 
-def _of_search(found: SearchResult, problem: Problem | None, width: float) -> Figure:
-    return _of_orbit(found.unwrap(), problem, width)
-
-
-def _of_certificate(
-    certificate: OrbitCertificate, _problem: Problem | None, width: float
+def _of_execution(
+    execution: Execution, problem: Problem | None, width: float, axes: Sequence[Axes]
 ) -> Figure:
-    return plot_certificate(certificate, width=width)
+    if problem is None:
+        return plot_states(execution, width=width, axes=axes)
+    return plot_time_series(problem, execution, width=width, axes=axes)
 
 
-def _of_family(family: Family, problem: Problem | None, width: float) -> Figure:
-    return _of_continuation(Continuation(families=(family,)), problem, width)
-
-
-def _of_continuation(found: Continuation, problem: Problem | None, width: float) -> Figure:
+def _of_continuation(
+    found: Continuation, problem: Problem | None, width: float, axes: Sequence[Axes]
+) -> Figure:
     problem = problem or load_problem(found.families[0].problem)
-    if found.boundaries:
-        return plot_boundaries(found, problem, width=width)
-    return plot_families(found, problem, width=width)
+    draw = plot_boundaries if found.boundaries else plot_families
+    return draw(found, problem, width=width, axes=axes)
 
 
-def _of_map(found: ParameterMap, _problem: Problem | None, width: float) -> Figure:
-    return plot_map(found, width=width)
-
-
-def _of_trade(found: WorkPrecision, _problem: Problem | None, width: float) -> Figure:
-    return plot_trade(found, width=width)
-
-
-def _of_comparison(found: Comparison, problem: Problem | None, width: float) -> Figure:
-    return plot_comparison(problem or load_problem(found.orbit.problem), found, width=width)
-
-
-_PICTURES: dict[type, Callable[[Any, Problem | None, float], Figure]] = {
+_PICTURES: dict[type, Callable[[Any, Problem | None, float, Sequence[Axes]], Figure]] = {
     Execution: _of_execution,
     ZenoOrbit: _of_orbit,
-    SearchResult: _of_search,
-    OrbitCertificate: _of_certificate,
-    Family: _of_family,
+    SearchResult: lambda found, problem, width, axes: _of_orbit(
+        found.unwrap(), problem, width, axes
+    ),
+    OrbitCertificate: lambda found, _, width, axes: plot_certificate(found, width=width, axes=axes),
+    Family: lambda found, problem, width, axes: _of_continuation(
+        Continuation(families=(found,)), problem, width, axes
+    ),
     Continuation: _of_continuation,
-    ParameterMap: _of_map,
-    WorkPrecision: _of_trade,
-    Comparison: _of_comparison,
+    ParameterMap: lambda found, _, width, axes: plot_map(found, width=width, axes=axes),
+    WorkPrecision: lambda found, _, width, axes: plot_trade(found, width=width, axes=axes),
+    Comparison: lambda found, problem, width, axes: plot_comparison(
+        problem or found.problem, found, width=width, axes=axes
+    ),
 }

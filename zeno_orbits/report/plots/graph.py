@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.report.plots.style import COLUMN_WIDTH, INK, TEXT, TINTS, symbol_of
+from zeno_orbits.report.plots.style import COLUMN_WIDTH, INK, TEXT, TINTS
+from zeno_orbits.report.symbols import math_symbol
 from zeno_orbits.simulation import Mode
 
 _SIZE = (1.22, 0.72)
@@ -118,7 +119,7 @@ def _states(problem: Problem) -> str:
     names = problem.state_names
     if sum(map(len, names)) > _LONGEST:
         return f"$x$: {len(names)} states"
-    return f"$x$: {', '.join(symbol_of(names, k) for k in range(len(names)))}"
+    return f"$x$: {', '.join(math_symbol(name, names) for name in names)}"
 
 
 def _edge(ax: Axes, start: tuple[float, float], end: tuple[float, float], bend: str) -> None:

@@ -20,7 +20,9 @@ from matplotlib.transforms import Bbox
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.maps import Attractor, Axis, Boundary, Fate, ParameterMap
+from zeno_orbits.report.plots.panels import panels_of, size_of
 from zeno_orbits.report.plots.style import COLUMN_WIDTH, FULL_WIDTH, INK, TEXT
+from zeno_orbits.report.symbols import quantity_label
 
 _PERIODS = {1: "#4393C3", 2: "#009E73", 4: "#005A43", 8: "#5D3A9B"}
 _OTHER_PERIOD = "#8C7AA9"
@@ -49,20 +51,50 @@ _BOUNDARIES = ("-", "--", "-.", ":")
 
 
 def plot_map(
-    found: ParameterMap, *, boundaries: Sequence[Boundary] = (), width: float = 1.4 * COLUMN_WIDTH
+    found: ParameterMap,
+    *,
+    boundaries: Sequence[Boundary] = (),
+    width: float = 1.4 * COLUMN_WIDTH,
+    axes: Sequence[Axes] = (),
 ) -> Figure:
-    """Return a map as a picture.
+    """Return a map as a picture: a cell a point, with contours where there are points enough.
 
     Args:
         found: The map.
         boundaries: Curves to draw on top.
         width: Width of the picture [in].
+        axes: One panel to draw into; by default a new figure is made.
     """
-    phrases = _phrases(found.attractors)
     beside = width >= _BESIDE * FULL_WIDTH
-    height = _SHAPE[beside] * width
-    figure = Figure(figsize=(width, height), layout="constrained")
-    ax = figure.add_subplot()
+    panels = panels_of(width, 1, height=_SHAPE[beside] * width - 0.5, axes=axes)
+    (ax,) = panels
+    ax.set_xlabel(quantity_label(found.x.name, found.x.unit), fontsize=TEXT)
+    ax.set_ylabel(quantity_label(found.y.name, found.y.unit), fontsize=TEXT)
+    ax.tick_params(labelsize=TEXT - 1)
+    handles = [*_draw_cells(ax, found), *_draw_contours(ax, found)]
+    handles += _draw_boundaries(ax, found, boundaries)
+    look: dict[str, Any] = {"fontsize": TEXT - 1, "handlelength": 2.6}
+    if not panels.is_own:
+        ax.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.02, 1.0), **look)
+        return panels.figure
+    columns = 2 if width >= _TWO_COLUMNS and not beside else 1
+    if not beside:
+        rows = -(-len(handles) // columns) + 1
+        panels.figure.set_figheight(panels.figure.get_figheight() + _ENTRY * rows)
+    panels.figure.legend(
+        handles=handles,
+        ncols=columns,
+        columnspacing=1.0,
+        loc="outside right upper" if beside else "outside lower center",
+        frameon=False,
+        **look,
+    )
+    return panels.figure
+
+
+def _draw_cells(ax: Axes, found: ParameterMap) -> list[Any]:
+    """Draw a cell a point, in the colour of what its motion settles to."""
+    phrases = _phrases(found.attractors)
     looks = {phrase: _colour(one, k) for phrase, (one, k) in phrases.items()}
     order = list(looks)
     codes = np.array([order.index(one.phrase) for one in found.attractors]).reshape(found.shape)
@@ -76,27 +108,7 @@ def plot_map(
         rasterized=True,
     )
     edge: dict[str, Any] = {"edgecolor": INK, "linewidth": 0.4}
-    handles: list[Any] = [
-        Patch(facecolor=colour, label=phrase, **edge) for phrase, colour in looks.items()
-    ]
-    handles += _draw_contours(ax, found)
-    handles += _draw_boundaries(ax, found, boundaries)
-    ax.set_xlabel(_label(found.x), fontsize=TEXT)
-    ax.set_ylabel(_label(found.y), fontsize=TEXT)
-    ax.tick_params(labelsize=TEXT - 1)
-    columns = 2 if width >= _TWO_COLUMNS and not beside else 1
-    if not beside:
-        figure.set_figheight(height + _ENTRY * (-(-len(handles) // columns) + 1))
-    figure.legend(
-        handles=handles,
-        ncols=columns,
-        columnspacing=1.0,
-        loc="outside right upper" if beside else "outside lower center",
-        fontsize=TEXT - 1,
-        frameon=False,
-        handlelength=2.6,
-    )
-    return figure
+    return [Patch(facecolor=colour, label=phrase, **edge) for phrase, colour in looks.items()]
 
 
 def _phrases(attractors: Sequence[Attractor]) -> dict[str, tuple[Attractor, int]]:
@@ -123,57 +135,92 @@ def _colour(attractor: Attractor, escape: int) -> str:
 
 def _draw_contours(ax: Axes, found: ParameterMap) -> list[Line2D]:
     """Draw period and spectral radius where the motion settles to an orbit of period 1."""
+    if min(found.shape) < _FEWEST:
+        return []
     first = [one.fate in (Fate.ZENO, Fate.SIMPLE) and one.returns == 1 for one in found.attractors]
     inside = np.reshape(first, found.shape)
     handles: list[Line2D] = []
     fields: list[tuple[Vector, Any, dict[str, Any], str]] = [
         (found.numbers("period"), 6, _PERIOD, "period [s]"),
-        (found.numbers("spectral_radius"), list(_RADII), _RADIUS, "spectral radius"),
+        (found.numbers("spectral_radius"), list(_RADII), _RADIUS, "spectral radius [1]"),
     ]
+    taken: list[Vector] = []
     for values, levels, look, label in fields:
         shown = np.ma.masked_where(~inside | ~np.isfinite(values), values)
         # A contour needs a cell with four corners, and a field that changes.
         if shown.count() < _CORNERS or float(np.ma.ptp(shown)) == 0.0:
             continue
         lines = ax.contour(found.x.values(), found.y.values(), shown, levels=levels, **look)
-        if any(len(path) for path in lines.get_paths()):
-            _label_lines(ax, lines)
+        pieces = _long_pieces(ax, lines)
+        if any(pieces):
+            _label_lines(ax, lines, pieces, taken)
             dash = "--" if look is _RADIUS else "-"
             colour = "#999999" if look is _RADIUS else "black"
             handles.append(Line2D([], [], color=colour, ls=dash, lw=0.9, label=label))
     return handles
 
 
+_FEWEST = 12
+"""Points along an axis from which on contours are more than a guess between cells."""
 _CORNERS = 4
+_SHORT = 0.15
+"""Part of an axis below which a piece of a contour is a speck between cells, and is left out."""
 _LONG = 0.6
 """Part of an axis that a contour line must span to be labelled."""
-
-
-def _label_lines(ax: Axes, lines: QuadContourSet) -> None:
-    """Label every long contour line once, in its middle."""
-    spots: list[tuple[float, float]] = []
-    lowest = np.array([ax.get_xlim()[0], ax.get_ylim()[0]])
-    span = np.array([ax.get_xlim()[1], ax.get_ylim()[1]]) - lowest
-    polygons = (path.to_polygons(closed_only=False) for path in lines.get_paths())
-    pieces = [np.asarray(piece) for level in polygons for piece in level]
-    for piece in pieces:
-        places = (piece - lowest) / span
-        lengths = np.ptp(places, axis=0)
-        along = int(np.argmax(lengths))
-        if lengths[along] > _LONG:
-            # Neighbours are labelled at different places, so that labels do not touch.
-            wanted = _PLACES[len(spots) % len(_PLACES)]
-            at = int(np.argmin(np.abs(places[:, along] - wanted)))
-            if places[at].min() > _EDGE and places[at].max() < 1 - _EDGE:
-                x, y = piece[at].tolist()
-                spots.append((x, y))
-    ax.clabel(lines, fontsize=TEXT - 2, fmt="%.4g", manual=spots)
-
-
-_PLACES = (0.3, 0.5, 0.7)
-"""Places along an axis at which contour lines are labelled, in turn."""
 _EDGE = 0.05
 """Part of an axis at its ends where no label fits."""
+_ROOM = np.array([0.45, 0.17])
+"""Width and height that a label needs [in]."""
+_PANEL = 0.7
+"""Part of a picture that its panel fills, at least."""
+
+
+def _shares(ax: Axes, points: Vector) -> Vector:
+    """Return points of a plane in parts of its axes."""
+    (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
+    return (points - np.array([left, low])) / np.array([right - left, high - low])
+
+
+def _long_pieces(ax: Axes, lines: QuadContourSet) -> list[list[Vector]]:
+    """Keep the pieces of contour lines that are more than specks; return them level by level."""
+    kept: list[list[Vector]] = []
+    for path in lines.get_paths():
+        pieces = [np.asarray(piece) for piece in path.to_polygons(closed_only=False)]
+        kept.append([p for p in pieces if np.max(np.ptp(_shares(ax, p), axis=0)) > _SHORT])
+    lines.set_paths([_joined(pieces) for pieces in kept])
+    return kept
+
+
+def _joined(pieces: Sequence[Vector]) -> Path:
+    return Path.make_compound_path(*map(Path, pieces)) if pieces else Path(np.empty((0, 2)))
+
+
+def _label_lines(
+    ax: Axes, lines: QuadContourSet, pieces: Sequence[Sequence[Vector]], taken: list[Vector]
+) -> None:
+    """Label every long contour line once, as near its middle as no other label is.
+
+    Args:
+        ax: The panel.
+        lines: The contours.
+        pieces: Their pieces, level by level.
+        taken: Places of labels, in parts of the axes; those made here are added.
+    """
+    spots: list[tuple[float, float]] = []
+    room = _ROOM / (_PANEL * size_of(ax))
+    for piece in (one for level in pieces for one in level):
+        places = _shares(ax, piece)
+        if np.max(np.ptp(places, axis=0)) <= _LONG:
+            continue
+        inside = np.all((places > _EDGE) & (places < 1 - _EDGE), axis=1)
+        for other in taken:
+            inside &= np.any(np.abs(places - other) > room, axis=1)
+        fits = np.flatnonzero(inside)
+        if fits.size:
+            at = fits[np.argmin(np.abs(fits - len(piece) / 2))]
+            taken.append(places[at])
+            spots.append((float(piece[at, 0]), float(piece[at, 1])))
+    ax.clabel(lines, fontsize=TEXT - 2, fmt="%.4g", manual=spots)
 
 
 def _draw_boundaries(ax: Axes, found: ParameterMap, boundaries: Sequence[Boundary]) -> list[Line2D]:
@@ -199,7 +246,3 @@ def _draw_boundaries(ax: Axes, found: ParameterMap, boundaries: Sequence[Boundar
 def _reach(axis: Axis) -> tuple[float, float]:
     half = (axis.upper - axis.lower) / (axis.count - 1) / 2
     return axis.lower - half, axis.upper + half
-
-
-def _label(axis: Axis) -> str:
-    return f"{axis.name} [{axis.unit}]"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from matplotlib.figure import Figure
 
@@ -11,10 +11,11 @@ from zeno_orbits.experiment import Counterpart
 from zeno_orbits.model import HybridDynamics, ParameterValues, Problem
 from zeno_orbits.report.plots.animation import film_of, gif_of, has_ffmpeg, mp4_of
 from zeno_orbits.report.plots.graph import plot_graph
-from zeno_orbits.report.plots.orbit import plot_portraits
+from zeno_orbits.report.plots.portraits import plot_portraits
 from zeno_orbits.report.plots.region import plot_zeno_region
 from zeno_orbits.report.plots.style import COLUMN_WIDTH, rendered
 from zeno_orbits.report.plots.two_motions import (
+    TwoMotions,
     plot_beside_by_phase,
     plot_beside_impacts,
     plot_beside_over_time,
@@ -66,19 +67,19 @@ def portrait_files(material: Material) -> dict[str, bytes]:
 
 def beside_files(material: Material) -> dict[str, bytes]:
     """Return the model beside another motion: over time, by phase, impacts, portraits, zoom."""
-    problem, dynamics, one, other = (
-        material.problem,
-        material.dynamics,
-        material.one,
-        material.other(),
+    one = TwoMotions(
+        problem=material.problem,
+        dynamics=material.dynamics,
+        model=material.one,
+        other=material.other(),
     )
     return _files(
         {
-            "fig5a_over_time": plot_beside_over_time(problem, material.several, other),
-            "fig5a_by_phase": plot_beside_by_phase(problem, one, other),
-            "fig5b_impacts": plot_beside_impacts(problem, dynamics, one, other),
-            "fig5c_portraits": plot_beside_portraits(problem, one, other),
-            "fig5d_zeno_point": plot_beside_zeno_point(problem, dynamics, one, other),
+            "fig5a_over_time": plot_beside_over_time(replace(one, model=material.several)),
+            "fig5a_by_phase": plot_beside_by_phase(one),
+            "fig5b_impacts": plot_beside_impacts(one),
+            "fig5c_portraits": plot_beside_portraits(one),
+            "fig5d_zeno_point": plot_beside_zeno_point(one),
         }
     )
 

@@ -4,17 +4,28 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.experiment import Comparison, Deviations, OrbitTable, measurable
+from zeno_orbits.errors import InputError
+from zeno_orbits.experiment import (
+    Comparison,
+    Deviations,
+    OrbitTable,
+    Portrait,
+    measurable,
+    recorded_portraits_of,
+)
 from zeno_orbits.model import Problem
-from zeno_orbits.report.plots.style import FULL_WIDTH, INK, TEXT, TINTS, add_legend, label_of
+from zeno_orbits.report.plots.panels import is_wide, panels_of
+from zeno_orbits.report.plots.style import FULL_WIDTH, INK, TEXT, TINTS
+from zeno_orbits.report.symbols import label_of, quantity_label
 from zeno_orbits.simulation import Mode
 
 _ORBIT: dict[str, Any] = {"color": "#56B4E9", "lw": 2.4, "label": "orbit", "zorder": 2}
@@ -25,7 +36,13 @@ _SPREAD: dict[str, Any] = {"color": "#777777", "alpha": 0.4, "lw": 0, "label": "
 _MOST_DOTS = 4000
 
 
-def plot_comparison(problem: Problem, found: Comparison, *, width: float = FULL_WIDTH) -> Figure:
+def plot_comparison(
+    problem: Problem,
+    found: Comparison,
+    *,
+    width: float = FULL_WIDTH,
+    axes: Sequence[Axes] = (),
+) -> Figure:
     """Return a recording over an orbit, signal by signal, and its portraits.
 
     Left: the samples folded into one period, their mean and the orbit. Right: the mean deviation
@@ -36,45 +53,55 @@ def plot_comparison(problem: Problem, found: Comparison, *, width: float = FULL_
         problem: The problem.
         found: The comparison; it has an alignment.
         width: Width of the picture [in].
+        axes: Axes to draw into, two a signal and one a portrait; by default a new figure is made.
+
+    Raises:
+        InputError: If the recording does not repeat, so that there is nothing to draw.
     """
     deviations, where = found.deviations, found.where
     if deviations is None or where is None:
-        raise ValueError("Argument `found` must have deviations to draw, but it has none.")
-    table = deviations.table
-    pairs = _pairs(problem, table, found.signals)
-    rows = len(found.signals) + math.ceil(len(pairs) / 2)
-    figure = Figure(figsize=(width, 1.25 * len(found.signals) + 2.2 * (rows - len(found.signals))))
-    figure.set_layout_engine("constrained")
-    heights = [1.25] * len(found.signals) + [2.2] * (rows - len(found.signals))
-    grid = figure.add_gridspec(rows, 2, height_ratios=heights)
+        raise InputError("Argument `found` must have deviations to draw, but it has none.")
+    portraits = recorded_portraits_of(problem, found.signals)
+    n, across = len(found.signals), 2 if is_wide(width) else 1
+    heights = [1.25] * (2 * n // across) + [2.2] * -(-len(portraits) // across)
+    panels = panels_of(width, 2 * n + len(portraits), height=heights, columns=across, axes=axes)
+    periods = f"orbit {deviations.table.period:.6g} s, recording {where.period:.6g} s"
+    panels.axes[0].set_title(f"period: {periods}", size=TEXT)
+    panels.axes[1].set_title("recording less orbit", size=TEXT)
     time = found.recording.time
     chosen = np.unique(np.linspace(0, len(time) - 1, min(len(time), _MOST_DOTS)).astype(np.int64))
-    phases = np.mod(where.phases(time[chosen]), 1.0)
+    sampled = (chosen, np.mod(where.phases(time[chosen]), 1.0))
     for k, name in enumerate(found.signals):
-        left, right = figure.add_subplot(grid[k, 0]), figure.add_subplot(grid[k, 1])
-        last = k == len(found.signals) - 1
-        samples = found.recording.signal(name).values[chosen]
-        left.plot(phases, samples, ms=1.2, zorder=1, **_DOTS)
-        left.plot([], [], ms=5.0, label=found.recording.label, **_DOTS)
-        left.plot(table.nodes.times / table.period, table.nodes.values[:, k], **_ORBIT)
-        mean = deviations.orbit[:, k] + deviations.average[:, k]
-        left.plot(deviations.phases, mean, **_DATA)
+        left, right = panels.axes[2 * k : 2 * k + 2]
+        _draw_signal(left, found, deviations, k, sampled)
         _draw_deviation(right, deviations, k)
         left.set_ylabel(_label(problem, name))
         right.set_ylabel(f"deviation [{measurable(problem)[name]}]")
         for ax in (left, right):
-            _shade(ax, table)
+            _shade(ax, deviations.table)
+            last = k == n - 1 or not panels.is_own
             ax.tick_params(labelbottom=last)
             if last:
                 ax.set_xlabel("phase from release [own periods]")
-    periods = f"period: orbit {table.period:.6g} s, recording {where.period:.6g} s"
-    figure.axes[0].set_title(periods, size=TEXT)
-    figure.axes[1].set_title("recording less orbit", size=TEXT)
-    for k, pair in enumerate(pairs):
-        ax = figure.add_subplot(grid[len(found.signals) + k // 2, k % 2])
-        _draw_portrait(ax, problem, found, deviations, pair)
-    add_legend(figure, width)
-    return figure
+    for ax, portrait in zip(panels.axes[2 * n :], portraits, strict=True):
+        _draw_portrait(ax, problem, deviations, portrait)
+    return panels.finished()
+
+
+def _draw_signal(
+    ax: Axes,
+    found: Comparison,
+    deviations: Deviations,
+    k: int,
+    sampled: tuple[NDArray[np.int64], Vector],
+) -> None:
+    """Draw a signal over the phase: samples by their numbers and phases, their mean, the orbit."""
+    table, (chosen, phases) = deviations.table, sampled
+    samples = found.recording.signal(found.signals[k]).values[chosen]
+    ax.plot(phases, samples, ms=1.2, zorder=1, **_DOTS)
+    ax.plot([], [], ms=5.0, label=found.recording.label, **_DOTS)
+    ax.plot(table.nodes.times / table.period, table.nodes.values[:, k], **_ORBIT)
+    ax.plot(deviations.phases, deviations.orbit[:, k] + deviations.average[:, k], **_DATA)
 
 
 def _draw_deviation(ax: Axes, found: Deviations, k: int) -> None:
@@ -96,24 +123,17 @@ def _shade(ax: Axes, table: OrbitTable) -> None:
     ax.set_xlim(0.0, 1.0)
 
 
-def _pairs(problem: Problem, table: OrbitTable, signals: tuple[str, ...]) -> list[tuple[str, str]]:
-    columns = table.measured.names
-    return [pair for pair in problem.portraits if pair[0] in signals and pair[1] in columns]
-
-
-def _draw_portrait(
-    ax: Axes, problem: Problem, found: Comparison, deviations: Deviations, pair: tuple[str, str]
-) -> None:
-    table = deviations.table
-    columns = [table.measured.names.index(name) for name in pair]
-    ax.plot(*table.nodes.values[:, columns].T, **_ORBIT)
-    points = deviations.portrait(columns, None if pair[1] in found.signals else columns[0])
+def _draw_portrait(ax: Axes, problem: Problem, deviations: Deviations, portrait: Portrait) -> None:
+    axes, _ = deviations.columns(portrait)
+    ax.plot(*deviations.table.nodes.values[:, axes].T, **_ORBIT)
+    points = deviations.curve(portrait)
     closed: Vector = np.concatenate([points, points[:1]])
     ax.plot(*closed.T, **_DATA)
-    ax.set(xlabel=_label(problem, pair[0]), ylabel=_label(problem, pair[1]))
+    first, second = portrait.signals
+    ax.set(xlabel=_label(problem, first), ylabel=_label(problem, second))
 
 
 def _label(problem: Problem, name: str) -> str:
     if name in problem.state_names:
         return label_of(problem, problem.state_names.index(name))
-    return f"{name.replace('_', ' ')} [{measurable(problem)[name]}]"
+    return quantity_label(name, measurable(problem)[name])

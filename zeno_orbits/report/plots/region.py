@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,17 +17,10 @@ from matplotlib.ticker import MaxNLocator
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import HybridDynamics, Problem
-from zeno_orbits.report.plots.style import (
-    ARCS,
-    BLUES,
-    FULL_WIDTH,
-    ZENO,
-    add_legend,
-    label_of,
-    mark_completion,
-    panels_of,
-    paths_of,
-)
+from zeno_orbits.report.paths import paths_of
+from zeno_orbits.report.plots.panels import panels_of
+from zeno_orbits.report.plots.style import BLUES, FULL_WIDTH, LOOKS, ZENO, mark_completion
+from zeno_orbits.report.symbols import label_of
 from zeno_orbits.simulation import Execution, Mode
 
 
@@ -37,6 +30,7 @@ def plot_zeno_region(
     execution: Execution | None = None,
     *,
     width: float = 0.7 * FULL_WIDTH,
+    axes: Sequence[Axes] = (),
 ) -> Figure:
     """Return the region of Zeno equilibria where d2h/dt2 < 0 (Theorem 1).
 
@@ -49,6 +43,7 @@ def plot_zeno_region(
         dynamics: The problem at fixed numbers.
         execution: Its locked arcs, Zeno points and releases are laid over the region.
         width: Width of the picture [in].
+        axes: One panel to draw into; by default a new figure is made.
 
     Raises:
         InputError: If the problem has constraints or a clock; its equilibria fill no such plane.
@@ -61,7 +56,8 @@ def plot_zeno_region(
     n_q, base = dynamics.n_q, _base(problem, dynamics)
     across = _free_coordinate(dynamics, base)
     up = 2 * n_q if len(problem.state_names) > 2 * n_q else n_q + (across or 0)
-    figure, (ax,) = panels_of(width, 1, height=0.6 * width)
+    panels = panels_of(width, 1, height=0.6 * width, axes=axes)
+    (ax,) = panels
     acceleration = rf"$\ddot h$ [{problem.gap_unit}/s$^2$]"
     reach = _reach(problem, execution, up)
     if across is None:
@@ -71,12 +67,11 @@ def plot_zeno_region(
         reaches = (_reach(problem, execution, across), reach)
         filled = _draw_plane(ax, dynamics, base, (across, up), reaches)
         if filled is not None:
-            figure.colorbar(filled, ax=ax, pad=0.02).set_label(acceleration)
+            panels.figure.colorbar(filled, ax=ax, pad=0.02).set_label(acceleration)
         ax.set(xlabel=label_of(problem, across), ylabel=label_of(problem, up))
     if execution is not None:
         _overlay_orbit(ax, dynamics, execution, across, up)
-    add_legend(figure, width)
-    return figure
+    return panels.finished()
 
 
 def has_zeno_region(dynamics: HybridDynamics) -> bool:
@@ -171,9 +166,9 @@ def _overlay_orbit(
             acceleration = dynamics.gap_acceleration(zeno.state)
             ax.plot(zeno.state[up], acceleration, label="Zeno point", **ZENO)
         return
-    for _, states, look in paths_of(execution):
-        if look is ARCS[Mode.LOCKED]:
-            ax.plot(*states[:, [across, up]].T, **look)
+    for path in paths_of(execution):
+        if path.kind == Mode.LOCKED.value:
+            ax.plot(*path.states[:, [across, up]].T, **LOOKS[path.kind])
     mark_completion(ax, execution, (across, up))
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,28 +16,19 @@ from matplotlib.figure import Figure
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment import Counterpart
 from zeno_orbits.model import HybridDynamics, Problem
-from zeno_orbits.report.plots.orbit import drawn_phases_of
-from zeno_orbits.report.plots.style import (
-    ARCS,
-    COLUMN_WIDTH,
-    JUMP,
-    TEXT,
-    TINTS,
-    ZENO,
-    add_legend,
-    label_of,
-    panels_of,
-    paths_of,
-    portraits_of,
-    share_time,
-)
+from zeno_orbits.report.paths import drawn_phases_of, paths_of
+from zeno_orbits.report.plots.panels import Panels, panels_of, portraits_of
+from zeno_orbits.report.plots.style import ARCS, COLUMN_WIDTH, JUMP, TEXT, TINTS, ZENO
+from zeno_orbits.report.symbols import label_of
 from zeno_orbits.report.zeno_neighbourhood import close_up
 from zeno_orbits.simulation import Execution, Mode
 
 _OTHER: dict[str, Any] = {"color": "black", "lw": 0.7, "zorder": 3.5}
-_MODEL: dict[Mode, dict[str, Any]] = {
-    Mode.FREE: ARCS[Mode.FREE] | {"lw": 2.0, "color": "#56B4E9", "label": "Zeno model, free"},
-    Mode.LOCKED: ARCS[Mode.LOCKED] | {"lw": 3.2, "label": "Zeno model, locked"},
+_FREE = ARCS[Mode.FREE] | {"lw": 2.0, "color": "#56B4E9", "label": "Zeno model, free"}
+_MODEL: dict[str, dict[str, Any]] = {
+    "free": _FREE,
+    "tail": _FREE,
+    "locked": ARCS[Mode.LOCKED] | {"lw": 3.2, "label": "Zeno model, locked"},
 }
 """Wide, so that the other motion is seen on top; told apart by shade and width in grey, too."""
 _TIME = "time since a release [s]"
@@ -44,159 +36,110 @@ _CLOSER = 15.0
 """Factor by which the gap is enlarged to show the contact with the stop."""
 
 
-def plot_beside_over_time(
-    problem: Problem,
-    execution: Execution,
-    counterpart: Counterpart,
-    *,
-    width: float = COLUMN_WIDTH,
-) -> Figure:
-    """Return the coordinates of both motions over time, the model's locked phases shaded.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TwoMotions:
+    """The motion of the model and another one.
 
-    Args:
+    Attributes:
         problem: The problem.
-        execution: The model's motion from a release on.
-        counterpart: The other motion, from a release on.
-        width: Width of the picture [in].
+        dynamics: The problem at the orbit's numbers.
+        model: The model's motion, from a release on.
+        other: The other motion, from a release on.
     """
-    figure, panels = _coordinates(problem, execution, width)
+
+    problem: Problem
+    dynamics: HybridDynamics
+    model: Execution
+    other: Counterpart
+
+
+def plot_beside_over_time(two: TwoMotions, *, width: float = COLUMN_WIDTH) -> Figure:
+    """Return the coordinates of both motions over time, the model's locked phases shaded."""
+    panels = _coordinates(two, width)
     for row, ax in enumerate(panels):
-        for times, states, look in _paths(execution):
-            ax.plot(times, states[:, row], **look)
-        ax.plot(counterpart.times, counterpart.states[:, row], label=counterpart.label, **_OTHER)
-        ax.set(xlim=(0.0, execution.end_time))
-    share_time(figure, panels, _TIME)
-    add_legend(figure, width)
-    return figure
+        for path in paths_of(two.model):
+            ax.plot(path.times, path.states[:, row], **_MODEL[path.kind])
+        ax.plot(two.other.times, two.other.states[:, row], label=two.other.label, **_OTHER)
+        ax.set(xlim=(0.0, two.model.end_time))
+    return panels.finished(_TIME)
 
 
-def plot_beside_by_phase(
-    problem: Problem,
-    execution: Execution,
-    counterpart: Counterpart,
-    *,
-    width: float = COLUMN_WIDTH,
-) -> Figure:
+def plot_beside_by_phase(two: TwoMotions, *, width: float = COLUMN_WIDTH) -> Figure:
     """Return the coordinates of both motions over the phase, each in periods of its own.
 
     What is left of a difference is one of shape; that of the periods stands above, in numbers. All
     cycles of the other motion are drawn on top of each other.
 
     Args:
-        problem: The problem.
-        execution: The model's motion over one period from its release on.
-        counterpart: The other motion, from a release on.
+        two: The motions, the model's over one period.
         width: Width of the picture [in].
     """
-    own = execution.end_time
-    figure, panels = _coordinates(problem, execution, width, unit=own)
-    phases, numbers = np.modf(counterpart.times / counterpart.period)
+    own, other = two.model.end_time, two.other
+    panels = _coordinates(two, width, unit=own)
+    phases, numbers = np.modf(other.times / other.period)
     ends = [*np.flatnonzero(np.diff(numbers) > 0.0) + 1]
     for row, ax in enumerate(panels):
-        for times, states, look in _paths(execution):
-            ax.plot(times / own, states[:, row], **look)
+        for path in paths_of(two.model):
+            ax.plot(path.times / own, path.states[:, row], **_MODEL[path.kind])
         # A cycle's last sample and the next one's first are no line across the picture.
-        x, y = (np.insert(one, ends, math.nan) for one in (phases, counterpart.states[:, row]))
-        ax.plot(x, y, label=counterpart.label, **_OTHER)
+        x, y = (np.insert(one, ends, math.nan) for one in (phases, other.states[:, row]))
+        ax.plot(x, y, label=other.label, **_OTHER)
         ax.set(xlim=(0.0, 1.0))
-    periods = f"own periods: model {own:.5g} s, other {counterpart.period:.5g} s"
-    panels[0].set_title(periods, size=TEXT)
-    share_time(figure, panels, "phase from release [own periods]")
-    add_legend(figure, width)
-    return figure
+    periods = f"own periods: model {own:.5g} s, other {other.period:.5g} s"
+    panels.axes[0].set_title(periods, size=TEXT)
+    return panels.finished("phase from release [own periods]")
 
 
-def plot_beside_impacts(
-    problem: Problem,
-    dynamics: HybridDynamics,
-    execution: Execution,
-    counterpart: Counterpart,
-    *,
-    width: float = COLUMN_WIDTH,
-) -> Figure:
+def plot_beside_impacts(two: TwoMotions, *, width: float = COLUMN_WIDTH) -> Figure:
     """Return the gap of both motions from the first impact of a period to beyond its release.
 
     Above, the axis holds the rebounds, and the great flight before them leaves it at the top; below
     it is enlarged, for what takes the place of the locked phase in the other motion.
 
     Args:
-        problem: The problem.
-        dynamics: It at the orbit's numbers.
-        execution: The model's motion over one period or more; the first one is shown.
-        counterpart: The other motion.
+        two: The motions; the first period of the model's is shown.
         width: Width of the picture [in].
     """
-    figure, panels = panels_of(width, 2, height=1.4, columns=1)
-    first, release = execution.impacts[0].time, _first_release(execution)
+    panels = panels_of(width, 2, height=1.4, columns=1)
+    first, release = two.model.impacts[0].time, _first_release(two.model)
     window = (first - 0.12 * (release - first), release + 0.12 * (release - first))
-    zeno, label = execution.zeno_points[0], f"gap $h$ [{problem.gap_unit}]"
+    zeno, label = two.model.zeno_points[0], f"gap $h$ [{two.problem.gap_unit}]"
     for ax, closer in zip(panels, (1.0, _CLOSER), strict=True):
-        highest = _draw_gaps(ax, dynamics, execution, counterpart, first, window) / closer
+        highest = _draw_gaps(ax, two, first, window) / closer
         ax.plot(zeno.time, 0.0, label="Zeno point", **ZENO)
         ax.axhline(0.0, color="black", lw=0.4, zorder=1)
         ax.set(xlim=window, ylim=(-0.25 * highest * closer**0.5, 1.25 * highest), ylabel=label)
-    share_time(figure, panels, _TIME)
-    add_legend(figure, width)
-    return figure
+    return panels.finished(_TIME)
 
 
-def plot_beside_portraits(
-    problem: Problem,
-    execution: Execution,
-    counterpart: Counterpart,
-    *,
-    width: float = COLUMN_WIDTH,
-) -> Figure:
-    """Return the phase portraits of both motions.
-
-    Args:
-        problem: The problem; its ``portraits`` say what is drawn against what.
-        execution: The model's motion.
-        counterpart: The other motion.
-        width: Width of the picture [in].
-    """
-    figure, panels = portraits_of(problem, width, height=2.0)
-    for ax, pair in panels:
-        for _, states, look in _paths(execution):
-            ax.plot(*states[:, pair].T, **look)
-        for impact in execution.impacts:
+def plot_beside_portraits(two: TwoMotions, *, width: float = COLUMN_WIDTH) -> Figure:
+    """Return the phase portraits of both motions, as the problem's ``portraits`` say."""
+    panels, pairs = portraits_of(two.problem, width, height=2.0)
+    for ax, pair in pairs:
+        for path in paths_of(two.model):
+            ax.plot(*path.states[:, pair].T, **_MODEL[path.kind])
+        for impact in two.model.impacts:
             ax.plot(*np.array([impact.state_minus[pair], impact.state_plus[pair]]).T, **JUMP)
-        ax.plot(*counterpart.states[:, pair].T, label=counterpart.label, **_OTHER)
-        for zeno in execution.zeno_points:
+        ax.plot(*two.other.states[:, pair].T, label=two.other.label, **_OTHER)
+        for zeno in two.model.zeno_points:
             ax.plot(*zeno.state[pair], label="Zeno point", **ZENO)
-    add_legend(figure, width)
-    return figure
+    return panels.finished()
 
 
-def plot_beside_zeno_point(
-    problem: Problem,
-    dynamics: HybridDynamics,
-    execution: Execution,
-    counterpart: Counterpart,
-    *,
-    width: float = COLUMN_WIDTH,
-) -> Figure:
-    """Return gap rate over gap of both motions near the Zeno point, which is the origin.
-
-    Args:
-        problem: The problem.
-        dynamics: It at the orbit's numbers.
-        execution: The model's motion.
-        counterpart: The other motion.
-        width: Width of the picture [in].
-    """
-    figure, (ax,) = panels_of(width, 1, height=2.2)
-    unit, zoom = problem.gap_unit, close_up(execution, dynamics)
-    for _, states, look in _paths(execution):
-        gaps, rates = _gap_and_rate(dynamics, states)
-        ax.plot(gaps, rates, **look)
-    for impact in execution.impacts:
+def plot_beside_zeno_point(two: TwoMotions, *, width: float = COLUMN_WIDTH) -> Figure:
+    """Return gap rate over gap of both motions near the Zeno point, which is the origin."""
+    panels = panels_of(width, 1, height=2.2)
+    (ax,) = panels
+    unit, zoom = two.problem.gap_unit, close_up(two.model, two.dynamics)
+    for path in paths_of(two.model):
+        ax.plot(*_gap_and_rate(two.dynamics, path.states), **_MODEL[path.kind])
+    for impact in two.model.impacts:
         rate = impact.approach_rate
-        ax.plot([0.0, 0.0], [rate, -dynamics.restitution * rate], **JUMP)
-    gaps, rates = _gap_and_rate(dynamics, counterpart.states)
-    ax.plot(gaps, rates, label=counterpart.label, **_OTHER)
+        ax.plot([0.0, 0.0], [rate, -two.dynamics.restitution * rate], **JUMP)
+    other = _gap_and_rate(two.dynamics, two.other.states)
+    ax.plot(*other, label=two.other.label, **_OTHER)
     ax.plot(0.0, 0.0, label="Zeno point", **ZENO)
-    fast = dynamics.restitution * -zoom.impacts[0].approach_rate
+    fast = two.dynamics.restitution * -zoom.impacts[0].approach_rate
     # Of the rebounds; where there are none, of the last part of the flight.
     high = max((float(np.max(zoom.gaps(arc)[1])) for arc in zoom.flights), default=0.0)
     if high == 0.0:
@@ -204,51 +147,33 @@ def plot_beside_zeno_point(
         fast = -zoom.impacts[0].approach_rate
     ax.set(xlim=(-0.25 * high, 1.15 * high), ylim=(-1.6 * fast, 1.25 * fast))
     ax.set(xlabel=f"gap $h$ [{unit}]", ylabel=rf"gap rate $\dot h$ [{unit}/s]")
-    add_legend(figure, width)
-    return figure
+    return panels.finished()
 
 
-def _coordinates(
-    problem: Problem, execution: Execution, width: float, unit: float = 1.0
-) -> tuple[Figure, list[Axes]]:
+def _coordinates(two: TwoMotions, width: float, unit: float = 1.0) -> Panels:
     """Return a panel a coordinate over time in some unit, the model's locked phases shaded."""
-    n_q = problem.model(problem.symbols()).n_q
-    figure, panels = panels_of(width, n_q, height=1.15, columns=1)
+    panels = panels_of(width, two.dynamics.n_q, height=1.15, columns=1)
     for row, ax in enumerate(panels):
-        for mode, start, end in drawn_phases_of(execution):
+        for mode, start, end in drawn_phases_of(two.model):
             word = "locked phase" if mode is Mode.LOCKED else None
-            ax.axvspan(
-                start / unit, end / unit, color=TINTS[mode], lw=0, gid=mode.value, label=word
-            )
-        ax.set(ylabel=label_of(problem, row))
-    return figure, panels
+            look: dict[str, Any] = {"color": TINTS[mode], "lw": 0, "gid": mode.value}
+            ax.axvspan(start / unit, end / unit, label=word, **look)
+        ax.set(ylabel=label_of(two.problem, row))
+    return panels
 
 
-def _paths(execution: Execution) -> list[tuple[Vector, Vector, dict[str, Any]]]:
-    """Return times, states and look of every arc of the model."""
-    looks = {id(look): _MODEL[mode] for mode, look in ARCS.items()}
-    return [(t, x, looks.get(id(look), _MODEL[Mode.FREE])) for t, x, look in paths_of(execution)]
-
-
-def _draw_gaps(
-    ax: Axes,
-    dynamics: HybridDynamics,
-    execution: Execution,
-    counterpart: Counterpart,
-    first: float,
-    window: Sequence[float],
-) -> float:
+def _draw_gaps(ax: Axes, two: TwoMotions, first: float, window: Sequence[float]) -> float:
     """Draw both gaps over a window of time, and return the highest of the model's rebounds."""
     highest = 0.0
-    for times, states, look in _paths(execution):
-        gaps, _ = _gap_and_rate(dynamics, states)
-        seen = (times >= window[0]) & (times <= window[1])
-        ax.plot(times[seen], gaps[seen], **look)
-        rebound = seen & (times >= first) & (times <= execution.zeno_points[0].time)
+    for path in paths_of(two.model):
+        gaps, _ = _gap_and_rate(two.dynamics, path.states)
+        seen = (path.times >= window[0]) & (path.times <= window[1])
+        ax.plot(path.times[seen], gaps[seen], **_MODEL[path.kind])
+        rebound = seen & (path.times >= first) & (path.times <= two.model.zeno_points[0].time)
         highest = float(np.max(gaps[rebound], initial=highest))
-    seen = (counterpart.times >= window[0]) & (counterpart.times <= window[1])
-    gaps, _ = _gap_and_rate(dynamics, counterpart.states[seen])
-    ax.plot(counterpart.times[seen], gaps, label=counterpart.label, **_OTHER)
+    seen = (two.other.times >= window[0]) & (two.other.times <= window[1])
+    gaps, _ = _gap_and_rate(two.dynamics, two.other.states[seen])
+    ax.plot(two.other.times[seen], gaps, label=two.other.label, **_OTHER)
     return highest or float(np.nanmax(gaps, initial=1e-300))
 
 

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
 from zeno_orbits.model import HybridDynamics, Problem
+from zeno_orbits.report.plots.panels import panels_of
 from zeno_orbits.report.plots.style import (
     ARCS,
     BEFORE,
@@ -20,8 +21,6 @@ from zeno_orbits.report.plots.style import (
     LAW,
     TEXT,
     ZENO,
-    add_legend,
-    panels_of,
 )
 from zeno_orbits.report.zeno_neighbourhood import CloseUp, close_up
 from zeno_orbits.simulation import Execution, Mode
@@ -30,7 +29,12 @@ _REMAINING = r"time to Zeno point $t_\infty - t$ [s]"
 
 
 def plot_zeno_zoom(
-    problem: Problem, execution: Execution, dynamics: HybridDynamics, *, width: float = FULL_WIDTH
+    problem: Problem,
+    execution: Execution,
+    dynamics: HybridDynamics,
+    *,
+    width: float = FULL_WIDTH,
+    axes: Sequence[Axes] = (),
 ) -> Figure:
     """Return the neighbourhood of the last Zeno point.
 
@@ -44,6 +48,7 @@ def plot_zeno_zoom(
         execution: It reaches a Zeno point.
         dynamics: The system that was simulated.
         width: Width of the picture [in].
+        axes: Axes to draw into, one a panel; by default a new figure is made.
 
     Raises:
         InputError: If the execution reaches no Zeno point.
@@ -51,11 +56,10 @@ def plot_zeno_zoom(
     zoom, unit = close_up(execution, dynamics), problem.gap_unit
     draws: list[Callable[[Axes, CloseUp, str], None]] = [_draw_gap]
     draws += [_draw_flights, _draw_speeds] if zoom.flights else [_draw_closing]
-    figure, panels = panels_of(width, len(draws), height=2.1)
+    panels = panels_of(width, len(draws), height=2.1, axes=axes)
     for ax, draw in zip(panels, draws, strict=True):
         draw(ax, zoom, unit)
-    add_legend(figure, width)
-    return figure
+    return panels.finished()
 
 
 def _draw_gap(ax: Axes, zoom: CloseUp, unit: str) -> None:
@@ -93,13 +97,9 @@ def _draw_flights(ax: Axes, zoom: CloseUp, unit: str) -> None:
 
 
 def _draw_speeds(ax: Axes, zoom: CloseUp, unit: str) -> None:
-    e, pull = zoom.dynamics.restitution, zoom.pull
-    seen = [impact for impact in zoom.impacts if impact.time < zoom.zeno.time]
-    remaining = np.array([zoom.zeno.time - impact.time for impact in seen])
-    ends = [-float(offsets[0]) for offsets, _ in zoom.tail()]
-    reach = np.array([remaining[0], min(ends, default=remaining[-1])])
-    ax.plot(reach, pull * (1 - e) / (2 * e) * reach, **LAW)
-    ax.plot(remaining, [-impact.approach_rate for impact in seen], **BEFORE)
+    ax.plot(*zoom.law(zoom.tail()), **LAW)
+    ax.plot(*zoom.speeds(), **BEFORE)
+    e = zoom.dynamics.restitution
     ax.text(0.95, 0.92, f"$e$ = {e:g}", transform=ax.transAxes, ha="right", va="top", size=TEXT)
     _logarithmic(ax)
     ax.set(xlabel=_REMAINING, ylabel=rf"impact speed $|\dot h|$ [{unit}/s]")

@@ -4,6 +4,8 @@ from .experiments import print_comparison as print_comparison
 from .experiments import print_contacts as print_contacts
 from .experiments import print_identification as print_identification
 from .experiments import print_rig as print_rig
+from .notebook import NotebookLine as NotebookLine
+from .notebook import line_for_watcher as line_for_watcher
 from .kernels import print_kernels as print_kernels
 from .kernels import print_note as print_note
 from .orbits import print_certificate as print_certificate

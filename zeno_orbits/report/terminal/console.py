@@ -38,11 +38,6 @@ def print_error(message: str) -> None:
     sys.stderr.write(f"zeno-orbits: {' '.join(message.split())}\n")
 
 
-def counted(number: int, noun: str) -> str:
-    """Return a number with its noun, such as ``1 impact`` or ``2 impacts``."""
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
-
-
 def plain_console(width: int | None = None) -> Console:
     """Return a console that prints text as it is and leaves a broken pipe to the caller.
 

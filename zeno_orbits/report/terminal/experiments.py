@@ -6,8 +6,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
+from zeno_orbits.errors import counted
 from zeno_orbits.report.table import Column, name_column, number_column, text_column
-from zeno_orbits.report.terminal.console import counted, print_lines, print_table
+from zeno_orbits.report.terminal.console import print_lines, print_table
 
 if TYPE_CHECKING:
     from zeno_orbits.experiment import Comparison, Fitted, Identification, Metric, Recording

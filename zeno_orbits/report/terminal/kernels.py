@@ -6,7 +6,8 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from zeno_orbits.report.terminal.console import counted, print_lines
+from zeno_orbits.errors import counted
+from zeno_orbits.report.terminal.console import print_lines
 
 
 def print_kernels(facts: Mapping[str, Any]) -> None:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from zeno_orbits.errors import counted
 from zeno_orbits.report.table import Column, name_column, number_column, text_column
 from zeno_orbits.report.terminal.console import (
-    counted,
     plain_console,
     print_lines,
     print_table,

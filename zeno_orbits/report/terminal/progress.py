@@ -78,9 +78,7 @@ class ProgressLine:
         trace: TracebackType | None,
     ) -> None:
         """Leave a clean line behind."""
-        if self._width:
-            sys.stderr.write("\r" + " " * self._width + "\r")
-            sys.stderr.flush()
+        self._clear()
 
     def __call__(self, stage: str, part: float | None = None, /) -> None:
         """Print one report, unless the last one is too recent.
@@ -101,9 +99,17 @@ class ProgressLine:
             line += f"  {100 * part:3.0f} %"
         if left < math.inf:
             line += f", about {_duration(left)} left"
+        self._show(line)
+
+    def _show(self, line: str) -> None:
         if self._terminal:
             self._width = max(self._width, len(line))
             sys.stderr.write("\r" + line.ljust(self._width))
         else:
             sys.stderr.write(line + "\n")
         sys.stderr.flush()
+
+    def _clear(self) -> None:
+        if self._width:
+            sys.stderr.write("\r" + " " * self._width + "\r")
+            sys.stderr.flush()

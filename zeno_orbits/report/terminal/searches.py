@@ -6,8 +6,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from zeno_orbits.errors import counted
 from zeno_orbits.report.table import Column, number_column, text_column
-from zeno_orbits.report.terminal.console import counted, print_lines, print_table, print_text
+from zeno_orbits.report.terminal.console import print_lines, print_table, print_text
 
 if TYPE_CHECKING:
     from zeno_orbits.search import Candidate, SearchResult, StartAttempt

@@ -6,8 +6,9 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from zeno_orbits.errors import counted
 from zeno_orbits.report.table import Column, number_column, text_column
-from zeno_orbits.report.terminal.console import counted, print_lines, print_table
+from zeno_orbits.report.terminal.console import print_lines, print_table
 
 if TYPE_CHECKING:
     from zeno_orbits.continuation import Continuation, Family, SpecialCurve, SpecialPoint
@@ -108,7 +109,7 @@ def print_families(found: Continuation) -> None:
 
 def _print_family(family: Family) -> None:
     name = family.parameter
-    returns = "" if family.n_returns == 1 else f", {family.n_returns} returns a period"
+    returns = "" if family.n_returns == 1 else f", {family.n_returns} returns per period"
     stable = sum(point.stable for point in family.points)
     orbits = counted(len(family.points), "orbit")
     print_lines([f"Family in {name}{returns}: {orbits}, {stable} stable."])

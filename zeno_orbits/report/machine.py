@@ -1,0 +1,68 @@
+"""A machine in motion: the lines of its drawing over one period."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError
+from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.simulation import Execution, Mode
+
+STOP = "stop"
+"""The line of a drawing that is the stop itself, and is drawn as such."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MachineMotion:
+    """The lines of a machine at even times of a period.
+
+    Attributes:
+        times: Times since the start of the period [s], ``(n,)``.
+        states: States there, ``(n, n_x)``.
+        modes: Off the stop, or on it.
+        lines: Name to corners, ``(n, n_corners, 2)`` [m].
+    """
+
+    times: Vector
+    states: Vector
+    modes: tuple[Mode, ...]
+    lines: dict[str, Vector]
+
+
+def machine_motion(
+    problem: Problem, values: ParameterValues, execution: Execution, period: float, *, n: int
+) -> MachineMotion:
+    """Return a machine at even times of one period.
+
+    Args:
+        problem: The problem; it has a drawing.
+        values: Its numbers.
+        execution: One period from its start on.
+        period: [s].
+        n: Number of times.
+
+    Raises:
+        InputError: If the problem has no drawing.
+    """
+    if problem.drawing is None:
+        raise InputError(f"Argument `problem` must have a drawing, but `{problem.name}` has none.")
+    times = np.linspace(0.0, period, n, endpoint=False)
+    states = np.array([execution.state_at(time) for time in times.tolist()])
+    modes = [
+        next((arc.mode for arc in execution.arcs if arc.end_time > time), Mode.FREE)
+        for time in times.tolist()
+    ]
+    lines = problem.drawn_lines(values, states[:, : len(problem.state_names)])
+    return MachineMotion(times=times, states=states, modes=tuple(modes), lines=lines)
+
+
+def frame_of(motion: MachineMotion) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return a square that holds all lines: its range across, and upwards [m]."""
+    corners = np.concatenate([points.reshape(-1, 2) for points in motion.lines.values()])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    reach = 0.56 * float(np.max(high - low)) or 1.0
+    (x, y) = ((low + high) / 2).tolist()
+    return (x - reach, x + reach), (y - reach, y + reach)

@@ -1,0 +1,217 @@
+# pyright: reportUnknownMemberType=false
+# The stubs of matplotlib leave most keyword arguments untyped.
+"""The panels of a picture: a figure made for them, or axes that the caller already has."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
+from matplotlib.lines import Line2D
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import InputError
+from zeno_orbits.model import Problem
+from zeno_orbits.report.plots.style import COLUMN_WIDTH, TEXT
+from zeno_orbits.report.symbols import label_of
+
+_ABOVE = "above"
+"""Name of a legend above the panels."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Panels:
+    """The panels of a picture.
+
+    Attributes:
+        figure: The figure that they belong to.
+        axes: The panels, in order.
+        width: Width of the figure [in].
+        across: Panels in a row.
+        is_own: Whether the figure was made for them.
+    """
+
+    figure: Figure
+    axes: tuple[Axes, ...]
+    width: float
+    across: int
+    is_own: bool
+
+    def __iter__(self) -> Iterator[Axes]:
+        """Yield the panels."""
+        return iter(self.axes)
+
+    def finished(self, time: str = "") -> Figure:
+        """Return the figure: texts of one size, and a legend of what is seen.
+
+        Args:
+            time: Label of the axis across that all panels share; each has its own by default.
+        """
+        if time:
+            for k, ax in enumerate(self.axes):
+                lowest = not self.is_own or k + self.across >= len(self.axes)
+                ax.tick_params(labelbottom=lowest)
+                ax.set_xlabel(time if lowest else "")
+        for column in range(self.across):
+            self.figure.align_ylabels(self.axes[column :: self.across])
+        # A colour bar is no panel, but its texts are read beside theirs.
+        entries = _entries(self.figure.axes if self.is_own else self.axes)
+        if self.is_own:
+            self._legend_above(entries)
+        elif entries:
+            labels, handles = list(entries), list(entries.values())
+            self.axes[0].legend(handles, labels, fontsize=TEXT - 1, framealpha=0.8)
+        return self.figure
+
+    def _legend_above(self, entries: dict[str, Any]) -> None:
+        sizes = [0.42 + 0.047 * _length(label) for label in entries]
+        rows = 1
+        while (
+            rows < len(sizes)
+            and sum(max(sizes[k : k + rows]) for k in range(0, len(sizes), rows)) > self.width
+        ):
+            rows += 1
+        legend = self.figure.legend(
+            entries.values(),
+            entries.keys(),
+            loc="outside upper center",
+            ncols=math.ceil(len(entries) / rows),
+            fontsize=TEXT - 0.5,
+            frameon=False,
+            handlelength=1.5,
+            handletextpad=0.5,
+            columnspacing=1.2,
+        )
+        legend.set_gid(_ABOVE)
+
+
+def panels_of(
+    width: float,
+    n: int,
+    *,
+    height: float | Sequence[float],
+    columns: int | None = None,
+    widths: Sequence[float] | None = None,
+    axes: Sequence[Axes] = (),
+) -> Panels:
+    """Return panels, side by side on a page and stacked in a column, or the caller's axes.
+
+    Args:
+        width: Width of the figure [in].
+        n: Number of panels.
+        height: Height of each panel, or of each row [in].
+        columns: Panels in a row; by default up to three where the figure is wide.
+        widths: Widths of the columns, relative to each other; equal by default.
+        axes: Axes to draw into; by default a new figure is made.
+
+    Raises:
+        InputError: If there are axes, but another number of them.
+    """
+    across = columns or (min(n, 3) if is_wide(width) else 1)
+    if axes:
+        return _existing(axes, n, across)
+    heights = [height] * -(-n // across) if isinstance(height, float | int) else list(height)
+    figure = Figure(figsize=(width, sum(heights) + 0.5), layout="constrained")
+    grid = figure.add_gridspec(len(heights), across, height_ratios=heights, width_ratios=widths)
+    panels = tuple(figure.add_subplot(grid[divmod(k, across)]) for k in range(n))
+    return Panels(figure=figure, axes=panels, width=width, across=across, is_own=True)
+
+
+def _existing(axes: Sequence[Axes], n: int, across: int) -> Panels:
+    if len(axes) != n:
+        message = f"must be as many as the picture has panels, {n}, but there are {len(axes)}"
+        raise InputError(f"Argument `axes` {message}.")
+    figure = _figure_of(axes[0])
+    width = float(size_of(axes[0])[0])
+    return Panels(figure=figure, axes=tuple(axes), width=width, across=across, is_own=False)
+
+
+def size_of(ax: Axes) -> Vector:
+    """Return width and height of the figure that axes belong to [in]."""
+    return np.array(_figure_of(ax).get_size_inches(), dtype=np.float64)
+
+
+def _figure_of(ax: Axes) -> Figure:
+    figure = ax.get_figure(root=True)
+    if figure is None:
+        raise InputError("Argument `axes` must belong to a figure, but they do not.")
+    return figure
+
+
+def is_wide(width: float) -> bool:
+    """Return True if panels have room side by side."""
+    return width > 1.5 * COLUMN_WIDTH
+
+
+def portraits_of(
+    problem: Problem, width: float, *, height: float, axes: Sequence[Axes] = ()
+) -> tuple[Panels, list[tuple[Axes, list[int]]]]:
+    """Return labelled panels, one a portrait of a problem.
+
+    Args:
+        problem: The problem.
+        width: Width of the figure [in].
+        height: Height of a panel [in].
+        axes: Axes to draw into; by default a new figure is made.
+
+    Returns:
+        The panels, and each with the places of the two states that it shows.
+    """
+    pairs = [[problem.state_names.index(name) for name in pair] for pair in problem.portraits]
+    panels = panels_of(width, len(pairs), height=height, axes=axes)
+    for ax, (across, up) in zip(panels, pairs, strict=True):
+        ax.set(xlabel=label_of(problem, across), ylabel=label_of(problem, up))
+    return panels, list(zip(panels, pairs, strict=True))
+
+
+def add_title(figure: Figure, title: str, axes: Sequence[Axes] = ()) -> None:
+    """Put a title on top of a picture, above its legend if that stands above the panels.
+
+    Args:
+        figure: The picture.
+        title: The title.
+        axes: Axes of the caller that it was drawn into, if it was; the first one gets the title.
+    """
+    above = [legend for legend in figure.legends if legend.get_gid() == _ABOVE]
+    if axes:
+        axes[0].set_title(title, fontsize=TEXT + 1)
+    elif above:
+        above[0].set_title(title, prop=FontProperties(size=TEXT + 1))
+    else:
+        figure.suptitle(title, fontsize=TEXT + 1)
+
+
+def _entries(panels: Sequence[Axes]) -> dict[str, Any]:
+    """Return label to handle of all that is seen, each text set to one size."""
+    entries: dict[str, Any] = {}
+    for ax in panels:
+        ax.tick_params(which="both", labelsize=TEXT - 1)
+        for text in (ax.xaxis.label, ax.yaxis.label):
+            text.set_fontsize(TEXT)
+        handles, labels = ax.get_legend_handles_labels()
+        for handle, label in zip(handles, labels, strict=True):
+            if label not in entries and _is_seen(ax, handle):
+                entries[label] = handle
+    return entries
+
+
+def _is_seen(ax: Axes, handle: Any) -> bool:
+    """Return True unless a line lies outside its panel; one without points stands for others."""
+    if not isinstance(handle, Line2D) or not np.size(handle.get_xdata()):
+        return True
+    # Asking for the limits brings the transform up to date with what was drawn.
+    ax.get_xlim()
+    path = handle.get_transform().transform_path(handle.get_path()).cleaned(remove_nans=True)
+    box = ax.bbox.padded(1.0)
+    return box.count_contains(path.vertices) > 0 or path.intersects_bbox(box, filled=False)
+
+
+def _length(label: str) -> int:
+    """Return how many signs wide a label is, formulas without their commands."""
+    return len(label.replace("\\", "").replace("ddot", "").replace("$", ""))

@@ -1,0 +1,192 @@
+# pyright: reportUnknownMemberType=false
+# The stubs of matplotlib leave most keyword arguments untyped.
+"""States and outputs over time (the paper's Fig. 5a), long runs as envelopes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.model import ParameterValues, Problem
+from zeno_orbits.report.paths import ArcPath, drawn_phases_of, paths_of, shown_states
+from zeno_orbits.report.plots.panels import is_wide, panels_of
+from zeno_orbits.report.plots.style import ARCS, FULL_WIDTH, INK, LOOKS, TINTS, ZENO
+from zeno_orbits.report.symbols import label_of, math_symbol, quantity_label
+from zeno_orbits.simulation import Execution, Mode
+
+TIME = "time $t$ [s]"
+_EDGE = 0.01
+"""Part of a picture in which an impact would be hidden by its frame."""
+_MOST_TURNS = 60
+"""Maxima and minima an inch from which on a curve is drawn as its envelope."""
+_MOST_EVENTS = 30
+"""Impacts or phases an inch that can still be told apart; more are not drawn one by one."""
+_PLACES = 1000
+"""Places along an axis of time that can be told apart."""
+_LEVELS = 25
+"""Heights of a panel that can be told apart, roughly: smaller swings are none."""
+_BINS = 60
+"""Steps of an envelope an inch, at most."""
+_TURNS_A_BIN = 8
+"""Maxima and minima that a step of an envelope spans at least, so that it is the same all over."""
+_ENVELOPE: dict[str, Any] = {
+    "color": ARCS[Mode.FREE]["color"],
+    "alpha": 0.5,
+    "lw": 0.8,
+    "label": "range of the motion",
+}
+
+Columns = Callable[[Vector], Vector]
+"""From states ``(m, n_x)`` to what is drawn of them, ``(m, n)``."""
+
+
+def plot_time_series(
+    problem: Problem,
+    execution: Execution,
+    *,
+    width: float = FULL_WIDTH,
+    axes: Sequence[Axes] = (),
+) -> Figure:
+    """Return coordinates, their velocities beside them, and currents over time.
+
+    Phases are shaded, Zeno points marked, impacts are ticks on the upper edge. The clock of a
+    forced problem, the states without a unit behind the velocities, is left out. What swings more
+    often than a picture can show is drawn as the range that it covers.
+
+    Args:
+        problem: The problem.
+        execution: What to draw.
+        width: Width of the picture [in].
+        axes: Axes to draw into, as many as there are panels; by default a new figure is made.
+    """
+    rows = shown_states(problem)
+    labels = [label_of(problem, row) for row in rows]
+    return _over_time(execution, labels, lambda states: states[:, rows], width, axes)
+
+
+def plot_states(
+    execution: Execution, *, width: float = FULL_WIDTH, axes: Sequence[Axes] = ()
+) -> Figure:
+    """Return every state over time, for an execution whose problem and units are not known.
+
+    Args:
+        execution: What to draw.
+        width: Width of the picture [in].
+        axes: Axes to draw into, one a state; by default a new figure is made.
+    """
+    names = execution.state_names
+    labels = [math_symbol(name, names) for name in names]
+    return _over_time(execution, labels, lambda states: states[:, : len(names)], width, axes)
+
+
+def plot_outputs(
+    problem: Problem,
+    values: ParameterValues,
+    execution: Execution,
+    *,
+    width: float = FULL_WIDTH,
+    axes: Sequence[Axes] = (),
+) -> Figure:
+    """Return the outputs of a problem over time, drawn as the states are.
+
+    Args:
+        problem: The problem; it has outputs.
+        values: Its numbers.
+        execution: What to draw.
+        width: Width of the picture [in].
+        axes: Axes to draw into, one an output; by default a new figure is made.
+    """
+    labels = [quantity_label(output.name, output.unit) for output in problem.outputs]
+
+    def entries(states: Vector) -> Vector:
+        return problem.output_values(values, states[:, : len(problem.state_names)])
+
+    return _over_time(execution, labels, entries, width, axes)
+
+
+def _over_time(
+    execution: Execution,
+    labels: Sequence[str],
+    columns: Columns,
+    width: float,
+    axes: Sequence[Axes],
+) -> Figure:
+    """Return one panel a column of what is computed from the states."""
+    n = len(labels)
+    across = 2 if is_wide(width) and n > 1 else 1
+    panels = panels_of(width, n, height=max(1.25, 2.0 / n), columns=across, axes=axes)
+    paths = paths_of(execution)
+    values = [columns(path.states) for path in paths]
+    room = panels.width / across
+    turns = [_turns([one[:, column] for one in values]) for column in range(n)]
+    # Velocities jump, and turn more often: the slowest of all tells how long a swing takes.
+    fewest = min((count for count in turns if count > _MOST_TURNS * room), default=0)
+    for column, (ax, label) in enumerate(zip(panels, labels, strict=True)):
+        drawn = [one[:, column] for one in values]
+        if turns[column] > _MOST_TURNS * room:
+            _draw_envelope(ax, paths, drawn, min(round(_BINS * room), fewest // _TURNS_A_BIN))
+        else:
+            for path, one in zip(paths, drawn, strict=True):
+                ax.plot(path.times, one, **LOOKS[path.kind])
+        ax.margins(y=0.14)
+        ax.autoscale_view()
+        _mark_events(ax, execution, columns, column, room)
+        ax.set(ylabel=label, xlim=(execution.arcs[0].start_time, _end(execution)))
+    return panels.finished(TIME)
+
+
+def _turns(drawn: Sequence[Vector]) -> int:
+    """Return how many maxima and minima of a motion can be seen."""
+    values = np.concatenate(drawn)
+    levels = np.round(_LEVELS * (values - np.min(values)) / (np.ptp(values) or 1.0))
+    slopes = np.sign(np.diff(levels))
+    slopes = slopes[slopes != 0.0]
+    return int(np.count_nonzero(slopes[1:] != slopes[:-1]))
+
+
+def _draw_envelope(ax: Axes, paths: Sequence[ArcPath], drawn: Sequence[Vector], bins: int) -> None:
+    """Draw the least and the largest value of each of many short intervals."""
+    times, values = np.concatenate([path.times for path in paths]), np.concatenate(drawn)
+    edges = np.linspace(float(times[0]), float(times[-1]), bins + 1)
+    # Each interval begins with the last sample before it, so that none is empty.
+    starts = np.maximum(np.searchsorted(times, edges[:-1], side="right") - 1, 0)
+    ends = np.searchsorted(times, edges[1:], side="right")
+    low = [float(np.min(values[a:b])) for a, b in zip(starts, ends, strict=True)]
+    high = [float(np.max(values[a:b])) for a, b in zip(starts, ends, strict=True)]
+    middles = [edges[0], *(edges[:-1] + edges[1:]) / 2, edges[-1]]
+    ax.fill_between(middles, [low[0], *low, low[-1]], [high[0], *high, high[-1]], **_ENVELOPE)
+
+
+def _mark_events(
+    ax: Axes, execution: Execution, columns: Columns, column: int, room: float
+) -> None:
+    """Shade phases and mark impacts and Zeno points, unless there are too many to be seen."""
+    phases, impacts = drawn_phases_of(execution), [impact.time for impact in execution.impacts]
+    if len(phases) <= _MOST_EVENTS * room:
+        for mode, start, end in phases:
+            ax.axvspan(start, end, color=TINTS[mode], lw=0, gid=mode.value)
+        for zeno in execution.zeno_points:
+            value = columns(zeno.state[None, :])[0, column]
+            ax.plot(zeno.time, value, label="Zeno point", **ZENO)
+    if impacts and _apart(impacts, execution) <= _MOST_EVENTS * room:
+        edge = ax.get_xaxis_transform()
+        ax.vlines(impacts, 0.91, 1.0, color=INK, lw=0.8, transform=edge, gid="impact")
+        ax.plot([], [], color=INK, ls="", marker="|", ms=7, label="impact")
+
+
+def _apart(times: Sequence[float], execution: Execution) -> int:
+    """Return how many of some events stand apart: those that pile up at a point are seen as one."""
+    shares = np.array(times) / (execution.end_time - execution.arcs[0].start_time)
+    return len(np.unique(np.floor(_PLACES * shares)))
+
+
+def _end(execution: Execution) -> float:
+    """Return where a picture ends: a little later, if an impact at the end would be on its edge."""
+    start, end = execution.arcs[0].start_time, execution.end_time
+    last = execution.impacts[-1].time if execution.impacts else start
+    return end + _EDGE * (end - start) if last > end - _EDGE * (end - start) else end

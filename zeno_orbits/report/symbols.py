@@ -1,0 +1,92 @@
+r"""Names as they stand in formulas: ``Kp`` is :math:`K_p`, ``dtheta1`` :math:`\dot\theta_1`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+
+from zeno_orbits.model import Problem
+
+_GREEK = {
+    "alpha": "α",
+    "beta": "β",
+    "gamma": "γ",
+    "delta": "δ",
+    "theta": "θ",
+    "phi": "φ",
+    "varphi": "φ",
+    "psi": "ψ",
+    "eta": "η",
+    "xi": "ξ",
+    "omega": "ω",
+}
+_NAME = re.compile(rf"(current|{'|'.join(_GREEK)}|[a-z](?=\d*$|_)|[A-Z](?=\d|_|[a-z]?\d*$))_?(\w*)")
+"""A letter and what stands below it: digits, one small letter, or anything after an underscore."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Symbol:
+    """A letter with a subscript, dotted if it is the rate of another state."""
+
+    letter: str
+    below: str
+    dotted: bool
+
+
+def math_symbol(name: str, states: Sequence[str] = ()) -> str:
+    """Return a name as matplotlib writes it in a formula; a word stays a word.
+
+    Args:
+        name: Name of a state, gain or parameter.
+        states: Names of all states, by which a rate is known.
+    """
+    found = _symbol(name, states)
+    if isinstance(found, str):
+        return found
+    letter = rf"\{found.letter}" if found.letter in _GREEK else found.letter
+    letter = rf"\dot{{{letter}}}" if found.dotted else letter
+    below = rf"\mathrm{{{found.below}}}" if len(found.below) > _LETTERS else found.below
+    return f"${letter}_{{{below}}}$" if below else f"${letter}$"
+
+
+def html_symbol(name: str, states: Sequence[str] = ()) -> str:
+    """Return a name as HTML; a word stays a word.
+
+    Args:
+        name: Name of a state, gain or parameter.
+        states: Names of all states, by which a rate is known.
+    """
+    found = _symbol(name, states)
+    if isinstance(found, str):
+        return escape(found)
+    letter = f"<i>{_GREEK.get(found.letter, found.letter)}</i>"
+    symbol = f"{letter}<sub>{found.below}</sub>" if found.below else letter
+    return f"d{symbol}/d<i>t</i>" if found.dotted else symbol
+
+
+_LETTERS = 2
+"""Signs of a subscript that are a symbol themselves; more are a word, which stands upright."""
+
+
+def _symbol(name: str, states: Sequence[str]) -> _Symbol | str:
+    """Return the parts of a symbol, or the words for a name that is a word."""
+    dotted = name[:1] == "d" and name[1:] in states
+    stem = name[1:] if dotted else name
+    parts = _NAME.fullmatch(stem)
+    if parts is None:
+        return f"rate of {stem}" if dotted else name.replace("_", " ")
+    letter = "i" if parts[1] == "current" else parts[1]
+    return _Symbol(letter=letter, below=parts[2], dotted=dotted)
+
+
+def label_of(problem: Problem, index: int) -> str:
+    """Return the label of an axis that shows a state, with its unit."""
+    symbol = math_symbol(problem.state_names[index], problem.state_names)
+    return f"{symbol} [{problem.state_units[index]}]"
+
+
+def quantity_label(name: str, unit: str) -> str:
+    """Return the label of an axis that shows a gain, parameter or output, with its unit."""
+    return f"{math_symbol(name)} [{unit}]"
