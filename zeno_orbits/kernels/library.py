@@ -77,5 +77,6 @@ class KernelLibrary:
 def _address(array: Vector) -> int:
     """Return the address of the numbers of an array, five times faster than ``ctypes.data``."""
     if array.size and array.flags.writeable:
-        return ctypes.addressof(ctypes.c_char.from_buffer(array))
+        memory: Any = array
+        return ctypes.addressof(ctypes.c_char.from_buffer(memory))
     return array.ctypes.data

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +17,10 @@ FREE, FLIGHT, LOCKED = 0, 1, 2
 Mask = NDArray[np.bool_]
 
 
-def true_rows(mask: Mask) -> Rows:
+def true_rows(mask: Mask) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
     """Return where a mask is true, ``(m,)``; `np.flatnonzero` takes four times as long."""
-    return mask.nonzero()[0]
+    found: Any = mask.nonzero()[0]
+    return found
 
 
 @dataclass(slots=True, kw_only=True)
