@@ -44,7 +44,7 @@ def tables() -> list[tuple[float, float, Truth | None]]:
     """Acceleration, restitution and truth of random tables."""
     drawn = random.Random(2)
     asked = [(drawn.uniform(1.5, 3.3), drawn.uniform(0.0, 0.7)) for _ in range(14)]
-    return [(*numbers, clearly_settled(*numbers, 100)) for numbers in asked]
+    return [(*numbers, clearly_settled(*numbers, 250)) for numbers in asked]
 
 
 @pytest.mark.parametrize("omega", [30.0, 1.0, 0.01])
