@@ -22,12 +22,12 @@ from zeno_orbits.errors import CheckpointError, InputError
 from zeno_orbits.model.library import locate_problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.search import (
-    FastestContraction,
     Judgement,
     SearchResult,
     SearchSettings,
     SearchStatus,
     StartWorkers,
+    WidestMargin,
     search_gains,
 )
 from zeno_orbits.search import multistart as starts
@@ -167,7 +167,7 @@ def test_one_worker_and_two_find_what_a_search_without_workers_finds(alone: Sear
 @needs_two
 @pytest.mark.slow
 def test_an_optimum_is_the_same_whoever_looks_at_the_box() -> None:
-    asked = {"objective": FastestContraction(), "settings": SearchSettings(n_starts=3)}
+    asked = {"objective": WidestMargin(), "settings": SearchSettings(n_starts=3)}
     here = search(None, **asked)
     assert here.candidates
     assert timeless(search(Workers(count=2), **asked)) == timeless(here)
