@@ -28,7 +28,7 @@ from zeno_orbits.experiment.identification.least_squares import Fit, weighed
 from zeno_orbits.experiment.identification.predictions import Predictions
 from zeno_orbits.experiment.identification.stationarity import unsteady
 from zeno_orbits.experiment.identification.uncertainty import spread_of
-from zeno_orbits.experiment.identification.unknowns import Unknowns
+from zeno_orbits.experiment.identification.unknowns import unknowns_of
 from zeno_orbits.experiment.orbit_table import measurement, tabulate_orbit
 from zeno_orbits.experiment.recordings.periodicity import periodicity
 from zeno_orbits.model.library import load_problem
@@ -46,20 +46,10 @@ def main() -> None:
     parser.add_argument("--correlated", action="store_true")
     options = parser.parse_args()
     problem = load_problem(PROBLEM)
-    names = [name for one in SOUGHT for name in one.names]
     truth = {n: v for one, v in zip(SOUGHT, TRUTH, strict=True) for n in one.names}
     values = problem.values(parameters=truth)
     table = tabulate_orbit(close_orbit(problem, values).unwrap(), problem, SIGNALS)
-    start = np.array(TRUTH)
-    unknowns = Unknowns(
-        base=np.array(values.vector),
-        places=tuple(problem.names.index(name) for name in names),
-        ties=np.array([[float(name in one.names) for one in SOUGHT] for name in names]),
-        start=start,
-        scale=start,
-        lower=np.array([one.lower for one in SOUGHT]),
-        upper=np.array([one.upper for one in SOUGHT]),
-    )
+    unknowns = unknowns_of(problem, values, SOUGHT)
     orbits = Predictions(problem, unknowns, measurement(problem, SIGNALS), table.cycle)
     x = unknowns.first
     errors, halves, claimed, plain, refused = [], [], [], [], 0

@@ -5,6 +5,9 @@
 A rig with a contact that gives way settles near the reference orbit. As its stop stiffens the
 distance falls; the orders are fitted and held against theory (53). Then every other part of the
 machine alone, near the stiff limit. Everything is simulated.
+
+A distance `d` over stiffnesses `k` is fitted by ``d = c k^-p``. Theory (53) expects ``p = 1/(n+1)``
+for a contact force of power `n`: 1/2 for a spring, as contacts last that long.
 """
 
 from __future__ import annotations
@@ -14,19 +17,18 @@ import math
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
 
 from zeno_orbits.experiment import RigSettings, rig_cycles
 from zeno_orbits.experiment.rig import SettledRig, default_rig
-from zeno_orbits.experiment.rig.convergence import (
+from zeno_orbits.experiment.rig.cycle_comparison import (
     OrbitCurve,
-    OrbitDistance,
-    fit_order,
+    numbers_of_cycle,
+    numbers_of_orbit,
     orbit_curve,
-    orbit_distance,
 )
 from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.library import load_problem
@@ -47,6 +49,100 @@ MISS, CLEAR = 0.02, 1e-3
 """An order may miss theory by this much, and numerical error be this part of a distance."""
 TAIL = 3.0
 """Decades at the stiff end over which orders are fitted a second time."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OrbitDistance:
+    """Distances of a machine's cycle from the Zeno orbit of its model; differences are signed.
+
+    Attributes:
+        impact_time: First contact less first impact, from release [s].
+        impact_rate: Gap rate at the first contact less that at the first impact.
+        lock_time: End of the chatter less Zeno time, from release [s].
+        lock_angle: The same difference of the coordinate whose amplitude the problem measures.
+        release: Largest difference of a state at release, over the state's range on the orbit.
+        period: Of the cycle less that of the orbit [s].
+        portrait: Largest distance of a point of the cycle from the orbit's curve, resets included
+            as straight lines, in states over their ranges.
+    """
+
+    impact_time: float
+    impact_rate: float
+    lock_time: float
+    lock_angle: float
+    release: float
+    period: float
+    portrait: float
+
+
+def orbit_distance(
+    orbit: ZenoOrbit, problem: Problem, curve: OrbitCurve, settled: SettledRig
+) -> OrbitDistance:
+    """Return how far the last cycle of a settled machine is from its orbit.
+
+    Args:
+        orbit: The orbit.
+        problem: Its problem.
+        curve: The orbit as a line.
+        settled: The machine.
+    """
+    cycle = settled.cycles[-1]
+    known, wanted = asdict(numbers_of_cycle(cycle, problem)), numbers_of_orbit(orbit, problem)
+    released = np.array(problem.state_vector(orbit.release_state))
+    moved = cycle.end_state[: len(released)] - released
+    states = settled.run.between(cycle.release, cycle.end).states[:, : len(problem.state_names)]
+    return OrbitDistance(
+        **{name: known[name] - value for name, value in asdict(wanted).items()},
+        release=float(np.max(np.abs(moved) / curve.ranges)),
+        portrait=float(np.max(curve.distances(states))),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Order:
+    """A distance over stiffnesses, fitted by a power.
+
+    Attributes:
+        order: :math:`p`.
+        error: Standard error of it.
+        coefficient: :math:`c`.
+        scatter: Root mean square of what is left of ``log d``.
+    """
+
+    order: float
+    error: float
+    coefficient: float
+    scatter: float
+
+
+def fit_order(stiffnesses: Sequence[float], distances: Sequence[float]) -> Order:
+    r"""Fit :math:`|d| = c\,k^{-p}` by least squares of the logarithms.
+
+    Args:
+        stiffnesses: Three at least.
+        distances: Not zero.
+
+    Raises:
+        ValueError: If there are too few, or one is zero.
+    """
+    k, d = np.log(np.asarray(stiffnesses)), np.abs(np.asarray(distances))
+    if len(k) < 3 or len(k) != len(d):
+        raise ValueError(
+            "Argument `distances` must hold one for each of three or more stiffnesses."
+        )
+    if not np.all(d > 0.0):
+        raise ValueError("Argument `distances` must not hold zero: it has no logarithm.")
+    away, y = k - k.mean(), np.log(d)
+    slope = float(away @ y / (away @ away))
+    left = y - y.mean() - slope * away
+    spread = float(left @ left)
+    return Order(
+        order=-slope,
+        error=float(np.sqrt(spread / (len(k) - 2) / (away @ away))),
+        coefficient=float(np.exp(y.mean() - slope * k.mean())),
+        scatter=float(np.sqrt(spread / len(k))),
+    )
+
 
 Row = Mapping[str, float]
 NAMES = tuple(field.name for field in fields(OrbitDistance))

@@ -115,10 +115,20 @@ def test_every_no_says_which_options_to_try_and_which_are_of_no_use(
     levers: tuple[str, ...],
     others: tuple[str, ...],
 ) -> None:
-    answer(_options(json=True), problem, replace(NOTHING, status=status), _notes([]))
+    detail = "Its periods differ after 90 s."
+    failed = replace(NOTHING, status=status, detail=detail)
+    answer(_options(json=True), problem, failed, _notes([]))
     said = " ".join(json.loads(capsys.readouterr().out)["try"])
     assert all(word in said for word in levers), said
     assert not any(word in said for word in others), said
+
+
+def test_a_motion_that_rests_need_not_be_waited_for(
+    problem: Problem, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rests = replace(NOTHING, detail="The motion comes to rest.")
+    answer(_options(), problem, rests, _notes([]))
+    assert "--until" not in capsys.readouterr().out
 
 
 def test_the_map_that_a_failed_search_names_can_be_made() -> None:

@@ -28,6 +28,7 @@ from zeno_orbits.simulation.simulator import simulate
 
 SIGNALS = ("theta1", "theta2", "current")
 SURE = 5.0
+LABELS = dict(zip(SIGNALS, (r"$\theta_{1}$ [rad]", r"$\theta_{2}$ [rad]", "$i$ [A]"), strict=True))
 
 
 @pytest.fixture(scope="module")
@@ -244,7 +245,7 @@ def test_a_start_that_still_settles_is_named(
     states = np.array([execution.state_at(t) for t in time])
     recording = recording_of(problem, problem.state_names, time, states.T)
     found = compare(orbit, problem, recording)
-    assert any("still settles" in remark and "--from" in remark for remark in found.remarks)
+    assert any("still settling" in remark and "--from" in remark for remark in found.remarks)
 
 
 def test_signals_of_another_kind_are_refused(orbit: ZenoOrbit, problem: Problem) -> None:
@@ -273,7 +274,59 @@ def test_the_data_are_plain_and_finite(
     data = json.loads(json.dumps(found.as_json(), allow_nan=False))
     assert data["agrees"] is True
     assert data["source"] == "simulated"
-    assert data["metrics"]["period"]["unit"] == "s"
+    assert data["metrics"].keys() == {metric.name for metric in found.metrics}
+    for metric in found.metrics:
+        assert data["metrics"][metric.name] == {
+            "unit": metric.unit,
+            "orbit": metric.orbit,
+            "data": metric.data,
+            "difference": metric.data - metric.orbit,
+            "standard_error": metric.error,
+        }
+    units = {metric.name: metric.unit for metric in found.metrics}
+    assert units["period"] == units["delay of current"] == "s"
+    assert units["first impact speed"] == "rad/s"
+    assert units["highest of current"] == units["rms deviation locked of current"] == "A"
+
+
+def test_each_curve_of_the_picture_is_what_its_label_says(
+    orbit: ZenoOrbit, problem: Problem, table: OrbitTable
+) -> None:
+    from zeno_orbits.report.plots.recording import plot_comparison
+
+    recording = recorded(table, problem, noise=1e-3)
+    found = compare(orbit, problem, recording)
+    assert found.deviations is not None
+    assert found.where is not None
+    axes = plot_comparison(problem, found).axes
+    phases = np.mod(found.where.phases(recording.time), 1.0)
+    order = np.argsort(phases)
+    for k, name in enumerate(SIGNALS):
+        left, right = axes[2 * k], axes[2 * k + 1]
+        assert left.get_ylabel() == LABELS[name]
+        curves = {
+            line.get_label(): line.get_xydata() for line in left.lines if len(line.get_xdata())
+        }
+        values = recording.signal(name).values
+        mean, own = np.asarray(curves["mean over cycles"]), np.asarray(curves["orbit"])
+        # A bin's mean is the signal at its middle, but for what it changes within: some per cent.
+        around = np.interp(mean[:, 0], phases[order], values[order])
+        assert np.median(np.abs(mean[:, 1] - around)) < 0.01 * np.ptp(values)
+        # The orbit's curve, at the phases of the samples, is the samples without their noise.
+        away = values - table.at(phases)[:, k]
+        assert np.median(np.abs(away)) < 2e-3 * np.ptp(values)
+        assert own[:, 1] == pytest.approx(table.nodes.values[:, k], abs=1e-6)
+        deviation = np.asarray(right.lines[0].get_xydata())
+        assert deviation[:, 0] == pytest.approx(mean[:, 0])
+        assert deviation[:, 1] == pytest.approx(mean[:, 1] - table.at(mean[:, 0])[:, k], abs=1e-9)
+    portraits = axes[2 * len(SIGNALS) :]
+    assert len(portraits) == len(problem.portraits)
+    for ax, (first, second) in zip(portraits, problem.portraits, strict=True):
+        whole = tabulate_orbit(orbit, problem, (first, second))
+        mine, recorded_one = (np.asarray(line.get_xydata()) for line in ax.lines)
+        assert np.ptp(mine, axis=0) == pytest.approx(np.ptp(whole.nodes.values, axis=0), rel=1e-3)
+        inside = recorded_one[np.all(np.isfinite(recorded_one), axis=1)]
+        assert np.ptp(inside, axis=0) == pytest.approx(np.ptp(mine, axis=0), rel=0.1)
 
 
 def test_a_table_of_the_orbit_is_the_orbit(

@@ -12,7 +12,7 @@ from zeno_orbits.experiment.comparison.alignment import aligned
 from zeno_orbits.experiment.identification.folding import MOST, Folded, folded
 from zeno_orbits.experiment.identification.least_squares import Fit, fit, weighed
 from zeno_orbits.experiment.identification.predictions import Predictions
-from zeno_orbits.experiment.identification.unknowns import Unknowns
+from zeno_orbits.experiment.identification.unknowns import Unknown, unknowns_of
 from zeno_orbits.experiment.orbit_table import OrbitTable, measurement, tabulate_orbit
 from zeno_orbits.experiment.recordings.periodicity import Periodicity, periodicity
 from zeno_orbits.model.problem import Problem
@@ -29,17 +29,10 @@ def table(orbit: ZenoOrbit, problem: Problem) -> OrbitTable:
 
 @pytest.fixture(scope="module")
 def orbits(orbit: ZenoOrbit, problem: Problem, table: OrbitTable) -> Predictions:
-    values = problem.values().parameters
-    start = np.array([values[name] for name in NAMES])
-    unknowns = Unknowns(
-        base=np.array(orbit.values(problem).vector),
-        places=tuple(problem.names.index(name) for name in NAMES),
-        ties=np.eye(2),
-        start=start,
-        scale=start,
-        lower=0.5 * start,
-        upper=2.0 * start,
-    )
+    values = orbit.values(problem)
+    numbers = {name: values.number(name) for name in NAMES}
+    sought = [Unknown(names=(n,), lower=0.5 * v, upper=2.0 * v) for n, v in numbers.items()]
+    unknowns = unknowns_of(problem, values, sought)
     return Predictions(problem, unknowns, measurement(problem, SIGNALS), table.cycle)
 
 

@@ -12,7 +12,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from benchmarks.rig_convergence import spring_contact
+from benchmarks.rig_convergence import fit_order, orbit_distance, spring_contact
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, RunawayError, SimulationError
 from zeno_orbits.experiment import RigSettings, Source, rig_cycles, simulate_rig
@@ -22,14 +22,13 @@ from zeno_orbits.experiment.rig import (
     default_rig,
     effective_restitution,
 )
-from zeno_orbits.experiment.rig.convergence import (
+from zeno_orbits.experiment.rig.cycle_comparison import (
     OrbitCurve,
-    fit_order,
+    compare_cycles,
+    drift,
     numbers_of_orbit,
     orbit_curve,
-    orbit_distance,
 )
-from zeno_orbits.experiment.rig.cycle_comparison import compare_cycles, drift
 from zeno_orbits.experiment.rig.cycles import settling_cycles
 from zeno_orbits.experiment.rig.run import recording_of
 from zeno_orbits.integrators.flow import Tolerance
@@ -351,9 +350,9 @@ def test_teeth_give_back_what_their_loss_leaves() -> None:
     values = DISC.values(parameters={"K": 1e-12})
     # Dry friction holds nothing here: the joint is stopped by hand, by starting it at rest and the
     # rotor through a current that has gone before it touches.
-    from zeno_orbits.experiment.rig.simulator import machine_of
+    from zeno_orbits.experiment.rig.machine import machine
 
-    built = machine_of(DISC, Rig(gears={1: gear}))
+    built = machine(DISC, Rig(gears={1: gear}))
     p = np.array(values.vector)
     numbers = np.concatenate([p, [0.0], [0.0]])
 

@@ -12,7 +12,7 @@ from zeno_orbits.continuation.return_maps import Composed, ImpactReturns
 from zeno_orbits.errors import InputError, RunawayError
 from zeno_orbits.maps.attempt import Accuracy, Attempt, Lost
 from zeno_orbits.maps.attractors import Attractor, Fate
-from zeno_orbits.maps.classify import attractors_at
+from zeno_orbits.maps.classify import attractors_at, usual_time
 from zeno_orbits.maps.newton import IMPACTS, bundle_at
 from zeno_orbits.maps.point import Point
 from zeno_orbits.model.library import load_problem
@@ -393,3 +393,18 @@ def test_the_same_machine_in_other_units_settles_to_the_same_orbit(name, metre, 
     assert (found.fate, found.returns) == (Fate.ZENO, 1)
     # A local error of 1e-8, of which the clock keeps the hundredth part.
     assert found.period == pytest.approx(second * 2 * math.pi / own["omega"], rel=1e-9)
+
+
+def test_bouncier_motions_are_given_longer_to_settle() -> None:
+    problem = load_problem("motor_pendulum")
+    start = problem.state_vector(problem.starts[0])
+
+    def waited(e: float) -> float:
+        return usual_time(problem, [problem.values(parameters={"restitution": e})], start)
+
+    usual = waited(0.2)
+    assert waited(0.0) == waited(0.5) == usual
+    # To one digit: ln 0.5 / ln 0.7 = 1.94, ln 0.5 / ln 0.9 = 6.6, and ten at most.
+    assert waited(0.7) == pytest.approx(1.94 * usual, rel=0.3)
+    assert waited(0.9) == pytest.approx(6.6 * usual, rel=0.2)
+    assert waited(0.999) == pytest.approx(10 * usual, rel=0.2)

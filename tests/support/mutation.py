@@ -73,7 +73,7 @@ class Mutant:
 def mutants_of(source: str) -> Iterator[Mutant]:
     """Yield every mutant of a module, in order of its lines.
 
-    Annotations, decorators, docstrings, imports and the texts of errors are left alone.
+    Annotations, decorators, docstrings, imports and sentences are left alone.
 
     Args:
         source: The module.
@@ -155,7 +155,7 @@ def _of_constant(node: ast.Constant) -> Iterator[tuple[str, ast.expr]]:
         yield "constant", ast.Constant(value + 1)
     elif isinstance(value, float):
         yield "constant", ast.Constant(1.0 if value == 0.0 else 2.0 * value)
-    elif isinstance(value, str) and value:
+    elif isinstance(value, str) and value and not any(map(str.isspace, value)):
         yield "text", ast.Constant(f"{value}?")
 
 

@@ -10,9 +10,11 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+from mpmath import mp
 
 from tests.reference.closed_forms import FORCED
 from tests.reference.reference_orbit import MULTIPLIER, PERIOD
+from tests.reference.shaken_truth import DIGITS, Table, throw
 from tests.support.mechanisms import clocked_oscillator
 from tests.support.orbits import changed
 from zeno_orbits.arrays import Vector
@@ -650,6 +652,34 @@ def _locked_of(orbit: ZenoOrbit, machine: HybridDynamics) -> Vector:
 
 def _largest(motion: Execution, state: int) -> float:
     return float(np.max(np.abs(motion.sampled()[1][:, state])))
+
+
+def test_margins_are_the_least_of_all_phases() -> None:
+    table = load_problem("two_tone_table")
+    values = table.values()
+    seen = verify(close_orbit(table, values).unwrap(), table, settings=QUICK)
+    with mp.workdps(DIGITS):
+        truth, e = Table.of(values.parameters), values.parameters["restitution"]
+        first = throw(truth, mp.mpf(0), e)
+        second = throw(truth, first.start + first.zeno_time, e)
+        both = [first, second]
+        ends = [one.start + one.zeno_time for one in both]
+        releases = [truth.throw_after(end) for end in ends]
+        phases = {
+            "gap_acceleration": [-truth.lifts(end) for end in ends],
+            "first_impact_speed": [one.speeds[0] for one in both],
+            # The multiplier is m times what the table pushes with.
+            "release_transversality": [
+                values.parameters["m"] * mp.diff(truth.lifts, release) for release in releases
+            ],
+            "locked_time": [b - a for a, b in zip(ends, releases, strict=True)],
+        }
+    apart = seen.margins["phases_apart"]
+    assert set(seen.margins) == {*phases, "phases_apart"}
+    assert apart > 0.0
+    for name, (one, other) in phases.items():
+        assert abs(one - other) > 1e-3 * one
+        assert seen.margins[name] == pytest.approx(float(min(one, other)), rel=1e-9)
 
 
 # Motions that a problem does not allow.

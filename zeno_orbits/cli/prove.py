@@ -112,10 +112,10 @@ def _over(
 
 def _check(options: argparse.Namespace) -> int:
     """Check a certificate, and print what holds."""
-    from zeno_orbits.proof import check
+    from zeno_orbits.proof import check_proof
 
     problem = None if options.problem is None else locate_problem(options.problem).load()
-    verdict = check(options.check, problem)
+    verdict = check_proof(options.check, problem)
     if options.json:
         claims = [claim._asdict() for claim in verdict.claims]
         print_json({"proved": verdict.ok, "problem": verdict.problem, "claims": claims})

@@ -141,7 +141,7 @@ def _levers(
     found: list[str] = []
     if result.status is SearchStatus.NO_GUESS:
         found.append("--start STATE=VALUE, to simulate from elsewhere.")
-        if options.until is None or "after" in result.detail:
+        if " after " in result.detail:
             found.append("--until T, to wait longer for a motion to repeat.")
         found.append(f"{map_command(problem, options, notes)}, to see where orbits are.")
     if result.status is SearchStatus.NOT_ACCEPTED and not options.allow_unstable:

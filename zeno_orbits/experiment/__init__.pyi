@@ -2,7 +2,9 @@ from .comparison.comparison import Comparison as Comparison
 from .comparison.comparison import compare as compare
 from .comparison.counterpart import Counterpart as Counterpart
 from .comparison.deviations import Deviations as Deviations
+from .comparison.deviations import Portrait as Portrait
 from .comparison.metrics import Metric as Metric
+from .comparison.signal_metrics import recorded_portraits_of as recorded_portraits_of
 from .identification.identification import Fitted as Fitted
 from .identification.identification import Identification as Identification
 from .identification.identification import UnfittableError as UnfittableError

@@ -18,15 +18,16 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.model import CompiledSystem, HybridDynamics, Problem, dense_function
 from zeno_orbits.orbits import Cycle, ZenoOrbit
 from zeno_orbits.search import cycle_near
-from zeno_orbits.simulation import Arc, Mode, SimulationSettings, signal_names
+from zeno_orbits.simulation import Arc, Ending, Mode, SimulationSettings, signal, signal_names
+from zeno_orbits.simulation.batch.model import Columns
 
 GAP = "gap"
 """Name of the signal that every problem has beside its own."""
 
 _BETWEEN = 6
-"""Nodes between two steps of the integrator."""
+"""CubicColumns between two steps of the integrator."""
 _AT_ONCE = 1 << 16
-"""States that are evaluated at a time: the interpreter of formulas copies them several times."""
+"""States that are evaluated at a time, each beside its own copy of the parameters."""
 _JUMP = 1e-6
 """A step of this part of a signal's range is a jump: a table is as exact as that."""
 _LAYER = 0.005
@@ -54,28 +55,25 @@ class Measurement:
 
     names: tuple[str, ...]
     units: tuple[str, ...]
-    function: ca.Function
-    slopes: ca.Function
+    function: Columns
+    slopes: Columns
 
     def values(self, states: Vector, p: Vector) -> Vector:
-        """Return the signals at states, ``(n, n_s)``.
-
-        Args:
-            states: ``(n, n_x)``.
-            p: Gains, then parameters.
-        """
+        """Return the signals at states ``(n, n_x)`` and gains, then parameters, ``(n, n_s)``."""
         found = np.empty((len(states), len(self.names)))
         for at in range(0, len(states), _AT_ONCE):
             piece = slice(at, at + _AT_ONCE)
-            found[piece] = np.asarray(self.function(states[piece].T, p), dtype=np.float64).T
+            found[piece] = self.function(states[piece], _rows(p, states[piece]))[0]
         return found
 
     def derivatives(self, states: Vector, p: Vector) -> Vector:
         """Return the derivatives by the state, then by `p`, ``(n, n_s, n_x + n_p)``."""
-        flat = np.asarray(self.slopes(states.T, p), dtype=np.float64)
-        n_s, n_in = len(self.names), states.shape[1] + len(p)
-        # The matrices of all states stand side by side.
-        return flat.reshape(n_s, len(states), n_in).transpose(1, 0, 2)
+        flat = self.slopes(states, _rows(p, states))[0]
+        return flat.reshape(len(states), -1, len(self.names)).transpose(0, 2, 1)
+
+
+def _rows(p: Vector, states: Vector) -> Vector:
+    return np.broadcast_to(p, (len(states), len(p)))
 
 
 def measurement(problem: Problem, names: Sequence[str]) -> Measurement:
@@ -84,14 +82,13 @@ def measurement(problem: Problem, names: Sequence[str]) -> Measurement:
     x = ca.SX.sym("x", compiled.n_x)
     p = ca.SX.sym("p", compiled.contact.numel_in(1))
     known = measurable(problem)
-    formulas = [_formula(problem, compiled, name, x, p) for name in names]
-    outputs = ca.vertcat(*formulas)
+    outputs = ca.vertcat(*(_formula(problem, compiled, name, x, p) for name in names))
     slopes = ca.jacobian(outputs, ca.vertcat(x, p))
     return Measurement(
         names=tuple(names),
         units=tuple(known.get(name, "") for name in names),
-        function=dense_function("signals", [x, p], [outputs]),
-        slopes=dense_function("signal_slopes", [x, p], [slopes]),
+        function=Columns(dense_function("signals", [x, p], [outputs])),
+        slopes=Columns(dense_function("signal_slopes", [x, p], [slopes])),
     )
 
 
@@ -117,24 +114,17 @@ def gap_coordinates(problem: Problem) -> tuple[str, ...]:
 
 
 def _formula(problem: Problem, compiled: CompiledSystem, name: str, x: ca.SX, p: ca.SX) -> ca.SX:
-    if name in problem.state_names:
-        return x[problem.state_names.index(name)]
+    if name in signal_names(compiled):
+        return signal(compiled, name).function(x, p)
     if name == GAP:
         return compiled.contact_at(x, p).gap
-    for k, output in enumerate(problem.outputs):
-        if output.name == name:
-            symbols = problem.symbols()
-            system = problem.model(symbols)
-            formula = problem.output_formulas(system, symbols)[k]
-            return ca.substitute([formula], [system.state, ca.vertcat(*symbols.values())], [x, p])[
-                0
-            ]
-    motors = [one for one in signal_names(compiled) if one not in problem.state_names]
-    kind = "current" if name.startswith("current") else "voltage"
-    which = int(name.removeprefix(kind) or 1) - 1
-    if name not in motors:
+    outputs = [output.name for output in problem.outputs]
+    if name not in outputs:
         raise ValueError(f"Argument `name` must be a signal of the problem, but it is `{name}`.")
-    return compiled.motors.call([x, p])[0 if kind == "current" else 1][which]
+    symbols = problem.symbols()
+    system = problem.model(symbols)
+    formula = problem.output_formulas(system, symbols)[outputs.index(name)]
+    return ca.substitute([formula], [system.state, ca.vertcat(*symbols.values())], [x, p])[0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -153,13 +143,10 @@ class CubicColumns:
 
     def at(self, times: Vector) -> Vector:
         """Return the columns at times, the later one where they jump, ``(n, m)``."""
-        return self._cubic(times)[0]
+        return self.with_slopes(times)[0]
 
     def with_slopes(self, times: Vector) -> tuple[Vector, Vector]:
         """Return the columns and their time derivatives at times, each ``(n, m)``."""
-        return self._cubic(times)
-
-    def _cubic(self, times: Vector) -> tuple[Vector, Vector]:
         last = len(self.times) - 2
         k = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, last)
         size = self.times[k + 1] - self.times[k]
@@ -317,7 +304,7 @@ def tabulated(
         measured: The signals.
         p: Gains, then parameters.
     """
-    whole = state_nodes(dynamics, arcs_of(cycle))
+    whole = state_nodes(dynamics, cycle.execution.arcs)
     whole = replace(whole, times=whole.times - cycle.start.time)
     slopes = measured.derivatives(whole.values, p)[:, :, : whole.values.shape[1]]
     signals = CubicColumns(
@@ -330,43 +317,22 @@ def tabulated(
 
 def state_nodes(dynamics: HybridDynamics, arcs: Sequence[Arc]) -> CubicColumns:
     """Return the states along arcs in order, those that take no time left out."""
-    times, states, rates = [list[Vector]() for _ in range(3)]
-    for arc in arcs:
-        if arc.end_time <= arc.start_time:
-            continue
-        own = _node_times(arc)
-        x = np.array([arc.state_at(time) for time in own])
-        flow = dynamics.locked if arc.mode is Mode.LOCKED else dynamics.free
-        along = np.array([flow.rate(one).copy() for one in x])
-        if arc.trajectory is None:
-            # The tail of the impacts is passed on a straight line.
-            along[:] = (x[-1] - x[0]) / (own[-1] - own[0])
-        times.append(own)
-        states.append(x)
-        rates.append(along)
+    pieces = [_arc_nodes(dynamics, arc) for arc in arcs if arc.end_time > arc.start_time]
+    times, states, slopes = zip(*pieces, strict=True)
     return CubicColumns(
-        times=np.concatenate(times), values=np.concatenate(states), slopes=np.concatenate(rates)
+        times=np.concatenate(times), values=np.concatenate(states), slopes=np.concatenate(slopes)
     )
 
 
-def arcs_of(cycle: Cycle) -> list[Arc]:
-    """Return the arcs of a period in order."""
-    arcs = [cycle.flight, *cycle.rescaled_flights]
-    gap = cycle.zeno.time - arcs[-1].end_time
-    if gap > 0.0:
-        tail = Arc(
-            mode=Mode.FREE,
-            start_time=arcs[-1].end_time,
-            end_time=cycle.zeno.time,
-            start_state=cycle.impacts[-1].state_plus,
-            end_state=cycle.zeno.state,
-            ending=arcs[-1].ending,
-            impact_index=len(cycle.impacts),
-            time_unit=1.0,
-            trajectory=None,
-        )
-        arcs.append(tail)
-    return [*arcs, cycle.locked]
+def _arc_nodes(dynamics: HybridDynamics, arc: Arc) -> tuple[Vector, Vector, Vector]:
+    """Return times, states and their slopes along an arc."""
+    times = _node_times(arc)
+    states = np.array([arc.state_at(time) for time in times])
+    if arc.ending is Ending.ZENO:
+        # The tail of the impacts is no solution of the flow: it jumps without end.
+        return times, states, np.gradient(states, times, axis=0)
+    flow = dynamics.locked if arc.mode is Mode.LOCKED else dynamics.free
+    return times, states, np.array([flow.rate(x).copy() for x in states])
 
 
 def _node_times(arc: Arc) -> Vector:
@@ -375,6 +341,5 @@ def _node_times(arc: Arc) -> Vector:
     steps = arc.flow_times * arc.time_unit
     parts = [steps[:-1] + part / _BETWEEN * np.diff(steps) for part in range(_BETWEEN)]
     even = np.linspace(0.0, arc.end_time - arc.start_time, _LEAST + 1)
-    inside = np.union1d(np.concatenate(parts), even)
-    times = arc.start_time + inside
+    times = np.unique(arc.start_time + np.concatenate([*parts, even]))
     return np.append(times[times < arc.end_time], arc.end_time)

@@ -20,6 +20,8 @@ from zeno_orbits.work import Progress, silent
 
 _OSCILLATIONS = 35
 """Oscillations in which a motion has to settle, of a problem without a clock."""
+_BOUNCY, _LONGEST = 0.5, 10.0
+"""Restitution from which impacts fade so slowly that it takes longer, and how much at most."""
 _LANES = 2048
 """Lanes in a batch. More share the cost of a round better, until they leave the cache."""
 
@@ -82,7 +84,8 @@ def usual_time(
 ) -> float:
     """Return how long to wait for motions to settle, in the problem's own time scale [s].
 
-    It is so many turns of the slowest clock or oscillation, to one digit.
+    It is so many turns of the slowest clock or oscillation, to one digit. Without a clock it is
+    longer as impacts fade more slowly, by `ln 0.5 / ln e` where `e` is above 0.5.
 
     Args:
         problem: The problem.
@@ -91,8 +94,11 @@ def usual_time(
     """
     state = np.array(start)
     slowest = max(own_time(problem.dynamics(values), state) for values in settings)
-    turns = WAITING if problem.compiled().clock else _OSCILLATIONS
-    return float(f"{turns * slowest:.0e}")
+    if problem.compiled().clock:
+        return float(f"{WAITING * slowest:.0e}")
+    bounciest = max(values.parameters["restitution"] for values in settings)
+    longer = math.log(_BOUNCY) / math.log(bounciest) if bounciest > _BOUNCY else 1.0
+    return float(f"{min(longer, _LONGEST) * _OSCILLATIONS * slowest:.0e}")
 
 
 def _in_words(problem: Problem, found: Attractor) -> Attractor:

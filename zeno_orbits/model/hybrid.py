@@ -7,7 +7,9 @@ gains and restitution among them. Source: [OrAmes2011]_, paper eqs (5)-(8), theo
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from typing import cast
 
 import casadi as ca
@@ -176,8 +178,22 @@ def audited(system: CompletedSystem) -> CompletedSystem:
 
     The three ledger states [J] drive nothing; an impact leaves them as they are.
     """
+    return _with_ledger(system, 1.0)
+
+
+@lru_cache(maxsize=16)
+def audited_in(unit: float) -> Callable[[CompletedSystem], CompletedSystem]:
+    """Return what `audited` does with a ledger in another unit, the same function for the same.
+
+    Args:
+        unit: Of energy [J]; a ledger in units of its size is followed to that.
+    """
+    return audited if unit == 1.0 else partial(_with_ledger, unit=unit)
+
+
+def _with_ledger(system: CompletedSystem, unit: float) -> CompletedSystem:
     ledger = ca.SX.sym("ledger", 3)
-    powers = ca.vertcat(system.input_power, system.copper_loss, system.other_loss)
+    powers = ca.vertcat(system.input_power, system.copper_loss, system.other_loss) / unit
     return replace(
         system,
         state=ca.vertcat(system.state, ledger),

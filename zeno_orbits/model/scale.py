@@ -30,6 +30,11 @@ class OwnScale:
     sizes: tuple[float, ...] = ()
 
     @property
+    def energy(self) -> float:
+        """Size of energies: of the work of the stop along the gap."""
+        return self.multiplier * self.gap
+
+    @property
     def least(self) -> float:
         """The smallest size of a state, at most 1: what a local error is absolute in."""
         return min([1.0, *self.sizes])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time as clock
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -15,7 +16,9 @@ from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.orbits.digest import digest_of, same_equations
 from zeno_orbits.proof.ball_system import BallSystem, require
 from zeno_orbits.proof.balls import Ball, matrix, number_text, product
+from zeno_orbits.proof.expressions import stop_identities
 from zeno_orbits.proof.fixed_point import MultiplierDiscs, ReturnBox, multiplier_discs
+from zeno_orbits.proof.program import BallProgram
 from zeno_orbits.proof.proof_file import certificate, proof_versions
 from zeno_orbits.proof.section import SectionStart, section_places, start_on_section
 from zeno_orbits.proof.stage import BallTime, Departure, Stage
@@ -31,6 +34,10 @@ _REFINEMENTS = 8
 _FINE = 4e-15
 """Radius of the box from which the digits are taken, per size of a coordinate."""
 _BITS = 96
+_DISCS_WIDER = 1.25
+_TRIALS = 3
+_ROUNDING = 1e-8
+"""Rounding of an identity of the stop, made of numbers of some size."""
 _TIMES_WIDER = 1.5
 """How much wider a claimed time is than found, so that another arithmetic finds it, too."""
 
@@ -128,11 +135,26 @@ def _require_fit(orbit: ZenoOrbit, problem: Problem, values: ParameterValues) ->
     digest = orbit.problem_digest
     if digest and not same_equations(digest, digest_of(problem)):
         raise ProofError("problem", "the orbit was computed from other equations")
+    _require_stop(orbit, problem, values)
     if not orbit.shape.starts_at_release:
         reason = f"the period starts at no release (shape `{orbit.shape.text}`)"
         raise ProofError("shape", reason)
     if not 0.0 <= values.parameters.get("restitution", 0.0) < 1.0:
         raise InputError("Argument `restitution` must lie in [0, 1), but it does not.")
+
+
+def _require_stop(orbit: ZenoOrbit, problem: Problem, values: ParameterValues) -> None:
+    """Refuse equations that break an identity of the stop, at a few states around the orbit's."""
+    function, names = stop_identities(problem)
+    program = BallProgram(function, [arb(float(value)) for value in values.vector])
+    state = problem.state_vector(orbit.start_state)
+    for k in range(_TRIALS):
+        # Irrational multiples spread the states evenly; any state will do.
+        moves = [math.sin(3.0 * (k + 1) * (j + 1)) for j in range(len(state))]
+        near = [arb(x + (1 + abs(x)) * move / 4) for x, move in zip(state, moves, strict=True)]
+        for name, value in zip(names, program(near)[0], strict=True):
+            # Constants that CasADi has folded leave rounding.
+            require(bool(abs(value) < _ROUNDING), "model", f"it is not so that {name} ({value})")
 
 
 def _found(
@@ -222,9 +244,6 @@ def _judged(start: SectionStart, passage: Passage) -> _Attempt:
     """Judge the return of a box."""
     places, end, d = start.places, passage.end.at, len(start.places)
     box = end.box
-    for k, around in zip(start.others, start.around, strict=True):
-        reason = "the box does not come back to the part of the section that it started on"
-        require(bool(around.contains(box[k])), "exists", reason)
     slopes = end.derivative
     rows = [[slopes[k, j] for j in range(d)] for k in places]
     carried = matrix(
@@ -239,6 +258,9 @@ def _judged(start: SectionStart, passage: Passage) -> _Attempt:
         shift=[a + b for a, b in zip(defect, spread, strict=True)],
         slopes=matrix(rows, d),
     )
+    if not all(a.contains(box[k]) for k, a in zip(start.others, start.around, strict=True)):
+        reason = "the box does not come back to the part of the section that it started on"
+        return _Attempt(judged=None, defect=defect, reason=reason, needed=[])
     found = returned.krawczyk(returned.box)
     if not returned.encloses(found):
         wide = [float(one.abs_upper()) for one in found]
@@ -343,7 +365,7 @@ def _bounds(problem: Problem, system: BallSystem, found: _Judged) -> Bounds:
             name: _claimed(value) for name, value in zip(problem.state_names, state, strict=False)
         },
         multipliers=tuple(
-            MultiplierDisc(centre=c, radius=float(r) * 1.01 + 1e-15)
+            MultiplierDisc(centre=c, radius=float(r) * _DISCS_WIDER + 1e-15)
             for c, r in zip(found.discs.centres, found.discs.radii, strict=True)
         ),
         norm=float(found.discs.norm.upper()),

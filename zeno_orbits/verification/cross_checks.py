@@ -11,7 +11,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import HybridDynamics, Problem, load_reference
-from zeno_orbits.model.hybrid import audited
+from zeno_orbits.model.hybrid import audited_in
 from zeno_orbits.orbits import Cycle, Phase, PhaseKind, ZenoOrbit, placed
 from zeno_orbits.simulation import Impact, SimulationSettings, Truncation, ZenoPassage, simulate
 from zeno_orbits.verification.certificate import DeltaCut
@@ -143,7 +143,9 @@ def energies_of(
     Returns:
         Name of an energy, as in the certificate, to its size.
     """
-    dynamics = problem.dynamics(orbit.values(problem), audited)
+    values = orbit.values(problem)
+    unit = problem.dynamics(values).own.energy
+    dynamics = problem.dynamics(values, audited_in(unit))
     if isinstance(simulation.completion, ZenoPassage):
         # Each impact loses its part; only a short tail loses what the last speed says.
         simulation = replace(simulation, completion=simulation.completion.one_by_one)
@@ -160,9 +162,9 @@ def energies_of(
         impact_loss += dynamics.normal_inertia(zeno.state) * zeno.last_speed**2 / 2
     end = run.end_state if last is None else run.impacts[-1].state_plus
     return {
-        "input_work": float(end[-3]),
-        "copper_loss": float(end[-2]),
-        "other_loss": float(end[-1]),
+        "input_work": unit * float(end[-3]),
+        "copper_loss": unit * float(end[-2]),
+        "other_loss": unit * float(end[-1]),
         "impact_loss": impact_loss,
         "energy_gain": dynamics.energy(end) - dynamics.energy(start),
     }

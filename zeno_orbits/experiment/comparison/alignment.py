@@ -11,17 +11,23 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.orbit_table import ROUGHLY, OrbitTable, beside_jumps
+from zeno_orbits.experiment.recordings.delays import delays_of
 from zeno_orbits.experiment.recordings.periodicity import Periodicity
 
 _PHASES = 720
 _MOST_ROWS = 60_000
 _STEPS = 6
+_TELLING = 4
+"""Cycles from which on their scatter tells an error."""
+_BINS = 240
+"""Bins of the phase at most, over which repeating residuals are averaged."""
 _TURNED = 0.95
 """All signs as they are count as best from this part of the best with signs turned on."""
 _OPPOSED = -0.4
@@ -78,7 +84,8 @@ class Alignment:
     Attributes:
         release: A time at which the orbit's release falls, near the middle of the record [s].
         error: Standard error of it [s].
-        period: Of the record [s].
+        period: Of the record, as the orbit's own shape tells it [s].
+        period_error: Standard error of it; infinite if there are not two periods [s].
         phase_error: Standard error of the phases at both ends of the record [periods].
         likeness: Of each signal.
         time_suspicion: What mistake the unit of time looks like; empty if none.
@@ -87,6 +94,7 @@ class Alignment:
     release: float
     error: float
     period: float
+    period_error: float
     phase_error: float
     likeness: tuple[Likeness, ...]
     time_suspicion: str
@@ -123,13 +131,16 @@ def aligned(
     weight = trusted if trusted.any() else np.ones_like(trusted)
     # In the middle of the record an error of the period moves it least.
     release += found.period * round((0.5 * (time[0] + time[-1]) - release) / found.period)
-    release, error = _fine(table, time, values, found, release, weight, data)
-    half = max(time[-1] - release, release - time[0]) / found.period
+    scale = np.std(data, axis=0)
+    scale = np.where((scale > 0.0) & weight, scale, np.inf)
+    fine = _fine(table, time, values, scale, _Place(release, np.inf, found.period, found.error))
+    half = max(time[-1] - fine.release, fine.release - time[0]) / fine.period
     return Alignment(
-        release=release,
-        error=error,
-        period=found.period,
-        phase_error=(error + half * found.error) / found.period,
+        release=fine.release,
+        error=fine.error,
+        period=fine.period,
+        period_error=fine.period_error,
+        phase_error=(fine.error + half * fine.period_error) / fine.period,
         likeness=tuple(likeness),
         time_suspicion=_like_factor(ratio, _TIME_FACTORS),
     )
@@ -181,52 +192,94 @@ def _like_factor(factor: float, known: Sequence[tuple[float, str]]) -> str:
     return known[nearest][1] if distances[nearest] < _LIKE else ""
 
 
-def _fine(
-    table: OrbitTable,
-    time: Vector,
-    values: Vector,
-    found: Periodicity,
-    release: float,
-    weight: NDArray[np.bool_],
-    data: Vector,
-) -> tuple[float, float]:
-    """Return the least-squares time of the release and its standard error."""
+class _Place(NamedTuple):
+    """A release and a period in the record, and their standard errors [s]."""
+
+    release: float
+    error: float
+    period: float
+    period_error: float
+
+
+def _fine(table: OrbitTable, time: Vector, values: Vector, scale: Vector, at: _Place) -> _Place:
+    """Return the least-squares place of the orbit, near a first one."""
     rows = np.unique(np.linspace(0, len(time) - 1, min(len(time), _MOST_ROWS)).astype(np.int64))
-    t, y = time[rows], values[:, rows].T
-    scale = np.std(data, axis=0)
-    scale = np.where((scale > 0.0) & weight, scale, np.inf)
-    known = seen = np.isfinite(y)
-    period, stretch = found.period, table.period / found.period
-    above, below = np.zeros(len(t)), np.zeros(len(t))
-    white = 0.0
+    t, y, n_s = time[rows], values[:, rows].T, len(values)
+    # Thinned rows tell less than all of them do.
+    thinned = math.sqrt(len(t) / len(time))
+    release, error, period, unsure = at
     for _ in range(_STEPS):
-        model, slope = (
-            columns[:, : len(values)]
-            for columns in table.nodes.with_slopes(np.mod((t - release) * stretch, table.period))
-        )
+        turns, stretch = (t - release) / period, table.period / period
+        nodes = table.nodes.with_slopes(np.mod(turns, 1.0) * table.period)
+        model, slope = (columns[:, :n_s] for columns in nodes)
         # A slope does not know of a jump: samples beside one would push the wrong way.
-        phases = np.mod((t - release) / period, 1.0)
-        seen = known & ~beside_jumps(table, phases, ROUGHLY)[:, : len(values)]
-        rest = np.where(seen, y - model, 0.0)
+        seen = np.isfinite(y) & ~beside_jumps(table, turns, ROUGHLY)[:, :n_s]
         count = np.maximum(seen.sum(axis=0), 1)
+        rest = np.where(seen, y - model, 0.0)
         # An offset of an encoder is no shift in time.
         rest = np.where(seen, rest - rest.sum(axis=0) / count, 0.0) / scale
         moved = np.where(seen, -slope * stretch, 0.0) / scale
-        above, below = np.sum(moved * rest, axis=1), np.sum(moved**2, axis=1)
-        if not below.sum() > 0.0:
-            return release, math.inf
-        change = float(above.sum() / below.sum())
-        release += float(np.clip(change, -0.1 * period, 0.1 * period))
-        white = float(np.sum((rest - moved * change) ** 2) / max(int(seen.sum()), 1))
-    cycles = np.floor((t - release) / period).astype(np.int64)
-    cycles -= cycles[0]
-    n = int(cycles[-1]) + 1
-    each_below = np.bincount(cycles, weights=below, minlength=n)
-    told = each_below > 0.5 * np.median(each_below)
-    each = np.bincount(cycles, weights=above, minlength=n)[told] / each_below[told]
-    error = math.sqrt(white / float(below.sum()))
-    # Thinned rows tell less than all of them do.
-    error *= math.sqrt(len(t) / len(time))
-    if len(each) >= 4:
-        error = max(error, float(np.std(each, ddof=1)) / math.sqrt(len(each)))
-    return release, error
+        below = float(np.sum(moved**2))
+        if not below > 0.0:
+            return _Place(release, math.inf, period, unsure)
+        late = float(np.sum(moved * rest)) / below
+        white = float(np.sum((rest - moved * late) ** 2)) / int(count.sum())
+        cycles = np.floor(turns).astype(np.int64)
+        cycles -= cycles[0]
+        numbers = np.repeat(cycles, n_s)
+        scatter = delays_of(numbers, moved.ravel(), rest.ravel()).scatter
+        error = max(thinned * math.sqrt(white / below), scatter)
+        release += float(np.clip(late, -0.1 * period, 0.1 * period))
+        # What repeats is alike in all cycles, but not where the record cuts one.
+        within = _Within.of(turns, seen, int(cycles[-1]) + 1)
+        whole = within.less_means(moved)
+        left, longer = (
+            _without(within.less_means(row), whole)
+            for row in (rest, moved * (cycles - cycles.mean())[:, None])
+        )
+        below = float(np.sum(longer**2))
+        if below > 0.0:
+            change = float(np.sum(longer * left)) / below
+            left = left - longer * change
+            variance = thinned**2 * float(np.sum(left**2)) / within.freedom * below
+            if cycles[-1] >= _TELLING:
+                each = np.bincount(numbers, weights=(longer * left).ravel())
+                variance = max(variance, float(np.sum(each**2)))
+            unsure = math.sqrt(variance) / below
+            period += float(np.clip(change, -0.1 * period, 0.1 * period))
+    return _Place(release, error, period, unsure)
+
+
+def _without(values: Vector, direction: Vector) -> Vector:
+    """Return what is at right angles to a direction of values."""
+    length = float(np.sum(direction**2))
+    return values - direction * (float(np.sum(values * direction)) / length if length else 0.0)
+
+
+class _Within(NamedTuple):
+    """Samples in bins of the phase, to be held against their own kind in other cycles."""
+
+    bins: NDArray[np.int64]
+    n_bins: int
+    seen: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, turns: Vector, seen: NDArray[np.bool_], n_cycles: int) -> _Within:
+        """Return the samples in bins that several of each cycle share."""
+        n_bins = int(np.clip(len(turns) / n_cycles / 2, 1, _BINS))
+        bins = (np.mod(turns, 1.0) * n_bins).astype(np.int64)
+        return cls(np.minimum(bins, n_bins - 1), n_bins, seen)
+
+    @property
+    def freedom(self) -> int:
+        """Number of samples less that of means."""
+        return max(int(self.seen.sum()) - self.n_bins * self.seen.shape[1], 1)
+
+    def less_means(self, values: Vector) -> Vector:
+        """Return values less their mean over the cycles, bin by bin, ``(n, n_s)``."""
+        found = np.zeros_like(values)
+        for k, (here, row) in enumerate(zip(self.seen.T, values.T, strict=True)):
+            count = np.maximum(np.bincount(self.bins[here], minlength=self.n_bins), 1)
+            sums = np.bincount(self.bins[here], weights=row[here], minlength=self.n_bins)
+            found[:, k] = np.where(here, row - (sums / count)[self.bins], 0.0)
+        return found

@@ -18,15 +18,15 @@ from zeno_orbits.errors import InputError, counted
 from zeno_orbits.experiment.comparison.alignment import Alignment
 from zeno_orbits.experiment.comparison.contact_events import CycleEvents, cycle_events
 from zeno_orbits.experiment.comparison.deviations import Deviations, deviations
+from zeno_orbits.experiment.comparison.estimate import Estimate
 from zeno_orbits.experiment.comparison.gap_model import gap_model, recorded_gap
-from zeno_orbits.experiment.comparison.metrics import (
-    Metric,
-    contact_metrics,
+from zeno_orbits.experiment.comparison.metrics import Metric, contact_metrics, metric
+from zeno_orbits.experiment.comparison.overlay import Overlay, lay_over, shared_signals
+from zeno_orbits.experiment.comparison.signal_metrics import (
     portrait_metrics,
     recorded_portraits_of,
     signal_metrics,
 )
-from zeno_orbits.experiment.comparison.overlay import Overlay, lay_over, shared_signals
 from zeno_orbits.experiment.comparison.stop_level import Stop, refined_stop, stop_level
 from zeno_orbits.experiment.orbit_table import GAP
 from zeno_orbits.experiment.recordings.periodicity import Periodicity
@@ -40,6 +40,8 @@ __all__ = ["Comparison", "Metric", "compare"]
 
 _SEEN = 0.5
 """Part of the cycles that must show a locked phase and an impact."""
+_LOCKED_SAMPLES = 12
+"""Samples of the orbit's locked phase from which on one must be seen."""
 _FEWEST_CYCLES = 6
 _STRAY = 0.1
 """Part of the variance that does not repeat and is not said: harmonics leave some of jumps."""
@@ -116,11 +118,11 @@ class Comparison(Displayed):
         if self.overlay is None:
             return ()
         found, table = self.overlay.found, self.overlay.table
-        metrics = [
-            Metric(
-                name="period", unit="s", orbit=table.period, data=found.period, error=found.error
-            )
-        ]
+        period = Estimate(value=found.period, error=found.error)
+        if self.overlay.holds:
+            where = self.overlay.where
+            period = Estimate(value=where.period, error=where.period_error)
+        metrics = [metric("period", "s", table.period, period)]
         if self.contacts is not None and self.contacts.events:
             stop, events = self.contacts.stop, self.contacts.events
             unit = self.problem.gap_unit
@@ -142,10 +144,10 @@ class Comparison(Displayed):
         Raises:
             InputError: If no metric has this name.
         """
-        for metric in self.metrics:
-            if metric.name == name:
-                return metric
-        known = ", ".join(metric.name for metric in self.metrics)
+        for one in self.metrics:
+            if one.name == name:
+                return one
+        known = ", ".join(one.name for one in self.metrics)
         raise InputError(f"Argument `metric` must be one of {known}, but it is `{name}`.")
 
     def as_json(self) -> dict[str, Any]:
@@ -161,14 +163,14 @@ class Comparison(Displayed):
             "cycles": None if self.period is None else self.period.n_cycles,
             "release_time": None if self.where is None else _plain(self.where.release),
             "metrics": {
-                metric.name: {
-                    "unit": metric.unit,
-                    "orbit": _plain(metric.orbit),
-                    "data": _plain(metric.data),
-                    "difference": _plain(metric.data - metric.orbit),
-                    "standard_error": _plain(metric.error),
+                one.name: {
+                    "unit": one.unit,
+                    "orbit": _plain(one.orbit),
+                    "data": _plain(one.data),
+                    "difference": _plain(one.data - one.orbit),
+                    "standard_error": _plain(one.error),
                 }
-                for metric in self.metrics
+                for one in self.metrics
             },
         }
 
@@ -206,8 +208,8 @@ def compare(orbit: ZenoOrbit, problem: Problem, recording: Recording) -> Compari
         missing = "coordinates that the gap depends on were not recorded"
         remarks.append(f"impacts, locked phase and release cannot be determined: {missing}")
     else:
-        reasons += _contact_reasons(contacts)
-        remarks += _unresolved(contacts)
+        unlike, unresolved = _contact_findings(contacts, overlay)
+        reasons, remarks = reasons + unlike, remarks + unresolved
     if found.repeats < 1.0 - _STRAY:
         remarks.append(
             f"{100 * (1 - found.repeats):.2g} % of the signals' variance does not repeat"
@@ -238,8 +240,8 @@ def _contacts(overlay: Overlay, problem: Problem, gap: Vector) -> Contacts | Non
     time, where = overlay.time, overlay.where
     model = gap_model(overlay.table, problem, where.period)
     events = cycle_events(time, gap, stop, model, where.release)
-    rests = [(one.rest_start, one.rest_end) for one in events if math.isfinite(one.rest_start)]
-    stop = refined_stop(time, gap, stop, rests, where.release, where.period)
+    rests = [one.rest for one in events if one.rested]
+    stop = refined_stop(time, gap, stop, rests, where)
     return Contacts(stop=stop, events=cycle_events(time, gap, stop, model, where.release))
 
 
@@ -270,7 +272,7 @@ def _settling(found: Deviations, time: Vector, where: Alignment) -> list[str]:
     sizes = found.sizes_in_turn()
     if len(sizes) < _FEWEST_CYCLES:
         return []
-    usual = float(np.median(sizes[len(sizes) // 2 :]))
+    usual = float(np.nanmedian(sizes[len(sizes) // 2 :]))
     strange = np.flatnonzero(sizes > _SETTLING * usual)
     if not len(strange) or strange[0] > 1 or strange[-1] > len(sizes) // 2:
         return []
@@ -279,34 +281,37 @@ def _settling(found: Deviations, time: Vector, where: Alignment) -> list[str]:
     return [f"the motion is still settling at first; skip that part with --from {until:.4g}"]
 
 
-def _contact_reasons(contacts: Contacts | None) -> list[str]:
+def _contact_findings(contacts: Contacts | None, overlay: Overlay) -> tuple[list[str], list[str]]:
+    """Return why the contacts are not the orbit's, and what the samples are too few to tell."""
+    table = overlay.table
+    step = float(np.median(np.diff(overlay.time)))
+    resolved = table.period - table.zeno_time > _LOCKED_SAMPLES * step
     if contacts is None:
-        return ["no locked phase is seen: the gap is never at rest"]
-    events = contacts.events
-    rested = sum(math.isfinite(one.rest_start) for one in events)
-    struck = sum(one.closed for one in events)
-    whats = (("locked phase", rested), ("impact", struck))
-    return [
-        f"no {what} is seen in {len(events) - seen} of {counted(len(events), 'cycle')}"
-        for what, seen in whats
-        if seen < _SEEN * len(events)
-    ]
-
-
-def _unresolved(contacts: Contacts | None) -> list[str]:
-    """Return a remark if cycles show a contact in which the samples are too few for its numbers."""
-    events = [] if contacts is None else [one for one in contacts.events if one.closed]
-    for what, known in (
-        ("impacts", [one.first_impact for one in events]),
-        ("flights between impacts", [one.restitution for one in events]),
+        if resolved:
+            return ["no locked phase is seen: the gap is never at rest"], []
+        return [], ["locked phases are too short for the sampling: not resolved"]
+    events, reasons, remarks = contacts.events, list[str](), list[str]()
+    rested, closed = sum(one.rested for one in events), sum(one.closed for one in events)
+    if rested < _SEEN * len(events):
+        unseen = f"in {len(events) - rested} of {counted(len(events), 'cycle')}"
+        if resolved:
+            reasons.append(f"no locked phase is seen {unseen}")
+        else:
+            remarks.append(f"locked phases are too short for the sampling {unseen}: not resolved")
+    if closed < _SEEN * len(events):
+        cycles = counted(len(events), "cycle")
+        reasons.append(f"no impact is seen in {len(events) - closed} of {cycles}")
+    struck = [one for one in events if one.closed]
+    for what, numbers in (
+        ("impacts", [one.first_impact for one in struck]),
+        ("flights between impacts", [one.restitution for one in struck]),
     ):
-        unknown = sum(not math.isfinite(number) for number in known)
-        if events and unknown > (1.0 - _SEEN) * len(events):
-            return [
-                f"{what} are too short for the sampling in "
-                f"{counted(unknown, 'cycle')}: not resolved"
-            ]
-    return []
+        unknown = sum(not number.known for number in numbers)
+        if struck and unknown > (1.0 - _SEEN) * len(struck):
+            cycles = counted(unknown, "cycle")
+            remarks.append(f"{what} are too short for the sampling in {cycles}: not resolved")
+            break
+    return reasons, remarks
 
 
 def _plain(value: float) -> float | None:

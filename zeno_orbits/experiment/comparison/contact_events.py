@@ -2,28 +2,30 @@ r"""Impacts, the locked phase and the release in a recorded gap, cycle by cycle.
 
 The stop is the lowest level at which the gap rests, and the scatter there is the noise. The first
 impact is where the gap comes down on the stop, found from the samples of the flight before it; the
-hops after it are cubics through zero; what is left of the chatter when hops drown in noise is the
-geometric series :math:`\Delta t_n\,e / (1 - e)`; and the release, where the gap grows like the
-third power of the time, is found by the shape that the orbit's own gap has there (theory (56)).
+rebounds after it are cubics through zero; what is left of the chatter when rebounds drown in noise
+is the geometric series :math:`\Delta t_n\,e / (1 - e)`; and the release, where the gap grows like
+the third power of the time, is found by the shape that the orbit's own gap has there (theory (56)).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.comparison.contact_fits import (
     LEAST,
-    HopFit,
+    GapSamples,
     ImpactFit,
-    fit_hop,
+    Rebound,
     fit_impact,
+    fit_rebound,
     fit_release,
 )
+from zeno_orbits.experiment.comparison.estimate import UNKNOWN, Estimate
 from zeno_orbits.experiment.comparison.gap_model import GapModel
 from zeno_orbits.experiment.comparison.stop_level import Stop
 
@@ -36,45 +38,42 @@ _SHARE = 0.25
 _AT_ONCE = 0.01
 """Part of a period within which a gap that rests has stayed where it fell."""
 _UNSEEN = 0.05
-"""Part of the time of hops that are too small to be seen by which that may be off."""
+"""Part of the time of rebounds that are too small to be seen by which that may be off."""
 _MOST_CYCLES = 200
-_MOST_HOPS = 6
-_UNKNOWN = (math.nan, math.nan, math.nan, math.nan, math.nan)
+_MOST_REBOUNDS = 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CycleEvents:
     """Events of one recorded cycle; times count from the orbit's release as aligned [s].
 
-    What the data hide, in a gap for instance, is NaN.
+    What the data hide, in a gap for instance, is NaN. Errors are those of the noise alone.
 
     Attributes:
         closed: Whether the gap is seen to close, resolved or not.
         first_impact: When the gap closes first.
         speed: Gap rate just before, negative.
         restitution: Speed after over speed before.
-        hops: Hops that rise above the noise.
-        chatter_end: Where the hops end, those in the noise summed.
-        rest_start: When the gap is seen to stay closed.
-        release: When it begins to open.
-        rest_end: When it is seen to open.
-        errors: Standard errors of first impact, speed, restitution, chatter end and release from
-            the noise alone.
-        hidden: By how much hops that the samples hide may change restitution and chatter end [s].
-            A mean over cycles does not make that smaller.
+        chatter_end: Where the rebounds end, those in the noise summed.
+        release: When the gap begins to open.
+        rest: When it is seen to stay closed, from and to.
+        hidden: By how much rebounds that the samples hide may change restitution and chatter end
+            [s]. A mean over cycles does not make that smaller.
     """
 
     closed: bool = False
-    first_impact: float = math.nan
-    speed: float = math.nan
-    restitution: float = math.nan
-    hops: int = 0
-    chatter_end: float = math.nan
-    rest_start: float = math.nan
-    release: float = math.nan
-    rest_end: float = math.nan
-    errors: tuple[float, float, float, float, float] = _UNKNOWN
+    first_impact: Estimate = UNKNOWN
+    speed: Estimate = UNKNOWN
+    restitution: Estimate = UNKNOWN
+    chatter_end: Estimate = UNKNOWN
+    release: Estimate = UNKNOWN
+    rest: tuple[float, float] = (math.nan, math.nan)
     hidden: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def rested(self) -> bool:
+        """True if the gap is seen to stay closed."""
+        return math.isfinite(self.rest[0])
 
 
 def cycle_events(
@@ -104,16 +103,17 @@ def cycle_events(
     for number in numbers:
         start = release + number * period
         a, b = np.searchsorted(t, [start - 0.1 * period, start + 1.25 * period])
-        found.append(_Seen(t[a:b] - start, h[a:b], stop, model).events())
+        own = GapSamples(t=t[a:b] - start, h=h[a:b], noise=stop.noise, model=model)
+        found.append(_Seen(own, stop.band).events())
     return tuple(found)
 
 
 class _Seen:
     """The samples of one cycle, and what is found in them."""
 
-    def __init__(self, t: Vector, h: Vector, stop: Stop, model: GapModel) -> None:
-        self.t, self.h, self.stop, self.model = t, h, stop, model
-        self.period = model.period
+    def __init__(self, samples: GapSamples, band: float) -> None:
+        self.samples, self.band, self.model = samples, band, samples.model
+        self.t, self.h, self.period = samples.t, samples.h, samples.model.period
 
     def events(self) -> CycleEvents:
         """Return what is found; what is not is NaN."""
@@ -121,52 +121,55 @@ class _Seen:
             return CycleEvents()
         rest = self.rest()
         start = float(self.t[rest[0]]) if rest else self.period
-        seen = (start, float(self.t[rest[1]])) if rest else (math.nan, math.nan)
+        seen = CycleEvents() if rest is None else CycleEvents(rest=(start, float(self.t[rest[1]])))
         apex, at = self.fallen(start)
-        touch = None if at is None else self.touch(apex, at)
-        if touch is None:
-            return CycleEvents(closed=at is not None, rest_start=seen[0], rest_end=seen[1])
-        hops = self.hops(touch.time, start if rest else touch.time + 0.3 * self.period)
-        restitution, restitution_error, hidden = math.nan, math.nan, (0.0, 0.0)
-        end, end_error = math.nan, math.nan
-        if hops:
-            restitution = hops[0].up / -touch.rate
-            restitution_error = (
-                math.hypot(hops[0].up_error, restitution * touch.rate_error) / -touch.rate
-            )
-            end, end_error, tail = self.chatter_end(touch, hops)
-            hidden = (0.0, _UNSEEN * tail)
-        elif start - touch.time < _AT_ONCE * self.period:
-            hidden = self.hidden(touch)
-            if math.isfinite(hidden[1]):
-                restitution, restitution_error = 0.0, 0.0
-                end, end_error = touch.time, touch.time_error
-        if rest is None:
-            end, end_error = math.nan, math.nan
-        release = (math.nan, math.nan) if rest is None else self.release(rest[1])
-        return CycleEvents(
+        impact = None if at is None else fit_impact(self.samples, apex, at)
+        if impact is None:
+            return replace(seen, closed=at is not None)
+        restitution, end, hidden = self.chatter(impact, start, rested=rest is not None)
+        return replace(
+            seen,
             closed=True,
-            first_impact=touch.time,
-            speed=touch.rate,
+            first_impact=impact.time,
+            speed=impact.rate,
             restitution=restitution,
-            hops=len(hops),
-            chatter_end=end,
-            rest_start=seen[0],
-            release=release[0],
-            rest_end=seen[1],
-            errors=(touch.time_error, touch.rate_error, restitution_error, end_error, release[1]),
+            chatter_end=UNKNOWN if rest is None else end,
+            release=UNKNOWN if rest is None else fit_release(self.samples, rest[1]),
             hidden=hidden,
         )
 
+    def chatter(
+        self, impact: ImpactFit, start: float, *, rested: bool
+    ) -> tuple[Estimate, Estimate, tuple[float, float]]:
+        """Return restitution and end of the chatter, and by how much what is hidden changes both.
+
+        Args:
+            impact: The first impact.
+            start: When the gap rests, if it does.
+            rested: Whether it does.
+        """
+        landing, speed = impact.time, -impact.rate.value
+        until = start if rested else landing.value + 0.3 * self.period
+        rebounds = self.rebounds(landing.value, until)
+        if rebounds:
+            e = rebounds[0].up.value / speed
+            error = math.hypot(rebounds[0].up.error, e * impact.rate.error) / speed
+            end, tail = self.chatter_end(impact, rebounds)
+            return Estimate(value=e, error=error), end, (0.0, _UNSEEN * tail)
+        if start - landing.value >= _AT_ONCE * self.period:
+            return UNKNOWN, UNKNOWN, (0.0, 0.0)
+        hidden = self.hidden(speed)
+        if not math.isfinite(hidden[1]):
+            return UNKNOWN, UNKNOWN, hidden
+        return Estimate(value=0.0, error=0.0), landing, hidden
+
     def rest(self) -> tuple[int, int] | None:
         """Return the first and the last sample of the longest rest after the flight."""
-        inside = np.abs(self.h) < self.stop.band
+        inside = np.abs(self.h) < self.band
         # One stray sample does not end a rest, nor does it make one.
         inside[1:-1] |= inside[:-2] & inside[2:]
-        late = self.t > 0.1 * self.period
-        whole = inside & late
-        padded = np.zeros(len(whole) + 2)
-        padded[1:-1] = whole
+        padded = np.zeros(len(inside) + 2)
+        padded[1:-1] = inside & (self.t > 0.1 * self.period)
         edges = [int(k) for k in np.flatnonzero(np.diff(padded))]
         best: tuple[int, int] | None = None
         own = self.period - self.model.zeno_time
@@ -189,11 +192,11 @@ class _Seen:
         for k in range(apex, len(self.t)):
             if self.t[k] > until + 1e-12:
                 break
-            if self.h[k] < self.stop.band:
+            if self.h[k] < self.band:
                 return k
             if self.h[k] < lowest:
                 lowest, at = float(self.h[k]), k
-            elif self.h[k] > lowest + 1.5 * self.stop.band and lowest < _LOW * self.h[apex]:
+            elif self.h[k] > lowest + 1.5 * self.band and lowest < _LOW * self.h[apex]:
                 # It turned near the lowest sample, on either side of it.
                 return at
         return None
@@ -206,63 +209,57 @@ class _Seen:
         apex = int(np.argmax(np.where(flying, self.h, -np.inf)))
         return apex, self.fall(apex, before)
 
-    def touch(self, apex: int, at: int) -> ImpactFit | None:
-        """Return the first impact, if the samples resolve it."""
-        return fit_impact(self.t, self.h, apex, at, self.stop.noise, self.model)
-
-    def hops(self, impact: float, end: float) -> list[HopFit]:
-        """Return each hop that rises above the noise."""
-        found: list[HopFit] = []
+    def rebounds(self, impact: float, end: float) -> list[Rebound]:
+        """Return each rebound that rises above the noise."""
+        found: list[Rebound] = []
         start = impact
-        for number in range(1, _MOST_HOPS + 1):
+        for number in range(1, _MOST_REBOUNDS + 1):
             inside = (self.t > start) & (self.t < end)
             if not inside.any():
                 break
             apex = int(np.argmax(np.where(inside, self.h, -np.inf)))
             at = self.fall(apex, end)
-            if self.h[apex] < 1.5 * self.stop.band or at is None:
+            if self.h[apex] < 1.5 * self.band or at is None:
                 break
             chosen = (self.t > start) & (np.arange(len(self.t)) < at)
-            length = float(self.t[at]) - start
-            since, h = self.t[chosen] - start, self.h[chosen]
-            hop = fit_hop(number, since, h, length, self.stop.noise, self.model)
-            if hop is None:
+            own = replace(self.samples, t=self.t[chosen] - start, h=self.h[chosen])
+            rebound = fit_rebound(own, number, float(self.t[at]) - start)
+            if rebound is None:
                 break
-            found.append(hop)
-            start += hop.length
+            found.append(rebound)
+            start += rebound.length.value
         return found
 
-    def hidden(self, touch: ImpactFit) -> tuple[float, float]:
-        """Return restitution and length of the greatest hops that noise or sampling hides.
+    def hidden(self, landing: float) -> tuple[float, float]:
+        """Return restitution and length of the greatest rebounds that noise or sampling hides.
 
-        A hop of the speed `e v` under the acceleration `a` rises by :math:`(e v)^2 / 2a` and lasts
-        :math:`2 e v / a`; all that follow it last as long over `1 - e`.
+        A rebound of the speed `e v` under the acceleration `a` rises by :math:`(e v)^2 / 2a` and
+        lasts :math:`2 e v / a`; all that follow it last as long over `1 - e`.
+
+        Args:
+            landing: The speed `v`.
         """
         acceleration = abs(self.model.flights[0].acceleration)
         step = float(np.median(np.diff(self.t)))
-        speed = max(math.sqrt(3.0 * self.stop.band * acceleration), step * acceleration)
-        restitution = speed / -touch.rate
+        speed = max(math.sqrt(3.0 * self.band * acceleration), step * acceleration)
+        restitution = speed / landing
         if not (acceleration > 0.0 and restitution < 1.0):
             return math.inf, math.inf
         return restitution, 2.0 * speed / acceleration / (1.0 - restitution)
 
-    def chatter_end(self, touch: ImpactFit, hops: Sequence[HopFit]) -> tuple[float, float, float]:
-        """Return where the hops end, the error of that, and how long those last that are unseen."""
-        speeds = [-touch.rate, *(-hop.down for hop in hops)]
-        ratios = [hop.up / before for hop, before in zip(hops, speeds, strict=False)]
-        e = float(np.clip(np.average(ratios, weights=speeds[: len(hops)]), 0.0, 0.95))
-        last = hops[-1]
-        own, factor = self.model.tail(len(hops))
-        tail = factor * last.length * e / (1 - e)
-        e_error = min(hop.up_error / before for hop, before in zip(hops, speeds, strict=False))
-        noise = math.hypot(touch.time_error, *(hop.length_error for hop in hops))
-        noise = math.hypot(noise, factor * last.length * e_error / (1 - e) ** 2)
-        # The factor is the orbit's; the less the hop is the orbit's, the less it is known.
-        other = min(1.0, abs(last.length / own - 1.0)) if own > 0.0 else 1.0
+    def chatter_end(self, impact: ImpactFit, rebounds: Sequence[Rebound]) -> tuple[Estimate, float]:
+        """Return where the rebounds end, and how long those last that are unseen."""
+        speeds = [-impact.rate.value, *(-one.down for one in rebounds)]
+        ratios = [one.up.value / before for one, before in zip(rebounds, speeds, strict=False)]
+        e = float(np.clip(np.average(ratios, weights=speeds[: len(rebounds)]), 0.0, 0.95))
+        last = rebounds[-1].length.value
+        own, factor = self.model.tail(len(rebounds))
+        tail = factor * last * e / (1 - e)
+        e_error = min(one.up.error / before for one, before in zip(rebounds, speeds, strict=False))
+        noise = math.hypot(impact.time.error, *(one.length.error for one in rebounds))
+        noise = math.hypot(noise, factor * last * e_error / (1 - e) ** 2)
+        # The factor is the orbit's; the less the rebound is the orbit's, the less it is known.
+        other = min(1.0, abs(last / own - 1.0)) if own > 0.0 else 1.0
         doubt = abs(factor - 1.0) * tail / factor * other
-        end = touch.time + sum(hop.length for hop in hops) + tail
-        return end, math.hypot(noise, doubt), tail
-
-    def release(self, after: int) -> tuple[float, float]:
-        """Return where the gap begins to open behind a sample, and the error of that."""
-        return fit_release(self.t, self.h, after, self.stop.noise, self.model)
+        end = impact.time.value + sum(one.length.value for one in rebounds) + tail
+        return Estimate(value=end, error=math.hypot(noise, doubt)), tail

@@ -1,4 +1,4 @@
-r"""Fits of one touch, one hop and one opening of a recorded gap, each held against the orbit's own.
+r"""Fits of one touch, one rebound and one opening of a recorded gap, against the orbit's own.
 
 What is fitted is what the samples have beyond the orbit's own flight: in a copy of the orbit that
 is noise, in another motion it is smooth, and a polynomial of low degree takes it up (theory (56)).
@@ -12,12 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.experiment.comparison.estimate import UNKNOWN, Estimate
 from zeno_orbits.experiment.comparison.gap_model import GapModel
 
 LEAST = 6
 """Samples that a fit needs."""
 _RESOLVED = 10
-"""Samples of a hop from which on its length is known."""
+"""Samples of a rebound from which on its length is known."""
 _LAST = 3
 """Last samples of a flight that may belong to the next one."""
 _SURE = 4.0
@@ -26,7 +27,23 @@ _WINDOW = 0.08
 """Part of a period before an impact whose samples tell of it."""
 _OPENED = 0.08
 """An opening is seen up to this part of the greatest gap."""
-_UNKNOWN = (math.nan, math.nan)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class GapSamples:
+    """A recorded gap over one cycle.
+
+    Attributes:
+        t: Times since its release, ``(n,)`` [s].
+        h: Gaps above the stop, ``(n,)``.
+        noise: Standard deviation of the gap.
+        model: The orbit's gap.
+    """
+
+    t: Vector
+    h: Vector
+    noise: float
+    model: GapModel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,60 +51,48 @@ class ImpactFit:
     """A gap that closes.
 
     Attributes:
-        time: [s].
+        time: When [s].
         rate: Gap rate just before, negative.
-        time_error: Standard error of ``time`` [s].
-        rate_error: Standard error of ``rate``.
     """
 
-    time: float
-    rate: float
-    time_error: float
-    rate_error: float
+    time: Estimate
+    rate: Estimate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class HopFit:
-    """A hop that rises above the noise.
+class Rebound:
+    """A flight between two impacts that rises above the noise.
 
     Attributes:
         length: [s].
         up: Gap rate at its start.
         down: Gap rate at its end, negative.
-        up_error: Standard error of ``up``.
-        length_error: Standard error of ``length`` [s].
     """
 
-    length: float
-    up: float
+    length: Estimate
+    up: Estimate
     down: float
-    up_error: float
-    length_error: float
 
 
-def fit_impact(
-    t: Vector, h: Vector, apex: int, at: int, noise: float, model: GapModel
-) -> ImpactFit | None:
+def fit_impact(seen: GapSamples, apex: int, at: int) -> ImpactFit | None:
     """Return the touch that ends the orbit's first flight, or nothing if the samples do not tell.
 
     Args:
-        t: Times of a cycle since its release, ``(n,)`` [s].
-        h: Gaps above the stop, ``(n,)``.
-        apex: Number of the highest sample before.
-        at: Number of the first sample that may lie behind the touch.
-        noise: Standard deviation of the gap.
-        model: The orbit's gap.
+        seen: The samples.
+        apex: Number of the highest one before.
+        at: Number of the first one that may lie behind the touch.
     """
+    t, h, model = seen.t, seen.h, seen.model
     crossing, unit = float(t[at]), _WINDOW * model.period
     near = slice(int(np.searchsorted(t, max(crossing - unit, t[apex]))), at)
     t, h = t[near], h[near]
     if len(t) < LEAST or crossing - t[-1] > 0.25 * unit or t[0] > crossing - 0.7 * unit:
         return None
     columns, rest = _square(t, crossing, unit), h - model.flight(0, t)[0]
-    own = _samples_of_flight(columns, rest, noise)
+    own = _samples_of_flight(columns, rest, seen.noise)
     if own < LEAST or crossing - t[own - 1] > 0.25 * unit:
         return None
-    fit, covariance = _fitted(columns[:own], rest[:own], noise)
+    fit, covariance = _fitted(columns[:own], rest[:own], seen.noise)
     impact, speed = crossing, math.nan
     for _ in range(8):
         gap, rate = model.flight(0, np.array([impact]))
@@ -98,32 +103,29 @@ def fit_impact(
         impact -= float(np.clip(value / speed, -0.2 * unit, 0.2 * unit))
     row, slope = _square(impact, crossing, unit), _square_slope(impact, crossing, unit)
     return ImpactFit(
-        time=impact,
-        rate=speed,
-        time_error=math.sqrt(float(row @ covariance @ row)) / -speed,
-        rate_error=math.sqrt(float(slope @ covariance @ slope)),
+        time=Estimate(value=impact, error=math.sqrt(float(row @ covariance @ row)) / -speed),
+        rate=Estimate(value=speed, error=math.sqrt(float(slope @ covariance @ slope))),
     )
 
 
-def fit_hop(
-    number: int, s: Vector, h: Vector, length: float, noise: float, model: GapModel
-) -> HopFit | None:
-    """Return a hop, the orbit's own and a cubic that is zero at its start, or nothing if too few.
+def fit_rebound(seen: GapSamples, number: int, length: float) -> Rebound | None:
+    """Return a rebound, the orbit's own and a cubic that is zero at its start.
 
     Args:
-        number: Of the hop, from 1.
-        s: Times since its start, ``(n,)`` [s].
-        h: Gaps above the stop, ``(n,)``.
+        seen: Its samples, the times since its start.
+        number: Its number, from 1.
         length: A first value [s].
-        noise: Standard deviation of the gap.
-        model: The orbit's gap.
+
+    Returns:
+        Nothing if the samples are too few.
     """
+    s, h, model = seen.t, seen.h, seen.model
     if len(s) < _RESOLVED or max(float(s[0]), float(np.max(np.diff(s)))) > 0.3 * length:
         return None
     x = s / length
     columns, rest = np.stack([x, x**2, x**3], axis=1), h - model.flight(number, s)[0]
-    own = _samples_of_flight(columns, rest, noise)
-    fit, covariance = _fitted(columns[:own], rest[:own], noise)
+    own = _samples_of_flight(columns, rest, seen.noise)
+    fit, covariance = _fitted(columns[:own], rest[:own], seen.noise)
     end, down = 1.0, math.nan
     for _ in range(12):
         gap, rate = model.flight(number, np.array([end * length]))
@@ -136,36 +138,31 @@ def fit_hop(
     if not (0.5 < end < 1.5 and up > 0.0):
         return None
     row = np.array([end, end**2, end**3])
-    return HopFit(
-        length=end * length,
-        up=up,
+    unsure = math.sqrt(float(row @ covariance @ row)) / -down * length
+    return Rebound(
+        length=Estimate(value=end * length, error=unsure),
+        up=Estimate(value=up, error=math.sqrt(float(covariance[0, 0])) / length),
         down=down / length,
-        up_error=math.sqrt(float(covariance[0, 0])) / length,
-        length_error=math.sqrt(float(row @ covariance @ row)) / -down * length,
     )
 
 
-def fit_release(
-    t: Vector, h: Vector, after: int, noise: float, model: GapModel
-) -> tuple[float, float]:
-    """Return when a gap begins to open, and the error of that; NaN where the samples do not tell.
+def fit_release(seen: GapSamples, after: int) -> Estimate:
+    """Return when a gap begins to open.
 
     Args:
-        t: Times of a cycle since the release before it, ``(n,)`` [s].
-        h: Gaps above the stop, ``(n,)``.
-        after: Number of the last sample at rest.
-        noise: Standard deviation of the gap.
-        model: The orbit's gap.
+        seen: The samples since the release before it.
+        after: Number of the last one at rest.
     """
+    t, h, model = seen.t, seen.h, seen.model
     period = model.period
     begin = int(np.searchsorted(t, float(t[after]) - 0.05 * period))
     opened = np.flatnonzero(h[after:] > _OPENED * float(np.max(h)))
     if not len(opened) or opened[0] < 3 or after + opened[0] - begin < 2 * LEAST:
-        return _UNKNOWN
+        return UNKNOWN
     stop = after + int(opened[0])
     t, h, rising = t[begin:stop] - period, h[begin:stop], stop - after
     if float(np.max(np.diff(t[-rising:]))) > 0.02 * period:
-        return _UNKNOWN
+        return UNKNOWN
     shift, size = 0.0, 1.0
     columns = np.zeros((len(t), 2))
     for _ in range(20):
@@ -175,16 +172,16 @@ def fit_release(
         size += float(np.clip(step[0], -0.5 * size, size))
         shift += float(np.clip(step[1], -0.03 * period, 0.03 * period))
         if not (0.05 < size < 20.0 and abs(shift) < 0.25 * period):
-            return _UNKNOWN
-    _, covariance = _fitted(columns, h - size * model.opening(t - shift)[0], noise)
-    return period + shift, math.sqrt(max(float(covariance[1, 1]), 0.0))
+            return UNKNOWN
+    _, covariance = _fitted(columns, h - size * model.opening(t - shift)[0], seen.noise)
+    return Estimate(value=period + shift, error=math.sqrt(max(float(covariance[1, 1]), 0.0)))
 
 
 def _samples_of_flight(columns: Vector, values: Vector, noise: float) -> int:
     """Return how many samples belong to a flight.
 
-    A hop of a few samples may hide between the flight and the first sample at the stop. Its samples
-    are higher than the flight predicts.
+    A rebound of a few samples may hide between the flight and the first sample at the stop. Its
+    samples are higher than the flight predicts.
 
     Args:
         columns: Of the fit of the flight, ``(n, m)``.

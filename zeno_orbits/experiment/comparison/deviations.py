@@ -5,10 +5,6 @@ phase, not the signals: they vary little within a bin, so a bin blurs nothing. E
 the jackknife over groups of cycles, or of samples where there are few cycles: a number computed
 with each group left out, :math:`u^2 = \frac{G-1}{G} \sum_g (\theta_g - \bar\theta)^2`
 (theory (57)).
-
-Numbers of the deviations of a recording from an orbit: sizes, extremes, delays, distances.
-
-Source: theory (57).
 """
 
 from __future__ import annotations
@@ -19,9 +15,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.comparison.alignment import Alignment
+from zeno_orbits.experiment.comparison.estimate import Estimate
 from zeno_orbits.experiment.orbit_table import OrbitTable, beside_jumps, jump_width
 
 N_BINS = 240
@@ -30,6 +28,8 @@ _FINE = 12
 """Points of the orbit in a bin."""
 _MOST_GROUPS = 40
 _FEW_CYCLES = 4
+_WHOLE = 0.5
+"""Part of its bins that a cycle shows at least, to be held against the others."""
 _PIECE = 1 << 20
 """Samples that are folded at a time."""
 _SLOPE = 2
@@ -39,11 +39,17 @@ LEVER = math.sqrt(sum(2.0 * k * k for k in range(1, _SLOPE + 1)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Estimate:
-    """A number and its standard error."""
+class Portrait:
+    """A plane in which a recorded cycle can be drawn.
 
-    value: float
-    error: float
+    Attributes:
+        signals: Names on both axes.
+        rate_of: The recorded signal whose slope stands for the second one; empty if that was
+            recorded itself.
+    """
+
+    signals: tuple[str, str]
+    rate_of: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -104,16 +110,21 @@ class Deviations:
         return np.where(known, np.sqrt(mean), 0.0)
 
     def sizes_in_turn(self) -> Vector:
-        """Return how far each cycle is from the middle one of all, if each is a group."""
+        """Return how far each cycle is from the middle one of all, if each is a group.
+
+        Cycles of which less than half was recorded are NaN: a few bins tell noise alone.
+        """
         if not self.by_cycles or len(self.sums) >= _MOST_GROUPS:
             return np.zeros(0)
         each = self._mean(self.sums, self.counts)
-        known = np.isfinite(each).all(axis=(0, 2))
-        if not known.any():
+        seen: NDArray[np.bool_] = np.asarray(np.isfinite(each).all(axis=2))
+        whole = seen.mean(axis=1) > _WHOLE
+        known: NDArray[np.bool_] = np.asarray(seen[whole].all(axis=0))
+        if not (whole.any() and known.any()):
             return np.zeros(0)
-        each = each[:, known]
+        each = np.where(whole[:, None, None], each, np.nan)[:, known]
         size = np.ptp(self.orbit[:, : each.shape[2]], axis=0)
-        around = (each - np.median(each, axis=0)) / np.where(size > 0.0, size, 1.0)
+        around = (each - np.nanmedian(each, axis=0)) / np.where(size > 0.0, size, 1.0)
         return np.sqrt(np.mean(around**2, axis=(1, 2)))
 
     def estimate(self, number: Callable[[Vector], float]) -> Estimate:
@@ -139,23 +150,27 @@ class Deviations:
             for value, error in zip(values, errors, strict=True)
         )
 
-    def portrait(self, pair: Sequence[int], rate_of: int | None) -> Vector:
-        """Return the mean recorded cycle in the plane of two signals, ``(N_BINS, 2)``.
+    def columns(self, portrait: Portrait) -> tuple[list[int], int | None]:
+        """Return the numbers of the signals on a portrait's axes, and of the one with the slope."""
+        number = self.table.measured.names.index
+        axes = [number(name) for name in portrait.signals]
+        return axes, number(portrait.rate_of) if portrait.rate_of else None
+
+    def curve(self, portrait: Portrait, average: Vector | None = None) -> Vector:
+        """Return the recorded cycle in the plane of a portrait, ``(N_BINS, 2)``.
 
         Args:
-            pair: Numbers of the signals.
-            rate_of: The signal whose slope stands for the second one, if that was not recorded.
+            portrait: The portrait.
+            average: Mean deviations of the cycle; by default those of all cycles.
         """
-        return self.points(self.average, pair, rate_of)
-
-    def points(self, average: Vector, pair: Sequence[int], rate_of: int | None) -> Vector:
-        """Return a cycle of given mean deviations in the plane of two signals, ``(N_BINS, 2)``."""
-        points = self.orbit[:, list(pair)]
-        points[:, 0] += average[:, pair[0]]
+        mean = self.average if average is None else average
+        axes, rate_of = self.columns(portrait)
+        points = self.orbit[:, axes]
+        points[:, 0] += mean[:, axes[0]]
         if rate_of is None:
-            points[:, 1] += average[:, pair[1]]
+            points[:, 1] += mean[:, axes[1]]
             return points
-        slopes = _slopes(average[:, rate_of], self.period / N_BINS)
+        slopes = _slopes(mean[:, rate_of], self.period / N_BINS)
         points[:, 1] = self.table.period / self.period * points[:, 1] + slopes
         return points
 
@@ -213,144 +228,3 @@ def _slopes(row: Vector, step: float) -> Vector:
     for k in range(1, _SLOPE + 1):
         above += k * (np.roll(row, -k) - np.roll(row, k))
     return above / (LEVER**2 * step)
-
-
-def root_mean_square(found: Deviations, signal: int, chosen: Vector) -> Estimate:
-    """Return the size of a signal's deviation over chosen bins, that of the noise taken away.
-
-    Args:
-        found: The deviations.
-        signal: Its number.
-        chosen: Which bins count, ``(N_BINS,)``.
-    """
-    counts: Vector = found.counts.sum(axis=0)[:, signal]
-    noise = found.spread[:, signal] ** 2 / np.maximum(counts - 1.0, 1.0)
-    white = 0.0
-    if float(np.max(counts[chosen > 0])) > 1.0:
-        white = float(np.nanmean(noise[chosen > 0]))
-
-    def size(average: Vector) -> float:
-        square = float(np.nanmean(average[chosen > 0, signal] ** 2))
-        return math.sqrt(max(square - white, 0.0))
-
-    one = found.estimate(size)
-    # Near zero the root hides what the square does: noise of this size is not told from nothing.
-    n = max(int(np.sum(chosen > 0)), 1)
-    floor = math.sqrt(white) * (2.0 / n) ** 0.25
-    near_zero = one.value < 2 * floor
-    return Estimate(value=one.value, error=max(one.error, floor) if near_zero else one.error)
-
-
-def greatest(found: Deviations, signal: int) -> tuple[Estimate, float]:
-    """Return the greatest mean deviation of a signal, with its sign, and its phase."""
-    row = found.average[:, signal]
-    at = int(np.nanargmax(np.abs(row)))
-    one = found.estimate(lambda average: float(average[at, signal]))
-    error = max(one.error, _of_many(found.noise[signal], N_BINS))
-    return Estimate(value=one.value, error=error), float(found.phases[at])
-
-
-def apex(found: Deviations, signal: int, sign: float) -> Estimate:
-    """Return the highest or lowest value of a signal over the cycle.
-
-    Args:
-        found: The deviations.
-        signal: Its number.
-        sign: 1 for the highest, -1 for the lowest.
-    """
-    values: Vector = sign * found.fine[:, :, signal]
-    mean: Vector = values.mean(axis=1)
-    own: Vector = values.max(axis=1)
-
-    def extreme(average: Vector) -> float:
-        row = sign * average[:, signal]
-        # How the orbit rises within a bin tells of the recording only while both are alike there.
-        within = np.where(own - mean > np.abs(row), own, mean)
-        return float(sign * np.nanmax(within + row))
-
-    one = found.estimate(extreme)
-    noise = float(found.noise[signal])
-    # Of many bins that are as high as each other, noise lifts the highest.
-    rivals = int(np.sum(own > np.max(own) - 3 * noise))
-    return Estimate(value=one.value, error=max(one.error, _of_many(noise, rivals)))
-
-
-def _of_many(noise: float, n: int) -> float:
-    """Return how far the greatest of many numbers is from zero by noise alone."""
-    return float(noise) * math.sqrt(2.0 * math.log(max(n, 2)))
-
-
-def delay(found: Deviations, signal: int) -> Estimate:
-    """Return by how much later than all signals together one of them comes [s]."""
-    table = found.table
-    stretch = found.period / table.period
-
-    def shift(average: Vector) -> float:
-        seen = np.isfinite(average[:, signal])
-        data = (found.orbit[:, signal] + average[:, signal])[seen]
-        times = found.phases[seen] * table.period
-        late = 0.0
-        for _ in range(8):
-            model, slope = table.nodes.with_slopes(np.mod(times - late, table.period))
-            y, f = model[:, signal], slope[:, signal]
-            f = f - f.mean()
-            rest = data - y
-            below = float(f @ f)
-            if below == 0.0:
-                return math.nan
-            late -= float(f @ (rest - rest.mean())) / below
-        return late * stretch
-
-    return found.estimate(shift)
-
-
-def portrait_distance(
-    found: Deviations, pair: Sequence[int], rate_of: int | None
-) -> tuple[Estimate, Estimate]:
-    """Return mean and greatest distance of the recorded closed curve from the orbit's.
-
-    Each axis counts in parts of the orbit's range on it. Time does not matter.
-
-    Args:
-        found: The deviations.
-        pair: Numbers of the signals on both axes.
-        rate_of: The signal whose slope stands for the second one, if that was not recorded.
-    """
-    curve = found.fine[:, :, list(pair)].reshape(-1, 2)
-    size = np.ptp(curve, axis=0)
-    size = np.where(size > 0.0, size, 1.0)
-    curve = curve / size
-
-    def distances(average: Vector) -> Vector:
-        points = found.points(average, pair, rate_of)
-        points = points[np.all(np.isfinite(points), axis=1)] / size
-        return _to_polyline(points, curve)
-
-    def both(average: Vector) -> tuple[float, float]:
-        all_distances = distances(average)
-        return float(np.mean(all_distances)), float(np.max(all_distances))
-
-    mean, largest = found.estimates(both)
-    second = pair[1] if rate_of is None else rate_of
-    noises = np.array([found.noise[pair[0]], found.noise[second]])
-    if rate_of is not None:
-        noises[1] /= LEVER * found.period / N_BINS
-    # A distance is never negative: noise alone gives some.
-    floor = float(np.linalg.norm(noises / size)) / math.sqrt(2.0)
-    return (
-        Estimate(value=mean.value, error=max(mean.error, floor)),
-        Estimate(value=largest.value, error=max(largest.error, _of_many(floor, N_BINS))),
-    )
-
-
-def _to_polyline(points: Vector, curve: Vector) -> Vector:
-    """Return the distance of each point from a closed polyline."""
-    a, b = curve, np.roll(curve, -1, axis=0)
-    along = b - a
-    length = np.sum(along**2, axis=1)
-    best = np.full(len(points), np.inf)
-    for k in range(0, len(points), 64):
-        p = points[k : k + 64, None, :] - a[None]
-        s = np.clip(np.sum(p * along, axis=2) / np.where(length > 0.0, length, 1.0), 0.0, 1.0)
-        best[k : k + 64] = np.min(np.sum((p - s[:, :, None] * along) ** 2, axis=2), axis=1)
-    return np.sqrt(best)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.experiment.comparison.alignment import Alignment
 
 _BAND = 5.0
 """A gap within so many standard deviations of the noise counts as closed."""
@@ -21,6 +22,8 @@ _LOW = 0.2
 """The level of the stop is looked for in this part of the range above the lowest gap."""
 _RESTING = 0.05
 """Part of the samples that rest at the stop at least, for a level to be seen."""
+_WIDENED = 8
+"""Times that the noise is looked for: samples at rest a long time begin as a slice of it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,25 +72,23 @@ def stop_level(gap: Vector) -> Stop | None:
 
 def _noise(gap: Vector, seen: Vector, level: float, width: float, extent: float) -> float:
     """Return the scatter of neighbours near a level: whatever moves slowly besides is no noise."""
-    near = np.abs(gap - level) < max(3 * width, _FINEST * extent)
-    triples = near[:-2] & near[1:-1] & near[2:]
-    second = (gap[1:-1] - (gap[:-2] + gap[2:]) / 2)[triples]
-    noise = 1.4826 * float(np.median(np.abs(second))) / math.sqrt(1.5) if len(second) else 0.0
+    noise, reach = width / 8, max(3 * width, _FINEST * extent)
+    for _ in range(_WIDENED):
+        near = np.abs(gap - level) < max(reach, _BAND * noise)
+        triples = near[:-2] & near[1:-1] & near[2:]
+        second = (gap[1:-1] - (gap[:-2] + gap[2:]) / 2)[triples]
+        if len(second):
+            noise = max(noise, 1.4826 * float(np.median(np.abs(second))) / math.sqrt(1.5))
     steps = np.abs(np.diff(seen))
     quantum = float(np.min(steps[steps > 1e-9 * extent], initial=math.inf))
     if math.isfinite(quantum) and np.mean(steps <= 1e-9 * extent) > 0.2:
         # An encoder: its values repeat, and their scatter hides in the last digit.
         noise = max(noise, quantum / math.sqrt(12.0))
-    return max(noise, width / 8)
+    return noise
 
 
 def refined_stop(
-    time: Vector,
-    gap: Vector,
-    stop: Stop,
-    rests: Sequence[tuple[float, float]],
-    release: float,
-    period: float,
+    time: Vector, gap: Vector, stop: Stop, rests: Sequence[tuple[float, float]], where: Alignment
 ) -> Stop:
     """Return the stop as the early half of every rest shows it, far from where the gap opens.
 
@@ -96,13 +97,12 @@ def refined_stop(
         gap: ``(n_t,)``.
         stop: A first value.
         rests: When each cycle is seen to rest with it, from and to, since its release [s].
-        release: A time of the orbit's release in the record [s].
-        period: [s].
+        where: Where the orbit is in the record.
     """
     if not rests:
         return stop
     start, end = (float(np.median(times)) for times in zip(*rests, strict=True))
-    since = np.mod(time - release, period)
+    since = np.mod(time - where.release, where.period)
     early = (since > start + 0.1 * (end - start)) & (since < start + 0.5 * (end - start))
     resting = gap[early & (np.abs(gap - stop.level) < 2 * stop.band)]
     if len(resting) < 10:

@@ -58,6 +58,11 @@ class Folded:
     turns: Vector
     span: float = 0.0
 
+    @property
+    def n_groups(self) -> int:
+        """Number of cycles, or of groups of cycles."""
+        return int(self.groups.max()) + 1
+
     def stretched(self, factor: float) -> Folded:
         """Return the samples by the phases of a period that is longer by a factor."""
         phases = (self.turns + self.phases) / factor - self.turns

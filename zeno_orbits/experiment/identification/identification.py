@@ -15,15 +15,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.experiment.comparison.alignment import Alignment
 from zeno_orbits.experiment.comparison.comparison import compare
+from zeno_orbits.experiment.comparison.overlay import Overlay
 from zeno_orbits.experiment.identification.folding import folded
 from zeno_orbits.experiment.identification.least_squares import Fit, fit
 from zeno_orbits.experiment.identification.predictions import Predictions
@@ -166,26 +166,25 @@ def identify(
     on_progress("looking for the orbit at the start", None)
     closing = close_orbit(problem, begin)
     if closing.orbit is None:
-        reason = f"at the start there is no orbit to fit: {closing.detail.rstrip('.')}"
-        raise UnfittableError(f"No parameters were found: {reason}.")
+        raise _refusal(f"at the start there is no orbit to fit: {closing.detail.rstrip('.')}")
     on_progress("laying the recording over it", None)
     first = compare(closing.orbit, problem, recording)
-    where, found = first.where, first.period
-    if not first.agrees or where is None or found is None or first.deviations is None:
-        raise UnfittableError(f"No parameters were found: {'; '.join(first.reasons)}.")
-    if found.n_cycles < _LEAST_CYCLES:
-        few = f"{found.n_cycles:.1f} periods were recorded, and two are needed"
-        raise UnfittableError(f"No parameters were found: {few}.")
+    laid = first.overlay
+    if not first.agrees or laid is None:
+        raise _refusal("; ".join(first.reasons))
+    if laid.found.n_cycles < _LEAST_CYCLES:
+        raise _refusal(f"{laid.found.n_cycles:.1f} periods were recorded, and two are needed")
     unknowns = unknowns_of(problem, begin, sought)
-    measured = measurement(problem, first.signals)
-    orbits = Predictions(problem, unknowns, measured, first.deviations.table.cycle)
-    entries = np.stack([recording.signal(name).values for name in first.signals])
-    answer = fit(orbits, folded(recording.time, entries, where), found, on_progress)
-    remarks = [*first.remarks, *_unsettled(answer, where, recording)]
+    orbits = Predictions(problem, unknowns, measurement(problem, laid.names), laid.table.cycle)
+    found = replace(laid.found, period=laid.where.period, error=laid.where.period_error)
+    answer = fit(orbits, folded(laid.time, laid.values, laid.where), found, on_progress)
+    remarks = [*first.remarks, *_unsettled(answer, laid)]
     if answer.repeating > _ALIEN:
         off = f"the nearest orbit is {100 * answer.repeating:.2g} % of the signals' ranges off"
-        raise UnfittableError(f"No parameters were found: {off}, in every cycle.")
-    fitted = _fitted(unknowns, sought, answer)
+        raise _refusal(f"{off}, in every cycle")
+    labels = [one.label for one in sought]
+    unseen = unseen_combinations(labels, answer.spread.information, answer.spread.inflation)
+    fitted = _fitted(unknowns, sought, answer, unseen)
     parameters = dict(begin.parameters)
     for one in fitted:
         parameters |= dict.fromkeys(one.unknown.names, one.value)
@@ -195,7 +194,7 @@ def identify(
         values=at,
         fitted=fitted,
         correlation=answer.spread.correlation,
-        unseen=_unseen(sought, answer),
+        unseen=unseen,
         orbit=orbit_of(orbits.table(answer.x).cycle, problem, at),
         before=answer.before,
         after=answer.after,
@@ -204,36 +203,36 @@ def identify(
     )
 
 
-def _unsettled(answer: Fit, where: Alignment, recording: Recording) -> list[str]:
+def _refusal(reason: str) -> UnfittableError:
+    return UnfittableError(f"No parameters were found: {reason}.")
+
+
+def _unsettled(answer: Fit, laid: Overlay) -> list[str]:
     """Return in words how cycles differ by more than noise, if that hardly moves the numbers.
 
     Raises:
         UnfittableError: If it does, with the reason and from when on the cycles are alike.
     """
-    found = unsteady(answer)
+    found, where = unsteady(answer), laid.where
     if found is None or found.size < _WORTH:
         return []
     hint = ""
     if found.first:
-        begun = np.floor(where.phases(recording.time[[0, -1]]))
-        n_groups = int(answer.data.groups.max()) + 1
-        in_group = max(float(begun[1] - begun[0] + 1) / n_groups, 1.0)
+        begun = np.floor(where.phases(laid.time[[0, -1]]))
+        in_group = max(float(begun[1] - begun[0] + 1) / answer.data.n_groups, 1.0)
         since = where.release + where.period * (begun[0] + found.skip * in_group)
         hint = f"; leave the beginning out with --from {since:.4g}"
     if found.size > _MOVED:
-        raise UnfittableError(f"No parameters were found: {found.reason}{hint}.")
+        raise _refusal(f"{found.reason}{hint}")
     return [f"{found.reason}, by {100 * found.size:.1g} % of the numbers{hint}"]
 
 
-def _fitted(unknowns: Unknowns, sought: Sequence[Unknown], found: Fit) -> tuple[Fitted, ...]:
+def _fitted(
+    unknowns: Unknowns, sought: Sequence[Unknown], found: Fit, unseen: Sequence[Unseen]
+) -> tuple[Fitted, ...]:
     """Return the numbers with their errors, without those of what is not seen."""
     numbers, spread = unknowns.numbers(found.x), found.spread
-    hidden = {
-        name
-        for one in _unseen(sought, found)
-        for name, part in one.direction.items()
-        if abs(part) > _PART
-    }
+    hidden = {name for one in unseen for name, part in one.direction.items() if abs(part) > _PART}
     answers: list[Fitted] = []
     for k, one in enumerate(sought):
         known = one.label not in hidden
@@ -250,11 +249,6 @@ def _fitted(unknowns: Unknowns, sought: Sequence[Unknown], found: Fit) -> tuple[
             )
         )
     return tuple(answers)
-
-
-def _unseen(sought: Sequence[Unknown], found: Fit) -> tuple[Unseen, ...]:
-    spread = found.spread
-    return unseen_combinations([one.label for one in sought], spread.information, spread.inflation)
 
 
 def _remarks(fitted: Sequence[Fitted], found: Fit) -> list[str]:

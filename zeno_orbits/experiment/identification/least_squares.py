@@ -23,18 +23,17 @@ from zeno_orbits.experiment.identification.folding import Folded
 from zeno_orbits.experiment.identification.predictions import Predictions
 from zeno_orbits.experiment.identification.uncertainty import Spread, spread_of
 from zeno_orbits.experiment.orbit_table import beside_jumps, jump_width
-from zeno_orbits.experiment.recordings.periodicity import Periodicity, period_error
+from zeno_orbits.experiment.recordings.delays import delays_of, period_error
+from zeno_orbits.experiment.recordings.periodicity import Periodicity
 from zeno_orbits.work import Progress
 
-_ROUNDS = 3
-"""Times that the fit is made: each time the weights are those of the residuals before it."""
 _FAR = 1e3
 """Residuals of unknowns that have no orbit: a trust region turns back from them."""
 _TRIALS = 40
 _LEAST_NOISE = 1e-6
 """Noise of a signal at least, in parts of its range: a table of an orbit is as exact as that."""
-_SETTLED = 1e-8
-"""Relative change of unknowns and of the sum of squares that ends a fit."""
+_SETTLED = (1e-6, 1e-6, 1e-8)
+"""Relative change of unknowns and of the sum of squares that ends each round of the fit."""
 _ASIDE = 3.0
 """Standard errors to either side over which a prediction has to be straight."""
 _FARTHEST = 0.05
@@ -124,11 +123,12 @@ def fit(
     first, converged = orbits.unknowns.first, True
     x, start = first, samples.without_jumps(orbits.table(first))
     data, stage = start, weighed(orbits, start, found, first)
-    for number in range(_ROUNDS):
-        on_progress("fitting", number / _ROUNDS)
-        x, converged = _nearest(stage, x)
+    # Each round has the weights of the residuals that the one before it left.
+    for number, change in enumerate(_SETTLED):
+        on_progress("fitting", number / len(_SETTLED))
+        x, converged = _nearest(stage, x, change)
         bent = _bent(stage, x, samples) if number == 0 else ~data.seen
-        if number < _ROUNDS - 1:
+        if number < len(_SETTLED) - 1:
             factor, error, width = _stretch(stage, x)
             samples = samples.stretched(factor)
             found = replace(found, period=found.period * factor, error=found.period * error)
@@ -176,14 +176,9 @@ def _stretch(stage: Weighed, x: Vector) -> tuple[float, float, float]:
     white = max(float(np.sum(rest**2)) / max(int(data.seen.sum()), 1), 1.0)
     covariance = white * np.linalg.pinv(columns.T @ columns, rcond=1e-14, hermitian=True)
     groups = np.repeat(data.groups, data.seen.shape[1])
-    n = int(groups.max()) + 1
-    below: Vector = np.bincount(groups, weights=late**2, minlength=n).astype(np.float64)
-    told = below > 0.5 * np.median(below)
-    delays = np.bincount(groups, weights=late * rest, minlength=n)[told] / below[told]
-    middles = np.bincount(groups, weights=late**2 * since, minlength=n)[told] / below[told]
-    error = max(
-        math.sqrt(float(covariance[-1, -1])), period_error(middles, delays, white, below[told])
-    )
+    delays = delays_of(groups, late, rest)
+    delays = replace(delays, numbers=delays_of(groups, late, late * since).values)
+    error = max(math.sqrt(float(covariance[-1, -1])), period_error(delays, white))
     ends = math.sqrt(float(covariance[-2, -2])) + error * float(np.max(np.abs(since)))
     return 1.0 + float(change[-1]), error, jump_width(ends)
 
@@ -225,7 +220,7 @@ def weighed(orbits: Predictions, data: Folded, found: Periodicity, x: Vector) ->
     return Weighed(orbits=orbits, data=data, found=found, weights=weights)
 
 
-def _nearest(stage: Weighed, x: Vector) -> tuple[Vector, bool]:
+def _nearest(stage: Weighed, x: Vector, settled: float) -> tuple[Vector, bool]:
     """Return the unknowns of the least squares, and whether the search came to its end."""
     from scipy.optimize import least_squares
 
@@ -236,8 +231,8 @@ def _nearest(stage: Weighed, x: Vector) -> tuple[Vector, bool]:
         bounds=stage.orbits.unknowns.bounds,
         method="trf",
         x_scale="jac",
-        xtol=_SETTLED,
-        ftol=_SETTLED,
+        xtol=settled,
+        ftol=settled,
         gtol=1e-12,
         max_nfev=_TRIALS,
     )
@@ -251,7 +246,7 @@ def _bent(stage: Weighed, x: Vector, samples: Folded) -> NDArray[np.bool_]:
     whole = replace(stage, data=samples)
     here, slopes = whole.residuals(x), whole.jacobian(x)
     shape = samples.values.shape
-    n_groups = int(samples.groups.max()) + 1
+    n_groups = samples.n_groups
     # What a mean does not say of a bend inside it is the same in all groups.
     inside = samples.bends(stage.orbits.table(x), float(x[-1])) * whole.weights
     bend = math.sqrt(n_groups) * inside

@@ -19,7 +19,8 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.orbit_table import CubicColumns
-from zeno_orbits.model import N_STAGES, Differentials, HybridDynamics
+from zeno_orbits.model import N_STAGES, HybridDynamics
+from zeno_orbits.model.numeric.derivatives import FlowDifferential
 from zeno_orbits.orbits import differentials_of, return_derivative, section_derivative
 from zeno_orbits.simulation import (
     Arc,
@@ -36,7 +37,7 @@ from zeno_orbits.simulation import (
 )
 
 _PARTS = 3
-"""Nodes in a step of the integrator: between them the derivatives are cubic."""
+"""CubicColumns in a step of the integrator: between them the derivatives are cubic."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -99,27 +100,25 @@ def orbit_slope(
     )
     whole = np.concatenate([start, np.eye(k)])
     pieces = [
-        (time, v @ whole, slope @ whole)
-        for time, v, slope in _along(perturbations, derivative.execution, derivative.period.value)
+        (times, (moved @ whole).reshape(len(times), -1), (slopes @ whole).reshape(len(times), -1))
+        for times, moved, slopes in _along(
+            perturbations, derivative.execution, derivative.period.value
+        )
     ]
-    times, values, slopes = zip(*pieces, strict=True)
+    times, values, slopes = (np.concatenate(rows) for rows in zip(*pieces, strict=True))
     return OrbitSlope(
         period=by_period,
         release=start,
-        states=CubicColumns(
-            times=np.array(times),
-            values=np.array([value.ravel() for value in values]),
-            slopes=np.array([slope.ravel() for slope in slopes]),
-        ),
+        states=CubicColumns(times=times, values=values, slopes=slopes),
         conditioning=float(np.linalg.cond(matrix)) if d else 1.0,
     )
 
 
-_Node = tuple[float, Vector, Vector]
-"""Time since the release, derivative of the state at that time, and its slope in time."""
+_Piece = tuple[Vector, Vector, Vector]
+"""Times since the release, derivatives of the state at these times, and their slopes in time."""
 
 
-def _along(perturbations: Perturbations, execution: Execution, period: float) -> Iterator[_Node]:
+def _along(perturbations: Perturbations, execution: Execution, period: float) -> Iterator[_Piece]:
     """Yield how the state moves at equal times, from the release to the next one."""
     arcs = [arc for arc in execution.arcs if arc.start_time < period]
     if arcs[0].mode is Mode.LOCKED:
@@ -131,52 +130,44 @@ def _along(perturbations: Perturbations, execution: Execution, period: float) ->
     here = perturbations.at_start()
     bounces: list[Bounce] = []
     for arc, impact in zip(flights, impacts, strict=False):
-        yield from _in_flight(perturbations, arc, here)
+        yield _piece(perturbations, arc, here)
         here = perturbations.struck(impact, perturbations.flown(arc, here))
         bounces = perturbations.joined(bounces, impact, here)
-    limit = perturbations.limit(bounces, zeno.state)
-    yield from _locked(perturbations, arcs[-1], limit)
+    yield _piece(perturbations, arcs[-1], perturbations.limit(bounces, zeno.state))
 
 
-def _in_flight(perturbations: Perturbations, arc: Arc, here: EventShift) -> Iterator[_Node]:
-    n_x, free = perturbations.n_x, perturbations.dynamics.free
-    differentials, end = perturbations.differentials, arc.flow_state_at(arc.duration)
-    speed = np.zeros_like(here.time)
-    if end.size == n_x:
-        flow, differential, v, q = free, differentials.free, here.state, perturbations.parameters
-    else:
-        flow = perturbations.dynamics.flight(arc.time_unit)
-        differential = differentials.flight(arc.time_unit)
-        v = np.concatenate([here.state, np.zeros((2, here.time.size))])
-        q = np.concatenate([perturbations.parameters, here.rate[None, :]])
-        speed = here.rate
-    course = [
-        (0.0, v),
-        *courses(flow, differential, arc, perturbations.tolerance, v, q, parts=_PARTS),
-    ]
-    for offset, shift in course:
-        x = arc.flow_state_at(offset)[:n_x]
-        moved = shift[:n_x] - free.rate(x)[:, None] * (here.time + offset * speed)
-        slope = _slope(differentials, Mode.FREE, x, moved, perturbations.parameters)
-        yield arc.start_time + offset * arc.time_unit, moved, slope
+def _piece(perturbations: Perturbations, arc: Arc, begin: EventShift) -> _Piece:
+    """Return how the state moves along an arc whose start moves as told."""
+    dynamics, differentials = perturbations.dynamics, perturbations.differentials
+    n_x, tolerance = perturbations.n_x, perturbations.tolerance
+    own, by = (
+        (dynamics.locked, differentials.locked)
+        if arc.mode is Mode.LOCKED
+        else (dynamics.free, differentials.free)
+    )
+    flow, differential, v, q = own, by, begin.state, perturbations.parameters
+    speed = np.zeros_like(begin.time)
+    if arc.flow_state_at(arc.duration).size > n_x:
+        # A rescaled flight: its unit of time is a parameter that moves, too.
+        flow, differential = dynamics.flight(arc.time_unit), differentials.flight(arc.time_unit)
+        v = np.concatenate([v, np.zeros((2, begin.time.size))])
+        q, speed = np.concatenate([q, begin.rate[None, :]]), begin.rate
+    steps = courses(flow, differential, arc, tolerance, v, q, parts=_PARTS)
+    course = [(0.0, v), *steps]
+    offsets = np.array([offset for offset, _ in course])
+    states = np.array([arc.flow_state_at(offset)[:n_x] for offset in offsets])
+    rates = np.array([own.rate(x).copy() for x in states])
+    later = begin.time + offsets[:, None] * speed
+    moved = np.array([shift[:n_x] for _, shift in course]) - rates[:, :, None] * later[:, None]
+    slopes = _slopes(by, states, moved, perturbations.parameters)
+    return arc.start_time + offsets * arc.time_unit, moved, slopes
 
 
-def _locked(perturbations: Perturbations, arc: Arc, zeno: EventShift) -> Iterator[_Node]:
-    flow, differentials = perturbations.dynamics.locked, perturbations.differentials
-    v, q = zeno.state, perturbations.parameters
-    course = [
-        (0.0, v),
-        *courses(flow, differentials.locked, arc, perturbations.tolerance, v, q, parts=_PARTS),
-    ]
-    for offset, shift in course:
-        x = arc.flow_state_at(offset)
-        moved = shift - flow.rate(x)[:, None] * zeno.time
-        yield arc.start_time + offset, moved, _slope(differentials, Mode.LOCKED, x, moved, q)
-
-
-def _slope(differentials: Differentials, mode: Mode, x: Vector, v: Vector, q: Vector) -> Vector:
-    """Return the rate of a perturbation, ``J v + F q``."""
-    flow = differentials.locked if mode is Mode.LOCKED else differentials.free
-    # The derivative comes for all stages of a step at once.
-    linear = flow.linear(np.tile(x, (N_STAGES, 1)))[0]
-    return np.asarray(linear @ np.concatenate([v, q]), dtype=np.float64)
+def _slopes(by: FlowDifferential, states: Vector, moved: Vector, q: Vector) -> Vector:
+    """Return the rates of perturbations, ``J v + F q``, at the states of an arc."""
+    # The derivatives come for all stages of a step at once.
+    n = len(states)
+    padded = np.concatenate([states, np.repeat(states[-1:], -n % N_STAGES, axis=0)])
+    linear = [by.linear(rows).copy() for rows in padded.reshape(-1, N_STAGES, states.shape[1])]
+    every = np.concatenate([moved, np.broadcast_to(q, (n, *q.shape))], axis=1)
+    return np.concatenate(linear)[:n] @ every

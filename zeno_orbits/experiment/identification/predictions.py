@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from functools import lru_cache
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from zeno_orbits.experiment.identification.folding import Fold, Folded
 from zeno_orbits.experiment.identification.orbit_sensitivity import OrbitSlope, orbit_slope
 from zeno_orbits.experiment.identification.unknowns import Unknowns
 from zeno_orbits.experiment.orbit_table import Measurement, OrbitTable, tabulated
-from zeno_orbits.model import HybridDynamics, Problem
+from zeno_orbits.model import Problem
 from zeno_orbits.orbits import Cycle
 from zeno_orbits.search import close_cycle
 from zeno_orbits.simulation import SimulationSettings
@@ -41,9 +41,9 @@ class Predictions:
         self, problem: Problem, unknowns: Unknowns, measured: Measurement, near: Cycle
     ) -> None:
         self._problem, self._measured, self._near = problem, measured, near
-        self._known: dict[bytes, OrbitTable] = {}
-        self._moving: dict[bytes, OrbitSlope] = {}
         self._settings = SimulationSettings()
+        self._tables = lru_cache(_KEPT)(self._tabulated)
+        self._slopes = lru_cache(_KEPT)(self._differentiated)
         self.unknowns = unknowns
 
     def table(self, x: Vector) -> OrbitTable:
@@ -52,20 +52,7 @@ class Predictions:
         Raises:
             SimulationError: If none is found near the last one.
         """
-        key = x[:-1].tobytes()
-        if key not in self._known:
-            near, p = self._near, self.unknowns.p_at(x)
-            dynamics = self._dynamics(p)
-            closed = close_cycle(
-                dynamics,
-                near.start.state,
-                scale=near.scale_at_events(),
-                period=near.period,
-                settings=self._settings,
-            )
-            self._known[key] = tabulated(dynamics, closed.cycle, self._measured, p)
-            _forget(self._known)
-        return self._known[key]
+        return self._tables(x[:-1].tobytes())
 
     def accept(self, x: Vector) -> None:
         """Look for the next orbits near the one at these unknowns."""
@@ -78,12 +65,11 @@ class Predictions:
     def slopes(self, x: Vector, data: Folded) -> Slopes:
         """Return the exact derivatives of what the orbit says of samples (theory (58))."""
         unknowns, table, fold = self.unknowns, self.table(x), self.fold(x, data)
-        slope = self._slope(x)
+        slope = self._slopes(x[:-1].tobytes())
         states = slope.at(fold.times)
         n_x = states.shape[1]
         by = self._measured.derivatives(table.states.at(fold.times), table.p)
-        moved = np.einsum("nsx,nxk->nsk", by[:, :, :n_x], states)
-        moved += by[:, :, n_x:][:, :, list(unknowns.places)]
+        moved = by[:, :, :n_x] @ states + by[:, :, n_x:][:, :, list(unknowns.places)]
         # At a fixed phase a longer period means a later time.
         share = fold.times / table.period
         moved += fold.slopes[:, :, None] * share[:, None, None] * slope.period
@@ -94,25 +80,25 @@ class Predictions:
             period=np.append(slope.period @ own, 0.0),
         )
 
-    def _slope(self, x: Vector) -> OrbitSlope:
-        key, table = x[:-1].tobytes(), self.table(x)
-        if key not in self._moving:
-            self._moving[key] = orbit_slope(
-                self._dynamics(table.p),
-                table.cycle.start.state,
-                scale=table.cycle.scale_at_events(),
-                period=table.period,
-                chosen=self.unknowns.places,
-                settings=self._settings,
-            )
-            _forget(self._moving)
-        return self._moving[key]
+    def _tabulated(self, key: bytes) -> OrbitTable:
+        near, p = self._near, self.unknowns.p_at(np.append(np.frombuffer(key), 0.0))
+        dynamics = self._problem.dynamics(p)
+        closed = close_cycle(
+            dynamics,
+            near.start.state,
+            scale=near.scale_at_events(),
+            period=near.period,
+            settings=self._settings,
+        )
+        return tabulated(dynamics, closed.cycle, self._measured, p)
 
-    def _dynamics(self, p: Vector) -> HybridDynamics:
-        return self._problem.dynamics(p)
-
-
-def _forget(known: dict[bytes, Any]) -> None:
-    """Keep the last ones only."""
-    while len(known) > _KEPT:
-        del known[next(iter(known))]
+    def _differentiated(self, key: bytes) -> OrbitSlope:
+        table = self._tables(key)
+        return orbit_slope(
+            self._problem.dynamics(table.p),
+            table.cycle.start.state,
+            scale=table.cycle.scale_at_events(),
+            period=table.period,
+            chosen=self.unknowns.places,
+            settings=self._settings,
+        )

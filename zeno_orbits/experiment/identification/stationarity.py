@@ -34,8 +34,8 @@ _FEWEST = 3
 """Pairs of cycles that tell how much cycles scatter by themselves."""
 _LOUD = 1.5
 """Deviations of a first cycle that has settled, over those of later ones, at most."""
-_QUIET = 1e-2
-"""Square of a usual residual at least, in units of its noise."""
+_QUIET = 0.1
+"""A usual residual at least, in units of its noise."""
 _BINS = 120
 _RANK = 1e-10
 
@@ -66,13 +66,15 @@ class _Cycles:
         numbers: Of the cycles that are long enough, ``(n_c,)``.
         gradients: ``(n_c, k + 1)``.
         information: ``(n_c, k + 1, k + 1)``.
-        sizes: Median square residuals, ``(n_c,)``.
+        counts: How many samples each has, ``(n_c,)``.
+        sizes: Medians of its residuals' absolute values, ``(n_c,)``.
         noise: Factor of the variance over that of independent samples.
     """
 
     numbers: NDArray[np.int64]
     gradients: Vector
     information: Vector
+    counts: Vector
     sizes: Vector
     noise: float
 
@@ -98,6 +100,20 @@ class _Cycles:
         found = [self.apart(own == k, own == k + step)[0] for k in places]
         return max(float(np.median(found)) / freedom, 1.0)
 
+    def first_is_loud(self) -> bool:
+        """Return True if the first cycle has larger residuals than later ones, not by chance.
+
+        Of noise as it is in the later cycles, half of the first one's samples would have to lie
+        beyond its own median (a sign test).
+        """
+        from scipy.stats import binom, norm
+
+        # Residuals that are smaller than the least noise are rounding, and loud in no cycle.
+        loud = float(self.sizes[0]) / max(float(np.median(self.sizes[1:])), _QUIET)
+        n = max(round(float(self.counts[0]) / self.noise), 1)
+        share = 2.0 * norm.sf(float(norm.isf(0.25)) * loud)
+        return loud > _LOUD and bool(binom.sf(math.ceil(n / 2) - 1, n, share) < _CHANCE)
+
 
 def unsteady(found: Fit) -> Unsteady | None:
     """Return how the cycles of a recording differ, or nothing if they do as noise does."""
@@ -110,15 +126,13 @@ def unsteady(found: Fit) -> Unsteady | None:
     least = float(chi2.isf(_CHANCE, cycles.gradients.shape[1]))
     place = np.arange(n)
     skip = int(cycles.numbers[0]) + 1
-    # Residuals that are smaller than the least noise are rounding, and loud in no cycle.
-    usual = math.sqrt(max(float(np.median(cycles.sizes[1:])), _QUIET))
-    loud = math.sqrt(float(cycles.sizes[0])) / usual
+    loud = cycles.first_is_loud()
     most = least * cycles.scatter(1)
     begins, early = cycles.apart(place == 0, place > 0)
     halves, later = cycles.apart(place < n // 2, place >= n // 2)
-    if loud > _LOUD or begins > max(most, halves if n > 3 else 0.0):
+    if loud or begins > max(most, halves if n > 3 else 0.0):
         reason = "its first cycle differs from the later ones: the motion is still settling"
-        size = math.inf if loud > _LOUD else early
+        size = math.inf if loud else early
         return Unsteady(reason=reason, first=True, skip=skip, size=size)
     if halves > most:
         reason = "its two halves give different parameters: the motion may not have settled, "
@@ -138,17 +152,18 @@ def _cycles(found: Fit) -> _Cycles:
     n, n_s = data.seen.shape
     slopes = found.jacobian[:-1].reshape(n, n_s, k)
     rest = found.residuals[:-1].reshape(n, n_s)
-    count = np.array([data.seen[data.groups == g].sum() for g in range(int(data.groups.max()) + 1)])
+    count = np.array([data.seen[data.groups == g].sum() for g in range(data.n_groups)])
     numbers = np.flatnonzero(count > _WHOLE * np.median(count))
     parts = [data.groups == g for g in numbers]
     gradients = [np.einsum("nsk,ns->k", slopes[own], rest[own]) for own in parts]
     information = [np.einsum("nsk,nsl->kl", slopes[own], slopes[own]) for own in parts]
     # The median: a single sample on the other side of a jump makes no cycle loud.
-    sizes = [float(np.median(rest[own][data.seen[own]] ** 2)) for own in parts]
+    sizes = [float(np.median(np.abs(rest[own][data.seen[own]]))) for own in parts]
     return _Cycles(
         numbers=numbers,
         gradients=np.array(gradients),
         information=np.array(information),
+        counts=count[numbers],
         sizes=np.array(sizes),
         noise=_correlated(data, rest, data.groups >= numbers[len(numbers) // 2]),
     )

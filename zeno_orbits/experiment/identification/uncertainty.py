@@ -30,7 +30,8 @@ _LASTING = 0.1
 _LEAST_GROUPS = 6
 _FREEDOM = 60
 """Degrees of freedom of an estimate from all samples together."""
-_LEVEL = 0.95
+LEVEL = 0.95
+"""Probability with which an interval holds the truth."""
 _TOLD = 0.5
 """A combination whose 95 % interval is wider than this, relative, is not determined."""
 _EXACT = 0.5
@@ -88,49 +89,35 @@ def spread_of(jacobian: Vector, residuals: Vector, data: Folded) -> Spread:
 
     n, n_s = data.seen.shape
     k = jacobian.shape[1] - 1
-    samples = jacobian[:-1].reshape(n, n_s, k + 1)
-    rest = residuals[:-1].reshape(n, n_s)
-    information = jacobian.T @ jacobian
+    samples, rest = jacobian[:-1].reshape(n, n_s, k + 1), residuals[:-1].reshape(n, n_s)
+    information, own = jacobian.T @ jacobian, np.outer(jacobian[-1], jacobian[-1])
     inverse = np.linalg.pinv(information, rcond=1e-14, hermitian=True)
-    own = np.outer(jacobian[-1], jacobian[-1])
     together, misfit, common = _along_phase(samples, rest, data)
-    n_groups = int(data.groups.max()) + 1
-    # Both that follow are estimates, and may come out too small; independent noise is the least.
-    options = [
-        (inverse @ (together + own) @ inverse, float(student.ppf(_TAIL, _FREEDOM))),
-        (inverse, float(student.ppf(_TAIL, _FREEDOM))),
-        (
-            inverse @ (_along_time(samples, rest, data) + own) @ inverse,
-            float(student.ppf(_TAIL, _FREEDOM)),
-        ),
-    ]
-    if n_groups >= _LEAST_GROUPS:
-        apart = _by_groups(samples, rest, data, n_groups)
-        factor = float(student.ppf(_TAIL, n_groups - 1))
-        options.append((inverse @ (apart + own) @ inverse, factor))
-    variances = [np.maximum(np.diag(covariance)[:k], 0.0) for covariance, _ in options]
-    errors = np.sqrt(np.max(variances, axis=0))
-    halves = [
-        factor * np.sqrt(variance) for variance, (_, factor) in zip(variances, options, strict=True)
-    ]
-    plain = np.sqrt(np.maximum(np.diag(inverse)[:k], np.finfo(float).tiny))
-    size = np.sqrt(np.maximum(np.diag(options[0][0])[:k], np.finfo(float).tiny))
+    # The others are estimates, and may come out too small; independent noise is the least.
+    scatters = [(together, _FREEDOM), (_along_time(samples, rest, data), _FREEDOM)]
+    if data.n_groups >= _LEAST_GROUPS:
+        scatters.append((_by_groups(samples, rest, data), data.n_groups - 1))
+    covariances = [inverse, *(inverse @ (gradient + own) @ inverse for gradient, _ in scatters)]
+    freedoms = [_FREEDOM, *(freedom for _, freedom in scatters)]
+    sizes = np.sqrt([np.maximum(np.diag(one)[:k], 0.0) for one in covariances])
+    errors = np.max(sizes, axis=0)
+    plain, size = (
+        np.sqrt(np.maximum(np.diag(one)[:k], np.finfo(float).tiny)) for one in covariances[:2]
+    )
     reduced = information[:k, :k]
     if information[k, k] > 0.0:
         across = information[:k, k]
         reduced = reduced - np.outer(across, across) / information[k, k]
+    factors = np.array([float(student.ppf((1 + LEVEL) / 2, freedom)) for freedom in freedoms])
     return Spread(
         errors=errors,
-        half=np.max(halves, axis=0),
-        correlation=options[0][0][:k, :k] / np.outer(size, size),
+        half=np.max(factors[:, None] * sizes, axis=0),
+        correlation=covariances[1][:k, :k] / np.outer(size, size),
         information=reduced,
         inflation=float(np.max(errors / plain)),
         misfit=misfit,
         common=common,
     )
-
-
-_TAIL = 1 - (1 - _LEVEL) / 2
 
 
 def _along_phase(samples: Vector, rest: Vector, data: Folded) -> tuple[Vector, float, float]:
@@ -154,12 +141,9 @@ def _along_phase(samples: Vector, rest: Vector, data: Folded) -> tuple[Vector, f
         known = weight > 0.0
         mean = np.bincount(here, weights=root * rest[seen, s], minlength=_BINS)
         mean = np.where(known, mean / np.maximum(weight, 1.0), 0.0)
+        columns = (root[:, None] * samples[seen, s]).T
         gradient = np.stack(
-            [
-                np.bincount(here, weights=root * samples[seen, s, j], minlength=_BINS)
-                for j in range(m)
-            ],
-            axis=1,
+            [np.bincount(here, weights=column, minlength=_BINS) for column in columns], axis=1
         )
         noise = granted + _scatter(here + _BINS * data.groups[seen], root, rest[seen, s], mean)
         repeated += float(np.mean(weight[known] * mean[known] ** 2))
@@ -180,11 +164,7 @@ def _along_phase(samples: Vector, rest: Vector, data: Folded) -> tuple[Vector, f
 def _scatter(places: NDArray[np.int64], root: Vector, rest: Vector, mean: Vector) -> float:
     """Return the variance of a sum of weighted residuals, per weight, between cycles.
 
-    Args:
-        places: Cycle and bin of each, as `bin + _BINS cycle`.
-        root: Their root weights.
-        rest: The residuals.
-        mean: Over all cycles in each bin.
+    Its place is `bin + _BINS cycle`, its weight the square of `root`, `mean` that of all cycles.
     """
     weight = np.bincount(places, weights=root**2)
     sums = np.bincount(places, weights=root * rest)
@@ -216,12 +196,12 @@ def _along_time(samples: Vector, rest: Vector, data: Folded) -> Vector:
     return _positive(total)
 
 
-def _by_groups(samples: Vector, rest: Vector, data: Folded, n_groups: int) -> Vector:
+def _by_groups(samples: Vector, rest: Vector, data: Folded) -> Vector:
     """Return the covariance of the gradient, from its scatter over cycles."""
-    m = samples.shape[2]
+    n_groups = data.n_groups
     terms = np.where(data.seen[:, :, None], samples * rest[:, :, None], 0.0).sum(axis=1)
     each = np.stack(
-        [np.bincount(data.groups, weights=terms[:, j], minlength=n_groups) for j in range(m)],
+        [np.bincount(data.groups, weights=column, minlength=n_groups) for column in terms.T],
         axis=1,
     )
     around = each - each.mean(axis=0)

@@ -9,15 +9,17 @@ and each cycle's own delay against that average tells how sure the period is (th
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.experiment.recordings.delays import delays_of, period_error
 
 _MOST_BINS = 1 << 15
-_LEAST_BINS = 1 << 8
 _PEAK = 0.9
 """A peak of the autocorrelation counts from this part of the greatest on."""
 _OVERLAP = 0.15
@@ -26,8 +28,6 @@ _HARMONICS = 16
 _GROWTH = 2.5
 """Each stretch that a period is fitted over is longer by this factor."""
 _STEPS = 3
-_SHARP = 24.0
-"""Bins that a period needs, for its harmonics to be seen."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -42,7 +42,6 @@ class Periodicity:
         alternation: Size of what has twice the period, and not the period itself, in standard
             deviations of the signals.
         alternation_noise: The same as noise alone would give it.
-        delays: How much later than the average each cycle came, those that tell [s].
         template: Complex amplitudes of the harmonics of each signal, ``(n_s, K + 1)``, in phases
             that count from the first time of the record.
     """
@@ -53,7 +52,6 @@ class Periodicity:
     repeats: float
     alternation: float
     alternation_noise: float
-    delays: Vector
     template: NDArray[np.complex128]
 
     def average(self, phases: Vector) -> Vector:
@@ -113,7 +111,8 @@ class _Grid:
 
 
 def _gathered(time: Vector, values: Vector) -> _Grid:
-    n = int(np.clip(2 ** math.ceil(math.log2(len(time))), _LEAST_BINS, _MOST_BINS))
+    # One sample a bin, if they are even: empty bins would hide a period of few samples.
+    n = int(np.clip(len(time), 2, _MOST_BINS))
     since = time - time[0]
     step = since[-1] / (n - 1) if since[-1] > 0.0 else 1.0
     places = np.minimum(np.rint(since / step).astype(np.int64), n - 1)
@@ -123,30 +122,29 @@ def _gathered(time: Vector, values: Vector) -> _Grid:
         np.bincount(places, weights=since, minlength=n) / np.maximum(counts, 1),
         step * np.arange(n),
     )
-    means, masks = list[Vector](), list[NDArray[np.bool_]]()
-    centres, scales = list[float](), list[float]()
-    for row in values:
+    mask = np.zeros((len(values), n), dtype=np.bool_)
+    means, (centre, scale) = np.zeros(mask.shape), np.zeros((2, len(values)))
+    for k, row in enumerate(values):
         seen = np.isfinite(row)
+        if not seen.any():
+            continue
         here = places[seen]
         count = np.bincount(here, minlength=n)
+        mask[k] = count > 0
         # One far value must not drown all others in the sums.
-        centre = float(np.median(row[seen])) if seen.any() else 0.0
-        mean = np.bincount(here, weights=row[seen] - centre, minlength=n) / np.maximum(count, 1)
-        mask = count > 0
-        shift = float(np.mean(mean[mask])) if mask.any() else 0.0
-        scale = float(np.std(mean[mask])) if mask.any() else 0.0
-        scale = scale if scale > 0.0 else 1.0
-        means.append(np.where(mask, (mean - shift) / scale, 0.0))
-        masks.append(mask)
-        centres.append(centre + shift)
-        scales.append(scale)
+        middle = float(np.median(row[seen]))
+        mean = np.bincount(here, weights=row[seen] - middle, minlength=n) / np.maximum(count, 1)
+        shift = float(np.mean(mean[mask[k]]))
+        centre[k], scale[k] = middle + shift, float(np.std(mean[mask[k]]))
+        means[k] = np.where(mask[k], mean - shift, 0.0)
+    scale[scale == 0.0] = 1.0
     return _Grid(
         step=step,
         times=times,
-        values=np.array(means),
-        mask=np.array(masks),
-        centre=np.array(centres),
-        scale=np.array(scales),
+        values=means / scale[:, None],
+        mask=mask,
+        centre=centre,
+        scale=scale,
     )
 
 
@@ -200,27 +198,40 @@ def _first_period(grid: _Grid) -> float | None:
 def _waves(phases: Vector, n_harmonics: int) -> Vector:
     """Return a constant, cosines and sines of phases, ``(n, 2 n_harmonics + 1)``."""
     first = np.exp(2j * np.pi * phases)
-    columns, power = [np.ones(len(phases))], np.ones(len(phases), dtype=np.complex128)
-    sines: list[Vector] = []
+    powers = [np.ones(len(phases), dtype=np.complex128)]
     for _ in range(n_harmonics):
-        power = power * first
-        columns.append(power.real)
-        sines.append(power.imag)
-    return np.stack([*columns, *sines], axis=1)
-
-
-def _wave_slopes(waves: Vector, found: Vector) -> Vector:
-    """Return the derivative by the phase of what is made of waves, ``(n,)``."""
-    n_harmonics = waves.shape[1] // 2
-    order = 2 * np.pi * np.arange(1, n_harmonics + 1, dtype=np.float64)
-    cosines, sines = found[1 : n_harmonics + 1], found[n_harmonics + 1 :]
-    return waves[:, 1:] @ np.concatenate([order * sines, -order * cosines])
+        powers.append(powers[-1] * first)
+    return np.stack([*(p.real for p in powers), *(p.imag for p in powers[1:])], axis=1)
 
 
 def _projected(waves: Vector, row: Vector) -> Vector:
     """Return the least-squares amplitudes of waves; the normal equations are well conditioned."""
     found = np.linalg.lstsq(waves.T @ waves, waves.T @ row, rcond=1e-9)[0]
     return np.asarray(found, dtype=np.float64)
+
+
+class _Wave(NamedTuple):
+    """Harmonics fitted to the bins of one signal, its derivative by the phase, and what is left."""
+
+    mask: NDArray[np.bool_]
+    phases: Vector
+    waves: Vector
+    amplitudes: Vector
+    slope: Vector
+    rest: Vector
+
+
+def _fits(grid: _Grid, period: float, n_harmonics: int, until: float) -> Iterator[_Wave]:
+    """Yield the fit of each signal over the beginning of a record."""
+    order = 2 * np.pi * np.arange(1, n_harmonics + 1, dtype=np.float64)
+    for row, seen in zip(grid.values, grid.mask, strict=True):
+        mask = seen & (grid.times <= until)
+        phases = grid.times[mask] / period
+        waves = _waves(phases, n_harmonics)
+        found = _projected(waves, row[mask])
+        cosines, sines = found[1 : n_harmonics + 1], found[n_harmonics + 1 :]
+        slope = waves[:, 1:] @ np.concatenate([order * sines, -order * cosines])
+        yield _Wave(mask, phases, waves, found, slope, row[mask] - waves @ found)
 
 
 def _harmonics(grid: _Grid, period: float) -> int:
@@ -230,109 +241,53 @@ def _harmonics(grid: _Grid, period: float) -> int:
 
 def _refined(grid: _Grid, length: float, period: float) -> float | None:
     """Return the period that fits the beginning of a record best, near a first value."""
-    inside = grid.times <= length
     n_harmonics = _harmonics(grid, period)
     for _ in range(_STEPS):
         above, below = 0.0, 0.0
-        for row, mask in zip(grid.values, grid.mask, strict=True):
-            here = mask & inside
-            if int(here.sum()) < 4 * n_harmonics + 4:
+        for wave in _fits(grid, period, n_harmonics, length):
+            if len(wave.rest) < 4 * n_harmonics + 4:
                 continue
-            phases = grid.times[here] / period
-            waves = _waves(phases, n_harmonics)
-            found = _projected(waves, row[here])
-            slope = _wave_slopes(waves, found)
             # A longer period moves what is late by more: d(phase)/dT = -phase / T.
-            moved = -slope * phases / period
-            moved = moved - waves @ _projected(waves, moved)
-            above += float(moved @ (row[here] - waves @ found))
+            moved = -wave.slope * wave.phases / period
+            moved = moved - wave.waves @ _projected(wave.waves, moved)
+            above += float(moved @ wave.rest)
             below += float(moved @ moved)
-        if not below > 0.0:
+        if not (below > 0.0 and abs(above / below) < 0.2 * period):
             return None
-        change = above / below
-        if not abs(change) < 0.2 * period:
-            return None
-        period += change
+        period += above / below
     return period
 
 
 def _described(grid: _Grid, period: float) -> Periodicity:
     """Return how a record repeats with a period."""
-    n_harmonics = _harmonics(grid, period)
-    n_s = len(grid.values)
-    template = np.zeros((n_s, n_harmonics + 1), dtype=np.complex128)
-    total, left, odd, noise = 0.0, 0.0, 0.0, 0.0
-    cycles = np.floor(grid.times / period).astype(np.int64)
-    n_whole = int(cycles[-1]) + 1
-    above, below = np.zeros(n_whole), np.zeros(n_whole)
-    count = 0
-    for k, (row, mask) in enumerate(zip(grid.values, grid.mask, strict=True)):
-        phases = grid.times[mask] / period
-        waves = _waves(phases, n_harmonics)
-        found = _projected(waves, row[mask])
-        cosines, sines = found[1 : n_harmonics + 1], found[n_harmonics + 1 :]
-        template[k, 0] = grid.centre[k] + grid.scale[k] * found[0]
-        template[k, 1:] = grid.scale[k] * (cosines - 1j * sines)
-        rest = row[mask] - waves @ found
-        total += float(row[mask] @ row[mask])
-        left += float(rest @ rest)
-        count += int(mask.sum())
-        slope = -_wave_slopes(waves, found) / period
-        above += np.bincount(cycles[mask], weights=slope * rest, minlength=n_whole)
-        below += np.bincount(cycles[mask], weights=slope * slope, minlength=n_whole)
-        own_odd, own_noise = _alternation(phases, rest, n_harmonics)
-        odd, noise = odd + own_odd / n_s, noise + own_noise / n_s
-    told = below > 0.5 * np.median(below)
-    delays = above[told] / below[told]
-    numbers = np.flatnonzero(told).astype(np.float64)
-    length = float(grid.times[-1])
-    white = left / max(count, 1)
+    n_harmonics, n_s, length = _harmonics(grid, period), len(grid.values), float(grid.times[-1])
+    fits = list(_fits(grid, period, n_harmonics, math.inf))
+    amplitudes = np.array([one.amplitudes for one in fits])
+    waves = amplitudes[:, 1 : n_harmonics + 1] - 1j * amplitudes[:, n_harmonics + 1 :]
+    constant = grid.centre + grid.scale * amplitudes[:, 0]
+    rest = np.concatenate([one.rest for one in fits])
+    total, left = float(np.sum(grid.values**2)), float(rest @ rest)
+    times = np.concatenate([grid.times[one.mask] for one in fits])
+    late = np.concatenate([-one.slope / period for one in fits])
+    delays = delays_of(np.floor(times / period).astype(np.int64), late, rest)
+    odd, noise = np.sum([_alternation(one, n_harmonics) for one in fits], axis=0) / n_s
     return Periodicity(
         period=period,
-        error=period_error(numbers, delays, white, below[told]),
+        error=period_error(delays, left / max(len(rest), 1)),
         n_cycles=length / period,
         repeats=1.0 - left / total if total > 0.0 else 0.0,
         alternation=math.sqrt(max(odd, 0.0)),
         alternation_noise=math.sqrt(max(noise, 0.0)),
-        delays=delays,
-        template=template,
+        template=np.column_stack([constant, grid.scale[:, None] * waves]).astype(np.complex128),
     )
 
 
-def _alternation(phases: Vector, rest: Vector, n_harmonics: int) -> tuple[float, float]:
+def _alternation(wave: _Wave, n_harmonics: int) -> tuple[float, float]:
     """Return the mean square of half-integer harmonics in a rest, and that of noise alone."""
-    if phases[-1] - phases[0] < 3.0:
+    if wave.phases[-1] - wave.phases[0] < 3.0:
         return 0.0, math.inf
-    doubled = _waves(phases / 2, 2 * n_harmonics)
-    odd = np.arange(1, 4 * n_harmonics + 1, 2)
-    waves = doubled[:, odd]
-    found = _projected(waves, rest)
-    unexplained = rest - waves @ found
-    white = float(np.mean(unexplained**2)) * 2 * n_harmonics / len(rest)
+    doubled = _waves(wave.phases / 2, 2 * n_harmonics)[:, 1 : 4 * n_harmonics + 1 : 2]
+    found = _projected(doubled, wave.rest)
+    unexplained = wave.rest - doubled @ found
+    white = float(np.mean(unexplained**2)) * 2 * n_harmonics / len(wave.rest)
     return float(np.sum(found**2)) / 2, white
-
-
-def period_error(numbers: Vector, delays: Vector, white: float, weights: Vector) -> float:
-    """Return the standard error of the slope of the cycles' delays over their numbers.
-
-    With few cycles their scatter says little; the error of the noise alone counts if it is larger.
-
-    Args:
-        numbers: Of the cycles, ``(n,)``.
-        delays: Of the cycles, ``(n,)``.
-        white: Variance of the residuals.
-        weights: Information of each cycle on its delay, ``(n,)``.
-    """
-    n = len(numbers)
-    if n < 2:
-        return math.inf
-    centred = numbers - numbers.mean()
-    spread = float(centred @ centred)
-    mean_weight = float(np.mean(weights))
-    from_noise = math.sqrt(white / (mean_weight * spread)) if mean_weight > 0.0 else math.inf
-    if n < 4:
-        return from_noise
-    slope = float(centred @ delays) / spread
-    rest = delays - delays.mean() - slope * centred
-    from_scatter = math.sqrt(float(rest @ rest) / (n - 2) / spread)
-    return max(from_scatter, from_noise)

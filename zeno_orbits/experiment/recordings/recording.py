@@ -187,7 +187,8 @@ def read_recording(path: Path, *, only: Collection[str] = ()) -> Recording:
     titles = [_split(title) for title in head.columns]
     names = [name for name, _ in titles]
     time = _time_column(path, names)
-    chosen = [k for k, name in enumerate(names) if k != time and name and _is_wanted(name, only)]
+    wanted = only or names
+    chosen = [k for k, name in enumerate(names) if k != time and name and name in wanted]
     for k in chosen:
         if names.count(names[k]) > 1:
             raise DataFileError(path, f"two of its columns are named `{names[k]}`")
@@ -213,10 +214,6 @@ def read_recording(path: Path, *, only: Collection[str] = ()) -> Recording:
         notes=notes,
         remarks=(*table.remarks, *remarks),
     )
-
-
-def _is_wanted(name: str, only: Collection[str]) -> bool:
-    return not only or name in only
 
 
 def _notes(path: Path, head: Head) -> dict[str, str]:

@@ -9,15 +9,11 @@ from typing import Any
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.experiment.rig.convergence import (
-    CycleNumbers,
-    numbers_of_cycle,
-    numbers_of_orbit,
-    orbit_curve,
-)
-from zeno_orbits.experiment.rig.cycles import SettledRig
+from zeno_orbits.experiment.polyline import Polyline, telling_corners
+from zeno_orbits.experiment.rig.cycles import RigCycle, SettledRig
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.simulation import simulate
 
 _POINTS = 400
 """Points on every arc of the orbit; the chords between them miss it by 1e-5 of its size."""
@@ -27,6 +23,85 @@ _CHANCE = 1e-4
 """How often a number without a trend is mistaken for one that has it."""
 _WORTH = 1e-2
 """A trend over all the cycles is worth telling from this part of the orbit's number on."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CycleNumbers:
+    """Characteristic numbers of a cycle, of a machine or of the orbit of its model.
+
+    Attributes:
+        impact_time: First contact, or first impact, from release [s].
+        impact_rate: Gap rate there.
+        lock_time: End of the chatter, or Zeno time, from release [s].
+        lock_angle: Coordinate that the problem measures amplitudes of, there.
+        period: [s].
+    """
+
+    impact_time: float
+    impact_rate: float
+    lock_time: float
+    lock_angle: float
+    period: float
+
+
+def numbers_of_orbit(orbit: ZenoOrbit, problem: Problem) -> CycleNumbers:
+    """Return what an orbit of the model is known by."""
+    dynamics = problem.dynamics(orbit.values(problem))
+    first = orbit.impacts[0]
+    return CycleNumbers(
+        impact_time=first.time,
+        impact_rate=dynamics.gap_rate(np.array(problem.state_vector(first.state_minus))),
+        lock_time=orbit.zeno_time,
+        lock_angle=orbit.zeno_state[problem.amplitude_of],
+        period=orbit.period,
+    )
+
+
+def numbers_of_cycle(cycle: RigCycle, problem: Problem) -> CycleNumbers:
+    """Return what a cycle of a machine is known by."""
+    return CycleNumbers(
+        impact_time=cycle.impact.start - cycle.release,
+        impact_rate=cycle.impact.approach_rate,
+        lock_time=cycle.lock - cycle.release,
+        lock_angle=float(cycle.lock_state[problem.state_names.index(problem.amplitude_of)]),
+        period=cycle.period,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OrbitCurve:
+    """An orbit as a closed line in the space of its states.
+
+    Attributes:
+        times: Since release, ``(n,)`` [s].
+        states: ``(n, n_x)``; straight lines between them.
+        ranges: Of every state along it, ``(n_x,)``; 1 where it does not move.
+    """
+
+    times: Vector
+    states: Vector
+    ranges: Vector
+
+    def distances(self, states: Vector) -> Vector:
+        """Return the distance of points from the line, in states over their ranges, ``(m,)``."""
+        return Polyline(corners=self.states / self.ranges).distances(states / self.ranges)
+
+
+def orbit_curve(orbit: ZenoOrbit, problem: Problem, *, n_per_arc: int = 1500) -> OrbitCurve:
+    """Return an orbit as a line, made by simulating one period of it.
+
+    Args:
+        orbit: The orbit.
+        problem: Its problem.
+        n_per_arc: Points on every arc; the chords between 1500 miss it by some 1e-6 of its size.
+    """
+    dynamics = problem.dynamics(orbit.values(problem))
+    start = problem.state_vector(orbit.release_state)
+    times, states = simulate(dynamics, start, until=orbit.period).sampled(n_per_arc)
+    spans = np.ptp(states, axis=0)
+    ranges = np.where(spans > 0.0, spans, 1.0)
+    kept = telling_corners(states / ranges)
+    return OrbitCurve(times=times[kept], states=states[kept], ranges=ranges)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,7 +15,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError, counted
-from zeno_orbits.experiment.rig.run import Record, RigRun, RigSettings, Touch
+from zeno_orbits.experiment.rig.run import RigRun, RigSettings, Touch
 from zeno_orbits.experiment.rig.simulator import simulate_rig
 from zeno_orbits.model import Problem, Rig
 from zeno_orbits.orbits import ZenoOrbit
@@ -128,7 +128,7 @@ def rig_cycles(
         )
         found = cut_cycles(run.touches, orbit)
         if len(found) >= wanted and found[passed].release >= keep_from:
-            return settled(run, found[passed:wanted])
+            return _from_first_release(run, found[passed:wanted])
         if 2 * len(found) < wanted:
             # More time will not make them: the machine moves otherwise.
             break
@@ -181,7 +181,11 @@ def cut_cycles(touches: Sequence[Touch], orbit: ZenoOrbit) -> tuple[RigCycle, ..
         orbit: What the cycles are like: how long the lock is that is looked for.
     """
     lock_time = orbit.period - orbit.zeno_time
-    locks = [lock for lock in _stretches(touches, lock_time) if _spans(lock, _LONG * lock_time)]
+    locks = [
+        lock
+        for lock in _stretches(touches, lock_time)
+        if lock[-1].end - lock[0].start > _LONG * lock_time
+    ]
     found: list[RigCycle] = []
     for before, after in pairwise(locks):
         released, last = before[-1], after[-1]
@@ -202,35 +206,20 @@ def cut_cycles(touches: Sequence[Touch], orbit: ZenoOrbit) -> tuple[RigCycle, ..
     return tuple(cycle for cycle in found if math.isfinite(cycle.end))
 
 
-def settled(run: RigRun, cycles: Sequence[RigCycle]) -> SettledRig:
+def _from_first_release(run: RigRun, cycles: Sequence[RigCycle]) -> SettledRig:
     """Return a run over some of its cycles, with time from the first release on."""
-    zero, end = cycles[0].release, cycles[-1].end
-    part = run.between(zero, end)
-    moved = replace(
-        part,
-        times=part.times - zero,
-        touches=tuple(_earlier(touch, zero) for touch in part.touches),
-        record=Record(
-            times=part.record.times - zero,
-            coordinates=part.record.coordinates,
-            currents=part.record.currents,
-        ),
-    )
+    zero = cycles[0].release
     shifted = tuple(
         replace(
             cycle,
             release=cycle.release - zero,
-            impact=_earlier(cycle.impact, zero),
+            impact=cycle.impact.earlier(zero),
             lock=cycle.lock - zero,
             end=cycle.end - zero,
         )
         for cycle in cycles
     )
-    return SettledRig(run=moved, cycles=shifted)
-
-
-def _earlier(touch: Touch, by: float) -> Touch:
-    return replace(touch, start=touch.start - by, end=touch.end - by)
+    return SettledRig(run=run.between(zero, cycles[-1].end, zero=zero), cycles=shifted)
 
 
 def _stretches(touches: Sequence[Touch], lock_time: float) -> list[list[Touch]]:
@@ -244,16 +233,10 @@ def _stretches(touches: Sequence[Touch], lock_time: float) -> list[list[Touch]]:
     return groups
 
 
-def _spans(group: Sequence[Touch], least: float) -> bool:
-    return group[-1].end - group[0].start > least
-
-
 def _sealed(group: Sequence[Touch], lock_time: float) -> Touch:
     """Return the contact with which a lock begins: the first that lasts, else the longest.
 
     Where vibrations break the lock into pieces, none may last.
     """
-    for touch in group:
-        if touch.end - touch.start > _LONG * lock_time:
-            return touch
-    return max(group, key=lambda touch: touch.end - touch.start)
+    lasting = (touch for touch in group if touch.end - touch.start > _LONG * lock_time)
+    return next(lasting, max(group, key=lambda touch: touch.end - touch.start))

@@ -8,6 +8,7 @@ behind a gear. Where the problem has a restitution, the machine has a contact fo
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import casadi as ca
 
@@ -64,8 +65,9 @@ class Machine:
     inertia: ca.Function
 
 
+@lru_cache(maxsize=16)
 def machine(problem: Problem, rig: Rig) -> Machine:
-    """Build the functions of a problem's machine.
+    """Build the functions of a problem's machine, once for the same parts.
 
     Args:
         problem: The problem.

@@ -49,6 +49,10 @@ class Touch:
     end_state: Vector
     depart_rate: float
 
+    def earlier(self, by: float) -> Touch:
+        """Return it with times that count from later on."""
+        return replace(self, start=self.start - by, end=self.end - by)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Record:
@@ -103,24 +107,31 @@ class RigRun:
         """Return a state over time by its name, ``(n,)``."""
         return self.states[:, self.state_names.index(name)]
 
-    def between(self, start: float, end: float) -> RigRun:
-        """Return the records of a stretch of time; its contacts are those that begin in it."""
-        first, last = bisect_left(self.times, start), bisect_left(self.times, end)
-        kept = {
-            name: getattr(self, name)[first:last]
-            for name in (
-                *("times", "states", "in_contact", "contact_force", "gap", "gap_rate"),
-                *("current", "voltage"),
-            )
-        }
-        touches = tuple(touch for touch in self.touches if start <= touch.start < end)
-        a, b = bisect_left(self.record.times, start), bisect_left(self.record.times, end)
-        record = Record(
-            times=self.record.times[a:b],
-            coordinates=self.record.coordinates[a:b],
-            currents=self.record.currents[a:b],
+    def between(self, start: float, end: float, *, zero: float = 0.0) -> RigRun:
+        """Return the records of a stretch of time; its contacts are those that begin in it.
+
+        Args:
+            start: Its beginning [s].
+            end: Its end [s].
+            zero: Where its own time counts from [s].
+        """
+        own = slice(bisect_left(self.times, start), bisect_left(self.times, end))
+        read = slice(bisect_left(self.record.times, start), bisect_left(self.record.times, end))
+        kept = {name: getattr(self, name)[own] for name in _OVER_TIME}
+        return replace(
+            self,
+            **kept,
+            times=self.times[own] - zero,
+            touches=tuple(t.earlier(zero) for t in self.touches if start <= t.start < end),
+            record=Record(
+                times=self.record.times[read] - zero,
+                coordinates=self.record.coordinates[read],
+                currents=self.record.currents[read],
+            ),
         )
-        return replace(self, **kept, touches=touches, record=record)
+
+
+_OVER_TIME = ("states", "in_contact", "contact_force", "gap", "gap_rate", "current", "voltage")
 
 
 def recording_of(

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import NoReturn
 
 import numpy as np
@@ -18,7 +17,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, RunawayError, SimulationError
 from zeno_orbits.experiment.rig.contact_damping import damping_number
 from zeno_orbits.experiment.rig.controller import ControlLoop
-from zeno_orbits.experiment.rig.machine import Machine, machine
+from zeno_orbits.experiment.rig.machine import machine
 from zeno_orbits.experiment.rig.run import Record, RigRun, RigSettings, Touch
 from zeno_orbits.integrators import Leg, Outcome, Passage
 from zeno_orbits.model import Call, ParameterValues, Problem, Rig
@@ -73,12 +72,6 @@ def simulate_rig(
     return follower.result()
 
 
-@lru_cache(maxsize=16)
-def machine_of(problem: Problem, rig: Rig) -> Machine:
-    """Return the functions of a machine, built once for the same problem and parts."""
-    return machine(problem, rig)
-
-
 class _Follower:
     """Carries a machine forward, and keeps what is worth keeping."""
 
@@ -91,7 +84,7 @@ class _Follower:
         settings: RigSettings,
         seed: int,
     ) -> None:
-        built = machine_of(problem, rig)
+        built = machine(problem, rig)
         self._machine, self._problem, self._rig, self._settings = built, problem, rig, settings
         self._number = number
         self._p = np.asarray(values.vector, dtype=np.float64)

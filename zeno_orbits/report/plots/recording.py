@@ -14,7 +14,14 @@ from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
-from zeno_orbits.experiment import Comparison, Deviations, OrbitTable, measurable
+from zeno_orbits.experiment import (
+    Comparison,
+    Deviations,
+    OrbitTable,
+    Portrait,
+    measurable,
+    recorded_portraits_of,
+)
 from zeno_orbits.model import Problem
 from zeno_orbits.report.plots.panels import is_wide, panels_of
 from zeno_orbits.report.plots.style import FULL_WIDTH, INK, TEXT, TINTS
@@ -54,10 +61,10 @@ def plot_comparison(
     deviations, where = found.deviations, found.where
     if deviations is None or where is None:
         raise InputError("Argument `found` must have deviations to draw, but it has none.")
-    pairs = _pairs(problem, deviations.table, found.signals)
+    portraits = recorded_portraits_of(problem, found.signals)
     n, across = len(found.signals), 2 if is_wide(width) else 1
-    heights = [1.25] * (2 * n // across) + [2.2] * -(-len(pairs) // across)
-    panels = panels_of(width, 2 * n + len(pairs), height=heights, columns=across, axes=axes)
+    heights = [1.25] * (2 * n // across) + [2.2] * -(-len(portraits) // across)
+    panels = panels_of(width, 2 * n + len(portraits), height=heights, columns=across, axes=axes)
     periods = f"orbit {deviations.table.period:.6g} s, recording {where.period:.6g} s"
     panels.axes[0].set_title(f"period: {periods}", size=TEXT)
     panels.axes[1].set_title("recording less orbit", size=TEXT)
@@ -76,8 +83,8 @@ def plot_comparison(
             ax.tick_params(labelbottom=last)
             if last:
                 ax.set_xlabel("phase from release [own periods]")
-    for ax, pair in zip(panels.axes[2 * n :], pairs, strict=True):
-        _draw_portrait(ax, problem, found, deviations, pair)
+    for ax, portrait in zip(panels.axes[2 * n :], portraits, strict=True):
+        _draw_portrait(ax, problem, deviations, portrait)
     return panels.finished()
 
 
@@ -116,21 +123,14 @@ def _shade(ax: Axes, table: OrbitTable) -> None:
     ax.set_xlim(0.0, 1.0)
 
 
-def _pairs(problem: Problem, table: OrbitTable, signals: tuple[str, ...]) -> list[tuple[str, str]]:
-    columns = table.measured.names
-    return [pair for pair in problem.portraits if pair[0] in signals and pair[1] in columns]
-
-
-def _draw_portrait(
-    ax: Axes, problem: Problem, found: Comparison, deviations: Deviations, pair: tuple[str, str]
-) -> None:
-    table = deviations.table
-    columns = [table.measured.names.index(name) for name in pair]
-    ax.plot(*table.nodes.values[:, columns].T, **_ORBIT)
-    points = deviations.portrait(columns, None if pair[1] in found.signals else columns[0])
+def _draw_portrait(ax: Axes, problem: Problem, deviations: Deviations, portrait: Portrait) -> None:
+    axes, _ = deviations.columns(portrait)
+    ax.plot(*deviations.table.nodes.values[:, axes].T, **_ORBIT)
+    points = deviations.curve(portrait)
     closed: Vector = np.concatenate([points, points[:1]])
     ax.plot(*closed.T, **_DATA)
-    ax.set(xlabel=_label(problem, pair[0]), ylabel=_label(problem, pair[1]))
+    first, second = portrait.signals
+    ax.set(xlabel=_label(problem, first), ylabel=_label(problem, second))
 
 
 def _label(problem: Problem, name: str) -> str:

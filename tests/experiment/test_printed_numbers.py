@@ -1,0 +1,129 @@
+"""Tables of machines hold the numbers that their headings promise, cell by cell."""
+
+from __future__ import annotations
+
+import math
+import re
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from zeno_orbits.experiment import Metric, Unknown
+from zeno_orbits.experiment.identification.identification import Fitted
+from zeno_orbits.experiment.rig.cycle_comparison import CycleNumbers
+from zeno_orbits.report import terminal
+
+
+def table_of(printed: str) -> list[list[str]]:
+    """Return the cells of what is printed up to the first empty line, heading first."""
+    lines = printed.split("\n\n")[0].splitlines()
+    return [re.split(r"\s{2,}", line.strip()) for line in lines]
+
+
+def recording(label: str = "recording, measured") -> Any:
+    return SimpleNamespace(label=label, remarks=("one gap in time",))
+
+
+def test_a_comparison_prints_each_number_in_its_column(capsys: pytest.CaptureFixture[str]) -> None:
+    metrics = (
+        Metric(name="period", unit="s", orbit=1.25, data=1.375, error=0.0625),
+        Metric(name="restitution seen", unit="1", orbit=0.5, data=math.nan, error=math.nan),
+        Metric(name="delay of current", unit="ms", orbit=0.0, data=-0.03, error=math.nan),
+    )
+    found: Any = SimpleNamespace(
+        metrics=metrics, recording=recording(), remarks=("rough",), agrees=True, reasons=()
+    )
+    terminal.print_comparison(found)
+    printed = capsys.readouterr().out
+    assert table_of(printed) == [
+        ["orbit", "recording, measured", "difference", "standard error", "unit"],
+        ["period", "1.25", "1.375", "+0.125", "0.062", "s"],
+        ["restitution seen", "0.5", "not observed", "-", "-", "1"],
+        ["delay of current", "0", "-0.03", "-0.03", "-", "ms"],
+    ]
+    assert "Note: one gap in time." in printed
+    assert "Note: rough." in printed
+    assert "The recording shows such an orbit." in printed
+
+
+def test_a_comparison_that_is_a_no_says_why(capsys: pytest.CaptureFixture[str]) -> None:
+    found: Any = SimpleNamespace(
+        metrics=(), recording=recording(), remarks=(), agrees=False, reasons=("no impact is seen",)
+    )
+    terminal.print_comparison(found)
+    printed = capsys.readouterr().out
+    assert "shows no such orbit:\n  no impact is seen." in printed
+    assert "shows such" not in printed
+
+
+def test_fitted_numbers_stand_with_their_errors_and_intervals(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    seen = Fitted(
+        unknown=Unknown(names=("R",), lower=1.0, upper=9.0),
+        start=3.0,
+        value=3.25,
+        error=0.125,
+        low=2.75,
+        high=3.75,
+    )
+    hidden = Fitted(
+        unknown=Unknown(names=("K", "k"), lower=0.0, upper=9.0),
+        start=2.0,
+        value=2.5,
+        error=math.inf,
+        low=-math.inf,
+        high=math.inf,
+    )
+    found: Any = SimpleNamespace(
+        fitted=(seen, hidden),
+        before=0.02,
+        after=0.004,
+        orbit=SimpleNamespace(period=1.8125),
+        remarks=(),
+        unseen=(SimpleNamespace(text="`K+k` is not seen"),),
+    )
+    terminal.print_identification(recording(), found)
+    printed = capsys.readouterr().out
+    assert table_of(printed) == [
+        ["start", "fitted", "standard error", "95 % interval"],
+        ["R", "3", "3.25", "0.12", "2.75 to 3.75"],
+        ["K+k", "2", "2.5", "not determined", "-"],
+    ]
+    assert "0.02 before, 0.004 after the fit. Period 1.8125 s." in printed
+    assert "Warning: `K+k` is not seen." in printed
+
+
+def test_cycles_of_a_machine_stand_beside_the_orbit(capsys: pytest.CaptureFixture[str]) -> None:
+    def numbers(*five: float) -> CycleNumbers:
+        names = ("impact_time", "impact_rate", "lock_time", "lock_angle", "period")
+        return CycleNumbers(**dict(zip(names, five, strict=True)))
+
+    found: Any = SimpleNamespace(
+        cycles=4,
+        orbit=numbers(1.0, -2.0, 3.0, 4.0, 5.0),
+        mean=numbers(1.5, -2.25, 3.125, 4.0625, 5.5),
+        spread=numbers(0.1, 0.2, 0.3, 0.4, 0.5),
+        units={
+            **dict.fromkeys(("impact_time", "lock_time", "period"), "s"),
+            "impact_rate": "m/s",
+            "lock_angle": "rad",
+        },
+        drifting=("period",),
+        portrait=0.25,
+        portrait_at=0.5,
+    )
+    terminal.print_rig(found)
+    printed = capsys.readouterr().out
+    assert table_of(printed) == [
+        ["unit", "orbit", "machine, simulated", "spread", "difference"],
+        ["first impact", "s", "1.000000", "1.500000", "1.0e-01", "+5.0e-01"],
+        ["gap rate at it", "m/s", "-2.000000", "-2.250000", "2.0e-01", "-2.5e-01"],
+        ["Zeno time; end of chatter", "s", "3.000000", "3.125000", "3.0e-01", "+1.2e-01"],
+        ["coordinate of the amplitude at it", "rad", "4.000000", "4.062500", "4.0e-01", "+6.2e-02"],
+        ["period", "s", "5.000000", "5.500000", "5.0e-01", "+5.0e-01"],
+    ]
+    words = " ".join(printed.split())
+    assert "has not settled: period still changes in one direction" in words
+    assert "is 25 % of the orbit's size, at 50 % of the cycle" in words

@@ -1,0 +1,72 @@
+"""Machines with stiff stops tell the story of their orbits, on every problem with a locked arc.
+
+Theory (53): a contact lasts some `sqrt(m_n / k)`, and a machine differs from its orbit by as much,
+relative to the period. So the stiffness is chosen by what part of the period a contact lasts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from zeno_orbits.experiment import rig_cycles
+from zeno_orbits.experiment.rig.cycle_comparison import RigComparison, compare_cycles
+from zeno_orbits.model.library import load_problem
+from zeno_orbits.model.problem import Problem
+from zeno_orbits.model.rig_parts import Contact, Rig
+from zeno_orbits.orbits.orbit import ZenoOrbit
+from zeno_orbits.search import close_orbit
+
+MACHINES = Path(__file__).parents[1] / "support" / "machines"
+LOCKED = (
+    "curved_surface",
+    "forced_oscillator",
+    "motor_cart",
+    "motor_pendulum",
+    "motor_valve",
+    "torque_pendulum",
+    "two_motors",
+    "vibrating_table",
+)
+
+
+def orbit_of(problem: Problem) -> ZenoOrbit:
+    return close_orbit(problem, problem.values()).unwrap()
+
+
+def machine(problem: Problem, orbit: ZenoOrbit, share: float) -> RigComparison:
+    """Return the cycles of a machine whose contacts last a share of the period, over pi."""
+    dynamics = problem.dynamics(orbit.values(problem))
+    inertia = dynamics.normal_inertia(np.array(problem.state_vector(orbit.zeno_state)))
+    stop = Contact(stiffness=inertia / (share * orbit.period) ** 2)
+    settled = rig_cycles(orbit, problem, Rig(contact=stop), cycles=4)
+    return compare_cycles(orbit, problem, settled)
+
+
+def distances(found: RigComparison) -> dict[str, float]:
+    """Return how far the machine's numbers are from the orbit's: times in periods, others of 1."""
+    orbit, mean = asdict(found.orbit), asdict(found.mean)
+    size = {name: abs(value) for name, value in orbit.items()}
+    size |= dict.fromkeys(("impact_time", "lock_time", "period"), orbit["period"])
+    return {name: abs(mean[name] - orbit[name]) / size[name] for name in orbit}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LOCKED)
+def test_a_machine_tends_to_its_orbit_as_the_stop_stiffens(name: str) -> None:
+    problem = load_problem(name)
+    orbit = orbit_of(problem)
+    soft, stiff = (machine(problem, orbit, share) for share in (1e-3, 1e-5))
+    assert not soft.drifting
+    assert not stiff.drifting
+    for what, away in distances(stiff).items():
+        # The square root of the compliance: a hundredth, where the number is off at all. The end of
+        # the chatter goes up and down by a contact more or less.
+        before = distances(soft)[what]
+        assert away < max(before / (10 if what.startswith("lock") else 50), 1e-7), what
+        assert before < 0.05, what
+    assert stiff.portrait < soft.portrait / 3
+    assert max(asdict(stiff.spread).values()) < 1e-4 * orbit.period
