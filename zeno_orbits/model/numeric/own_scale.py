@@ -137,7 +137,8 @@ def constraint_sizes(dynamics: HybridDynamics, x: Vector) -> Vector:
     if derivable is None:
         return np.ones_like(dynamics.holonomic(x))
     sizes = np.maximum(np.abs(x), dynamics.own.states(len(x)))
-    return np.abs(derivable.by(()).holonomic(x)) @ sizes
+    found = np.abs(derivable.by(()).holonomic(x)) @ sizes
+    return np.where(found > 0.0, found, 1.0)
 
 
 def _gap_reach(dynamics: HybridDynamics, x: Vector, sizes: Vector) -> float:
