@@ -106,6 +106,9 @@ def _draw_cells(ax: Axes, found: ParameterMap) -> list[Any]:
         vmax=len(order) - 0.5,
         shading="nearest",
         rasterized=True,
+        # Few cells are told apart; the edges of many would hide them.
+        edgecolors="#BBBBBB" if min(found.shape) < _FEWEST else "none",
+        linewidth=0.3,
     )
     edge: dict[str, Any] = {"edgecolor": INK, "linewidth": 0.4}
     return [Patch(facecolor=colour, label=phrase, **edge) for phrase, colour in looks.items()]
