@@ -191,10 +191,16 @@ def run_tests(copy: Path, tests: Sequence[str], limit: float, **variables: str) 
             return None
 
 
-def tests_of(room: str, copy: Path) -> Tests:
-    """Run the tests of a room once, without a fault, and return what each calls."""
+def tests_of(room: str, chosen: Sequence[str], copy: Path) -> Tests:
+    """Run the tests of a room once, without a fault, and return what each calls.
+
+    Args:
+        room: The room.
+        chosen: Files, folders or names of tests; by default all of the room.
+        copy: Where to run them.
+    """
     table = copy / "called.json"
-    run_tests(copy, folders_of(room), 3600.0, FUNCTIONS_CALLED=str(table))
+    run_tests(copy, chosen or folders_of(room), 3600.0, FUNCTIONS_CALLED=str(table))
     entries: dict[str, dict[str, Any]] = json.loads(table.read_text(encoding="utf-8"))
     if not entries:
         raise SystemExit(f"No test of `{room}` passes without a fault.")
@@ -253,7 +259,8 @@ def study(options: argparse.Namespace) -> dict[Fate, int]:
     counts = dict.fromkeys(Fate, 0)
     with copies(options.jobs) as places:
         first = places.get()
-        tests = {room: tests_of(room, first) for room in dict.fromkeys(options.rooms)}
+        rooms = dict.fromkeys(options.rooms)
+        tests = {room: tests_of(room, options.tests, first) for room in rooms}
         places.put(first)
 
         def judged(fault: Fault) -> tuple[Fault, Fate]:
@@ -281,6 +288,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("rooms", nargs="+", help="folders or modules of zeno_orbits")
     parser.add_argument("--count", type=int, default=50, help="mutants of each room")
+    parser.add_argument("--tests", nargs="+", default=[], help="tests in place of the rooms' own")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=1, help="copies that work at once")
     parser.add_argument("--verbose", action="store_true", help="name the killed ones too")

@@ -133,7 +133,7 @@ def _refused(verdict: ProofVerdict) -> list[str]:
 
 
 def _other_restitution(c: Certificate) -> str:
-    c["parameters"]["restitution"] = _moved(c["parameters"]["restitution"], 1e-9)
+    c["parameters"]["restitution"] = text_of(0.8 + 1e-9)
     return "(impact): r[1]"
 
 

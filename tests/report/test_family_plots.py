@@ -57,7 +57,11 @@ def _family() -> Continuation:
 def _panels() -> list[Axes]:
     with pytest.MonkeyPatch.context() as patch:
         known = dict(zip(VALUES, AMPLITUDES, strict=True))
-        patch.setattr(plots, "_amplitudes", lambda *_: lambda point: known[point.value])
+
+        def amplitude(point: FamilyPoint) -> float:
+            return known[point.value]
+
+        patch.setattr(plots, "_amplitudes", lambda *_: amplitude)  # pyright: ignore
         return plots.plot_families(_family(), load_problem("motor_pendulum")).axes
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,12 +19,12 @@ from tests.support.mechanisms import (
     pushed_away,
     spring_mass,
 )
-from zeno_orbits.model import own_time
+from zeno_orbits.model import OwnScale, own_time
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.search import guess
-from zeno_orbits.search.guess import SettlingSettings, settle
+from zeno_orbits.search.guess import SettlingSettings, back_on_constraints, settle
 from zeno_orbits.simulation.execution import Execution
 from zeno_orbits.simulation.simulator import simulate
 
@@ -212,3 +213,16 @@ def test_a_motion_that_comes_back_after_more_than_a_chunk_is_found() -> None:
     settling = settle(forced_oscillator(FORCED, 0.5), [LOCKED], replace(SHORT, chunk=1.0))
     assert settling.cycle is not None
     assert settling.cycle.period == pytest.approx(2 * math.pi, abs=1e-8)
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_a_state_is_put_back_on_its_constraint_in_any_unit(unit: float) -> None:
+    def holonomic(state: np.ndarray) -> np.ndarray:
+        return np.array([(state[0] ** 2 + state[1] ** 2) / unit**2 - 1.0])
+
+    circle: Any = SimpleNamespace(holonomic=holonomic, own=OwnScale())
+    off = unit * np.array([0.6, 0.8001])
+    back = back_on_constraints(circle, off, locked=False)
+    # One step of Newton's method leaves the square of what was off, 1.6e-4.
+    assert abs(holonomic(back)[0]) < 1e-7 < abs(holonomic(off)[0])
+    assert back == pytest.approx(off, rel=2e-4)

@@ -175,8 +175,9 @@ def test_a_wanted_amplitude_is_reached(problem: Problem) -> None:
 def test_less_energy_is_found_where_gains_may_give(
     problem: Problem, certificate: OrbitCertificate
 ) -> None:
+    once = SearchSettings(n_starts=0)
     result = search_gains(
-        problem, problem.values(), free={"Kd": (-1.1, -0.9)}, objective=LeastEnergy()
+        problem, problem.values(), free={"Kd": (-1.1, -0.9)}, objective=LeastEnergy(), settings=once
     )
     orbit = result.unwrap()
     spent = verify(orbit, problem, settings=VerificationSettings(n_periods=1)).energies

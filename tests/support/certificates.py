@@ -178,6 +178,8 @@ class HandMade:
                 (z[0], z[1]) if mode == "free" else (z[2] - self.centre[2], -self.p["omega"] * z[3])
             )
             root -= value / rate
+            if abs(value / rate) < mp.mpf(10) ** -70:
+                break
         z, slope = self._flow(mode, root)
         rate, gradient = self.rate(mode, z), mp.zeros(1, _N)
         gradient[0, 0 if mode == "free" else 2] = 1

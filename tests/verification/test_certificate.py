@@ -202,3 +202,36 @@ def test_an_orbit_of_unknown_or_unit_multipliers_has_an_error_without_bound() ->
     assert math.isinf(replace(GOOD, residuals={}).orbit_error)
     # A section of one point has no multipliers and nothing to magnify.
     assert replace(GOOD, multipliers=()).orbit_error == pytest.approx(2e-12)
+
+
+def test_the_json_holds_every_number_under_its_name() -> None:
+    seen = replace(
+        GOOD,
+        residuals={"closure": 2e-9, "period": math.inf},
+        margins={"locked_time": 0.5},
+        asked=({"quantity": "theta2", "kept": True},),
+        trouble="it is late",
+        n_periods=2,
+    )
+    assert seen.as_json() == {
+        "passed": False,
+        "stable": True,
+        "verdict": seen.verdict(),
+        "failed": ["closure", "period"],
+        "tolerance": 1e-9,
+        "residuals": {"closure": 2e-9, "period": None},
+        "margins": {"locked_time": 0.5},
+        "energies": {"input_work": 1.0},
+        "floquet_multipliers": [[0.5, 0.1], [0.5, -0.1]],
+        "multiplier_error": 1e-6,
+        "delta_sweep": [{"delta": 0.1, "speed": 0.05, "error": 1e-6}],
+        "delta_order": 3.0,
+        "integration_error": 1e-12,
+        "zeno_error": 1e-13,
+        "period": 1.8,
+        "n_periods": 2,
+        "shape": "zeno",
+        "model": "derived",
+        "trouble": "it is late",
+        "asked": [{"quantity": "theta2", "kept": True}],
+    }

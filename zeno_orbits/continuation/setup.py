@@ -134,25 +134,7 @@ def _sizes(problem: Problem, orbit: ZenoOrbit) -> Vector:
     """Return the size of each state over the events of an orbit, nowhere near zero, ``(n_x,)``."""
     events = [problem.state_vector(state) for state in orbit.states_at_events]
     sizes = np.max(np.abs(events), axis=0)
-    return _not_small(sizes, 1e-9, _usual(problem, orbit.values(problem)))
-
-
-def _usual(problem: Problem, values: ParameterValues) -> Vector:
-    """Return the size that each state usually has in the problem, ``(n_x,)``."""
-    return problem.dynamics(values).own.states(len(problem.state_names))
-
-
-def _not_small(sizes: Vector, part: float, usual: Vector) -> Vector:
-    """Return sizes with those replaced by the largest that are below a part of it.
-
-    Args:
-        sizes: Size of each state, ``(n_x,)``.
-        part: The part.
-        usual: Sizes in which states of different units can be compared, ``(n_x,)``.
-    """
-    shares = sizes / usual
-    largest = float(np.max(shares))
-    return np.where(shares > part * largest, shares, largest) * usual
+    return problem.dynamics(orbit.values(problem)).own.not_small(sizes, 1e-9)
 
 
 _SETTLED = 1e-3
@@ -195,7 +177,7 @@ def start_at_impact(
         box=box,
         section=ImpactReturns,
         metric=FamilyMetric(
-            scale=_not_small(cycle.scale(), _SETTLED, _usual(problem, values)),
+            scale=cycle.execution.own.not_small(cycle.scale(), _SETTLED),
             unit=box[1] - box[0],
             horizon=_PATIENCE * cycle.period,
         ),

@@ -44,6 +44,18 @@ class OwnScale:
         velocities = self.states(2 * n_q)[n_q:]
         return np.concatenate([velocities, velocities / self.time])
 
+    def not_small(self, sizes: Vector, part: float) -> Vector:
+        """Return sizes of states, those that are next to nothing replaced by the largest.
+
+        Args:
+            sizes: Of the states of a motion, ``(n_x,)``.
+            part: Part of the largest, measured in the problem's own sizes, that is next to nothing.
+        """
+        usual = self.states(len(sizes))
+        shares = sizes / usual
+        largest = float(np.max(shares)) or 1.0
+        return np.where(shares > part * largest, shares, largest) * usual
+
     def states(self, n_x: int) -> Vector:
         """Return the size of each state, ``(n_x,)``."""
         sizes = np.ones(n_x)

@@ -146,10 +146,8 @@ class Cycle:
 
     @cached_property
     def _sizes_at_events(self) -> Vector:
-        usual = self.execution.own.states(len(self.state_names))
-        sizes = np.max(np.abs(self._event_states()), axis=0) / usual
-        largest = float(np.max(sizes)) or 1.0
-        return np.where(sizes > _VANISHING * largest, sizes, largest) * usual
+        sizes = np.max(np.abs(self._event_states()), axis=0)
+        return self.execution.own.not_small(sizes, _VANISHING)
 
     def _event_states(self) -> Vector:
         ends = [self.start.state, *(phase.end.state for phase in self.phases)]

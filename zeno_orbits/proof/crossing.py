@@ -17,7 +17,7 @@ from zeno_orbits.errors import ProofError
 from zeno_orbits.proof.ball_system import BallSystem, require
 from zeno_orbits.proof.balls import ONE, ZERO, Ball, Matrix, column, interval, matrix, product
 from zeno_orbits.proof.flow import FlowStep
-from zeno_orbits.proof.program import Series
+from zeno_orbits.proof.recurrences import Series
 from zeno_orbits.proof.stage import Departure, ProofRecord, Stage
 
 _SPARE = 1.05

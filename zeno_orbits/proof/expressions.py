@@ -150,6 +150,34 @@ def proof_expressions(problem: Problem, carried: Sequence[str] = ()) -> ProofExp
     )
 
 
+def stop_identities(problem: Problem) -> tuple[ca.Function, tuple[str, ...]]:
+    """Return what vanishes identically in a problem whose stop obeys the laws, and their names.
+
+    The prover takes these identities for granted: in balls they would only hold to their width.
+
+    Args:
+        problem: The problem.
+
+    Returns:
+        A function of state and numbers, and what each of its entries says.
+    """
+    symbols = problem.symbols()
+    s = problem.model(symbols)
+    x = s.state
+    rows = {
+        "gap_rate is the rate of gap": ca.jtimes(s.gap, x, s.free_flow) - s.gap_rate,
+        "gap_acceleration is the rate of gap_rate": ca.jtimes(s.gap_rate, x, s.free_flow)
+        - s.gap_acceleration,
+        "an impact leaves the gap": ca.jtimes(s.gap, x, s.impulse_direction),
+        "an impact turns the gap rate round": ca.jtimes(s.gap_rate, x, s.impulse_direction) - 1,
+        "a stop that holds keeps the gap rate": ca.jtimes(s.gap_rate, x, s.locked_flow),
+        "multiplier is what keeps the gap rate": s.multiplier
+        + s.gap_acceleration * s.normal_inertia,
+    }
+    outputs = [ca.densify(ca.SX(ca.vertcat(*rows.values())))]
+    return ca.Function("identities", [x, ca.vertcat(*symbols.values())], outputs), tuple(rows)
+
+
 def _coordinate(system: CompletedSystem, gap: ca.SX) -> GapCoordinate | None:
     """Return the coordinate that the gap is plus or minus, and a number; None if there is none."""
     slopes = ca.jacobian(gap, system.state)

@@ -25,7 +25,8 @@ from zeno_orbits.proof.balls import (
     scaled,
     within,
 )
-from zeno_orbits.proof.program import BallProgram, Series
+from zeno_orbits.proof.program import BallProgram
+from zeno_orbits.proof.recurrences import Series
 
 _WIDER = 1 + 1 / 16
 """How much wider the box of a step is taken than what its series alone fills."""

@@ -1,28 +1,27 @@
 r"""A CasADi function as a program of operations on balls, and on Taylor series of balls.
 
-Coefficients come one by one from recurrences: with :math:`c = a b`,
-:math:`c_k = \sum_j a_j b_{k-j}` and so on [JorbaZou2005]_. Series division
-and sine by Newton's method would be faster, and blow up on wide balls.
+What a flow needs is found coefficient by coefficient, by the rules of `recurrences`; what only
+depends on a flow, such as its derivatives, by products of whole series.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from operator import mul
 from typing import Any
 
 import casadi as ca
 from flint import arb, arb_series, ctx
 
 from zeno_orbits.errors import TranslationError
+from zeno_orbits.proof.balls import ONE, ZERO, Ball
 from zeno_orbits.proof.expressions import operation_name
-
-Ball = Any
-"""A ball of python-flint, real or complex; it has no types to name."""
-Series = list[Any]
-"""Coefficients of a series, lowest power first."""
-
-ZERO, ONE = arb(0), arb(1)
+from zeno_orbits.proof.recurrences import (
+    OPERATIONS,
+    SLOPES,
+    Series,
+    recurrence,
+    sine_and_cosine,
+)
 
 
 class BallProgram:
@@ -200,7 +199,7 @@ class BallProgram:
     def _translated(self, code: int, takes: list[int]) -> int:
         """Return the place of CasADi's operation, made of the few that have a recurrence."""
         name = operation_name(code)
-        if name in _DIRECT:
+        if name in OPERATIONS:
             return self._add(name, *takes)
         a, b = takes[0], takes[-1]
         one, add = self._constant(ONE), self._add
@@ -220,9 +219,9 @@ class BallProgram:
             return add("sqrt", add("add", add("sq", a), add("sq", b)))
         if name in ("sinh", "cosh", "tanh"):
             return self._hyperbolic(name, a)
-        if name in _SLOPES:
-            square, scale = add("sq", a), self._constant(arb(_SLOPES[name][0]))
-            root = add("add", self._constant(arb(_SLOPES[name][1])), add("mul", scale, square))
+        if name in SLOPES:
+            square, scale = add("sq", a), self._constant(arb(SLOPES[name][0]))
+            root = add("add", self._constant(arb(SLOPES[name][1])), add("mul", scale, square))
             if name not in ("atan", "atanh"):
                 root = add("sqrt", root)
             sign = self._constant(arb(-1 if name == "acos" else 1))
@@ -241,188 +240,15 @@ class BallProgram:
     def _stepper(self, k: int, series: list[Series]) -> Callable[[int], None]:
         """Return what appends the next coefficient of an operation."""
         name, a, b = self.operations[k]
-        x, y, out = series[a], series[b], series[k]
-        p, q = self.fixed[a], self.fixed[b]
-        if name == "cos":
-            return _nothing
         if name == "sin":
-            return _sine_and_cosine(x, out, series[k + 1])
-        if name in _CONSTANT_RULES and (p is not None or q is not None):
-            return _CONSTANT_RULES[name](x, y, p, q, out)
-        return _RULES[name](x, y, out) if name in _RULES else _integral(name, x, y, out)
-
-
-def _nothing(k: int) -> None:
-    """Append nothing."""
+            return sine_and_cosine(series[a], series[k], series[k + 1])
+        constants = self.fixed[a], self.fixed[b]
+        return recurrence(name, series[a], series[b], constants, series[k])
 
 
 def _coefficients(polynomial: Any, n: int) -> Series:
     found = list(polynomial)
     return found[:n] + [ZERO] * (n - len(found))
-
-
-def _dot(x: Series, y: Series) -> Ball:
-    return sum(map(mul, x, y), ZERO)
-
-
-def _add(x: Series, y: Series, out: Series) -> Callable[[int], None]:
-    return lambda k: out.append(x[k] + y[k])
-
-
-def _sub(x: Series, y: Series, out: Series) -> Callable[[int], None]:
-    return lambda k: out.append(x[k] - y[k])
-
-
-def _neg(x: Series, _: Series, out: Series) -> Callable[[int], None]:
-    return lambda k: out.append(-x[k])
-
-
-def _mul(x: Series, y: Series, out: Series) -> Callable[[int], None]:
-    return lambda k: out.append(_dot(x[: k + 1], y[k::-1]))
-
-
-def _sq(x: Series, _: Series, out: Series) -> Callable[[int], None]:
-    def step(k: int) -> None:
-        half = (k + 1) // 2
-        value = 2 * _dot(x[:half], x[k:0:-1])
-        out.append(value if k % 2 else value + x[k // 2] * x[k // 2])
-
-    return step
-
-
-def _div(x: Series, y: Series, out: Series) -> Callable[[int], None]:
-    def step(k: int) -> None:
-        out.append((x[k] - _dot(y[1 : k + 1], out[::-1])) / y[0])
-
-    return step
-
-
-def _exp(x: Series, _: Series, out: Series) -> Callable[[int], None]:
-    slopes: Series = []
-
-    def step(k: int) -> None:
-        if k == 0:
-            out.append(x[0].exp())
-            return
-        slopes.append(k * x[k])
-        out.append(_dot(slopes, out[::-1]) / k)
-
-    return step
-
-
-def _sine_and_cosine(x: Series, sine: Series, cosine: Series) -> Callable[[int], None]:
-    slopes: Series = []
-
-    def step(k: int) -> None:
-        if k == 0:
-            sine.append(x[0].sin())
-            cosine.append(x[0].cos())
-            return
-        slopes.append(k * x[k])
-        following = _dot(slopes, cosine[::-1]) / k
-        cosine.append(_dot(slopes, sine[::-1]) / -k)
-        sine.append(following)
-
-    return step
-
-
-def _log(x: Series, _: Series, out: Series) -> Callable[[int], None]:
-    slopes: Series = []
-
-    def step(k: int) -> None:
-        if k == 0:
-            out.append(x[0].log())
-            return
-        out.append((x[k] - _dot(slopes, x[k - 1 : 0 : -1]) / k) / x[0])
-        slopes.append(k * out[k])
-
-    return step
-
-
-def _sqrt(x: Series, _: Series, out: Series) -> Callable[[int], None]:
-    def step(k: int) -> None:
-        if k == 0:
-            out.append(x[0].sqrt())
-            return
-        out.append((x[k] - _dot(out[1:k], out[k - 1 : 0 : -1])) / (2 * out[0]))
-
-    return step
-
-
-def _integral(name: str, x: Series, g: Series, out: Series) -> Callable[[int], None]:
-    """Return the rule of a function by its derivative: ``y' = x' g``, ``g`` a series."""
-    slopes: Series = []
-
-    def step(k: int) -> None:
-        if k == 0:
-            out.append(getattr(x[0], name)())
-            return
-        slopes.append(k * x[k])
-        out.append(_dot(slopes, g[k - 1 :: -1]) / k)
-
-    return step
-
-
-Constant = Ball | None
-
-
-def _add_constant(
-    x: Series, y: Series, p: Constant, q: Constant, out: Series
-) -> Callable[[int], None]:
-    other, number = (y, p) if q is None else (x, q)
-    return lambda k: out.append(other[k] if k else other[k] + number)
-
-
-def _sub_constant(
-    x: Series, y: Series, p: Constant, q: Constant, out: Series
-) -> Callable[[int], None]:
-    if q is None:
-        return lambda k: out.append(-y[k] if k else p - y[k])
-    return lambda k: out.append(x[k] if k else x[k] - q)
-
-
-def _mul_constant(
-    x: Series, y: Series, p: Constant, q: Constant, out: Series
-) -> Callable[[int], None]:
-    other, number = (y, p) if q is None else (x, q)
-    return lambda k: out.append(number * other[k])
-
-
-def _div_constant(
-    x: Series, y: Series, p: Constant, q: Constant, out: Series
-) -> Callable[[int], None]:
-    if q is not None:
-        return lambda k: out.append(x[k] / q)
-    return lambda k: out.append((-_dot(y[1 : k + 1], out[::-1]) if k else p) / y[0])
-
-
-_RULES = {
-    "add": _add,
-    "sub": _sub,
-    "neg": _neg,
-    "mul": _mul,
-    "sq": _sq,
-    "div": _div,
-    "exp": _exp,
-    "log": _log,
-    "sqrt": _sqrt,
-}
-_CONSTANT_RULES = {
-    "add": _add_constant,
-    "sub": _sub_constant,
-    "mul": _mul_constant,
-    "div": _div_constant,
-}
-_DIRECT = {*_RULES, "sin", "cos"}
-_SLOPES = {
-    "asin": (-1, 1),
-    "acos": (-1, 1),
-    "atan": (1, 1),
-    "asinh": (1, 1),
-    "acosh": (1, -1),
-    "atanh": (-1, 1),
-}
-"""Factor of the square and offset of what the slope divides by, under a root or not."""
 
 
 def _method(name: str) -> Callable[[Ball, Ball], Ball]:
@@ -436,6 +262,6 @@ _VALUES: dict[str, Callable[[Ball, Ball], Ball]] = {
     "div": lambda a, b: a / b,
     "neg": lambda a, _: -a,
     "sq": lambda a, _: a * a,
-    **{name: _method(name) for name in ("exp", "log", "sqrt", "sin", "cos", *_SLOPES)},
+    **{name: _method(name) for name in ("exp", "log", "sqrt", "sin", "cos", *SLOPES)},
 }
 _POLYNOMIAL = {name: _VALUES[name] for name in ("add", "sub", "mul", "neg", "sq")}

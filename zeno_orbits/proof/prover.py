@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import time as clock
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 from flint import arb, ctx
 
@@ -14,25 +14,26 @@ from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.orbits.digest import digest_of, same_equations
 from zeno_orbits.proof.ball_system import BallSystem, require
-from zeno_orbits.proof.balls import Ball, matrix, number_text, product
-from zeno_orbits.proof.fixed_point import MultiplierDiscs, ReturnBox, multiplier_discs
+from zeno_orbits.proof.claims import CLOSE, bounds_of, claims_of, require_numbers
+from zeno_orbits.proof.expressions import stop_identities
+from zeno_orbits.proof.judgement import JudgedBox, judge
+from zeno_orbits.proof.program import BallProgram
 from zeno_orbits.proof.proof_file import certificate, proof_versions
 from zeno_orbits.proof.section import SectionStart, section_places, start_on_section
 from zeno_orbits.proof.stage import BallTime, Departure, Stage
-from zeno_orbits.proof.theorem import Bounds, Enclosure, MultiplierDisc, Proof
+from zeno_orbits.proof.theorem import Proof
 from zeno_orbits.proof.walk import Passage, WalkSettings, walk
 from zeno_orbits.work import Progress, silent
 
-_CLOSE = 1e-8
-"""How far numbers of the orbit may be from those that are proved, per size."""
 _RADII = (1e-9, 1e-12)
 """Radii of the box that are tried, per size of a coordinate."""
 _REFINEMENTS = 8
 _FINE = 4e-15
 """Radius of the box from which the digits are taken, per size of a coordinate."""
 _BITS = 96
-_TIMES_WIDER = 1.5
-"""How much wider a claimed time is than found, so that another arithmetic finds it, too."""
+_TRIALS = 3
+_ROUNDING = 1e-8
+"""Rounding of an identity of the stop, made of numbers of some size."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,26 +50,6 @@ class ProofSettings:
     radius: float | None = None
     bits: int = _BITS
     walk: WalkSettings = field(default_factory=WalkSettings)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Judged:
-    """A box once around, with what follows.
-
-    Attributes:
-        start: The start.
-        passage: Its way.
-        returned: The return map.
-        orbit: Start coordinates of the periodic orbit less those of the middle, and carried
-            parameters, ``(d + n_over,)``.
-        discs: Of the multipliers.
-    """
-
-    start: SectionStart
-    passage: Passage
-    returned: ReturnBox
-    orbit: list[Ball]
-    discs: MultiplierDiscs
 
 
 def prove(
@@ -128,11 +109,26 @@ def _require_fit(orbit: ZenoOrbit, problem: Problem, values: ParameterValues) ->
     digest = orbit.problem_digest
     if digest and not same_equations(digest, digest_of(problem)):
         raise ProofError("problem", "the orbit was computed from other equations")
+    _require_stop(orbit, problem, values)
     if not orbit.shape.starts_at_release:
         reason = f"the period starts at no release (shape `{orbit.shape.text}`)"
         raise ProofError("shape", reason)
     if not 0.0 <= values.parameters.get("restitution", 0.0) < 1.0:
         raise InputError("Argument `restitution` must lie in [0, 1), but it does not.")
+
+
+def _require_stop(orbit: ZenoOrbit, problem: Problem, values: ParameterValues) -> None:
+    """Refuse equations that break an identity of the stop, at a few states around the orbit's."""
+    function, names = stop_identities(problem)
+    program = BallProgram(function, [arb(float(value)) for value in values.vector])
+    state = problem.state_vector(orbit.start_state)
+    for k in range(_TRIALS):
+        # Irrational multiples spread the states evenly; any state will do.
+        moves = [math.sin(3.0 * (k + 1) * (j + 1)) for j in range(len(state))]
+        near = [arb(x + (1 + abs(x)) * move / 4) for x, move in zip(state, moves, strict=True)]
+        for name, value in zip(names, program(near)[0], strict=True):
+            # Constants that CasADi has folded leave rounding.
+            require(bool(abs(value) < _ROUNDING), "model", f"it is not so that {name} ({value})")
 
 
 def _found(
@@ -142,7 +138,7 @@ def _found(
     over: Mapping[str, float],
     settings: ProofSettings,
     on_progress: Progress,
-) -> _Judged:
+) -> JudgedBox:
     """Return a box for which the proof succeeds, the largest that is tried first."""
     y = _prover_state(system, problem, orbit)
     places, others = section_places(system, y)
@@ -157,7 +153,7 @@ def _found(
         try:
             start = start_on_section(system, centre, places, others, widths)
             passage = _walked(orbit, system, start, settings, on_progress)
-            judged = _judged(start, passage)
+            judged = judge(start, passage)
         except ProofError as error:
             failure = error
             continue
@@ -165,7 +161,7 @@ def _found(
             (abs(float(one.mid())) / size for one, size in zip(judged.defect, sizes, strict=True)),
             default=0.0,
         )
-        if defect > _CLOSE:
+        if defect > CLOSE:
             reason = "the motion from the orbit's start does not come back to it"
             raise ProofError("closure", f"{reason}: off by {defect:.1e} of its size")
         if judged.judged is not None:
@@ -179,10 +175,10 @@ def _found(
 def _refined(
     orbit: ZenoOrbit,
     system: BallSystem,
-    found: _Judged,
+    found: JudgedBox,
     settings: ProofSettings,
     on_progress: Progress,
-) -> _Judged:
+) -> JudgedBox:
     """Return a far smaller box around the orbit inside a box in which it is the only one."""
     places, start = found.start.places, found.start
     y = list(start.at.m)
@@ -195,66 +191,10 @@ def _refined(
     fine = start_on_section(system, y, places, start.others, radii)
     for k, inner, outer in zip(start.others, fine.around, start.around, strict=True):
         require(bool(outer.contains(inner)), "exists", f"state {k} leaves the first box")
-    attempt = _judged(fine, _walked(orbit, system, fine, settings, on_progress))
+    attempt = judge(fine, _walked(orbit, system, fine, settings, on_progress))
     if attempt.judged is None:
         raise ProofError("exists", attempt.reason)
     return attempt.judged
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Attempt:
-    """A box once around, judged.
-
-    Attributes:
-        judged: What follows, if the orbit exists.
-        defect: Where the middle returns, less the middle, ``(d,)``.
-        reason: What is missing.
-        needed: Radii of a box that may do.
-    """
-
-    judged: _Judged | None
-    defect: list[Ball]
-    reason: str = ""
-    needed: list[float]
-
-
-def _judged(start: SectionStart, passage: Passage) -> _Attempt:
-    """Judge the return of a box."""
-    places, end, d = start.places, passage.end.at, len(start.places)
-    box = end.box
-    for k, around in zip(start.others, start.around, strict=True):
-        reason = "the box does not come back to the part of the section that it started on"
-        require(bool(around.contains(box[k])), "exists", reason)
-    slopes = end.derivative
-    rows = [[slopes[k, j] for j in range(d)] for k in places]
-    carried = matrix(
-        [[slopes[k, j] for j in range(d, slopes.ncols())] for k in places], slopes.ncols() - d
-    )
-    middle = end.middle_box
-    defect = [middle[k] - centre for k, centre in zip(places, start.centre, strict=True)]
-    parameters = start.at.U[d:]
-    spread = product(carried, parameters) if parameters else [arb(0)] * d
-    returned = ReturnBox(
-        box=start.at.U[:d],
-        shift=[a + b for a, b in zip(defect, spread, strict=True)],
-        slopes=matrix(rows, d),
-    )
-    found = returned.krawczyk(returned.box)
-    if not returned.encloses(found):
-        wide = [float(one.abs_upper()) for one in found]
-        reason = "the return map is not proved to have a fixed point in the box"
-        small = all(w < 1e-3 for w in wide)
-        needed = [3 * w for w in wide] if small else []
-        return _Attempt(judged=None, defect=defect, reason=reason, needed=needed)
-    orbit = [*returned.krawczyk(found), *parameters]
-    judged = _Judged(
-        start=start,
-        passage=passage,
-        returned=returned,
-        orbit=orbit,
-        discs=multiplier_discs(returned.slopes),
-    )
-    return _Attempt(judged=judged, defect=defect, needed=[])
 
 
 def _walked(
@@ -298,15 +238,15 @@ def _proof(
     values: ParameterValues,
     over: Mapping[str, float],
     system: BallSystem,
-    passes: list[_Judged],
+    passes: list[JudgedBox],
 ) -> Proof:
     """Return the theorem of a box, and of a finer one from which its digits are."""
     found, fine = passes[0], passes[-1]
-    bounds = _bounds(problem, system, fine)
-    _require_numbers(orbit, bounds)
+    bounds = bounds_of(problem, system, fine)
+    require_numbers(orbit, bounds)
     names = problem.state_names
     centres = [float(c) for c in found.start.centre]
-    claims = _claims(passes, bounds)
+    claims = claims_of(passes, bounds)
     ways = [(one.start, one.passage) for one in passes]
     return Proof(
         problem=problem.name,
@@ -325,101 +265,3 @@ def _proof(
         wall_time=0.0,
         versions=proof_versions(),
     )
-
-
-def _bounds(problem: Problem, system: BallSystem, found: _Judged) -> Bounds:
-    offset, passage = found.orbit, found.passage
-    start = found.start.at
-    moved = product(start.derivative, offset) if offset else [arb(0)] * system.n
-    state = [a + b for a, b in zip(start.middle_box, moved, strict=True)]
-    coordinate = system.expressions.coordinate
-    if coordinate is not None:
-        state[system.gap] = (state[system.gap] - system.gap_offset) * coordinate.sign
-    return Bounds(
-        period=_claimed(passage.release_times[-1].at(offset)),
-        zeno_times=tuple(_claimed(one.at(offset)) for one in passage.zeno_times),
-        impact_times=tuple(_claimed(one.at(offset)) for one in passage.impact_times),
-        start_state={
-            name: _claimed(value) for name, value in zip(problem.state_names, state, strict=False)
-        },
-        multipliers=tuple(
-            MultiplierDisc(centre=c, radius=float(r) * 1.01 + 1e-15)
-            for c, r in zip(found.discs.centres, found.discs.radii, strict=True)
-        ),
-        norm=float(found.discs.norm.upper()),
-    )
-
-
-def _claimed(x: Ball) -> Enclosure:
-    """Return the ends of an enclosure that is somewhat wider than a ball."""
-    if x.is_zero():
-        return Enclosure(low=x, high=x)
-    wide = x + arb(0, x.rad() * (_TIMES_WIDER - 1) + abs(x).upper() * arb(2) ** -85)
-    return Enclosure(low=wide.lower().mid(), high=wide.upper().mid())
-
-
-def _require_numbers(orbit: ZenoOrbit, bounds: Bounds) -> None:
-    """Refuse an orbit whose other numbers are not those of the orbit that is proved."""
-    allowed = _CLOSE * orbit.period
-
-    def check(name: str, enclosed: Enclosure, value: float, most: float) -> None:
-        off = enclosed.misses(value)
-        reason = f"the orbit says {value:.12g}, but {enclosed.text} is proved"
-        require(off <= most, name, reason)
-
-    check("period", bounds.period, orbit.period, allowed)
-    held = [phase for phase in orbit.phases if phase.zeno_time is not None]
-    require(len(held) == len(bounds.zeno_times), "shape", "the orbit has other Zeno points")
-    for phase, proved in zip(held, bounds.zeno_times, strict=True):
-        check("zeno_time", proved, float(phase.zeno_time or 0.0), allowed)
-    impacts = [impact.time for impact in orbit.impacts]
-    for time in impacts:
-        nearest = min(bounds.impact_times, key=lambda one: one.misses(time))
-        check("impact_time", nearest, time, allowed)
-    for name, value in orbit.start_state.items():
-        check("start_state", bounds.start_state[name], value, _CLOSE * max(1.0, abs(value)))
-
-
-def _claims(passes: list[_Judged], bounds: Bounds) -> list[dict[str, Any]]:
-    """Return the claims of the certificate."""
-    last = len(passes) - 1
-    claims: list[dict[str, Any]] = []
-
-    def claim(name: str, number: int = last, **fields: Any) -> None:
-        claims.append({"name": name, "pass": number, **fields})
-
-    for number, one in enumerate(passes):
-        if one.start.places:
-            claim("exists", number, by="krawczyk")
-        if one.returned.included:
-            claim("exists", number, by="inclusion")
-    if passes[0].start.places:
-        claim("unique", 0)
-        discs = passes[-1].discs
-        basis = {
-            "re": [_exact(*(x.real for x in row)) for row in discs.basis],
-            "im": [_exact(*(x.imag for x in row)) for row in discs.basis],
-        }
-        if discs.stable:
-            claim("stable", basis=basis)
-        elif discs.repelling:
-            claim("repelling", basis=basis)
-        found = [_exact(one.centre.real, one.centre.imag, one.radius) for one in bounds.multipliers]
-        claim("multipliers", basis=basis, discs=found)
-    claim("period", last, **_ends(bounds.period))
-    for which, one in enumerate(bounds.zeno_times):
-        claim("zeno_time", last, which=which, **_ends(one))
-    for which, one in enumerate(bounds.impact_times):
-        claim("impact_time", last, which=which, **_ends(one))
-    state = list(bounds.start_state.values())
-    low, high = [number_text(x.low) for x in state], [number_text(x.high) for x in state]
-    claim("start_state", low=low, high=high)
-    return claims
-
-
-def _ends(one: Enclosure) -> dict[str, str]:
-    return {"low": number_text(one.low), "high": number_text(one.high)}
-
-
-def _exact(*numbers: float) -> list[str]:
-    return [number_text(arb(x)) for x in numbers]

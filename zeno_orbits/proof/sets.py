@@ -151,6 +151,8 @@ def _with_slack(x: Ball) -> Ball:
     return scaled(symmetric(x), 1 + _SLACK) + arb(0, arb(2) ** (_LEAST - ctx.prec))
 
 
+_GIVEN_WIDER = 4.0
+"""How much wider a computed row of a start is given, for another way to compute it."""
 _LEAST = -20
 """Smallest interval of a set, as a power of two below one unit of the last place of 1."""
 
@@ -172,8 +174,8 @@ def start_set(
     rows = (derivative - C).table()
     spare = arb(0, arb(2) ** (_LEAST - ctx.prec))
     for k in given:
-        r[k] = r[k] + spare
-        rows[k] = [one + spare for one in rows[k]]
+        r[k] = scaled(r[k], _GIVEN_WIDER) + spare
+        rows[k] = [scaled(one, _GIVEN_WIDER) + spare for one in rows[k]]
     return BallSet(
         m=exact,
         frame=identity(n),

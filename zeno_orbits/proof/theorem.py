@@ -44,9 +44,9 @@ class Enclosure:
         return bool(self.low <= value) and bool(self.high >= value)
 
     def misses(self, value: float) -> float:
-        """Return how far a number is from the farther end."""
+        """Return how far a number is outside; 0 inside."""
         with ctx.workprec(_BITS):
-            return max(size(self.low - value), size(self.high - value))
+            return max(0.0, float(self.low - value), float(value - self.high))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 
 from flint import arb
 
@@ -19,13 +18,11 @@ from zeno_orbits.proof.balls import ZERO, Ball, product
 from zeno_orbits.proof.crossing import cross
 from zeno_orbits.proof.flow import BallFlow, FlowStep, enclose
 from zeno_orbits.proof.impacts import settle, strike
-from zeno_orbits.proof.program import Series
+from zeno_orbits.proof.meeting import meeting_guess
 from zeno_orbits.proof.stage import BallTime, Departure, ProofRecord, Stage
 
 _SHORTEST = 1e-5
 """Least step in flight off the stop and on it, as a part of the longest, before it is given up."""
-_GRID = 16
-"""Parts of a step in which a crossing is looked for."""
 _BEYOND = 1 + 2.0**-6
 """How far beyond a crossing its step reaches, as a multiple of its time."""
 
@@ -146,10 +143,10 @@ def _move(
     """Return one record, a step or a crossing, the stage after it, and whether it is the latter."""
     size, orders = min(pace.size, pace.most), settings.orders
     points = flow.point_series(stage.at.m, orders[0])
-    guess = _meeting(system, stage, points, 1.5 * size)
+    guess = meeting_guess(system, stage, points, 1.5 * size)
     if guess is not None:
         size = guess * _BEYOND if guess * _BEYOND <= size else guess / 2
-        orders = _orders(size, pace.size, settings)
+        orders = _orders(size, pace.size, settings, flow.n)
         least = min(least, guess / 64)
     shortened = guess is not None
     over = flow.series(stage.at.box, orders[1])
@@ -218,74 +215,22 @@ def _excess(step: FlowStep, settings: WalkSettings) -> float:
     return worst
 
 
-def _orders(size: float, usual: float, settings: WalkSettings) -> tuple[int, int]:
-    """Return the orders that are enough for a short step, where the usual step has the usual."""
+def _orders(size: float, usual: float, settings: WalkSettings, n: int) -> tuple[int, int]:
+    """Return the orders that are enough for a short step, where the usual step has the usual.
+
+    None is below the number of states: what a state comes to depend on through the others only
+    must show in the series, or the box of the step has no room for it.
+    """
     reach = 4.0 * size / usual
 
     def enough(allowed: float, most: int) -> int:
-        for k in range(3, most):
+        for k in range(min(n, most), most):
             if reach**k / math.factorial(k + 1) < allowed * 1e-3:
                 return k
         return most
 
     k = enough(settings.derivative_rest, settings.orders[1])
     return max(k, enough(settings.rest, settings.orders[0])), k
-
-
-def _meeting(system: BallSystem, stage: Stage, points: list[Series], within: float) -> float | None:
-    """Return when the middle of the set meets its guard, if it does soon; not for certain."""
-    if stage.departure is Departure.LOCKED:
-        return _release_guess(system, points, within)
-    coefficients = [float(c.mid()) for c in points[system.gap]]
-    skipped = {Departure.FLYING: 0, Departure.STRUCK: 1, Departure.RELEASED: 3}[stage.departure]
-    return _first_root(coefficients[skipped:], within)
-
-
-def _release_guess(system: BallSystem, points: list[Series], within: float) -> float | None:
-    def multiplier(time: float) -> float:
-        at = [_horner([float(c.mid()) for c in one], time) for one in points]
-        return float(system.locked.guard([arb(x) for x in at])[0].mid())
-
-    times = [within * k / _GRID for k in range(_GRID + 1)]
-    values = [multiplier(time) for time in times]
-    for k in range(_GRID):
-        if values[k] > 0.0 >= values[k + 1]:
-            return _bisected(multiplier, times[k], times[k + 1])
-    return None
-
-
-def _first_root(coefficients: list[float], within: float) -> float | None:
-    def value(time: float) -> float:
-        return _horner(coefficients, time)
-
-    grid = [within * k / (2 * _GRID) for k in range(2 * _GRID + 1)]
-    if coefficients[0] > 0.0 and len(coefficients) > 2:
-        # A flight near a Zeno point is far shorter than a step.
-        short = -coefficients[0] / coefficients[1] if coefficients[1] < 0 else within
-        grid = sorted({*grid, *(short * k / 8 for k in range(1, 17) if short * k / 8 < within)})
-    for left, right in pairwise(grid):
-        if value(left) > 0.0 >= value(right):
-            return _bisected(value, left, right)
-    return None
-
-
-def _bisected(value: Callable[[float], float], left: float, right: float) -> float:
-    for _ in range(100):
-        middle = (left + right) / 2
-        if not left < middle < right:
-            break
-        if value(middle) > 0.0:
-            left = middle
-        else:
-            right = middle
-    return (left + right) / 2
-
-
-def _horner(coefficients: list[float], time: float) -> float:
-    value = 0.0
-    for one in reversed(coefficients):
-        value = value * time + one
-    return value
 
 
 def _contact(

@@ -27,6 +27,8 @@ from zeno_orbits.simulation.attractor import growth_of, has_left, is_still
 
 _DIFFERENCE = 1e-6
 """Step of a derivative; its error is that part of a correction that is small itself."""
+_SMALL = 1e-3
+"""A state that is smaller than this part of the largest has no size of its own."""
 
 _OSCILLATIONS = 115
 """Oscillations of a problem without a clock in which a motion has to settle."""
@@ -211,7 +213,7 @@ def _settle_from(
             position = np.maximum(position, np.abs(run.end_state[:n_q]))
         at_release = run.releases[-1:] != () and run.releases[-1].time == run.end_time
         state = run.releases[-1].state if at_release else run.end_state
-        state = _repaired(dynamics, state, locked=run.arcs[-1].mode is Mode.LOCKED)
+        state = back_on_constraints(dynamics, state, locked=run.arcs[-1].mode is Mode.LOCKED)
     nearest = recurrence.nearest(watch.usable)
     if nearest is not None:
         return _period(dynamics, nearest, watch.settings)
@@ -231,7 +233,7 @@ def _period(
     """Return the period itself: made anew, unless it was followed from its start to its end."""
     if found.cycle is not None:
         return FollowedMotion(cycle=found.cycle)
-    start = _repaired(dynamics, placed(dynamics, found.shape, found.start), locked=False)
+    start = back_on_constraints(dynamics, placed(dynamics, found.shape, found.start), locked=False)
     try:
         cycle = cycle_of(dynamics, start, found.shape, horizon=2 * found.period, settings=settings)
     except SimulationError as error:
@@ -248,18 +250,20 @@ def _to_next_look(
     return simulate(dynamics, state, until=watch.chunk, releases=1, settings=watch.settings)
 
 
-def _repaired(dynamics: HybridDynamics, state: Vector, *, locked: bool) -> Vector:
+def back_on_constraints(dynamics: HybridDynamics, state: Vector, *, locked: bool) -> Vector:
     """Return the nearest state on what a loose integration drifts off: stop and constraints.
 
-    On the constraints it is a Newton step of least length, its derivatives by differences.
+    On the constraints it is a Newton step of least length in units of the states' own sizes, its
+    derivatives by differences.
     """
     state = dynamics.on_stop(state) if locked else state
     off = dynamics.holonomic(state)
     if off.size == 0:
         return state
-    steps = _DIFFERENCE * np.eye(state.size)
+    scale = dynamics.own.not_small(np.abs(state), _SMALL)
+    steps = _DIFFERENCE * np.diag(scale)
     slopes = [(dynamics.holonomic(state + step) - off) / _DIFFERENCE for step in steps]
-    return state - np.linalg.lstsq(np.array(slopes).T, off, rcond=None)[0]
+    return state - scale * np.linalg.lstsq(np.array(slopes).T, off, rcond=None)[0]
 
 
 def _rates(dynamics: HybridDynamics, state: Vector, *, locked: bool) -> Vector:

@@ -195,7 +195,7 @@ class TargetAmplitude(Target):
 
     def value(self, terms: OrbitTerms) -> ca.MX:
         """Return the amplitude, in the unit of the state."""
-        from zeno_orbits.search.transcription.extremes import extreme
+        from zeno_orbits.search.transcription.constraints import extreme
 
         index = terms.state_names.index(self.state)
         return (extreme(terms, index, 1.0) - extreme(terms, index, -1.0)) / 2

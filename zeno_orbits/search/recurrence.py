@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.model import USUAL, OwnScale
 from zeno_orbits.orbits import Cycle, OrbitShape, PhaseKind
 from zeno_orbits.simulation import Execution, Impact, SectionReturn
 from zeno_orbits.simulation.attractor import PERIODS, repetitions
@@ -61,6 +62,7 @@ class Recurrence:
         returns: Its last returns, each from a release to the next, without a break.
         struck: Its last impacts since the stop held.
         best: The period of the wanted shape that came nearest to repeating.
+        own: Sizes of the problem's numbers.
     """
 
     settled: float
@@ -68,6 +70,7 @@ class Recurrence:
     returns: tuple[Cycle, ...] = ()
     struck: tuple[TimedImpact, ...] = ()
     best: Recurring | None = None
+    own: OwnScale = USUAL
 
     def after(self, run: Execution, found: Sequence[Cycle], *, since: float) -> Recurrence:
         """Return the events after another piece of the motion.
@@ -81,7 +84,12 @@ class Recurrence:
         if run.releases or run.zeno_points:
             struck = []
         returns = [*(() if run.releases and not found else self.returns), *found]
-        seen = replace(self, returns=tuple(returns[-_KEPT:]), struck=tuple(struck[-_KEPT:]))
+        seen = replace(
+            self,
+            returns=tuple(returns[-_KEPT:]),
+            struck=tuple(struck[-_KEPT:]),
+            own=run.own,
+        )
         nearest = [*seen.of_wanted_shape(), *(() if self.best is None else (self.best,))]
         return replace(seen, best=min(nearest, key=lambda one: one.change, default=None))
 
@@ -89,7 +97,9 @@ class Recurrence:
         """Return the shortest period that repeats, if one does."""
         if self.returns:
             seen = _as_returns(self.returns)
-            found = repetitions(seen, self.returns[0].state_names, close=self.settled, apart=_APART)
+            names = self.returns[0].state_names
+            usual = self.own.states(len(names))
+            found = repetitions(seen, names, close=self.settled, apart=_APART, usual=usual)
             if found:
                 return self._after_returns(found[0].returns)
         for n in range(1, MOST_IMPACTS + 1):
@@ -161,8 +171,7 @@ class Recurrence:
             return None
         last, before = self.struck[-n:], self.struck[-2 * n : -n]
         states = [x for one in last for x in (one.impact.state_minus, one.impact.state_plus)]
-        sizes = np.max(np.abs(states), axis=0)
-        scale = np.where(sizes > 1e-9 * np.max(sizes), sizes, max(float(np.max(sizes)), 1e-300))
+        scale = self.own.not_small(np.max(np.abs(states), axis=0), 1e-9)
         change = 0.0
         for one, other in zip(last, before, strict=True):
             apart = np.abs(one.impact.state_plus - other.impact.state_plus) / scale

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model import HybridDynamics, Problem
+from zeno_orbits.model import HybridDynamics, Problem, constraint_sizes
 from zeno_orbits.simulation import Impact, Mode
 from zeno_orbits.verification.claim import Claim
 from zeno_orbits.verification.integration import FirstCycle, Observation, distance
@@ -42,13 +42,19 @@ def orbit_residuals(
         **_impact_laws(dynamics, cycle.impacts),
     }
     if len(dynamics.holonomic(claim.start)):
-        residuals["holonomic"] = max(
-            float(np.max(np.abs(dynamics.holonomic(arc.end_state)))) for arc in cycle.execution.arcs
-        )
+        residuals["holonomic"] = _holonomic(dynamics, first)
     if problem.escapes:
         beyond = escapes_of(problem, first).values()
         residuals["escape"] = max((excess for excess, _ in beyond), default=0.0)
     return residuals
+
+
+def _holonomic(dynamics: HybridDynamics, first: FirstCycle) -> float:
+    """Return the largest value of a constraint, relative to what states of their size change it."""
+    ends = [arc.end_state for arc in first.cycle.execution.arcs]
+    return max(
+        float(np.max(np.abs(dynamics.holonomic(x)) / constraint_sizes(dynamics, x))) for x in ends
+    )
 
 
 def escapes_of(problem: Problem, first: FirstCycle) -> dict[str, tuple[float, str]]:

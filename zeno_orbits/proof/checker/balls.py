@@ -1,20 +1,22 @@
-"""Balls in exact integers: a midpoint and a radius in units of ``2^-bits``, rounded outward."""
+"""Balls in exact integers: a midpoint and a radius in units of ``2^-bits``, rounded outward.
+
+Vectors and matrices are NumPy arrays of balls.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
-from math import isqrt
 from typing import Any, cast
+
+import numpy as np
 
 from zeno_orbits.errors import InputError
 
+Array = Any
+"""Balls in a NumPy array."""
+
 _NUMBER = re.compile(r"(-?)0x([0-9a-f]+)p([+-]?[0-9]{1,5})")
-
-
-Vector = list["Ball"]
-Matrix = list[list["Ball"]]
 
 
 class NotProved(Exception):  # noqa: N818
@@ -23,26 +25,42 @@ class NotProved(Exception):  # noqa: N818
 
 @dataclass(frozen=True, slots=True)
 class Ball:
-    """All reals within ``r`` of ``m``, both in units of ``2^-bits``."""
+    """All reals within ``r`` of ``m``, both in units of ``2^-bits``; whole numbers mix with it."""
 
     m: int
     r: int
     bits: int
 
-    def __add__(self, other: Ball) -> Ball:
-        return Ball(self.m + other.m, self.r + other.r, self.bits)
-
-    def __sub__(self, other: Ball) -> Ball:
-        return Ball(self.m - other.m, self.r + other.r, self.bits)
+    def _ball(self, other: Ball | int) -> Ball:
+        return other if isinstance(other, Ball) else Ball(int(other) << self.bits, 0, self.bits)
 
     def __neg__(self) -> Ball:
         return Ball(-self.m, self.r, self.bits)
 
-    def __mul__(self, other: Ball) -> Ball:
-        return dot((self,), (other,))
+    def __add__(self, other: Ball | int) -> Ball:
+        other = self._ball(other)
+        return Ball(self.m + other.m, self.r + other.r, self.bits)
 
-    def __truediv__(self, other: Ball) -> Ball:
-        return Ball(*quotient(self.m << self.bits, self.r << self.bits, other), self.bits)
+    def __sub__(self, other: Ball | int) -> Ball:
+        return self + -self._ball(other)
+
+    def __rsub__(self, other: Ball | int) -> Ball:
+        return -self + other
+
+    def __mul__(self, other: Ball | int) -> Ball:
+        other = self._ball(other)
+        m, r = self.m * other.m, abs(self.m) * other.r + self.r * other.size
+        return Ball(*rounded(m, r, self.bits), self.bits)
+
+    def __truediv__(self, other: Ball | int) -> Ball:
+        return Ball(
+            *quotient(self.m << self.bits, self.r << self.bits, self._ball(other)), self.bits
+        )
+
+    def __rtruediv__(self, other: Ball | int) -> Ball:
+        return self._ball(other) / self
+
+    __radd__, __rmul__ = __add__, __mul__
 
     @property
     def low(self) -> int:
@@ -59,21 +77,17 @@ class Ball:
         """Upper bound of the absolute value."""
         return abs(self.m) + self.r
 
-    def fraction(self, part: int) -> Ball:
-        """Return the ball divided by a positive whole number."""
-        return Ball(self.m // part, -(-self.r // part) + 1 if self.m or self.r else 0, self.bits)
-
     def with_zero(self) -> Ball:
         """Return the hull of the ball and zero."""
         return between(min(0, self.low), max(0, self.high), self.bits)
 
     def shown(self) -> str:
         """Return the ball as text."""
-        return f"{scaled(self.m, self.bits):.17g} +- {scaled(self.r, self.bits):.2g}"
+        m, r = (_about(units, self.bits) for units in (self.m, self.r))
+        return f"{m:.17g} +- {r:.2g}"
 
 
-def scaled(units: int, bits: int) -> float:
-    """Return about how much a number of units is."""
+def _about(units: int, bits: int) -> float:
     excess = max(0, units.bit_length() - 64)
     return float(units >> excess) * 2.0 ** (excess - bits)
 
@@ -98,56 +112,31 @@ def quotient(m: int, r: int, by: Ball) -> tuple[int, int]:
     return middle, -(-(r + abs(m - middle * by.m) + abs(middle) * by.r) // least)
 
 
-def dot(a: Sequence[Ball], b: Sequence[Ball]) -> Ball:
-    """Return the scalar product of two vectors, rounded once."""
-    m = sum(x.m * y.m for x, y in zip(a, b, strict=True))
-    r = sum(abs(x.m) * y.r + x.r * y.size for x, y in zip(a, b, strict=True))
-    return Ball(*rounded(m, r, a[0].bits), a[0].bits)
-
-
-def times(a: Matrix, b: Matrix) -> Matrix:
-    """Return the product of two matrices; one without columns stays so."""
-    columns = list(zip(*b, strict=True))
-    return [[dot(row, column) for column in columns] for row in a]
-
-
-def added(a: Matrix, b: Matrix) -> Matrix:
-    """Return the sum of two matrices."""
-    return [[x + y for x, y in zip(p, q, strict=True)] for p, q in zip(a, b, strict=True)]
-
-
-def middles(a: Matrix) -> Matrix:
-    """Return the midpoints of a matrix."""
-    return [[Ball(x.m, 0, x.bits) for x in row] for row in a]
-
-
-def identity(n: int, bits: int) -> Matrix:
-    """Return the identity matrix, exactly."""
-    return [[Ball(int(i == j) << bits, 0, bits) for j in range(n)] for i in range(n)]
-
-
 def require(holds: bool, failure: str) -> None:
     """Refuse what does not hold."""
     if not holds:
         raise NotProved(failure)
 
 
-def solved(matrix: Matrix, right: Matrix) -> Matrix:
+sizes: Any = np.frompyfunc(lambda x: x.size, 1, 1)
+"""Upper bounds of absolute values, in units."""
+middles: Any = np.frompyfunc(lambda x: Ball(x.m, 0, x.bits), 1, 1)
+around_zero: Any = np.frompyfunc(lambda x: Ball(0, x.size, x.bits), 1, 1)
+"""All reals of at most that size."""
+exactly: Any = np.frompyfunc(lambda x, bits: Ball(int(x) << bits, 0, bits), 2, 1)
+
+
+def solved(matrix: Array, right: Array) -> Array:
     """Return a set that holds all solutions of ``matrix X = right``; it proves there is one."""
-    rows = [[*left, *entries] for left, entries in zip(matrix, right, strict=True)]
+    rows = np.concatenate([matrix, right], axis=1)
     for k in range(len(rows)):
-        best = max(range(k, len(rows)), key=lambda i: abs(rows[i][k].m) - rows[i][k].r)
-        rows[k], rows[best] = rows[best], rows[k]
-        rows[k] = [entry / rows[k][k] for entry in rows[k]]
-        for i, row in enumerate(rows):
-            if i != k and row[k].size:
-                rows[i] = [x - row[k] * y for x, y in zip(row, rows[k], strict=True)]
-    return [row[len(rows) :] for row in rows]
-
-
-def modulus(re_part: Ball, im_part: Ball) -> int:
-    """Return an upper bound of the absolute value of a complex number, in units."""
-    return isqrt(re_part.size**2 + im_part.size**2) + 1
+        best = max(range(k, len(rows)), key=lambda i: abs(rows[i, k].m) - rows[i, k].r)
+        rows[[k, best]] = rows[[best, k]]
+        rows[k] = rows[k] / rows[k, k]
+        for i in range(len(rows)):
+            if i != k:
+                rows[i] = rows[i] - rows[k] * rows[i, k]
+    return rows[:, len(rows) :]
 
 
 def number(text: Any, bits: int, *, exact: bool = True) -> Ball:
@@ -169,29 +158,26 @@ def number(text: Any, bits: int, *, exact: bool = True) -> Ball:
     return Ball(units, 0, bits)
 
 
+def numbers(data: Any, shape: tuple[int, ...], bits: int, *, exact: bool = True) -> Array:
+    """Return a list of numbers, or of lists of them, of a certificate."""
+    if not shape:
+        return number(data, bits, exact=exact)
+    if not isinstance(data, list) or len(cast("list[Any]", data)) != shape[0]:
+        raise InputError(f"The certificate must have a list of {shape[0]} here.")
+    found = [numbers(part, shape[1:], bits, exact=exact) for part in cast("list[Any]", data)]
+    return np.array(found, dtype=object).reshape(shape)
+
+
+def radii(data: Any, shape: tuple[int, ...], bits: int, *, exact: bool = True) -> Array:
+    """Return balls around zero with the radii of a certificate."""
+    found = numbers(data, shape, bits, exact=exact)
+    if any(x.m < 0 for x in found.ravel()):
+        raise InputError("The certificate has a radius below zero.")
+    return around_zero(found)
+
+
 def entries(data: Any, *names: str) -> list[Any]:
     """Return the entries of an object of a certificate, which has these and no others."""
     if not isinstance(data, dict) or set(cast("dict[str, Any]", data)) != set(names):
         raise InputError(f"The certificate must have an object with {', '.join(names)} here.")
     return [cast("dict[str, Any]", data)[name] for name in names]
-
-
-def vector(data: Any, n: int, bits: int, *, exact: bool = True) -> Vector:
-    """Return a list of numbers of a certificate, ``(n,)``."""
-    if not isinstance(data, list) or len(cast("list[Any]", data)) != n:
-        raise InputError(f"The certificate must have a list of {n} here.")
-    return [number(text, bits, exact=exact) for text in cast("list[Any]", data)]
-
-
-def matrix(data: Any, n: int, columns: int, bits: int) -> Matrix:
-    """Return a list of rows of numbers rounded down to units, ``(n, columns)``."""
-    if not isinstance(data, list) or len(cast("list[Any]", data)) != n:
-        raise InputError(f"The certificate must have a matrix of {n} rows here.")
-    return [vector(row, columns, bits, exact=False) for row in cast("list[Any]", data)]
-
-
-def around_zero(bounds: Vector) -> Vector:
-    """Return balls around zero of given radii."""
-    if any(bound.m < 0 for bound in bounds):
-        raise InputError("The certificate has a radius below zero.")
-    return [Ball(0, bound.m, bound.bits) for bound in bounds]

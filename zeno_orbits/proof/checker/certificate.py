@@ -15,14 +15,12 @@ from typing import Any, NamedTuple, cast
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem, load_problem
 from zeno_orbits.proof.checker.balls import (
+    Array,
     Ball,
     NotProved,
-    Vector,
-    dot,
     entries,
     number,
     require,
-    times,
 )
 from zeno_orbits.proof.checker.claims import CLAIMS, Passage, show
 from zeno_orbits.proof.checker.formulas import formulas_of
@@ -66,6 +64,19 @@ class ProofVerdict:
         return all(claim.ok for claim in self.claims) and any(
             claim.name == "exists" for claim in self.claims
         )
+
+    def verdict(self) -> str:
+        """Return one sentence."""
+        failed = next((claim for claim in self.claims if not claim.ok), None)
+        if failed is not None:
+            return f"Not proved: `{failed.name}`: {failed.evidence}."
+        known = {claim.name: claim.evidence for claim in self.claims}
+        if not self.ok:
+            return "Not proved: no claim says that there is an orbit."
+        kind = next((f"{word} " for word in ("stable", "repelling") if word in known), "")
+        alone = ", the only one in its box" if "unique" in known else ""
+        period = f"; period {known['period']} s" if "period" in known else ""
+        return f"Proved: a {kind}periodic orbit of `{self.problem}` exists{alone}{period}."
 
 
 def check_proof(
@@ -165,8 +176,8 @@ def _passage(
     else:
         with ProcessPoolExecutor(min(len(chunks), cpu_count() or 1)) as pool:
             proved = [one for found in pool.map(judge, chunks) for one in found]
-    time, row = Ball(0, 0, system.bits), [Ball(0, 0, system.bits)] * len(box.spread)
-    events: dict[str, list[tuple[Ball, Vector]]] = {
+    time, row = Ball(0, 0, system.bits), first.derivative[0] * 0
+    events: dict[str, list[tuple[Ball, Array]]] = {
         "period": [],
         "zeno_time": [],
         "impact_time": [],
@@ -174,7 +185,7 @@ def _passage(
     for k, (record, found) in enumerate(zip(records, proved, strict=True)):
         if isinstance(found, str):
             return f"record {k} ({record['kind']}): {found}"
-        time, row = time + found[0], [x + y for x, y in zip(row, found[1], strict=True)]
+        time, row = time + found[0], row + found[1]
         if record["kind"] in ("tail", "impact"):
             events["zeno_time" if record["kind"] == "tail" else "impact_time"].append((time, row))
     events["period"].append((time, row))
@@ -189,7 +200,7 @@ def _set(system: System, box: Box, data: Any) -> Enclosure:
 
 def _stations(system: System, section: Section, records: Sequence[Any]) -> list[Place]:
     """Return where in the motion each record stands, if their order is one of a motion."""
-    plastic = system.value(LAW, [Ball(0, 0, system.bits)] * len(system.z))[0].size == 0
+    plastic = system.value(LAW, system.nothing)[0].size == 0
     mode, began = section.mode, "release" if section.end == "cross" else "impact"
     stations = list[Place]()
     for k, record in enumerate(records):
@@ -214,9 +225,9 @@ def _stations(system: System, section: Section, records: Sequence[Any]) -> list[
 
 def _proved(
     system: System, box: Box, tasks: Sequence[tuple[Place, Any, Mapping[str, Any]]]
-) -> list[tuple[Ball, Vector] | str]:
+) -> list[tuple[Ball, Array] | str]:
     """Prove records; return the time of each and its derivative, or why it is not proved."""
-    found = list[tuple[Ball, Vector] | str]()
+    found = list[tuple[Ball, Array] | str]()
     for place, before, record in tasks:
         old, new = _set(system, box, before), _set(system, box, record["set"])
         try:
@@ -225,9 +236,8 @@ def _proved(
         except NotProved as failure:
             found.append(str(failure))
             continue
-        noise = times([mapped.time_slope], old.Q)[0]
-        row = times([mapped.time_slope], old.derivative)[0]
-        found.append((mapped.time + dot(noise, old.r), row))
+        time = mapped.time + mapped.time_slope @ old.Q @ old.r
+        found.append((time, mapped.time_slope @ old.derivative))
     return found
 
 

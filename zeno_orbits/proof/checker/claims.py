@@ -5,25 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple, cast
+from math import isqrt
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from zeno_orbits.errors import InputError
 from zeno_orbits.proof.checker.balls import (
+    Array,
     Ball,
-    Matrix,
     NotProved,
-    Vector,
-    added,
-    dot,
     entries,
-    identity,
-    matrix,
+    exactly,
     middles,
-    modulus,
+    numbers,
     require,
     solved,
-    times,
-    vector,
 )
 from zeno_orbits.proof.checker.motion import Enclosure
 from zeno_orbits.proof.checker.section import Box
@@ -47,7 +44,7 @@ class Passage:
     box: Box
     start: Enclosure
     end: Enclosure
-    times: Mapping[str, Sequence[tuple[Ball, Vector]]]
+    times: Mapping[str, Sequence[tuple[Ball, Array]]]
 
     @property
     def bits(self) -> int:
@@ -65,62 +62,50 @@ class Passage:
         return len(self.places)
 
     @property
-    def slope(self) -> Matrix:
+    def slope(self) -> Array:
         """Derivative of the return map by coordinates and parameters, ``(d, D)``."""
-        derivative = self.end.derivative
-        return [derivative[k] for k in self.places]
+        return self.end.derivative[list(self.places)]
 
     @property
-    def shift(self) -> Vector:
+    def shift(self) -> Array:
         """What the centre returns to, less the centre, ``(d,)``."""
-        end, nothing = self.end, [Ball(0, 0, x.bits) for x in self.end.spread]
-        point = end.image(end.m, end.Q, end.derivative, nothing)
-        return [point[k] - c for k, c in zip(self.places, self.box.centre, strict=False)]
+        point = self.end.m + self.end.Q @ self.end.r
+        return point[list(self.places)] - self.box.centre[: self.d]
 
     @cached_property
-    def fixed_points(self) -> tuple[Vector, Vector]:
+    def fixed_points(self) -> tuple[Array, Array]:
         """Where fixed points are, less the centre, by Krawczyk's operator, once and twice."""
-        return (once := self._krawczyk(self.box.spread)), self._krawczyk(once)
+        once = self._krawczyk(self.box.spread)
+        return once, self._krawczyk(once)
 
-    def _krawczyk(self, spread: Vector) -> Vector:
+    def _krawczyk(self, spread: Array) -> Array:
+        d, one = self.d, exactly(np.eye(self.d, dtype=int), self.bits)
+        off = one - self.slope[:, :d]
+        Y = middles(solved(middles(off), one))
+        found = (one - Y @ off) @ spread[:d] + Y @ (self.shift + self.slope[:, d:] @ spread[d:])
+        return np.concatenate([found, self.box.spread[d:]])
+
+    def turned(self, basis: Any) -> tuple[Array, Array]:
+        """Return real and imaginary part of ``T^-1 DP T``, each ``(d, d)``."""
         d = self.d
-        if d == 0:
-            return list(spread)
-        ones = identity(d, self.bits)
-        off = added(ones, [[-x for x in row[:d]] for row in self.slope])
-        Y = middles(solved(middles(off), ones))
-        rest = added(ones, [[-x for x in row] for row in times(Y, off)])
-        by_over = times(Y, [row[d:] for row in self.slope])
-        newton = times(Y, [[x] for x in self.shift])
-        rows = zip(newton, rest, by_over, strict=True)
-        found = [x + dot((*y, *z), spread) for (x,), y, z in rows]
-        return [*found, *self.box.spread[d:]]
-
-    def at_orbit(self, value: Ball, slope: Vector) -> Ball:
-        """Return a function of the coordinates at the fixed point, by the mean value theorem."""
-        return value if not slope else value + dot(slope, self.fixed_points[1])
-
-    def turned(self, basis: Any) -> list[list[tuple[Ball, Ball]]]:
-        """Return ``T^-1 DP T`` as real and imaginary parts, ``(d, d)``."""
-        d, zero = self.d, Ball(0, 0, self.bits)
-        re, im = (matrix(part, d, d, self.bits) for part in entries(basis, "re", "im"))
-        rows = [[*a, *(-x for x in b)] for a, b in zip(re, im, strict=True)]
-        rows += [[*b, *a] for a, b in zip(re, im, strict=True)]
-        square = [row[:d] for row in self.slope]
-        both = [[*row, *[zero] * d] for row in square] + [[*[zero] * d, *row] for row in square]
-        found = solved(rows, times(both, rows))
-        return [[(found[i][j], found[d + i][j]) for j in range(d)] for i in range(d)]
+        re, im = (numbers(part, (d, d), self.bits) for part in entries(basis, "re", "im"))
+        both = np.concatenate([np.concatenate([re, -im], axis=1), np.concatenate([im, re], axis=1)])
+        J = self.slope[:, :d]
+        found = solved(both, np.concatenate([J @ both[:d], J @ both[d:]]))
+        return found[:d, :d], found[d:, :d]
 
     def discs(self, basis: Any) -> list[tuple[int, int, int]]:
         """Return Gershgorin's discs: real and imaginary part of the centre, radius, in units."""
-        return [
-            (
-                row[i][0].m,
-                row[i][1].m,
-                row[i][0].r + row[i][1].r + sum(modulus(*x) for j, x in enumerate(row) if j != i),
-            )
-            for i, row in enumerate(self.turned(basis))
-        ]
+        re, im = self.turned(basis)
+        beside = _moduli(re, im)
+        np.fill_diagonal(beside, 0)
+        radii = beside.sum(axis=1)
+        parts = ((re[k, k], im[k, k], int(radii[k])) for k in range(self.d))
+        return [(x.m, y.m, x.r + y.r + r) for x, y, r in parts]
+
+
+_moduli: Any = np.frompyfunc(lambda x, y: isqrt(x.size**2 + y.size**2) + 1, 2, 1)
+"""Upper bounds of the absolute values of complex numbers, in units."""
 
 
 def _exists(passage: Passage, by: Any) -> str:
@@ -130,11 +115,12 @@ def _exists(passage: Passage, by: Any) -> str:
     spread = passage.box.spread
     images = passage.fixed_points[0][: passage.d]
     if by == "inclusion":
-        images = [x + dot(row, spread) for x, row in zip(passage.shift, passage.slope, strict=True)]
+        images = passage.shift + passage.slope @ spread
+    largest = 0.0
     for k, (image, bound) in enumerate(zip(images, spread, strict=False)):
         require(image.size < bound.r, f"coordinate {k} leaves the box: {image.shown()}")
-    shares = [image.size / bound.r for image, bound in zip(images, spread, strict=False)]
-    return f"the image takes {max(shares, default=0.0):.2g} of the box"
+        largest = max(largest, image.size / bound.r)
+    return f"the image takes {largest:.2g} of the box"
 
 
 def _unique(passage: Passage) -> str:
@@ -142,8 +128,7 @@ def _unique(passage: Passage) -> str:
 
 
 def _stable(passage: Passage, basis: Any) -> str:
-    rows = passage.turned(basis)
-    norm = max((sum(modulus(*entry) for entry in row) for row in rows), default=0)
+    norm = max(_moduli(*passage.turned(basis)).sum(axis=1), default=0)
     require(norm < passage.one, f"the norm of the derivative is {norm / passage.one:.6g}")
     return f"the norm of the derivative is {norm / passage.one:.6g}"
 
@@ -159,10 +144,9 @@ def _repelling(passage: Passage, basis: Any) -> str:
 
 
 def _multipliers(passage: Passage, basis: Any, discs: Any) -> str:
-    if not isinstance(discs, list) or len(cast("list[Any]", discs)) != passage.d:
-        raise InputError("The certificate must have a disc for every multiplier.")
-    for (x, y, r), disc in zip(passage.discs(basis), cast("list[Any]", discs), strict=True):
-        a, b, c = (ball.m for ball in vector(disc, 3, passage.bits))
+    given = numbers(discs, (passage.d, 3), passage.bits)
+    for (x, y, r), disc in zip(passage.discs(basis), given, strict=True):
+        a, b, c = (ball.m for ball in disc)
         require(c >= r and (x - a) ** 2 + (y - b) ** 2 <= (c - r) ** 2, "a disc is too small")
     return f"{passage.d} discs of Gershgorin"
 
@@ -172,19 +156,20 @@ def _timed(name: str) -> Callable[..., str]:
         known = passage.times[name]
         if type(which) is not int or not 0 <= which < len(known):
             raise InputError(f"The certificate's `which` must be one of {len(known)} events.")
-        return _within(passage, [passage.at_orbit(*known[which])], [low], [high])
+        time, slope = known[which]
+        return _within(passage, [time + slope @ passage.fixed_points[1]], [low], [high])
 
     return claim
 
 
 def _start_state(passage: Passage, low: Any, high: Any) -> str:
     start = passage.start
-    point = start.image(start.m, start.Q, start.derivative, passage.fixed_points[1])
+    point = start.m + start.Q @ start.r + start.derivative @ passage.fixed_points[1]
     return _within(passage, point[: passage.n_x], low, high)
 
 
-def _within(passage: Passage, found: Vector, low: Any, high: Any) -> str:
-    lows, highs = (vector(ends, len(found), passage.bits) for ends in (low, high))
+def _within(passage: Passage, found: Sequence[Ball], low: Any, high: Any) -> str:
+    lows, highs = (numbers(ends, (len(found),), passage.bits) for ends in (low, high))
     for a, x, b in zip(lows, found, highs, strict=True):
         require(a.m <= x.low and x.high <= b.m, f"it is {x.shown()}")
     return ", ".join(x.shown() for x in found)

@@ -5,21 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from zeno_orbits.errors import InputError
 from zeno_orbits.proof.checker.balls import (
+    Array,
     Ball,
-    Matrix,
-    Vector,
-    added,
     around_zero,
-    dot,
     entries,
-    identity,
+    exactly,
     middles,
+    numbers,
+    radii,
     require,
     solved,
-    times,
-    vector,
 )
 from zeno_orbits.proof.checker.motion import Enclosure, Mapped, require_enclosed
 from zeno_orbits.proof.checker.system import CONTACT, HOLONOMIC, System
@@ -72,33 +71,32 @@ class Section(NamedTuple):
 class Box(NamedTuple):
     """A box of the section: its coordinates and parameters, and where the others are looked for."""
 
-    centre: Vector
-    spread: Vector
-    others: Vector
-    others_spread: Vector
+    centre: Array
+    spread: Array
+    others: Array
+    others_spread: Array
 
     @classmethod
     def of(
         cls, system: System, section: Section, data: Any, over: Sequence[tuple[Ball, Ball]]
     ) -> Box:
         """Return the box of a certificate, its parameters appended."""
-        bits, d, n = system.bits, len(section.places), len(section.others)
+        bits, d, n = system.bits, (len(section.places),), (len(section.others),)
         centre, radius, others = entries(data, "centre", "radius", "others")
         middle, reach = entries(others, "centre", "radius")
+        varied = np.array([*over], dtype=object).reshape(-1, 2)
         return cls(
-            [*vector(centre, d, bits), *(ball for ball, _ in over)],
-            around_zero([*vector(radius, d, bits), *(radius for _, radius in over)]),
-            vector(middle, n, bits),
-            around_zero(vector(reach, n, bits)),
+            np.concatenate([numbers(centre, d, bits), varied[:, 0]]),
+            np.concatenate([radii(radius, d, bits), around_zero(varied[:, 1])]),
+            numbers(middle, n, bits),
+            radii(reach, n, bits),
         )
 
     def holds(self, other: Box) -> bool:
         """Return True if another box lies in this one."""
-        mine = zip((*self.centre, *self.others), (*self.spread, *self.others_spread), strict=True)
-        its = zip(
-            (*other.centre, *other.others), (*other.spread, *other.others_spread), strict=True
-        )
-        return all(abs(c.m - a.m) + e.r <= b.r for (a, b), (c, e) in zip(mine, its, strict=True))
+        centres, spreads, others, reaches = zip(self, other, strict=True)
+        pairs = [*zip(*centres, *spreads, strict=True), *zip(*others, *reaches, strict=True)]
+        return all(abs(c.m - a.m) + d.r <= b.r for a, c, b, d in pairs)
 
 
 def require_start(system: System, section: Section, box: Box, start: Enclosure) -> None:
@@ -107,58 +105,46 @@ def require_start(system: System, section: Section, box: Box, start: Enclosure) 
     Krawczyk's operator on the conditions, for all coordinates at once, proves that there is just
     one such point with its other states where they are looked for.
     """
-    bits, n = system.bits, len(section.others)
-    ones, zero = identity(n, bits), Ball(0, 0, bits)
-    u = [*section.places, *range(len(system.z) - system.n_over, len(system.z))]
+    n, D = len(section.others), len(box.spread)
+    inner = [*section.places, *system.inner[system.n_x :]]
 
-    def state(coordinates: Vector, others: Vector) -> Vector:
-        z = [zero] * len(system.z)
-        if system.is_pinned:
-            z[system.gap_row] = system.stop
-        for k, value in zip((*u, *section.others), (*coordinates, *others), strict=True):
-            z[k] = value
+    def state(coordinates: Array, others: Array) -> Array:
+        z = system.nothing
+        z[system.gap_row] = system.stop
+        z[inner], z[section.others] = coordinates, others
         return z
 
-    def slopes(z: Vector) -> tuple[Matrix, Matrix]:
-        rows = [system.gradient(output, z, row) for output, row in section.equations]
-        return [[row[k] for k in section.others] for row in rows], [
-            [row[k] for k in u] for row in rows
-        ]
+    def slopes(z: Array) -> tuple[Array, Array]:
+        rows = np.array([system.gradient(k, z)[row] for k, row in section.equations], dtype=object)
+        rows = rows.reshape(n, len(z))
+        return rows[:, section.others], rows[:, inner]
 
-    inside = [a + b for a, b in zip(box.centre, box.spread, strict=True)]
-    middle, free = state(box.centre, box.others), box.others_spread
-    by_others, by_u = slopes(state(inside, [a + b for a, b in zip(box.others, free, strict=True)]))
-    inverse = middles(solved(middles(by_others), ones))
-    residual = [[system.value(output, middle)[row]] for output, row in section.equations]
-    newton = [[-x for x in row] for row in times(inverse, residual)]
+    def moved(z: Array, reach: Array, spread: Array) -> Array:
+        by_others, by_u = slopes(z)
+        rest = ones - inverse @ by_others
+        return newton + rest @ reach - inverse @ by_u @ spread
 
-    def moved(by_others: Matrix, by_u: Matrix, free: Vector, spread: Vector) -> Vector:
-        rest = added(ones, [[-x for x in row] for row in times(inverse, by_others)])
-        rows = zip(newton, rest, times(inverse, by_u), strict=True)
-        return [x + dot((*y, *(-v for v in z)), (*free, *spread)) for (x,), y, z in rows]
-
-    found = moved(by_others, by_u, free, box.spread)
-    for k, x, y in zip(section.others, found, free, strict=True):
+    ones = exactly(np.eye(n, dtype=int), system.bits)
+    inside, middle = box.centre + box.spread, state(box.centre, box.others)
+    wide = state(inside, box.others + box.others_spread)
+    inverse = middles(solved(middles(slopes(wide)[0]), ones))
+    residual = [system.value(k, middle)[row] for k, row in section.equations]
+    newton = -(inverse @ np.array(residual, dtype=object))
+    found = moved(wide, box.others_spread, box.spread)
+    for k, x, y in zip(section.others, found, box.others_spread, strict=True):
         require(x.size < y.r, f"state {k} of the section is not found: {x.shown()}")
-    by_others, by_u = slopes(state(inside, [a + b for a, b in zip(box.others, found, strict=True)]))
-    turned = solved(times(inverse, by_others), times(inverse, by_u))
-    still = [zero] * len(u)
+    by_others, by_u = slopes(state(inside, box.others + found))
+    slope = exactly(np.zeros((len(middle), D), dtype=int), system.bits)
+    slope[inner] = exactly(np.eye(D, dtype=int), system.bits)
+    slope[section.others] = -solved(inverse @ by_others, inverse @ by_u)
+    still = exactly(np.zeros(D, dtype=int), system.bits)
     for _ in range(4):
-        point = state(box.centre, [a + b for a, b in zip(box.others, found, strict=True)])
-        found = moved(*slopes(point), found, still)
-    point = state(box.centre, [a + b for a, b in zip(box.others, found, strict=True)])
-    slope = [[zero] * len(u) for _ in point]
-    for k, row in zip(u, identity(len(u), bits), strict=True):
-        slope[k] = row
-    for k, row in zip(section.others, turned, strict=True):
-        slope[k] = [-x for x in row]
+        found = moved(state(box.centre, box.others + found), found, still)
+    point = state(box.centre, box.others + found)
     if not system.is_pinned and not section.settled:
         point[system.rate_row] = system.value(CONTACT, point)[1]
-        wide = state(inside, [a + b for a, b in zip(box.others, free, strict=True)])
-        slope[system.rate_row] = times([system.gradient(CONTACT, wide, 1)], slope)[0]
-    nothing = [zero] * len(point)
-    exact = Enclosure(
-        point, slope, identity(len(point), bits), nothing, [still] * len(point), still
-    )
-    identical = Mapped(point, identity(len(point), bits), zero, nothing)
-    require_enclosed(exact, identical, start)
+        slope[system.rate_row] = system.gradient(CONTACT, wide)[1] @ slope
+    one = system.identity
+    nothing = exactly(np.zeros(slope.shape, dtype=int), system.bits)
+    exact = Enclosure(point, slope, one, system.nothing, nothing, still)
+    require_enclosed(exact, Mapped(point, one, Ball(0, 0, system.bits), system.nothing), start)

@@ -1,25 +1,29 @@
-"""Taylor coefficients of the nodes of a graph in balls, and nodes at points and complex boxes."""
+"""Taylor coefficients of the nodes of a graph in balls, and nodes over complex discs."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import operator
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from operator import mul
-from typing import Any
+from typing import Any, cast
 
-from zeno_orbits.proof.checker.balls import Ball, NotProved, between, quotient, rounded
+import numpy as np
+
+from zeno_orbits.proof.checker.balls import (
+    Array,
+    Ball,
+    NotProved,
+    between,
+    quotient,
+    require,
+    rounded,
+)
 from zeno_orbits.proof.checker.formulas import Graph
 
-_LIBRARY: Any = import_module("mpmath.libmp.libmpi")
-_EXACT: Any = import_module("mpmath.libmp")
-"""Interval arithmetic of mpmath, below `mpmath.iv`: at a precision that is handed over."""
-_REAL: dict[str, Callable[..., Any]] = {
-    name: getattr(_LIBRARY, f"mpi_{name}") for name in ("sin", "cos", "exp", "log", "sqrt", "atan")
-}
-_COMPLEX: dict[str, Callable[..., Any]] = {
-    name: getattr(_LIBRARY, f"mpci_{name}")
-    for name in ("add", "sub", "mul", "div", "neg", "sin", "cos", "exp", "log")
-}
+_MPMATH: Any = import_module("mpmath")
+iv: Any = _MPMATH.iv
+"""Interval arithmetic of mpmath, real and complex."""
 _SPARE = 20
 """Bits that elementary functions carry beyond the unit."""
 
@@ -42,17 +46,9 @@ class Series:
         self.r.append(r)
         self.s.append(abs(m) + r)
 
-
-def function_at(name: str, u: Ball) -> Ball:
-    """Return an elementary function of a ball, by mpmath's interval arithmetic."""
-    bits = u.bits
-    prec = bits + _SPARE + u.size.bit_length()
-    if name in ("log", "sqrt") and u.low <= 0:
-        raise NotProved(f"the argument of {name} may be negative: {u.shown()}")
-    if name == "tanh":
-        power, one = function_at("exp", u + u), Ball(1 << bits, 0, bits)
-        return (power - one) / (power + one)
-    return _ball(_REAL[name](_interval(u.low, u.high, bits), prec), bits)
+    def append_part(self, m: int, r: int, part: int) -> None:
+        """Append a coefficient that is divided by a whole number."""
+        self.append(m // part, -(-r // part) + (m % part != 0))
 
 
 def taylor(
@@ -86,24 +82,25 @@ def taylor(
             if node is None:
                 series[place].append(0, 0)
             else:
-                rate = Ball(series[node].m[k], series[node].r[k], bits)
-                ball = (h * rate).fraction(k + 1)
-                series[place].append(ball.m, ball.r)
-    wanted = {*rates, *outputs}
+                ball = h * Ball(series[node].m[k], series[node].r[k], bits)
+                series[place].append_part(ball.m, ball.r, k + 1)
     return {
-        place: [Ball(m, r, bits) for m, r in zip(found.m, found.r, strict=True)][: order + 1]
-        for place, found in series.items()
-        if place in wanted
+        place: [Ball(*pair, bits) for pair in zip(series[place].m, series[place].r, strict=True)][
+            : order + 1
+        ]
+        for place in (*rates, *outputs)
     }
 
 
-def values(graph: Graph, inputs: Mapping[int, Ball], outputs: Sequence[int | None]) -> list[Ball]:
-    """Return nodes at a box of the inputs; the others are zero."""
+def values(graph: Graph, inputs: Mapping[int, Ball], outputs: Sequence[int | None]) -> Array:
+    """Return nodes over a box of the inputs; those that are ``None`` are zero."""
     bits = next(iter(inputs.values())).bits
     wanted = [place for place in outputs if place is not None]
     found = taylor(graph, {}, inputs, Ball(1 << bits, 0, bits), 0, wanted)
-    zero = Ball(0, 0, bits)
-    return [zero if place is None else found[place][0] for place in outputs]
+    zero = [Ball(0, 0, bits)]
+    return np.array(
+        [(zero if place is None else found[place])[0] for place in outputs], dtype=object
+    )
 
 
 def _grow(node: tuple[Any, ...], series: Mapping[int, Series], own: Series, bits: int) -> None:
@@ -111,27 +108,22 @@ def _grow(node: tuple[Any, ...], series: Mapping[int, Series], own: Series, bits
     name, n = node[0], len(own.m)
     if name == "constant":
         numerator, denominator = node[1].as_integer_ratio() if n == 0 else (0, 1)
-        scaled = numerator << bits
-        own.append(scaled // denominator, int(scaled % denominator != 0))
+        own.append_part(numerator << bits, 0, denominator)
         return
     if name == "function":
         if n == 0:
-            start = function_at(node[1], Ball(series[node[2]].m[0], series[node[2]].r[0], bits))
+            u = series[node[2]]
+            start = function_at(node[1], Ball(u.m[0], u.r[0], bits))
             own.append(start.m, start.r)
         else:
-            integrand = series[node[3]]
-            step = Ball(integrand.m[n - 1], integrand.r[n - 1], bits).fraction(n)
-            own.append(step.m, step.r)
+            own.append_part(series[node[3]].m[n - 1], series[node[3]].r[n - 1], n)
         return
-    x = series[node[1]]
+    x, y = series[node[1]], series[node[-1]]
+    if min(len(x.m), len(y.m)) <= n + (name == "slope"):
+        return
     if name == "slope":
-        if len(x.m) > n + 1:
-            own.append((n + 1) * x.m[n + 1], (n + 1) * x.r[n + 1])
-        return
-    y = series[node[-1]]
-    if min(len(x.m), len(y.m)) <= n:
-        return
-    if name == "neg":
+        own.append((n + 1) * x.m[n + 1], (n + 1) * x.r[n + 1])
+    elif name == "neg":
         own.append(-x.m[n], x.r[n])
     elif name == "mul":
         m = sum(map(mul, x.m, y.m[n::-1]))
@@ -140,68 +132,76 @@ def _grow(node: tuple[Any, ...], series: Mapping[int, Series], own: Series, bits
     elif name == "div":
         m = (x.m[n] << bits) - sum(map(mul, own.m, y.m[n:0:-1]))
         r = sum(map(mul, own.a, y.r[n:0:-1])) + sum(map(mul, own.r, y.s[n:0:-1]))
-        by = Ball(y.m[0], y.r[0], bits)
-        own.append(*quotient(m, (x.r[n] << bits) + r, by))
+        own.append(*quotient(m, (x.r[n] << bits) + r, Ball(y.m[0], y.r[0], bits)))
     else:
         sign = 1 if name == "add" else -1
         own.append(x.m[n] + sign * y.m[n], x.r[n] + y.r[n])
 
 
+def function_at(name: str, u: Ball) -> Ball:
+    """Return an elementary function of a ball, by mpmath's interval arithmetic."""
+    require(name not in ("log", "sqrt") or u.low > 0, f"{name} of {u.shown()} is not analytic")
+    if name == "tanh":
+        power = function_at("exp", u + u)
+        return (power - 1) / (power + 1)
+    exact, fixed = _MPMATH.libmp.from_man_exp, _MPMATH.libmp.to_fixed
+    ends = exact(u.low, -u.bits), exact(u.high, -u.bits)
+    prec = u.bits + _SPARE + u.size.bit_length()
+    low, high = getattr(_MPMATH.libmp.libmpi, f"mpi_{name}")(ends, prec)
+    return between(fixed(low, u.bits) - 1, fixed(high, u.bits) + 1, u.bits)
+
+
 def complex_values(
-    graph: Graph, inputs: Mapping[int, tuple[Ball, int]], outputs: Sequence[int]
-) -> list[tuple[Ball, Ball]]:
-    """Return real and imaginary parts of nodes over a product of discs.
+    graph: Graph, discs: Mapping[int, tuple[Ball, Ball]], outputs: Sequence[int]
+) -> list[Any]:
+    """Return nodes over a product of discs, as complex intervals of mpmath.
 
     Args:
         graph: The formulas.
-        inputs: For every input its real centre and the radius of its disc, in units.
+        discs: For every input its real centre and the radius of its disc.
         outputs: The nodes.
     """
-    bits = next(iter(inputs.values()))[0].bits
     found: dict[int, Any] = {}
-    for place, (ball, radius) in inputs.items():
-        real = _interval(ball.low - radius, ball.high + radius, bits)
-        found[place] = real, _interval(-radius, radius, bits)
-    prec = bits + _SPARE
+    for place, (ball, radius) in discs.items():
+        reach = radius.size
+        real = between(ball.low - reach, ball.high + reach, ball.bits)
+        found[place] = iv.mpc(interval(real), interval(Ball(0, reach, ball.bits)))
     for place in graph.needed(outputs):
         name, *given = graph.nodes[place]
         if name == "constant":
-            numerator, denominator = given[0].as_integer_ratio()
-            places = denominator.bit_length() - 1
-            found[place] = _interval(numerator, numerator, places), _interval(0, 0, 0)
+            found[place] = iv.mpc(given[0])
         elif name == "function":
-            found[place] = _complex_function(given[0], found[given[1]], prec)
-        elif name not in ("input", "slope") and all(a in found for a in given):
-            extra = () if name == "neg" else (found[given[1]],)
-            found[place] = _COMPLEX[name](found[given[0]], *extra, prec)
-        if place in found:
-            _require_finite(found[place])
-    return [(_ball(found[place][0], bits), _ball(found[place][1], bits)) for place in outputs]
+            found[place] = _complex_function(given[0], found[given[1]])
+        elif name in _COMPLEX and all(a in found for a in given):
+            found[place] = _COMPLEX[name](*(found[a] for a in given))
+        finite = place not in found or abs(found[place]) < iv.inf
+        require(bool(finite), "a formula has no bound over complex numbers")
+    return [found[place] for place in outputs]
 
 
-def _complex_function(name: str, z: Any, prec: int) -> Any:
+_COMPLEX: dict[str, Any] = {
+    "add": operator.add,
+    "sub": operator.sub,
+    "mul": operator.mul,
+    "div": cast("Any", operator).truediv,
+    "neg": operator.neg,
+}
+
+
+def _complex_function(name: str, z: Any) -> Any:
     """Return an analytic function over a complex rectangle."""
-    if name in ("log", "sqrt") and not _LIBRARY.mpi_gt(z[0], _interval(0, 0, 0)):
-        raise NotProved(f"the argument of {name} leaves the right half-plane")
-    if name in _COMPLEX:
-        return _COMPLEX[name](z, prec)
-    if name == "sqrt":
-        real, imaginary = (_LIBRARY.mpi_shift(part, -1) for part in _COMPLEX["log"](z, prec))
-        return _COMPLEX["exp"]((real, imaginary), prec)
-    raise NotProved(f"{name} is not bounded over complex numbers")
+    if name in ("sin", "cos", "exp"):
+        return getattr(iv, name)(z)
+    if name in ("log", "sqrt") and z.real > 0:
+        return iv.log(z) if name == "log" else iv.exp(iv.log(z) / 2)
+    raise NotProved(f"{name} is not known to be analytic over complex numbers")
 
 
-def _interval(low: int, high: int, bits: int) -> tuple[Any, Any]:
-    return _EXACT.from_man_exp(low, -bits), _EXACT.from_man_exp(high, -bits)
+def interval(ball: Ball) -> Any:
+    """Return a ball as an interval of mpmath."""
+    return iv.mpf([ball.low, ball.high]) * iv.mpf(2) ** -ball.bits
 
 
-def _ball(interval: Any, bits: int) -> Ball:
-    low, high = (_EXACT.to_fixed(end, bits) for end in interval)
-    return between(low - 1, high + 1, bits)
-
-
-def _require_finite(parts: Any) -> None:
-    """Refuse infinities and what is no number, which mpmath writes without a mantissa."""
-    for _, mantissa, exponent, _ in (end for part in parts for end in part):
-        if not mantissa and exponent:
-            raise NotProved("a bound over complex numbers is not finite")
+def upper(bound: Any, bits: int) -> Ball:
+    """Return the upper end of a real interval of mpmath, rounded up to units."""
+    return Ball(_MPMATH.libmp.to_fixed(bound._mpi_[1], bits) + 1, 0, bits)

@@ -6,8 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 
+import numpy as np
+
 from zeno_orbits.errors import InputError
-from zeno_orbits.proof.checker.balls import Ball, Matrix, Vector, identity
+from zeno_orbits.proof.checker.balls import Array, Ball, exactly
 from zeno_orbits.proof.checker.formulas import Formulas, Graph, walked
 from zeno_orbits.proof.checker.series import taylor, values
 
@@ -59,55 +61,49 @@ class System:
         return self.gap_row < self.n_x
 
     @property
-    def n_over(self) -> int:
-        """Number of parameters among the states."""
-        return len(self.z) - max(self.n_x, self.rate_row + 1)
+    def inner(self) -> list[int]:
+        """Rows of the states that formulas depend on: states of the problem, and parameters."""
+        carried = () if self.is_pinned else (self.gap_row, self.rate_row)
+        return [k for k in range(len(self.z)) if k not in carried]
 
     @property
-    def nothing(self) -> Vector:
+    def nothing(self) -> Array:
         """A row of zeros, ``(N,)``."""
-        return [Ball(0, 0, self.bits)] * len(self.z)
-
-    def at(self, z: Sequence[Ball]) -> dict[int, Ball]:
-        """Return all inputs at states, the tangents those of the states themselves."""
-        return self.constants | dict(zip(self.z, z, strict=True)) | self.seeds
+        return exactly(np.zeros(len(self.z), dtype=int), self.bits)
 
     @property
-    def seeds(self) -> dict[int, Ball]:
-        """The tangents of the states themselves."""
-        rows = zip(self.V, identity(len(self.z), self.bits), strict=True)
-        return {v: x for row, ones in rows for v, x in zip(row, ones, strict=True)}
+    def identity(self) -> Array:
+        """The identity matrix, ``(N, N)``."""
+        return exactly(np.eye(len(self.z), dtype=int), self.bits)
 
-    def value(self, output: int, z: Sequence[Ball]) -> Vector:
+    def at(self, z: Array) -> dict[int, Ball]:
+        """Return all inputs at states, the tangents those of the states themselves."""
+        seeds = zip(np.ravel(self.V), self.identity.ravel(), strict=True)
+        return self.constants | dict(zip(self.z, z, strict=True)) | {int(v): x for v, x in seeds}
+
+    def value(self, output: int, z: Array) -> Array:
         """Return one of the outputs over a box of states."""
         return values(self.graph, self.at(z), self.outputs[output])
 
-    def gradient(self, output: int, z: Sequence[Ball], row: int) -> Vector:
-        """Return the derivative of an entry of an output over a box of states, ``(N,)``."""
-        return values(self.graph, self.at(z), self.tangents[output][row])
+    def gradient(self, output: int, z: Array) -> Array:
+        """Return the derivative of one of the outputs over a box of states, ``(n, N)``."""
+        nodes = self.tangents[output]
+        found = values(self.graph, self.at(z), [node for row in nodes for node in row])
+        return found.reshape(len(nodes), len(self.z))
 
-    def rates(self, mode: str, z: Sequence[Ball]) -> Vector:
+    def rates(self, mode: str, z: Array) -> Array:
         """Return the rates of the states over a box of them."""
         return values(self.graph, self.at(z), [self.flow[mode][place] for place in self.z])
 
-    def gap(self, z: Sequence[Ball]) -> Ball:
+    def gap(self, z: Array) -> Ball:
         """Return the gap over a box of states."""
         return self.unit * (z[self.gap_row] - self.stop)
 
-    def gap_rate(self, z: Sequence[Ball]) -> Ball:
+    def gap_rate(self, z: Array) -> Ball:
         """Return the gap rate over a box of states."""
         return self.unit * z[self.rate_row]
 
-    def across(self, row: int) -> Vector:
-        """Return the gradient of the gap, or of its rate, whose row it is."""
-        zero = Ball(0, 0, self.bits)
-        return [self.unit if k == row else zero for k in range(len(self.z))]
-
-    def put_exactly(self, point: Vector, slope: Matrix, row: int, value: Ball) -> None:
-        """Set a row to a value that it has for every state."""
-        point[row], slope[row] = value, [Ball(0, 0, self.bits)] * len(point)
-
-    def third_derivative(self, z: Sequence[Ball]) -> Ball:
+    def third_derivative(self, z: Array) -> Ball:
         """Return the third time derivative of the gap off the stop."""
         node, one = self.outputs[CONTACT][2], Ball(1 << self.bits, 0, self.bits)
         return taylor(self.graph, self.flow["free"], self.at(z), one, 1, [node])[node][1]

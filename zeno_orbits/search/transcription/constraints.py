@@ -1,4 +1,4 @@
-"""Bounds and peaks as rows of a program.
+"""Bounds, peaks and amplitudes as rows of a program.
 
 A signal is held at all stages and at the extremes of the guess between them; what then still
 passes its bound between these places is seen by a simulation, which draws the places anew.
@@ -7,12 +7,13 @@ passes its bound between these places is seen by a simulation, which draws the p
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import cast
 
 import casadi as ca
 import numpy as np
 
-from zeno_orbits.arrays import Array
+from zeno_orbits.arrays import Array, Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.integrators import lagrange_basis
 from zeno_orbits.model import GAP_ACCELERATION, GAP_RATE
@@ -209,11 +210,51 @@ def inside(terms: OrbitTerms, arc: CollocatedArc, fraction: float) -> ca.MX:
     Returns:
         The state, ``(n_y, 1)``, in the program's unknowns.
     """
+    states, place = _interval(terms, arc, fraction)
+    return ca.mtimes(states, ca.DM(lagrange_basis(_points(terms), place)))
+
+
+def extreme(terms: OrbitTerms, index: int, sign: float) -> ca.MX:
+    """Return the largest value of a state (smallest, if ``sign`` is -1) over the orbit.
+
+    Inside an interval it is where the derivative of the collocation polynomial vanishes, and the
+    place is an unknown; at an impact, where the rate may turn round, it is a node.
+
+    Args:
+        terms: The transcribed orbit.
+        index: Place of the state among the states.
+        sign: 1 for the largest value, -1 for the smallest.
+    """
+    arc, peak = max(
+        ((arc, peak) for arc in terms.arcs for peak in peaks(_entry(index), arc.guess, sign)),
+        key=lambda found: sign * found[1].value,
+    )
+    if peak.fraction in (0.0, 1.0):
+        return (arc.end if peak.fraction else arc.start)[index]
+    states, guess = _interval(terms, arc, peak.fraction)
+    what = f"{terms.state_names[index]} is {'highest' if sign > 0 else 'lowest'}"
+    place = terms.program.variable(f"place where {what}", guess, lower=-0.5, upper=1.5)
+    basis = cast("ca.MX", ca.vertcat(*lagrange_basis(_points(terms), place)))
+    height = ca.mtimes(states[index, :], basis)
+    scale = float(terms.scale[index])
+    terms.program.equal(f"{what} there", ca.jacobian(height, place), scale=scale)
+    return height
+
+
+def _entry(index: int) -> Callable[[Vector], float]:
+    return lambda x: float(x[index])
+
+
+def _interval(terms: OrbitTerms, arc: CollocatedArc, fraction: float) -> tuple[ca.MX, float]:
+    """Return the states of the interval that holds a fraction of an arc, and the place in it."""
     mesh, n = arc.mesh, terms.scheme.n_stages
     interval = int(np.clip(np.searchsorted(mesh, fraction) - 1, 0, len(mesh) - 2))
-    place = (fraction - mesh[interval]) / (mesh[interval + 1] - mesh[interval])
     first = interval * n
     start = arc.start if first == 0 else arc.stages[:, first - 1]
-    points = np.concatenate([[0.0], terms.scheme.nodes])
-    states = ca.horzcat(start, arc.stages[:, first : first + n])
-    return ca.mtimes(states, ca.DM(lagrange_basis(points.tolist(), float(place))))
+    place = (fraction - mesh[interval]) / (mesh[interval + 1] - mesh[interval])
+    return ca.horzcat(start, arc.stages[:, first : first + n]), float(place)
+
+
+def _points(terms: OrbitTerms) -> list[float]:
+    """Return the places of an interval's states in it, its start included."""
+    return [0.0, *terms.scheme.nodes.tolist()]
