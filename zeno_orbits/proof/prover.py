@@ -187,7 +187,8 @@ def _refined(
         near = found.returned.krawczyk(near)
     for k, change in zip(places, near, strict=True):
         y[k] = (y[k] + change).mid()
-    radii = [_FINE * max(abs(float(y[k].mid())), 1e-3) for k in places]
+    noise = max(float(one.rad()) for one in found.returned.shift)
+    radii = [max(_FINE * abs(float(y[k].mid())), 10 * noise) for k in places]
     fine = start_on_section(system, y, places, start.others, radii)
     for k, inner, outer in zip(start.others, fine.around, start.around, strict=True):
         require(bool(outer.contains(inner)), "exists", f"state {k} leaves the first box")
