@@ -11,12 +11,23 @@ from typing import Any
 import pytest
 
 from zeno_orbits.cli.program import build_parser
-from zeno_orbits.cli.search_output import SearchNotes, answer, map_command
+from zeno_orbits.cli.search_output import SearchNotes, answer, map_command, on_the_optimum
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits import Bound
-from zeno_orbits.search import NearestGains, SearchResult, SearchStatus
+from zeno_orbits.orbits import Bound, ZenoOrbit
+from zeno_orbits.search import (
+    Candidate,
+    FastestContraction,
+    LeastEnergy,
+    NearestGains,
+    Objective,
+    SearchResult,
+    SearchStatus,
+    StartAttempt,
+)
 from zeno_orbits.search.number_notes import at_ends, far_from_own
+from zeno_orbits.search.objectives import LEAST_RADIUS
+from zeno_orbits.simulation import Extent
 
 NOTHING = SearchResult(
     status=SearchStatus.NO_GUESS,
@@ -165,3 +176,53 @@ def test_a_number_at_an_end_of_its_range_is_told_and_whose_range_it_is(problem: 
     assert said.startswith("`Kp` = 2.4 is the lower end of its range 2.4:2.6")
     # Who asks for the end itself gets what is asked.
     assert at_ends(problem, inside.replaced({"Kp": high}), own, {"Kp": high}) == []
+
+
+# What is said of an optimum.
+
+
+def _found(orbit: ZenoOrbit, starts: int, score: float = 1.0) -> SearchResult:
+    """Return a search of three starts, some of which led to an orbit."""
+    candidate = Candidate(
+        orbit=orbit,
+        score=score,
+        extents={"energy": Extent(lowest=1.0, highest=1.0)},
+        certificate=None,
+        starts=starts,
+    )
+    attempt = StartAttempt(gains=orbit.gains, status=SearchStatus.FOUND)
+    return replace(NOTHING, orbit=orbit, candidates=(candidate,), attempts=3 * (attempt,))
+
+
+def _said(problem: Problem, result: SearchResult, objective: Objective, candidates: int = 1) -> str:
+    notes = replace(_notes([]), objective=objective, free={"Kp": (2.5, 5.0)})
+    return " ".join(on_the_optimum(_options(candidates=candidates), problem, result, notes))
+
+
+def test_an_optimum_that_one_start_found_may_be_local_and_one_of_several_is_not_called_so(
+    problem: Problem, orbit: ZenoOrbit
+) -> None:
+    assert "the optimum may be local" in _said(problem, _found(orbit, 1), LeastEnergy())
+    said = _said(problem, _found(orbit, 2), LeastEnergy())
+    assert "2 of 3 starts led there" in said
+    assert "local" not in said
+    # Nothing is better than zero, however many starts there were; what is near has no rival.
+    (one,) = _found(orbit, 1, LEAST_RADIUS).candidates
+    radius = {"spectral_radius": Extent(lowest=0.0, highest=0.0)}
+    least = replace(_found(orbit, 1), candidates=(replace(one, extents=radius),))
+    assert "local" not in _said(problem, least, FastestContraction())
+    assert "local" not in _said(problem, _found(orbit, 1), NearestGains(target={}))
+
+
+def test_an_optimum_at_an_end_of_its_range_is_told(problem: Problem, orbit: ZenoOrbit) -> None:
+    assert orbit.gains["Kp"] == 2.5
+    assert "`Kp` = 2.5 is the lower end" in _said(problem, _found(orbit, 1), LeastEnergy())
+    beyond = NearestGains(target={"Kp": 1.0})
+    assert "`Kp` = 2.5 is the lower end" in _said(problem, _found(orbit, 1), beyond)
+    assert "end of" not in _said(problem, _found(orbit, 1), NearestGains(target={"Kp": 2.5}))
+
+
+def test_fewer_candidates_than_asked_are_explained(problem: Problem, orbit: ZenoOrbit) -> None:
+    said = _said(problem, _found(orbit, 2), LeastEnergy(), candidates=3)
+    assert "2 fewer than asked: 2 of 3 starts led to an orbit, no other one among them." in said
+    assert "fewer" not in _said(problem, _found(orbit, 2), LeastEnergy())

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -16,6 +19,7 @@ from tests.support.commands import (
     contents,
     raising,
 )
+from tests.support.compiling import needs_compiler
 from zeno_orbits.precision.work_precision import read_work_precision
 
 pytestmark = pytest.mark.usefixtures("here")
@@ -75,3 +79,26 @@ def test_an_interrupted_trade_writes_nothing(
     assert answer.out == ""
     assert answer.err == "zeno-orbits: interrupted; nothing was written\n"
     assert contents(here) == {}
+
+
+@pytest.mark.slow
+@needs_compiler
+def test_a_trade_shows_compiled_steps_beside_interpreted_ones_of_the_same_error(
+    tmp_path: Path,
+) -> None:
+    environment = os.environ | {
+        "ZENO_ORBITS_COMPILE": "background",
+        "ZENO_ORBITS_CACHE": str(tmp_path),
+    }
+    command = [sys.executable, "-m", "zeno_orbits", *TRADING, "--json", "--verbose"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+    trials = {(one["name"], one["value"]): one for one in json.loads(done.stdout)["trials"]}
+    rows = [key for key in trials if key[0].endswith(", interpreted")]
+    assert {name for name, _ in rows} == {
+        f"{name}, interpreted" for name in ("automatic", "explicit", "implicit")
+    }
+    for name, value in rows:
+        compiled = trials[name.removesuffix(", interpreted"), value]
+        # Errors are those of the method: both are far above rounding, or both are rounding.
+        assert abs(compiled["error"] - trials[name, value]["error"]) < 1e-13
+    assert "steps are compiled by" in done.stderr

@@ -117,6 +117,8 @@ def test_the_family_in_the_restitution_ends_where_simulations_stop_closing() -> 
     orbit = pendulum_orbit(restitution=0.4)
     family = only(continue_orbit(PENDULUM, orbit, "restitution", (0.0, 0.5)).families)
     assert family.first.kind is SpecialPointKind.BOUND
+    # Not a rounding error below it, where no restitution is.
+    assert family.first.at.value == 0.0
     assert family.last.kind is SpecialPointKind.LOCK_VANISHES
     assert family.last.error < 1e-8
     low, high = 0.41, 0.42

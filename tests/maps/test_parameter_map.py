@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 from tests.reference.long_simulation import attractor_of
-from tests.support.commands import ask, interrupted_when
+from tests.support.commands import ask, interrupted_when, raising
 from tests.support.processes import Commands, workers_of
 from zeno_orbits import work
 from zeno_orbits.errors import CheckpointError, InputError, MapFileError, ProblemFileError
@@ -348,6 +348,16 @@ def test_an_interrupt_without_an_output_keeps_what_is_done_in_a_temporary_folder
         again = ask(*BALL, "--workers", "1", "--checkpoint", told[1])
     assert again.out == ask(*BALL, "--workers", "1").out
     assert [path for path in tmp_path.iterdir() if path != Path(told[1])] == []
+
+
+def test_work_that_fails_leaves_no_temporary_folder_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    assert ask(*BALL, "--workers", str(CORES + 1)).code == MISUSE
+    monkeypatch.setattr("zeno_orbits.report.terminal.print_map", raising(InputError("No.")))
+    assert ask(*BALL, "--workers", "1").code == MISUSE
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_interrupt_with_nothing_finished_leaves_no_checkpoint_behind(tmp_path: Path) -> None:

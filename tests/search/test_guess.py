@@ -19,7 +19,7 @@ from tests.support.mechanisms import (
     pushed_away,
     spring_mass,
 )
-from zeno_orbits.model import own_time
+from zeno_orbits.model import OwnScale, own_time
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
@@ -220,7 +220,7 @@ def test_a_state_is_put_back_on_its_constraint_in_any_unit(unit: float) -> None:
     def holonomic(state: np.ndarray) -> np.ndarray:
         return np.array([(state[0] ** 2 + state[1] ** 2) / unit**2 - 1.0])
 
-    circle: Any = SimpleNamespace(holonomic=holonomic)
+    circle: Any = SimpleNamespace(holonomic=holonomic, own=OwnScale())
     off = unit * np.array([0.6, 0.8001])
     back = back_on_constraints(circle, off, locked=False)
     # One step of Newton's method leaves the square of what was off, 1.6e-4.

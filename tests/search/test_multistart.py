@@ -204,8 +204,9 @@ def test_a_seed_repeats_its_starts_and_another_has_others() -> None:
     first = tried("1")
     assert tried("1") == first
     other = tried("2")
-    assert other[0] == first[0] == 1.0
-    assert not {*other[1:]} & {*first[1:]}
+    # Where no place of the box has an orbit, the first is tried once more from easier numbers.
+    assert other[:2] == first[:2] == [1.0, 1.0]
+    assert not {*other[2:]} & {*first[2:]}
 
 
 def test_a_start_that_kills_every_worker_is_a_failure_by_name(

@@ -23,6 +23,7 @@ from zeno_orbits.search import (
 from zeno_orbits.search.objectives import LEAST_RADIUS
 from zeno_orbits.search.scan import scan_summary, start_order, start_place
 from zeno_orbits.search.search_problem import SearchProblem, with_targets
+from zeno_orbits.search.start import numbered_start, scanned
 
 BOX = (-1.9, -0.9)
 
@@ -124,6 +125,13 @@ def test_without_an_orbit_anywhere_the_first_place_comes_twice(
     _landscape(monkeypatch, problem, lambda _: Attractor(fate=Fate.REST))
     search = _search(problem)
     assert start_order(search)[:3] == (0, 0, 1)
+    search = scanned(search, 0)
+    first, again = numbered_start(search, 0), numbered_start(search, 1)
+    assert first.values == again.values
+    # The second time by a long way, without another simulation.
+    assert (first.easy, first.known_empty) == ((), False)
+    assert again.easy
+    assert again.known_empty
     assert scan_summary(search).endswith("looked at by simulation: rest (25).")
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 from uuid import uuid4
 
 from zeno_orbits.cli.parsing import Named, read_count, read_named_number, read_number
-from zeno_orbits.errors import InputError, WorkError, did_you_mean
+from zeno_orbits.errors import CheckpointError, InputError, WorkError, did_you_mean
 from zeno_orbits.integrators import ENGINES, Selective, engine_named
 from zeno_orbits.report import terminal as report
 from zeno_orbits.work import require_picture, require_writable, write_whole
@@ -214,30 +214,43 @@ def run_resumable(
         finish: From the result to the exit code: prints and writes it.
         keep: Whether there are parts to keep, if no folder was named.
     """
-    from zeno_orbits.work import remove_checkpoint
+    from zeno_orbits.work import keeps_nothing, remove_checkpoint
 
-    folder = options.checkpoint or (_own_folder(options) if keep else None)
+    own = None if options.checkpoint is not None or not keep else _own_folder(options)
+    folder = options.checkpoint or own
     try:
         with report.ProgressLine(options.interrupts.check) as progress:
             found = work(folder, progress)
+        code = finish(found)
     except KeyboardInterrupt:
         report.print_error(f"interrupted; {_kept(options, folder) or 'nothing was written'}")
         return INTERRUPTED
     except WorkError as error:
         kept = _kept(options, folder)
         raise WorkError(f"{error}; {kept}" if kept else str(error), trace=error.trace) from error
-    code = finish(found)
-    if options.checkpoint is None and folder is not None:
-        remove_checkpoint(folder)
+    except CheckpointError:
+        # It belongs to something else.
+        raise
+    except BaseException:
+        if own is not None and (_is_temporary(options) or keeps_nothing(own)):
+            remove_checkpoint(own)
+        raise
+    if own is not None:
+        remove_checkpoint(own)
     return code
+
+
+def _is_temporary(options: argparse.Namespace) -> bool:
+    """Return True if the folder of finished work belongs to no folder and no output of the user."""
+    return not (options.checkpoint or options.output or getattr(options, "picture", None))
 
 
 def _own_folder(options: argparse.Namespace) -> Path:
     """Return a folder for finished work, by what the work is for."""
-    output = options.output or getattr(options, "picture", None)
-    if output is not None:
-        return output.with_name(f"{output.name}.checkpoint")
-    return Path(tempfile.gettempdir(), f"zeno-orbits-{uuid4().hex[:8]}")
+    if _is_temporary(options):
+        return Path(tempfile.gettempdir(), f"zeno-orbits-{uuid4().hex[:8]}")
+    output = options.output or options.picture
+    return output.with_name(f"{output.name}.checkpoint")
 
 
 def _kept(options: argparse.Namespace, folder: Path | None) -> str:
@@ -252,7 +265,7 @@ def _kept(options: argparse.Namespace, folder: Path | None) -> str:
             remove_checkpoint(folder)
         return ""
     again = "the same command"
-    if options.checkpoint is None and folder != _own_folder(options):
+    if _is_temporary(options):
         again += f" with --checkpoint {folder}"
     return f"`{folder}` keeps what is finished: {again} goes on from there"
 

@@ -65,14 +65,16 @@ def answer(
     orbit = certified(result.orbit, certificate)
     if options.output is not None:
         write_orbit(orbit, options.output)
+    said = on_the_optimum(options, problem, result, notes)
     if options.json:
-        print_json(orbit.as_json() | _ranking(options, result))
+        told = {"notes": [*filter(None, [result.detail]), *said]} if notes.free else {}
+        print_json(orbit.as_json() | _ranking(options, result) | told)
         return YES
     report.print_search(result)
     if options.candidates > 1:
         report.print_candidates(result)
     report.print_orbit(problem, orbit, certificate, result.attempts[0].parameters)
-    report.print_lines(_on_the_optimum(options, problem, result, notes))
+    report.print_lines(said)
     report.print_bounds(certificate.asked)
     if notes.held:
         report.print_lines([f"Derived, and held at their initial values: {', '.join(notes.held)}."])
@@ -83,7 +85,7 @@ def answer(
     return YES
 
 
-def _on_the_optimum(
+def on_the_optimum(
     options: argparse.Namespace, problem: Problem, result: SearchResult, notes: SearchNotes
 ) -> list[str]:
     """Return what was asked and reached, and what more there may be, as sentences."""

@@ -184,6 +184,7 @@ class _Follower:
         normal = np.zeros(z.size)
         normal[-1] = 1.0
         z = last.z + part * last.tangent
+        z[-1] = bound / self.metric.unit
         return correct(self.returns, self.metric, z, last.tangent, fixed=normal), True
 
     def _require_neighbour(self, last: BranchPoint, new: BranchPoint, step: float) -> None:

@@ -103,6 +103,8 @@ def correct(
         ZenoOrbitsError: If a return fails on the way.
     """
     normal = along if fixed is None else fixed
+    # A parameter at an end of its range must not leave it by a rounding error.
+    is_held = fixed is not None and not fixed[:-1].any()
     x, s = metric.of_place(z)
     before = np.inf
     for _ in range(_MOST_ITERATIONS):
@@ -118,7 +120,8 @@ def correct(
             break
         matrix = np.concatenate([rows, (normal @ ambient)[None, :]])
         change = np.linalg.lstsq(matrix, -np.append(missed, off), rcond=None)[0]
-        x, s = x + here.lift @ change, s + float(change[-1])
+        x = x + here.lift @ change
+        s = s if is_held else s + float(change[-1])
         if max(miss, abs(off)) <= CLOSED or stalled:
             # The last correction is too small to be worth another return.
             return _point(x, s, metric, rows, ambient, found, miss, along)

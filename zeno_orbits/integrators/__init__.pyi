@@ -28,6 +28,7 @@ from .leg_source import follow_source as follow_source
 from .radau import Radau as Radau
 from .radau_step import implicit_expressions as implicit_expressions
 from .scipy import SciPy as SciPy
+from .stepping import SteppingEngine as SteppingEngine
 from .steps import ExplicitStep as ExplicitStep
 from .steps import RadauStep as RadauStep
 from .taylor import Taylor as Taylor

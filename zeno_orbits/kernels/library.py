@@ -46,7 +46,7 @@ class KernelLibrary:
 
     def rows(
         self, name: str, strides: Sequence[int], widths: Sequence[int]
-    ) -> Callable[[int, Sequence[Vector], Sequence[Vector]], None]:
+    ) -> Callable[[int, Sequence[Vector], Vector], None]:
         """Return a call of a kernel for many rows, each of which gets what it would get alone.
 
         Args:
@@ -56,16 +56,27 @@ class KernelLibrary:
             widths: Numbers in a row of an output, one an output.
 
         Returns:
-            From the number of rows, contiguous inputs and contiguous outputs to nothing.
+            From the number of rows, contiguous inputs, and a contiguous array for the outputs side
+            by side, ``(n, sum(widths))``, to nothing.
         """
         loop, kernel = self._code["zk_rows"], ctypes.cast(self._code[name], ctypes.c_void_p)
-        n_in, n_out = len(strides), len(widths)
-        steps = (ctypes.c_longlong * (n_in + n_out))(*strides, *widths)
+        n_in, n_out, whole = len(strides), len(widths), sum(widths)
+        steps = (ctypes.c_longlong * (n_in + n_out))(*strides, *([whole] * n_out))
+        offsets = [8 * sum(widths[:k]) for k in range(n_out)]
         addresses = ctypes.c_void_p * (n_in + n_out)
         counts = ctypes.c_longlong(n_in), ctypes.c_longlong(n_out)
 
-        def call(n: int, given: Sequence[Vector], taken: Sequence[Vector]) -> None:
-            places = addresses(*(array.ctypes.data for array in (*given, *taken)))
+        def call(n: int, given: Sequence[Vector], taken: Vector) -> None:
+            base = _address(taken)
+            places = addresses(*map(_address, given), *[base + offset for offset in offsets])
             loop(kernel, ctypes.c_longlong(n), *counts, places, steps)
 
         return call
+
+
+def _address(array: Vector) -> int:
+    """Return the address of the numbers of an array, five times faster than ``ctypes.data``."""
+    if array.size and array.flags.writeable:
+        memory: Any = array
+        return ctypes.addressof(ctypes.c_char.from_buffer(memory))
+    return array.ctypes.data

@@ -17,11 +17,12 @@ from zeno_orbits.integrators import (
     Automatic,
     Engine,
     SciPy,
+    SteppingEngine,
     Taylor,
     engine_named,
     installed_engines,
 )
-from zeno_orbits.model import HybridDynamics, ParameterValues, Problem
+from zeno_orbits.model import HybridDynamics, ParameterValues, Problem, bind
 from zeno_orbits.precision.accuracy import at_tolerance
 from zeno_orbits.precision.landmark import apart, landmarks
 from zeno_orbits.precision.reference import Truth, is_too_stiff, true_landmarks
@@ -90,7 +91,11 @@ def trade(
     dynamics = problem.dynamics(values)
     on_progress("computing the truth", 0.0)
     truth = true_landmarks(problem, values, dynamics, state, settings.until)
-    plans = [*_plans(dynamics, state, settings), *_reduced(problem, values, state, settings)]
+    plans = [
+        *_plans(dynamics, state, settings),
+        *_interpreted(problem, values, state, settings),
+        *_reduced(problem, values, state, settings),
+    ]
     trials: list[Trial] = []
     for k, plan in enumerate(plans):
         on_progress(f"{plan.sweep}: {plan.name}, {plan.value:.0e}", (k + 1) / (len(plans) + 1))
@@ -157,6 +162,32 @@ def _plans(
         yield plan(sweep, name, value, replace(tight, completion=completion))
 
 
+def _interpreted(
+    problem: Problem,
+    values: ParameterValues,
+    state: Sequence[float],
+    settings: WorkPrecisionSettings,
+) -> Iterator[_Plan]:
+    """Plan the engines of compiled steps once more, interpreted; none where nothing is compiled."""
+    compiled = problem.compiled()
+    # What is measured must be compiled before, not in the middle of it.
+    if not compiled.build():
+        return
+    dynamics = bind(compiled.interpreted(), values.vector)
+    for name, engine in engines().items():
+        if isinstance(engine, SteppingEngine):
+            for tolerance in settings.tolerances:
+                yield _Plan(
+                    sweep="engine",
+                    name=f"{name}, interpreted",
+                    value=tolerance,
+                    dynamics=dynamics,
+                    state=state,
+                    entries=range(len(state)),
+                    simulation=_settings(engine, tolerance),
+                )
+
+
 def _reduced(
     problem: Problem,
     values: ParameterValues,
@@ -165,6 +196,7 @@ def _reduced(
 ) -> Iterator[_Plan]:
     """Plan the reduced models of a problem; the truth stays that of the full one."""
     for reduced in problem.ladder()[1:]:
+        reduced.compiled().build()
         dynamics = reduced.dynamics(reduced.shared(values))
         entries = [problem.state_names.index(name) for name in reduced.state_names]
         for tolerance in settings.tolerances:

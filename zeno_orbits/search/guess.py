@@ -260,8 +260,7 @@ def back_on_constraints(dynamics: HybridDynamics, state: Vector, *, locked: bool
     off = dynamics.holonomic(state)
     if off.size == 0:
         return state
-    sizes = np.abs(state)
-    scale = np.where(sizes > _SMALL * np.max(sizes), sizes, np.max(sizes) or 1.0)
+    scale = dynamics.own.not_small(np.abs(state), _SMALL)
     steps = _DIFFERENCE * np.diag(scale)
     slopes = [(dynamics.holonomic(state + step) - off) / _DIFFERENCE for step in steps]
     return state - scale * np.linalg.lstsq(np.array(slopes).T, off, rcond=None)[0]

@@ -19,7 +19,6 @@ from zeno_orbits.search.outcome import (
     StartAttempt,
     StartOutcome,
 )
-from zeno_orbits.search.scan import scan_summary
 from zeno_orbits.search.search_problem import SearchProblem, with_targets
 from zeno_orbits.search.settings import SearchSettings, SearchStatus
 from zeno_orbits.search.validation import check_search
@@ -156,8 +155,15 @@ def _ranked(search: SearchProblem, outcomes: Generator[StartOutcome]) -> SearchR
         attempts=tuple(attempts),
         candidates=ranked,
         detail=best.detail,
-        scan="" if ranked or len(attempts) == 1 else scan_summary(search),
+        scan="" if ranked or len(attempts) == 1 else _summary(search),
     )
+
+
+def _summary(search: SearchProblem) -> str:
+    """Return what motions settle to all over the box."""
+    from zeno_orbits.search.scan import scan_summary
+
+    return scan_summary(search)
 
 
 _AGREE = 2

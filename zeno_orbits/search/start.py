@@ -11,8 +11,7 @@ from zeno_orbits.orbits import Bound, ZenoOrbit
 from zeno_orbits.orbits.bounds import objection_to
 from zeno_orbits.search.number_notes import far_from_own
 from zeno_orbits.search.outcome import Accept, Candidate, Judgement, StartOutcome
-from zeno_orbits.search.scan import start_order, start_place
-from zeno_orbits.search.search_problem import SearchProblem, listed
+from zeno_orbits.search.search_problem import SearchProblem, clipped, listed
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.search.strategy import SearchStart, beside, from_start
 from zeno_orbits.simulation import Extent
@@ -33,6 +32,9 @@ def scanned(search: SearchProblem, number: int) -> SearchProblem:
     """
     if search.order is not None or not (number > 0 or search.seeks_optimum):
         return search
+    # Most searches end at their first start, sooner than what follows many motions is imported.
+    from zeno_orbits.search.scan import start_order
+
     search.tell("looking at places all over the box")
     return replace(search, order=start_order(search))
 
@@ -45,15 +47,16 @@ def numbered_start(search: SearchProblem, number: int) -> SearchStart:
         number: Which start it is, from 0.
     """
     place = number if search.order is None else search.order[number]
-    values = start_place(search, place)
     if place > 0:
-        return SearchStart(values=values)
-    if number > 0 or start_count(search) == 1:
-        # A long way, for where nothing else leads to an orbit.
-        return SearchStart(
-            values=values, near=search.near, easy=_easy_values(search.problem, values)
-        )
-    return SearchStart(values=values, near=search.near)
+        from zeno_orbits.search.scan import start_place
+
+        return SearchStart(values=start_place(search, place))
+    values = clipped(search.values, search.free)
+    again = search.order is not None and search.order.index(0) < number
+    # The long way, for where nothing else leads to an orbit.
+    easy = _easy_values(search.problem, values) if again or start_count(search) == 1 else ()
+    near = None if again else search.near
+    return SearchStart(values=values, near=near, easy=easy, known_empty=again)
 
 
 def try_start(search: SearchProblem, number: int, accept: Accept | None) -> StartOutcome:

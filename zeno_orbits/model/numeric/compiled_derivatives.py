@@ -202,7 +202,7 @@ class CompiledVariation:
             self._saved = 0.0
             self._step = library.caller("zk_step", *step)
             rows = library.rows("zk_linear", (n_y, 0), (self._pieces[0].size,))
-            self._linear = partial(rows, N_STAGES, *linear)
+            self._linear = partial(rows, N_STAGES, linear[0], self._pieces)
 
     def step(self, y: Vector, size: float, v: Vector, q: Vector) -> tuple[Vector, float]:
         """Return the perturbations after a step, ``(n_y, m)``, and their error, relative."""

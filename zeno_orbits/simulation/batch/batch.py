@@ -18,8 +18,8 @@ import numpy as np
 
 from zeno_orbits.arrays import Rows, Vector
 from zeno_orbits.simulation.attractor import has_left, is_still, keeps_holding
-from zeno_orbits.simulation.batch.events import Mask, first_falls, may_fall
-from zeno_orbits.simulation.batch.lanes import FREE, LOCKED, empty_lanes
+from zeno_orbits.simulation.batch.events import first_falls, may_fall
+from zeno_orbits.simulation.batch.lanes import FREE, LOCKED, Mask, empty_lanes, true_rows
 from zeno_orbits.simulation.batch.model import BatchFlow, BatchModel
 from zeno_orbits.simulation.batch.outcomes import LaneEvent, Reason
 from zeno_orbits.simulation.batch.rules import BatchSettings, Transitions
@@ -111,7 +111,7 @@ class Batch:
     def round(self) -> list[LaneEvent]:
         """Advance every lane by one step and return what happened."""
         lanes = self._lanes
-        groups = [np.flatnonzero(lanes.alive & (lanes.mode == mode)) for mode in range(3)]
+        groups = [true_rows(lanes.alive & (lanes.mode == mode)) for mode in range(3)]
         with np.errstate(all="ignore"):
             for mode, rows in enumerate(groups):
                 if len(rows):
@@ -151,12 +151,12 @@ class Batch:
         own = lanes.leader[rows] == rows
         falls = self._falls(rows, start, size, guard, good & own)
         fell = np.isfinite(falls)[lead]
-        follow = np.flatnonzero(fell & ~own)
+        follow = true_rows(fell & ~own)
         if len(follow):
             falls[follow] = _followed(start, follow, falls[lead[follow]])
-        on = np.flatnonzero(good & ~fell)
-        self._go_on(rows[on], after[on], guard[on], size[on])
-        at = np.flatnonzero(fell & lanes.alive[rows])
+        on = true_rows(good & ~fell)
+        self._go_on(mode, rows[on], after[on], guard[on], size[on])
+        at = true_rows(fell & lanes.alive[rows])
         if len(at):
             end, _, end_guard = start.steps(at, falls[at])
             ended = rows[at]
@@ -185,7 +185,7 @@ class Batch:
     ) -> Vector:
         """Return where in their steps the guards of the wanted lanes fall, NaN elsewhere."""
         before, on_guard = self._lanes.guard[rows], self._lanes.on_guard[rows]
-        looked = np.flatnonzero(wanted & may_fall(size, before, guard, on_guard))
+        looked = true_rows(wanted & may_fall(size, before, guard, on_guard))
         falls = np.full(len(rows), np.nan)
         if len(looked):
             falls[looked] = first_falls(
@@ -197,17 +197,15 @@ class Batch:
             )
         return falls
 
-    def _go_on(self, rows: Rows, after: Vector, guard: Vector, size: Vector) -> None:
-        """Accept steps in which no guard fell."""
+    def _go_on(self, mode: int, rows: Rows, after: Vector, guard: Vector, size: Vector) -> None:
+        """Accept steps of a mode in which no guard fell."""
         if not len(rows):
             return
         lanes, model = self._lanes, self.model
         change = np.maximum(np.abs(lanes.guard[rows, 1]), np.abs(guard[:, 1])) * size
         lanes.largest[rows] = np.maximum(lanes.largest[rows], change)
-        own, mode = model.own, lanes.mode[rows]
-        unit = np.select(
-            [mode == LOCKED, mode == FREE], [own.multiplier, own.gap], 1 / own.gap_acceleration
-        )
+        own = model.own
+        unit = {FREE: own.gap, LOCKED: own.multiplier}.get(mode, 1 / own.gap_acceleration)
         small = np.maximum(_LEAVES * lanes.largest[rows], self.settings.contact * unit)
         left = lanes.on_guard[rows] & (guard[:, 0] < -small)
         lanes.on_guard[rows] &= (guard[:, 0] <= 0.0)[self._transitions.lead(rows)]
@@ -215,7 +213,7 @@ class Batch:
         lanes.offset[rows] += size
         self._transitions.fail(rows[left], "The state leaves the admissible set from its boundary")
         far = np.abs(after[:, : model.n_x]) > self.bounds
-        for k in np.flatnonzero(far.any(axis=1) & lanes.alive[rows]):
+        for k in true_rows(far.any(axis=1) & lanes.alive[rows]).tolist():
             name = model.state_names[int(np.argmax(far[k]))]
             self._transitions.end(int(rows[k]), Reason.ESCAPE, name)
         horizon = (lanes.until[rows] - lanes.leg_time[rows]) / lanes.unit[rows]
@@ -240,7 +238,7 @@ class Batch:
     def _look_for_rest(self) -> None:
         lanes = self._lanes
         due = lanes.alive & (lanes.steps % _LOOK == _LOOK - 1)
-        for row in self._still(np.flatnonzero(due)).tolist():
+        for row in self._still(true_rows(due)).tolist():
             self._transitions.end(row, Reason.REST, "")
 
     def _still(self, rows: Rows) -> Rows:

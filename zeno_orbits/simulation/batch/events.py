@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Rows, Vector
 from zeno_orbits.integrators.events import (
@@ -19,8 +18,7 @@ from zeno_orbits.integrators.events import (
     inner_coefficients,
     is_cubic,
 )
-
-Mask = NDArray[np.bool_]
+from zeno_orbits.simulation.batch.lanes import Mask, true_rows
 
 Dense = Callable[[Rows, Vector], Vector]
 """From rows and offsets in their steps to guards and their rates there, ``(n, 2)``."""
@@ -65,15 +63,15 @@ def first_falls(
     n = len(size)
     second, third = inner_coefficients(size, before.T, after.T)
     once = ~on_guard & (before[:, 0] > 0.0) & (after[:, 0] < 0.0) & ((second > 0) | (third < 0))
-    rows = np.flatnonzero(once)
+    rows = true_rows(once)
     if len(rows):
         middle = dense(rows, size[rows] / 2)[:, 0]
         once[rows[~is_cubic(middle, size[rows], before[rows].T, after[rows].T)]] = False
     left, low = np.zeros(n), before.copy()
     right, high = size.copy(), after.copy()
     bracketed = once.copy()
-    _search(dense, np.flatnonzero(~once), (left, low, right, high), bracketed, on_guard, size)
-    rows = np.flatnonzero(bracketed)
+    _search(dense, true_rows(~once), (left, low, right, high), bracketed, on_guard, size)
+    rows = true_rows(bracketed)
     falls = np.full(n, np.nan)
     falls[rows] = _roots(dense, rows, left[rows], low[rows], right[rows], high[rows])
     return falls
@@ -104,7 +102,7 @@ def _search(
         dips = open_ & armed & ~falls & (here[:, 1] < 0.0) & (pair[:, 1] > 0.0)
         dips &= ~_stays_above(here, pair, offset - at)
         to, value = offset.copy(), pair.copy()
-        for k in np.flatnonzero(dips):
+        for k in true_rows(dips).tolist():
             to[k], value[k] = _lowest(dense, rows[k], at[k], offset[k])
             falls[k] = value[k, 0] < 0.0
         found = rows[falls]
@@ -114,7 +112,7 @@ def _search(
         open_ &= ~falls
         armed |= pair[:, 0] > 0.0
         at, here = offset, pair
-    for k in np.flatnonzero(open_ & ~armed & (end[:, 0] < 0.0)):
+    for k in true_rows(open_ & ~armed & (end[:, 0] < 0.0)).tolist():
         _short_rise(dense, rows[k], bracket, bracketed)
 
 
@@ -165,7 +163,7 @@ def _roots(
     size = right - left
     at = left + size * _hermite_root(low[:, 0], size * low[:, 1], high[:, 0], size * high[:, 1])
     last = size.copy()
-    open_ = np.flatnonzero(high[:, 0] != 0.0)
+    open_ = true_rows(high[:, 0] != 0.0)
     at[high[:, 0] == 0.0] = right[high[:, 0] == 0.0]
     left, right = left.copy(), right.copy()
     for _ in range(_MOST):

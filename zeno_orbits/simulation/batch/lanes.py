@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,15 @@ from zeno_orbits.arrays import Rows, Vector
 
 FREE, FLIGHT, LOCKED = 0, 1, 2
 """Modes of a lane: free from a release or a start, rescaled after an impact, on the stop."""
+
+
+Mask = NDArray[np.bool_]
+
+
+def true_rows(mask: Mask) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+    """Return where a mask is true, ``(m,)``; `np.flatnonzero` takes four times as long."""
+    found: Any = mask.nonzero()[0]
+    return found
 
 
 @dataclass(slots=True, kw_only=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import accumulate, pairwise
 from typing import Any
 
 import casadi as ca
@@ -64,7 +65,9 @@ class BatchFlow:
             size: Step sizes, ``(n,)``.
             tolerance: Local errors allowed relative to ``absolute + |y|``, ``(n,)``.
         """
-        after, error, guard = self._step(y, p, np.stack([size, tolerance], axis=1))
+        numbers = np.empty((len(y), 2))
+        numbers[:, 0], numbers[:, 1] = size, tolerance
+        after, error, guard = self._step(y, p, numbers)
         return after, error[:, 0], guard
 
 
@@ -223,9 +226,10 @@ class Columns:
         self._function = function
         self._widths_in = [function.numel_in(k) for k in range(function.n_in())]
         self._widths_out = [function.numel_out(k) for k in range(function.n_out())]
+        self._ends = [0, *accumulate(self._widths_out)]
         self._blocks: dict[int, Any] = {}
         self._kernels, self._kernel = kernels, kernel
-        self._compiled: Callable[[int, Sequence[Vector], Sequence[Vector]], None] | None = None
+        self._compiled: Callable[[int, Sequence[Vector], Vector], None] | None = None
         self._saved = _SAVED * function.n_instructions()
 
     def __call__(self, *inputs: Vector) -> tuple[Vector, ...]:
@@ -244,9 +248,9 @@ class Columns:
             return self._interpreted(*inputs)
         n = len(inputs[0])
         given = [np.ascontiguousarray(array, dtype=np.float64) for array in inputs]
-        results = tuple(np.empty((n, width)) for width in self._widths_out)
+        results = np.empty((n, self._ends[-1]))
         self._compiled(n, given, results)
-        return results
+        return tuple([results[:, start:end] for start, end in pairwise(self._ends)])
 
     def _interpreted(self, *inputs: Vector) -> tuple[Vector, ...]:
         n = len(inputs[0])

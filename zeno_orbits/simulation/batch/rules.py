@@ -18,6 +18,7 @@ from zeno_orbits.simulation.batch.lanes import (
     FREE,
     LOCKED,
     Lanes,
+    true_rows,
 )
 from zeno_orbits.simulation.batch.model import BatchFlow, BatchModel
 from zeno_orbits.simulation.batch.outcomes import Ended, LaneEvent, Reason, Released, Struck
@@ -274,7 +275,7 @@ class Transitions:
         keeps = (1 + lanes.restitution[rows]) / 2
         first = speed >= keeps * self._tails.last_speed(rows)
         first |= self._tails.count[rows] == 0
-        for k in np.flatnonzero(first[lead]):
+        for k in true_rows(first[lead]).tolist():
             self.events.append(
                 Struck(
                     lane=int(rows[k]),
@@ -296,7 +297,7 @@ class Transitions:
             lanes.zeno_acceleration[rows[reached]] = acceleration[reached]
             self._lock(rows[stays], time[stays], state[stays], holds[stays], slack[stays])
             flies = ~stays
-        at = np.flatnonzero(flies)
+        at = true_rows(flies)
         self._accumulate(
             rows[at], time[at], x_plus[at], speed[at], (state[at], acceleration[at], flow[at])
         )
@@ -320,7 +321,7 @@ class Transitions:
         remaining = tail_time(speed, acceleration, lanes.restitution[rows])
         told = time + remaining, state + remaining[:, None] * flow
         tails.append(rows[presses], speed[presses], told[0][presses], told[1][presses])
-        due = np.flatnonzero(presses & (speed <= settings.resolved * tails.speed[rows, 0])[lead])
+        due = true_rows(presses & (speed <= settings.resolved * tails.speed[rows, 0])[lead])
         done = np.zeros(len(rows), dtype=bool)
         if len(due):
             done[due] = self._pass(rows[due], acceleration[due])
@@ -347,6 +348,6 @@ class Transitions:
         """Take a lane and its followers out."""
         lanes = self.lanes
         if lanes.alive[row]:
-            ended = np.flatnonzero(lanes.alive & (lanes.leader == row))
+            ended = true_rows(lanes.alive & (lanes.leader == row))
             lanes.alive[ended] = False
             lanes.free_slots.extend(ended.tolist())
