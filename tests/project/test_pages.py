@@ -60,7 +60,8 @@ LONG = {
     f"{name}.md"
     for name in (
         *("README", "accuracy", "examples", "families", "mapping", "measured_data", "no_orbit"),
-        *("own_tests", "problems", "report", "rig", "scale", "searching", "tutorial"),
+        *("gallery", "own_tests", "problems", "report", "rig", "scale", "searching"),
+        "tutorial",
     )
 }
 """Pages that take more than two seconds."""
