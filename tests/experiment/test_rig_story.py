@@ -47,9 +47,13 @@ def machine(problem: Problem, orbit: ZenoOrbit, share: float) -> RigComparison:
 
 
 def distances(found: RigComparison) -> dict[str, float]:
-    """Return how far the machine's numbers are from the orbit's: times in periods, others of 1."""
+    """Return how far the machine's numbers are from the orbit's: times in periods, others of 1.
+
+    A locked coordinate that is zero counts in the way of an impact's speed over a period.
+    """
     orbit, mean = asdict(found.orbit), asdict(found.mean)
-    size = {name: abs(value) for name, value in orbit.items()}
+    way = abs(orbit["impact_rate"]) * orbit["period"]
+    size = {name: abs(value) or way for name, value in orbit.items()}
     size |= dict.fromkeys(("impact_time", "lock_time", "period"), orbit["period"])
     return {name: abs(mean[name] - orbit[name]) / size[name] for name in orbit}
 
