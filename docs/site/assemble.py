@@ -18,6 +18,7 @@ from examples import examples
 from navigation import navigation
 
 import zeno_orbits
+from zeno_orbits.work import Displayed
 
 ROOT = Path(__file__).parents[2]
 ELSEWHERE = ("CONTRIBUTING.md", "CHANGELOG.md", "LICENSE", "CITATION.cff")
@@ -89,7 +90,9 @@ def listed_names(page: str) -> list[str]:
 def _directive(name: str) -> tuple[str, ...]:
     value = getattr(zeno_orbits, name)
     if inspect.isclass(value):
-        return (f".. autoclass:: zeno_orbits.{name}", "   :members:")
+        # Results share how they become tables; nothing else of a base class is for users.
+        shared = ("   :inherited-members:",) if issubclass(value, Displayed) else ()
+        return (f".. autoclass:: zeno_orbits.{name}", "   :members:", *shared)
     kind = "autofunction" if inspect.isfunction(value) else "autodata"
     return (f".. {kind}:: zeno_orbits.{name}",)
 

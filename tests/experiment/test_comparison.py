@@ -17,6 +17,7 @@ import pytest
 from tests.support.recordings_of import recorded, recording_of
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment import Comparison, RecordedSignal, Recording, compare
+from zeno_orbits.experiment.comparison.stop_level import stop_level
 from zeno_orbits.experiment.orbit_table import OrbitTable, gap_coordinates, tabulate_orbit
 from zeno_orbits.experiment.recordings.periodicity import periodicity
 from zeno_orbits.model.library import load_problem
@@ -395,3 +396,80 @@ def names_of_contact_metrics(found: Comparison) -> list[str]:
     """Return the names of the numbers that contacts give."""
     names = [metric.name for metric in found.metrics]
     return names[1 : names.index("gap while locked")]
+
+
+# ---------------------------------------------------------------- samples few, many, or cut off
+
+
+@pytest.fixture(scope="module")
+def shaken() -> tuple[Problem, ZenoOrbit, OrbitTable]:
+    problem = load_problem("vibrating_table")
+    orbit = close_orbit(problem, problem.values()).unwrap()
+    return problem, orbit, tabulate_orbit(orbit, problem, ("height", "speed"))
+
+
+@pytest.fixture(scope="module")
+def forced() -> tuple[Problem, ZenoOrbit, OrbitTable]:
+    problem = load_problem("forced_oscillator")
+    orbit = close_orbit(problem, problem.values()).unwrap()
+    return problem, orbit, tabulate_orbit(orbit, problem, ("distance", "speed"))
+
+
+@pytest.mark.parametrize("resting", [0.1, 0.3, 0.6, 0.9])
+def test_the_noise_of_a_stop_is_seen_whole_however_long_the_gap_rests(resting: float) -> None:
+    # The narrowest twentieth of the samples is a slice of the noise where more than that rest.
+    n = 50_000
+    phase = np.mod(np.arange(n) / 5_000, 1.0)
+    flight = np.sin(np.pi * np.clip((phase - resting) / (1 - resting), 0.0, 1.0))
+    stop = stop_level(300.0 * flight + np.random.default_rng(0).normal(size=n))
+    assert stop is not None
+    # Medians of thousands of second differences: 2 %; what is cut off beyond five: nothing.
+    assert stop.noise == pytest.approx(1.0, rel=0.1)
+    assert stop.level == pytest.approx(0.0, abs=0.1)
+    assert stop.band == pytest.approx(5 * stop.noise)
+
+
+@pytest.mark.parametrize("seed", [0, 9, 13, 27])
+def test_the_period_is_as_sure_as_is_said_where_samples_meet_jumps_step_by_step(
+    seed: int, forced: tuple[Problem, ZenoOrbit, OrbitTable]
+) -> None:
+    # 376.99 samples a period: from cycle to cycle they move by a hundredth of a step past a jump.
+    problem, orbit, table = forced
+    start = np.random.default_rng(seed).random()
+    copy = recorded(table, problem, noise=1e-3, rate=60.0, seed=seed, start=start)
+    where = compare(orbit, problem, copy).where
+    assert where is not None
+    assert abs(where.period - orbit.period) < SURE * where.period_error < 1e-4
+
+
+def test_the_period_of_a_recording_without_noise_is_exact(
+    forced: tuple[Problem, ZenoOrbit, OrbitTable],
+) -> None:
+    problem, orbit, table = forced
+    found = compare(orbit, problem, recorded(table, problem, rate=60.0))
+    # The table stands for itself: rounding alone.
+    assert found.metric("period").data == pytest.approx(orbit.period, rel=1e-11)
+    assert found.metric("period").error < 1e-10
+    assert found.metric("restitution seen").data == pytest.approx(0.5, rel=1e-6)
+
+
+def test_a_part_of_a_cycle_is_not_called_unsettled(
+    forced: tuple[Problem, ZenoOrbit, OrbitTable],
+) -> None:
+    # Cut off where it begins, the first and the last cycle have a bin or two in common.
+    problem, orbit, table = forced
+    copy = recorded(table, problem, noise=5e-3, rate=500.0, n_cycles=8)
+    assert not any("settling" in remark for remark in compare(orbit, problem, copy).remarks)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_period_of_few_samples_is_none_of_its_multiples(
+    seed: int, shaken: tuple[Problem, ZenoOrbit, OrbitTable]
+) -> None:
+    problem, orbit, table = shaken
+    start = np.random.default_rng(seed).random()
+    copy = recorded(table, problem, noise=1e-2, rate=100.0, seed=seed, start=start)
+    found = compare(orbit, problem, copy)
+    # A locked phase of a few samples is not resolved; that it is none of the orbit's, nobody knows.
+    assert found.agrees, found.reasons
+    assert found.metric("period").data == pytest.approx(orbit.period, rel=1e-3)

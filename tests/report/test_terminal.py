@@ -93,6 +93,12 @@ def test_the_time_left_only_falls_within_a_stage_and_begins_anew_with_the_next(
             told = re.search(r"about (\d+) (s|min) left", said)
             if told is not None:
                 left[stage].append(int(told[1]) * (60 if told[2] == "min" else 1))
+    # Nothing is done for a while: the time stands still, and does not run out.
+    clock.now += 1000.0
+    line("stage 1", 0.975)
+    told = re.search(r"about (\d+) s left", capsys.readouterr().err)
+    assert told is not None
+    assert int(told[1]) > 0
     for one in left:
         assert len(one) > 3
         assert one == sorted(one, reverse=True)

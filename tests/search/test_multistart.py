@@ -27,6 +27,7 @@ from zeno_orbits.search import (
     SearchSettings,
     SearchStatus,
     StartWorkers,
+    WidestMargin,
     search_gains,
 )
 from zeno_orbits.search import multistart as starts
@@ -161,6 +162,15 @@ def test_one_worker_and_two_find_what_a_search_without_workers_finds(alone: Sear
     assert len(alone.candidates) == 3
     assert timeless(search(Workers(count=1))) == timeless(alone)
     assert timeless(search(Workers(count=2))) == timeless(alone)
+
+
+@needs_two
+@pytest.mark.slow
+def test_an_optimum_is_the_same_whoever_looks_at_the_box() -> None:
+    asked = {"objective": WidestMargin(), "settings": SearchSettings(n_starts=3)}
+    here = search(None, **asked)
+    assert here.candidates
+    assert timeless(search(Workers(count=2), **asked)) == timeless(here)
 
 
 @pytest.mark.slow

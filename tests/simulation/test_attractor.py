@@ -166,3 +166,64 @@ def test_what_the_problem_declares_is_gone_and_other_angles_after_ten_turns():
 def test_other_coordinates_have_left_once_they_are_far_beyond_where_they_ever_were():
     before = np.array([1e-3, 1e6, 0.0])
     assert has_left(np.array([2.0, 2e6, 5.0]), before).tolist() == [True, False, False]
+
+
+def test_few_amplitudes_tell_their_mean_factor_alone() -> None:
+    assert math.isnan(growth_of([]).factor)
+    assert math.isnan(growth_of([1.0]).factor)
+    assert growth_of([4.0, 2.0]).factor == pytest.approx(0.5)
+    assert growth_of([1.0, 5.0, 4.0]).factor == pytest.approx(2.0)
+    assert math.isnan(growth_of([0.0, 1.0]).factor)
+    assert not growth_of([4.0, 2.0]).dies_out
+
+
+def test_the_last_six_factors_tell_the_growth() -> None:
+    early, late = [7.0, 3.0, 5.0], [1.1**k for k in range(7)]
+    assert growth_of([*early, *late]).factor == pytest.approx(1.1, rel=1e-12)
+    assert growth_of([*early, *(2.0 * a for a in late)]).factor == pytest.approx(1.1, rel=1e-12)
+
+
+def test_a_motion_dies_out_as_soon_as_it_has_faded() -> None:
+    assert growth_of([1.0, 0.9e-3]).dies_out
+    assert not growth_of([1.0, 1.1e-3]).dies_out
+    # Of the largest there ever was, and by the last one alone.
+    assert growth_of([0.1, 1.0, 0.5, 0.9e-3]).dies_out
+    assert not growth_of([1.0, 0.9e-3, 0.1]).dies_out
+    assert growth_of([1.0, 0.0]).dies_out
+    assert math.isnan(growth_of([1.0, 0.0]).factor)
+
+
+def test_states_of_different_units_are_compared_in_the_problems_own_sizes():
+    # A length that the stop holds at zero, beside a speed: in micrometres a second it is no less.
+    states = [np.array([1e-17, 0.3, 2.0, 0.1]), np.array([-2e-17, 0.5, 1.0, 0.2])]
+    usual = np.array([1e-6, 1.0, 1e-12, 1.0])
+    plain = scale_of(states, UNITS)
+    assert plain == pytest.approx([2.0, 0.5, 2.0, 0.2])
+    scaled = [x * usual for x in states]
+    assert scale_of(scaled, UNITS, usual) == pytest.approx(plain * usual)
+    met = [SectionReturn(time=float(k), state=scaled[k % 2]) for k in range(6)]
+    plainly = [SectionReturn(time=float(k), state=states[k % 2]) for k in range(6)]
+    found = repetitions(met, UNITS, close=1e-6, apart=0.01, usual=usual)
+    assert found == repetitions(plainly, UNITS, close=1e-6, apart=0.01)
+    assert [one.returns for one in found] == [2]
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 16])
+def test_a_motion_may_repeat_after_so_many_returns(n):
+    met = returns(lambda k: [1.0 + 0.1 * (k % n), 0.2, 0.3, 0.4], n=2 * n + 2)
+    assert repetitions(met, UNITS, close=1e-9, apart=0.01)[0].returns == n
+
+
+def test_decay_that_is_not_clear_or_pauses_is_no_death():
+    def amplitudes(at_rest, bend, n=12):
+        values = [1.0]
+        for _ in range(n):
+            values.append(values[-1] * math.exp(at_rest + bend * values[-1] ** 2))
+        return values
+
+    # Its decay at rest would take five hundred returns for a factor of e.
+    assert not growth_of(amplitudes(-0.002, -0.05)).dies_out
+    assert growth_of(amplitudes(-0.02, -0.05)).dies_out
+    paused = amplitudes(-0.05, -0.02)
+    paused[-3] = paused[-4] * 1.001
+    assert not growth_of(paused).dies_out

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from zeno_orbits.cli.options import (
     NO,
@@ -19,6 +19,10 @@ from zeno_orbits.cli.parsing import read_interval, read_share
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem, locate_problem
 from zeno_orbits.report import terminal as report
+
+if TYPE_CHECKING:
+    from zeno_orbits.orbits import ZenoOrbit
+    from zeno_orbits.proof import ProofVerdict
 
 
 def add_prove(commands: Any) -> None:
@@ -125,3 +129,22 @@ def _check(options: argparse.Namespace) -> int:
     what = "every claim holds" if verdict.ok else "a claim does not hold"
     report.print_lines([f"Certificate of `{verdict.problem}`: {what}."])
     return YES if verdict.ok else NO
+
+
+def add_proof(parser: argparse.ArgumentParser) -> None:
+    """Add the certificate that an orbit exists."""
+    parser.add_argument(
+        "--proof",
+        type=Path,
+        metavar="PROOF.json",
+        help="also check this certificate of the orbit, written by `prove -o`; takes minutes",
+    )
+
+
+def proof_of(
+    options: argparse.Namespace, orbit: ZenoOrbit, problem: Problem
+) -> ProofVerdict | None:
+    """Return what a check of the orbit's certificate found; nothing without one."""
+    from zeno_orbits.proof import check_proof_of
+
+    return None if options.proof is None else check_proof_of(orbit, problem, options.proof)

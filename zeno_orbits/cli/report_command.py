@@ -19,6 +19,7 @@ from zeno_orbits.cli.options import (
     say_written,
 )
 from zeno_orbits.cli.parsing import read_count, read_share
+from zeno_orbits.cli.prove import add_proof, proof_of
 from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 from zeno_orbits.work import write_whole
@@ -53,6 +54,7 @@ def add_report(commands: Any) -> None:
         metavar="TRADE.json",
         help="also show the figures of this file, written by `trade -o`",
     )
+    add_proof(parser)
     parser.add_argument(
         "--tolerance",
         type=read_share,
@@ -69,14 +71,15 @@ def _run_report(options: argparse.Namespace) -> int:
     from zeno_orbits.report import load_bundle, page_of, subject_of
     from zeno_orbits.verification import VerificationSettings, problem_dynamics, verify
 
-    reads = [path for path in (options.orbit, options.trade) if path is not None]
+    given = (options.orbit, options.trade, options.proof)
+    reads = [path for path in given if path is not None]
     require_outputs(options, pictures=(), reads=reads)
     if options.output.suffix.lower() not in _PAGES:
         ends = f"must end in .html or .htm, but it is `{options.output.name}`"
         raise InputError(f"Argument `output` {ends}.")
     bundle = load_bundle()
     orbit, problem = orbit_and_problem(options)
-    trade = _trade(options, orbit)
+    trade, proved = _trade(options, orbit), proof_of(options, orbit, problem)
     dynamics = problem_dynamics(orbit, problem)
     settings = replace(VerificationSettings(tolerance=options.tolerance), n_periods=options.periods)
     with report.ProgressLine(options.interrupts.check) as progress:
@@ -95,6 +98,7 @@ def _run_report(options: argparse.Namespace) -> int:
             content=options.orbit.read_text(encoding="utf-8"),
             command=_command(options),
             date=datetime.now(tz=UTC).date().isoformat(),
+            proof=proved.verdict() if proved is not None and proved.ok else "",
         )
         page = page_of(subject, bundle).encode()
     write_whole(options.output, page)
@@ -102,8 +106,10 @@ def _run_report(options: argparse.Namespace) -> int:
         print_json(certificate.as_json() | {"page": str(options.output), "bytes": len(page)})
     else:
         report.print_verdict(certificate)
+        if proved is not None:
+            report.print_lines([proved.verdict()])
     say_written(options, [options.output])
-    return YES if certificate.passed else NO
+    return YES if certificate.passed and (proved is None or proved.ok) else NO
 
 
 def _trade(options: argparse.Namespace, orbit: ZenoOrbit) -> WorkPrecision | None:
@@ -125,6 +131,8 @@ def _command(options: argparse.Namespace) -> tuple[str, ...]:
         words += ["--problem", options.problem]
     if options.trade is not None:
         words += ["--trade", options.trade.name]
+    if options.proof is not None:
+        words += ["--proof", options.proof.name]
     if options.tolerance != 1e-9:
         words += ["--tolerance", f"{options.tolerance:g}"]
     if options.periods != 3:

@@ -19,6 +19,7 @@ from zeno_orbits.cli.options import (
     verification_of,
 )
 from zeno_orbits.cli.parsing import read_count, read_share
+from zeno_orbits.cli.prove import add_proof, proof_of
 from zeno_orbits.report import terminal as report
 
 
@@ -41,6 +42,7 @@ def add_verify(commands: Any) -> None:
         metavar="TOL",
         help="largest relative residual that passes; by default the accuracy, if given, or 1e-9",
     )
+    add_proof(parser)
     add_accuracy(parser)
     parser.add_argument(
         "--periods",
@@ -69,6 +71,7 @@ def _run_verify(options: argparse.Namespace) -> int:
     )
     if tolerance is not None:
         settings = replace(settings, tolerance=tolerance)
+    proved = proof_of(options, orbit, problem)
     dynamics = problem_dynamics(orbit, problem, use_reference=settings.use_reference)
     require_engine(options, dynamics)
     with report.ProgressLine(options.interrupts.check) as progress:
@@ -78,13 +81,19 @@ def _run_verify(options: argparse.Namespace) -> int:
     if options.json:
         error = certificate.orbit_error
         accuracy = {"error": error if isfinite(error) else None} if options.accuracy else {}
-        print_json(certificate.as_json() | accuracy)
+        claims = (
+            {} if proved is None else {"proof": {"proved": proved.ok, "says": proved.verdict()}}
+        )
+        print_json(certificate.as_json() | accuracy | claims)
     else:
         report.print_certificate(certificate)
         report.print_verdict(certificate)
+        if proved is not None:
+            report.print_lines([proved.verdict()])
         if options.accuracy is not None:
             report.print_error_estimate(certificate.orbit_error)
+    shown = proved is None or proved.ok
     certain = options.accuracy is None or certificate.orbit_error <= options.accuracy
     if certificate.passed and not certain and not options.json:
         report.print_lines([f"That exceeds the requested accuracy {options.accuracy:.0e}."])
-    return YES if certificate.passed and certain else NO
+    return YES if certificate.passed and certain and shown else NO

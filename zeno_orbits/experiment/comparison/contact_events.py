@@ -35,6 +35,8 @@ _LOCKED = 0.02
 """A rest is a locked phase from this part of a period on."""
 _SHARE = 0.25
 """And from this part of the orbit's own: a gap that only turns lingers, too."""
+_LONGER = 1.3
+"""A flight has its highest point within this multiple of the orbit's own."""
 _AT_ONCE = 0.01
 """Part of a period within which a gap that rests has stayed where it fell."""
 _UNSEEN = 0.05
@@ -122,7 +124,7 @@ class _Seen:
         rest = self.rest()
         start = float(self.t[rest[0]]) if rest else self.period
         seen = CycleEvents() if rest is None else CycleEvents(rest=(start, float(self.t[rest[1]])))
-        apex, at = self.fallen(start)
+        apex, at = self.fallen(0, 0.0, start)
         impact = None if at is None else fit_impact(self.samples, apex, at)
         if impact is None:
             return replace(seen, closed=at is not None)
@@ -201,9 +203,21 @@ class _Seen:
                 return at
         return None
 
-    def fallen(self, before: float) -> tuple[int, int | None]:
-        """Return the highest sample before a time, and the first behind the touch after it."""
-        flying = (self.t > 0.0) & (self.t < before + 1e-12)
+    def fallen(self, number: int, start: float, before: float) -> tuple[int, int | None]:
+        """Return the highest sample of a flight, and the first behind the touch that ends it.
+
+        Later flights may be higher: the orbit's own flight tells where this one is looked for.
+
+        Args:
+            number: Of the flight, 0 for the first one.
+            start: When it starts [s].
+            before: When all flights are over [s].
+        """
+        flights = self.model.flights
+        until = before
+        if number < len(flights):
+            until = start + _LONGER * (flights[number].end - flights[number].start)
+        flying = (self.t > start) & (self.t < min(before, until) + 1e-12)
         if not flying.any():
             return 0, None
         apex = int(np.argmax(np.where(flying, self.h, -np.inf)))
@@ -214,12 +228,8 @@ class _Seen:
         found: list[Rebound] = []
         start = impact
         for number in range(1, _MOST_REBOUNDS + 1):
-            inside = (self.t > start) & (self.t < end)
-            if not inside.any():
-                break
-            apex = int(np.argmax(np.where(inside, self.h, -np.inf)))
-            at = self.fall(apex, end)
-            if self.h[apex] < 1.5 * self.band or at is None:
+            apex, at = self.fallen(number, start, end)
+            if at is None or self.h[apex] < 1.5 * self.band:
                 break
             chosen = (self.t > start) & (np.arange(len(self.t)) < at)
             own = replace(self.samples, t=self.t[chosen] - start, h=self.h[chosen])

@@ -65,7 +65,14 @@ def own_scale(
         units: Unit of each state; coordinates of one unit are measured alike.
         clock: Places of the clock in the state; it is looked at in four phases.
     """
-    states = np.array(starts, dtype=np.float64)
+    with np.errstate(all="ignore"):
+        # What overflows has no size, and counts as 1.
+        return _own_scale(dynamics, np.array(starts, dtype=np.float64), units, clock)
+
+
+def _own_scale(
+    dynamics: HybridDynamics, states: Vector, units: Sequence[str], clock: Sequence[int]
+) -> OwnScale:
     if clock:
         turns = np.tile(2 * math.pi * np.arange(_PHASES) / _PHASES, len(states))
         states = np.repeat(states, _PHASES, axis=0)
@@ -76,19 +83,19 @@ def own_scale(
     velocities = _alike(np.max(np.abs(rates[:, :n_q]), axis=0), units, fixed=0.0)
     accelerations = _alike(np.max(np.abs(rates[:, n_q : 2 * n_q]), axis=0), units, fixed=0.0)
     if clock:
-        time = 1 / float(np.linalg.norm(rates[0, list(clock)]))
+        time = 1 / np.linalg.norm(rates[0, list(clock)])
     else:
-        time = _swing(places, accelerations) or _slowest(dynamics, states[0])
-    largest = np.maximum(np.maximum(places, velocities * time), accelerations * time**2)
+        time = np.float64(_swing(places, accelerations) or _slowest(dynamics, states[0]))
+    largest = np.maximum(np.maximum(places, velocities * time), accelerations * time * time)
     largest = _alike(largest, units)
-    gap = max(_gap_reach(dynamics, x, largest) for x in states)
+    gap = np.float64(max(_gap_reach(dynamics, x, largest) for x in states))
     inertia = max(abs(dynamics.normal_inertia(x)) for x in states)
     return OwnScale(
-        time=_rounded(time),
-        gap=_rounded(gap),
-        gap_rate=_rounded(gap / time),
-        gap_acceleration=_rounded(gap / time**2, _WIDE),
-        multiplier=_rounded(gap / time**2 * inertia, _WIDE),
+        time=_rounded(float(time)),
+        gap=_rounded(float(gap)),
+        gap_rate=_rounded(float(gap / time)),
+        gap_acceleration=_rounded(float(gap / time / time), _WIDE),
+        multiplier=_rounded(float(gap / time / time * inertia), _WIDE),
         sizes=tuple(_rounded(size) for size in (*largest.tolist(), *(largest / time).tolist())),
     )
 

@@ -65,6 +65,19 @@ class ProofVerdict:
             claim.name == "exists" for claim in self.claims
         )
 
+    def verdict(self) -> str:
+        """Return one sentence."""
+        failed = next((claim for claim in self.claims if not claim.ok), None)
+        if failed is not None:
+            return f"Not proved: `{failed.name}`: {failed.evidence}."
+        known = {claim.name: claim.evidence for claim in self.claims}
+        if not self.ok:
+            return "Not proved: no claim says that there is an orbit."
+        kind = next((f"{word} " for word in ("stable", "repelling") if word in known), "")
+        alone = ", the only one in its box" if "unique" in known else ""
+        period = f"; period {known['period']} s" if "period" in known else ""
+        return f"Proved: a {kind}periodic orbit of `{self.problem}` exists{alone}{period}."
+
 
 def check_proof(
     certificate: str | Path | Mapping[str, Any], problem: Problem | None = None

@@ -30,6 +30,7 @@ class Subject:
         content: The orbit's file itself.
         command: The words of the command that wrote the report.
         date: The day of the check, as text; empty if it shall not be told.
+        proof: What an accepted certificate proves; empty without one.
     """
 
     orbit: ZenoOrbit
@@ -44,6 +45,7 @@ class Subject:
     content: str
     command: tuple[str, ...]
     date: str = ""
+    proof: str = ""
 
 
 def subject_of(
@@ -58,6 +60,7 @@ def subject_of(
     content: str = "",
     command: tuple[str, ...] = (),
     date: str = "",
+    proof: str = "",
 ) -> Subject:
     """Return the subject of a report, one period simulated.
 
@@ -72,6 +75,7 @@ def subject_of(
         content: The orbit's file itself.
         command: The words of the command that wrote the report.
         date: The day of the check, as text; by default it is not told.
+        proof: What an accepted certificate proves; nothing by default.
     """
     execution, trouble = None, ""
     try:
@@ -92,4 +96,5 @@ def subject_of(
         content=content,
         command=command,
         date=date,
+        proof=proof,
     )

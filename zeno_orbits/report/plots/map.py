@@ -20,7 +20,7 @@ from matplotlib.transforms import Bbox
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.maps import Attractor, Axis, Boundary, Fate, ParameterMap
-from zeno_orbits.report.plots.panels import panels_of, size_of
+from zeno_orbits.report.plots.panels import figure_size, panels_of
 from zeno_orbits.report.plots.style import COLUMN_WIDTH, FULL_WIDTH, INK, TEXT
 from zeno_orbits.report.symbols import quantity_label
 
@@ -106,6 +106,9 @@ def _draw_cells(ax: Axes, found: ParameterMap) -> list[Any]:
         vmax=len(order) - 0.5,
         shading="nearest",
         rasterized=True,
+        # Few cells are told apart; the edges of many would hide them.
+        edgecolors="#BBBBBB" if min(found.shape) < _FEWEST else "none",
+        linewidth=0.3,
     )
     edge: dict[str, Any] = {"edgecolor": INK, "linewidth": 0.4}
     return [Patch(facecolor=colour, label=phrase, **edge) for phrase, colour in looks.items()]
@@ -144,7 +147,7 @@ def _draw_contours(ax: Axes, found: ParameterMap) -> list[Line2D]:
         (found.numbers("period"), 6, _PERIOD, "period [s]"),
         (found.numbers("spectral_radius"), list(_RADII), _RADIUS, "spectral radius [1]"),
     ]
-    taken: list[Vector] = []
+    drawn: list[tuple[QuadContourSet, list[list[Vector]]]] = []
     for values, levels, look, label in fields:
         shown = np.ma.masked_where(~inside | ~np.isfinite(values), values)
         # A contour needs a cell with four corners, and a field that changes.
@@ -153,10 +156,14 @@ def _draw_contours(ax: Axes, found: ParameterMap) -> list[Line2D]:
         lines = ax.contour(found.x.values(), found.y.values(), shown, levels=levels, **look)
         pieces = _long_pieces(ax, lines)
         if any(pieces):
-            _label_lines(ax, lines, pieces, taken)
+            drawn.append((lines, pieces))
             dash = "--" if look is _RADIUS else "-"
             colour = "#999999" if look is _RADIUS else "black"
             handles.append(Line2D([], [], color=colour, ls=dash, lw=0.9, label=label))
+    taken: list[Vector] = []
+    for lines, pieces in drawn:
+        others = [p for known, all_of in drawn if known is not lines for q in all_of for p in q]
+        _label_lines(ax, lines, pieces, others, taken)
     return handles
 
 
@@ -196,18 +203,24 @@ def _joined(pieces: Sequence[Vector]) -> Path:
 
 
 def _label_lines(
-    ax: Axes, lines: QuadContourSet, pieces: Sequence[Sequence[Vector]], taken: list[Vector]
+    ax: Axes,
+    lines: QuadContourSet,
+    pieces: Sequence[Sequence[Vector]],
+    others: Sequence[Vector],
+    taken: list[Vector],
 ) -> None:
-    """Label every long contour line once, as near its middle as no other label is.
+    """Label every long contour line once, off other labels and, if it can be, off other lines.
 
     Args:
         ax: The panel.
         lines: The contours.
         pieces: Their pieces, level by level.
+        others: The pieces of the other field's contours.
         taken: Places of labels, in parts of the axes; those made here are added.
     """
     spots: list[tuple[float, float]] = []
-    room = _ROOM / (_PANEL * size_of(ax))
+    room = _ROOM / (_PANEL * figure_size(ax))
+    crossing = np.concatenate([_shares(ax, piece) for piece in others] or [np.empty((0, 2))])
     for piece in (one for level in pieces for one in level):
         places = _shares(ax, piece)
         if np.max(np.ptp(places, axis=0)) <= _LONG:
@@ -215,7 +228,9 @@ def _label_lines(
         inside = np.all((places > _EDGE) & (places < 1 - _EDGE), axis=1)
         for other in taken:
             inside &= np.any(np.abs(places - other) > room, axis=1)
-        fits = np.flatnonzero(inside)
+        near = np.abs(places[:, None] - crossing) < 0.7 * room
+        clear = inside & ~np.any(np.all(near, axis=2), axis=1)
+        fits = np.flatnonzero(clear if np.any(clear) else inside)
         if fits.size:
             at = fits[np.argmin(np.abs(fits - len(piece) / 2))]
             taken.append(places[at])

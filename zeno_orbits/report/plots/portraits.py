@@ -90,5 +90,5 @@ def _middle(curve: Vector, ranges: Vector) -> tuple[float, Vector]:
     length = float(lengths[-1])
     ends = np.zeros((2, 2))
     for k, part in enumerate((0.49, 0.51)):
-        ends[k] = [float(np.interp(part * length, lengths, row)) for row in curve.T]
+        ends[k] = [float(np.interp(part * length, lengths, curve[:, j])) for j in range(2)]
     return length, ends

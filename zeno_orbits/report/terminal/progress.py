@@ -21,25 +21,24 @@ class _TimeLeft:
     """The time left of a stage, which never rises before the next stage begins."""
 
     def __init__(self) -> None:
-        self._began = 0.0
-        self._part = 0.0
-        self._ends = self._left = math.inf
+        self._began = self._part = 0.0
+        self._left = math.inf
 
     def at(self, now: float, part: float) -> float:
-        """Return the time left [s]; infinite while it is too early to tell.
+        """Return the time left by the mean pace so far [s]; infinite while it is too early to tell.
+
+        Where the pace slows down, the time stands still: parts may be done in bursts.
 
         Args:
             now: Time since the start [s].
             part: The part of the stage that is done, in [0, 1]; the next stage begins with less.
         """
         if part < self._part:
-            self._began, self._part = now, part
-            self._ends = self._left = math.inf
-        elif part > self._part:
-            self._part = part
-            self._ends = now + (now - self._began) * (1.0 - part) / part
-        if now - self._began >= _TELLING:
-            self._left = min(self._left, max(self._ends - now, 0.0))
+            self._began, self._left = now, math.inf
+        self._part = part
+        passed = now - self._began
+        if part > 0.0 and passed >= _TELLING:
+            self._left = min(self._left, passed * (1.0 - part) / part)
         return self._left
 
 

@@ -1,0 +1,71 @@
+"""The own scale of a problem: everyday sizes are 1, others go with the units."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import zeno_orbits as zo
+from tests.support.families import CIRCLE
+from tests.support.units import Units, in_units
+from zeno_orbits.model import USUAL, OwnScale, constraint_sizes
+
+TABLE = zo.load_problem("vibrating_table")
+
+
+@pytest.mark.parametrize("name", zo.bundled_problems())
+def test_a_bundled_problem_has_everyday_sizes_in_si_units(name: str) -> None:
+    problem = zo.load_problem(name)
+    own = problem.dynamics(problem.values()).own
+    ones = (own.time, own.gap, own.gap_rate, own.gap_acceleration, own.multiplier, *own.sizes)
+    assert set(ones) == {1.0}
+    assert own.least == own.energy == 1.0
+
+
+def test_sizes_far_from_one_are_those_of_the_machine() -> None:
+    # g / omega^2 = 1.09e-8 km, over omega^-1 = 3.3e7 ns, and so on: nearest powers of a thousand.
+    table = in_units(TABLE, Units(length=1e-6, time=1e9))
+    own = table.dynamics(table.values()).own
+    length, time = 9.81 / 900 * 1e-6, 1e9 / 30
+    # With the table's own acceleration, 1.4 times gravity, on top.
+    length *= 1 + 0.015 * 900 / 9.81
+    for size, known in (
+        (own.time, time),
+        (own.gap, length),
+        (own.gap_rate, length / time),
+        (own.gap_acceleration, length / time**2),
+        (own.multiplier, 0.05 * length / time**2),
+        (own.sizes[0], length),
+        (own.sizes[1], length / time),
+    ):
+        assert math.log10(size) % 3 == pytest.approx(0.0, abs=1e-9)
+        assert abs(math.log10(size / known)) <= 1.5
+    assert own.sizes[2:] == ()
+    assert own.states(4) == pytest.approx([*own.sizes, 1.0, 1.0])
+    assert own.rates(1) == pytest.approx([own.sizes[1], own.sizes[1] / own.time])
+    assert own.least == min(own.sizes)
+    assert own.energy == own.multiplier * own.gap
+
+
+def test_a_state_that_is_next_to_nothing_gets_the_largest_size() -> None:
+    own = OwnScale(sizes=(1e-6, 1e3))
+    sizes = np.array([2e-6, 1e-7, 3.0])
+    # In own sizes 2, 1e-10 and 3; the speed has none of its own.
+    assert own.not_small(sizes, 1e-9) == pytest.approx([2e-6, 3e3, 3.0])
+    assert own.not_small(np.zeros(3), 1e-9) == pytest.approx([1e-6, 1e3, 1.0])
+    assert USUAL.not_small(sizes, 1e-9) == pytest.approx(sizes)
+
+
+def test_numbers_beyond_all_sizes_do_not_warn() -> None:
+    values = TABLE.values(parameters={"omega": 1e200, "A": 1e-300})
+    assert TABLE.dynamics(values).own.least <= 1.0
+
+
+def test_a_constraint_has_the_size_of_its_terms() -> None:
+    bob = CIRCLE.at(m=0.7, l=400.0, g=9.81e3, e=0.5)
+    x = np.array([400.0 * math.sin(0.5), -400.0 * math.cos(0.5), 0.0, 0.0])
+    # x^2 + y^2 - l^2, then its rate 2 (x x' + y y') with speeds of size 1.
+    expected = [2 * 400.0**2, 800.0 * (math.sin(0.5) + math.cos(0.5))]
+    assert constraint_sizes(bob, x) == pytest.approx(expected, rel=1e-12)

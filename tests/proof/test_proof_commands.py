@@ -1,0 +1,92 @@
+"""Certificates at the command line: only one that is accepted makes an orbit a proved one."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import zeno_orbits as zo
+from tests.support.certificates import impact_oscillator
+from tests.support.commands import MISUSE, NO, YES, ask
+
+pytest.importorskip("flint")
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Return the orbit of the forced oscillator and its certificate."""
+    folder = tmp_path_factory.mktemp("proofs")
+    orbit = zo.find_orbit("forced_oscillator").unwrap()
+    zo.write_orbit(orbit, folder / "orbit.json")
+    (folder / "proof.json").write_text(json.dumps(zo.prove(orbit).certificate))
+    return folder / "orbit.json", folder / "proof.json"
+
+
+def _changed(path: Path, name: str, change: Any) -> Path:
+    data = json.loads(path.read_text())
+    change(data)
+    changed = path.with_name(name)
+    changed.write_text(json.dumps(data))
+    return changed
+
+
+def _longer(data: Any) -> None:
+    claim = next(claim for claim in data["claims"] if claim["name"] == "period")
+    claim["low"] = claim["high"]
+
+
+def test_verify_says_that_an_orbit_is_proved_if_its_certificate_is_accepted(
+    files: tuple[Path, Path],
+) -> None:
+    orbit, proof = files
+    answer = ask("verify", orbit, "--proof", proof)
+    assert answer.code == YES
+    assert "Proved: a periodic orbit of `forced_oscillator` exists; period 6.2831853" in answer.out
+    assert "Proved" not in ask("verify", orbit).out
+
+
+def test_a_false_certificate_fails_the_orbit_and_names_the_claim(files: tuple[Path, Path]) -> None:
+    orbit, proof = files
+    answer = ask("verify", orbit, "--proof", _changed(proof, "longer.json", _longer), "--json")
+    assert answer.code == NO
+    assert answer.data["passed"]
+    assert not answer.data["proof"]["proved"]
+    assert answer.data["proof"]["says"].startswith("Not proved: `period`")
+
+
+def test_a_certificate_of_another_orbit_is_refused(files: tuple[Path, Path]) -> None:
+    orbit, proof = files
+    other = _changed(orbit, "other.json", lambda data: data["parameters"].update(restitution=0.4))
+    answer = ask("verify", other, "--proof", proof)
+    assert answer.code == MISUSE
+    assert "must be about `restitution` = 0.4, but it is about 0.5" in answer.err
+
+
+def test_a_certificate_of_another_problem_is_refused(files: tuple[Path, Path]) -> None:
+    orbit, proof = files
+    foreign = proof.with_name("foreign.json")
+    foreign.write_text(json.dumps(impact_oscillator(zo.load_problem("impact_oscillator"))))
+    assert ask("verify", orbit, "--proof", foreign).code == MISUSE
+
+
+def test_the_report_shows_what_is_proved_and_only_that(files: tuple[Path, Path]) -> None:
+    pytest.importorskip("jinja2")
+    orbit, proof = files
+    page = orbit.with_name("report.html")
+    assert ask("report", orbit, "--proof", proof, "-o", page).code == YES
+    assert "Proved: a periodic orbit" in page.read_text()
+    false = _changed(proof, "longer.json", _longer)
+    assert ask("report", orbit, "--proof", false, "-o", page).code == NO
+    assert "roved: " not in page.read_text()
+
+
+def test_a_certificate_that_is_cut_short_is_refused_in_one_line(files: tuple[Path, Path]) -> None:
+    _, proof = files
+    short = proof.with_name("short.json")
+    short.write_text(proof.read_text()[:5000])
+    answer = ask("prove", "--check", short)
+    assert answer.code == MISUSE
+    assert len(answer.err.strip().splitlines()) == 1
