@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import statistics
 import sys
 import time
@@ -101,6 +102,8 @@ def main() -> int:
     parser.add_argument("--fates", type=int, default=20, metavar="N", help="fates compared")
     parser.add_argument("--json", action="store_true", help="print JSON for programs")
     options = parser.parse_args()
+    # Compiled before and not in the middle, unless the variable says otherwise.
+    os.environ.setdefault("ZENO_ORBITS_COMPILE", "wait")
     problem = load_problem("motor_pendulum")
     settings = settings_of(problem, options.size)
     attractors_at(problem, settings[:1], until=1.0)

@@ -430,7 +430,7 @@ def parameter_map(
         parameters: Parameters that differ from the problem's own.
         start: State name to value where every motion starts; by default the problem's first start.
         until: How long a motion may take to settle [s]; by default 300 turns of the problem's
-            clock, or 35 of its slowest oscillation; more above a restitution of 0.5.
+            clock, or 115 of its slowest oscillation; more above a restitution of 0.5.
         workers: Processes; with 1 no other than this one; 0 means one a core.
         on_progress: Called with what is being done and the part of it that is done.
 

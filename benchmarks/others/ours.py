@@ -32,6 +32,8 @@ def settings(accuracy: float, engine: Engine | None = None) -> SimulationSetting
 def problem(name: str, rate: float | None = None) -> HybridDynamics:
     """Return a problem at its numbers, compiled."""
     problem = load_problem(name)
+    # What is measured must not be compiled in the middle of it.
+    problem.compiled().build()
     parameters = {} if rate is None else work.declared(rate)
     return problem.dynamics(problem.values(parameters=parameters))
 

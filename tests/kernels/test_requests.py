@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import time
+from importlib.util import find_spec
 from pathlib import Path
 
 import casadi as ca
@@ -60,6 +61,18 @@ def test_a_compiled_kernel_gives_the_bits_of_the_interpreter_nan_and_infinity_to
     assert np.array_equal(values_of(Kernels(wave())), expected, equal_nan=True)
     assert complaints() == []
     assert account().startswith("steps are compiled by ")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(find_spec("ziglang") is None, reason="needs the extra `compiled`")
+def test_the_compiler_of_the_extra_gives_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("zeno_orbits.kernels.compiler._NAMES", ())
+    expected = np.zeros(INPUTS.size)
+    caller(wave().functions[0], [INPUTS], [expected])()
+    found = values_of(Kernels(wave()))
+    assert "ziglang" in account()
+    # Another compiler may take another `exp`, which is right to the last bit but one.
+    assert np.allclose(found, expected, rtol=1e-15, atol=0.0, equal_nan=True)
 
 
 @needs_compiler

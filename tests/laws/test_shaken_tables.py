@@ -40,16 +40,21 @@ def test_the_truth_knows_the_orbit_of_the_bundled_table() -> None:
 
 
 @pytest.fixture(scope="module")
-def tables() -> list[tuple[float, float, Truth | None]]:
-    """Acceleration, restitution and truth of random tables."""
+def tables() -> list[tuple[float, float, Truth]]:
+    """Acceleration, restitution and truth of random tables that settle to up to 22 turns."""
     drawn = random.Random(2)
-    asked = [(drawn.uniform(1.5, 3.3), drawn.uniform(0.0, 0.7)) for _ in range(14)]
-    return [(*numbers, clearly_settled(*numbers, 100)) for numbers in asked]
+    found: list[tuple[float, float, Truth]] = []
+    while len(found) < 8:
+        numbers = drawn.uniform(1.5, 3.3), drawn.uniform(0.0, 0.7)
+        truth = clearly_settled(*numbers, 100)
+        if truth is not None and 0 < truth.turns <= 22:
+            found.append((*numbers, truth))
+    return found
 
 
 @pytest.mark.parametrize("omega", [30.0, 1.0, 0.01])
 def test_a_map_names_the_periods_of_random_tables(
-    tables: list[tuple[float, float, Truth | None]], omega: float
+    tables: list[tuple[float, float, Truth]], omega: float
 ) -> None:
     problem = zo.load_problem("vibrating_table")
     settings = [
@@ -59,10 +64,6 @@ def test_a_map_names_the_periods_of_random_tables(
         for g, e, _ in tables
     ]
     turns = [one.period * omega / TURN for one in attractors_at(problem, settings)]
-    pairs = zip((truth for *_, truth in tables), turns, strict=True)
-    known = [(truth, n) for truth, n in pairs if truth is not None]
-    short = [(truth, n) for truth, n in known if 0 < truth.turns <= 22]
-    assert len(short) >= 10
-    assert len({truth.turns for truth, _ in short}) > 2
-    for truth, n in short:
-        assert n == pytest.approx(truth.turns, rel=1e-7)
+    wanted = [truth.turns for *_, truth in tables]
+    assert turns == pytest.approx(wanted, rel=1e-7)
+    assert len(set(wanted)) > 2

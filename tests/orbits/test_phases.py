@@ -120,3 +120,25 @@ def test_a_locked_start_is_released_before_its_first_phase(oscillator: HybridDyn
     cycle = cycle_of(oscillator, start, ONE_ZENO, horizon=20.0, settings=SimulationSettings())
     assert cycle.execution.arcs[0].mode is Mode.LOCKED
     assert cycle.start.time == pytest.approx(FORCED.release_time, abs=1e-11)
+
+
+def test_a_start_that_the_stop_holds_for_a_moment_is_no_end_of_the_impacts() -> None:
+    table = load_problem("vibrating_table")
+    start = np.array([0.0, 0.0, 1.0, 0.0])
+    run = simulate(table.dynamics(table.values()), start, until=0.15)
+    assert run.arcs[0].mode is Mode.LOCKED
+    phases = phases_of(run, start, held=False)
+    assert [phase.kind for phase in phases] == [PhaseKind.IMPACT] * len(run.impacts)
+    assert phases[0].start.time == 0.0
+    assert [phase.impacts for phase in phases] == [(impact,) for impact in run.impacts]
+
+
+def test_a_start_that_rounding_has_locked_is_where_the_first_phase_starts() -> None:
+    table = load_problem("vibrating_table")
+    values = table.values().parameters
+    early = math.asin(values["g"] / (values["A"] * values["omega"] ** 2)) - 1e-7
+    start = np.array([0.0, 0.0, math.cos(early), math.sin(early)])
+    run = simulate(table.dynamics(table.values()), start, until=0.3)
+    assert run.releases[0].time == pytest.approx(1e-7 / values["omega"], rel=1e-4)
+    first = phases_of(run, start)[0]
+    assert (first.start.time, first.start.state.tolist()) == (0.0, start.tolist())

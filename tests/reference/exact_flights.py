@@ -21,8 +21,8 @@ from dataclasses import dataclass
 TURN = 2 * math.pi
 _AT_REST = 1e-11
 """Relative speed below which impacts on a table that presses are taken to their limit."""
-_SAME = 1e-10
-"""Impacts whose phases and speeds differ by less are the same."""
+_SAME, _CLOSE, _LOOK = 1e-10, 1e-3, 40
+"""Impacts that differ by less are the same, or nearly; periods that have to tell it."""
 _SLOW = 1e-6
 """Slower impacts belong to a sequence that ends at rest, or at a throw."""
 _LONGEST = 64
@@ -126,12 +126,22 @@ def _first_rise(mean: Callable[[float], float]) -> float:
 
 
 def _repeats(seen: list[tuple[float, float]]) -> int:
-    """Return after how many turns impacts repeat; 0 if they do not."""
-    last, speed = seen[-1]
-    for phase, before in reversed(seen[:-1]):
-        turns = (last - phase) / TURN
-        if abs(turns - round(turns)) < _SAME and abs(before - speed) < _SAME:
-            return round(turns)
+    """Return after how many turns impacts repeat, or come ever nearer to it; 0 if they do not.
+
+    A period's change has to be small all along some forty of them, and to shrink.
+    """
+    phases, speeds = zip(*seen, strict=True)
+    for m in range(1, len(seen) // (_LOOK + 1)):
+        turns = round((phases[-1] - phases[-1 - m]) / TURN)
         if turns > _LONGEST:
             break
+        changes = [
+            max(
+                abs(phases[-1 - j] - phases[-1 - j - m] - turns * TURN),
+                abs(speeds[-1 - j] - speeds[-1 - j - m]),
+            )
+            for j in range(0, _LOOK * m, m)
+        ]
+        if turns > 0 and max(changes) < _CLOSE and changes[0] <= max(changes[-1], _SAME):
+            return turns
     return 0

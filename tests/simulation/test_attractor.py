@@ -206,3 +206,24 @@ def test_states_of_different_units_are_compared_in_the_problems_own_sizes():
     found = repetitions(met, UNITS, close=1e-6, apart=0.01, usual=usual)
     assert found == repetitions(plainly, UNITS, close=1e-6, apart=0.01)
     assert [one.returns for one in found] == [2]
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 16])
+def test_a_motion_may_repeat_after_so_many_returns(n):
+    met = returns(lambda k: [1.0 + 0.1 * (k % n), 0.2, 0.3, 0.4], n=2 * n + 2)
+    assert repetitions(met, UNITS, close=1e-9, apart=0.01)[0].returns == n
+
+
+def test_decay_that_is_not_clear_or_pauses_is_no_death():
+    def amplitudes(at_rest, bend, n=12):
+        values = [1.0]
+        for _ in range(n):
+            values.append(values[-1] * math.exp(at_rest + bend * values[-1] ** 2))
+        return values
+
+    # Its decay at rest would take five hundred returns for a factor of e.
+    assert not growth_of(amplitudes(-0.002, -0.05)).dies_out
+    assert growth_of(amplitudes(-0.02, -0.05)).dies_out
+    paused = amplitudes(-0.05, -0.02)
+    paused[-3] = paused[-4] * 1.001
+    assert not growth_of(paused).dies_out

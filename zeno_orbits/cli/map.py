@@ -66,7 +66,7 @@ def add_map(commands: Any) -> None:
         type=read_number,
         metavar="T",
         help="longest time for a motion to settle [s]; by default 300 periods of the problem's "
-        "clock, or 35 of its slowest oscillation, more above a restitution of 0.5",
+        "clock, or 115 of its slowest oscillation, more above a restitution of 0.5",
     )
     add_place(parser)
     parser.add_argument("--picture", type=Path, help="draw the map here")

@@ -15,11 +15,16 @@ from zeno_orbits.maps.attempt import Accuracy, Request
 from zeno_orbits.maps.attractors import Attractor
 from zeno_orbits.maps.point import Point
 from zeno_orbits.model import OwnScale, ParameterValues, Problem, own_time
-from zeno_orbits.simulation import WAITING, Batch, BatchModel, bounds_of, model_in_rows
+from zeno_orbits.simulation import (
+    OSCILLATIONS,
+    WAITING,
+    Batch,
+    BatchModel,
+    bounds_of,
+    model_in_rows,
+)
 from zeno_orbits.work import Progress, silent
 
-_OSCILLATIONS = 35
-"""Oscillations in which a motion has to settle, of a problem without a clock."""
 _BOUNCY, _LONGEST = 0.5, 10.0
 """Restitution from which impacts fade so slowly that it takes longer, and how much at most."""
 _LANES = 2048
@@ -98,7 +103,7 @@ def usual_time(
         return float(f"{WAITING * slowest:.0e}")
     bounciest = max(values.parameters["restitution"] for values in settings)
     longer = math.log(_BOUNCY) / math.log(bounciest) if bounciest > _BOUNCY else 1.0
-    return float(f"{min(longer, _LONGEST) * _OSCILLATIONS * slowest:.0e}")
+    return float(f"{min(longer, _LONGEST) * OSCILLATIONS * slowest:.0e}")
 
 
 def _in_words(problem: Problem, found: Attractor) -> Attractor:

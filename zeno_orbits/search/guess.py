@@ -15,6 +15,7 @@ from zeno_orbits.model import HybridDynamics, Problem, own_time
 from zeno_orbits.orbits import Cycle, OrbitShape, cycle_of, cycles, placed, to_next_release
 from zeno_orbits.search.recurrence import Recurrence, Recurring
 from zeno_orbits.simulation import (
+    OSCILLATIONS,
     WAITING,
     Execution,
     Mode,
@@ -29,9 +30,6 @@ _DIFFERENCE = 1e-6
 """Step of a derivative; its error is that part of a correction that is small itself."""
 _SMALL = 1e-3
 """A state that is smaller than this part of the largest has no size of its own."""
-
-_OSCILLATIONS = 115
-"""Oscillations of a problem without a clock in which a motion has to settle."""
 
 _SHARE = 1 / 3
 """Part of the longest wait that a start has however long motions from others were followed."""
@@ -151,13 +149,13 @@ def _watch(
     dynamics: HybridDynamics, state: Vector, settings: SettlingSettings, problem: Problem | None
 ) -> _Watch:
     """Return what ends the wait for the motion from a state, in the problem's own scales."""
-    own, turns, far, phrases = own_time(dynamics, state), _OSCILLATIONS, math.inf, {}
+    own, turns, far, phrases = own_time(dynamics, state), OSCILLATIONS, math.inf, {}
     if problem is not None:
         declared = {name: escape.beyond for name, escape in problem.escapes.items()}
         bounds = bounds_of(problem.state_names, problem.state_units, dynamics.n_q, declared)
         far = tuple(bounds[: dynamics.n_q].tolist())
         phrases = {name: escape.phrase for name, escape in problem.escapes.items()}
-        turns = WAITING if problem.compiled().clock else _OSCILLATIONS
+        turns = WAITING if problem.compiled().clock else OSCILLATIONS
     return _Watch(
         settings=replace(settings.simulation, far=far),
         settled=settings.settled,

@@ -1,6 +1,7 @@
 from .attractor import AttractorKind as AttractorKind
 from .attractor import Motion as Motion
 from .attractor import SectionReturn as SectionReturn
+from .attractor import OSCILLATIONS as OSCILLATIONS
 from .attractor import WAITING as WAITING
 from .attractor import bounds_of as bounds_of
 from .attractor import outcome_of as outcome_of

@@ -38,6 +38,9 @@ TEN_TURNS = 20 * math.pi
 WAITING = 300
 """Periods of the clock in which a motion has to settle, where nobody says how long to wait."""
 
+OSCILLATIONS = 115
+"""The same without a clock: oscillations, the slowest of the problem."""
+
 STEADY = 1e-3
 """A motion that changes less than this part of itself a return neither grows nor dies."""
 
