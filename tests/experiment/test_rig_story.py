@@ -6,12 +6,14 @@ relative to the period. So the stiffness is chosen by what part of the period a 
 
 from __future__ import annotations
 
+import re
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from zeno_orbits.errors import InputError
 from zeno_orbits.experiment import rig_cycles
 from zeno_orbits.experiment.rig.cycle_comparison import RigComparison, compare_cycles
 from zeno_orbits.model.library import load_problem
@@ -74,3 +76,12 @@ def test_a_machine_tends_to_its_orbit_as_the_stop_stiffens(name: str) -> None:
         assert before < 0.05, what
     assert stiff.portrait < soft.portrait / 3
     assert max(asdict(stiff.spread).values()) < 1e-4 * orbit.period
+
+
+@pytest.mark.parametrize(
+    ("name", "shape"), [("impact_oscillator", "impact"), ("two_tone_table", "zeno*2")]
+)
+def test_a_motion_of_another_shape_is_refused_by_name(name: str, shape: str) -> None:
+    problem = load_problem(name)
+    with pytest.raises(InputError, match=re.escape(f"but its shape is `{shape}`")):
+        rig_cycles(orbit_of(problem), problem, Rig(), cycles=1, settle=1)

@@ -32,6 +32,7 @@ LEFT_OUT = {
     ("docs/performance.md", "not run: takes a quiet machine"): 3,
     ("docs/performance.md", "not run: a quarter of an hour"): 1,
     ("docs/performance.md", "not run: takes other people's simulators and a quiet machine"): 1,
+    ("docs/proof_file.md", "not run: needs a certificate"): 1,
     ("docs/rig.md", "not run: a quarter of an hour"): 1,
     ("docs/scale.md", "not run: minutes"): 1,
     ("docs/scale.md", "not run: needs a cluster"): 2,

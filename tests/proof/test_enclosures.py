@@ -14,8 +14,8 @@ from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.precision.extended import extended_execution
 from zeno_orbits.proof.ball_system import BallSystem
 from zeno_orbits.proof.section import section_places, start_on_section
-from zeno_orbits.proof.stage import BallTime, Departure, Stage
-from zeno_orbits.proof.walk import Passage, WalkSettings, walk
+from zeno_orbits.proof.stage import BallTime, Departure, ProofStage
+from zeno_orbits.proof.walk import ProofPassage, WalkSettings, walk
 
 pytest.importorskip("heyoka")
 
@@ -43,7 +43,9 @@ def _check(orbit: ZenoOrbit, radius: float, shares: list[float]) -> None:
         radii = [radius * max(abs(y[k]), 1e-3) for k in places]
         exact = [arb(value) for value in y]
         start = start_on_section(system, exact, places, others, radii)
-        begin = Stage(at=start.at, departure=Departure.RELEASED, time=BallTime.start(len(places)))
+        begin = ProofStage(
+            at=start.at, departure=Departure.RELEASED, time=BallTime.start(len(places))
+        )
         passage = walk(system, begin, 1, WalkSettings(), lambda *_: None)
         offset = [arb(s) * r for s, r in zip(shares, radii, strict=False)]
         inside = list(exact)
@@ -53,7 +55,9 @@ def _check(orbit: ZenoOrbit, radius: float, shares: list[float]) -> None:
         _compare(problem, values, passage, point, offset)
 
 
-def _compare(problem: Any, values: Any, passage: Passage, point: Any, offset: list[Any]) -> None:
+def _compare(
+    problem: Any, values: Any, passage: ProofPassage, point: Any, offset: list[Any]
+) -> None:
     with localcontext() as digits:
         digits.prec = 60
         state = [_decimal(x) for x in point]

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 import zeno_orbits as zo
-from tests.support.commands import NO, YES, ask
+from tests.support.commands import MISUSE, NO, YES, ask
 from zeno_orbits.model import load_problem
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.proof import ProofSettings, check_proof, prove
@@ -145,3 +145,31 @@ def test_the_command_proves_writes_and_checks(table: ZenoOrbit, tmp_path: Path) 
     refused = ask("prove", str(orbit))
     assert refused.code == NO
     assert "Not proved: `period`" in refused.out
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ((), "`--check`"),
+        (("orbit.json", "--check", "proof.json"), "both"),
+        (("orbit.json", "--over", "A=0.5:1e-9"), "`A`"),
+        (("orbit.json", "--over", "nothing=1:1e-9"), "`nothing`"),
+        (("orbit.json", "--over", "A=0.015"), "NAME=VALUE:RADIUS"),
+        (("orbit.json", "--over", "A=0.015:-1"), "radius above 0"),
+        (("orbit.json", "--over", "restitution=0.3:1e-9"), "restitution"),
+        (("orbit.json", "--radius", "2"), "(0, 1)"),
+    ],
+)
+def test_wrong_usage_is_told_in_one_line(
+    table: ZenoOrbit,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    words: tuple[str, ...],
+    told: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    zo.write_orbit(table, tmp_path / "orbit.json")
+    answer = ask("prove", *words)
+    assert answer.code == MISUSE
+    assert told in answer.err
+    assert answer.err.count("\n") == 1

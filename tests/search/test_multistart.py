@@ -158,8 +158,8 @@ def test_what_came_of_a_start_survives_json_to_the_last_bit(alone: SearchResult)
 @needs_two
 @pytest.mark.slow
 def test_one_worker_and_two_find_what_a_search_without_workers_finds(alone: SearchResult) -> None:
-    assert len(alone.attempts) == 3
-    assert len(alone.candidates) == 3
+    # All lead to the restitution of the first, from which two of them may differ by more than 1e-6.
+    assert len(alone.attempts) == sum(one.starts for one in alone.candidates) == 3
     assert timeless(search(Workers(count=1))) == timeless(alone)
     assert timeless(search(Workers(count=2))) == timeless(alone)
 

@@ -7,7 +7,8 @@ as a machine without a Zeno point, with `RigSettings`.
 
 Sub-folders: `recordings` (files, tables, how signals repeat), `comparison` (an orbit laid over a
 recording), `identification` (parameters by least squares), `rig` (simulated machines). The module
-`orbit_table` has an orbit at all phases at once, and the mask of samples beside jumps.
+`orbit_table` has an orbit at all phases at once, and the mask of samples beside jumps; `polyline`
+measures the distance of points from a line.
 
 Imports: search, orbits, simulation, model, integrators, work, arrays, errors.
 """

@@ -1,4 +1,4 @@
-"""Make a library of kernels: ``python -m zeno_orbits.kernels.build JOB``, in a process of its own.
+"""Make a library of kernels, in a process of its own.
 
 Formulas are built, written as C, compiled, loaded and compared with the interpreter. Only then
 the library takes its place; else a file beside it says why there is none.
@@ -6,12 +6,8 @@ the library takes its place; else a file beside it says why there is none.
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
-import sys
 import tempfile
-from collections.abc import Generator
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -51,19 +47,15 @@ CASADI_SYMBOL_EXPORT int zk_rows(
 """
 
 
-def main() -> int:
+def make_library(job: Path) -> int:
     """Make the library of a job; 1 if that fails."""
-    job = Path(sys.argv[1])
-    with contextlib.suppress(AttributeError, OSError):
-        os.nice(10)
     try:
         content = json.loads(job.read_text(encoding="utf-8"))
         folder = KernelFolder(Path(content["folder"]))
         failure = folder.failure_of(content["key"])
         failure.write_text(_CRASHED, encoding="utf-8")
         try:
-            with alone(folder):
-                make(folder, content)
+            compiled_library(folder, content)
         except (KernelError, OSError) as error:
             failure.write_text(str(error), encoding="utf-8")
             return 1
@@ -72,18 +64,7 @@ def main() -> int:
     return 0
 
 
-@contextlib.contextmanager
-def alone(folder: KernelFolder) -> Generator[None]:
-    """Wait until no other process compiles here: one core is enough to give away."""
-    with contextlib.ExitStack() as held:
-        if sys.platform != "win32":
-            import fcntl
-
-            fcntl.flock(held.enter_context(folder.lock.open("w")), fcntl.LOCK_EX)
-        yield
-
-
-def make(folder: KernelFolder, content: dict[str, Any]) -> Path:
+def compiled_library(folder: KernelFolder, content: dict[str, Any]) -> Path:
     """Make a library as a job says and return its place.
 
     Raises:
@@ -98,7 +79,7 @@ def make(folder: KernelFolder, content: dict[str, Any]) -> Path:
         code, library = Path(name) / "kernels.c", Path(name) / "kernels.so"
         code.write_text(c_code(source), encoding="utf-8")
         compiler.compile(code, library)
-        compare(source, KernelLibrary(library))
+        require_agreement(source, KernelLibrary(library))
         return folder.store(content["key"], library)
 
 
@@ -116,7 +97,7 @@ def c_code(source: Source) -> str:
     return f"{_PRELUDE}{generator.dump()}{_ROWS}{source.code}"
 
 
-def compare(source: Source, library: KernelLibrary) -> None:
+def require_agreement(source: Source, library: KernelLibrary) -> None:
     """Hold every kernel against the interpreter at some numbers.
 
     Raises:
@@ -133,7 +114,3 @@ def compare(source: Source, library: KernelLibrary) -> None:
             largest = float(np.max(np.abs(wanted), initial=0.0, where=np.isfinite(wanted)))
             if not np.allclose(found, wanted, rtol=0.0, atol=_AGREES * largest, equal_nan=True):
                 raise KernelError(f"the compiled `{function.name()}` computes something else")
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -330,10 +330,10 @@ _started: list[subprocess.Popen[bytes]] = []
 
 def _start(job: Path) -> subprocess.Popen[bytes]:
     """Start a process that makes a library and outlives this one."""
-    package = str(Path(__file__).resolve().parents[2])
-    paths = [package, *filter(None, [os.environ.get("PYTHONPATH")])]
+    # It finds what this process finds, and nothing that lies in the current folder by chance.
+    paths = [path or str(Path.cwd()) for path in sys.path]
     process = subprocess.Popen(
-        [sys.executable, "-m", "zeno_orbits.kernels.build", str(job)],
+        [sys.executable, "-P", "-m", "zeno_orbits.kernels", str(job)],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

@@ -133,7 +133,7 @@ class BallSystem:
         return BallProgram(function, self.numbers)
 
 
-def require(holds: bool, claim: str, reason: str) -> None:
+def require_proved(holds: bool, claim: str, reason: str) -> None:
     """Raise `ProofError` unless a condition holds.
 
     Args:

@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from flint import arb, arb_mat, fmpz
+from flint import arb, arb_mat
 
 Ball = Any
 """A ball of python-flint, real or complex; it has no types to name."""
@@ -26,7 +26,7 @@ def symmetric(x: Ball) -> Ball:
     return arb(0, x.abs_upper())
 
 
-def interval(low: Ball, high: Ball) -> Ball:
+def joined(low: Ball, high: Ball) -> Ball:
     """Return the interval between the ends of two balls."""
     return low.union(high)
 
@@ -78,11 +78,6 @@ def column(x: Sequence[Ball]) -> Matrix:
     return arb_mat(len(x), 1, list(x))
 
 
-def entries(m: Matrix) -> list[Ball]:
-    """Return the entries of a matrix, row by row."""
-    return m.entries()
-
-
 def product(m: Matrix, x: Sequence[Ball]) -> list[Ball]:
     """Return a matrix times a vector."""
     return (m * column(x)).entries() if len(x) else [ZERO] * m.nrows()
@@ -98,7 +93,7 @@ def all_finite(balls: Iterable[Ball]) -> bool:
     return all(x.is_finite() for x in balls)
 
 
-def number_text(x: Ball) -> str:
+def exact_text(x: Ball) -> str:
     """Return an exact number as the text ``-?0x<mantissa>p<+|-><exponent>``.
 
     Raises:
@@ -108,9 +103,3 @@ def number_text(x: Ball) -> str:
         raise ValueError(f"Argument `x` must be exact, but it is {x}.")
     mantissa, exponent = x.man_exp()
     return f"{int(mantissa):#x}p{int(exponent):+d}"
-
-
-def number_of(text: str) -> Ball:
-    """Return the exact number of such a text."""
-    mantissa, _, exponent = text.partition("p")
-    return arb((fmpz(int(mantissa, 16)), fmpz(int(exponent))))

@@ -8,10 +8,10 @@ from flint import arb
 
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import ZenoOrbit
-from zeno_orbits.proof.ball_system import BallSystem, require
-from zeno_orbits.proof.balls import Ball, number_text, product
+from zeno_orbits.proof.ball_system import BallSystem, require_proved
+from zeno_orbits.proof.balls import Ball, exact_text, product
 from zeno_orbits.proof.judgement import JudgedBox
-from zeno_orbits.proof.theorem import Bounds, Enclosure, MultiplierDisc
+from zeno_orbits.proof.theorem import Bounds, MultiplierDisc, ProvedInterval
 
 CLOSE = 1e-8
 """How far numbers of the orbit may be from those that are proved, per size."""
@@ -20,7 +20,7 @@ _TIMES_WIDER = 1.5
 """How much wider a claimed time is than found, so that another arithmetic finds it, too."""
 
 
-def bounds_of(problem: Problem, system: BallSystem, found: JudgedBox) -> Bounds:
+def proof_bounds(problem: Problem, system: BallSystem, found: JudgedBox) -> Bounds:
     """Return what is enclosed of the orbit that passes through a box.
 
     Args:
@@ -50,26 +50,26 @@ def bounds_of(problem: Problem, system: BallSystem, found: JudgedBox) -> Bounds:
     )
 
 
-def _claimed(x: Ball) -> Enclosure:
+def _claimed(x: Ball) -> ProvedInterval:
     """Return the ends of an enclosure that is somewhat wider than a ball."""
     if x.is_zero():
-        return Enclosure(low=x, high=x)
+        return ProvedInterval(low=x, high=x)
     wide = x + arb(0, x.rad() * (_TIMES_WIDER - 1) + abs(x).upper() * arb(2) ** -85)
-    return Enclosure(low=wide.lower().mid(), high=wide.upper().mid())
+    return ProvedInterval(low=wide.lower().mid(), high=wide.upper().mid())
 
 
 def require_numbers(orbit: ZenoOrbit, bounds: Bounds) -> None:
     """Refuse an orbit whose other numbers are not those of the orbit that is proved."""
     allowed = CLOSE * orbit.period
 
-    def check(name: str, enclosed: Enclosure, value: float, most: float) -> None:
+    def check(name: str, enclosed: ProvedInterval, value: float, most: float) -> None:
         off = enclosed.misses(value)
         reason = f"the orbit says {value:.12g}, but {enclosed.text} is proved"
-        require(off <= most, name, reason)
+        require_proved(off <= most, name, reason)
 
     check("period", bounds.period, orbit.period, allowed)
     held = [phase for phase in orbit.phases if phase.zeno_time is not None]
-    require(len(held) == len(bounds.zeno_times), "shape", "the orbit has other Zeno points")
+    require_proved(len(held) == len(bounds.zeno_times), "shape", "the orbit has other Zeno points")
     for phase, proved in zip(held, bounds.zeno_times, strict=True):
         check("zeno_time", proved, float(phase.zeno_time or 0.0), allowed)
     impacts = [impact.time for impact in orbit.impacts]
@@ -112,14 +112,14 @@ def claims_of(passes: list[JudgedBox], bounds: Bounds) -> list[dict[str, Any]]:
     for which, one in enumerate(bounds.impact_times):
         claim("impact_time", last, which=which, **_ends(one))
     state = list(bounds.start_state.values())
-    low, high = [number_text(x.low) for x in state], [number_text(x.high) for x in state]
+    low, high = [exact_text(x.low) for x in state], [exact_text(x.high) for x in state]
     claim("start_state", low=low, high=high)
     return claims
 
 
-def _ends(one: Enclosure) -> dict[str, str]:
-    return {"low": number_text(one.low), "high": number_text(one.high)}
+def _ends(one: ProvedInterval) -> dict[str, str]:
+    return {"low": exact_text(one.low), "high": exact_text(one.high)}
 
 
 def _exact(*numbers: float) -> list[str]:
-    return [number_text(arb(x)) for x in numbers]
+    return [exact_text(arb(x)) for x in numbers]

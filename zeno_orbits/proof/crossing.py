@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from flint import arb
 
 from zeno_orbits.errors import ProofError
-from zeno_orbits.proof.ball_system import BallSystem, require
-from zeno_orbits.proof.balls import ONE, ZERO, Ball, Matrix, column, interval, matrix, product
+from zeno_orbits.proof.ball_system import BallSystem, require_proved
+from zeno_orbits.proof.balls import ONE, ZERO, Ball, Matrix, column, joined, matrix, product
 from zeno_orbits.proof.flow import FlowStep
 from zeno_orbits.proof.recurrences import Series
-from zeno_orbits.proof.stage import Departure, ProofRecord, Stage
+from zeno_orbits.proof.stage import Departure, ProofRecord, ProofStage
 
 _SPARE = 1.05
 """How much wider than found a window is given, so that another arithmetic finds it wide enough."""
@@ -50,8 +50,8 @@ def _guard(system: BallSystem, departure: Departure) -> _Guard:
 
 
 def cross(
-    system: BallSystem, stage: Stage, step: FlowStep, series: list[Series], guess: Ball
-) -> tuple[ProofRecord, Stage]:
+    system: BallSystem, stage: ProofStage, step: FlowStep, series: list[Series], guess: Ball
+) -> tuple[ProofRecord, ProofStage]:
     """Return the record of a crossing in a step, and the set on the guard.
 
     That the guard falls to zero once only in the step is for the caller to know.
@@ -69,14 +69,14 @@ def cross(
     claim = "release" if stage.departure is Departure.LOCKED else "impact"
     guard, locked = _guard(system, stage.departure), stage.departure is Departure.LOCKED
     a_m, b_m = _window(guard, step, guess, lambda t: step.point(series, t), None, claim)
-    middle = interval(a_m, b_m)
+    middle = joined(a_m, b_m)
 
     def spread(time: Ball) -> list[Ball]:
         return product(step.derivative(time), stage.at.deviation)
 
     a, b = _window(guard, step, guess, lambda t: step.point(series, t), spread, claim)
     a, b = _lesser(a, a_m), _greater(b, b_m)
-    window = interval(a, b)
+    window = joined(a, b)
     whole = step.derivative(window)
     box = [
         x + dx
@@ -86,7 +86,9 @@ def cross(
     ]
     gradient, rate = guard.terms(box)
     falls = sum((g * f for g, f in zip(gradient, rate, strict=True)), ZERO)
-    require(bool(falls < 0), claim, f"the guard is not proved to fall where it is met ({falls})")
+    require_proved(
+        bool(falls < 0), claim, f"the guard is not proved to fall where it is met ({falls})"
+    )
     n = system.n
     row = matrix([gradient], n) * whole / -falls
     derivative = whole + column(rate) * row
@@ -119,7 +121,9 @@ def _window(
 
     gradient, rate = guard.terms(point(guess))
     speed = sum((g * f for g, f in zip(gradient, rate, strict=True)), ZERO)
-    require(bool(speed < 0), claim, f"the guard is not proved to fall where it is met ({speed})")
+    require_proved(
+        bool(speed < 0), claim, f"the guard is not proved to fall where it is met ({speed})"
+    )
     for _ in range(3):
         guess = (guess - value(guess) / speed).mid()
     here = value(guess)

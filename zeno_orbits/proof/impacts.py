@@ -17,9 +17,9 @@ from collections.abc import Sequence
 from flint import acb, arb
 
 from zeno_orbits.errors import ProofError
-from zeno_orbits.proof.ball_system import BallSystem, require
+from zeno_orbits.proof.ball_system import BallSystem, require_proved
 from zeno_orbits.proof.balls import ONE, ZERO, Ball, identity, matrix, symmetric
-from zeno_orbits.proof.stage import Departure, ProofRecord, Stage
+from zeno_orbits.proof.stage import Departure, ProofRecord, ProofStage
 
 _SPEED_SHARE = 0.25
 """Part of the polydisc that its fastest tail may cross."""
@@ -27,7 +27,7 @@ _RADII = (1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
 """Radii of the polydisc that are tried, per size of a state."""
 
 
-def strike(system: BallSystem, stage: Stage) -> tuple[ProofRecord, Stage]:
+def strike(system: BallSystem, stage: ProofStage) -> tuple[ProofRecord, ProofStage]:
     """Return the record of an impact and the set after it.
 
     Args:
@@ -43,7 +43,7 @@ def strike(system: BallSystem, stage: Stage) -> tuple[ProofRecord, Stage]:
     return record, stage.next(result, after, stage.time)
 
 
-def settle(system: BallSystem, stage: Stage) -> tuple[ProofRecord, Stage]:
+def settle_impacts(system: BallSystem, stage: ProofStage) -> tuple[ProofRecord, ProofStage]:
     """Return the record of a Zeno tail and the set of Zeno points.
 
     Args:
@@ -62,7 +62,7 @@ def settle(system: BallSystem, stage: Stage) -> tuple[ProofRecord, Stage]:
     raise ProofError("zeno_point", reason)
 
 
-def _settled(system: BallSystem, stage: Stage, share: float) -> tuple[ProofRecord, Stage]:
+def _settled(system: BallSystem, stage: ProofStage, share: float) -> tuple[ProofRecord, ProofStage]:
     n, gap, rate = system.n, system.gap, system.rate
     at, box = stage.at, stage.at.box
     speed_now = box[rate].abs_upper()
@@ -77,13 +77,13 @@ def _settled(system: BallSystem, stage: Stage, share: float) -> tuple[ProofRecor
         if found is not None:
             break
         speed = speed / 4
-        require(bool(speed > 2 * speed_now), "zeno_point", "no polydisc holds the tail")
+        require_proved(bool(speed > 2 * speed_now), "zeno_point", "no polydisc holds the tail")
     else:
         raise ProofError("zeno_point", "no polydisc holds the tail")
     c, rho, longest, delta = found
     left = 1 - rho
     off = speed - speed_now
-    require(bool(off > 0), "zeno_point", "the gap rate exceeds that of the polydisc")
+    require_proved(bool(off > 0), "zeno_point", "the gap rate exceeds that of the polydisc")
     image = list(at.m)
     w = at.middle_box[rate].abs_upper()
     rows = identity(n).table()

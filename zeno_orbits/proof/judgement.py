@@ -9,7 +9,7 @@ from flint import arb
 from zeno_orbits.proof.balls import Ball, matrix, product
 from zeno_orbits.proof.fixed_point import MultiplierDiscs, ReturnBox, multiplier_discs
 from zeno_orbits.proof.section import SectionStart
-from zeno_orbits.proof.walk import Passage
+from zeno_orbits.proof.walk import ProofPassage
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,14 +26,14 @@ class JudgedBox:
     """
 
     start: SectionStart
-    passage: Passage
+    passage: ProofPassage
     returned: ReturnBox
     orbit: list[Ball]
     discs: MultiplierDiscs
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Attempt:
+class ReturnAttempt:
     """A box once around, judged.
 
     Attributes:
@@ -49,7 +49,7 @@ class Attempt:
     needed: list[float]
 
 
-def judge(start: SectionStart, passage: Passage) -> Attempt:
+def judge(start: SectionStart, passage: ProofPassage) -> ReturnAttempt:
     """Judge the return of a box."""
     places, end, d = start.places, passage.end.at, len(start.places)
     box = end.box
@@ -69,14 +69,14 @@ def judge(start: SectionStart, passage: Passage) -> Attempt:
     )
     if not all(a.contains(box[k]) for k, a in zip(start.others, start.around, strict=True)):
         reason = "the box does not come back to the part of the section that it started on"
-        return Attempt(judged=None, defect=defect, reason=reason, needed=[])
+        return ReturnAttempt(judged=None, defect=defect, reason=reason, needed=[])
     found = returned.krawczyk(returned.box)
     if not returned.encloses(found):
         wide = [float(one.abs_upper()) for one in found]
         reason = "the return map is not proved to have a fixed point in the box"
         small = all(w < 1e-3 for w in wide)
         needed = [3 * w for w in wide] if small else []
-        return Attempt(judged=None, defect=defect, reason=reason, needed=needed)
+        return ReturnAttempt(judged=None, defect=defect, reason=reason, needed=needed)
     orbit = [*returned.krawczyk(found), *parameters]
     judged = JudgedBox(
         start=start,
@@ -85,4 +85,4 @@ def judge(start: SectionStart, passage: Passage) -> Attempt:
         orbit=orbit,
         discs=multiplier_discs(returned.slopes),
     )
-    return Attempt(judged=judged, defect=defect, needed=[])
+    return ReturnAttempt(judged=judged, defect=defect, needed=[])

@@ -9,14 +9,14 @@ from flint import arb
 
 from zeno_orbits.proof.ball_system import BallSystem
 from zeno_orbits.proof.recurrences import Series
-from zeno_orbits.proof.stage import Departure, Stage
+from zeno_orbits.proof.stage import Departure, ProofStage
 
 _GRID = 16
 """Parts of the time in which a crossing is looked for."""
 
 
 def meeting_guess(
-    system: BallSystem, stage: Stage, points: list[Series], within: float
+    system: BallSystem, stage: ProofStage, points: list[Series], within: float
 ) -> float | None:
     """Return when the middle of a set meets its guard, if it does soon; not for certain.
 

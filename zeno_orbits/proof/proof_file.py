@@ -14,12 +14,12 @@ import flint
 from zeno_orbits.errors import ProofError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.proof.ball_system import BallSystem
-from zeno_orbits.proof.balls import Ball, Matrix, number_text
+from zeno_orbits.proof.balls import Ball, Matrix, exact_text
 from zeno_orbits.proof.expressions import operation_name
 from zeno_orbits.proof.section import SectionStart
 from zeno_orbits.proof.sets import BallSet
 from zeno_orbits.proof.stage import ProofRecord
-from zeno_orbits.proof.walk import Passage
+from zeno_orbits.proof.walk import ProofPassage
 from zeno_orbits.work import versions
 
 FORMAT = 1
@@ -66,16 +66,16 @@ class CertificateWriter:
 
     def number_rows(self, m: Matrix) -> list[list[str]]:
         """Return the numbers of an exact matrix."""
-        return [[number_text(x) for x in row] for row in m.table()]
+        return [[exact_text(x) for x in row] for row in m.table()]
 
     def set_of(self, one: BallSet) -> dict[str, Any]:
         """Return a set."""
         return {
-            "m": [number_text(x) for x in self._own(one.m)],
+            "m": [exact_text(x) for x in self._own(one.m)],
             "C": self.number_rows(self._own_rows(one.C)),
             "Q": self.number_rows(self._own_rows(one.frame)),
-            "r": [number_text(x.rad()) for x in one.r],
-            "R": [[number_text(x.rad()) for x in row] for row in one.R.table()],
+            "r": [exact_text(x.rad()) for x in one.r],
+            "R": [[exact_text(x.rad()) for x in row] for row in one.R.table()],
         }
 
     def record(self, one: ProofRecord) -> dict[str, Any]:
@@ -83,18 +83,18 @@ class CertificateWriter:
         numbers = {name: _texts(value) for name, value in one.numbers.items()}
         if one.kind == "tail":
             places = self._tail_places()
-            numbers["radius"] = [number_text(one.numbers["radius"][k]) for k in places]
+            numbers["radius"] = [exact_text(one.numbers["radius"][k]) for k in places]
         orders = {"orders": list(one.orders)} if one.orders else {}
         return {"kind": one.kind, **numbers, **orders, "set": self.set_of(one.result)}
 
-    def passage(self, start: SectionStart, passage: Passage) -> dict[str, Any]:
+    def passage(self, start: SectionStart, passage: ProofPassage) -> dict[str, Any]:
         """Return a set once around."""
-        radii = [number_text(u.rad()) for u in start.at.U[: len(start.places)]]
+        radii = [exact_text(u.rad()) for u in start.at.U[: len(start.places)]]
         others = {
-            "centre": [number_text(x.mid()) for x in start.around],
-            "radius": [number_text(x.rad()) for x in start.around],
+            "centre": [exact_text(x.mid()) for x in start.around],
+            "radius": [exact_text(x.rad()) for x in start.around],
         }
-        centre = [number_text(x) for x in start.centre]
+        centre = [exact_text(x) for x in start.centre]
         return {
             "box": {"centre": centre, "radius": radii, "others": others},
             "start": self.set_of(start.at),
@@ -130,8 +130,8 @@ class CertificateWriter:
 
 def _texts(value: Ball | list[Ball]) -> str | list[str]:
     if isinstance(value, list):
-        return [number_text(x) for x in cast("list[Ball]", value)]
-    return number_text(value)
+        return [exact_text(x) for x in cast("list[Ball]", value)]
+    return exact_text(value)
 
 
 def certificate(
@@ -139,7 +139,7 @@ def certificate(
     values: ParameterValues,
     over: Mapping[str, float],
     system: BallSystem,
-    passes: Sequence[tuple[SectionStart, Passage]],
+    passes: Sequence[tuple[SectionStart, ProofPassage]],
     claims: Sequence[Mapping[str, Any]],
 ) -> dict[str, Any]:
     """Return the certificate of a proof.
@@ -159,8 +159,8 @@ def certificate(
         "kind": "zeno_orbits proof",
         "problem": problem.name,
         "digest": system_digest(problem),
-        "parameters": {name: number_text(flint.arb(float(x))) for name, x in named.items()},
-        "over": {name: number_text(flint.arb(radius)) for name, radius in over.items()},
+        "parameters": {name: exact_text(flint.arb(float(x))) for name, x in named.items()},
+        "over": {name: exact_text(flint.arb(radius)) for name, radius in over.items()},
         "gap_row": writer.gap_row,
         "bits": _CHECK_BITS,
         "section": {

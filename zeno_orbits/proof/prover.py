@@ -13,16 +13,16 @@ from zeno_orbits.errors import InputError, ProofError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.orbits.digest import digest_of, same_equations
-from zeno_orbits.proof.ball_system import BallSystem, require
-from zeno_orbits.proof.claims import CLOSE, bounds_of, claims_of, require_numbers
+from zeno_orbits.proof.ball_system import BallSystem, require_proved
+from zeno_orbits.proof.claims import CLOSE, claims_of, proof_bounds, require_numbers
 from zeno_orbits.proof.expressions import stop_identities
 from zeno_orbits.proof.judgement import JudgedBox, judge
 from zeno_orbits.proof.program import BallProgram
 from zeno_orbits.proof.proof_file import certificate, proof_versions
 from zeno_orbits.proof.section import SectionStart, section_places, start_on_section
-from zeno_orbits.proof.stage import BallTime, Departure, Stage
+from zeno_orbits.proof.stage import BallTime, Departure, ProofStage
 from zeno_orbits.proof.theorem import Proof
-from zeno_orbits.proof.walk import Passage, WalkSettings, walk
+from zeno_orbits.proof.walk import ProofPassage, WalkSettings, walk
 from zeno_orbits.work import Progress, silent
 
 _RADII = (1e-9, 1e-12)
@@ -31,6 +31,8 @@ _REFINEMENTS = 8
 _FINE = 4e-15
 """Radius of the box from which the digits are taken, per size of a coordinate."""
 _BITS = 96
+_PATIENCE = 1.5
+"""Periods that the motion may take to return."""
 _TRIALS = 3
 _ROUNDING = 1e-8
 """Rounding of an identity of the stop, made of numbers of some size."""
@@ -128,7 +130,9 @@ def _require_stop(orbit: ZenoOrbit, problem: Problem, values: ParameterValues) -
         near = [arb(x + (1 + abs(x)) * move / 4) for x, move in zip(state, moves, strict=True)]
         for name, value in zip(names, program(near)[0], strict=True):
             # Constants that CasADi has folded leave rounding.
-            require(bool(abs(value) < _ROUNDING), "model", f"it is not so that {name} ({value})")
+            require_proved(
+                bool(abs(value) < _ROUNDING), "model", f"it is not so that {name} ({value})"
+            )
 
 
 def _found(
@@ -187,10 +191,11 @@ def _refined(
         near = found.returned.krawczyk(near)
     for k, change in zip(places, near, strict=True):
         y[k] = (y[k] + change).mid()
-    radii = [_FINE * max(abs(float(y[k].mid())), 1e-3) for k in places]
+    noise = [10 * float(one.rad()) for one in found.returned.shift]
+    radii = [max(_FINE * abs(float(y[k].mid())), n) for k, n in zip(places, noise, strict=True)]
     fine = start_on_section(system, y, places, start.others, radii)
     for k, inner, outer in zip(start.others, fine.around, start.around, strict=True):
-        require(bool(outer.contains(inner)), "exists", f"state {k} leaves the first box")
+        require_proved(bool(outer.contains(inner)), "exists", f"state {k} leaves the first box")
     attempt = judge(fine, _walked(orbit, system, fine, settings, on_progress))
     if attempt.judged is None:
         raise ProofError("exists", attempt.reason)
@@ -203,23 +208,19 @@ def _walked(
     start: SectionStart,
     settings: ProofSettings,
     on_progress: Progress,
-) -> Passage:
-    stage = Stage(at=start.at, departure=Departure.RELEASED, time=BallTime.start(len(start.at.U)))
+) -> ProofPassage:
+    stage = ProofStage(
+        at=start.at, departure=Departure.RELEASED, time=BallTime.start(len(start.at.U))
+    )
     radius = max((float(u.rad()) for u in start.at.U), default=0.0)
     what = f"follow a box of radius {radius:.0e}" if radius else "follow the orbit"
 
     def tell(doing: str, time: float) -> None:
+        late = time > _PATIENCE * orbit.period
+        require_proved(not late, "period", f"the motion does not return within {time:.6g} s")
         on_progress(f"{what}, {doing}", min(time / orbit.period, 1.0))
 
-    def overdue(time: float) -> None:
-        if time > 1.5 * orbit.period + 1e-9:
-            raise ProofError("period", f"no return within {time:.6g} s")
-
-    def report(doing: str, time: float) -> None:
-        overdue(time)
-        tell(doing, time)
-
-    return walk(system, stage, orbit.shape.n_releases, settings.walk, report)
+    return walk(system, stage, orbit.shape.n_releases, settings.walk, tell)
 
 
 def _prover_state(system: BallSystem, problem: Problem, orbit: ZenoOrbit) -> list[float]:
@@ -242,7 +243,7 @@ def _proof(
 ) -> Proof:
     """Return the theorem of a box, and of a finer one from which its digits are."""
     found, fine = passes[0], passes[-1]
-    bounds = bounds_of(problem, system, fine)
+    bounds = proof_bounds(problem, system, fine)
     require_numbers(orbit, bounds)
     names = problem.state_names
     centres = [float(c) for c in found.start.centre]

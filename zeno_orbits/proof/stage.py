@@ -68,7 +68,7 @@ class ProofRecord:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Stage:
+class ProofStage:
     """A set on its way.
 
     Attributes:
@@ -94,6 +94,6 @@ class Stage:
         (noise,) = product(row, self.at.noise)
         return self.time.later(duration + noise, slopes)
 
-    def next(self, result: BallSet, departure: Departure, time: BallTime) -> Stage:
+    def next(self, result: BallSet, departure: Departure, time: BallTime) -> ProofStage:
         """Return the stage after a record."""
         return replace(self, at=result, departure=departure, time=time)

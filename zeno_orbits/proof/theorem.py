@@ -16,7 +16,7 @@ _DIGITS = 30
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Enclosure:
+class ProvedInterval:
     """A number that is enclosed.
 
     Attributes:
@@ -75,10 +75,10 @@ class Bounds:
         norm: Bound of the norm of the return map's derivative in the basis of the discs.
     """
 
-    period: Enclosure
-    zeno_times: tuple[Enclosure, ...]
-    impact_times: tuple[Enclosure, ...]
-    start_state: Mapping[str, Enclosure]
+    period: ProvedInterval
+    zeno_times: tuple[ProvedInterval, ...]
+    impact_times: tuple[ProvedInterval, ...]
+    start_state: Mapping[str, ProvedInterval]
     multipliers: tuple[MultiplierDisc, ...]
     norm: float
 

@@ -17,9 +17,9 @@ from zeno_orbits.proof.ball_system import BallSystem
 from zeno_orbits.proof.balls import ZERO, Ball, product
 from zeno_orbits.proof.crossing import cross
 from zeno_orbits.proof.flow import BallFlow, FlowStep, enclose
-from zeno_orbits.proof.impacts import settle, strike
+from zeno_orbits.proof.impacts import settle_impacts, strike
 from zeno_orbits.proof.meeting import meeting_guess
-from zeno_orbits.proof.stage import BallTime, Departure, ProofRecord, Stage
+from zeno_orbits.proof.stage import BallTime, Departure, ProofRecord, ProofStage
 
 _SHORTEST = 1e-5
 """Least step in flight off the stop and on it, as a part of the longest, before it is given up."""
@@ -51,7 +51,7 @@ class WalkSettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Passage:
+class ProofPassage:
     """A set once around.
 
     Attributes:
@@ -66,7 +66,7 @@ class Passage:
     impact_times: tuple[BallTime, ...]
     zeno_times: tuple[BallTime, ...]
     release_times: tuple[BallTime, ...]
-    end: Stage
+    end: ProofStage
 
 
 @dataclass(slots=True, kw_only=True)
@@ -81,8 +81,8 @@ Tell = Callable[[str, float], None]
 
 
 def walk(
-    system: BallSystem, start: Stage, releases: int, settings: WalkSettings, tell: Tell
-) -> Passage:
+    system: BallSystem, start: ProofStage, releases: int, settings: WalkSettings, tell: Tell
+) -> ProofPassage:
     """Follow a set once around.
 
     Args:
@@ -116,14 +116,14 @@ def walk(
         records.append(record)
         slow = bool(stage.at.box[system.rate] < settings.slowest)
         if stage.departure is Departure.STRUCK and slow:
-            record, stage = settle(system, stage)
+            record, stage = settle_impacts(system, stage)
             records.append(record)
         if stage.departure is Departure.LOCKED:
             zenos.append(stage.time)
             pace.size = settings.first
         elif len(impacts) > settings.most_impacts:
             raise ProofError("zeno_point", f"impacts do not accumulate in {len(impacts)} of them")
-    return Passage(
+    return ProofPassage(
         records=tuple(records),
         impact_times=tuple(impacts),
         zeno_times=tuple(zenos),
@@ -135,11 +135,11 @@ def walk(
 def _move(
     system: BallSystem,
     flow: BallFlow,
-    stage: Stage,
+    stage: ProofStage,
     pace: _Pace,
     settings: WalkSettings,
     least: float,
-) -> tuple[ProofRecord, Stage, bool]:
+) -> tuple[ProofRecord, ProofStage, bool]:
     """Return one record, a step or a crossing, the stage after it, and whether it is the latter."""
     size, orders = min(pace.size, pace.most), settings.orders
     points = flow.point_series(stage.at.m, orders[0])
@@ -234,7 +234,7 @@ def _orders(size: float, usual: float, settings: WalkSettings, n: int) -> tuple[
 
 
 def _contact(
-    system: BallSystem, flow: BallFlow, stage: Stage, step: FlowStep, end: Ball | None
+    system: BallSystem, flow: BallFlow, stage: ProofStage, step: FlowStep, end: Ball | None
 ) -> str:
     """Return what is not proved of the stop on a step, or nothing.
 

@@ -91,7 +91,8 @@ class Passage:
         re, im = (numbers(part, (d, d), self.bits) for part in entries(basis, "re", "im"))
         both = np.concatenate([np.concatenate([re, -im], axis=1), np.concatenate([im, re], axis=1)])
         J = self.slope[:, :d]
-        found = solved(both, np.concatenate([J @ both[:d], J @ both[d:]]))
+        inverse = solved(both, exactly(np.eye(2 * d, dtype=int), self.bits))
+        found = inverse @ np.concatenate([J @ both[:d], J @ both[d:]])
         return found[:d, :d], found[d:, :d]
 
     def discs(self, basis: Any) -> list[tuple[int, int, int]]:

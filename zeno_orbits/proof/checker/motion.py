@@ -15,6 +15,7 @@ from zeno_orbits.proof.checker.balls import (
     around_zero,
     between,
     entries,
+    exactly,
     number,
     numbers,
     radii,
@@ -87,7 +88,9 @@ def require_enclosed(old: Enclosure, mapped: Mapped, new: Enclosure) -> None:
     """Check that a set holds what a record makes of the one before it."""
     slope = mapped.slope
     parts = [(mapped.point - new.m)[:, None], slope @ old.C - new.C, slope @ old.Q]
-    found = solved(new.Q, np.concatenate(parts, axis=1))
+    # Elimination on intervals would wrap them at every row: it is done on numbers alone.
+    inverse = solved(new.Q, exactly(np.eye(len(new.m), dtype=int), new.m[0].bits))
+    found = inverse @ np.concatenate(parts, axis=1)
     point, drift, noise = np.split(found, [1, 1 + len(old.spread)], axis=1)
     images = {"r": point[:, 0] + noise @ old.r, "R": drift + noise @ old.R}
     for name, image in images.items():

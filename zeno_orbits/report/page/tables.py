@@ -34,7 +34,7 @@ def tiles_of(subject: Subject) -> tuple[tuple[str, str, str], ...]:
     points = execution.zeno_points if execution else ()
     arcs = execution.arcs if execution else ()
     resting = sum(arc.end_time - arc.start_time for arc in arcs if arc.mode is Mode.LOCKED)
-    push = "unknown" if math.isnan(radius) else number_text(radius, 4)
+    push = "unknown" if math.isnan(radius) else shown_number(radius, 4)
     return (
         ("period", f"{orbit.period:.10g}", "s"),
         ("first hit after", f"{orbit.impacts[0].time:.10g}", "s"),
@@ -64,12 +64,12 @@ def tables_of(subject: Subject, bundle: Bundle) -> dict[str, Table[Any]]:
     return tables
 
 
-def number_text(value: float, digits: int) -> str:
+def shown_number(value: float, digits: int) -> str:
     """Return a number to some digits; zero is 0, without sign."""
     return f"{value + 0.0:.{digits}g}"
 
 
-def size_text(size: float) -> str:
+def shown_size(size: float) -> str:
     """Return the size of an error to two digits; zero is 0."""
     return "0" if size == 0.0 else f"{size:.1e}"
 
@@ -81,7 +81,7 @@ def _titled(table: Table[Any]) -> Table[Any]:
 def _quantity_columns(values: Mapping[str, float]) -> list[Column[Quantity]]:
     return [
         text_column("name", lambda quantity: quantity.name),
-        number_column("value", lambda quantity: number_text(values[quantity.name], 12)),
+        number_column("value", lambda quantity: shown_number(values[quantity.name], 12)),
         text_column("unit", lambda quantity: quantity.unit),
         text_column("meaning", lambda quantity: quantity.meaning),
     ]
@@ -122,7 +122,7 @@ def events_table(execution: Execution, unit: str) -> Table[Any]:
         unit: Unit of the gap.
     """
     columns: list[Column[Event]] = [
-        number_column("time [s]", lambda event: number_text(event.time, 12)),
+        number_column("time [s]", lambda event: shown_number(event.time, 12)),
         text_column("event", _event_name),
         number_column(f"speed of the hit [{unit}/s]", _hit_speed),
     ]
@@ -148,7 +148,7 @@ def _hit_speed(event: Event) -> str:
 
 def multipliers_table(certificate: OrbitCertificate) -> Table[Any]:
     """Return the Floquet multipliers."""
-    error = size_text(certificate.multiplier_error)
+    error = shown_size(certificate.multiplier_error)
 
     def cell(value: float) -> str:
         # What is smaller than the error of a multiplier is not known from zero.
@@ -178,7 +178,7 @@ def checks_table(certificate: OrbitCertificate) -> Table[Any]:
 
 
 def _residual(size: float) -> str:
-    return size_text(size) if math.isfinite(size) else "never reached"
+    return shown_size(size) if math.isfinite(size) else "never reached"
 
 
 def margins_table(certificate: OrbitCertificate, unit: str, energy: str) -> Table[Any]:
@@ -192,7 +192,7 @@ def margins_table(certificate: OrbitCertificate, unit: str, energy: str) -> Tabl
     force = _FORCES.get((energy, unit), f"{energy}/{unit}")
     columns: list[Column[str]] = [
         text_column("name", lambda name: name),
-        number_column("value", lambda name: number_text(certificate.margins[name], 6)),
+        number_column("value", lambda name: shown_number(certificate.margins[name], 6)),
         text_column(
             "unit",
             lambda name: words.MARGINS[name][1].format(gap=unit, force=force),
@@ -215,7 +215,7 @@ def energies_table(certificate: OrbitCertificate, unit: str) -> Table[Any]:
         text_column("part", lambda name: words.ENERGIES.get(name, name)),
         number_column(
             f"energy [{unit}]",
-            lambda name: number_text(energies[name] if abs(energies[name]) > least else 0.0, 6),
+            lambda name: shown_number(energies[name] if abs(energies[name]) > least else 0.0, 6),
         ),
     ]
     return table_of("Energy over one period", columns, energies)

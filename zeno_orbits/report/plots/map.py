@@ -20,7 +20,7 @@ from matplotlib.transforms import Bbox
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.maps import Attractor, Axis, Boundary, Fate, ParameterMap
-from zeno_orbits.report.plots.panels import panels_of, size_of
+from zeno_orbits.report.plots.panels import figure_size, panels_of
 from zeno_orbits.report.plots.style import COLUMN_WIDTH, FULL_WIDTH, INK, TEXT
 from zeno_orbits.report.symbols import quantity_label
 
@@ -219,7 +219,7 @@ def _label_lines(
         taken: Places of labels, in parts of the axes; those made here are added.
     """
     spots: list[tuple[float, float]] = []
-    room = _ROOM / (_PANEL * size_of(ax))
+    room = _ROOM / (_PANEL * figure_size(ax))
     crossing = np.concatenate([_shares(ax, piece) for piece in others] or [np.empty((0, 2))])
     for piece in (one for level in pieces for one in level):
         places = _shares(ax, piece)

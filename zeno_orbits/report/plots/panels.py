@@ -128,11 +128,11 @@ def _existing(axes: Sequence[Axes], n: int, across: int) -> Panels:
         message = f"must be as many as the picture has panels, {n}, but there are {len(axes)}"
         raise InputError(f"Argument `axes` {message}.")
     figure = _figure_of(axes[0])
-    width = float(size_of(axes[0])[0])
+    width = float(figure_size(axes[0])[0])
     return Panels(figure=figure, axes=tuple(axes), width=width, across=across, is_own=False)
 
 
-def size_of(ax: Axes) -> Vector:
+def figure_size(ax: Axes) -> Vector:
     """Return width and height of the figure that axes belong to [in]."""
     return np.array(_figure_of(ax).get_size_inches(), dtype=np.float64)
 

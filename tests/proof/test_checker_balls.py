@@ -1,0 +1,145 @@
+"""The checker's arithmetic: exact rational numbers stay in its balls, and roots in its discs."""
+
+from __future__ import annotations
+
+import operator
+import random
+from collections.abc import Callable
+from fractions import Fraction
+
+import mpmath as mp
+import numpy as np
+import pytest
+
+from zeno_orbits.proof.checker.balls import Ball, NotProved, exactly, solved
+from zeno_orbits.proof.checker.formulas import Graph
+from zeno_orbits.proof.checker.series import complex_values, function_at, interval, taylor
+
+BITS = 20
+"""Few, so that a rounding to the wrong side is soon seen."""
+OPERATIONS = {
+    "add": operator.add,
+    "sub": operator.sub,
+    "mul": operator.mul,
+    "div": operator.truediv,
+}
+
+
+def _some(chance: random.Random) -> tuple[Ball, Fraction]:
+    """Return a ball and a number in it, often at its end."""
+    ball = Ball(chance.randint(-(2**22), 2**22), chance.choice([0, 1, 7, 2**10]), BITS)
+    offset = Fraction(chance.choice([-1, 1, 0, chance.randint(-9, 9)]), chance.choice([1, 9]))
+    within = max(-1, min(1, offset))
+    return ball, (ball.m + within * ball.r) / Fraction(2**BITS)
+
+
+def _holds(ball: Ball, value: Fraction) -> bool:
+    return ball.low <= value * 2**ball.bits <= ball.high
+
+
+@pytest.mark.parametrize("name", OPERATIONS)
+def test_an_operation_on_numbers_stays_in_that_on_balls(name: str) -> None:
+    chance, apply, done = random.Random(1), OPERATIONS[name], 0
+    while done < 2000:
+        (a, x), (b, y) = _some(chance), _some(chance)
+        if name == "div" and abs(b.m) <= b.r:
+            with pytest.raises(NotProved):
+                apply(a, b)
+            continue
+        assert _holds(apply(a, b), apply(x, y))
+        done += 1
+
+
+def test_coefficients_of_products_and_quotients_hold_exact_ones() -> None:
+    graph = Graph()
+    x, y = graph.put("input"), graph.put("input")
+    product, quotient = graph.put("mul", x, y), graph.put("div", x, y)
+    three = graph.put("constant", 3.0)
+    chance = random.Random(2)
+    for _ in range(50):
+        (a, u), (b, v) = _some(chance), _some(chance)
+        if abs(b.m) < 2**18:
+            continue
+        # x' = y, y' = 3: x = u + v t + 3/2 t^2, y = v + 3 t.
+        h = Ball(2**BITS, 0, BITS)
+        found = taylor(graph, {x: y, y: three}, {x: a, y: b}, h, 3, [product, quotient])
+        exact_x, exact_y = [u, v, Fraction(3, 2), Fraction(0)], [v, Fraction(3), Fraction(0)]
+        exact_y.append(Fraction(0))
+        ratio: list[Fraction] = []
+        for k in range(4):
+            mixed = sum(exact_x[j] * exact_y[k - j] for j in range(k + 1))
+            rest = exact_x[k] - sum(ratio[j] * exact_y[k - j] for j in range(k))
+            ratio.append(rest / exact_y[0])
+            assert _holds(found[x][k], exact_x[k])
+            assert _holds(found[product][k], Fraction(mixed))
+            assert _holds(found[quotient][k], ratio[k])
+
+
+FUNCTIONS: dict[str, Callable[..., mp.mpf]] = {
+    name: getattr(mp, name) for name in ("sin", "cos", "exp", "log", "sqrt", "atan", "tanh")
+}
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_series_of_a_function_hold_its_derivatives(name: str) -> None:
+    graph = Graph()
+    x, one = graph.put("input"), graph.put("constant", 1.0)
+    f = graph.function(name, x)
+    start = Ball(3 << (60 - 2), 1 << 20, 60)
+    series = taylor(graph, {x: one}, {x: start}, Ball(1 << 60, 0, 60), 6, [f])[f]
+    with mp.workdps(50):
+        for end in (start.low, start.m, start.high):
+            at = mp.mpf(end) / 2**60
+            for ball, exact in zip(series, mp.taylor(FUNCTIONS[name], at, 6), strict=True):
+                assert ball.low <= exact * 2**60 <= ball.high
+
+
+@pytest.mark.parametrize("name", ["log", "sqrt"])
+def test_a_function_is_refused_where_it_is_not_analytic(name: str) -> None:
+    with pytest.raises(NotProved):
+        function_at(name, Ball(5, 5, BITS))
+    graph = Graph()
+    x = graph.put("input")
+    with pytest.raises(NotProved):
+        complex_values(graph, {x: (Ball(5, 0, 3), Ball(5, 0, 3))}, [graph.function(name, x)])
+
+
+@pytest.mark.parametrize("name", ["sin", "cos", "exp", "log", "sqrt"])
+def test_values_on_a_disc_stay_in_the_complex_bounds(name: str) -> None:
+    graph = Graph()
+    x = graph.put("input")
+    shifted = graph.put("div", graph.function(name, x), graph.put("add", x, x))
+    (found,) = complex_values(graph, {x: (Ball(3, 0, 1), Ball(1, 0, 1))}, [shifted])
+    for angle in np.linspace(0, 6.28, 60):
+        z = mp.mpc(1.5) + 0.5 * mp.expjpi(angle / mp.pi)
+        value = getattr(mp, name)(z) / (2 * z)
+        assert value.real in found.real
+        assert value.imag in found.imag
+
+
+def test_a_complex_division_by_a_disc_around_zero_is_refused() -> None:
+    graph = Graph()
+    x = graph.put("input")
+    inverse = graph.put("div", graph.put("constant", 1.0), x)
+    with pytest.raises(NotProved, match="no bound"):
+        complex_values(graph, {x: (Ball(1, 0, 3), Ball(2, 0, 3))}, [inverse])
+
+
+def test_an_inverse_holds_the_exact_one_and_a_singular_matrix_has_none() -> None:
+    numbers = np.array([[2, 1, 0], [1, 3, 1], [0, 1, 5]])
+    ones = exactly(np.eye(3, dtype=int), BITS)
+    found = solved(exactly(numbers, BITS), ones)
+    exact = [[14, -5, 1], [-5, 10, -2], [1, -2, 5]]
+    for i in range(3):
+        for j in range(3):
+            assert _holds(found[i, j], Fraction(exact[i][j], 23))
+    with pytest.raises(NotProved):
+        solved(exactly(np.array([[1, 2, 0], [2, 4, 0], [0, 0, 1]]), BITS), ones)
+
+
+def test_a_ball_becomes_an_interval_that_holds_it() -> None:
+    ball = Ball(3**90, 5, 150)
+    ends = interval(ball)
+    with mp.workdps(100):
+        assert mp.mpf(ends.a) <= mp.mpf(ball.low) / 2**150
+        assert mp.mpf(ends.b) >= mp.mpf(ball.high) / 2**150
