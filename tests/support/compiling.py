@@ -9,7 +9,7 @@ from pathlib import Path
 import casadi as ca
 import pytest
 
-from zeno_orbits.kernels import Source, requests
+from zeno_orbits.kernels import KernelSource, requests
 from zeno_orbits.model import CompiledSystem, load_problem
 from zeno_orbits.model.problem import _compiled
 
@@ -38,6 +38,6 @@ def fresh_system(name: str) -> CompiledSystem:
     return _compiled.__wrapped__(load_problem(name), None)
 
 
-def written_as_c(functions: Sequence[ca.Function], _numbers: Sequence[float]) -> Source:
+def written_as_c(functions: Sequence[ca.Function], _numbers: Sequence[float]) -> KernelSource:
     """Return a source of the functions as they are: the maker of small recipes."""
-    return Source(functions=functions)
+    return KernelSource(functions=functions)

@@ -106,7 +106,7 @@ def _run_figures(options: argparse.Namespace) -> int:
 
 
 def _material(options: argparse.Namespace, progress: report.ProgressLine) -> Material:
-    from zeno_orbits.report.orbit_motion import motion_of
+    from zeno_orbits.report import motion_of
     from zeno_orbits.report.plots.paper_figures import Material
     from zeno_orbits.verification import problem_dynamics
 

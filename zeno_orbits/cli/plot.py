@@ -49,8 +49,7 @@ def add_plot(commands: Any) -> None:
 
 
 def _run_plot(options: argparse.Namespace) -> int:
-    from zeno_orbits.report import plots
-    from zeno_orbits.report.orbit_motion import motion_of
+    from zeno_orbits.report import motion_of, plots
     from zeno_orbits.verification import problem_dynamics
 
     orbit, problem = orbit_and_problem(options)

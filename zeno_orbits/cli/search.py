@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 def add_search(commands: Any) -> None:
     """Add the command `search`."""
-    from zeno_orbits.search.objectives import objective_help
+    from zeno_orbits.search import objective_help
 
     parser = add_command(
         commands,

@@ -96,7 +96,7 @@ def on_the_optimum(
         result: The search's answer.
         notes: What is free and what is wished.
     """
-    from zeno_orbits.search.number_notes import at_ends
+    from zeno_orbits.search import at_ends
 
     if not notes.free:
         return []

@@ -14,7 +14,7 @@ from zeno_orbits.continuation.jobs import Job
 from zeno_orbits.continuation.setup import ContinuationSettings
 from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.model import Problem, ProblemFile
-from zeno_orbits.orbits.path import StepError
+from zeno_orbits.orbits import StepError
 from zeno_orbits.work import LostPoint, Plan, Pool, Progress, claim, plain, restored, silent, spread
 
 R = TypeVar("R")

@@ -20,6 +20,7 @@ from .recordings.recording import read_recording as read_recording
 from .recordings.recording import write_recording as write_recording
 from .recordings.sampling import Sampling as Sampling
 from .recordings.sampling import sampled as sampled
+from .rig.cycle_comparison import RigComparison as RigComparison
 from .rig.cycle_comparison import compare_cycles as compare_cycles
 from .rig.cycles import rig_cycles as rig_cycles
 from .rig.run import RigSettings as RigSettings

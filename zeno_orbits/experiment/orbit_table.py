@@ -18,8 +18,15 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.model import CompiledSystem, HybridDynamics, Problem, dense_function
 from zeno_orbits.orbits import Cycle, ZenoOrbit
 from zeno_orbits.search import cycle_near
-from zeno_orbits.simulation import Arc, Ending, Mode, SimulationSettings, signal, signal_names
-from zeno_orbits.simulation.batch.model import Columns
+from zeno_orbits.simulation import (
+    Arc,
+    Columns,
+    Ending,
+    Mode,
+    SimulationSettings,
+    signal,
+    signal_names,
+)
 
 GAP = "gap"
 """Name of the signal that every problem has beside its own."""

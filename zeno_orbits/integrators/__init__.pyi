@@ -16,6 +16,7 @@ from .engine import Passage as Passage
 from .engine import Step as Step
 from .engine import Stepper as Stepper
 from .engine import Trajectory as Trajectory
+from .engine import Watch as Watch
 from .engines import ENGINES as ENGINES
 from .engines import Selective as Selective
 from .engines import engine_named as engine_named
@@ -27,6 +28,8 @@ from .flow import Tolerance as Tolerance
 from .leg_source import follow_source as follow_source
 from .radau import Radau as Radau
 from .radau_step import implicit_expressions as implicit_expressions
+from .radau_step import n_factors as n_factors
+from .rosenbrock import rosenbrock_step as rosenbrock_step
 from .scipy import SciPy as SciPy
 from .stepping import SteppingEngine as SteppingEngine
 from .steps import ExplicitStep as ExplicitStep

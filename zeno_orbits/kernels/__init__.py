@@ -5,7 +5,7 @@ is on disk, and asks for it once the work that it would have saved repays its co
 is there, or where there is no compiler, the same functions are interpreted: results are the same
 to rounding. Libraries are kept in a private folder, each named by all that it depends on.
 
-Offers: `Recipe`, `Source`, `Kernels`, `KernelLibrary`; `When` to compile and `when_to_compile`;
+Offers: `Recipe`, `KernelSource`, `Kernels`, `KernelLibrary`; `When` to compile, `when_to_compile`;
 `KernelFolder` and `kernel_folder`; `Compiler` and `find_compiler`; `complaints` and `account` of
 what became of them; `caller` for calls that are interpreted.
 

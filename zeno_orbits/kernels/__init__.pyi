@@ -6,7 +6,7 @@ from .folder import kernel_folder as kernel_folder
 from .library import KernelLibrary as KernelLibrary
 from .requests import Kernels as Kernels
 from .requests import Recipe as Recipe
-from .requests import Source as Source
+from .requests import KernelSource as KernelSource
 from .requests import When as When
 from .requests import account as account
 from .requests import complaints as complaints

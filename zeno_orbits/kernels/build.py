@@ -20,7 +20,7 @@ from zeno_orbits.kernels.casadi_calls import caller
 from zeno_orbits.kernels.compiler import Compiler
 from zeno_orbits.kernels.folder import KernelFolder
 from zeno_orbits.kernels.library import KernelLibrary
-from zeno_orbits.kernels.requests import Source
+from zeno_orbits.kernels.requests import KernelSource
 
 _CRASHED = "the compiled code of the kernels crashed"
 _AGREES = 1e-9
@@ -73,7 +73,7 @@ def compiled_library(folder: KernelFolder, content: dict[str, Any]) -> Path:
     """
     module, _, name = content["maker"].partition(":")
     functions = [ca.Function.deserialize(text) for text in content["functions"]]
-    source: Source = getattr(import_module(module), name)(functions, content["numbers"])
+    source: KernelSource = getattr(import_module(module), name)(functions, content["numbers"])
     compiler = Compiler(command=tuple(content["command"]), file=Path(content["file"]))
     with tempfile.TemporaryDirectory(dir=folder.path, prefix=".unfinished.") as name:
         code, library = Path(name) / "kernels.c", Path(name) / "kernels.so"
@@ -83,7 +83,7 @@ def compiled_library(folder: KernelFolder, content: dict[str, Any]) -> Path:
         return folder.store(content["key"], library)
 
 
-def c_code(source: Source) -> str:
+def c_code(source: KernelSource) -> str:
     """Return the C code of a library.
 
     Raises:
@@ -97,7 +97,7 @@ def c_code(source: Source) -> str:
     return f"{_PRELUDE}{generator.dump()}{_ROWS}{source.code}"
 
 
-def require_agreement(source: Source, library: KernelLibrary) -> None:
+def require_agreement(source: KernelSource, library: KernelLibrary) -> None:
     """Hold every kernel against the interpreter at some numbers.
 
     Raises:

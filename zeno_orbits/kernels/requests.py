@@ -66,7 +66,7 @@ def when_to_compile() -> When:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Source:
+class KernelSource:
     """What a library is compiled from.
 
     Attributes:

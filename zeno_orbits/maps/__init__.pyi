@@ -1,3 +1,4 @@
+from .attempt import Accuracy as Accuracy
 from .attractors import Attractor as Attractor
 from .attractors import Fate as Fate
 from .classify import attractors_at as attractors_at

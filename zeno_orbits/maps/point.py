@@ -22,8 +22,9 @@ from zeno_orbits.simulation import (
     SectionReturn,
     Struck,
     outcome_of,
+    scale_of,
 )
-from zeno_orbits.simulation.attractor import LOOK_BACK, Repetition, Settling, changes, scale_of
+from zeno_orbits.simulation.attractor import LOOK_BACK, Repetition, Settling, changes
 
 _REMEMBERED = 40
 """Returns that are looked back on."""

@@ -5,6 +5,7 @@ from .contact import GAP_ACCELERATION as GAP_ACCELERATION
 from .contact import GAP_RATE as GAP_RATE
 from .contact import ImpactLaw as ImpactLaw
 from .contact import MULTIPLIER as MULTIPLIER
+from .contact import MULTIPLIER_RATE as MULTIPLIER_RATE
 from .drives import MotorBank as MotorBank
 from .drives import corrected_drive as corrected_drive
 from .drives import full_drive as full_drive
@@ -13,6 +14,7 @@ from .drives import no_drive as no_drive
 from .drives import quasi_static_drive as quasi_static_drive
 from .hybrid import CompletedSystem as CompletedSystem
 from .hybrid import accelerate as accelerate
+from .hybrid import audited_in as audited_in
 from .hybrid import complete as complete
 from .lagrangian import HybridLagrangian as HybridLagrangian
 from .library import ProblemFile as ProblemFile
@@ -24,12 +26,13 @@ from .library import split_fidelity as split_fidelity
 from .numeric.calls import Call as Call
 from .numeric.compiled import CompiledSystem as CompiledSystem
 from .numeric.compiled import bind as bind
-from .numeric.compiled_flow import N_STAGES as N_STAGES
 from .numeric.compiled_flow import ModeFunctions as ModeFunctions
+from .numeric.compiled_flow import N_STAGES as N_STAGES
 from .numeric.compiled_flow import dense_function as dense_function
 from .numeric.compiled_flow import mode_functions as mode_functions
 from .numeric.compiled_flow import renamed as renamed
 from .numeric.derivatives import Differentials as Differentials
+from .numeric.derivatives import FlowDifferential as FlowDifferential
 from .numeric.hybrid_dynamics import HybridDynamics as HybridDynamics
 from .numeric.own_scale import constraint_sizes as constraint_sizes
 from .numeric.own_scale import own_time as own_time
@@ -42,6 +45,6 @@ from .quantities import unknown as unknown
 from .rig_parts import Bridge as Bridge
 from .rig_parts import Rig as Rig
 from .rig_parts import Switching as Switching
-from .units import powers_of as powers_of
-from .scale import USUAL as USUAL
 from .scale import OwnScale as OwnScale
+from .scale import USUAL as USUAL
+from .units import powers_of as powers_of

@@ -1,10 +1,14 @@
 from .bounds import Bound as Bound
 from .bounds import asked_and_reached as asked_and_reached
+from .bounds import objection_to as objection_to
 from .cycle import Cycle as Cycle
+from .cycle import cycle_between as cycle_between
 from .cycle import cycles as cycles
 from .cycle import first_cycles as first_cycles
 from .cycle import gone_round_twice as gone_round_twice
 from .cycle import round_again as round_again
+from .digest import digest_of as digest_of
+from .digest import same_equations as same_equations
 from .looser_run import LOOSER as LOOSER
 from .looser_run import at_looser_tolerance as at_looser_tolerance
 from .looser_run import loosened as loosened
@@ -28,6 +32,7 @@ from .period import placed as placed
 from .period import to_next_release as to_next_release
 from .phases import Moment as Moment
 from .phases import Phase as Phase
+from .phases import follow_each_other as follow_each_other
 from .phases import kinds_of as kinds_of
 from .phases import phases_of as phases_of
 from .poincare import Multipliers as Multipliers
@@ -38,6 +43,7 @@ from .poincare import section_derivative as section_derivative
 from .section import IMPACT_ROWS as IMPACT_ROWS
 from .section import Line as Line
 from .section import RELEASE_ROWS as RELEASE_ROWS
+from .section import REST_ROWS as REST_ROWS
 from .section import Section as Section
 from .section import projected as projected
 from .section import release_section as release_section

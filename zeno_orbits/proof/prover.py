@@ -11,8 +11,7 @@ from flint import arb, ctx
 
 from zeno_orbits.errors import InputError, ProofError
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import ZenoOrbit
-from zeno_orbits.orbits.digest import digest_of, same_equations
+from zeno_orbits.orbits import ZenoOrbit, digest_of, same_equations
 from zeno_orbits.proof.ball_system import BallSystem, require_proved
 from zeno_orbits.proof.claims import CLOSE, claims_of, proof_bounds, require_numbers
 from zeno_orbits.proof.expressions import stop_identities

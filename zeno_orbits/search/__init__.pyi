@@ -8,6 +8,8 @@ from .fixed_point import cycle_near as cycle_near
 from .guess import SettlingSettings as SettlingSettings
 from .guess import settle as settle
 from .multistart import StartWorkers as StartWorkers
+from .number_notes import at_ends as at_ends
+from .number_notes import free_gains as free_gains
 from .objectives import FastestContraction as FastestContraction
 from .objectives import LeastEnergy as LeastEnergy
 from .objectives import LeastPeak as LeastPeak
@@ -16,11 +18,11 @@ from .objectives import Objective as Objective
 from .objectives import TargetAmplitude as TargetAmplitude
 from .objectives import TargetPeriod as TargetPeriod
 from .objectives import WidestMargin as WidestMargin
+from .objectives import objective_help as objective_help
 from .outcome import Candidate as Candidate
 from .outcome import Judgement as Judgement
 from .outcome import OrbitNotFoundError as OrbitNotFoundError
 from .outcome import SearchResult as SearchResult
-from .number_notes import free_gains as free_gains
 from .outcome import StartAttempt as StartAttempt
 from .search import find_orbit as find_orbit
 from .search import search_gains as search_gains

@@ -20,7 +20,9 @@ from zeno_orbits.orbits import (
     Cycle,
     OrbitShape,
     Section,
+    cycle_between,
     cycle_of,
+    follow_each_other,
     kinds_of,
     phases_of,
     placed,
@@ -28,8 +30,6 @@ from zeno_orbits.orbits import (
     rows_of,
     section_around,
 )
-from zeno_orbits.orbits.cycle import cycle_between
-from zeno_orbits.orbits.phases import follow_each_other
 from zeno_orbits.simulation import SimulationSettings, simulate
 
 _REPEATS = 1e-12

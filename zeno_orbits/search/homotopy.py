@@ -22,8 +22,7 @@ from zeno_orbits.orbits import (
 )
 from zeno_orbits.search.fixed_point import ClosedCycle, close_cycle
 from zeno_orbits.search.search_problem import SearchProblem
-from zeno_orbits.simulation import SimulationSettings
-from zeno_orbits.simulation.attractor import scale_of
+from zeno_orbits.simulation import SimulationSettings, scale_of
 
 _STEPS = StepControl(first=0.25, shortest=1e-4)
 """Parts of the way: the first that is tried, and the least before it is given up."""

@@ -11,7 +11,7 @@ from zeno_orbits.orbits import Bound, OrbitShape, ZenoOrbit
 from zeno_orbits.search.nearness import Nearness
 from zeno_orbits.search.objectives import NearestGains, Objective
 from zeno_orbits.search.settings import SearchSettings
-from zeno_orbits.simulation.signals import Extent
+from zeno_orbits.simulation import Extent
 from zeno_orbits.work import Progress, silent
 
 _OF_THIS_PROCESS = ("problem", "on_progress")

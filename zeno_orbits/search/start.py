@@ -7,8 +7,7 @@ from dataclasses import replace
 
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.orbits import Bound, ZenoOrbit
-from zeno_orbits.orbits.bounds import objection_to
+from zeno_orbits.orbits import Bound, ZenoOrbit, objection_to
 from zeno_orbits.search.number_notes import far_from_own
 from zeno_orbits.search.outcome import Accept, Candidate, Judgement, StartOutcome
 from zeno_orbits.search.search_problem import SearchProblem, clipped, listed

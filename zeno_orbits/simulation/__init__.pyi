@@ -1,12 +1,14 @@
 from .attractor import AttractorKind as AttractorKind
 from .attractor import Motion as Motion
-from .attractor import SectionReturn as SectionReturn
 from .attractor import OSCILLATIONS as OSCILLATIONS
+from .attractor import SectionReturn as SectionReturn
 from .attractor import WAITING as WAITING
 from .attractor import bounds_of as bounds_of
 from .attractor import outcome_of as outcome_of
+from .attractor import scale_of as scale_of
 from .batch.batch import Batch as Batch
 from .batch.model import BatchModel as BatchModel
+from .batch.model import Columns as Columns
 from .batch.model import model_in_rows as model_in_rows
 from .batch.outcomes import Ended as Ended
 from .batch.outcomes import LaneEvent as LaneEvent

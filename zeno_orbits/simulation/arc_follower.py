@@ -10,8 +10,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import PenetrationError, RunawayError, SimulationError, counted
-from zeno_orbits.integrators import Engine, GuardedFlow, Leg, Outcome, Tolerance
-from zeno_orbits.integrators.engine import Watch
+from zeno_orbits.integrators import Engine, GuardedFlow, Leg, Outcome, Tolerance, Watch
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.simulation.execution import Arc, Ending, Impact, Mode
 

@@ -27,8 +27,7 @@ from zeno_orbits.integrators import (
     Tolerance,
 )
 from zeno_orbits.integrators.collocation import radau
-from zeno_orbits.model import N_STAGES
-from zeno_orbits.model.numeric.derivatives import FlowDifferential
+from zeno_orbits.model import N_STAGES, FlowDifferential
 from zeno_orbits.simulation.execution import Arc
 
 

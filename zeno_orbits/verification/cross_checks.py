@@ -10,8 +10,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
-from zeno_orbits.model import HybridDynamics, Problem, load_reference
-from zeno_orbits.model.hybrid import audited_in
+from zeno_orbits.model import HybridDynamics, Problem, audited_in, load_reference
 from zeno_orbits.orbits import Cycle, Phase, PhaseKind, ZenoOrbit, placed
 from zeno_orbits.simulation import Impact, SimulationSettings, Truncation, ZenoPassage, simulate
 from zeno_orbits.verification.certificate import DeltaCut

@@ -15,8 +15,14 @@ from dataclasses import dataclass, field, replace
 from zeno_orbits.errors import SimulationError, ZenoOrbitsError
 from zeno_orbits.integrators import Tolerance
 from zeno_orbits.model import HybridDynamics, Problem, load_reference
-from zeno_orbits.orbits import Multipliers, ZenoOrbit, floquet_multipliers, placed
-from zeno_orbits.orbits.digest import digest_of, same_equations
+from zeno_orbits.orbits import (
+    Multipliers,
+    ZenoOrbit,
+    digest_of,
+    floquet_multipliers,
+    placed,
+    same_equations,
+)
 from zeno_orbits.simulation import SimulationSettings
 from zeno_orbits.verification.certificate import DeltaCut, OrbitCertificate
 from zeno_orbits.verification.claim import Claim, claim_of

@@ -19,8 +19,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.orbit_table import CubicColumns
-from zeno_orbits.model import N_STAGES, HybridDynamics
-from zeno_orbits.model.numeric.derivatives import FlowDifferential
+from zeno_orbits.model import N_STAGES, FlowDifferential, HybridDynamics
 from zeno_orbits.orbits import differentials_of, return_derivative, section_derivative
 from zeno_orbits.simulation import (
     Arc,

@@ -19,7 +19,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import explicit_attempt
-from zeno_orbits.kernels import Kernels, Recipe, Source, caller
+from zeno_orbits.kernels import Kernels, KernelSource, Recipe, caller
 from zeno_orbits.model.numeric.calls import Call
 from zeno_orbits.model.numeric.compiled_flow import N_STAGES, ModeFunctions, dense_function, renamed
 
@@ -84,7 +84,7 @@ class VariationFunctions:
         return y, p, rate, ca.jacobian(rate, y), ca.jacobian(rate, _picked(p, self._chosen))
 
 
-def variation_kernels(functions: Sequence[ca.Function], numbers: Sequence[float]) -> Source:
+def variation_kernels(functions: Sequence[ca.Function], numbers: Sequence[float]) -> KernelSource:
     """Return the source of the kernels of a variational equation.
 
     Args:
@@ -94,7 +94,9 @@ def variation_kernels(functions: Sequence[ca.Function], numbers: Sequence[float]
     mode = ModeFunctions(rate=functions[0], guard=functions[1])
     n_columns, *places = map(int, numbers)
     made = VariationFunctions(mode, tuple(places), n_columns)
-    return Source(functions=[renamed(made.step, "zk_step"), renamed(made.linear, "zk_linear")])
+    return KernelSource(
+        functions=[renamed(made.step, "zk_step"), renamed(made.linear, "zk_linear")]
+    )
 
 
 @lru_cache(maxsize=256)

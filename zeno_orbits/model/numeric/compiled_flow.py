@@ -20,12 +20,12 @@ from zeno_orbits.integrators import (
     explicit_attempt,
     follow_source,
     implicit_expressions,
+    n_factors,
     overflow,
 )
 from zeno_orbits.integrators.collocation import radau
 from zeno_orbits.integrators.flow import FIRST_ITERATIONS, Corrected, NewtonPieces, StageGuess
-from zeno_orbits.integrators.radau_step import n_factors
-from zeno_orbits.kernels import KernelLibrary, Kernels, Recipe, Source, caller
+from zeno_orbits.kernels import KernelLibrary, Kernels, KernelSource, Recipe, caller
 from zeno_orbits.model.numeric.calls import Call, Connect, StepCall
 
 
@@ -94,7 +94,7 @@ N_STAGES = 7
 """Stages of the implicit steps that are compiled, those of the implicit engine."""
 
 
-def leg_kernels(functions: Sequence[ca.Function], numbers: Sequence[float]) -> Source:
+def leg_kernels(functions: Sequence[ca.Function], numbers: Sequence[float]) -> KernelSource:
     """Return the source of the kernels of a mode and of the loop over its steps.
 
     Args:
@@ -115,7 +115,7 @@ def leg_kernels(functions: Sequence[ca.Function], numbers: Sequence[float]) -> S
     }
     named = [renamed(function, f"zk_{name}") for name, function in kernels.items()]
     code = follow_source(mode.n_y, n_factors(mode.n_y, scheme), scheme)
-    return Source(functions=named, code=code)
+    return KernelSource(functions=named, code=code)
 
 
 def renamed(function: ca.Function, name: str) -> ca.Function:

@@ -11,8 +11,14 @@ from zeno_orbits.report.table import Column, name_column, number_column, text_co
 from zeno_orbits.report.terminal.console import print_lines, print_table
 
 if TYPE_CHECKING:
-    from zeno_orbits.experiment import Comparison, Fitted, Identification, Metric, Recording
-    from zeno_orbits.experiment.rig.cycle_comparison import RigComparison
+    from zeno_orbits.experiment import (
+        Comparison,
+        Fitted,
+        Identification,
+        Metric,
+        Recording,
+        RigComparison,
+    )
 
 _RIG_ROWS = {
     "impact_time": "first impact",

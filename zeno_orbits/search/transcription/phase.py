@@ -10,8 +10,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Array, Vector, null_space
 from zeno_orbits.model import GAP, GAP_RATE, MULTIPLIER, CompiledSystem, HybridDynamics, ImpactLaw
-from zeno_orbits.orbits import RELEASE_ROWS, Cycle, OrbitShape, Phase, rows_of
-from zeno_orbits.orbits.section import REST_ROWS
+from zeno_orbits.orbits import RELEASE_ROWS, REST_ROWS, Cycle, OrbitShape, Phase, rows_of
 from zeno_orbits.search.transcription.arc import (
     ArcWriter,
     CollocatedArc,

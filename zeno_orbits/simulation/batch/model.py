@@ -15,9 +15,8 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators import overflow
-from zeno_orbits.integrators.rosenbrock import rosenbrock_step
-from zeno_orbits.kernels import Kernels, Recipe, Source
+from zeno_orbits.integrators import overflow, rosenbrock_step
+from zeno_orbits.kernels import Kernels, KernelSource, Recipe
 from zeno_orbits.model import (
     USUAL,
     CompiledSystem,
@@ -176,7 +175,7 @@ def _restitution(compiled: CompiledSystem) -> ca.Function:
     return dense_function("restitution", [x, p], [compiled.impulse(x, p)[2][0]])
 
 
-def batch_kernels(functions: Sequence[ca.Function], numbers: Sequence[float]) -> Source:
+def batch_kernels(functions: Sequence[ca.Function], numbers: Sequence[float]) -> KernelSource:
     """Return the source of the kernels of a model for many rows.
 
     Args:
@@ -187,7 +186,7 @@ def batch_kernels(functions: Sequence[ca.Function], numbers: Sequence[float]) ->
     modes = [ModeFunctions(rate=rate, guard=guard) for rate, guard in pairs]
     named = {function.name(): function for function in functions}
     named |= {f"{mode.rate.name()}_step": _step_function(mode, numbers[0]) for mode in modes}
-    return Source(functions=[renamed(one, f"zk_{name}") for name, one in named.items()])
+    return KernelSource(functions=[renamed(one, f"zk_{name}") for name, one in named.items()])
 
 
 @lru_cache(maxsize=4)

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Rows, Vector
-from zeno_orbits.model import GAP_RATE
-from zeno_orbits.model.contact import MULTIPLIER_RATE
+from zeno_orbits.model import GAP_RATE, MULTIPLIER_RATE
 from zeno_orbits.simulation.batch.lanes import (
     FLIGHT,
     FREE,
