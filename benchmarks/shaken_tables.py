@@ -52,7 +52,8 @@ class Table:
     @property
     def has_to_be_found(self) -> bool:
         """True if it settles to a period that is not too long."""
-        return self.truth is not None and 0 < self.truth.turns <= LONGEST
+        truth = self.truth
+        return truth is not None and truth.arrived and 0 < truth.turns <= LONGEST
 
     def is_false(self, turns: float) -> bool:
         """Return True if so many turns cannot be the period."""

@@ -23,6 +23,8 @@ _AT_REST = 1e-11
 """Relative speed below which impacts on a table that presses are taken to their limit."""
 _SAME, _CLOSE, _LOOK = 1e-10, 1e-3, 40
 """Impacts that differ by less are the same, or nearly; periods that have to tell it."""
+_ARRIVED = 1e-8
+"""Change over a period of a motion that repeats; one that changes more is still on its way."""
 _SLOW = 1e-6
 """Slower impacts belong to a sequence that ends at rest, or at a throw."""
 _LONGEST = 64
@@ -38,10 +40,12 @@ class Truth:
     Attributes:
         turns: Turns after which it repeats; 0 if it has not repeated.
         rests: Whether the ball comes to rest on the table in every period.
+        arrived: Whether it repeats already, or only comes ever nearer to it.
     """
 
     turns: int
     rests: bool
+    arrived: bool = True
 
 
 def clearly_settled(acceleration: float, restitution: float, most_turns: int) -> Truth | None:
@@ -79,7 +83,8 @@ def settled(acceleration: float, restitution: float, most_turns: int) -> Truth:
             return Truth(turns=math.ceil((phase + tail - thrown) / TURN), rests=True)
         if landing > _SLOW:
             seen.append((phase, speed))
-    return Truth(turns=_repeats(seen), rests=False)
+    turns, change = _repeats(seen)
+    return Truth(turns=turns, rests=False, arrived=change <= _ARRIVED)
 
 
 def _landing_speed(acceleration: float, end: float, flight: float, speed: float) -> float:
@@ -125,10 +130,10 @@ def _first_rise(mean: Callable[[float], float]) -> float:
     return s
 
 
-def _repeats(seen: list[tuple[float, float]]) -> int:
-    """Return after how many turns impacts repeat, or come ever nearer to it; 0 if they do not.
+def _repeats(seen: list[tuple[float, float]]) -> tuple[int, float]:
+    """Return after how many turns impacts repeat, or come ever nearer to it, and the last change.
 
-    A period's change has to be small all along some forty of them, and to shrink.
+    There are 0 turns if they do not. Changes have to be small along some forty periods, and shrink.
     """
     phases, speeds = zip(*seen, strict=True)
     for m in range(1, len(seen) // (_LOOK + 1)):
@@ -143,5 +148,5 @@ def _repeats(seen: list[tuple[float, float]]) -> int:
             for j in range(0, _LOOK * m, m)
         ]
         if turns > 0 and max(changes) < _CLOSE and changes[0] <= max(changes[-1], _SAME):
-            return turns
-    return 0
+            return turns, changes[0]
+    return 0, math.inf

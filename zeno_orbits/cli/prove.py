@@ -144,7 +144,13 @@ def add_proof(parser: argparse.ArgumentParser) -> None:
 def proof_of(
     options: argparse.Namespace, orbit: ZenoOrbit, problem: Problem
 ) -> ProofVerdict | None:
-    """Return what a check of the orbit's certificate found; nothing without one."""
+    """Return what a check of the orbit's certificate found; nothing without one.
+
+    Args:
+        options: Options of the command, with the file of the certificate.
+        orbit: The orbit that it must be about.
+        problem: Its problem.
+    """
     from zeno_orbits.proof import check_proof_of
 
     return None if options.proof is None else check_proof_of(orbit, problem, options.proof)

@@ -88,7 +88,14 @@ def answer(
 def on_the_optimum(
     options: argparse.Namespace, problem: Problem, result: SearchResult, notes: SearchNotes
 ) -> list[str]:
-    """Return what was asked and reached, and what more there may be, as sentences."""
+    """Return what was asked and reached, and what more there may be, as sentences.
+
+    Args:
+        options: Options of the command.
+        problem: The problem.
+        result: The search's answer.
+        notes: What is free and what is wished.
+    """
     from zeno_orbits.search.number_notes import at_ends
 
     if not notes.free:
@@ -160,7 +167,13 @@ def _levers(
 
 
 def map_command(problem: Problem, options: argparse.Namespace, notes: SearchNotes) -> str:
-    """Return the command that maps the first two numbers that a search is about."""
+    """Return the command that maps the first two numbers that a search is about.
+
+    Args:
+        problem: The problem.
+        options: Options of the search, whose numbers the map keeps.
+        notes: What is free.
+    """
     from zeno_orbits.search import free_gains
 
     around = {q.name: (q.default / 2, 2 * q.default) for q in problem.parameters if q.default}

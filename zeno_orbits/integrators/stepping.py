@@ -1,4 +1,4 @@
-"""What all engines that step share: one way to follow a leg, compiled where it can be."""
+"""One way to follow a leg, shared by all engines that step; compiled where it can be."""
 
 from __future__ import annotations
 

@@ -253,6 +253,11 @@ def back_on_constraints(dynamics: HybridDynamics, state: Vector, *, locked: bool
 
     On the constraints it is a Newton step of least length in units of the states' own sizes, its
     derivatives by differences.
+
+    Args:
+        dynamics: The system.
+        state: A state, ``(n_x,)``.
+        locked: It is on the stop.
     """
     state = dynamics.on_stop(state) if locked else state
     off = dynamics.holonomic(state)

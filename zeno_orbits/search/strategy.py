@@ -72,7 +72,13 @@ def from_start(search: SearchProblem, start: SearchStart) -> StartOutcome:
 
 
 def beside(search: SearchProblem, start: SearchStart, solution: SimulatedSolution) -> StartOutcome:
-    """Search from the solution of a search with fewer bounds."""
+    """Search from the solution of a search with fewer bounds.
+
+    Args:
+        search: What is searched.
+        start: Where it started.
+        solution: What the easier search found.
+    """
     return refine(search, solution.values, solution.cycle, search.objective, start.values)
 
 

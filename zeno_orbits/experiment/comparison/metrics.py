@@ -38,7 +38,14 @@ class Metric:
 
 
 def metric(name: str, unit: str, orbit: float, found: Estimate) -> Metric:
-    """Return a number of the record beside the orbit's."""
+    """Return a number of the record beside the orbit's.
+
+    Args:
+        name: What it is.
+        unit: Its unit.
+        orbit: The orbit's.
+        found: The record's, with its standard error.
+    """
     return Metric(name=name, unit=unit, orbit=orbit, data=found.value, error=found.error)
 
 

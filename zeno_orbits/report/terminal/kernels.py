@@ -1,4 +1,4 @@
-"""What the terminal tells of compiled kernels."""
+"""Lines of the terminal about compiled kernels."""
 
 from __future__ import annotations
 
