@@ -75,7 +75,7 @@ def judge(start: SectionStart, passage: ProofPassage) -> ReturnAttempt:
         wide = [float(one.abs_upper()) for one in found]
         reason = "the return map is not proved to have a fixed point in the box"
         small = all(w < 1e-3 for w in wide)
-        needed = [3 * w for w in wide] if small else []
+        needed = [1.5 * w for w in wide] if small else []
         return ReturnAttempt(judged=None, defect=defect, reason=reason, needed=needed)
     orbit = [*returned.krawczyk(found), *parameters]
     judged = JudgedBox(

@@ -23,7 +23,8 @@ from zeno_orbits.proof.stage import BallTime, Departure, ProofRecord, ProofStage
 
 _SHORTEST = 1e-5
 """Least step in flight off the stop and on it, as a part of the longest, before it is given up."""
-_BEYOND = 1 + 2.0**-6
+_JUST_BEYOND = 1 + 2.0**-6
+_BEYOND = 1 + 2.0**-3
 """How far beyond a crossing its step reaches, as a multiple of its time."""
 
 
@@ -145,7 +146,7 @@ def _move(
     points = flow.point_series(stage.at.m, orders[0])
     guess = meeting_guess(system, stage, points, 1.5 * size)
     if guess is not None:
-        size = guess * _BEYOND if guess * _BEYOND <= size else guess / 2
+        size = guess * _BEYOND if guess * _JUST_BEYOND <= size else guess / 2
         orders = _orders(size, pace.size, settings, flow.n)
         least = min(least, guess / 64)
     shortened = guess is not None
