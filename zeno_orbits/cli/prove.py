@@ -35,7 +35,7 @@ def add_prove(commands: Any) -> None:
         [
             "zeno-orbits prove orbit.json -o proof.json",
             "zeno-orbits prove --check proof.json",
-            "zeno-orbits prove orbit.json --radius 1e-6",
+            "zeno-orbits prove orbit.json --radius 1e-7",
             "zeno-orbits prove orbit.json --over Kp=2.5:1e-8",
         ],
     )
