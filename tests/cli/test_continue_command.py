@@ -145,7 +145,7 @@ def test_a_picture_has_stable_orbits_solid_unstable_ones_dashed_and_names_points
     words = {text.get_text() for text in legend.get_texts()}
     assert words == {"stable", "unstable", "flip", "first impact grazes"}
     assert period.get_ylabel() == "period [s]"
-    assert period.get_xlabel() == "Kd [V s/rad]"
+    assert period.get_xlabel() == "$K_{d}$ [V s/rad]"
 
 
 def test_boundaries_are_drawn_over_both_parameters() -> None:
@@ -159,8 +159,8 @@ def test_boundaries_are_drawn_over_both_parameters() -> None:
     )
     found = Continuation(families=(family(SpecialPointKind.BOUND),), boundaries=(boundary,))
     (ax,) = plots.plot_boundaries(found, PENDULUM).axes
-    assert ax.get_xlabel() == "Kp [V/rad]"
-    assert ax.get_ylabel() == "Kd [V s/rad]"
+    assert ax.get_xlabel() == "$K_{p}$ [V/rad]"
+    assert ax.get_ylabel() == "$K_{d}$ [V s/rad]"
     assert ax.lines[0].get_label() == "fold"
 
 

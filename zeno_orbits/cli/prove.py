@@ -17,10 +17,10 @@ from zeno_orbits.cli.options import (
 )
 from zeno_orbits.cli.parsing import read_interval, read_share
 from zeno_orbits.errors import InputError
-from zeno_orbits.model import Problem, locate_problem
 from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
+    from zeno_orbits.model import Problem
     from zeno_orbits.orbits import ZenoOrbit
     from zeno_orbits.proof import ProofVerdict
 
@@ -116,6 +116,7 @@ def _over(
 
 def _check(options: argparse.Namespace) -> int:
     """Check a certificate, and print what holds."""
+    from zeno_orbits.model import locate_problem
     from zeno_orbits.proof import check_proof
 
     problem = None if options.problem is None else locate_problem(options.problem).load()
