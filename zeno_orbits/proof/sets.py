@@ -141,7 +141,7 @@ def _orthogonal(directions: Vector) -> Vector:
     largest = float(np.max(np.abs(directions), initial=0.0))
     if not 0.0 < largest < math.inf:
         return np.eye(len(directions))
-    return np.asarray(qr(directions / largest, pivoting=True)[0])
+    return np.asarray(qr(directions / largest, pivoting=True)[0], dtype=np.float64)
 
 
 def _doubled(x: Ball) -> Ball:

@@ -76,7 +76,7 @@ class SecantCurve:
             return [first], f"{SpecialPointKind.GAVE_UP.value}: {error}"
         self.forward = heading if upwards else -heading
         path = follow_path(first, self.steps, self._advance, give_up=self._last_end)
-        return path.points, path.end or counted(self.steps.most, "step")
+        return path.points, path.end or counted(round(self.steps.most), "step")
 
     def _heading(self, first: Spot) -> Vector:
         """Return the direction in which the curve leaves its first point, upwards if it may.
