@@ -98,7 +98,9 @@ def follow_branch(
         shortened=follower.end_ahead,
         give_up=follower.last_end,
     )
-    end = path.end or _End(kind=SpecialPointKind.MOST_STEPS, detail=counted(round(steps.most), "step"))
+    end = path.end or _End(
+        kind=SpecialPointKind.MOST_STEPS, detail=counted(round(steps.most), "step")
+    )
     return Branch(
         points=path.points,
         special=tuple(follower.special),
