@@ -48,7 +48,6 @@ def test_a_gap_that_is_no_coordinate_is_carried_and_the_certificate_holds(
     proof = zo.prove(surface)
     assert proof.proved, proof.verdict()
     assert proof.stable
-    assert proof.inside
     assert check_proof(dict(proof.certificate)).ok
 
 
