@@ -11,7 +11,7 @@ Offers: `prove`, `Proof`, `ProofSettings`, `write_proof`; `check_proof`, `ProofV
 `ClaimVerdict`.
 
 Imports: orbits, model, work, arrays, errors. Balls are python-flint's (the extra `proof`). Never
-search, continuation, maps, experiment or precision; `checker` imports model and errors alone.
+search, continuation, maps, experiment or precision; `checker` imports model, work and errors alone.
 """
 
 import lazy_loader as lazy

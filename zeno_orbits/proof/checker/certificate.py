@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
-from os import cpu_count
 from pathlib import Path
 from typing import Any, NamedTuple, cast
+
+import numpy as np
 
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem, load_problem
@@ -27,6 +27,7 @@ from zeno_orbits.proof.checker.formulas import formulas_of
 from zeno_orbits.proof.checker.motion import KINDS, Enclosure, Place, require_enclosed
 from zeno_orbits.proof.checker.section import Box, Section, require_start
 from zeno_orbits.proof.checker.system import LAW, System, bound_system
+from zeno_orbits.work import Plan, spread
 
 _TOP = (
     *("format", "kind", "problem", "digest", "parameters", "over", "gap_row", "bits", "section"),
@@ -169,13 +170,8 @@ def _passage(
             require((hull[k] - middle).size <= reach.r, f"state {k} does not return to the section")
     except NotProved as failure:
         return f"section: {failure}"
-    chunks = [tasks[k : k + _CHUNK] for k in range(0, len(tasks), _CHUNK)]
     judge = partial(_proved, system, box)
-    if len(chunks) == 1:
-        proved = judge(tasks)
-    else:
-        with ProcessPoolExecutor(min(len(chunks), cpu_count() or 1)) as pool:
-            proved = [one for found in pool.map(judge, chunks) for one in found]
+    proved = judge(tasks) if len(tasks) <= _CHUNK else spread(judge, tasks, Plan(chunk=_CHUNK))
     time, row = Ball(0, 0, system.bits), first.derivative[0] * 0
     events: dict[str, list[tuple[Ball, Array]]] = {
         "period": [],
@@ -183,9 +179,10 @@ def _passage(
         "impact_time": [],
     }
     for k, (record, found) in enumerate(zip(records, proved, strict=True)):
-        if isinstance(found, str):
+        if not isinstance(found, list):
             return f"record {k} ({record['kind']}): {found}"
-        time, row = time + found[0], row + found[1]
+        balls = [Ball(m, r, system.bits) for m, r in found]
+        time, row = time + balls[0], row + np.array(balls[1:], dtype=object)
         if record["kind"] in ("tail", "impact"):
             events["zeno_time" if record["kind"] == "tail" else "impact_time"].append((time, row))
     events["period"].append((time, row))
@@ -223,21 +220,25 @@ def _stations(system: System, section: Section, records: Sequence[Any]) -> list[
     return stations
 
 
-def _proved(
-    system: System, box: Box, tasks: Sequence[tuple[Place, Any, Mapping[str, Any]]]
-) -> list[tuple[Ball, Array] | str]:
-    """Prove records; return the time of each and its derivative, or why it is not proved."""
-    found = list[tuple[Ball, Array] | str]()
+def _proved(system: System, box: Box, tasks: Sequence[Any]) -> list[list[list[int]] | str]:
+    """Prove records, each with its place and the set before it.
+
+    Returns:
+        For every record midpoint and radius of its time and then of the derivatives of that, or why
+        it is not proved.
+    """
+    found = list[list[list[int]] | str]()
     for place, before, record in tasks:
         old, new = _set(system, box, before), _set(system, box, record["set"])
         try:
-            mapped = KINDS[record["kind"]](system, place, old, record)
+            mapped = KINDS[record["kind"]](system, Place(*place), old, record)
             require_enclosed(old, mapped, new)
         except NotProved as failure:
             found.append(str(failure))
             continue
         time = mapped.time + mapped.time_slope @ old.Q @ old.r
-        found.append((time, mapped.time_slope @ old.derivative))
+        row = mapped.time_slope @ old.derivative
+        found.append([[ball.m, ball.r] for ball in (time, *row)])
     return found
 
 
