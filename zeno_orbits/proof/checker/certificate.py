@@ -171,6 +171,7 @@ def _passage(
     except NotProved as failure:
         return f"section: {failure}"
     judge = partial(_proved, system, box)
+    plastic = _is_plastic(system)
     proved = judge(tasks) if len(tasks) <= _CHUNK else spread(judge, tasks, Plan(chunk=_CHUNK))
     time, row = Ball(0, 0, system.bits), first.derivative[0] * 0
     events: dict[str, list[tuple[Ball, Array]]] = {
@@ -183,8 +184,11 @@ def _passage(
             return f"record {k} ({record['kind']}): {found}"
         balls = [Ball(m, r, system.bits) for m, r in found]
         time, row = time + balls[0], row + np.array(balls[1:], dtype=object)
-        if record["kind"] in ("tail", "impact"):
-            events["zeno_time" if record["kind"] == "tail" else "impact_time"].append((time, row))
+        if record["kind"] == "impact":
+            events["impact_time"].append((time, row))
+        # A plastic impact is its own Zeno point: the stop holds from there on.
+        if record["kind"] == "tail" or (record["kind"] == "impact" and plastic):
+            events["zeno_time"].append((time, row))
     events["period"].append((time, row))
     return Passage(
         n_x=system.n_x, places=section.places, box=box, start=first, end=last, times=events
@@ -197,7 +201,6 @@ def _set(system: System, box: Box, data: Any) -> Enclosure:
 
 def _stations(system: System, section: Section, records: Sequence[Any]) -> list[Place]:
     """Return where in the motion each record stands, if their order is one of a motion."""
-    plastic = system.value(LAW, system.nothing)[0].size == 0
     mode, began = section.mode, "release" if section.end == "cross" else "impact"
     stations = list[Place]()
     for k, record in enumerate(records):
@@ -214,10 +217,17 @@ def _stations(system: System, section: Section, records: Sequence[Any]) -> list[
         elif kind == "cross":
             mode, began = ("closed", "") if mode == "free" else ("free", "release")
         else:
-            mode, began = ("locked", "") if plastic or kind == "tail" else ("free", "impact")
+            mode, began = (
+                ("locked", "") if _is_plastic(system) or kind == "tail" else ("free", "impact")
+            )
     if not records or records[-1]["kind"] != section.end or mode != section.mode:
         raise InputError("The certificate's last record must end on the section.")
     return stations
+
+
+def _is_plastic(system: System) -> bool:
+    """Return True if the restitution is zero, exactly."""
+    return system.value(LAW, system.nothing)[0].size == 0
 
 
 def _proved(system: System, box: Box, tasks: Sequence[Any]) -> list[list[list[int]] | str]:
