@@ -2,5 +2,5 @@
 
 A certificate is proved in exact integers: one inclusion a record, in any order. Nothing of the
 prover is imported; what both share is the problem, whose CasADi instructions are walked here anew.
-Format: `docs/certificate.md`. Offers: `check_proof`. May import: `model`, `work`, `errors`.
+Format: `docs/proof_file.md`. Offers: `check_proof`. May import: `model`, `work`, `errors`.
 """
