@@ -265,7 +265,9 @@ def test_the_commands_on_the_page_find_the_orbit_again(
     subject: Subject, page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    shown = unescape(re.findall(r"<code>(.*?)</code>", page, re.DOTALL)[0]).splitlines()
+    shown = unescape(
+        re.findall(r"<pre[^>]*><code>(.*?)</code></pre>", page, re.DOTALL)[0]
+    ).splitlines()
     assert [tuple(shlex.split(line)) for line in shown] == list(commands_of(subject))
     for line in shown:
         assert ask(*shlex.split(line)[1:])[0] == YES
