@@ -505,7 +505,7 @@ def equilibrium_acceleration(
 
     known = _known(problem)
     values = known.values(gains=gains, parameters=parameters)
-    return formulas.with_numbers(formulas.equilibrium_acceleration(known), values)
+    return formulas.with_numbers(formulas.acceleration_formula(known), values)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

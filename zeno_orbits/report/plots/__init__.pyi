@@ -9,6 +9,8 @@ from .family import plot_families as plot_families
 from .figure import figure_of as figure_of
 from .graph import plot_graph as plot_graph
 from .map import plot_map as plot_map
+from .paper_figures import Material as Material
+from .paper_figures import PAPER as PAPER
 from .portraits import plot_portraits as plot_portraits
 from .recording import plot_comparison as plot_comparison
 from .region import has_zeno_region as has_zeno_region

@@ -16,7 +16,7 @@ from zeno_orbits.maps import ParameterMap
 from zeno_orbits.model import Problem, load_problem
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.precision import WorkPrecision
-from zeno_orbits.report.orbit_motion import motion_of
+from zeno_orbits.report.motion import motion_of
 from zeno_orbits.report.plots.certificate import plot_certificate
 from zeno_orbits.report.plots.family import plot_boundaries, plot_families
 from zeno_orbits.report.plots.map import plot_map

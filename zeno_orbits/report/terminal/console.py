@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Sequence
+from textwrap import fill
 from typing import TYPE_CHECKING
 
 from zeno_orbits.report.table import Cell, Column, Item
@@ -21,14 +22,28 @@ _GAP = 2
 """Columns of space between the columns of a table."""
 
 
-def print_text(*paragraphs: str) -> None:
-    """Print paragraphs, their lines broken between words."""
-    for paragraph in paragraphs:
-        plain_console().print(paragraph)
+def print_lines(lines: Iterable[str], style: str = "") -> None:
+    """Print sentences: whole into a file, broken between words in a terminal.
+
+    Args:
+        lines: The sentences; a continued line is indented as its first one is.
+        style: Their colour in a terminal.
+    """
+    console = plain_console()
+    for line in lines:
+        indent = " " * (len(line) - len(line.lstrip()))
+        folded = fill(
+            line,
+            console.width,
+            subsequent_indent=indent,
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+        console.print(folded if sys.stdout.isatty() else line, style=style, soft_wrap=True)
 
 
-def print_lines(lines: Iterable[str]) -> None:
-    """Print plain lines, however long."""
+def print_whole(lines: Iterable[str]) -> None:
+    """Print lines that a reader may copy, a path or a command: no end of line is put into one."""
     for line in lines:
         plain_console().print(line, soft_wrap=True)
 

@@ -11,10 +11,8 @@ import numpy as np
 from zeno_orbits.errors import counted
 from zeno_orbits.report.table import Column, name_column, number_column, text_column
 from zeno_orbits.report.terminal.console import (
-    plain_console,
     print_lines,
     print_table,
-    print_text,
 )
 
 if TYPE_CHECKING:
@@ -55,17 +53,17 @@ def print_execution(problem: Problem, assured: Assured, *, all_states: bool = Fa
     ]
     print_table(columns, events[:_MOST_EVENTS])
     if len(events) > _MOST_EVENTS:
-        print_text(f"... and {len(events) - _MOST_EVENTS} more events; --json lists them all.")
+        print_lines([f"... and {len(events) - _MOST_EVENTS} more events; --json lists them all."])
     rest = [name for name in names if name not in moving]
     if events and rest:
-        print_text(f"Not shown: {', '.join(rest)}; --all-states prints them.")
+        print_lines([f"Not shown: {', '.join(rest)}; --all-states prints them."])
     counts = (
         counted(len(execution.impacts), "resolved impact"),
         counted(len(execution.zeno_points), "Zeno point"),
         counted(len(execution.releases), "release"),
     )
     last = execution.arcs[-1].mode.value
-    print_text(f"{', '.join(counts)} in {execution.end_time:g} s; the last arc is {last}.")
+    print_lines([f"{', '.join(counts)} in {execution.end_time:g} s; the last arc is {last}."])
 
 
 def _moving(problem: Problem, events: Sequence[Event]) -> list[str]:
@@ -238,20 +236,22 @@ def print_certificate(certificate: OrbitCertificate) -> None:
         order = certificate.delta_order
         none = "none, no cut has a larger error than the integration"
         seen = f"{order:.2f}" if math.isfinite(order) else none
-        print_text(f"Observed order of the cut's error: {seen} (theory: 3)")
+        print_lines([f"Observed order of the cut's error: {seen} (theory: 3)"])
     point = "none, the section is a point" if certificate.stable else "unknown"
     multipliers = ", ".join(map(_complex, certificate.multipliers)) or point
-    print_text(
-        f"Floquet multipliers: {multipliers} (+- {certificate.multiplier_error:.0e})",
-        f"Estimated error of the integration: {certificate.integration_error:.0e}, "
-        f"of the Zeno limit in addition: {certificate.zeno_error:.0e}",
+    print_lines(
+        [
+            f"Floquet multipliers: {multipliers} (+- {certificate.multiplier_error:.0e})",
+            f"Estimated error of the integration: {certificate.integration_error:.0e}, "
+            f"of the Zeno limit in addition: {certificate.zeno_error:.0e}",
+        ]
     )
 
 
 def print_verdict(certificate: OrbitCertificate) -> None:
     """Print yes or no."""
     colour = "green" if certificate.passed else "red"
-    plain_console().print(certificate.verdict(), style=colour, soft_wrap=True)
+    print_lines([certificate.verdict()], style=colour)
 
 
 def _complex(value: complex) -> str:
