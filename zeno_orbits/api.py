@@ -468,8 +468,8 @@ def plot(
     """Return a picture of a result.
 
     Args:
-        result: An execution, orbit, search result, certificate, family, continuation, map, trade or
-            comparison. An orbit is simulated over one period.
+        result: An execution, orbit, search result, closing, certificate, multipliers, family,
+            continuation, map, trade or comparison. An orbit is simulated over one period.
         problem: Its problem, where the result does not tell it.
         ax: Axes to draw into, for a picture of one panel.
         axes: Axes to draw into, as many as the picture has panels.

@@ -20,6 +20,7 @@ from zeno_orbits.cli.options import (
     values_of,
 )
 from zeno_orbits.cli.parsing import read_number
+from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 
 
@@ -48,6 +49,9 @@ def _run_fidelity(options: argparse.Namespace) -> int:
 
     problem = load_problem(options.problem)
     values = values_of(problem, options)
+    if not problem.fidelities:
+        message = f"must have reduced models, but `{problem.name}` has none"
+        raise InputError(f"Argument `problem` {message}.")
     costs = list(reduction_costs(problem, values, measure=options.measure).values())
     if options.json:
         print_json([asdict(cost) for cost in costs])

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Sequence
+from shutil import get_terminal_size
 from textwrap import fill
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from zeno_orbits.report.table import Cell, Column, Item
 
@@ -29,17 +30,21 @@ def print_lines(lines: Iterable[str], style: str = "") -> None:
         lines: The sentences; a continued line is indented as its first one is.
         style: Their colour in a terminal.
     """
-    console = plain_console()
     for line in lines:
-        indent = " " * (len(line) - len(line.lstrip()))
-        folded = fill(
-            line,
-            console.width,
-            subsequent_indent=indent,
-            break_long_words=False,
-            break_on_hyphens=False,
-        )
-        console.print(folded if sys.stdout.isatty() else line, style=style, soft_wrap=True)
+        shown = folded(line) if sys.stdout.isatty() else line
+        plain_console().print(shown, style=style, soft_wrap=True)
+
+
+def folded(line: str) -> str:
+    """Return a line broken between words, as a terminal has room."""
+    indent = " " * (len(line) - len(line.lstrip()))
+    look: dict[str, Any] = {"break_long_words": False, "break_on_hyphens": False}
+    return fill(line, line_width(), subsequent_indent=indent, **look)
+
+
+def line_width() -> int:
+    """Return the characters of a line of the terminal, or of a file."""
+    return get_terminal_size().columns if sys.stdout.isatty() else _FILE_WIDTH
 
 
 def print_whole(lines: Iterable[str]) -> None:
@@ -49,8 +54,9 @@ def print_whole(lines: Iterable[str]) -> None:
 
 
 def print_error(message: str) -> None:
-    """Print one line on standard error."""
-    sys.stderr.write(f"zeno-orbits: {' '.join(message.split())}\n")
+    """Print one line on standard error; a terminal's line ends between words."""
+    line = f"zeno-orbits: {' '.join(message.split())}"
+    sys.stderr.write(f"{folded(line) if sys.stderr.isatty() else line}\n")
 
 
 def plain_console(width: int | None = None) -> Console:
@@ -66,9 +72,7 @@ def plain_console(width: int | None = None) -> Console:
             """Raise the error; rich would exit."""
             raise BrokenPipeError
 
-    if width is None and not sys.stdout.isatty():
-        width = _FILE_WIDTH
-    return Plain(highlight=False, markup=False, width=width)
+    return Plain(highlight=False, markup=False, width=width or line_width())
 
 
 def print_table(columns: Sequence[Column[Item]], items: Iterable[Item]) -> None:
@@ -89,7 +93,8 @@ def print_table(columns: Sequence[Column[Item]], items: Iterable[Item]) -> None:
     widths = _widths(columns, cells, console.width)
     table = Table(box=None, pad_edge=False, header_style="bold")
     for column, width in zip(columns, widths, strict=True):
-        table.add_column(column.heading, width=width, overflow="fold")
+        side = "right" if column.is_number else "left"
+        table.add_column(column.heading, width=width, overflow="fold", justify=side)
     for row in rows:
         table.add_row(*map(_shown, row))
     whole = sum(widths) + _GAP * len(widths)
