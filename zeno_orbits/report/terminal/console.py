@@ -107,24 +107,33 @@ def print_table(columns: Sequence[Column[Item]], items: Iterable[Item]) -> None:
 def _widths(
     columns: Sequence[Column[Item]], cells: Sequence[Sequence[Cell]], room: int
 ) -> list[int]:
-    """Return the widths of columns: as much as they want, or less of the widest where they can."""
-    least = [_width(*pair, whole=False) for pair in zip(columns, cells, strict=True)]
-    widths = [_width(*pair, whole=True) for pair in zip(columns, cells, strict=True)]
-    while sum(widths) + _GAP * (len(widths) - 1) > room:
-        spare = [k for k in range(len(widths)) if widths[k] > least[k]]
-        if not spare:
-            break
-        widths[max(spare, key=lambda k: widths[k])] -= 1
+    """Return the widths of columns: as much as they want, or less of the widest where they can.
+
+    Headings are broken first, as that costs one line; then the texts of cells.
+    """
+    pairs = list(zip(columns, cells, strict=True))
+    widths = [max(_heading(c, whole=True), _cells(c, own, whole=True)) for c, own in pairs]
+    for whole in (True, False):
+        least = [max(_heading(c, whole=False), _cells(c, own, whole=whole)) for c, own in pairs]
+        while sum(widths) + _GAP * (len(widths) - 1) > room:
+            spare = [k for k in range(len(widths)) if widths[k] > least[k]]
+            if not spare:
+                break
+            widths[max(spare, key=lambda k: widths[k])] -= 1
     return widths
 
 
-def _width(column: Column[Item], cells: Sequence[Cell], *, whole: bool) -> int:
+def _heading(column: Column[Item], *, whole: bool) -> int:
+    """Return the width of a heading, or of its longest word."""
+    return max(map(len, [column.heading] if whole else column.heading.split()), default=0)
+
+
+def _cells(column: Column[Item], cells: Sequence[Cell], *, whole: bool) -> int:
     """Return the width of the longest cell, or of the longest word where text may be wrapped."""
     texts = [cell for cell in cells if isinstance(cell, str)]
     if not (whole or column.is_number or column.is_whole):
         texts = [word for text in texts for word in text.split()]
-    heading = [column.heading] if whole else column.heading.split()
-    return max(map(len, [*texts, *heading, "ok"]))
+    return max(map(len, [*texts, "ok"]))
 
 
 def _shown(cell: Cell) -> str | Text:

@@ -92,7 +92,7 @@ def print_comparison(found: Comparison) -> None:
     columns: list[Column[Metric]] = [
         text_column("quantity", lambda metric: metric.name),
         number_column("orbit", lambda metric: f"{metric.orbit:.7g}"),
-        text_column(
+        number_column(
             found.recording.label, lambda metric: _known(metric.data, ".7g", "not observed")
         ),
         number_column("difference", lambda metric: _known(metric.data - metric.orbit, "+.3g")),
