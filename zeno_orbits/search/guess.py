@@ -175,7 +175,7 @@ def _settle_from(
     elapsed, at_release, patience, still, held = 0.0, False, watch.chunk, 0.0, 0.0
     recurrence = Recurrence(settled=watch.settled, wanted=wanted)
     speeds: list[float] = []
-    rates, position = np.zeros(2 * n_q), np.abs(state[:n_q])
+    rates, position = np.zeros(len(state) - len(dynamics.clock)), np.abs(state[:n_q])
     while elapsed < watch.horizon:
         try:
             run = _to_next_look(dynamics, state, watch, patience, at_release=at_release)
@@ -270,9 +270,9 @@ def back_on_constraints(dynamics: HybridDynamics, state: Vector, *, locked: bool
 
 
 def _rates(dynamics: HybridDynamics, state: Vector, *, locked: bool) -> Vector:
-    """Return the sizes of velocities and accelerations, ``(2 n_q,)``."""
+    """Return the sizes of the rates of all states but the clock."""
     mode = dynamics.locked if locked else dynamics.free
-    return np.abs(mode.rate(state)[: 2 * dynamics.n_q])
+    return np.delete(np.abs(mode.rate(state)), dynamics.clock)
 
 
 def _rates_at_impacts(dynamics: HybridDynamics, run: Execution) -> list[Vector]:
