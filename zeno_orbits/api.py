@@ -468,8 +468,8 @@ def plot(
     """Return a picture of a result.
 
     Args:
-        result: An execution, orbit, search result, certificate, family, continuation, map, trade or
-            comparison. An orbit is simulated over one period.
+        result: An execution, orbit, search result, closing, certificate, multipliers, family,
+            continuation, map, trade or comparison. An orbit is simulated over one period.
         problem: Its problem, where the result does not tell it.
         ax: Axes to draw into, for a picture of one panel.
         axes: Axes to draw into, as many as the picture has panels.
@@ -505,7 +505,7 @@ def equilibrium_acceleration(
 
     known = _known(problem)
     values = known.values(gains=gains, parameters=parameters)
-    return formulas.with_numbers(formulas.equilibrium_acceleration(known), values)
+    return formulas.with_numbers(formulas.acceleration_formula(known), values)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -136,7 +136,8 @@ def _say_no(
         )
         return
     report.print_search(result)
-    report.print_lines([*notes.far, *(f"Try: {hint}" for hint in hints)])
+    report.print_lines(notes.far)
+    report.print_whole(f"Try: {hint}" for hint in hints)
     if older:
         report.print_lines([f"{options.output} was not written: what it holds is older."])
 
