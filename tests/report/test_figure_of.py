@@ -181,9 +181,7 @@ def test_a_width_that_no_picture_can_have_is_refused(width: float) -> None:
 
 def test_what_are_no_axes_is_refused() -> None:
     no_axes: Any = 1
-    with pytest.raises(
-        zo.InputError, match="`axes` must be axes of matplotlib, but one"
-    ):
+    with pytest.raises(zo.InputError, match="`axes` must be axes of matplotlib, but one"):
         zo.plot(TRADE, ax=no_axes)
 
 
@@ -221,10 +219,7 @@ def test_labels_of_ticks_across_keep_off_each_other(
     for ax in figure.axes:
         (left, right), labels = ax.get_xlim(), ax.get_xticklabels()
         seen = [label for label in labels if left <= label.get_position()[0] <= right]
-            label.get_window_extent()
-            for label in labels
-            if left <= label.get_position()[0] <= right
-        ]
+        boxes = [label.get_window_extent() for label in seen]
         assert len(boxes) > 1
         assert all(a.x1 < b.x0 for a, b in pairwise(boxes))
 
