@@ -119,7 +119,8 @@ def _brought_nearer(
     if shorter is None:
         return near, ""
     if search.shape is not None:
-        return None, round_again(near).removesuffix(".")
+        sentence = round_again(near).removesuffix(".")
+        return None, sentence[0].lower() + sentence[1:]
     return one_cycle(dynamics, near.start.state, near.period, shorter) or near, ""
 
 
