@@ -151,7 +151,7 @@ def _levers(
     found: list[str] = []
     if result.status is SearchStatus.NO_GUESS:
         found.append("--start STATE=VALUE, to simulate from elsewhere.")
-        if " after " in result.detail:
+        if result.undecided:
             found.append("--until T, to wait longer for a motion to repeat.")
         found.append(f"{map_command(problem, options, notes)}, to see where orbits are.")
         if options.shape is not None:

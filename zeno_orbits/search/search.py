@@ -156,6 +156,7 @@ def _ranked(search: SearchProblem, outcomes: Generator[StartOutcome]) -> SearchR
         attempts=tuple(attempts),
         candidates=ranked,
         detail=best.detail,
+        undecided=best.undecided,
         scan="" if ranked or len(attempts) == 1 else _summary(search),
     )
 
