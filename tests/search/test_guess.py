@@ -67,6 +67,7 @@ def test_a_mass_that_leaves_for_good_runs_away_though_nobody_says_how_far_is_far
 def test_a_mass_that_flies_far_at_a_steady_speed_has_not_run_away() -> None:
     settling = settle(falling_away(1.0), [(0.0, 1.0)], SHORT)
     assert settling.reason == "no release is followed by a Zeno point after 30 s"
+    assert settling.undecided
 
 
 @pytest.mark.parametrize(
@@ -134,6 +135,7 @@ def test_a_link_on_its_stop_does_not_rest_while_a_slow_current_grows() -> None:
 def test_a_mass_at_rest_off_its_stop_rests() -> None:
     settling = settle(spring_mass(1.0, 0.5), [(0.0, 0.0)], SHORT)
     assert settling.reason == "the motion comes to rest"
+    assert not settling.undecided
 
 
 def test_a_mass_that_swings_without_impacts_has_no_zeno_point() -> None:

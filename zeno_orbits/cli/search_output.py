@@ -151,9 +151,11 @@ def _levers(
     found: list[str] = []
     if result.status is SearchStatus.NO_GUESS:
         found.append("--start STATE=VALUE, to simulate from elsewhere.")
-        if " after " in result.detail:
+        if result.undecided:
             found.append("--until T, to wait longer for a motion to repeat.")
         found.append(f"{map_command(problem, options, notes)}, to see where orbits are.")
+        if options.shape is not None:
+            found.append("no --shape, to take the orbits that motions settle to.")
     if result.status is SearchStatus.NOT_ACCEPTED and not options.allow_unstable:
         found.append("--allow-unstable, to take an orbit that does not attract.")
     if notes.bounds:

@@ -71,6 +71,20 @@ def shown_multiplier(value: float, error: float, digits: int) -> str:
     return "0" if abs(value) < min(error, _NOTHING) else f"{value:.{digits}g}"
 
 
+def shown_complex(value: complex, error: float, digits: int) -> str:
+    """Return a Floquet multiplier; parts that are smaller than its error are left out.
+
+    Args:
+        value: The multiplier.
+        error: Error of the largest multiplier.
+        digits: Digits to show.
+    """
+    real, imaginary = (shown_multiplier(p, error, digits) for p in (value.real, value.imag))
+    if imaginary == "0":
+        return real
+    return f"{real} {'' if imaginary.startswith('-') else '+'}{imaginary} i"
+
+
 _NOTHING = 1e-9
 """A multiplier above this is told, however uncertain it is."""
 

@@ -80,11 +80,13 @@ class FollowedMotion:
         cycle: Its last period, if it is fit for a guess.
         reason: Reason why there is none, as a clause; empty if there is one.
         waited: How long it was followed [s].
+        undecided: True if it had settled to nothing when its time was over.
     """
 
     cycle: Cycle | None
     reason: str = ""
     waited: float = 0.0
+    undecided: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,7 +132,7 @@ def settle(
     settings = settings or SettlingSettings()
     wanted = None if shape is None else shape.at_restitution(dynamics.restitution)
     reasons: list[str] = []
-    waited = 0.0
+    waited, undecided = 0.0, False
     for start in starts:
         state = np.array(start, dtype=np.float64)
         watch = _watch(dynamics, state, settings, problem)
@@ -142,7 +144,9 @@ def settle(
             return settling
         reasons.append(settling.reason)
         waited += settling.waited
-    return FollowedMotion(cycle=None, reason=" / ".join(dict.fromkeys(reasons)))
+        undecided |= settling.undecided
+    reason = " / ".join(dict.fromkeys(reasons))
+    return FollowedMotion(cycle=None, reason=reason, undecided=undecided)
 
 
 def _watch(
@@ -222,7 +226,8 @@ def _settle_from(
         return FollowedMotion(
             cycle=None, reason=f"the motion stays on its stop for {held:.4g} s", waited=elapsed
         )
-    return FollowedMotion(cycle=None, reason=recurrence.reason(watch.horizon))
+    undecided = recurrence.settled_to() is None
+    return FollowedMotion(cycle=None, reason=recurrence.reason(watch.horizon), undecided=undecided)
 
 
 def _period(

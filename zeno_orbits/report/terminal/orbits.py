@@ -13,7 +13,7 @@ from zeno_orbits.report.table import (
     Column,
     name_column,
     number_column,
-    shown_multiplier,
+    shown_complex,
     shown_size,
     text_column,
 )
@@ -210,7 +210,7 @@ def _state_rows(problem: Problem, where: str, state: Mapping[str, float]) -> Ite
 
 def _certificate_rows(certificate: OrbitCertificate, energy_unit: str) -> Iterator[_Row]:
     for k, multiplier in enumerate(certificate.multipliers):
-        yield f"multiplier {k + 1}", _complex(multiplier, certificate), "1"
+        yield f"multiplier {k + 1}", shown_complex(multiplier, certificate.multiplier_error, 7), "1"
     work = certificate.energies.get("input_work")
     if work is not None:
         yield "input work per period", f"{work:.9g}", energy_unit
@@ -246,11 +246,12 @@ def print_certificate(certificate: OrbitCertificate) -> None:
         seen = f"{order:.2f}" if math.isfinite(order) else none
         print_lines([f"Observed order of the cut's error: {seen} (theory: 3)"])
     point = "none, the section is a point" if certificate.stable else "unknown"
-    known = [_complex(value, certificate) for value in certificate.multipliers]
+    error = certificate.multiplier_error
+    known = [shown_complex(value, error, 7) for value in certificate.multipliers]
     multipliers = ", ".join(known) or point
     print_lines(
         [
-            f"Floquet multipliers: {multipliers} (+- {certificate.multiplier_error:.0e})",
+            f"Floquet multipliers: {multipliers} (+- {error:.0e})",
             f"Estimated error of the integration: {certificate.integration_error:.0e}, "
             f"of the Zeno limit in addition: {certificate.zeno_error:.0e}",
         ]
@@ -261,12 +262,3 @@ def print_verdict(certificate: OrbitCertificate) -> None:
     """Print yes or no."""
     colour = "green" if certificate.passed else "red"
     print_lines([certificate.verdict()], style=colour)
-
-
-def _complex(value: complex, certificate: OrbitCertificate) -> str:
-    real, imaginary = (
-        shown_multiplier(part, certificate.multiplier_error, 7) for part in (value.real, value.imag)
-    )
-    if imaginary == "0":
-        return real
-    return f"{real} {'' if imaginary.startswith('-') else '+'}{imaginary} i"
