@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -102,10 +103,14 @@ class Recurrence:
             found = repetitions(seen, names, close=self.settled, apart=_APART, usual=usual)
             if found:
                 return self._after_returns(found[0].returns)
+        nearest = math.inf
         for n in range(1, MOST_IMPACTS + 1):
             last = self._after_impacts(n)
-            if last is not None and last.change < self.settled:
+            if last is None:
+                return None
+            if last.change < min(self.settled, _APART * nearest):
                 return last
+            nearest = min(nearest, last.change)
         return None
 
     def nearest(self, usable: float) -> Recurring | None:

@@ -1,11 +1,10 @@
 from .console import print_error as print_error
 from .console import print_lines as print_lines
+from .console import print_whole as print_whole
 from .experiments import print_comparison as print_comparison
 from .experiments import print_contacts as print_contacts
 from .experiments import print_identification as print_identification
 from .experiments import print_rig as print_rig
-from .notebook import NotebookLine as NotebookLine
-from .notebook import line_for_watcher as line_for_watcher
 from .kernels import print_kernels as print_kernels
 from .kernels import print_note as print_note
 from .orbits import print_certificate as print_certificate
@@ -17,7 +16,9 @@ from .orbits import print_verdict as print_verdict
 from .problems import print_conditions as print_conditions
 from .problems import print_problems as print_problems
 from .problems import print_reduction_costs as print_reduction_costs
+from .progress import NotebookLine as NotebookLine
 from .progress import ProgressLine as ProgressLine
+from .progress import line_for_watcher as line_for_watcher
 from .searches import print_bounds as print_bounds
 from .searches import print_candidates as print_candidates
 from .searches import objective_reached as objective_reached

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from zeno_orbits.report.table import Column, name_column, number_column, text_column
-from zeno_orbits.report.terminal.console import plain_console, print_lines, print_table
+from zeno_orbits.report.terminal.console import print_lines, print_table, print_whole
 
 if TYPE_CHECKING:
     from zeno_orbits.model import ParameterValues, Problem
@@ -37,18 +37,18 @@ def print_conditions(
         always: Whether it is negative everywhere (true) or nowhere (false); ``None`` if neither.
     """
     e = values.parameters["restitution"]
-    console = plain_console()
-    console.print("Theorem 1: Zeno executions exist near a Zeno equilibrium if")
-    console.print("  0 <= e < 1   and   d2h/dt2 < 0   there, where\n")
-    console.print(f"  d2h/dt2 = {formula}\n", soft_wrap=True)
-    console.print(f"At the numbers of {problem.name}, e = {e:g}:\n")
-    console.print(f"  d2h/dt2 = {numbers}\n", soft_wrap=True)
+    print_whole(
+        [
+            "Theorem 1: Zeno executions exist near a Zeno equilibrium if",
+            "  0 <= e < 1   and   d2h/dt2 < 0   there, where\n",
+            f"  d2h/dt2 = {formula}\n",
+            f"At the numbers of {problem.name}, e = {e:g}:\n",
+            f"  d2h/dt2 = {numbers}\n",
+        ]
+    )
     if always is not None:
-        console.print(
-            "It is negative everywhere."
-            if always
-            else "It is nowhere negative: there is no Zeno point."
-        )
+        nowhere = "It is nowhere negative: there is no Zeno point."
+        print_lines(["It is negative everywhere." if always else nowhere])
 
 
 def print_reduction_costs(costs: Sequence[ReductionCost]) -> None:

@@ -1,4 +1,4 @@
-"""Progress of long work on standard error."""
+"""Progress of long work where a person watches: on standard error, or below a notebook's cell."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 _PATIENCE = 1.0
 """Work shorter than this prints nothing [s]."""
@@ -112,3 +112,35 @@ class ProgressLine:
         if self._width:
             sys.stderr.write("\r" + " " * self._width + "\r")
             sys.stderr.flush()
+
+
+class NotebookLine(ProgressLine):
+    """Show progress reports below the cell of a notebook, as one line that disappears at the end.
+
+    Args:
+        display: IPython's function of this name.
+    """
+
+    def __init__(self, display: Any) -> None:
+        super().__init__(lambda: None)
+        self._terminal = True
+        self._display = display
+        self._handle: Any = None
+
+    def _show(self, line: str) -> None:
+        if self._handle is None:
+            self._handle = self._display({"text/plain": line}, raw=True, display_id=True)
+        else:
+            self._handle.update({"text/plain": line}, raw=True)
+
+    def _clear(self) -> None:
+        if self._handle is not None:
+            self._handle.update({"text/plain": ""}, raw=True)
+
+
+def line_for_watcher() -> ProgressLine | None:
+    """Return where to show progress unasked: a notebook or a terminal; None if nobody watches."""
+    ipython: Any = sys.modules.get("IPython")
+    if ipython is not None and getattr(ipython.get_ipython(), "kernel", None) is not None:
+        return NotebookLine(ipython.display.display)
+    return ProgressLine(lambda: None) if sys.stderr.isatty() else None

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from zeno_orbits.errors import counted
-from zeno_orbits.report.table import Column, number_column, text_column
+from zeno_orbits.report.table import Column, number_column, shown_complex, shown_size, text_column
 from zeno_orbits.report.terminal.console import print_lines, print_table
 
 if TYPE_CHECKING:
@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from zeno_orbits.maps import Attractor, ParameterMap
     from zeno_orbits.precision import Trial, WorkPrecision
 
+_ROUNDING = 1e-12
+"""A multiplier of a family below this is that of its rounding."""
 _ACCURACIES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 
 
@@ -36,7 +38,7 @@ def print_trade(trade: WorkPrecision) -> None:
         text_column("cheapest setting", lambda row: _setting(row[1])),
         number_column("value", lambda row: f"{row[1].value:.0e}" if row[1] else ""),
         number_column("time [ms]", lambda row: _milliseconds(row[1]) if row[1] else ""),
-        number_column("error", lambda row: f"{row[1].error:.1e}" if row[1] else ""),
+        number_column("error", lambda row: shown_size(row[1].error) if row[1] else ""),
     ]
     print_table(cheapest, [(accuracy, trade.cheapest(accuracy)) for accuracy in _ACCURACIES])
     print_lines(
@@ -59,7 +61,7 @@ def _milliseconds(trial: Trial) -> str:
 def _error_of(trial: Trial) -> str:
     if trial.trouble:
         return "-"
-    return f"{trial.error:.1e}" if trial.error < math.inf else "another motion"
+    return shown_size(trial.error) if trial.error < math.inf else "another motion"
 
 
 def _setting(trial: Trial | None) -> str:
@@ -130,4 +132,4 @@ def _cusp(boundary: SpecialCurve, place: int) -> str:
 
 
 def _short(value: complex) -> str:
-    return f"{value.real:.5g}" if value.imag == 0.0 else f"{value.real:.5g} {value.imag:+.5g} i"
+    return shown_complex(value, _ROUNDING, 5)
