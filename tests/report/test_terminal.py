@@ -160,6 +160,7 @@ def test_a_file_gets_a_line_when_something_is_new_and_a_sign_of_life_ever_more_r
 ) -> None:
     clock = Clock()
     monkeypatch.setattr(progress, "time", clock)
+    monkeypatch.setattr(progress, "_PATIENCE", 1.0)
     line = progress.ProgressLine(lambda: None)
     for now in range(100):
         clock.now = float(now)

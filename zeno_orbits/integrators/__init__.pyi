@@ -7,7 +7,6 @@ from .automatic import staying_rate as staying_rate
 from .casadi_to_heyoka import heyoka_is_installed as heyoka_is_installed
 from .collocation import Collocation as Collocation
 from .collocation import lagrange_basis as lagrange_basis
-from .collocation import radau as radau
 from .compiled_leg import CompilableFlow as CompilableFlow
 from .compiled_leg import LegCode as LegCode
 from .dop853 import RungeKutta as RungeKutta

@@ -25,8 +25,8 @@ from zeno_orbits.integrators import (
     Step,
     SteppedTrajectory,
     Tolerance,
-    radau,
 )
+from zeno_orbits.integrators.collocation import radau
 from zeno_orbits.model import N_STAGES, FlowDifferential
 from zeno_orbits.simulation.execution import Arc
 

@@ -26,8 +26,8 @@ from zeno_orbits.integrators import (
     implicit_expressions,
     n_factors,
     overflow,
-    radau,
 )
+from zeno_orbits.integrators.collocation import radau
 from zeno_orbits.kernels import KernelLibrary, Kernels, KernelSource, Recipe, caller
 from zeno_orbits.model.numeric.calls import Call, Connect, StepCall
 

@@ -65,7 +65,7 @@ class ProgressLine:
         self._started = time.perf_counter()
         self._said = -_PATIENCE
         self._left = _TimeLeft()
-        self._done = ("", "")
+        self._done: tuple[str, str] = ("", "")
         self._terminal = sys.stderr.isatty()
         self._width = 0
 

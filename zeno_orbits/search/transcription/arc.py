@@ -8,7 +8,8 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Array, Vector
-from zeno_orbits.integrators import Collocation, radau
+from zeno_orbits.integrators import Collocation
+from zeno_orbits.integrators.collocation import radau
 from zeno_orbits.model import CompiledSystem, ModeFunctions
 from zeno_orbits.search.transcription.mesh import graded_mesh, stage_fractions
 from zeno_orbits.search.transcription.program import ProgramBuilder
