@@ -359,8 +359,8 @@ def continue_orbit(
     """Return the family of an orbit in a gain or parameter, with folds, flips, branches and ends.
 
     Args:
-        orbit: The orbit, or its file.
-        parameter: Name of the gain or parameter.
+        orbit: The orbit, or its file; with one Zeno point or one impact a period.
+        parameter: Name of the gain or parameter; what is derived from it stays as it is.
         box: Its range, lower end first; the orbit's own number lies in it.
         problem: The orbit's problem; by default the bundled one of its name.
         settings: Accuracy and steps.
@@ -374,6 +374,9 @@ def continue_orbit(
     from zeno_orbits import continuation
 
     orbit = _read(orbit)
+    if orbit.shape.n_phases != 1:
+        wanted = "must have one Zeno point or one impact a period to be continued"
+        raise InputError(f"Argument `orbit` {wanted}, but its shape is `{orbit.shape.text}`.")
     source = problem or orbit.problem
     with _crew(source, workers, on_progress) as crew:
         known = problem_of(orbit, problem) if crew is None else crew.problem_file.load()

@@ -10,6 +10,7 @@ from zeno_orbits.cli.options import (
     NO,
     YES,
     add_command,
+    add_problem_file,
     orbit_and_problem,
     print_json,
     require_outputs,
@@ -40,9 +41,7 @@ def add_prove(commands: Any) -> None:
         ],
     )
     parser.add_argument("orbit", metavar="ORBIT.json", type=Path, nargs="?", help="an orbit file")
-    parser.add_argument(
-        "--problem", metavar="FILE.py", help="the problem's file, if it is not a bundled one"
-    )
+    add_problem_file(parser)
     parser.add_argument(
         "-o", "--output", type=Path, metavar="PROOF.json", help="write the certificate here"
     )

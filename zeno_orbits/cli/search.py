@@ -219,7 +219,7 @@ def _run_search(options: argparse.Namespace) -> int:
             free=free,
             objective=objective,
             bounds=bounds,
-            held=held_derived(problem, values, free),
+            held=held_derived(problem, values.parameters, free),
             far=far_from_own(problem, values),
         )
         return answer(options, problem, result, notes)

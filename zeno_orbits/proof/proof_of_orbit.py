@@ -44,8 +44,10 @@ def check_proof_of(orbit: ZenoOrbit, problem: Problem, path: Path) -> ProofVerdi
     for claim in data["claims"]:
         if claim["name"] == "start_state":
             state = problem.state_vector(dict(orbit.start_state))
-            for name, x, y in zip(problem.state_names, doubles(claim["low"]), state, strict=True):
-                if abs(x - y) > _CLOSE * max(1.0, abs(y)):
+            sizes = problem.dynamics(own).own.states(len(state))
+            found = zip(problem.state_names, doubles(claim["low"]), state, sizes, strict=True)
+            for name, x, y, size in found:
+                if abs(x - y) > _CLOSE * max(size, abs(y)):
                     wanted = f"must be about an orbit with `{name}` = {y!r} at its start"
                     raise InputError(f"Argument `proof` {wanted}, but it is about {x!r}.")
             return verdict

@@ -226,8 +226,10 @@ def _stations(system: System, section: Section, records: Sequence[Any]) -> list[
 
 
 def _is_plastic(system: System) -> bool:
-    """Return True if the restitution is zero, exactly."""
-    return system.value(LAW, system.nothing)[0].size == 0
+    """Return True if the restitution is zero, exactly, and not by the value of a state."""
+    law = system.outputs[LAW][0]
+    varies = not set(system.z).isdisjoint(system.graph.needed([law]))
+    return not varies and system.value(LAW, system.nothing)[0].size == 0
 
 
 def _proved(system: System, box: Box, tasks: Sequence[Any]) -> list[list[list[int]] | str]:

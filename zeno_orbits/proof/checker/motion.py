@@ -12,6 +12,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.proof.checker.balls import (
     Array,
     Ball,
+    NotProved,
     around_zero,
     between,
     entries,
@@ -27,6 +28,8 @@ from zeno_orbits.proof.checker.system import CONTACT, FREE, IMPULSE, LAW, System
 
 _HIGHEST = 200
 """Order beyond which a certificate is refused before anything is computed."""
+_SWEEPS = 4
+"""How often an a-priori box is tried: rounding of a large number may move a small one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,12 +119,16 @@ class Flow:
             raise InputError(f"The certificate's orders must be from 1 to {_HIGHEST}.")
         rates = slow | system.variational[mode]
         series = taylor(graph, rates, system.at(old.hull), self.h, low)
-        box = {v: _hull(series[v], wider=rates[v] is not None) for v in rates}
-        last = taylor(graph, rates, system.constants | box, self.h, low + 1)
-        reach = {v: _hull([*series[v], last[v][-1]]) for v in rates}
-        for v, rate in rates.items():
-            inside = box[v].low < reach[v].low and reach[v].high < box[v].high
-            require(rate is None or inside, "there is no a-priori box")
+        reach = {v: _hull(series[v]) for v in rates}
+        for _ in range(_SWEEPS):
+            box = {v: x if rates[v] is None else _wider(x) for v, x in reach.items()}
+            last = taylor(graph, rates, system.constants | box, self.h, low + 1)
+            reach = {v: _hull([*series[v], last[v][-1]]) for v in rates}
+            moving = (v for v, rate in rates.items() if rate is not None)
+            if all(box[v].low < reach[v].low and reach[v].high < box[v].high for v in moving):
+                break
+        else:
+            raise NotProved("there is no a-priori box")
         self.box = np.array([reach[v] for v in system.z], dtype=object)
         self._slope = np.array([[(*series[v], last[v][-1]) for v in row] for row in system.V])
         point = taylor(graph, slow, system.at(old.m), self.h, high)
@@ -135,10 +142,14 @@ class Flow:
         return point, slope, point + slope @ old.Q @ old.r + slope @ old.derivative @ old.spread
 
 
-def _hull(series: Sequence[Ball], *, wider: bool = False) -> Ball:
-    """Return the sum of all terms over a step; wider, as an a-priori box, if asked."""
-    total = sum((c.with_zero() for c in series[1:]), series[0])
-    return Ball(total.m, total.r + wider * (total.r // 8 + (1 << 20)), total.bits)
+def _hull(series: Sequence[Ball]) -> Ball:
+    """Return the sum of all terms over a step."""
+    return sum((c.with_zero() for c in series[1:]), series[0])
+
+
+def _wider(x: Ball) -> Ball:
+    """Return an interval that is wider by a part of it, and by some units."""
+    return Ball(x.m, x.r + x.r // 8 + (1 << 20), x.bits)
 
 
 def _horner(series: Array, part: Ball) -> Array:
