@@ -21,8 +21,7 @@ from zeno_orbits.orbits import Bound
 from zeno_orbits.search.transcription.arc import CollocatedArc
 from zeno_orbits.search.transcription.spectral_radius import keep_radius_below
 from zeno_orbits.search.transcription.transcribe import OrbitTerms
-from zeno_orbits.simulation import signal, signal_names
-from zeno_orbits.simulation.signals import Signal, peaks
+from zeno_orbits.simulation import Signal, peaks, signal, signal_names
 
 RADIUS_SLACK = 1e-7
 """By how much less a spectral radius is asked of the program: what its mesh may be wrong by."""
