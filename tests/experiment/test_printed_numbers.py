@@ -114,8 +114,7 @@ def test_cycles_of_a_machine_stand_beside_the_orbit(capsys: pytest.CaptureFixtur
         portrait=0.25,
         portrait_at=0.5,
     )
-    problem: Any = SimpleNamespace(amplitude_of="theta2")
-    terminal.print_rig(problem, found)
+    terminal.print_rig(found, "theta2")
     printed = capsys.readouterr().out
     assert table_of(printed) == [
         ["quantity", "unit", "orbit", "machine, mean", "standard deviation", "difference"],

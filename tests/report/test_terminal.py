@@ -155,6 +155,21 @@ def test_the_time_left_only_falls_within_a_stage_and_begins_anew_with_the_next(
     assert left[1][0] > left[0][-1]
 
 
+def test_a_file_gets_a_line_when_something_is_new_and_a_sign_of_life_ever_more_rarely(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clock = Clock()
+    monkeypatch.setattr(progress, "time", clock)
+    monkeypatch.setattr(progress, "_PATIENCE", 1.0)
+    line = progress.ProgressLine(lambda: None)
+    for now in range(100):
+        clock.now = float(now)
+        line("0 of 2 directions" if now < 90 else "1 of 2 directions", None)
+    said = [float(one.split()[0]) for one in capsys.readouterr().err.splitlines()]
+    # From the first second on, at each doubling; and the news at the next occasion.
+    assert said == [1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 90.0]
+
+
 class _Display:
     """IPython's `display`, which remembers what the cell shows."""
 

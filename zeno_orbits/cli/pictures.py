@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from zeno_orbits.experiment import Counterpart
     from zeno_orbits.model import Problem
     from zeno_orbits.orbits import ZenoOrbit
-    from zeno_orbits.report.plots import Material
+    from zeno_orbits.report import plots
 
 _PICTURES = ("portraits", "time", "outputs", "zeno", "region")
 _FIGURES = ("graph", "region", "portraits", "beside", "animation")
@@ -176,7 +176,7 @@ def _run_figures(options: argparse.Namespace) -> int:
     return YES
 
 
-def _material(options: argparse.Namespace, progress: report.ProgressLine) -> Material:
+def _material(options: argparse.Namespace, progress: report.ProgressLine) -> plots.Material:
     from zeno_orbits.report import motion_of, plots
     from zeno_orbits.verification import problem_dynamics
 

@@ -129,7 +129,7 @@ def _near_orbit(options: argparse.Namespace) -> int:
     if options.json:
         print_json(comparison.as_json())
     else:
-        report.print_rig(problem, comparison)
+        report.print_rig(comparison, problem.amplitude_of)
     _write(options, settled.run, problem)
     return NO if comparison.drifting else YES
 

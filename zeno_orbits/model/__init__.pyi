@@ -29,6 +29,8 @@ from .library import split_fidelity as split_fidelity
 from .numeric.calls import Call as Call
 from .numeric.compiled import CompiledSystem as CompiledSystem
 from .numeric.compiled import bind as bind
+from .numeric.compiled_flow import CompiledFlow as CompiledFlow
+from .numeric.compiled_flow import FlowMemory as FlowMemory
 from .numeric.compiled_flow import ModeFunctions as ModeFunctions
 from .numeric.compiled_flow import N_STAGES as N_STAGES
 from .numeric.compiled_flow import dense_function as dense_function

@@ -22,9 +22,11 @@ from zeno_orbits.simulation import (
     SimulationSettings,
     ZenoExtrapolation,
     bounds_of,
+    growth_of,
+    has_left,
+    is_still,
     simulate,
 )
-from zeno_orbits.simulation.attractor import growth_of, has_left, is_still
 
 _DIFFERENCE = 1e-6
 """Step of a derivative; its error is that part of a correction that is small itself."""

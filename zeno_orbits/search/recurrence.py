@@ -11,8 +11,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import USUAL, OwnScale
 from zeno_orbits.orbits import Cycle, OrbitShape, PhaseKind
-from zeno_orbits.simulation import Execution, Impact, SectionReturn
-from zeno_orbits.simulation.attractor import PERIODS, repetitions
+from zeno_orbits.simulation import PERIODS, Execution, Impact, SectionReturn, repetitions
 
 MOST_IMPACTS = 12
 """Longest period of a motion without releases that is looked for, in impacts."""

@@ -15,7 +15,6 @@ from .orbits import print_orbit as print_orbit
 from .orbits import print_verdict as print_verdict
 from .problems import print_conditions as print_conditions
 from .problems import print_problems as print_problems
-from .problems import print_reduction_costs as print_reduction_costs
 from .progress import NotebookLine as NotebookLine
 from .progress import ProgressLine as ProgressLine
 from .progress import line_for_watcher as line_for_watcher
@@ -25,4 +24,5 @@ from .searches import objective_reached as objective_reached
 from .searches import print_search as print_search
 from .studies import print_families as print_families
 from .studies import print_map as print_map
+from .studies import print_reduction_costs as print_reduction_costs
 from .studies import print_trade as print_trade

@@ -31,11 +31,11 @@ def print_lines(lines: Iterable[str], style: str = "") -> None:
         style: Their colour in a terminal.
     """
     for line in lines:
-        shown = folded(line) if sys.stdout.isatty() else line
+        shown = _folded(line) if sys.stdout.isatty() else line
         plain_console().print(shown, style=style, soft_wrap=True)
 
 
-def folded(line: str) -> str:
+def _folded(line: str) -> str:
     """Return a line broken between words, as a terminal has room."""
     indent = " " * (len(line) - len(line.lstrip()))
     look: dict[str, Any] = {"break_long_words": False, "break_on_hyphens": False}
@@ -56,7 +56,7 @@ def print_whole(lines: Iterable[str]) -> None:
 def print_error(message: str) -> None:
     """Print one line on standard error; a terminal's line ends between words."""
     line = f"zeno-orbits: {' '.join(message.split())}"
-    sys.stderr.write(f"{folded(line) if sys.stderr.isatty() else line}\n")
+    sys.stderr.write(f"{_folded(line) if sys.stderr.isatty() else line}\n")
 
 
 def plain_console(width: int | None = None) -> Console:

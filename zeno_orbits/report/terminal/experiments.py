@@ -19,7 +19,6 @@ if TYPE_CHECKING:
         Recording,
         RigComparison,
     )
-    from zeno_orbits.model import Problem
 
 _RIG_ROWS = {
     "impact_time": "first impact",
@@ -31,9 +30,14 @@ _RIG_ROWS = {
 """Name of a number to its words; times count from release."""
 
 
-def print_rig(problem: Problem, comparison: RigComparison) -> None:
-    """Print the cycles of a simulated machine beside an orbit."""
-    rows = {name: words.format(amplitude=problem.amplitude_of) for name, words in _RIG_ROWS.items()}
+def print_rig(comparison: RigComparison, amplitude: str) -> None:
+    """Print the cycles of a simulated machine beside an orbit.
+
+    Args:
+        comparison: Both.
+        amplitude: Name of the coordinate whose amplitude the problem measures.
+    """
+    rows = {name: words.format(amplitude=amplitude) for name, words in _RIG_ROWS.items()}
 
     def orbit(name: str) -> float:
         return getattr(comparison.orbit, name)

@@ -1,8 +1,8 @@
-"""Tables of problems: their list, Theorem 1, and the errors of reduced models."""
+"""Tables of problems: their list, and Theorem 1."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from zeno_orbits.report.table import Column, name_column, number_column, text_column
@@ -10,7 +10,6 @@ from zeno_orbits.report.terminal.console import print_lines, print_table, print_
 
 if TYPE_CHECKING:
     from zeno_orbits.model import ParameterValues, Problem
-    from zeno_orbits.precision import ReductionCost
 
 
 def print_problems(problems: Sequence[Problem]) -> None:
@@ -49,40 +48,3 @@ def print_conditions(
     if always is not None:
         nowhere = "It is nowhere negative: there is no Zeno point."
         print_lines(["It is negative everywhere." if always else nowhere])
-
-
-def print_reduction_costs(costs: Sequence[ReductionCost]) -> None:
-    """Print the relative errors that the reduced models of a problem make in an orbit."""
-    columns: list[Column[tuple[ReductionCost, str]]] = [
-        name_column("reduced model", lambda row: _if_first(row, row[0].problem)),
-        text_column(
-            "states", lambda row: _if_first(row, f"{row[0].n_states} of {row[0].n_full_states}")
-        ),
-        text_column("error of", lambda row: row[1].replace("_", " ")),
-        number_column("estimate", lambda row: f"{row[0].estimate[row[1]]:.1e}"),
-    ]
-    if any(cost.measured for cost in costs):
-        columns.append(number_column("measured", _measured))
-    print_table(columns, _landmarks(costs))
-    cost = costs[0]
-    print_lines(
-        [
-            f"Relative errors. The currents settle in {cost.layer:.3g} s; the motion changes at "
-            f"{cost.rate:.3g} 1/s."
-        ]
-    )
-
-
-def _landmarks(costs: Sequence[ReductionCost]) -> Iterator[tuple[ReductionCost, str]]:
-    return ((cost, name) for cost in costs for name in cost.estimate)
-
-
-def _if_first(row: tuple[ReductionCost, str], text: str) -> str:
-    """Return a text in the first row of a model only."""
-    cost, name = row
-    return text if name == next(iter(cost.estimate)) else ""
-
-
-def _measured(row: tuple[ReductionCost, str]) -> str:
-    cost, name = row
-    return f"{cost.measured[name]:.1e}" if cost.measured else ""

@@ -15,6 +15,8 @@ _TELLING = 2.0
 """Time in a stage before its pace tells how long it will take [s]."""
 _RARER = 0.1
 """A file gets no more lines than one in this part of the time so far."""
+_SILENCE = 2.0
+"""A line that says nothing new waits in a file until so many times as long has passed."""
 
 
 class _TimeLeft:
@@ -63,6 +65,7 @@ class ProgressLine:
         self._started = time.perf_counter()
         self._said = -_PATIENCE
         self._left = _TimeLeft()
+        self._done: tuple[str, str] = ("", "")
         self._terminal = sys.stderr.isatty()
         self._width = 0
 
@@ -92,10 +95,11 @@ class ProgressLine:
         pause = 0.1 if self._terminal else max(_PATIENCE, _RARER * elapsed)
         if elapsed < _PATIENCE or elapsed - self._said < pause:
             return
-        self._said = elapsed
-        line = f"{elapsed:6.1f} s  {stage}"
-        if part is not None and part > 0.0:
-            line += f"  {100 * part:3.0f} %"
+        done = (stage, f"  {100 * part:3.0f} %" if part else "")
+        if not self._terminal and done == self._done and elapsed < _SILENCE * self._said:
+            return
+        self._said, self._done = elapsed, done
+        line = f"{elapsed:6.1f} s  {''.join(done)}"
         if left < math.inf:
             line += f", about {_duration(left)} left"
         self._show(line)
