@@ -56,6 +56,19 @@ def test_the_reference_values_settles_to_the_reference_orbit():
     assert found.spectral_radius == pytest.approx(0.0193686, abs=1e-5)
 
 
+@pytest.mark.parametrize(("restitution", "inductance"), [(0.05, 0.1), (0.08, 0.1), (0.05, 1.0)])
+def test_a_link_on_its_stop_does_not_rest_while_the_current_that_lifts_it_grows(
+    restitution, inductance
+):
+    valve = load_problem("motor_valve")
+    values = valve.values(parameters={"restitution": restitution, "L": inductance})
+    (found,) = attractors_at(valve, [values])
+    start = valve.state_vector(valve.starts[0])
+    released = [one.time for one in simulate(valve.dynamics(values), start, until=20.0).releases]
+    assert (found.fate, found.returns) == (Fate.ZENO, 1)
+    assert found.period == pytest.approx(released[-1] - released[-2], rel=1e-8)
+
+
 def test_orbits_multipliers_and_margins_are_those_of_a_single_simulation():
     settings = [at(2.0, -0.9), at(4.2, -1.4), at(3.1, -0.42), at(3.0, -1.2, L1=0.22, R=2.5)]
     for values, found in zip(settings, attractors_at(PENDULUM, settings), strict=True):

@@ -427,4 +427,4 @@ def write_json(found: Any, path: Path) -> None:
 def say_written(options: argparse.Namespace, paths: Sequence[Path]) -> None:
     """Name the files that were written, unless JSON is printed."""
     if not options.json:
-        report.print_lines(f"Written: {path}" for path in paths)
+        report.print_whole(f"Written: {path}" for path in paths)

@@ -27,8 +27,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
-    from zeno_orbits.experiment import RigSettings
-    from zeno_orbits.experiment.rig import RigRun
+    from zeno_orbits.experiment import RigRun, RigSettings
     from zeno_orbits.model import Problem, Rig
 
 _PARTS = ("friction", "gears", "bridge", "controller", "sensors")
@@ -130,7 +129,7 @@ def _near_orbit(options: argparse.Namespace) -> int:
     if options.json:
         print_json(comparison.as_json())
     else:
-        report.print_rig(comparison)
+        report.print_rig(comparison, problem.amplitude_of)
     _write(options, settled.run, problem)
     return NO if comparison.drifting else YES
 
@@ -171,9 +170,8 @@ def _from_start(options: argparse.Namespace) -> int:
 def _rig_of(options: argparse.Namespace, problem: Problem) -> Rig:
     from dataclasses import replace
 
-    from zeno_orbits.experiment.rig import default_rig
-    from zeno_orbits.model import Switching
-    from zeno_orbits.model.rig_parts import PART_NAMES, rig_with_numbers, without_parts
+    from zeno_orbits.experiment import default_rig
+    from zeno_orbits.model import PART_NAMES, Switching, rig_with_numbers, without_parts
 
     left_out = options.without
     if options.only is not None:

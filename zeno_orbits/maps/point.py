@@ -15,17 +15,20 @@ from zeno_orbits.maps.attractors import Attractor, Fate
 from zeno_orbits.maps.newton import IMPACTS, RELEASES, Crossing, bundle_at
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.simulation import (
+    LOOK_BACK,
     AttractorKind,
     Ended,
     LaneEvent,
     Motion,
     Reason,
+    Repetition,
     SectionReturn,
+    Settling,
     Struck,
+    changes,
     outcome_of,
     scale_of,
 )
-from zeno_orbits.simulation.attractor import LOOK_BACK, Repetition, Settling, changes
 
 _REMEMBERED = 40
 """Returns that are looked back on."""

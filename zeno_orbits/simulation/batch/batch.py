@@ -265,9 +265,9 @@ class Batch:
             x[:, :, model.clock] = _turned(x[:, 0, model.clock], turn)
             step = turn[1] / self._clock_rate(mode, rows)
         flat = x.reshape(-1, model.n_x)
-        rates = flow.rate(flat, p)[:, : 2 * model.n_q].reshape(len(rows), n_phases, -1)
-        zero = self.settings.contact * model.own.rates(model.n_q)
-        rests = is_still(rates, lanes.largest_rate[rows], zero)
+        rates = flow.rate(flat, p)[:, model.moving].reshape(len(rows), n_phases, -1)
+        zero = self.settings.contact * model.own.rates(model.n_q, model.n_x)[model.moving]
+        rests = is_still(rates, lanes.largest_rate[rows][:, model.moving], zero)
         if mode == LOCKED and n_phases > 1:
             guard = flow.guard(flat, p).reshape(len(rows), n_phases, 2)
             rests &= keeps_holding(guard[:, :, 0], guard[:, :, 1], step)

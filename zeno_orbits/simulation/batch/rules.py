@@ -128,8 +128,7 @@ class Transitions:
         ratio = np.max(np.abs(slope / (self.model.absolute + np.abs(y))), axis=1)
         own_time = self.model.own.time / unit
         size = np.where(ratio * own_time > _HARDLY, 0.01 / ratio, _FIRST * own_time)
-        n_q = self.model.n_q
-        rate = np.abs(slope[:, : 2 * n_q]) / np.reshape(unit, (-1, 1))
+        rate = np.abs(slope[:, : self.model.n_x]) / np.reshape(unit, (-1, 1))
         lanes.largest_rate[rows] = np.fmax(lanes.largest_rate[rows], rate)
         lead = self.lead(rows)
         lanes.size[rows] = size[lead]
