@@ -98,11 +98,11 @@ static int implicit_step(const Leg *leg, const double *y, double size, const dou
     return 0;
 }
 
-/* The guard inside a step as dense output has it. */
-static void dense(const Step *step, double offset, double *pair) {
-    double state[N_Y];
+/* The state inside a step as dense output has it, and the guard there. */
+static void dense(const Step *step, double offset, double *state, double *pair) {
     int i, k;
     if (offset == step->size) {
+        memcpy(state, step->after, N_Y * sizeof(double));
         pair[0] = step->guard_after[0];
         pair[1] = step->guard_after[1];
         return;
@@ -122,43 +122,18 @@ static void dense(const Step *step, double offset, double *pair) {
     guard_at(step->leg, state, pair);
 }
 
-/* The state after a true step that ends inside a step, and the guard there. */
+/* The same after a true step that ends inside a step; dense output where there is none. */
 static void true_end(const Step *step, double offset, double *state, double *pair) {
     Found found;
-    if (offset == step->size) {
-        memcpy(state, step->after, N_Y * sizeof(double));
-        pair[0] = step->guard_after[0];
-        pair[1] = step->guard_after[1];
-        return;
-    }
-    if (!step->coefficients) {
-        double told[3];
-        explicit_step(step->leg, step->before, offset, state, told);
-        pair[0] = told[1];
-        pair[1] = told[2];
-        return;
-    }
-    if (offset <= 0.0) {
-        memcpy(state, step->before, N_Y * sizeof(double));
-        guard_at(step->leg, state, pair);
-        return;
-    }
-    if (implicit_step(step->leg, step->before, offset, step->coefficients, 0.0,
+    if (step->coefficients && 0.0 < offset && offset < step->size &&
+        implicit_step(step->leg, step->before, offset, step->coefficients, 0.0,
                       offset / step->size, &found)) {
         memcpy(state, found.after, sizeof found.after);
         pair[0] = found.told[3];
         pair[1] = found.told[4];
         return;
     }
-    {
-        int i, k;
-        for (i = 0; i < N_Y; i++) {
-            double value = 0.0, at = offset / step->size;
-            for (k = N_S - 1; k >= 0; k--) value = (value + step->coefficients[k * N_Y + i]) * at;
-            state[i] = step->before[i] + value;
-        }
-        guard_at(step->leg, state, pair);
-    }
+    dense(step, offset, state, pair);
 }
 
 enum { DENSE, TRUE_END, DENSE_RATE };
@@ -166,11 +141,7 @@ enum { DENSE, TRUE_END, DENSE_RATE };
 /* A function of the offset and its derivative; NaN where that is not known. */
 static void evaluate(const Step *step, int kind, double offset, double *pair) {
     double state[N_Y];
-    if (kind == TRUE_END) {
-        true_end(step, offset, state, pair);
-        return;
-    }
-    dense(step, offset, pair);
+    (kind == TRUE_END ? true_end : dense)(step, offset, state, pair);
     if (kind == DENSE_RATE) {
         pair[0] = pair[1];
         pair[1] = NAN;
@@ -255,10 +226,10 @@ static double polished(const Step *step, double offset) {
 static double short_rise(const Step *step) {
     double right = step->size, high[2];
     int count;
-    dense(step, right, high);
+    evaluate(step, DENSE, right, high);
     for (count = 0; count < HALVINGS; count++) {
         double left = right / 2, low[2];
-        dense(step, left, low);
+        evaluate(step, DENSE, left, low);
         if (low[0] > 0.0) return polished(step, root(step, DENSE, left, right, low, high));
         right = left;
         high[0] = low[0];
@@ -282,7 +253,7 @@ static double first_fall(const Step *step, const double *before, const double *a
     falls_once = before[0] > 0.0 && 0.0 > after[0] && (second > 0.0 || third < 0.0);
     if (!on_guard && falls_once) {
         double middle[2], expected = (before[0] + after[0]) / 2 + size * (before[1] - after[1]) / 8;
-        dense(step, size / 2, middle);
+        evaluate(step, DENSE, size / 2, middle);
         if (fabs(middle[0] - expected) < CUBIC * (fabs(before[0]) + fabs(after[0]))) {
             double found = middle[0] > 0.0 ? root(step, DENSE, size / 2, size, middle, after)
                                            : root(step, DENSE, 0.0, size / 2, before, middle);
@@ -291,13 +262,13 @@ static double first_fall(const Step *step, const double *before, const double *a
     }
     for (k = 1; k <= 8; k++) {
         double offset = k < 8 ? size * (k / 8.0) : size, pair[2];
-        dense(step, offset, pair);
+        evaluate(step, DENSE, offset, pair);
         if (armed && pair[0] < 0.0)
             return polished(step, root(step, DENSE, left, offset, left_pair, pair));
         if (armed && left_pair[1] < 0.0 && 0.0 < pair[1]) {
             double falling[2] = {left_pair[1], NAN}, rising[2] = {pair[1], NAN}, low_pair[2];
             double lowest = root(step, DENSE_RATE, left, offset, falling, rising);
-            dense(step, lowest, low_pair);
+            evaluate(step, DENSE, lowest, low_pair);
             if (low_pair[0] < 0.0)
                 return polished(step, root(step, DENSE, left, lowest, left_pair, low_pair));
         }
