@@ -17,6 +17,7 @@ from .engine import Step as Step
 from .engine import Stepper as Stepper
 from .engine import Trajectory as Trajectory
 from .engine import Watch as Watch
+from .engine import light_value as light_value
 from .engines import ENGINES as ENGINES
 from .engines import Selective as Selective
 from .engines import engine_named as engine_named

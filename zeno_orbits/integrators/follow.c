@@ -12,7 +12,7 @@ typedef struct {
     double time, size, last_size, earlier_size, fastest, first, largest_change, offset;
     double guard[2], y[N_Y], end[N_Y], reach[N_Y], eigenvalues[2 * N_Y], coefficients[N_S * N_Y];
     long long switches, implicit, on_guard, started, refused, has_last, has_rates, n_steps;
-    long long n_explicit, n_recorded, capacity;
+    long long n_explicit, n_recorded, n_polynomials, capacity;
     const double *p;
     double *rows, *polynomials;
 } Leg;
@@ -516,9 +516,13 @@ static double first_size(const Leg *leg) {
 CASADI_SYMBOL_EXPORT int zk_follow(Leg *leg) {
     Found found;
     int i;
-    leg->n_recorded = 0;
+    leg->n_recorded = leg->n_polynomials = 0;
     if (!leg->started) {
         leg->started = 1;
+        leg->time = leg->largest_change = leg->earlier_size = leg->fastest = leg->first = 0.0;
+        leg->refused = leg->has_last = leg->has_rates = leg->n_steps = leg->n_explicit = 0;
+        leg->largest_explicit = lesser(leg->largest_explicit, leg->horizon);
+        leg->largest_implicit = lesser(leg->largest_implicit, leg->horizon);
         guard_at(leg, leg->y, leg->guard);
         leg->size = first_size(leg);
         if (leg->size == 0.0) return NOT_FINITE;
@@ -545,8 +549,9 @@ CASADI_SYMBOL_EXPORT int zk_follow(Leg *leg) {
             }
             memcpy(after, found.after, sizeof after);
             memcpy(leg->coefficients, found.coefficients, sizeof found.coefficients);
-            memcpy(leg->polynomials + leg->n_recorded * N_S * N_Y, found.coefficients,
+            memcpy(leg->polynomials + leg->n_polynomials * N_S * N_Y, found.coefficients,
                    sizeof found.coefficients);
+            leg->n_polynomials++;
             memcpy(told, found.told + 2, sizeof told);
             step.coefficients = leg->coefficients;
             leg->last_size = size;
@@ -596,7 +601,10 @@ CASADI_SYMBOL_EXPORT int zk_follow(Leg *leg) {
         if (leg->on_guard) {
             double change = greater(leg->largest_change, fabs(pair[1]) * size);
             leg->largest_change = greater(change, fabs(told[2]) * size);
-            if (told[1] < -greater(LEAVES * leg->largest_change, leg->rounding)) return LEFT;
+            if (told[1] < -greater(LEAVES * leg->largest_change, leg->rounding)) {
+                memcpy(leg->end, leg->y, sizeof leg->end);
+                return LEFT;
+            }
             leg->on_guard = told[1] <= 0.0;
         }
         leg->guard[0] = told[1];
