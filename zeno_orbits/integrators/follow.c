@@ -22,6 +22,7 @@ typedef struct {
     const double *before, *after, *guard_after;
     const double *coefficients; /* of an implicit step, else null */
     double size;
+    double *ended; /* where the last implicit step from its start ended, and the state there */
 } Step;
 
 typedef struct {
@@ -131,9 +132,23 @@ static void true_end(const Step *step, double offset, double *state, double *pai
         memcpy(state, found.after, sizeof found.after);
         pair[0] = found.told[3];
         pair[1] = found.told[4];
+        step->ended[0] = offset;
+        memcpy(step->ended + 1, found.after, sizeof found.after);
         return;
     }
     dense(step, offset, state, pair);
+}
+
+/* The state at the end of a leg. From so near a true end a tangent is right to rounding. */
+static void leg_end(const Step *step, double offset, double *state) {
+    double shift = offset - step->ended[0], slope[N_Y], pair[2];
+    int i;
+    if (!(fabs(shift) <= DOUBLES * step->size)) {
+        true_end(step, offset, state, pair);
+        return;
+    }
+    rate_at(step->leg, step->ended + 1, slope);
+    for (i = 0; i < N_Y; i++) state[i] = step->ended[1 + i] + shift * slope[i];
 }
 
 enum { DENSE, TRUE_END, DENSE_RATE };
@@ -530,8 +545,8 @@ CASADI_SYMBOL_EXPORT int zk_follow(Leg *leg) {
     }
     while (leg->n_recorded < leg->capacity) {
         double told[3], after[N_Y], fall, end, error, factor, *row;
-        double size = leg->size, pair[2] = {leg->guard[0], leg->guard[1]};
-        Step step = {leg, leg->y, after, told + 1, 0, size};
+        double size = leg->size, pair[2] = {leg->guard[0], leg->guard[1]}, ended[1 + N_Y] = {NAN};
+        Step step = {leg, leg->y, after, told + 1, 0, size, ended};
         if (leg->implicit) {
             double ratio = leg->has_last ? size / leg->last_size : 0.0;
             int solved = implicit_step(leg, leg->y, size, leg->has_last ? leg->coefficients : 0,
@@ -582,7 +597,7 @@ CASADI_SYMBOL_EXPORT int zk_follow(Leg *leg) {
         if (leg->time + end >= leg->horizon || !isnan(fall)) {
             int over = leg->time + end >= leg->horizon;
             leg->offset = over ? leg->horizon - leg->time : fall;
-            true_end(&step, leg->offset, leg->end, leg->guard);
+            leg_end(&step, leg->offset, leg->end);
             return over ? HORIZON : FALL;
         }
         if (leg->switches && !leg->implicit &&
