@@ -232,7 +232,7 @@ def _limit(nodes: tuple[TailEstimate, ...]) -> tuple[float, Vector]:
     It is kept: what one impact gives is what the next one's limit is held against.
     """
     weights = limit_weights([node.speed for node in nodes])
-    time = sum(weight * node.time for weight, node in zip(weights, nodes, strict=True))
+    time = sum([weight * node.time for weight, node in zip(weights, nodes, strict=True)])
     state = np.array(weights) @ np.array([node.state for node in nodes])
     state.flags.writeable = False
     return time, state
