@@ -26,6 +26,7 @@ from .events import SteppedTrajectory as SteppedTrajectory
 from .flow import GuardedFlow as GuardedFlow
 from .flow import PlainFlow as PlainFlow
 from .flow import Tolerance as Tolerance
+from .leg_source import fall_source as fall_source
 from .leg_source import follow_source as follow_source
 from .radau import Radau as Radau
 from .radau_step import implicit_expressions as implicit_expressions

@@ -3,6 +3,7 @@ from .compiler import Compiler as Compiler
 from .folder import KernelFolder as KernelFolder
 from .folder import kernel_folder as kernel_folder
 from .library import KernelLibrary as KernelLibrary
+from .library import address_of as address_of
 from .requests import Kernels as Kernels
 from .requests import Recipe as Recipe
 from .requests import KernelSource as KernelSource
