@@ -298,7 +298,8 @@ class _Start:
         self, lanes: Rows, size: Vector, before: Vector, after: Vector, on_guard: Mask
     ) -> Vector:
         """Return where in their steps the guards of some of the lanes fall, NaN elsewhere."""
-        numbers = np.column_stack([size, self.tolerance[lanes], on_guard, before, after])
+        told = on_guard.astype(np.float64)
+        numbers = np.column_stack([size, self.tolerance[lanes], told, before, after])
         falls = self.flow.falls(self.y[lanes], self.p[lanes], numbers)
         if falls is not None:
             return falls
