@@ -13,6 +13,8 @@ _PATIENCE = 1.0
 """Work shorter than this prints nothing [s]."""
 _TELLING = 2.0
 """Time in a stage before its pace tells how long it will take [s]."""
+_TOLD, _LATE = 0.01, 60.0
+"""A part below this tells it later, as workers take their time to start [s]."""
 _RARER = 0.1
 """A file gets no more lines than one in this part of the time so far."""
 _SILENCE = 2.0
@@ -39,7 +41,7 @@ class _TimeLeft:
             self._began, self._left = now, math.inf
         self._part = part
         passed = now - self._began
-        if part > 0.0 and passed >= _TELLING:
+        if part > 0.0 and passed >= (_TELLING if part >= _TOLD else _LATE):
             self._left = min(self._left, passed * (1.0 - part) / part)
         return self._left
 
