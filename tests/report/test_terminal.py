@@ -168,6 +168,20 @@ def test_the_time_left_is_not_told_by_a_trace_of_the_work_while_workers_start(
         assert ("left" in capsys.readouterr().err) == told
 
 
+def test_work_that_turns_out_to_be_more_does_not_begin_the_time_left_anew(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clock = Clock()
+    monkeypatch.setattr(progress, "time", clock)
+    monkeypatch.setattr(progress, "_PATIENCE", 1.0)
+    line = progress.ProgressLine(lambda: None)
+    for now, part in ((90.0, 0.4), (95.0, 0.399), (110.0, 0.4001), (150.0, 0.45)):
+        clock.now = now
+        line(f"points at {now}", part)
+        # 90 s for 40 % leave 135 s, which stand still while nothing goes on.
+        assert "about 2 min left" in capsys.readouterr().err
+
+
 def test_a_file_gets_a_line_when_something_is_new_and_a_sign_of_life_ever_more_rarely(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
