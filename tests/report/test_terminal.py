@@ -175,7 +175,7 @@ def test_work_that_turns_out_to_be_more_does_not_begin_the_time_left_anew(
     monkeypatch.setattr(progress, "time", clock)
     monkeypatch.setattr(progress, "_PATIENCE", 1.0)
     line = progress.ProgressLine(lambda: None)
-    for now, part in ((90.0, 0.4), (95.0, 0.399), (110.0, 0.4001), (150.0, 0.45)):
+    for now, part in ((90.0, 0.4), (105.0, 0.399), (130.0, 0.4001), (150.0, 0.45)):
         clock.now = now
         line(f"points at {now}", part)
         # 90 s for 40 % leave 135 s, which stand still while nothing goes on.
