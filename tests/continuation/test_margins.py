@@ -61,9 +61,9 @@ def family_in_the_force(box: tuple[float, float], steps: FamilySteps, **numbers:
     ("box", "steps"),
     [
         ((0.7, 1.5), DEFAULT),
-        ((0.5, 1.5), SHORT),
+        pytest.param((0.5, 1.5), SHORT, marks=pytest.mark.slow),
         ((0.5, 1.5), LONG),
-        ((0.79, 1.01), DEFAULT),
+        pytest.param((0.79, 1.01), DEFAULT, marks=pytest.mark.slow),
         ((0.79, 1.01), LONG),
     ],
 )

@@ -85,22 +85,24 @@ class Batch:
             self._transitions.admit(rows, x)
         return rows
 
-    def start_released(
+    def resume(
         self, p: Vector, x: Vector, tolerance: float, until: Vector, *, n_followers: int
     ) -> Rows:
-        """Start lanes from release states, the first of each `n_followers + 1` the leader.
+        """Start lanes from states on the stop, the first of each `n_followers + 1` the leader.
+
+        A motion goes on from there as it does after a release, or after an impact that may be
+        followed by slower ones of the same sequence.
 
         Args:
             p: Gains and parameters, ``(n, n_p)``.
-            x: Release states, ``(n, n_x)``.
+            x: States at a release or just after an impact, ``(n, n_x)``.
             tolerance: Local error allowed.
             until: When they end [s], ``(n,)``.
             n_followers: Lanes that follow each leader.
         """
         rows = self._take(p, tolerance, until, n_followers + 1)
         with np.errstate(all="ignore"):
-            time, unit = np.zeros(len(rows)), np.ones(len(rows))
-            self._transitions.begin(rows, FREE, time, x, unit, on_guard=True)
+            self._transitions.resume(rows, x)
         return rows
 
     def stop(self, lanes: Sequence[int]) -> None:
