@@ -1,5 +1,9 @@
 from .automatic import Automatic as Automatic
+from .automatic import PAYS as PAYS
 from .automatic import decay_rates as decay_rates
+from .automatic import flow_eigenvalues as flow_eigenvalues
+from .automatic import rates_of as rates_of
+from .automatic import staying_rate as staying_rate
 from .casadi_to_heyoka import heyoka_is_installed as heyoka_is_installed
 from .collocation import Collocation as Collocation
 from .collocation import lagrange_basis as lagrange_basis
@@ -23,8 +27,12 @@ from .engines import Selective as Selective
 from .engines import engine_named as engine_named
 from .engines import installed_engines as installed_engines
 from .events import SteppedTrajectory as SteppedTrajectory
+from .flow import Corrected as Corrected
+from .flow import FIRST_ITERATIONS as FIRST_ITERATIONS
 from .flow import GuardedFlow as GuardedFlow
+from .flow import NewtonPieces as NewtonPieces
 from .flow import PlainFlow as PlainFlow
+from .flow import StageGuess as StageGuess
 from .flow import Tolerance as Tolerance
 from .leg_source import fall_source as fall_source
 from .leg_source import follow_source as follow_source

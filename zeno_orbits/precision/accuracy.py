@@ -16,8 +16,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, PenetrationError, SimulationError
-from zeno_orbits.integrators import Tolerance
-from zeno_orbits.integrators.automatic import PAYS, flow_eigenvalues, rates_of, staying_rate
+from zeno_orbits.integrators import PAYS, Tolerance, flow_eigenvalues, rates_of, staying_rate
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.orbits import at_looser_tolerance
 from zeno_orbits.precision.landmark import ROUNDING, difference, sizes

@@ -23,7 +23,7 @@ from zeno_orbits.proof.stage import Departure, ProofRecord, ProofStage
 _SPARE = 1.05
 """How much wider than found a window is given, so that another arithmetic finds it wide enough."""
 _LEAST_WINDOW = arb(2) ** -110
-"""Least half width of a window [s]: a checker of fixed point must tell the guard from zero."""
+"""Least half width of a window, per period: a checker of fixed point must tell the guard from 0."""
 _TRIES = 12
 
 
@@ -68,13 +68,14 @@ def cross(
     """
     claim = "release" if stage.departure is Departure.LOCKED else "impact"
     guard, locked = _guard(system, stage.departure), stage.departure is Departure.LOCKED
-    a_m, b_m = _window(guard, step, guess, lambda t: step.point(series, t), None, claim)
+    least = _LEAST_WINDOW * system.period
+    a_m, b_m = _window(guard, step, guess, lambda t: step.point(series, t), None, claim, least)
     middle = joined(a_m, b_m)
 
     def spread(time: Ball) -> list[Ball]:
         return product(step.derivative(time), stage.at.deviation)
 
-    a, b = _window(guard, step, guess, lambda t: step.point(series, t), spread, claim)
+    a, b = _window(guard, step, guess, lambda t: step.point(series, t), spread, claim, least)
     a, b = _lesser(a, a_m), _greater(b, b_m)
     window = joined(a, b)
     whole = step.derivative(window)
@@ -110,6 +111,7 @@ def _window(
     point: Callable[[Ball], list[Ball]],
     spread: Callable[[Ball], list[Ball]] | None,
     claim: str,
+    least: Ball,
 ) -> tuple[Ball, Ball]:
     """Return two exact times around a guess, the guard positive at the first, negative then."""
 
@@ -127,7 +129,7 @@ def _window(
     for _ in range(3):
         guess = (guess - value(guess) / speed).mid()
     here = value(guess)
-    half = abs(here / speed).abs_upper() * _SPARE + _LEAST_WINDOW
+    half = abs(here / speed).abs_upper() * _SPARE + least
     for _ in range(_TRIES):
         half = half.mid()
         a, b = (guess - half).mid(), (guess + half).mid()

@@ -159,7 +159,7 @@ class ArcFollower:
         if self._n_steps > self.most_steps:
             raise SimulationError(
                 f"The execution needs more than {counted(self.most_steps, 'step')}: "
-                "raise `most_steps`, or simulate a shorter time",
+                "raise `most_steps` (--most-steps), or simulate a shorter time",
                 time=self._start + self._unit * offset,
                 state=tuple(y.tolist()),
             )

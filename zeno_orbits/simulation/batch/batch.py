@@ -85,22 +85,24 @@ class Batch:
             self._transitions.admit(rows, x)
         return rows
 
-    def start_released(
+    def resume(
         self, p: Vector, x: Vector, tolerance: float, until: Vector, *, n_followers: int
     ) -> Rows:
-        """Start lanes from release states, the first of each `n_followers + 1` the leader.
+        """Start lanes from states on the stop, the first of each `n_followers + 1` the leader.
+
+        A motion goes on from there as it does after a release, or after an impact that may be
+        followed by slower ones of the same sequence.
 
         Args:
             p: Gains and parameters, ``(n, n_p)``.
-            x: Release states, ``(n, n_x)``.
+            x: States at a release or just after an impact, ``(n, n_x)``.
             tolerance: Local error allowed.
             until: When they end [s], ``(n,)``.
             n_followers: Lanes that follow each leader.
         """
         rows = self._take(p, tolerance, until, n_followers + 1)
         with np.errstate(all="ignore"):
-            time, unit = np.zeros(len(rows)), np.ones(len(rows))
-            self._transitions.begin(rows, FREE, time, x, unit, on_guard=True)
+            self._transitions.resume(rows, x)
         return rows
 
     def stop(self, lanes: Sequence[int]) -> None:
@@ -258,9 +260,9 @@ class Batch:
             x[:, :, model.clock] = _turned(x[:, 0, model.clock], turn)
             step = turn[1] / self._clock_rate(mode, rows)
         flat = x.reshape(-1, model.n_x)
-        rates = flow.rate(flat, p)[:, : 2 * model.n_q].reshape(len(rows), n_phases, -1)
-        zero = self.settings.contact * model.own.rates(model.n_q)
-        rests = is_still(rates, lanes.largest_rate[rows], zero)
+        rates = flow.rate(flat, p)[:, model.moving].reshape(len(rows), n_phases, -1)
+        zero = self.settings.contact * model.own.rates(model.n_q, model.n_x)[model.moving]
+        rests = is_still(rates, lanes.largest_rate[rows][:, model.moving], zero)
         if mode == LOCKED and n_phases > 1:
             guard = flow.guard(flat, p).reshape(len(rows), n_phases, 2)
             rests &= keeps_holding(guard[:, :, 0], guard[:, :, 1], step)

@@ -153,6 +153,11 @@ class BatchModel:
         """Number of states."""
         return len(self.state_names)
 
+    @property
+    def moving(self) -> list[int]:
+        """Places of all states but the clock: of those that stand still where a motion rests."""
+        return [k for k in range(self.n_x) if k not in self.clock]
+
 
 def batch_model(compiled: CompiledSystem, own: OwnScale = USUAL) -> BatchModel:
     """Return the functions of a compiled problem for many rows.
