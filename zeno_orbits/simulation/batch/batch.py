@@ -190,13 +190,8 @@ class Batch:
         looked = true_rows(wanted & may_fall(size, before, guard, on_guard))
         falls = np.full(len(rows), np.nan)
         if len(looked):
-            falls[looked] = first_falls(
-                lambda at, offset: start.steps(looked[at], offset)[2],
-                size[looked],
-                before[looked],
-                guard[looked],
-                on_guard[looked],
-            )
+            step = (size[looked], before[looked], guard[looked], on_guard[looked])
+            falls[looked] = start.falls(looked, *step)
         return falls
 
     def _go_on(self, mode: int, rows: Rows, after: Vector, guard: Vector, size: Vector) -> None:
@@ -300,6 +295,21 @@ class _Start:
     def steps(self, at: Rows | slice, size: Vector) -> tuple[Vector, Vector, Vector]:
         """Return states, errors and guards after steps of some of the lanes."""
         return self.flow.attempt(self.y[at], self.p[at], size, self.tolerance[at])
+
+    def falls(
+        self, lanes: Rows, size: Vector, before: Vector, after: Vector, on_guard: Mask
+    ) -> Vector:
+        """Return where in their steps the guards of some of the lanes fall, NaN elsewhere."""
+        told = on_guard.astype(np.float64)
+        numbers = np.column_stack([size, self.tolerance[lanes], told, before, after])
+        falls = self.flow.falls(self.y[lanes], self.p[lanes], numbers)
+        if falls is not None:
+            return falls
+
+        def dense(at: Rows, offset: Vector) -> Vector:
+            return self.steps(lanes[at], offset)[2]
+
+        return first_falls(dense, size, before, after, on_guard)
 
 
 def _followed(start: _Start, lanes: Rows, offset: Vector) -> Vector:
