@@ -175,7 +175,7 @@ def test_who_wants_none_gets_none(folder: Path, monkeypatch: pytest.MonkeyPatch)
 def test_how_steps_were_taken_is_told_beside_taylors_method_where_that_is_there(
     there: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(requests, "find_spec", lambda name: object() if there else None)
+    monkeypatch.setattr(requests, "find_spec", lambda _: object() if there else None)
     assert account() == ""
     Kernels(wave()).library()
     assert account().endswith("as fast as `--engine taylor` and sooner ready") == there
