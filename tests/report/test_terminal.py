@@ -155,6 +155,33 @@ def test_the_time_left_only_falls_within_a_stage_and_begins_anew_with_the_next(
     assert left[1][0] > left[0][-1]
 
 
+def test_the_time_left_is_not_told_by_a_trace_of_the_work_while_workers_start(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clock = Clock()
+    monkeypatch.setattr(progress, "time", clock)
+    monkeypatch.setattr(progress, "_PATIENCE", 1.0)
+    line = progress.ProgressLine(lambda: None)
+    for now, part, told in ((30.0, 1e-4, False), (40.0, 0.02, True), (80.0, 0.04, True)):
+        clock.now = now
+        line("points", part)
+        assert ("left" in capsys.readouterr().err) == told
+
+
+def test_work_that_turns_out_to_be_more_does_not_begin_the_time_left_anew(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clock = Clock()
+    monkeypatch.setattr(progress, "time", clock)
+    monkeypatch.setattr(progress, "_PATIENCE", 1.0)
+    line = progress.ProgressLine(lambda: None)
+    for now, part in ((90.0, 0.4), (105.0, 0.399), (130.0, 0.4001), (150.0, 0.45)):
+        clock.now = now
+        line(f"points at {now}", part)
+        # 90 s for 40 % leave 135 s, which stand still while nothing goes on.
+        assert "about 2 min left" in capsys.readouterr().err
+
+
 def test_a_file_gets_a_line_when_something_is_new_and_a_sign_of_life_ever_more_rarely(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -72,10 +72,17 @@ def add_rig(commands: Any) -> None:
         "--only",
         action="append",
         choices=(*_PARTS, "contact"),
-        help="use this part only, beside the contact; may be repeated; by default all parts",
+        metavar="PART",
+        help=f"use this part only, beside the contact ({', '.join(_PARTS)}, or only contact); may "
+        "be repeated; by default all parts",
     )
     parser.add_argument(
-        "--without", action="append", default=[], choices=_PARTS, help="leave out a part"
+        "--without",
+        action="append",
+        default=[],
+        choices=_PARTS,
+        metavar="PART",
+        help="leave out a part; may be repeated",
     )
     parser.add_argument(
         "--exact", action="store_true", help="follow the bridge's pulses edge by edge"

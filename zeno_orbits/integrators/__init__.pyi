@@ -21,6 +21,7 @@ from .engine import Step as Step
 from .engine import Stepper as Stepper
 from .engine import Trajectory as Trajectory
 from .engine import Watch as Watch
+from .engine import light_value as light_value
 from .engines import ENGINES as ENGINES
 from .engines import Selective as Selective
 from .engines import engine_named as engine_named
@@ -33,6 +34,7 @@ from .flow import NewtonPieces as NewtonPieces
 from .flow import PlainFlow as PlainFlow
 from .flow import StageGuess as StageGuess
 from .flow import Tolerance as Tolerance
+from .leg_source import fall_source as fall_source
 from .leg_source import follow_source as follow_source
 from .radau import Radau as Radau
 from .radau_step import implicit_expressions as implicit_expressions

@@ -39,6 +39,7 @@ from .numeric.compiled_flow import renamed as renamed
 from .numeric.derivatives import Differentials as Differentials
 from .numeric.derivatives import FlowDifferential as FlowDifferential
 from .numeric.hybrid_dynamics import HybridDynamics as HybridDynamics
+from .numeric.hybrid_dynamics import Resting as Resting
 from .numeric.own_scale import constraint_sizes as constraint_sizes
 from .numeric.own_scale import own_time as own_time
 from .problem import Problem as Problem

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -63,9 +64,15 @@ class OwnScale:
 
     def states(self, n_x: int) -> Vector:
         """Return the size of each state, ``(n_x,)``."""
-        sizes = np.ones(n_x)
-        sizes[: len(self.sizes)] = self.sizes
-        return sizes
+        return _filled(self.sizes, n_x)
+
+
+@lru_cache(maxsize=64)
+def _filled(first: tuple[float, ...], n: int) -> Vector:
+    sizes = np.ones(n)
+    sizes[: len(first)] = first
+    sizes.flags.writeable = False
+    return sizes
 
 
 USUAL = OwnScale()

@@ -144,7 +144,7 @@ def _orthogonal(directions: Vector) -> Vector:
     return np.asarray(qr(directions / largest, pivoting=True)[0], dtype=np.float64)
 
 
-_NEW_WIDER = 2.5
+_NEW_WIDER = 1.25
 """How much wider than found a derivative is given, so that another arithmetic finds it, too."""
 
 

@@ -123,6 +123,8 @@ sizes: Any = np.frompyfunc(lambda x: x.size, 1, 1)
 middles: Any = np.frompyfunc(lambda x: Ball(x.m, 0, x.bits), 1, 1)
 around_zero: Any = np.frompyfunc(lambda x: Ball(0, x.size, x.bits), 1, 1)
 """All reals of at most that size."""
+with_zero: Any = np.frompyfunc(Ball.with_zero, 1, 1)
+"""Hulls of balls and zero."""
 exactly: Any = np.frompyfunc(lambda x, bits: Ball(int(x) << bits, 0, bits), 2, 1)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -22,6 +22,7 @@ from zeno_orbits.proof.checker.balls import (
     radii,
     require,
     solved,
+    with_zero,
 )
 from zeno_orbits.proof.checker.series import complex_values, interval, taylor, upper
 from zeno_orbits.proof.checker.system import CONTACT, FREE, IMPULSE, LAW, System
@@ -118,19 +119,29 @@ class Flow:
         ):
             raise InputError(f"The certificate's orders must be from 1 to {_HIGHEST}.")
         rates = slow | system.variational[mode]
-        series = taylor(graph, rates, system.at(old.hull), self.h, low)
-        reach = {v: _hull(series[v]) for v in rates}
+        moving = np.array([slow[v] is not None for v in system.z])
+
+        def terms(z: Array, order: int) -> Array:
+            """Return the coefficients of the states and of their derivative, ``(N, 1 + N, k)``."""
+            found = taylor(graph, rates, system.at(z), self.h, order)
+            places = zip(system.z, system.V, strict=True)
+            return np.array([[found[v] for v in (z, *row)] for z, row in places], dtype=object)
+
+        known = terms(old.hull, low)
+        reach = _hull(known)
         for _ in range(_SWEEPS):
-            box = {v: x if rates[v] is None else _wider(x) for v, x in reach.items()}
-            last = taylor(graph, rates, system.constants | box, self.h, low + 1)
-            reach = {v: _hull([*series[v], last[v][-1]]) for v in rates}
-            moving = (v for v, rate in rates.items() if rate is not None)
-            if all(box[v].low < reach[v].low and reach[v].high < box[v].high for v in moving):
+            box = reach.copy()
+            box[moving] = _wider(reach[moving])
+            # A derivative's coefficient is that of the flow from there, times the derivative.
+            rest = terms(box[:, 0], low + 1)[..., -1:]
+            rest[:, 1:, 0] = rest[:, 1:, 0] @ box[:, 1:]
+            series = np.concatenate([known, rest], axis=2)
+            reach = _hull(series)
+            if np.all(_inside(reach[moving], box[moving])):
                 break
         else:
             raise NotProved("there is no a-priori box")
-        self.box = np.array([reach[v] for v in system.z], dtype=object)
-        self._slope = np.array([[(*series[v], last[v][-1]) for v in row] for row in system.V])
+        self.box, self._slope = reach[:, 0], series[:, 1:]
         point = taylor(graph, slow, system.at(old.m), self.h, high)
         ends = taylor(graph, slow, system.at(self.box), self.h, high + 1)
         self._point = np.array([(*point[v], ends[v][-1]) for v in system.z])
@@ -142,14 +153,14 @@ class Flow:
         return point, slope, point + slope @ old.Q @ old.r + slope @ old.derivative @ old.spread
 
 
-def _hull(series: Sequence[Ball]) -> Ball:
-    """Return the sum of all terms over a step."""
-    return sum((c.with_zero() for c in series[1:]), series[0])
+def _hull(series: Array) -> Array:
+    """Return the sums of all terms over a step; orders are on the last axis."""
+    return series[..., 0] + with_zero(series[..., 1:]).sum(axis=-1)
 
 
-def _wider(x: Ball) -> Ball:
-    """Return an interval that is wider by a part of it, and by some units."""
-    return Ball(x.m, x.r + x.r // 8 + (1 << 20), x.bits)
+_wider: Any = np.frompyfunc(lambda x: Ball(x.m, x.r + x.r // 8 + (1 << 20), x.bits), 1, 1)
+"""Intervals that are wider by a part of themselves, and by some units."""
+_inside: Any = np.frompyfunc(lambda x, y: y.low < x.low and x.high < y.high, 2, 1)
 
 
 def _horner(series: Array, part: Ball) -> Array:

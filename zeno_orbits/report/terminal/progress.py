@@ -13,6 +13,10 @@ _PATIENCE = 1.0
 """Work shorter than this prints nothing [s]."""
 _TELLING = 2.0
 """Time in a stage before its pace tells how long it will take [s]."""
+_ANEW = 0.5
+"""A part that falls below this much of the last one belongs to another stage."""
+_TOLD, _LATE = 0.01, 60.0
+"""A part below this tells it later, as workers take their time to start [s]."""
 _RARER = 0.1
 """A file gets no more lines than one in this part of the time so far."""
 _SILENCE = 2.0
@@ -35,11 +39,12 @@ class _TimeLeft:
             now: Time since the start [s].
             part: The part of the stage that is done, in [0, 1]; the next stage begins with less.
         """
-        if part < self._part:
-            self._began, self._left = now, math.inf
-        self._part = part
+        if part < _ANEW * self._part:
+            self._began, self._left, self._part = now, math.inf, part
+        # Work that is found to be more than was thought is no new stage.
+        self._part = part = max(part, self._part)
         passed = now - self._began
-        if part > 0.0 and passed >= _TELLING:
+        if part > 0.0 and passed >= (_TELLING if part >= _TOLD else _LATE):
             self._left = min(self._left, passed * (1.0 - part) / part)
         return self._left
 

@@ -169,6 +169,18 @@ class Transitions:
         still = well & (gap <= small) & (np.abs(rate) <= small_rate)
         self._rest(rows[still], time[still], x[still])
 
+    def resume(self, rows: Rows, x: Vector) -> None:
+        """Start lanes at time 0 at a release, or in a sequence of impacts, just after one."""
+        p = self.lanes.p[rows, :-1]
+        rate = self.model.contact(x, p)[0][:, GAP_RATE]
+        flies = (rate > self.settings.contact * self.model.own.gap_rate)[self.lead(rows)]
+        time, unit = np.zeros(len(rows)), np.ones(len(rows))
+        at = ~flies
+        self.begin(rows[at], FREE, time[at], x[at], unit[at], on_guard=True)
+        state, acceleration, flow = self.model.resting(x[flies], p[flies])
+        resting = state, acceleration[:, 0], flow
+        self._accumulate(rows[flies], time[flies], x[flies], rate[flies], resting)
+
     def arrive(self, mode: int, rows: Rows, time: Vector, y: Vector, guard: Vector) -> None:
         """Apply the event that the fall of a guard means.
 
