@@ -260,7 +260,7 @@ def test_an_extreme_that_no_sample_falls_on_is_the_orbits_there_with_the_deviati
     values = own.fine[:, :, 0].max(axis=1)
     at, highest = int(np.argmax(values)), float(values.max())
     counts = np.zeros((6, N_BINS))
-    # The same phases in every cycle, the top between two of them; it deviates by less than it bends.
+    # The same phases in every cycle, the top between two; they deviate by less than it bends.
     counts[:, (at - 3) % 6 :: 6] = 1.0
     sums = np.zeros_like(counts)
     deviation = 0.1 * (highest - float(max(values[at - 3], values[(at + 3) % N_BINS])))

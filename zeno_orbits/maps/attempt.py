@@ -284,12 +284,14 @@ class Attempt:
     def _shorter_period(self) -> int:
         """Return after how many returns Newton's method is at its end already.
 
-        The returns of the last step lie beside the orbit, as its start did: how far one is from
-        that start alone does not tell.
+        The returns of the last step lie beside the orbit, as its start did: that one is near that
+        start does not tell alone. Nor do coordinates: of a return from elsewhere there may be none.
         """
         lanes = [self.returns[rank] for rank in sorted(self.returns)]
+        start, scale = self.bundle.section.centre, self.bundle.section.scale
         for period in range(1, self.period):
-            if self.period % period:
+            away = float(np.max(np.abs(lanes[0][period - 1].state - start) / scale))
+            if self.period % period or not away < self.accuracy.near:
                 continue
             cycles = [self.crossing.cycle(self.dynamics, events[:period]) for events in lanes]
             try:

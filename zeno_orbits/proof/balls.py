@@ -41,7 +41,7 @@ def middle(x: Ball) -> Ball:
     return arb(float(x.mid()))
 
 
-def radius_of(x: Ball) -> Ball:
+def half_width(x: Ball) -> Ball:
     """Return the radius of a ball, exact."""
     return x.rad()
 

@@ -11,7 +11,7 @@ from zeno_orbits.model import Problem
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.proof.ball_system import BallSystem, require_proved
 from zeno_orbits.proof.balls import Ball, exact_text, product
-from zeno_orbits.proof.judgement import JudgedBox
+from zeno_orbits.proof.fixed_point import JudgedBox
 from zeno_orbits.proof.theorem import Bounds, MultiplierDisc, ProvedInterval
 
 CLOSE = 1e-8

@@ -15,7 +15,7 @@ import flint
 from zeno_orbits.errors import ProofError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.proof.ball_system import BallSystem
-from zeno_orbits.proof.balls import ZERO, Ball, Matrix, exact_text, mapped, radius_of
+from zeno_orbits.proof.balls import ZERO, Ball, Matrix, exact_text, half_width, mapped
 from zeno_orbits.proof.expressions import operation_name
 from zeno_orbits.proof.section import SectionStart
 from zeno_orbits.proof.sets import BallSet
@@ -90,7 +90,7 @@ class CertificateWriter:
             "C": _texts_by(one.C, self._units, self._inputs),
             "Q": _texts_by(one.frame, self._units, ones),
             "r": [exact_text(x.rad()) for x in one.r],
-            "R": _texts_by(mapped(one.R, radius_of), ones, self._inputs),
+            "R": _texts_by(mapped(one.R, half_width), ones, self._inputs),
         }
 
     def record(self, one: ProofRecord) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from zeno_orbits.orbits import ZenoOrbit, digest_of, same_equations
 from zeno_orbits.proof.ball_system import BallSystem, require_proved
 from zeno_orbits.proof.claims import CLOSE, claims_of, proof_bounds, require_numbers
 from zeno_orbits.proof.expressions import stop_identities
-from zeno_orbits.proof.judgement import JudgedBox, judge
+from zeno_orbits.proof.fixed_point import JudgedBox, judge
 from zeno_orbits.proof.program import BallProgram
 from zeno_orbits.proof.proof_file import certificate, proof_versions
 from zeno_orbits.proof.section import SectionStart, section_places, start_on_section
@@ -26,6 +26,8 @@ from zeno_orbits.work import Progress, silent
 
 _RADII = (1e-9, 1e-12)
 """Radii of the box that are tried, per size of a coordinate."""
+_ATTEMPTS = 3
+"""How often other boxes are tried that a failure suggests."""
 _REFINEMENTS = 8
 _FINE = 4e-15
 """Radius of the box from which the digits are taken, per size of a coordinate."""
@@ -152,7 +154,7 @@ def _found(
     sizes = [max(abs(y[k]), 1e-3) for k in places]
     tried = _RADII if settings.radius is None else (settings.radius,)
     radii = [[share * size for size in sizes] for share in tried]
-    failure = ProofError("exists", "no box was tried")
+    failure, attempts = ProofError("exists", "no box was tried"), _ATTEMPTS
     centre = [arb(value) for value in y]
     while radii:
         box = radii.pop(0)
@@ -175,8 +177,8 @@ def _found(
         if judged.judged is not None:
             return judged.judged
         failure = ProofError("exists", judged.reason)
-        if judged.needed:
-            radii = [judged.needed]
+        if judged.needed and attempts:
+            radii, attempts = judged.needed, attempts - 1
     raise failure
 
 

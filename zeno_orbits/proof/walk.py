@@ -15,10 +15,9 @@ from flint import arb
 from zeno_orbits.errors import ProofError
 from zeno_orbits.proof.ball_system import BallSystem
 from zeno_orbits.proof.balls import ZERO, Ball, product
-from zeno_orbits.proof.crossing import cross
+from zeno_orbits.proof.crossing import cross, meeting_guess
 from zeno_orbits.proof.flow import BallFlow, FlowStep, enclose
 from zeno_orbits.proof.impacts import settle_impacts, strike
-from zeno_orbits.proof.meeting import meeting_guess
 from zeno_orbits.proof.stage import BallTime, Departure, ProofRecord, ProofStage
 
 _SHORTEST = 1e-5

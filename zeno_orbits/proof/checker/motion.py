@@ -89,7 +89,13 @@ class Place(NamedTuple):
 
 
 def require_enclosed(old: Enclosure, mapped: Mapped, new: Enclosure) -> None:
-    """Check that a set holds what a record makes of the one before it."""
+    """Check that a set holds what a record makes of the one before it.
+
+    Args:
+        old: The set before the record.
+        mapped: What the record makes of it.
+        new: The set after the record.
+    """
     slope = mapped.slope
     parts = [(mapped.point - new.m)[:, None], slope @ old.C - new.C, slope @ old.Q]
     # Elimination on intervals would wrap them at every row: it is done on numbers alone.
@@ -172,7 +178,14 @@ def _horner(series: Array, part: Ball) -> Array:
 
 
 def stepped(system: System, place: Place, old: Enclosure, record: Mapping[str, Any]) -> Mapped:
-    """Prove one whole step in one mode."""
+    """Prove one whole step in one mode.
+
+    Args:
+        system: What the certificate is about.
+        place: Where in the motion the record stands.
+        old: The set before it.
+        record: Its entries.
+    """
     flow = Flow(system, place.mode, old, record)
     point, slope, box = flow.at(flow.h)
     _require_apart(system, place, flow, box)
@@ -183,6 +196,12 @@ def crossed(system: System, place: Place, old: Enclosure, record: Mapping[str, A
     """Prove the crossing of the guard in a last step: the gap closes, or the multiplier vanishes.
 
     With ``g`` the guard, the derivative is ``(1 - f grad g / (grad g . f)) D phi``.
+
+    Args:
+        system: What the certificate is about.
+        place: Where in the motion the record stands.
+        old: The set before it.
+        record: Its entries.
     """
     flow = Flow(system, place.mode, old, record)
     bits, free = system.bits, place.mode == "free"
@@ -242,7 +261,14 @@ def _require_apart(
 
 
 def struck(system: System, _: Place, old: Enclosure, __: Mapping[str, Any]) -> Mapped:
-    """Return the state after an impact: ``x - (1 + e) hdot d(x)``."""
+    """Return the state after an impact: ``x - (1 + e) hdot d(x)``.
+
+    Args:
+        system: What the certificate is about.
+        _: An impact is the same everywhere.
+        old: The set before it.
+        __: It has no entries.
+    """
     n_x, row, box = system.n_x, system.rate_row, old.hull
     e, at_point = system.value(LAW, box)[0], system.value(LAW, old.m)[0]
     e_slope, rate_slope = system.gradient(LAW, box)[0], system.identity[row] * system.unit
@@ -262,6 +288,12 @@ def accumulated(system: System, _: Place, old: Enclosure, record: Mapping[str, A
     """Return the Zeno point of all impacts to come, by the lemma of the Zeno tail.
 
     All bounds are upper ends of intervals of mpmath, over the complex polydisc of the record.
+
+    Args:
+        system: What the certificate is about.
+        _: A tail is the same everywhere.
+        old: The set before it.
+        record: Its entries.
     """
     bits, box, n_x, inner = system.bits, old.hull, system.n_x, system.inner
     speed, w = number(record["speed"], bits), system.gap_rate(box)

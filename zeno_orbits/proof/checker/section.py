@@ -106,6 +106,12 @@ def require_start(system: System, section: Section, box: Box, start: Enclosure) 
 
     Krawczyk's operator on the conditions, for all coordinates at once, proves that there is just
     one such point with its other states where they are looked for.
+
+    Args:
+        system: What the certificate is about.
+        section: Its section.
+        box: The box.
+        start: The set.
     """
     n, D = len(section.others), len(box.spread)
     inner = [*section.places, *system.inner[system.n_x :]]
