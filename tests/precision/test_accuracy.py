@@ -59,7 +59,6 @@ def _ball() -> HybridDynamics:
 @pytest.fixture(name="truth", scope="module")
 def _truth(problem: Problem) -> dict[str, list[tuple[float, Vector]]]:
     """Two and a half periods in extended precision: three Zeno points, two releases, the end."""
-    pytest.importorskip("heyoka")
     until = 2.5 * PERIOD
     state = (0.6, 0.0, 0.0, 0.0, 0.0)
     exact = extended_execution(problem, problem.values(), state, until=until, times=[until])
@@ -272,7 +271,6 @@ def off(found: ZenoPoint, truth: tuple[float, Vector]) -> float:
 def test_the_error_of_a_zeno_point_bounds_the_true_one(
     name: str, engine: str, relative: float
 ) -> None:
-    pytest.importorskip("heyoka")
     case = motion(name)
     settings = SimulationSettings(
         engine=ENGINES[engine], tolerance=Tolerance(relative=relative, absolute=relative / 10)
@@ -288,7 +286,6 @@ def test_the_error_of_a_zeno_point_bounds_the_true_one(
 
 def test_the_estimate_of_the_limit_alone_bounds_nothing_of_that() -> None:
     """What a Zeno point used to call its error is a billion times too small for a coarse run."""
-    pytest.importorskip("heyoka")
     case = motion("forced_oscillator")
     coarse = SimulationSettings(tolerance=Tolerance(relative=1e-4, absolute=1e-5))
     run = simulate(case.dynamics, case.start, until=case.until, settings=coarse)
@@ -297,7 +294,6 @@ def test_the_estimate_of_the_limit_alone_bounds_nothing_of_that() -> None:
 
 def test_two_runs_that_take_the_same_steps_are_not_taken_for_exact() -> None:
     """Collocation of order 13 goes through a flight in one step at either tolerance."""
-    pytest.importorskip("heyoka")
     case = motion("forced_oscillator")
     rough = Tolerance(relative=1e-4, absolute=1e-5)
     looser = Tolerance(relative=1e-2, absolute=1e-3)

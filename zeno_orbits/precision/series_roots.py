@@ -1,6 +1,6 @@
 r"""The first root of a polynomial on an interval, isolated without samples.
 
-Written in Bernstein's basis on ``[0, 1]``, a polynomial has no more roots in the interval than its
+In Bernstein's basis on ``[0, 1]`` a polynomial has no more roots in the interval than its
 coefficients have changes of sign (Descartes), so an interval without a change needs no further
 look, and one with a single change holds exactly one root. The rest is bisected, and so is what is
 too close to zero for its sign to be certain.
@@ -8,11 +8,11 @@ too close to zero for its sign to be certain.
 
 from __future__ import annotations
 
-from functools import cache
 from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from zeno_orbits.errors import InputError
 
@@ -24,10 +24,11 @@ _DEPTH = 46
 
 
 def first_root(coefficients: Coefficients) -> float | None:
-    r"""Return where :math:`\sum_k a_k u^k` first ceases to be positive in ``[0, 1]``, if it does.
+    r"""Return where a polynomial first ceases to be positive in ``[0, 1]``, if it does.
 
     Args:
-        coefficients: :math:`a_k`, ``(n + 1,)``.
+        coefficients: Those in Bernstein's basis,
+            :math:`\sum_k b_k \binom{n}{k} u^k (1 - u)^{n - k}`, ``(n + 1,)``.
 
     Returns:
         The root, to rounding; 0 if the polynomial is not positive there.
@@ -38,7 +39,7 @@ def first_root(coefficients: Coefficients) -> float | None:
     if not np.all(np.isfinite(coefficients)):
         raise InputError("Argument `coefficients` must be finite, but some are not.")
     noise = 4 * len(coefficients) * _ROUNDING * float(np.max(np.abs(coefficients)))
-    pieces = [(0.0, 1.0, _bernstein(len(coefficients) - 1) @ coefficients)]
+    pieces = [(0.0, 1.0, coefficients)]
     while pieces:
         left, right, values = pieces.pop()
         if values[0] <= 0.0:
@@ -47,7 +48,7 @@ def first_root(coefficients: Coefficients) -> float | None:
         if changes == 0 and (np.min(values) > noise or _leads_away(values, left)):
             continue
         if changes == 1 and values[-1] < 0.0:
-            return _bisect(coefficients, left, right)
+            return left + (right - left) * _only_root(values)
         middle = (left + right) / 2
         if right - left < 2.0**-_DEPTH:
             message = f"must have simple roots, but two meet near {middle:.6g}"
@@ -67,13 +68,6 @@ def _leads_away(values: Coefficients, left: float) -> bool:
     return (left == 0.0 and bool(np.all(steps > 0.0))) or bool(np.all(steps < 0.0))
 
 
-@cache
-def _bernstein(degree: int) -> Coefficients:
-    """Return the matrix from powers to Bernstein's basis: no entry is negative, or above one."""
-    rows = range(degree + 1)
-    return np.array([[comb(j, k) / comb(degree, k) for k in rows] for j in rows])
-
-
 def _sign_changes(values: Coefficients) -> int:
     signs = np.sign(values[values != 0.0])
     return int(np.count_nonzero(signs[1:] != signs[:-1]))
@@ -90,14 +84,12 @@ def _halves(values: Coefficients) -> tuple[Coefficients, Coefficients]:
     return np.array(first), np.array(second[::-1])
 
 
-def _bisect(coefficients: Coefficients, left: float, right: float) -> float:
-    """Return the one root between a positive and a negative value."""
-    descending = coefficients[::-1]
-    while True:
-        middle = (left + right) / 2
-        if not left < middle < right:
-            return middle
-        if float(np.polyval(descending, middle)) > 0.0:
-            left = middle
-        else:
-            right = middle
+def _only_root(values: Coefficients) -> float:
+    """Return the one root in ``[0, 1]`` between a positive and a negative end."""
+    n = len(values) - 1
+    powers, terms = np.arange(n + 1), values * [comb(n, k) for k in range(n + 1)]
+
+    def value(u: float) -> float:
+        return float(np.sum(terms * u**powers * (1.0 - u) ** powers[::-1]))
+
+    return float(brentq(value, 0.0, 1.0, xtol=1e-300, rtol=4 * _ROUNDING))

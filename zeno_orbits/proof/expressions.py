@@ -220,7 +220,9 @@ def _without_constants(
         elif code in table:
             work[place] = table[code](*(work[one] for one in takes))
         else:
-            raise TranslationError(operation_name(code), "which the prover does not know")
+            raise TranslationError(
+                operation_name(code), "which is not analytic, or has no rule for balls"
+            )
     return outputs, list(symbols.values()), list(symbols)
 
 
