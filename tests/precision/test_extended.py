@@ -20,6 +20,7 @@ from zeno_orbits.precision.extended import ExtendedExecution, extended_execution
 from zeno_orbits.precision.extended_fixed_point import extended_orbit
 from zeno_orbits.precision.extended_run import ExtendedRun, Trace
 from zeno_orbits.precision.extended_system import ExtendedSystem
+from zeno_orbits.simulation import simulate
 
 BALL = load_problem("bouncing_ball")
 G = 9.81
@@ -204,6 +205,18 @@ def test_a_holonomic_constraint_changes_no_digit() -> None:
         swing = extended_execution(problem, values, state, until=2.0, digits=25)
         ends.append(swing.zeno_points[0].time)
     assert abs(_mp(ends[0]) - _mp(ends[1])) < mp.mpf(10) ** -27
+
+
+def test_impacts_without_a_zeno_point_are_those_of_a_simulation() -> None:
+    problem = load_problem("impact_oscillator")
+    start, values = problem.state_vector(problem.starts[0]), problem.values()
+    motion = extended_execution(problem, values, start, until=20.0)
+    assert motion.error < 1e-20
+    found = simulate(problem.dynamics(values), start, until=20.0)
+    assert (len(motion.impacts), motion.zeno_points, motion.releases) == (3, (), ())
+    for exact, impact in zip(motion.impacts, found.impacts, strict=True):
+        # The simulator promises 1e-11 a period.
+        assert float(exact.time) == pytest.approx(impact.time, abs=1e-10)
 
 
 def test_an_orbit_needs_a_guess_near_the_release_section() -> None:
