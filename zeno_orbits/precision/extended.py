@@ -17,11 +17,11 @@ from decimal import Decimal
 
 from flint import ctx
 
-from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.errors import InputError
 from zeno_orbits.model import USUAL, OwnScale, ParameterValues, Problem
 from zeno_orbits.precision.extended_run import ExtendedRun, Trace
 from zeno_orbits.precision.extended_system import ExtendedSystem, State, relative_difference
-from zeno_orbits.precision.gauss import Real
+from zeno_orbits.precision.gauss import Real, followed_no_further
 
 SPARE_DIGITS = (5, 12)
 """Digits of the two runs beyond the wanted ones."""
@@ -123,8 +123,7 @@ def extended_execution(
     error = trace_difference(*traces, systems[-1].own)
     if not error < 10.0**-digits:
         message = f"The execution is certain to {error:.1g} only, not to {digits} digits"
-        start = tuple(float(value) for value in state)
-        raise SimulationError(message, time=until, state=start)
+        raise followed_no_further(message, until, state)
     trace = traces[-1]
     with ctx.workprec(systems[-1].bits):
         return ExtendedExecution(

@@ -22,7 +22,7 @@ import numpy as np
 from flint import ctx
 
 from zeno_orbits.arrays import Array
-from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.errors import InputError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Section, release_section
 from zeno_orbits.precision.extended import (
@@ -38,6 +38,7 @@ from zeno_orbits.precision.extended import (
 )
 from zeno_orbits.precision.extended_run import ExtendedRun, Trace
 from zeno_orbits.precision.extended_system import ExtendedSystem, State, relative_difference
+from zeno_orbits.precision.gauss import followed_no_further
 
 _SCOUT_DIGITS = 20
 """Length of the numbers in which the derivative is measured."""
@@ -106,53 +107,40 @@ def extended_orbit(
     check_digits(digits)
     compiled = problem.compiled()
     check_state(release_guess, compiled.n_x)
-    near = np.array([float(value) for value in release_guess])
-    section = release_section(problem.dynamics(values), near, 1.0 + np.abs(near))
+    x = np.array([float(value) for value in release_guess])
+    section = release_section(problem.dynamics(values), x, 1.0 + np.abs(x))
     lengths = (_SCOUT_DIGITS, *(digits + spare for spare in SPARE_DIGITS))
     maps = [
         _ReturnMap(ExtendedSystem(problem, values, length), section, horizon) for length in lengths
     ]
-    jacobian = maps[0].jacobian(maps[0].release(release_guess))
-    scouted = maps[0].close(release_guess, jacobian).release
-    if maps[0].off(scouted, maps[0].release(release_guess)) > _DIFFERENCE:
-        jacobian = maps[0].jacobian(scouted)
-    shorter = maps[1].close(scouted, jacobian)
-    longer = maps[2].close(shorter.release, jacobian)
+    scout, shorter, longer = maps
+    start = scout.release(release_guess)
+    jacobian = scout.jacobian(start)
+    near, _, _ = scout.close(start, jacobian)
+    if scout.off(near, start) > _DIFFERENCE:
+        jacobian = scout.jacobian(near)
+    near, other, _ = shorter.close(near, jacobian)
+    release, trace, closure = longer.close(near, jacobian)
     sizes = np.linalg.svd(np.eye(len(jacobian)) - jacobian, compute_uv=False)
     gain = 1 / float(np.min(sizes, initial=np.inf))
-    error = max(
-        trace_difference(shorter.trace, longer.trace, maps[2].system.own),
-        maps[2].off(shorter.release, longer.release),
-        gain * longer.closure,
-    )
+    apart = trace_difference(other, trace, longer.system.own)
+    error = max(apart, longer.off(near, release), gain * closure)
     if not error < 10.0**-digits:
         message = f"The orbit is certain to {error:.1g} only, not to {digits} digits"
-        raise SimulationError(
-            message, time=float(longer.trace.releases[-1][0]), state=_floats(longer.release)
-        )
-    values_found = np.linalg.eigvals(jacobian)
-    multipliers = sorted(map(complex, values_found), key=abs, reverse=True)
-    with ctx.workprec(maps[2].system.bits):
+        raise followed_no_further(message, *trace.releases[-1])
+    multipliers = sorted(map(complex, np.linalg.eigvals(jacobian)), key=abs, reverse=True)
+    with ctx.workprec(longer.system.bits):
         return ExtendedOrbit(
             state_names=compiled.state_names,
-            period=decimal(longer.trace.releases[-1][0]),
-            release_state=tuple(map(decimal, longer.release)),
-            impacts=impacts(longer.trace),
-            zeno_points=points(longer.trace.zeno_points),
+            period=decimal(trace.releases[-1][0]),
+            release_state=tuple(map(decimal, release)),
+            impacts=impacts(trace),
+            zeno_points=points(trace.zeno_points),
             multipliers=tuple(multipliers),
-            closure=longer.closure,
+            closure=closure,
             error=error,
             wall_time=clock.perf_counter() - started,
         )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Closed:
-    """A fixed point of the return map in numbers of one length."""
-
-    release: State
-    trace: Trace
-    closure: float
 
 
 class _ReturnMap:
@@ -189,7 +177,7 @@ class _ReturnMap:
         """Return what happens until the next release."""
         trace = ExtendedRun(self.system, until=self._horizon, releases=1).follow(x)
         if not trace.releases:
-            raise SimulationError("There is no next release", time=self._horizon, state=_floats(x))
+            raise followed_no_further("There is no next release", self._horizon, x)
         return trace
 
     def off(self, x: State, other: State) -> float:
@@ -208,8 +196,8 @@ class _ReturnMap:
             jacobian[:, k] = self._coordinates(ahead, behind) / (2 * _DIFFERENCE)
         return jacobian
 
-    def close(self, guess: Sequence[Any], jacobian: Array) -> _Closed:
-        """Return the fixed point near a guess."""
+    def close(self, guess: Sequence[Any], jacobian: Array) -> tuple[State, Trace, float]:
+        """Return the fixed point near a guess, its period, and what that leaves."""
         left = np.eye(len(jacobian)) - jacobian
         x, before = self.release(guess), float("inf")
         for _ in range(_PASSES):
@@ -217,7 +205,7 @@ class _ReturnMap:
             image = trace.releases[-1][1]
             closure = self.off(image, x)
             if closure <= 10.0**_CLOSED * self.system.smallest:
-                return _Closed(release=x, trace=trace, closure=closure)
+                return x, trace, closure
             if not closure < before:
                 break
             before = closure
@@ -225,7 +213,7 @@ class _ReturnMap:
                 x, np.asarray(np.linalg.solve(left, self._coordinates(image, x)), float)
             )
         message = f"The return map does not close: it leaves {before:.3g}"
-        raise SimulationError(message, time=self._horizon, state=_floats(x))
+        raise followed_no_further(message, self._horizon, x)
 
     def _coordinates(self, x: State, origin: State) -> Array:
         """Return the section coordinates of a small difference of states."""
@@ -238,7 +226,3 @@ class _ReturnMap:
         shifts = self._section.scale * (self._section.tangent @ coordinates)
         with ctx.workprec(self.system.bits):
             return self.release([(a + float(b)).mid() for a, b in zip(x, shifts, strict=True)])
-
-
-def _floats(x: Sequence[Any]) -> tuple[float, ...]:
-    return tuple(float(value) for value in x)

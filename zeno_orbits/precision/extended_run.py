@@ -15,13 +15,13 @@ from decimal import Decimal
 
 from flint import arb, ctx
 
-from zeno_orbits.errors import ChatterError, InputError, SimulationError
+from zeno_orbits.errors import ChatterError, InputError
 from zeno_orbits.precision.extended_system import (
     ExtendedSystem,
     State,
     along,
 )
-from zeno_orbits.precision.gauss import GaussFlow, Real
+from zeno_orbits.precision.gauss import GaussFlow, Real, followed_no_further
 from zeno_orbits.simulation import Mode, tail_time
 
 _CONTACT = 1e-12
@@ -205,18 +205,12 @@ class ExtendedRun:
     def _hit(self, time: Real, x: State, approach_rate: Real) -> _Start | None:
         """Apply the reset map and return what follows it."""
         if not approach_rate < 0:
-            raise SimulationError(
-                f"An impact must close the gap, but the gap rate is {float(approach_rate):.3g}",
-                time=float(time),
-                state=tuple(float(value) for value in x),
-            )
+            reason = f"An impact must close the gap, but the gap rate is {float(approach_rate):.3g}"
+            raise followed_no_further(reason, time, x)
         self.trace.impacts.append((time, approach_rate))
         if len(self.trace.impacts) > _MOST_IMPACTS:
-            raise ChatterError(
-                f"There are more than {_MOST_IMPACTS} impacts",
-                time=float(time),
-                state=tuple(float(value) for value in x),
-            )
+            reason = f"There are more than {_MOST_IMPACTS} impacts"
+            raise followed_no_further(reason, time, x, ChatterError)
         after, law = self.system.strike(x, approach_rate)
         speed = law.speed_after(approach_rate).mid()
         resting, acceleration, rate = self.system.resting(after)

@@ -209,12 +209,12 @@ class GaussFlow:
                 size = step.size * arb(root)
                 step = self._landed(step.scheme, here, size, order, constants)
                 if step is None:
-                    raise _failure("The guard grazes zero", time, here)
+                    raise followed_no_further("The guard grazes zero", time, here)
                 return (time + step.size).mid(), step.states[-1], True
             time, here, order = (time + step.size).mid(), step.states[-1], 0
             if step.size < _LEAST * duration and step.size < left:
                 break
-        raise _failure("The flow is not finite", time, here, StepSizeError)
+        raise followed_no_further("The flow is not finite", time, here, StepSizeError)
 
     def _next(
         self, y: list[Real], left: Real, order: int, constants: Sequence[Real], unit: float
@@ -236,13 +236,13 @@ class GaussFlow:
                 # A guard that rises only just shows it where a shorter step cuts less off.
                 if shortened == _MOST_SHORTENED:
                     reason = "The state leaves the admissible set from its boundary"
-                    raise _failure(reason, 0, y)
+                    raise followed_no_further(reason, 0, y)
                 size, shortened = size / 8, shortened + 1
                 continue
             grown = size * min(max(0.9 * change, 0.5), _GROWTH)
             self._size = unit * (size if cut else grown)
             return step, root
-        raise _failure("The flow is not finite", 0, y, StepSizeError)
+        raise followed_no_further("The flow is not finite", 0, y, StepSizeError)
 
     def _scheme(self, length: float) -> GaussScheme:
         """Return the scheme of as many stages as a step of a length needs.
@@ -381,7 +381,7 @@ class GaussFlow:
         try:
             root = first_root(np.array([float(one / largest) for one in series]))
         except InputError as error:
-            raise _failure("The guard grazes zero", 0, y) from error
+            raise followed_no_further("The guard grazes zero", 0, y) from error
         # Rounding may hide a root near the end, where the sign is known to all digits.
         below = not landed and not step.states[-1][self.row] > 0
         return 1.0 if root is None and below else root
@@ -399,9 +399,17 @@ class GaussFlow:
         return step if step and self._fall(y, step, order, landed=True) is None else None
 
 
-def _failure(
+def followed_no_further(
     reason: str, time: Real, y: Sequence[Real], kind: type[SimulationError] = SimulationError
 ) -> SimulationError:
+    """Return the error of a motion that ends before its time.
+
+    Args:
+        reason: Why.
+        time: When [s].
+        y: Where.
+        kind: Its type.
+    """
     return kind(reason, time=float(time), state=tuple(float(value) for value in y))
 
 

@@ -8,10 +8,9 @@ too close to zero for its sign to be certain.
 
 from __future__ import annotations
 
-from math import comb
-
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import BPoly
 from scipy.optimize import brentq
 
 from zeno_orbits.errors import InputError
@@ -44,11 +43,12 @@ def first_root(coefficients: Coefficients) -> float | None:
         left, right, values = pieces.pop()
         if values[0] <= 0.0:
             return left
-        changes = _sign_changes(values)
+        changes = np.count_nonzero(np.diff(np.sign(values[values != 0.0])))
         if changes == 0 and (np.min(values) > noise or _leads_away(values, left)):
             continue
         if changes == 1 and values[-1] < 0.0:
-            return left + (right - left) * _only_root(values)
+            piece = BPoly(values[:, None], [left, right])
+            return float(brentq(piece, left, right, xtol=1e-300, rtol=4 * _ROUNDING))
         middle = (left + right) / 2
         if right - left < 2.0**-_DEPTH:
             message = f"must have simple roots, but two meet near {middle:.6g}"
@@ -68,11 +68,6 @@ def _leads_away(values: Coefficients, left: float) -> bool:
     return (left == 0.0 and bool(np.all(steps > 0.0))) or bool(np.all(steps < 0.0))
 
 
-def _sign_changes(values: Coefficients) -> int:
-    signs = np.sign(values[values != 0.0])
-    return int(np.count_nonzero(signs[1:] != signs[:-1]))
-
-
 def _halves(values: Coefficients) -> tuple[Coefficients, Coefficients]:
     """Return the coefficients on both halves, by de Casteljau's rule."""
     row = values
@@ -82,14 +77,3 @@ def _halves(values: Coefficients) -> tuple[Coefficients, Coefficients]:
         first.append(row[0])
         second.append(row[-1])
     return np.array(first), np.array(second[::-1])
-
-
-def _only_root(values: Coefficients) -> float:
-    """Return the one root in ``[0, 1]`` between a positive and a negative end."""
-    n = len(values) - 1
-    powers, terms = np.arange(n + 1), values * [comb(n, k) for k in range(n + 1)]
-
-    def value(u: float) -> float:
-        return float(np.sum(terms * u**powers * (1.0 - u) ** powers[::-1]))
-
-    return float(brentq(value, 0.0, 1.0, xtol=1e-300, rtol=4 * _ROUNDING))
