@@ -14,13 +14,16 @@ import math
 import statistics
 import subprocess
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 OTHERS = Path(__file__).with_name("others")
 
-SCRIPTS = ("ours", "heyoka_by_hand", "casadi_events", "scipy_loop", "siconos_moreau")
+SCRIPTS = (
+    *("ours", "heyoka_by_hand", "casadi_events", "scipy_loop"),
+    *("jaxonomy_events", "siconos_moreau"),
+)
 
 SCALES = (1.8, 2.0, 7.8, 17.0, 2.6)
 """Largest value of each state over the reference orbit, rounded; errors are relative to it."""
@@ -181,7 +184,7 @@ def print_levels(times: dict[str, list[float | None]], heads: Sequence[str]) -> 
 
 
 def collect(
-    scripts: Sequence[str], system_python: str, arguments: Sequence[str]
+    scripts: Sequence[str], pythons: Mapping[str, str], arguments: Sequence[str]
 ) -> dict[str, Any] | None:
     """Run everything and return the findings, or nothing if there is no truth to judge by."""
     found: dict[str, Any] = {"versions": {}, "missing": {}, "confirmed": {}}
@@ -189,8 +192,7 @@ def collect(
         rows: list[Row] = []
         for script in scripts:
             print(f"{work}: {script} ...", file=sys.stderr)
-            python = system_python if script == "siconos_moreau" else sys.executable
-            answer = run(script, python, work, arguments)
+            answer = run(script, pythons.get(script, sys.executable), work, arguments)
             if "missing" in answer:
                 found["missing"][script] = answer["missing"]
                 continue
@@ -274,6 +276,12 @@ def main() -> int:
     parser.add_argument(
         "--system-python", default="/usr/bin/python3", metavar="PATH", help="Python for Siconos"
     )
+    parser.add_argument(
+        "--jaxonomy-python",
+        default=sys.executable,
+        metavar="PATH",
+        help="Python for jaxonomy, which wants many packages of its own",
+    )
     parser.add_argument("--json", action="store_true", help="print JSON for programs")
     options = parser.parse_args()
     if options.runs < 1:
@@ -282,7 +290,11 @@ def main() -> int:
     arguments = ["--runs", str(min(options.runs, 2) if options.quick else options.runs)]
     arguments += ["--rates", *map(str, rates)]
 
-    found = collect(options.only, options.system_python, arguments)
+    pythons = {
+        "siconos_moreau": options.system_python,
+        "jaxonomy_events": options.jaxonomy_python,
+    }
+    found = collect(options.only, pythons, arguments)
     if found is None:
         return 1
     found["times"] = compared(found, rates)

@@ -359,8 +359,8 @@ def continue_orbit(
     """Return the family of an orbit in a gain or parameter, with folds, flips, branches and ends.
 
     Args:
-        orbit: The orbit, or its file.
-        parameter: Name of the gain or parameter.
+        orbit: The orbit, or its file; with one Zeno point or one impact a period.
+        parameter: Name of the gain or parameter; what is derived from it stays as it is.
         box: Its range, lower end first; the orbit's own number lies in it.
         problem: The orbit's problem; by default the bundled one of its name.
         settings: Accuracy and steps.
@@ -374,6 +374,9 @@ def continue_orbit(
     from zeno_orbits import continuation
 
     orbit = _read(orbit)
+    if orbit.shape.n_phases != 1:
+        wanted = "must have one Zeno point or one impact a period to be continued"
+        raise InputError(f"Argument `orbit` {wanted}, but its shape is `{orbit.shape.text}`.")
     source = problem or orbit.problem
     with _crew(source, workers, on_progress) as crew:
         known = problem_of(orbit, problem) if crew is None else crew.problem_file.load()
@@ -468,8 +471,8 @@ def plot(
     """Return a picture of a result.
 
     Args:
-        result: An execution, orbit, search result, certificate, family, continuation, map, trade or
-            comparison. An orbit is simulated over one period.
+        result: An execution, orbit, search result, closing, certificate, multipliers, family,
+            continuation, map, trade or comparison. An orbit is simulated over one period.
         problem: Its problem, where the result does not tell it.
         ax: Axes to draw into, for a picture of one panel.
         axes: Axes to draw into, as many as the picture has panels.
@@ -505,7 +508,7 @@ def equilibrium_acceleration(
 
     known = _known(problem)
     values = known.values(gains=gains, parameters=parameters)
-    return formulas.with_numbers(formulas.equilibrium_acceleration(known), values)
+    return formulas.with_numbers(formulas.acceleration_formula(known), values)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -50,7 +50,7 @@ def _orbit_file(searched: tuple[Answer, Path], here: Path) -> Path:
 def _formulas() -> Any:
     """Let SymPy simplify the acceleration of each problem once, not in every test."""
     known: dict[str, Any] = {}
-    simplify = symbolic.equilibrium_acceleration
+    simplify = symbolic.acceleration_formula
 
     def remembered(problem: Problem) -> Any:
         if problem.name not in known:
@@ -58,5 +58,5 @@ def _formulas() -> Any:
         return known[problem.name]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(symbolic, "equilibrium_acceleration", remembered)
+        patch.setattr(symbolic, "acceleration_formula", remembered)
         yield

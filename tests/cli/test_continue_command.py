@@ -86,6 +86,20 @@ def test_a_family_starts_at_an_orbit_file_and_prints_json(
     assert "`from` cannot be combined with --gain or --set" in capsys.readouterr().err
 
 
+def test_parameters_that_a_map_would_derive_anew_are_told_to_be_held(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "orbit.json"
+    write_orbit(close_orbit(PENDULUM, PENDULUM.values()).unwrap(), file)
+    words = ["continue", "motor_pendulum", "--from", str(file), "--in"]
+    assert main([*words, "m1=0.2998:0.3002"]) == 0
+    told = capsys.readouterr().out
+    assert "Derived, and held at their initial values: J_rotor, K_torque, K_emf." in told
+    # Nothing follows from the resistance.
+    assert main([*words, "R=2.998:3.002"]) == 0
+    assert "held" not in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("words", "reason"),
     [

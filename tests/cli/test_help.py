@@ -45,6 +45,15 @@ def test_the_help_of_a_command_shows_examples_of_it(command: str) -> None:
     assert all(example[0] in EVERY for example in shown)
 
 
+@pytest.mark.parametrize("command", [None, *EVERY])
+def test_no_word_of_the_help_is_cut_in_eighty_columns(
+    command: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    lines = ask(*filter(None, (command, "--help"))).out.splitlines()
+    assert [line for line in lines if len(line) > 80] == []
+
+
 def test_the_bare_command_prints_the_help_and_is_misuse() -> None:
     assert ask() == Answer(MISUSE, ask("--help").out, "")
 

@@ -159,6 +159,7 @@ def test_an_output_that_finds_no_room_is_no_yes(arguments: tuple[str, ...]) -> N
     )
 
 
+@pytest.mark.slow
 def test_an_interrupt_from_the_keyboard_ends_a_search_without_a_file(here: Path) -> None:
     arguments = ("--objective", "period=1.95", "-o", "f.json")
     with started("search", "motor_pendulum", *arguments, cwd=here) as process:

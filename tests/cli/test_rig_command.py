@@ -35,7 +35,7 @@ def test_a_machine_is_printed_beside_the_orbit_as_simulated(file: Path) -> None:
     assert answer.code == YES
     too_few = "2 cycles, too few to tell whether it has settled."
     assert f"Simulated, not measured: {too_few}" in answer.out
-    for row in ("first impact", "Zeno time; end of chatter", "period", "1.813713"):
+    for row in ("first impact", "Zeno point, or end of chatter", "period", "1.813713"):
         assert row in answer.out
 
 

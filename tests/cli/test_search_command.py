@@ -180,6 +180,7 @@ def test_a_search_to_an_accuracy_keeps_it_and_bounds_its_error(
     assert error_said(checked) <= wanted
 
 
+@pytest.mark.slow
 def test_an_orbit_that_is_not_the_one_is_seen_to_miss_it(
     orbit_data: dict[str, Any], exact: ExtendedOrbit
 ) -> None:

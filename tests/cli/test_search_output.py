@@ -14,7 +14,7 @@ from zeno_orbits.cli.program import build_parser
 from zeno_orbits.cli.search_output import SearchNotes, answer, map_command, on_the_optimum
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.problem import Problem
-from zeno_orbits.orbits import Bound, ZenoOrbit
+from zeno_orbits.orbits import Bound, OrbitShape, ZenoOrbit
 from zeno_orbits.search import (
     Candidate,
     FastestContraction,
@@ -78,6 +78,7 @@ def _options(**given: Any) -> argparse.Namespace:
         "problem": "motor_pendulum",
         "output": None,
         "until": None,
+        "shape": None,
         "allow_unstable": False,
         "fix": {"Kd": -1.0},
         "set": {"R": 2.0},
@@ -126,8 +127,7 @@ def test_every_no_says_which_options_to_try_and_which_are_of_no_use(
     levers: tuple[str, ...],
     others: tuple[str, ...],
 ) -> None:
-    detail = "Its periods differ after 90 s."
-    failed = replace(NOTHING, status=status, detail=detail)
+    failed = replace(NOTHING, status=status, detail="Its periods differ.", undecided=True)
     answer(_options(json=True), problem, failed, _notes([]))
     said = " ".join(json.loads(capsys.readouterr().out)["try"])
     assert all(word in said for word in levers), said
@@ -137,9 +137,17 @@ def test_every_no_says_which_options_to_try_and_which_are_of_no_use(
 def test_a_motion_that_rests_need_not_be_waited_for(
     problem: Problem, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    rests = replace(NOTHING, detail="The motion comes to rest.")
+    rests = replace(NOTHING, detail="The motion comes to rest after 90 s.")
     answer(_options(), problem, rests, _notes([]))
     assert "--until" not in capsys.readouterr().out
+
+
+def test_a_search_for_one_shape_is_told_to_do_without(
+    problem: Problem, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for shape, told in ((None, False), (OrbitShape.parsed("zeno*3"), True)):
+        answer(_options(shape=shape), problem, NOTHING, _notes([]))
+        assert ("Try: no --shape" in capsys.readouterr().out) == told
 
 
 def test_the_map_that_a_failed_search_names_can_be_made() -> None:

@@ -13,7 +13,7 @@ import pytest
 
 from tests.continuation.test_branches import Formula, formula
 from zeno_orbits.arrays import Vector
-from zeno_orbits.continuation.assembly import joined
+from zeno_orbits.continuation.assembly import whole_family
 from zeno_orbits.continuation.branch import Branch, FamilySteps, follow_branch
 from zeno_orbits.continuation.continuation import start_orbit
 from zeno_orbits.continuation.corrector import FamilyMetric, first_point
@@ -50,7 +50,7 @@ def downwards(
     start = first_point(returns, setup.metric, begin.x, 1.0, rising=False)
     branch = follow_branch(returns, setup.metric, start, box, steps, on_progress=silent)
     nothing = Branch(points=(), special=(), ending=SpecialPointKind.CLOSED)
-    return setup, branch, joined(OSCILLATOR, setup, branch, nothing).family
+    return setup, branch, whole_family(OSCILLATOR, setup, branch, nothing).family
 
 
 def family_in_the_force(box: tuple[float, float], steps: FamilySteps, **numbers: float) -> Family:
@@ -61,9 +61,9 @@ def family_in_the_force(box: tuple[float, float], steps: FamilySteps, **numbers:
     ("box", "steps"),
     [
         ((0.7, 1.5), DEFAULT),
-        ((0.5, 1.5), SHORT),
+        pytest.param((0.5, 1.5), SHORT, marks=pytest.mark.slow),
         ((0.5, 1.5), LONG),
-        ((0.79, 1.01), DEFAULT),
+        pytest.param((0.79, 1.01), DEFAULT, marks=pytest.mark.slow),
         ((0.79, 1.01), LONG),
     ],
 )
@@ -208,7 +208,7 @@ def test_both_are_in_the_family() -> None:
     setup, branch = plastic()
     assert branch.end is not None
     end = replace(branch.end, also=(SpecialPointKind.LOCK_VANISHES, SpecialPointKind.GRAZING))
-    family = joined(OSCILLATOR, setup, branch, replace(branch, end=end)).family
+    family = whole_family(OSCILLATOR, setup, branch, replace(branch, end=end)).family
     assert family.first.detail == ""
     assert family.last.detail == "together with: locked arc vanishes, first impact grazes"
 

@@ -108,6 +108,7 @@ def test_one_worker_and_two_find_what_a_continuation_without_workers_finds() -> 
 
 
 @needs_two
+@pytest.mark.slow
 def test_the_command_writes_the_same_bytes_with_one_worker_and_two(tmp_path: Path) -> None:
     one, two = tmp_path / "one.json", tmp_path / "two.json"
     assert ask(*NEAR, "--workers", "1", "-o", one).code == YES

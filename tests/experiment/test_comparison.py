@@ -17,6 +17,8 @@ import pytest
 from tests.support.recordings_of import recorded, recording_of
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment import Comparison, RecordedSignal, Recording, compare
+from zeno_orbits.experiment.comparison.deviations import N_BINS, Deviations, between
+from zeno_orbits.experiment.comparison.signal_metrics import apex, greatest
 from zeno_orbits.experiment.comparison.stop_level import stop_level
 from zeno_orbits.experiment.orbit_table import OrbitTable, gap_coordinates, tabulate_orbit
 from zeno_orbits.experiment.recordings.periodicity import periodicity
@@ -224,6 +226,60 @@ def test_what_shows_no_such_orbit_is_told_with_the_reason(
     found = compare(orbit, problem, changed(recorded(table, problem, noise=1e-3), change))
     assert not found.agrees
     assert any(part in one for one in found.reasons for part in reason.split("|")), found.reasons
+
+
+def test_between_samples_a_deviation_is_that_around_it_and_as_unsure_as_it_changes() -> None:
+    nan = math.nan
+    row = np.array([nan, 1.0, nan, nan, 4.0, 4.0, nan, 2.0])
+    filled, apart = between(row)
+    # Around the end of the period: from 2 at place -1 to 1 at place 1.
+    assert filled == pytest.approx([1.5, 1.0, 2.0, 3.0, 4.0, 4.0, 3.0, 2.0])
+    assert apart == pytest.approx([1.0, 0.0, 3.0, 3.0, 0.0, 0.0, 2.0, 0.0])
+    filled, apart = between(np.array([nan, 3.0, nan]))
+    assert filled == pytest.approx([3.0, 3.0, 3.0])
+    assert apart == pytest.approx([0.0, 0.0, 0.0])
+
+
+def deviating(sums: np.ndarray, counts: np.ndarray, table: OrbitTable) -> Deviations:
+    """Return deviations of one signal whose samples do not scatter, ``(n_groups, N_BINS)`` each."""
+    each = sums / np.maximum(counts, 1.0)
+    return Deviations(
+        table=table,
+        period=table.period,
+        sums=sums[:, :, None],
+        squares=(counts * each**2)[:, :, None],
+        counts=counts[:, :, None],
+        by_cycles=True,
+    )
+
+
+def test_an_extreme_that_no_sample_falls_on_is_the_orbits_there_with_the_deviation_beside_it(
+    table: OrbitTable,
+) -> None:
+    own = deviating(np.zeros((6, N_BINS)), np.ones((6, N_BINS)), table)
+    values = own.fine[:, :, 0].max(axis=1)
+    at, highest = int(np.argmax(values)), float(values.max())
+    counts = np.zeros((6, N_BINS))
+    # The same phases in every cycle, the top between two; they deviate by less than it bends.
+    counts[:, (at - 3) % 6 :: 6] = 1.0
+    sums = np.zeros_like(counts)
+    deviation = 0.1 * (highest - float(max(values[at - 3], values[(at + 3) % N_BINS])))
+    sums[:, (at - 3) % N_BINS], sums[:, (at + 3) % N_BINS] = deviation, 3 * deviation
+    found = apex(deviating(sums, counts, table), 0, 1.0)
+    assert found.value == pytest.approx(highest + 2 * deviation, abs=0.5 * deviation)
+    assert found.error >= 2 * deviation
+
+
+def test_the_greatest_deviation_is_one_that_several_cycles_show(table: OrbitTable) -> None:
+    sums, counts = np.zeros((6, N_BINS)), np.ones((6, N_BINS))
+    sums[:, 7] = -0.5
+    # One cycle alone has a sample in the next bin: nothing tells how sure it is.
+    counts[1:, 8], sums[0, 8] = 0.0, 2.0
+    found = greatest(deviating(sums, counts, table), 0)
+    assert found.value == pytest.approx(-0.5)
+    assert math.isfinite(found.error)
+    lonely = deviating(sums, np.where(np.arange(6)[:, None] == 0, counts, 0.0), table)
+    assert not greatest(lonely, 0).known
 
 
 def test_signals_that_jump_are_aligned_as_well() -> None:

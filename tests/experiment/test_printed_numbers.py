@@ -37,7 +37,7 @@ def test_a_comparison_prints_each_number_in_its_column(capsys: pytest.CaptureFix
     terminal.print_comparison(found)
     printed = capsys.readouterr().out
     assert table_of(printed) == [
-        ["orbit", "recording, measured", "difference", "standard error", "unit"],
+        ["quantity", "orbit", "recording, measured", "difference", "standard error", "unit"],
         ["period", "1.25", "1.375", "+0.125", "0.062", "s"],
         ["restitution seen", "0.5", "not observed", "-", "-", "1"],
         ["delay of current", "0", "-0.03", "-0.03", "-", "ms"],
@@ -87,7 +87,7 @@ def test_fitted_numbers_stand_with_their_errors_and_intervals(
     terminal.print_identification(recording(), found)
     printed = capsys.readouterr().out
     assert table_of(printed) == [
-        ["start", "fitted", "standard error", "95 % interval"],
+        ["parameter", "start value", "fitted", "standard error", "95 % interval"],
         ["R", "3", "3.25", "0.12", "2.75 to 3.75"],
         ["K+k", "2", "2.5", "not determined", "-"],
     ]
@@ -114,16 +114,16 @@ def test_cycles_of_a_machine_stand_beside_the_orbit(capsys: pytest.CaptureFixtur
         portrait=0.25,
         portrait_at=0.5,
     )
-    terminal.print_rig(found)
+    terminal.print_rig(found, "theta2")
     printed = capsys.readouterr().out
     assert table_of(printed) == [
-        ["unit", "orbit", "machine, simulated", "spread", "difference"],
+        ["quantity", "unit", "orbit", "machine, mean", "standard deviation", "difference"],
         ["first impact", "s", "1.000000", "1.500000", "1.0e-01", "+5.0e-01"],
-        ["gap rate at it", "m/s", "-2.000000", "-2.250000", "2.0e-01", "-2.5e-01"],
-        ["Zeno time; end of chatter", "s", "3.000000", "3.125000", "3.0e-01", "+1.2e-01"],
-        ["coordinate of the amplitude at it", "rad", "4.000000", "4.062500", "4.0e-01", "+6.2e-02"],
+        ["gap rate at the first impact", "m/s", "-2.000000", "-2.250000", "2.0e-01", "-2.5e-01"],
+        ["Zeno point, or end of chatter", "s", "3.000000", "3.125000", "3.0e-01", "+1.2e-01"],
+        ["theta2 at that time", "rad", "4.000000", "4.062500", "4.0e-01", "+6.2e-02"],
         ["period", "s", "5.000000", "5.500000", "5.0e-01", "+5.0e-01"],
     ]
     words = " ".join(printed.split())
     assert "has not settled: period still changes in one direction" in words
-    assert "is 25 % of the orbit's size, at 50 % of the cycle" in words
+    assert "at most 25 % of the orbit's size away from it, at 50 % of the cycle" in words

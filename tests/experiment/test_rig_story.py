@@ -15,6 +15,7 @@ import pytest
 
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment import rig_cycles
+from zeno_orbits.experiment.orbit_table import tabulate_orbit
 from zeno_orbits.experiment.rig.cycle_comparison import RigComparison, compare_cycles
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.problem import Problem
@@ -83,5 +84,9 @@ def test_a_machine_tends_to_its_orbit_as_the_stop_stiffens(name: str) -> None:
 )
 def test_a_motion_of_another_shape_is_refused_by_name(name: str, shape: str) -> None:
     problem = load_problem(name)
-    with pytest.raises(InputError, match=re.escape(f"but its shape is `{shape}`")):
-        rig_cycles(orbit_of(problem), problem, Rig(), cycles=1, settle=1)
+    orbit, reason = orbit_of(problem), re.escape(f"but its shape is `{shape}`")
+    with pytest.raises(InputError, match=reason):
+        rig_cycles(orbit, problem, Rig(), cycles=1, settle=1)
+    # Nor are recordings held against it.
+    with pytest.raises(InputError, match=reason):
+        tabulate_orbit(orbit, problem, problem.state_names[:1])

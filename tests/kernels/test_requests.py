@@ -63,6 +63,46 @@ def test_a_compiled_kernel_gives_the_bits_of_the_interpreter_nan_and_infinity_to
     assert account().startswith("steps are compiled by ")
 
 
+def telling() -> Recipe:
+    """A function that tells NaN, infinity and numbers too small for a full mantissa apart."""
+    x = ca.SX.sym("x", len(ODD))
+    neither = ca.logic_not(ca.logic_or(x <= 0.5, x > 0.5))
+    parts = [neither, ca.fabs(x) == np.inf, x / 2, ca.fmin(x, 1.0), (x + 1e300) - 1e300]
+    maker = f"{written_as_c.__module__}:{written_as_c.__name__}"
+    return Recipe(maker=maker, functions=(ca.Function("wave", [x], [ca.vertcat(*parts)]),))
+
+
+ODD = np.array([np.nan, np.inf, -np.inf, 1e-308, 1e-310, 0.0, 1.0])
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    "flags",
+    ["-ffast-math", "-ffinite-math-only", "-funsafe-math-optimizations", "-Ofast -march=native"],
+)
+def test_nan_infinity_and_tiny_numbers_survive_whatever_flags_the_user_has(
+    flags: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CC", f"cc {flags}")
+    kernels, expected = Kernels(telling()), np.zeros(5 * len(ODD))
+    library, found = kernels.library(), np.zeros_like(expected)
+    assert complaints() == []
+    assert library is not None
+    library.caller("wave", [ODD], [found])()
+    caller(telling().functions[0], [ODD], [expected])()
+    assert expected[: 2 * len(ODD)].tolist() == [1, 0, 0, 0, 0, 0, 0, 0, 1, 1, 0, 0, 0, 0]
+    assert np.array_equal(found, expected, equal_nan=True)
+
+
+@needs_compiler
+def test_a_compiler_that_is_fast_and_wrong_after_all_is_found_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CC", compiler(tmp_path, 'exec cc "$@" -ffast-math'))
+    assert Kernels(telling()).library() is None
+    assert complaints() == ["the compiled `wave` computes something else"]
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(find_spec("ziglang") is None, reason="needs the extra `compiled`")
 def test_the_compiler_of_the_extra_gives_the_same(monkeypatch: pytest.MonkeyPatch) -> None:

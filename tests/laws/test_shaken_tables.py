@@ -67,3 +67,39 @@ def test_a_map_names_the_periods_of_random_tables(
     wanted = [truth.turns for *_, truth in tables]
     assert turns == pytest.approx(wanted, rel=1e-7)
     assert len(set(wanted)) > 2
+
+
+@pytest.mark.parametrize(
+    ("acceleration", "restitution", "turns"),
+    # Two first impacts in two turns, each followed by a second one before the table throws it.
+    [(2.863950206399586, 0.0364932547995305, 2)],
+)
+def test_a_map_names_orbits_of_sequences_of_impacts_that_never_rest(
+    acceleration: float, restitution: float, turns: int
+) -> None:
+    truth = clearly_settled(acceleration, restitution, 200)
+    assert truth == Truth(turns=turns, rests=False)
+    problem = zo.load_problem("vibrating_table")
+    shaken = {"A": acceleration * GRAVITY / 30.0**2, "omega": 30.0, "restitution": restitution}
+    (found,) = attractors_at(problem, [problem.values(parameters=shaken)])
+    assert found.period * 30.0 / TURN == pytest.approx(turns, rel=1e-7)
+    # All impacts of a period reset the ball, but few so hard: e squared for each, at most.
+    assert 0.0 < found.spectral_radius < 1.0
+
+
+@pytest.mark.parametrize(
+    ("acceleration", "restitution"),
+    # At local errors of 1e-6, 1e-7 and 1e-8 it comes to rest after 40, 54 and 89 turns.
+    [(1.573275637205788, 0.6868547407037112)],
+)
+def test_a_map_names_no_period_that_its_own_errors_decide(
+    acceleration: float, restitution: float
+) -> None:
+    changed = [settled((1 + part) * acceleration, restitution, 100) for part in (1e-11, 1e-9)]
+    assert changed[0] != changed[1]
+    problem = zo.load_problem("vibrating_table")
+    shaken = {"A": acceleration * GRAVITY / 30.0**2, "omega": 30.0, "restitution": restitution}
+    values = problem.values(parameters=shaken)
+    (found,) = attractors_at(problem, [values], until=100 * TURN / 30.0)
+    assert math.isnan(found.period)
+    assert found.detail == "what it settles to depends on the smallest errors"

@@ -60,8 +60,8 @@ def test_the_fused_rest_is_that_of_the_pendulum_written_by_hand() -> None:
     values = problem.values()
     compiled = problem.dynamics(values)
     by_hand = reference.dynamics(values)
-    assert compiled.fused_resting is not None
-    assert by_hand.fused_resting is None
+    assert compiled.fused_stop is not None
+    assert by_hand.fused_stop is None
     random = np.random.default_rng(0)
     for gap in (0.0, 1e-9, 0.1):
         x = random.uniform(-2.0, 2.0, 5)
@@ -83,7 +83,7 @@ def test_the_fused_rest_gives_way_to_a_part_that_was_replaced() -> None:
     sideways = replace(ball, impulse_direction=lambda _: np.array([0.0, 0.0, 0.5, 1.0]))
     assert sideways.on_stop(x) == pytest.approx(np.array([-0.05, 0.0, 1.5, 0.0]))
     # What it does not stand for leaves it alone.
-    assert replace(ball, energy=lambda _: 0.0).fused_resting is ball.fused_resting
+    assert replace(ball, energy=lambda _: 0.0).fused_stop is ball.fused_stop
 
 
 def test_a_compiled_step_is_the_plain_step() -> None:

@@ -44,7 +44,7 @@ def test_sizes_far_from_one_are_those_of_the_machine() -> None:
         assert abs(math.log10(size / known)) <= 1.5
     assert own.sizes[2:] == ()
     assert own.states(4) == pytest.approx([*own.sizes, 1.0, 1.0])
-    assert own.rates(1) == pytest.approx([own.sizes[1], own.sizes[1] / own.time])
+    assert own.rates(1, 3) == pytest.approx([own.sizes[1], own.sizes[1] / own.time, 1 / own.time])
     assert own.least == min(own.sizes)
     assert own.energy == own.multiplier * own.gap
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 import zeno_orbits as zo
-from tests.support.one_story import Story, story_of
+from tests.support.one_story import Story, data_story_of, story_of
 
 MACHINES = Path(__file__).parents[1] / "support" / "machines"
 WITH_AN_ORBIT = sorted(set(zo.bundled_problems()) - {"bouncing_ball", "falling_pendulum"})
@@ -70,6 +70,20 @@ def test_two_degrees_of_freedom_shaken(name: str, omega: float) -> None:
 @pytest.mark.parametrize("name", WITH_AN_ORBIT)
 def test_a_bundled_problem(name: str) -> None:
     require_one(story_of(name, follow=name in FOLLOWED))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [*WITH_AN_ORBIT, *map(str, sorted(MACHINES.glob("[a-z]*.py")))])
+def test_a_stiff_machine_and_a_recording_tell_the_same_orbit(name: str) -> None:
+    told = data_story_of(name)
+    # `rig` takes one Zeno point a period, and `identify` an orbit that tells its restitution.
+    refused = {"impact_oscillator", "two_tone_table"}
+    assert math.isnan(told.rig) == math.isnan(told.identified) == (name in refused)
+    if name not in refused:
+        # A contact lasts 3e-5 of the period, and the machine is off by as much at most.
+        assert told.rig < 3e-5
+        # The table of an orbit is exact to 1e-6 of its signals, and so are the numbers.
+        assert told.identified < 1e-6
 
 
 @pytest.mark.slow

@@ -17,8 +17,6 @@ from notebooks.run import differences
 ROOT = Path(__file__).parents[2]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 QUICK = "01_"
-NOT_STORED = {"07_an_orbit_as_a_theorem"}
-"""Notebooks without outputs, as a proof takes many minutes. The list may become shorter."""
 LARGEST = 600_000
 """Bytes of a notebook, pictures included: a code host shows it at once."""
 
@@ -30,9 +28,7 @@ def cells(path: Path) -> list[dict[str, Any]]:
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_shows_what_it_prints_and_draws(path: Path) -> None:
     outputs = [one for cell in cells(path) for one in cell.get("outputs", ())]
-    assert bool(outputs) == (path.stem not in NOT_STORED)
-    if not outputs:
-        return
+    assert outputs
     draws = any("%matplotlib" in "".join(cell["source"]) for cell in cells(path))
     assert any("image/png" in one.get("data", {}) for one in outputs) == draws
     assert any(one["output_type"] == "stream" for one in outputs)

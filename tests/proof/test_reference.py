@@ -63,6 +63,17 @@ def test_a_whole_interval_of_a_gain_is_proved_at_once(reference: ZenoOrbit) -> N
     assert proof.stable
 
 
+def test_a_box_of_a_millionth_is_made_wider_until_it_is_taken_into_itself(
+    reference: ZenoOrbit,
+) -> None:
+    proof = zo.prove(reference, radius=1e-6)
+    assert proof.proved, proof.verdict()
+    assert proof.inside
+    assert proof.stable
+    for centre, radius in proof.box.values():
+        assert radius >= 0.999e-6 * abs(centre)
+
+
 def test_an_orbit_that_repels_is_proved_by_krawczyks_operator() -> None:
     problem = zo.load_problem("motor_pendulum")
     values = problem.values(gains={"Kp": 4.3, "Kd": -1.53})

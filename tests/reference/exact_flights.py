@@ -21,8 +21,10 @@ from dataclasses import dataclass
 TURN = 2 * math.pi
 _AT_REST = 1e-11
 """Relative speed below which impacts on a table that presses are taken to their limit."""
-_SAME, _CLOSE, _LOOK = 1e-10, 1e-3, 40
-"""Impacts that differ by less are the same, or nearly; periods that have to tell it."""
+_SAME, _CLOSE, _LOOK = 1e-9, 1e-3, 40
+"""Impacts that differ by less are the same, or nearly; periods that have to tell it.
+
+After 10 000 radians, rounding leaves some 1e-10 of a motion that repeats."""
 _ARRIVED = 1e-8
 """Change over a period of a motion that repeats; one that changes more is still on its way."""
 _SLOW = 1e-6

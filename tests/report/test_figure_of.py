@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import zeno_orbits as zo
@@ -21,6 +24,7 @@ from zeno_orbits.continuation.families import (
     SpecialPointKind,
 )
 from zeno_orbits.continuation.return_maps import Loss
+from zeno_orbits.orbits import Multipliers
 from zeno_orbits.report.plots import (
     COLUMN_WIDTH,
     FULL_WIDTH,
@@ -28,6 +32,7 @@ from zeno_orbits.report.plots import (
     plot_certificate,
     save_figure,
 )
+from zeno_orbits.search import Closing, OrbitNotClosedError
 from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.verification import RESIDUALS
 
@@ -166,6 +171,57 @@ def test_one_panel_takes_one_axes(ball: zo.Execution) -> None:
     with pytest.raises(zo.InputError, match="`width` must come without axes"):
         zo.plot(TRADE, ax=ax, width=3.4)
     assert float(zo.plot(TRADE, width=3.4).get_figwidth()) == 3.4
+
+
+@pytest.mark.parametrize("width", [0.0, -1.0, 1e4, np.nan, np.inf])
+def test_a_width_that_no_picture_can_have_is_refused(width: float) -> None:
+    with pytest.raises(zo.InputError, match=r"`width` must lie in \[1.5, 60\] inches, but it is"):
+        zo.plot(TRADE, width=width)
+
+
+def test_what_are_no_axes_is_refused() -> None:
+    no_axes: Any = 1
+    with pytest.raises(zo.InputError, match="`axes` must be axes of matplotlib, but one"):
+        zo.plot(TRADE, ax=no_axes)
+
+
+def test_multipliers_have_a_picture_and_a_closing_is_drawn_as_its_orbit(
+    orbit: zo.ZenoOrbit,
+) -> None:
+    found = Multipliers(values=(0.5 + 0.25j, -0.125j), error=1e-9, jacobian=np.eye(2))
+    (circle,) = figure_of(found).axes
+    shown = {complex(*np.ravel(line.get_xydata())) for line in circle.get_lines()}
+    assert shown == set(found.values)
+    labels = [ax.get_xlabel() for ax in figure_of(Closing(orbit=orbit)).axes]
+    assert labels == [ax.get_xlabel() for ax in figure_of(orbit).axes]
+    with pytest.raises(OrbitNotClosedError, match="nothing comes back"):
+        figure_of(Closing(orbit=None, detail="nothing comes back"))
+
+
+@pytest.mark.parametrize("width", [2.5, COLUMN_WIDTH, FULL_WIDTH])
+def test_labels_of_ticks_across_keep_off_each_other(
+    width: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        "zeno_orbits.report.plots.family.orbit_amplitude", lambda _, __, point: point.value
+    )
+    one = family()
+    # Numbers near each other, and negative ones, have the longest labels.
+    moved = [replace(point, value=-1.1 + 0.5 * point.value) for point in one.points]
+    close = replace(
+        one,
+        points=tuple(moved),
+        first=replace(one.first, at=moved[0]),
+        last=replace(one.last, at=moved[-1]),
+    )
+    figure = figure_of(close, width=width)
+    FigureCanvasAgg(figure).draw()
+    for ax in figure.axes:
+        (left, right), labels = ax.get_xlim(), ax.get_xticklabels()
+        seen = [label for label in labels if left <= label.get_position()[0] <= right]
+        boxes = [label.get_window_extent() for label in seen]
+        assert len(boxes) > 1
+        assert all(a.x1 < b.x0 for a, b in pairwise(boxes))
 
 
 BALL = "bouncing_ball"

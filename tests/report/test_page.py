@@ -33,8 +33,7 @@ from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.orbit_file import read_orbit, write_orbit
 from zeno_orbits.precision.work_precision import Trial, WorkPrecision, read_work_precision
 from zeno_orbits.report.page import Subject, load_bundle, page_of, subject_of, words
-from zeno_orbits.report.page.commands import commands_of
-from zeno_orbits.report.page.page import template_environment
+from zeno_orbits.report.page.page import commands_of, template_environment
 from zeno_orbits.report.page.plot_data import curves_of
 from zeno_orbits.search import find_orbit
 from zeno_orbits.verification.certificate import RESIDUALS, OrbitCertificate
@@ -426,7 +425,7 @@ def test_an_orbit_that_cannot_be_followed_gets_a_page_without_pictures(
         raise StepSizeError("The step size fell to nothing", time=0.5, state=(0.0,))
 
     monkeypatch.setattr("zeno_orbits.orbits.period.simulate", fail)
-    monkeypatch.setattr("zeno_orbits.report.orbit_motion.simulate", fail)
+    monkeypatch.setattr("zeno_orbits.report.motion.simulate", fail)
     code, _, _ = ask("report", orbit_file, "-o", "report.html", *ONE)
     assert code == NO
     page = Path("report.html").read_text(encoding="utf-8")

@@ -587,6 +587,7 @@ def test_both_portraits_have_a_moving_point(film: plots.Film) -> None:
     assert np.sum(right[half:]) > 50
 
 
+@pytest.mark.slow
 def test_a_problem_with_one_portrait_has_a_film_with_one(
     problem: Problem, orbit: ZenoOrbit, one: Execution
 ) -> None:
@@ -595,6 +596,7 @@ def test_a_problem_with_one_portrait_has_a_film_with_one(
     assert film.frames[0].size == (1120, 608)
 
 
+@pytest.mark.slow
 def test_every_picture_of_the_gif_is_that_of_the_film(film: plots.Film) -> None:
     # Points that have not moved are not repeated: what is left must not stay behind.
     with Image.open(io.BytesIO(plots.gif_of(film))) as gif:

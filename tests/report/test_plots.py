@@ -174,9 +174,14 @@ def ticks(ax: Axes) -> list[float]:
     return [float(segment[0, 0]) for segment in collection.get_segments()]
 
 
-@pytest.fixture(scope="module", params=[COLUMN_WIDTH, FULL_WIDTH])
-def drawn(problem: Shown, request: pytest.FixtureRequest) -> list[Figure]:
-    figures = problem.pictures(request.param)
+@pytest.fixture(scope="module")
+def drawn(problem: Shown) -> list[Figure]:
+    """The pictures of a problem at the width of a column, where room is scarce."""
+    return laid_out(problem, COLUMN_WIDTH)
+
+
+def laid_out(problem: Shown, width: float) -> list[Figure]:
+    figures = problem.pictures(width)
     for figure in figures:
         figure.draw_without_rendering()
     return figures
@@ -191,7 +196,16 @@ def test_every_axis_says_its_quantity_and_its_unit(drawn: list[Figure]) -> None:
 
 
 def test_the_legend_keeps_off_the_panels_and_inside_the_picture(drawn: list[Figure]) -> None:
-    for figure in drawn:
+    legends_keep_off(drawn)
+
+
+@pytest.mark.parametrize("name", ["puck", "three periods"])
+def test_the_legend_does_so_over_the_whole_width_of_a_page(name: str) -> None:
+    legends_keep_off(laid_out(PROBLEMS[name](), FULL_WIDTH))
+
+
+def legends_keep_off(figures: list[Figure]) -> None:
+    for figure in figures:
         legend = figure.legends[0].get_window_extent()
         assert 0.0 <= legend.x0 < legend.x1 <= figure.bbox.x1
         assert legend.y1 <= figure.bbox.y1

@@ -14,7 +14,14 @@ import zeno_orbits as zo
 from zeno_orbits.errors import counted
 from zeno_orbits.model.library import bundled_problems, load_problem
 from zeno_orbits.report import terminal
-from zeno_orbits.report.table import name_column, number_column, text_column
+from zeno_orbits.report.table import (
+    name_column,
+    number_column,
+    shown_multiplier,
+    shown_number,
+    shown_size,
+    text_column,
+)
 from zeno_orbits.report.terminal import NotebookLine, line_for_watcher, progress
 from zeno_orbits.report.terminal.console import print_table
 
@@ -44,6 +51,49 @@ def test_no_name_number_or_word_of_a_table_is_cut(
         assert printed.split().count(word) == 2
     for word in ("first", "name", "value", "[rad/s]", "meaning", "passed"):
         assert word in printed.split()
+
+
+def test_a_narrow_table_breaks_its_headings_before_its_texts(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "40")
+    text = "the middle of the first flight"
+    columns = [text_column("what", lambda _: text), number_column("standard error", lambda _: "1")]
+    print_table(columns, [None])
+    heading, below, row = plain(capsys.readouterr().out).splitlines()[:3]
+    assert (heading.split(), below.split()) == (["standard"], ["what", "error"])
+    # Numbers are set to the right.
+    assert row == f"{text}         1"
+
+
+def test_a_sentence_ends_its_lines_between_words_in_a_terminal_and_is_whole_in_a_file(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "30")
+    name = "a_name_that_is_much_longer_than_a_line_of_thirty"
+    sentence = f"  The state `{name}` is not known, and --until neither."
+    for is_terminal in (False, True):
+        monkeypatch.setattr("sys.stdout.isatty", lambda is_terminal=is_terminal: is_terminal)
+        monkeypatch.setattr("sys.stderr.isatty", lambda is_terminal=is_terminal: is_terminal)
+        terminal.print_lines([sentence])
+        terminal.print_error(sentence)
+        terminal.print_whole([sentence])
+        printed, error = capsys.readouterr()
+        *folded, whole = plain(printed).splitlines()
+        assert whole == sentence
+        assert " ".join(printed.split()).count(f"`{name}` is not known, and --until neither.") == 2
+        assert all(line.startswith("  ") for line in folded)
+        assert (len(folded) > 1) == (len(error.splitlines()) > 1) == is_terminal
+        assert all(len(line) <= 30 or name in line for line in folded if is_terminal)
+
+
+def test_a_size_of_zero_and_a_multiplier_below_its_error_are_printed_as_zero() -> None:
+    assert (shown_size(0.0), shown_size(3.14e-9), shown_number(-0.0, 3)) == ("0", "3.1e-09", "0")
+    assert shown_multiplier(2.6e-17, 1e-9, 7) == "0"
+    # Not known from zero either, but large: it is told, and its error beside it.
+    assert shown_multiplier(0.25, 0.5, 7) == "0.25"
+    assert shown_multiplier(-3e-12, 1e-13, 7) == "-3e-12"
 
 
 def test_every_problem_is_named_whole_in_eighty_columns(
@@ -103,6 +153,48 @@ def test_the_time_left_only_falls_within_a_stage_and_begins_anew_with_the_next(
         assert len(one) > 3
         assert one == sorted(one, reverse=True)
     assert left[1][0] > left[0][-1]
+
+
+def test_the_time_left_is_not_told_by_a_trace_of_the_work_while_workers_start(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clock = Clock()
+    monkeypatch.setattr(progress, "time", clock)
+    monkeypatch.setattr(progress, "_PATIENCE", 1.0)
+    line = progress.ProgressLine(lambda: None)
+    for now, part, told in ((30.0, 1e-4, False), (40.0, 0.02, True), (80.0, 0.04, True)):
+        clock.now = now
+        line("points", part)
+        assert ("left" in capsys.readouterr().err) == told
+
+
+def test_work_that_turns_out_to_be_more_does_not_begin_the_time_left_anew(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clock = Clock()
+    monkeypatch.setattr(progress, "time", clock)
+    monkeypatch.setattr(progress, "_PATIENCE", 1.0)
+    line = progress.ProgressLine(lambda: None)
+    for now, part in ((90.0, 0.4), (105.0, 0.399), (130.0, 0.4001), (150.0, 0.45)):
+        clock.now = now
+        line(f"points at {now}", part)
+        # 90 s for 40 % leave 135 s, which stand still while nothing goes on.
+        assert "about 2 min left" in capsys.readouterr().err
+
+
+def test_a_file_gets_a_line_when_something_is_new_and_a_sign_of_life_ever_more_rarely(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clock = Clock()
+    monkeypatch.setattr(progress, "time", clock)
+    monkeypatch.setattr(progress, "_PATIENCE", 1.0)
+    line = progress.ProgressLine(lambda: None)
+    for now in range(100):
+        clock.now = float(now)
+        line("0 of 2 directions" if now < 90 else "1 of 2 directions", None)
+    said = [float(one.split()[0]) for one in capsys.readouterr().err.splitlines()]
+    # From the first second on, at each doubling; and the news at the next occasion.
+    assert said == [1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 90.0]
 
 
 class _Display:

@@ -67,6 +67,7 @@ def test_a_mass_that_leaves_for_good_runs_away_though_nobody_says_how_far_is_far
 def test_a_mass_that_flies_far_at_a_steady_speed_has_not_run_away() -> None:
     settling = settle(falling_away(1.0), [(0.0, 1.0)], SHORT)
     assert settling.reason == "no release is followed by a Zeno point after 30 s"
+    assert settling.undecided
 
 
 @pytest.mark.parametrize(
@@ -119,9 +120,22 @@ def test_the_own_time_of_a_problem_is_that_of_its_clock_or_its_slowest_oscillati
     assert falling == pytest.approx(2 * math.pi / math.sqrt(9.81))
 
 
+def test_a_link_on_its_stop_does_not_rest_while_a_slow_current_grows() -> None:
+    # The inductance is a hundred times the valve's own: the current takes seconds to lift the link.
+    valve = load_problem("motor_valve")
+    values = valve.values(parameters={"L": 10.0, "restitution": 0.05})
+    dynamics, start = valve.dynamics(values), valve.state_vector(valve.starts[0])
+    settling = settle(dynamics, [start], problem=valve)
+    *_, before, last = simulate(dynamics, start, until=120.0).impacts
+    assert settling.cycle is not None, settling.reason
+    # The state repeats to `settled`, 1e-6 of its size.
+    assert settling.cycle.period == pytest.approx(last.time - before.time, rel=1e-5)
+
+
 def test_a_mass_at_rest_off_its_stop_rests() -> None:
     settling = settle(spring_mass(1.0, 0.5), [(0.0, 0.0)], SHORT)
     assert settling.reason == "the motion comes to rest"
+    assert not settling.undecided
 
 
 def test_a_mass_that_swings_without_impacts_has_no_zeno_point() -> None:

@@ -122,3 +122,15 @@ def test_an_orbit_of_another_shape_or_gain_is_another_candidate(
     }
     result = searched(told, **asked)
     assert [one.starts for one in result.candidates] == [2, 1, 1]
+
+
+def test_an_orbit_a_few_millionths_off_the_nearest_numbers_is_no_other_candidate(
+    searched: Any, orbit: ZenoOrbit
+) -> None:
+    told = [_found(orbit, 0.0, 2.5), _found(orbit, 6e-13, 2.5 * (1 + 2e-6))]
+    asked: dict[str, Any] = {
+        "objective": NearestGains(target={}),
+        "settings": SearchSettings(candidates=2),
+    }
+    (one,) = searched(told, **asked).candidates
+    assert (one.starts, one.score) == (2, 0.0)

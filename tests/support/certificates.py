@@ -6,7 +6,9 @@ on it the clock alone turns. Nothing of the package's prover is used.
 
 from __future__ import annotations
 
+import copy
 import hashlib
+import random
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -326,3 +328,25 @@ def impact_oscillator(problem: Problem) -> dict[str, Any]:
         others = {"centre": [text_of(start[2])], "radius": [text_of(mp.mpf("1e-6"))]}
         section = {"conditions": ["gap"], "places": [1, 3]}
         return made.certificate(section, others, claims)
+
+
+def mutate(data: Any, chance: random.Random) -> None:
+    """Change one entry of plain data, at any depth."""
+    while True:
+        key: Any = chance.choice(list(data) if isinstance(data, dict) else range(len(data)))
+        if not isinstance(data[key], dict | list) or not data[key] or chance.random() < 0.02:
+            break
+        data = data[key]
+    if isinstance(data, list) and chance.random() < 0.1:
+        data.insert(key, copy.deepcopy(chance.choice(data)))
+    elif chance.random() < 0.1:
+        del data[key]
+    elif isinstance(data[key], int):
+        data[key] += chance.choice([-1, 1])
+    elif isinstance(data[key], str):
+        place = chance.randrange(len(data[key]))
+        data[key] = (
+            data[key][:place] + chance.choice("0123456789abcdef-px") + data[key][place + 1 :]
+        )
+    else:
+        data[key] = None

@@ -102,5 +102,5 @@ def examples(command: str) -> list[list[str]]:
     """Return the example lines of a command's help, split as a shell would."""
     answer = ask(command, "--help")
     assert answer.code == YES
-    lines = re.findall(r"^  zeno-orbits (.+)$", answer.out, flags=re.MULTILINE)
-    return [shlex.split(line) for line in lines]
+    lines = re.findall(r"^  zeno-orbits ((?:\\\n|.)+)$", answer.out, flags=re.MULTILINE)
+    return [shlex.split(line.replace("\\\n", " ")) for line in lines]

@@ -28,7 +28,7 @@ def use_folder(monkeypatch: pytest.MonkeyPatch, folder: Path, when: str = "wait"
 
 def forget(monkeypatch: pytest.MonkeyPatch) -> None:
     """Forget the compiler, complaints and kernels of this process."""
-    requests._compiler.cache_clear()
+    requests.usable_compiler.cache_clear()
     monkeypatch.setattr(requests, "_complaints", {})
     monkeypatch.setattr(requests, "_used", [])
 

@@ -1,4 +1,4 @@
-"""What the commands say of one problem at its own numbers: search, simulate, map, continue."""
+"""What the commands say of one problem at its own numbers, and of its machine and recordings."""
 
 from __future__ import annotations
 
@@ -8,10 +8,27 @@ from pathlib import Path
 import numpy as np
 
 import zeno_orbits as zo
+from zeno_orbits.experiment import (
+    RecordedSignal,
+    Recording,
+    Source,
+    Unknown,
+    identify,
+    rig_cycles,
+)
+from zeno_orbits.experiment.orbit_table import tabulate_orbit
+from zeno_orbits.experiment.rig.cycle_comparison import compare_cycles
+from zeno_orbits.model.rig_parts import Contact, Rig
 
 NEAR = 1e-3
 """Half the width of the ranges around the problem's own numbers, relative."""
 PERIODS = 20
+STIFF = 1e-5
+"""Part of a period that a contact of the machine with a soft stop lasts, over pi."""
+CYCLES, SAMPLES = 6, 400
+"""Length of a recording in periods, and its samples in each."""
+OFF = 0.97
+"""Restitution at which a fit begins, in units of the true one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,3 +116,62 @@ def _continued(problem: str | Path, orbit: zo.ZenoOrbit, range_: tuple[str, floa
     values, periods = np.array(points).T
     middle = (low + high) / 2
     return float(np.interp(middle, values, periods))
+
+
+@dataclass(frozen=True, kw_only=True)
+class DataStory:
+    """What a machine and a recording of an orbit tell; NaN where a command does not apply.
+
+    Attributes:
+        rig: Relative difference of the period of a machine with a stiff stop.
+        identified: Relative error of the restitution found from a recording without noise.
+    """
+
+    rig: float
+    identified: float
+
+
+def data_story_of(problem: str | Path) -> DataStory:
+    """Return what `rig` and `identify` say of a problem at its own numbers.
+
+    Args:
+        problem: Its name or file.
+    """
+    known = zo.load_problem(problem)
+    orbit = zo.close_orbit(problem).unwrap()
+    return DataStory(rig=_rigged(known, orbit), identified=_identified(known, orbit))
+
+
+def _rigged(problem: zo.Problem, orbit: zo.ZenoOrbit) -> float:
+    """Return how far the period of a machine with a stiff stop is off; `rig` takes one release."""
+    if not orbit.shape.has_one_release:
+        return float("nan")
+    dynamics = problem.dynamics(orbit.values(problem))
+    inertia = dynamics.normal_inertia(np.array(problem.state_vector(orbit.zeno_state)))
+    stop = Contact(stiffness=inertia / (STIFF * orbit.period) ** 2)
+    settled = rig_cycles(orbit, problem, Rig(contact=stop), cycles=4)
+    mean = compare_cycles(orbit, problem, settled).mean
+    return abs(mean.period / orbit.period - 1)
+
+
+def _identified(problem: zo.Problem, orbit: zo.ZenoOrbit) -> float:
+    """Return the relative error of the restitution that fits samples of the orbit."""
+    true = orbit.parameters["restitution"]
+    if not (true > 0.0 and orbit.shape.has_one_release):
+        return float("nan")
+    clock = {problem.state_names[k] for k in problem.compiled().clock}
+    units = dict(zip(problem.state_names, problem.state_units, strict=True))
+    names = tuple(name for name in problem.state_names if name not in clock)
+    times = np.arange(CYCLES * SAMPLES + 0.5) * orbit.period / (SAMPLES + 0.3)
+    values = tabulate_orbit(orbit, problem, names).at(times / orbit.period)
+    signals = tuple(
+        RecordedSignal(name=name, unit=units[name], values=values[:, k])
+        for k, name in enumerate(names)
+    )
+    recording = Recording(
+        source=Source.SIMULATED, problem=problem.name, time=times, signals=signals
+    )
+    begin = problem.values(parameters={"restitution": OFF * true})
+    sought = Unknown(names=("restitution",), lower=true / 2, upper=(1 + true) / 2)
+    (found,) = identify(problem, begin, recording, [sought]).fitted
+    return abs(found.value / true - 1)

@@ -29,19 +29,19 @@ def add_cache(commands: Any) -> None:
 
 
 def _run_cache(options: argparse.Namespace) -> int:
-    from zeno_orbits.kernels import complaints, kernel_folder, when_to_compile
+    from zeno_orbits.kernels import complaints, kernel_folder, usable_compiler, when_to_compile
 
     when, folder = when_to_compile(), kernel_folder()
     removed = folder.clear() if options.clear else None
     done = options.compile is None or _compiled(options.compile)
-    compiler, trouble = _compiler_or_trouble()
+    compiler = usable_compiler()
     facts = {
         "folder": str(folder.path),
         "libraries": len(folder.libraries()),
         "bytes": folder.size(),
-        "compiler": compiler,
+        "compiler": None if compiler is None else " ".join(compiler.command[:2]),
         "compile": when.value,
-        "failures": list(dict.fromkeys((*folder.failures(), *complaints(), *trouble))),
+        "failures": list(dict.fromkeys((*folder.failures(), *complaints()))),
     }
     if removed is not None:
         facts["removed"] = removed
@@ -57,14 +57,3 @@ def _compiled(name: str) -> bool:
     from zeno_orbits.model import load_problem
 
     return load_problem(name).compiled().build()
-
-
-def _compiler_or_trouble() -> tuple[str | None, list[str]]:
-    from zeno_orbits.errors import KernelError
-    from zeno_orbits.kernels import find_compiler
-
-    try:
-        compiler = find_compiler()
-    except KernelError as error:
-        return None, [str(error)]
-    return None if compiler is None else " ".join(compiler.command[:2]), []

@@ -69,7 +69,7 @@ def _run_completion(options: argparse.Namespace) -> int:
     if options.json:
         print_json({"shell": options.shell, "script": script})
     else:
-        report.print_lines([script])
+        report.print_whole([script])
     return YES
 
 

@@ -122,10 +122,23 @@ def _run_continue(options: argparse.Namespace) -> int:
         hand_out(
             options, found, report.print_families, lambda plots: plots.plot_families(found, problem)
         )
+        if not options.json:
+            _print_held(options, problem, found)
         ends = [end for family in found.families for end in (family.first, family.last)]
         return NO if any(end.kind is SpecialPointKind.GAVE_UP for end in ends) else YES
 
     return run_resumable(options, work, finish)
+
+
+def _print_held(options: argparse.Namespace, problem: Problem, found: Continuation) -> None:
+    """Say which parameters keep the values that the problem would derive anew: a map does so."""
+    from zeno_orbits.search import held_derived
+
+    changes = [one for one in (options.range, options.second) if one is not None]
+    boxes = {one.name: one.box for one in changes}
+    held = held_derived(problem, found.families[0].parameters, boxes)
+    if held:
+        report.print_lines([f"Derived, and held at their initial values: {', '.join(held)}."])
 
 
 def _continued(

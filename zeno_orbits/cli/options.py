@@ -88,7 +88,7 @@ def add_command(
         name,
         help=summary,
         description=textwrap.fill(f"{summary[0].upper()}{summary[1:]}.", _HELP_WIDTH),
-        epilog="examples:\n" + "\n".join(f"  {example}" for example in examples),
+        epilog="\n".join(["examples:", *map(_folded_example, examples)]),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.set_defaults(run=run)
@@ -98,6 +98,17 @@ def add_command(
     )
     parser.add_argument("--debug", action="store_true", help="print the traceback of an error")
     return parser
+
+
+def _folded_example(command: str) -> str:
+    """Return a command line as a shell reads it, its lines broken before options."""
+    lines = [""]
+    for part in re.split(r" (?=-|> )", f"  {command}"):
+        if lines[-1] and len(lines[-1]) + len(part) >= _HELP_WIDTH:
+            lines.append(f"      {part}")
+        else:
+            lines[-1] = f"{lines[-1]} {part}" if lines[-1] else part
+    return " \\\n".join(lines)
 
 
 def add_problem(parser: argparse.ArgumentParser) -> None:
@@ -427,4 +438,4 @@ def write_json(found: Any, path: Path) -> None:
 def say_written(options: argparse.Namespace, paths: Sequence[Path]) -> None:
     """Name the files that were written, unless JSON is printed."""
     if not options.json:
-        report.print_lines(f"Written: {path}" for path in paths)
+        report.print_whole(f"Written: {path}" for path in paths)

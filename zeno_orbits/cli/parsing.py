@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from zeno_orbits.continuation import SpecialPointKind
     from zeno_orbits.model import Problem
     from zeno_orbits.orbits import Bound, OrbitShape
-    from zeno_orbits.search import Objective
-    from zeno_orbits.search.objectives import ObjectiveWord
+    from zeno_orbits.search import Objective, ObjectiveWord
 
 
 class Named(argparse.Action):
@@ -229,7 +228,7 @@ class Wish(NamedTuple):
         Raises:
             InputError: If nothing is free that could serve it, or a target lies out of its range.
         """
-        from zeno_orbits.search.objectives import Operand
+        from zeno_orbits.search import Operand
 
         if self.row.operand is Operand.NUMBERS:
             _check_targets(self.operand, free)
@@ -241,7 +240,7 @@ class Wish(NamedTuple):
 
 def read_wish(text: str) -> Wish:
     """Return what the words of ``--objective`` ask for."""
-    from zeno_orbits.search.objectives import OBJECTIVES, Operand
+    from zeno_orbits.search import OBJECTIVES, Operand
 
     word, _, rest = text.partition(":") if text.startswith("nearest") else text.partition("=")
     known = OBJECTIVES.get(word)

@@ -1,9 +1,8 @@
-"""The commands about problems, before any orbit: `problems`, `new`, `conditions`, `fidelity`."""
+"""The commands about problems, before any orbit: `problems`, `new`, `conditions`."""
 
 from __future__ import annotations
 
 import argparse
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -128,9 +127,9 @@ def add_conditions(commands: Any) -> None:
 
 
 def _run_conditions(options: argparse.Namespace) -> int:
-    from zeno_orbits.model import load_problem
-    from zeno_orbits.model.formulas import (
-        equilibrium_acceleration,
+    from zeno_orbits.model import (
+        acceleration_formula,
+        load_problem,
         six_digits,
         with_numbers,
     )
@@ -140,7 +139,7 @@ def _run_conditions(options: argparse.Namespace) -> int:
     # What cannot be drawn is refused before anything is printed.
     if options.output is not None:
         _draw_region(problem, values, options.output)
-    formula = equilibrium_acceleration(problem)
+    formula = acceleration_formula(problem)
     numbers = with_numbers(formula, values)
     always = bool(numbers < 0) if numbers.is_number else None
     if options.json:
@@ -170,36 +169,3 @@ def _draw_region(problem: Problem, values: ParameterValues, path: Path) -> None:
     require_picture(path)
     dynamics = problem.dynamics(values)
     plots.save_figure(plots.plot_zeno_region(problem, dynamics), path)
-
-
-def add_fidelity(commands: Any) -> None:
-    """Add the command `fidelity`."""
-    parser = add_command(
-        commands,
-        "fidelity",
-        _run_fidelity,
-        "estimate the error of a problem's reduced models, before one is used",
-        [
-            "zeno-orbits fidelity motor_pendulum",
-            "zeno-orbits fidelity motor_pendulum --set L=0.02 --measure --json",
-        ],
-    )
-    add_problem(parser)
-    add_gains(parser)
-    parser.add_argument(
-        "--measure", action="store_true", help="also find the full problem's orbit, and compare"
-    )
-
-
-def _run_fidelity(options: argparse.Namespace) -> int:
-    from zeno_orbits.model import load_problem
-    from zeno_orbits.precision import reduction_costs
-
-    problem = load_problem(options.problem)
-    values = values_of(problem, options)
-    costs = list(reduction_costs(problem, values, measure=options.measure).values())
-    if options.json:
-        print_json([asdict(cost) for cost in costs])
-    else:
-        report.print_reduction_costs(costs)
-    return YES

@@ -9,22 +9,20 @@ from contextlib import suppress
 
 import zeno_orbits
 from zeno_orbits.cli.cache import add_cache
-from zeno_orbits.cli.compare import add_compare
 from zeno_orbits.cli.completion import add_completion
 from zeno_orbits.cli.continue_command import add_continue
-from zeno_orbits.cli.figures import add_figures
-from zeno_orbits.cli.identify import add_identify
+from zeno_orbits.cli.costs import add_fidelity, add_trade
 from zeno_orbits.cli.map import add_map
 from zeno_orbits.cli.options import INTERRUPTED, MISUSE, NO, Parser
-from zeno_orbits.cli.plot import add_plot
-from zeno_orbits.cli.problems import add_conditions, add_fidelity, add_new, add_problems
+from zeno_orbits.cli.pictures import add_figures, add_plot
+from zeno_orbits.cli.problems import add_conditions, add_new, add_problems
 from zeno_orbits.cli.process import Interrupts, patient_streams
 from zeno_orbits.cli.prove import add_prove
+from zeno_orbits.cli.recordings import add_compare, add_identify
 from zeno_orbits.cli.report_command import add_report
 from zeno_orbits.cli.rig import add_rig
 from zeno_orbits.cli.search import add_search
 from zeno_orbits.cli.simulate import add_simulate
-from zeno_orbits.cli.trade import add_trade
 from zeno_orbits.cli.verify import add_verify
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.report import terminal as report
@@ -54,6 +52,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             # There is no room for what `--help` says.
             report.print_error(str(error))
             return MISUSE
+        except KeyboardInterrupt:
+            return _interrupted()
         return _answer(options)
 
 
@@ -71,8 +71,7 @@ def _answer(options: argparse.Namespace) -> int:
     except ZenoOrbitsError as error:
         return _end(error, NO, options)
     except KeyboardInterrupt:
-        report.print_error("interrupted; nothing was written")
-        return INTERRUPTED
+        return _interrupted()
     except Exception as error:
         # The last line of defence against a raw traceback.
         if options.debug:
@@ -96,6 +95,11 @@ def _tell_of_kernels(options: argparse.Namespace) -> None:
             report.print_note(f"{account()}.")
         elif complaints():
             report.print_note(f"{complaints()[0]}: steps are interpreted, as accurate and slower.")
+
+
+def _interrupted() -> int:
+    report.print_error("interrupted; nothing was written")
+    return INTERRUPTED
 
 
 def _end(error: Exception, code: int, options: argparse.Namespace) -> int:

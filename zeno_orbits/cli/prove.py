@@ -10,6 +10,7 @@ from zeno_orbits.cli.options import (
     NO,
     YES,
     add_command,
+    add_problem_file,
     orbit_and_problem,
     print_json,
     require_outputs,
@@ -40,9 +41,7 @@ def add_prove(commands: Any) -> None:
         ],
     )
     parser.add_argument("orbit", metavar="ORBIT.json", type=Path, nargs="?", help="an orbit file")
-    parser.add_argument(
-        "--problem", metavar="FILE.py", help="the problem's file, if it is not a bundled one"
-    )
+    add_problem_file(parser)
     parser.add_argument(
         "-o", "--output", type=Path, metavar="PROOF.json", help="write the certificate here"
     )
@@ -115,21 +114,33 @@ def _over(
 
 
 def _check(options: argparse.Namespace) -> int:
-    """Check a certificate, and print what holds."""
-    from zeno_orbits.model import locate_problem
-    from zeno_orbits.proof import check_proof
+    """Check a certificate on both levels, and print what holds."""
+    import json
+    from dataclasses import asdict
+
+    from zeno_orbits.model import load_problem, locate_problem
+    from zeno_orbits.proof import check_proof, replay_proof
 
     problem = None if options.problem is None else locate_problem(options.problem).load()
     verdict = check_proof(options.check, problem)
+    data = json.loads(options.check.read_text(encoding="utf-8"))
+    replay = replay_proof(data, problem or load_problem(data["problem"]))
+    holds = verdict.ok and (replay is None or replay.ok)
     if options.json:
         claims = [claim._asdict() for claim in verdict.claims]
-        print_json({"proved": verdict.ok, "problem": verdict.problem, "claims": claims})
-        return YES if verdict.ok else NO
+        levels = {"A": replay and {**asdict(replay), "ok": replay.ok}, "B": {"ok": verdict.ok}}
+        found = {"proved": holds, "problem": verdict.problem, "claims": claims, "levels": levels}
+        print_json(found)
+        return YES if holds else NO
     for claim in verdict.claims:
         report.print_lines([f"{'holds' if claim.ok else 'FAILS'}  {claim.name}: {claim.evidence}"])
-    what = "every claim holds" if verdict.ok else "a claim does not hold"
+    evidence = "there is no hand-written model." if replay is None else replay.verdict()
+    report.print_lines(
+        [f"Level A, replay: {evidence}", f"Level B, inclusions: {verdict.verdict()}"]
+    )
+    what = "every claim holds" if holds else "a claim does not hold"
     report.print_lines([f"Certificate of `{verdict.problem}`: {what}."])
-    return YES if verdict.ok else NO
+    return YES if holds else NO
 
 
 def add_proof(parser: argparse.ArgumentParser) -> None:

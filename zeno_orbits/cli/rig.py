@@ -27,8 +27,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
-    from zeno_orbits.experiment import RigSettings
-    from zeno_orbits.experiment.rig import RigRun
+    from zeno_orbits.experiment import RigRun, RigSettings
     from zeno_orbits.model import Problem, Rig
 
 _PARTS = ("friction", "gears", "bridge", "controller", "sensors")
@@ -73,10 +72,17 @@ def add_rig(commands: Any) -> None:
         "--only",
         action="append",
         choices=(*_PARTS, "contact"),
-        help="use this part only, beside the contact; may be repeated; by default all parts",
+        metavar="PART",
+        help=f"use this part only, beside the contact ({', '.join(_PARTS)}, or only contact); may "
+        "be repeated; by default all parts",
     )
     parser.add_argument(
-        "--without", action="append", default=[], choices=_PARTS, help="leave out a part"
+        "--without",
+        action="append",
+        default=[],
+        choices=_PARTS,
+        metavar="PART",
+        help="leave out a part; may be repeated",
     )
     parser.add_argument(
         "--exact", action="store_true", help="follow the bridge's pulses edge by edge"
@@ -130,7 +136,7 @@ def _near_orbit(options: argparse.Namespace) -> int:
     if options.json:
         print_json(comparison.as_json())
     else:
-        report.print_rig(comparison)
+        report.print_rig(comparison, problem.amplitude_of)
     _write(options, settled.run, problem)
     return NO if comparison.drifting else YES
 
@@ -171,9 +177,8 @@ def _from_start(options: argparse.Namespace) -> int:
 def _rig_of(options: argparse.Namespace, problem: Problem) -> Rig:
     from dataclasses import replace
 
-    from zeno_orbits.experiment.rig import default_rig
-    from zeno_orbits.model import Switching
-    from zeno_orbits.model.rig_parts import PART_NAMES, rig_with_numbers, without_parts
+    from zeno_orbits.experiment import default_rig
+    from zeno_orbits.model import PART_NAMES, Switching, rig_with_numbers, without_parts
 
     left_out = options.without
     if options.only is not None:

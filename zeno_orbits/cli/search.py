@@ -159,8 +159,14 @@ def add_search(commands: Any) -> None:
 def _run_search(options: argparse.Namespace) -> int:
     from zeno_orbits.api import Verified
     from zeno_orbits.model import locate_problem
-    from zeno_orbits.search import SearchSettings, SettlingSettings, StartWorkers, search_gains
-    from zeno_orbits.search.number_notes import far_from_own, held_derived
+    from zeno_orbits.search import (
+        SearchSettings,
+        SettlingSettings,
+        StartWorkers,
+        far_from_own,
+        held_derived,
+        search_gains,
+    )
     from zeno_orbits.work import Plan
 
     problem_file = locate_problem(options.problem)
@@ -213,7 +219,7 @@ def _run_search(options: argparse.Namespace) -> int:
             free=free,
             objective=objective,
             bounds=bounds,
-            held=held_derived(problem, values, free),
+            held=held_derived(problem, values.parameters, free),
             far=far_from_own(problem, values),
         )
         return answer(options, problem, result, notes)

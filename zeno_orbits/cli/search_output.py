@@ -136,7 +136,8 @@ def _say_no(
         )
         return
     report.print_search(result)
-    report.print_lines([*notes.far, *(f"Try: {hint}" for hint in hints)])
+    report.print_lines(notes.far)
+    report.print_whole(f"Try: {hint}" for hint in hints)
     if older:
         report.print_lines([f"{options.output} was not written: what it holds is older."])
 
@@ -150,9 +151,11 @@ def _levers(
     found: list[str] = []
     if result.status is SearchStatus.NO_GUESS:
         found.append("--start STATE=VALUE, to simulate from elsewhere.")
-        if " after " in result.detail:
+        if result.undecided:
             found.append("--until T, to wait longer for a motion to repeat.")
         found.append(f"{map_command(problem, options, notes)}, to see where orbits are.")
+        if options.shape is not None:
+            found.append("no --shape, to take the orbits that motions settle to.")
     if result.status is SearchStatus.NOT_ACCEPTED and not options.allow_unstable:
         found.append("--allow-unstable, to take an orbit that does not attract.")
     if notes.bounds:

@@ -34,7 +34,9 @@ class FollowedFamily:
     ends: tuple[tuple[Located, tuple[BranchPoint, ...]], ...]
 
 
-def joined(problem: Problem, setup: Setup, backward: Branch, forward: Branch) -> FollowedFamily:
+def whole_family(
+    problem: Problem, setup: Setup, backward: Branch, forward: Branch
+) -> FollowedFamily:
     """Return both directions of a family as one.
 
     Args:

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from zeno_orbits.continuation.assembly import FollowedFamily, joined
+from zeno_orbits.continuation.assembly import FollowedFamily, whole_family
 from zeno_orbits.continuation.branch import Branch
 from zeno_orbits.continuation.corrector import first_point
 from zeno_orbits.continuation.families import Continuation, SpecialCurve, SpecialPointKind
@@ -231,7 +231,7 @@ def _families(start: FamilyStart, dispatch: Dispatch) -> list[FollowedFamily]:
         for (setup, flip), (branch,) in zip(flips, branches, strict=True):
             if branch is not None:
                 root = Branch(points=(), special=(), ending=SpecialPointKind.FLIP, end=flip)
-                latest.append(joined(dispatch.problem, setup.doubled(), root, branch))
+                latest.append(whole_family(dispatch.problem, setup.doubled(), root, branch))
         found += latest
     return found
 
@@ -248,4 +248,4 @@ def _both_directions(start: FamilyStart, dispatch: Dispatch) -> FollowedFamily:
     )
     ((forward, *backward),) = dispatch.results("directions", "directions", [jobs])
     closed = Branch(points=(), special=(), ending=SpecialPointKind.CLOSED)
-    return joined(dispatch.problem, setup, backward[0] if backward else closed, forward)
+    return whole_family(dispatch.problem, setup, backward[0] if backward else closed, forward)

@@ -1,6 +1,8 @@
 from .comparison.comparison import Comparison as Comparison
 from .comparison.comparison import compare as compare
 from .comparison.counterpart import Counterpart as Counterpart
+from .comparison.counterpart import recording_counterpart as recording_counterpart
+from .comparison.counterpart import rig_counterpart as rig_counterpart
 from .comparison.deviations import Deviations as Deviations
 from .comparison.deviations import Portrait as Portrait
 from .comparison.metrics import Metric as Metric
@@ -23,6 +25,8 @@ from .recordings.sampling import sampled as sampled
 from .rig.cycle_comparison import RigComparison as RigComparison
 from .rig.cycle_comparison import compare_cycles as compare_cycles
 from .rig.cycles import rig_cycles as rig_cycles
+from .rig.cycles import default_rig as default_rig
 from .rig.run import RigSettings as RigSettings
 from .rig.run import recording_of as recording_of
+from .rig.run import RigRun as RigRun
 from .rig.simulator import simulate_rig as simulate_rig

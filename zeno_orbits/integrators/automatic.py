@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +47,7 @@ FIRST_STEP = 2.5
 estimate of order 8 mostly takes."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Automatic(SteppingEngine):
     """Explicit steps, and implicit ones once stiffness holds the explicit ones back.
 
@@ -58,7 +59,7 @@ class Automatic(SteppingEngine):
     explicit: RungeKutta = field(default_factory=RungeKutta)
     implicit: Radau = field(default_factory=Radau)
 
-    @property
+    @cached_property
     def loop(self) -> StepLoop:
         """Explicit steps, then implicit ones."""
         explicit, implicit = self.explicit.largest_step, self.implicit.largest_step

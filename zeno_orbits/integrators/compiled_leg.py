@@ -10,8 +10,7 @@ import ctypes
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 from typing import Any, NamedTuple, overload
 
 import numpy as np
@@ -20,14 +19,13 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators.collocation import Collocation
 from zeno_orbits.integrators.engine import Leg, Outcome, Passage, Step
 from zeno_orbits.integrators.events import SteppedTrajectory
-from zeno_orbits.integrators.flow import GuardedFlow, Tolerance
 from zeno_orbits.integrators.steps import ExplicitStep, RadauStep, not_finite, too_small
 from zeno_orbits.kernels import KernelLibrary
 
 _CAPACITY = 256
 """Steps that one call records; longer legs take several."""
 
-ENDINGS = ("FALL", "HORIZON", "LEFT")
+ENDINGS = (Outcome.FALL, Outcome.HORIZON, Outcome.LEFT)
 """What a call returns at the end of a leg, in the order of `follow.c`."""
 
 _FULL, _FAR, _EXPLICIT_SINGULAR, _IMPLICIT_SINGULAR, _NOT_FINITE, _RATES = range(3, 9)
@@ -61,7 +59,7 @@ def _leg_type(n_y: int, n_stages: int) -> type[ctypes.Structure]:
     arrays = {"guard": 2, "y": n_y, "end": n_y, "reach": n_y, "eigenvalues": 2 * n_y}
     arrays["coefficients"] = n_stages * n_y
     counts = "switches implicit on_guard started refused has_last has_rates n_steps n_explicit "
-    counts += "n_recorded capacity"
+    counts += "n_recorded n_polynomials capacity"
     fields = [
         *((name, number) for name in numbers.split()),
         *((name, number * length) for name, length in arrays.items()),
@@ -88,12 +86,17 @@ class LegCode:
         self._kept = p
         self._rows = np.zeros((_CAPACITY, 2 + n_y))
         self._polynomials = np.zeros((_CAPACITY, scheme.n_stages, n_y))
-        self._addresses = tuple(a.ctypes.data for a in (p, self._rows, self._polynomials))
         self._leg: Any = _leg_type(n_y, scheme.n_stages)()
         self._given = ctypes.byref(self._leg)
+        self._leg.capacity = _CAPACITY
+        self._leg.p, self._leg.rows, self._leg.polynomials = (
+            array.ctypes.data for array in (p, self._rows, self._polynomials)
+        )
         self._y = np.frombuffer(self._leg.y, dtype=np.float64)
         self._end = np.frombuffer(self._leg.end, dtype=np.float64)
         self._reach = np.frombuffer(self._leg.reach, dtype=np.float64)
+        self._reach[:] = math.inf
+        self._bound: Vector | None = None
         self._rates = np.frombuffer(self._leg.eigenvalues, dtype=np.float64).reshape(2, n_y)
 
     def serves(self, loop: StepLoop) -> bool:
@@ -111,43 +114,45 @@ class LegCode:
             StepSizeError: If the step size falls to rounding level.
         """
         self._begin(leg, loop)
-        taken = _Record(start=leg.y, chunks=[])
         own = self._leg
+        chunks: list[_Chunk] = []
         while True:
-            ending = self._follow(self._given)
+            ending: int = self._follow(self._given)
             n = own.n_recorded
             if n:
-                implicit = max(own.n_explicit - (own.n_steps - n), 0)
-                rows = self._rows[:n].copy()
-                taken.chunks.append((rows, self._polynomials[implicit:n].copy()))
+                rows, n_implicit = self._rows[:n].copy(), own.n_polynomials
+                polynomials = self._polynomials[:n_implicit].copy() if n_implicit else _NO_STEPS
+                chunks.append((rows, polynomials))
                 leg.watch(n, rows[-1, 0], rows[-1, 2:])
             if ending < len(ENDINGS):
                 break
             self._go_on(leg, ending)
-        steps = RecordedSteps(taken, leg.flow, leg.tolerance, self._scheme)
-        start = own.time
-        if ending == 0:
-            return _passage(Outcome.FALL, steps, start + own.offset, self._end.copy())
-        if ending == 1:
-            return _passage(Outcome.HORIZON, steps, leg.horizon, self._end.copy())
-        return _passage(Outcome.LEFT, steps, start, self._y.copy())
+        outcome = ENDINGS[ending]
+        duration: float = own.time
+        state = self._end.copy()
+        if outcome is Outcome.FALL:
+            duration += own.offset
+        elif outcome is Outcome.HORIZON:
+            duration = leg.horizon
+        steps = RecordedSteps(leg, chunks, self._scheme)
+        trajectory = SteppedTrajectory(steps=steps, duration=duration, end=state)
+        return Passage(outcome=outcome, duration=duration, state=state, trajectory=trajectory)
 
     def _begin(self, leg: Leg, loop: StepLoop) -> None:
         own, tolerance = self._leg, leg.tolerance
-        ctypes.memset(self._given, 0, ctypes.sizeof(own))
+        own.started = False
         own.horizon, own.rounding = leg.horizon, leg.rounding
         own.relative, own.absolute = tolerance.relative, tolerance.absolute
-        own.largest_explicit = min(loop.largest_explicit, leg.horizon)
-        own.largest_implicit = min(loop.largest_implicit, leg.horizon)
+        own.largest_explicit, own.largest_implicit = loop.largest_explicit, loop.largest_implicit
         own.switches = loop.explicit and loop.implicit
         own.implicit = not loop.explicit
         own.on_guard = leg.on_guard
-        own.capacity = _CAPACITY
-        own.p, own.rows, own.polynomials = self._addresses
         self._y[:] = leg.y
-        self._reach[:] = math.inf
-        if leg.reach is not None:
-            self._reach[: leg.reach.size] = leg.reach
+        if leg.reach is not self._bound:
+            self._bound = leg.reach
+            self._reach[:] = math.inf
+            if leg.reach is not None:
+                self._reach[: leg.reach.size] = leg.reach
 
     def _go_on(self, leg: Leg, ending: int) -> None:
         """Do what the loop cannot do by itself, or raise what it met."""
@@ -176,78 +181,64 @@ class CompilableFlow(ABC):
         """Hear of time that compiled code would have saved [s]; in the end that repays it."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Record:
-    """Steps as they were recorded.
+_Chunk = tuple[Vector, Vector]
+"""Start, size and state after of each step, ``(n, 2 + n_y)``, and polynomials of the last of them,
+which are the implicit ones."""
 
-    Attributes:
-        start: State at the start, ``(n_y,)``.
-        chunks: Start, size and state after of each step, and polynomials of the implicit ones.
-    """
-
-    start: Vector
-    chunks: list[tuple[Vector, Vector]]
+_NO_STEPS = np.zeros((0, 0, 0))
 
 
 class RecordedSteps(Sequence[Step]):
     """The steps of a leg, made of their record once somebody asks for one."""
 
-    def __init__(
-        self,
-        record: _Record,
-        flow: GuardedFlow,
-        tolerance: Tolerance,
-        scheme: Collocation,
-    ) -> None:
+    __slots__ = ("_chunks", "_leg", "_made", "_scheme")
+
+    def __init__(self, leg: Leg, chunks: Sequence[_Chunk], scheme: Collocation) -> None:
         """Keep the record.
 
         Args:
-            record: The record.
-            flow: The flow.
-            tolerance: Local error of the steps.
-            scheme: Of the implicit steps.
+            leg: The leg.
+            chunks: Its steps in order.
+            scheme: Of the implicit ones.
         """
-        self._record, self._flow, self._tolerance = record, flow, tolerance
-        self._scheme = scheme
+        self._leg, self._chunks, self._scheme = leg, chunks, scheme
+        self._made: list[Step] = []
 
-    @cached_property
-    def _steps(self) -> tuple[Step, ...]:
-        steps: list[Step] = []
-        before = self._record.start
-        flow, tolerance, scheme = self._flow, self._tolerance, self._scheme
-        for rows, polynomials in self._record.chunks:
-            first = len(rows) - len(polynomials)
-            times = rows[:, :2].tolist()
-            for k, ((start, size), after) in enumerate(zip(times, rows[:, 2:], strict=True)):
-                if k < first:
-                    steps.append(ExplicitStep(flow, tolerance, start, size, before, after))
-                else:
-                    steps.append(
-                        RadauStep(
-                            flow=flow,
-                            scheme=scheme,
-                            tolerance=tolerance,
-                            start=start,
-                            size=size,
-                            before=before,
-                            after=after,
-                            coefficients=polynomials[k - first],
-                        )
-                    )
-                before = after
-        return tuple(steps)
+    def _steps(self) -> list[Step]:
+        if not self._made:
+            before = self._leg.y
+            for rows, polynomials in self._chunks:
+                first = len(rows) - len(polynomials)
+                for k, (start, size) in enumerate(rows[:, :2].tolist()):
+                    after = rows[k, 2:]
+                    coefficients = polynomials[k - first] if k >= first else None
+                    self._made.append(self._step(start, size, before, after, coefficients))
+                    before = after
+        return self._made
+
+    def _step(
+        self, start: float, size: float, before: Vector, after: Vector, coefficients: Vector | None
+    ) -> Step:
+        flow, tolerance = self._leg.flow, self._leg.tolerance
+        if coefficients is None:
+            return ExplicitStep(flow, tolerance, start, size, before, after)
+        return RadauStep(
+            flow=flow,
+            scheme=self._scheme,
+            tolerance=tolerance,
+            start=start,
+            size=size,
+            before=before,
+            after=after,
+            coefficients=coefficients,
+        )
 
     def __len__(self) -> int:
-        return sum(len(rows) for rows, _ in self._record.chunks)
+        return sum(len(rows) for rows, _ in self._chunks)
 
     @overload
     def __getitem__(self, index: int) -> Step: ...
     @overload
     def __getitem__(self, index: slice) -> Sequence[Step]: ...
     def __getitem__(self, index: int | slice) -> Step | Sequence[Step]:
-        return self._steps[index]
-
-
-def _passage(outcome: Outcome, steps: Sequence[Step], duration: float, state: Vector) -> Passage:
-    trajectory = SteppedTrajectory(steps=steps, duration=duration, end=state)
-    return Passage(outcome=outcome, duration=duration, state=state, trajectory=trajectory)
+        return self._steps()[index]

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators.compiled_leg import StepLoop
@@ -21,7 +22,7 @@ SHRINK, GROW = 0.2, 8.0
 EXPONENT = -1 / 8
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class RungeKutta(SteppingEngine):
     """DOP853 with the usual step control.
 
@@ -31,7 +32,7 @@ class RungeKutta(SteppingEngine):
 
     largest_step: float = math.inf
 
-    @property
+    @cached_property
     def loop(self) -> StepLoop:
         """Explicit steps alone."""
         return StepLoop(True, False, self.largest_step, math.inf, None)

@@ -12,14 +12,13 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import StepSizeError
-from zeno_orbits.integrators.engine import Leg, Outcome, Passage, Step
+from zeno_orbits.integrators.engine import Leg, Outcome, Passage, Step, light_value
 from zeno_orbits.integrators.flow import GuardedFlow
 
 Guard = tuple[float, float]
@@ -255,7 +254,7 @@ LEAVES = 1e-6
 """A guard that was never positive and is below minus this part of its change has been left."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@light_value
 class SteppedTrajectory:
     """The steps of a leg; the last may reach beyond its end.
 

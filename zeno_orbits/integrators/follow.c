@@ -1,6 +1,6 @@
-/* Follow a flow until its guard falls: the loop of `automatic`, `dop853`, `radau` and `events` in C.
+/* Follow a flow until its guard falls: the loop of `automatic`, `dop853` and `radau` in C.
 
-   It is compiled with the kernels of one mode (`zk_rate`, `zk_guard`, `zk_jacobian`, `zk_step`,
+   It stands after `fall.c` and the kernels of one mode (`zk_rate`, `zk_guard`, `zk_jacobian`, `zk_step`,
    `zk_begin`, `zk_correct`, `zk_error`), whose sizes and numbers stand before it:
    N_Y states, N_S stages, N_FACTORS entries of Newton's matrices, MONOMIALS of the scheme, and the
    numbers of the step control. The Python loop is the reference; a test holds both together. */
@@ -12,25 +12,23 @@ typedef struct {
     double time, size, last_size, earlier_size, fastest, first, largest_change, offset;
     double guard[2], y[N_Y], end[N_Y], reach[N_Y], eigenvalues[2 * N_Y], coefficients[N_S * N_Y];
     long long switches, implicit, on_guard, started, refused, has_last, has_rates, n_steps;
-    long long n_explicit, n_recorded, capacity;
+    long long n_explicit, n_recorded, n_polynomials, capacity;
     const double *p;
     double *rows, *polynomials;
 } Leg;
 
 typedef struct {
+    Curve curve;
     const Leg *leg;
     const double *before, *after, *guard_after;
     const double *coefficients; /* of an implicit step, else null */
-    double size;
+    double *ended; /* where the last implicit step from its start ended, and the state there */
 } Step;
 
 typedef struct {
     double factors[N_FACTORS], stages[N_S * N_Y], coefficients[N_S * N_Y], after[N_Y], told[5];
 } Found;
 
-/* As Python has them: the first of two, unless the second is smaller (larger). */
-static double lesser(double a, double b) { return b < a ? b : a; }
-static double greater(double a, double b) { return b > a ? b : a; }
 static double spacing(double x) { return nextafter(fabs(x), INFINITY) - fabs(x); }
 
 static void rate_at(const Leg *leg, const double *y, double *rate) {
@@ -98,34 +96,10 @@ static int implicit_step(const Leg *leg, const double *y, double size, const dou
     return 0;
 }
 
-/* The guard inside a step as dense output has it. */
-static void dense(const Step *step, double offset, double *pair) {
-    double state[N_Y];
+/* The state inside a step as dense output has it, and the guard there. */
+static void dense(const Step *step, double offset, double *state, double *pair) {
     int i, k;
-    if (offset == step->size) {
-        pair[0] = step->guard_after[0];
-        pair[1] = step->guard_after[1];
-        return;
-    }
-    if (!step->coefficients) {
-        double told[3];
-        explicit_step(step->leg, step->before, offset, state, told);
-        pair[0] = told[1];
-        pair[1] = told[2];
-        return;
-    }
-    for (i = 0; i < N_Y; i++) {
-        double value = 0.0, at = offset / step->size;
-        for (k = N_S - 1; k >= 0; k--) value = (value + step->coefficients[k * N_Y + i]) * at;
-        state[i] = step->before[i] + value;
-    }
-    guard_at(step->leg, state, pair);
-}
-
-/* The state after a true step that ends inside a step, and the guard there. */
-static void true_end(const Step *step, double offset, double *state, double *pair) {
-    Found found;
-    if (offset == step->size) {
+    if (offset == step->curve.size) {
         memcpy(state, step->after, N_Y * sizeof(double));
         pair[0] = step->guard_after[0];
         pair[1] = step->guard_after[1];
@@ -138,176 +112,46 @@ static void true_end(const Step *step, double offset, double *state, double *pai
         pair[1] = told[2];
         return;
     }
-    if (offset <= 0.0) {
-        memcpy(state, step->before, N_Y * sizeof(double));
-        guard_at(step->leg, state, pair);
-        return;
+    for (i = 0; i < N_Y; i++) {
+        double value = 0.0, at = offset / step->curve.size;
+        for (k = N_S - 1; k >= 0; k--) value = (value + step->coefficients[k * N_Y + i]) * at;
+        state[i] = step->before[i] + value;
     }
-    if (implicit_step(step->leg, step->before, offset, step->coefficients, 0.0,
-                      offset / step->size, &found)) {
+    guard_at(step->leg, state, pair);
+}
+
+/* The same after a true step that ends inside a step; dense output where there is none. */
+static void true_end(const Step *step, double offset, double *state, double *pair) {
+    Found found;
+    if (step->coefficients && 0.0 < offset && offset < step->curve.size &&
+        implicit_step(step->leg, step->before, offset, step->coefficients, 0.0,
+                      offset / step->curve.size, &found)) {
         memcpy(state, found.after, sizeof found.after);
         pair[0] = found.told[3];
         pair[1] = found.told[4];
+        step->ended[0] = offset;
+        memcpy(step->ended + 1, found.after, sizeof found.after);
         return;
     }
-    {
-        int i, k;
-        for (i = 0; i < N_Y; i++) {
-            double value = 0.0, at = offset / step->size;
-            for (k = N_S - 1; k >= 0; k--) value = (value + step->coefficients[k * N_Y + i]) * at;
-            state[i] = step->before[i] + value;
-        }
-        guard_at(step->leg, state, pair);
-    }
+    dense(step, offset, state, pair);
 }
 
-enum { DENSE, TRUE_END, DENSE_RATE };
-
-/* A function of the offset and its derivative; NaN where that is not known. */
-static void evaluate(const Step *step, int kind, double offset, double *pair) {
-    double state[N_Y];
-    if (kind == TRUE_END) {
+/* The state at the end of a leg. From so near a true end a tangent is right to rounding. */
+static void leg_end(const Step *step, double offset, double *state) {
+    double shift = offset - step->ended[0], slope[N_Y], pair[2];
+    int i;
+    if (!(fabs(shift) <= DOUBLES * step->curve.size)) {
         true_end(step, offset, state, pair);
         return;
     }
-    dense(step, offset, pair);
-    if (kind == DENSE_RATE) {
-        pair[0] = pair[1];
-        pair[1] = NAN;
-    }
+    rate_at(step->leg, step->ended + 1, slope);
+    for (i = 0; i < N_Y; i++) state[i] = step->ended[1 + i] + shift * slope[i];
 }
 
-static double cubic_root(double left, double right, const double *low, const double *high) {
-    double drop = 1.0 - high[0] / low[0], at = 1.0 / drop;
-    if (!isnan(low[1]) && !isnan(high[1])) {
-        double b = low[1] / low[0] * (right - left), end = high[1] / low[0] * (right - left);
-        double c = -3.0 * drop - 2.0 * b - end, d = 2.0 * drop + b + end;
-        int count;
-        for (count = 0; count < CUBIC_STEPS; count++) {
-            double rate = b + at * (2.0 * c + at * 3.0 * d);
-            double moved = NAN;
-            if (rate < 0.0) moved = at - (1.0 + at * (b + at * (c + at * d))) / rate;
-            if (!(0.0 < moved && moved < 1.0)) break;
-            at = moved;
-        }
-    }
-    return left + at * (right - left);
-}
-
-static double root(const Step *step, int kind, double left, double right, const double *low,
-                   const double *high) {
-    double accuracy, close, at, last;
-    if (low[0] == 0.0 || left == right) return left;
-    if (high[0] == 0.0) return right;
-    accuracy = TINY * (right - left);
-    close = DOUBLES * (right - left);
-    at = cubic_root(left, right, low, high);
-    last = right - left;
-    while (right - left > accuracy) {
-        double pair[2], change;
-        evaluate(step, kind, at, pair);
-        if (pair[0] == 0.0) return at;
-        if ((pair[0] > 0.0) == (low[0] > 0.0))
-            left = at;
-        else
-            right = at;
-        change = !isnan(pair[1]) && pair[1] != 0.0 ? -pair[0] / pair[1] : INFINITY;
-        if (fabs(change) <= close) return lesser(greater(at + change, left), right);
-        if (left < at + change && at + change < right && fabs(change) < last / 2) {
-            at = at + change;
-            last = fabs(change);
-        } else {
-            at = (left + right) / 2;
-            last = (right - left) / 2;
-            if (at == left || at == right) break;
-        }
-    }
-    return (left + right) / 2;
-}
-
-static double slow_root(const Step *step, double offset) {
-    double width = POLISH * step->size;
-    while (width < step->size) {
-        double left = greater(offset - width, 0.0), right = lesser(offset + width, step->size);
-        double low[2], high[2];
-        evaluate(step, TRUE_END, left, low);
-        evaluate(step, TRUE_END, right, high);
-        if (low[0] > 0.0 && 0.0 > high[0]) return root(step, TRUE_END, left, right, low, high);
-        width *= 4;
-    }
-    return offset;
-}
-
-static double polished(const Step *step, double offset) {
-    int count;
-    for (count = 0; count < 4; count++) {
-        double pair[2], change, moved;
-        evaluate(step, TRUE_END, offset, pair);
-        change = pair[1] < 0.0 ? -pair[0] / pair[1] : 0.0;
-        moved = lesser(greater(offset + change, 0.0), step->size);
-        if (fabs(moved - offset) > POLISH * step->size) return slow_root(step, offset);
-        if (fabs(moved - offset) <= DOUBLES * step->size) return moved;
-        offset = moved;
-    }
-    return offset;
-}
-
-static double short_rise(const Step *step) {
-    double right = step->size, high[2];
-    int count;
-    dense(step, right, high);
-    for (count = 0; count < HALVINGS; count++) {
-        double left = right / 2, low[2];
-        dense(step, left, low);
-        if (low[0] > 0.0) return polished(step, root(step, DENSE, left, right, low, high));
-        right = left;
-        high[0] = low[0];
-        high[1] = low[1];
-    }
-    return NAN;
-}
-
-/* Where in a step the guard first falls through zero; NaN if it does not. */
-static double first_fall(const Step *step, const double *before, const double *after,
-                         int on_guard) {
-    double size = step->size;
-    double second = before[0] + size / 3 * before[1], third = after[0] - size / 3 * after[1];
-    int started = before[0] > 0.0 || (on_guard && before[0] == 0.0 && before[1] > 0.0);
-    int dips = before[1] < 0.0 && 0.0 < after[1] &&
-               !(second > before[0] / 2 && before[0] / 2 > 0.0 && third > after[0] / 2 &&
-                 after[0] / 2 > 0.0);
-    int falls_once, armed = !on_guard, k;
-    double left = 0.0, left_pair[2] = {before[0], before[1]};
-    if (started && second > 0.0 && third > 0.0 && after[0] > 0.0 && !dips) return NAN;
-    falls_once = before[0] > 0.0 && 0.0 > after[0] && (second > 0.0 || third < 0.0);
-    if (!on_guard && falls_once) {
-        double middle[2], expected = (before[0] + after[0]) / 2 + size * (before[1] - after[1]) / 8;
-        dense(step, size / 2, middle);
-        if (fabs(middle[0] - expected) < CUBIC * (fabs(before[0]) + fabs(after[0]))) {
-            double found = middle[0] > 0.0 ? root(step, DENSE, size / 2, size, middle, after)
-                                           : root(step, DENSE, 0.0, size / 2, before, middle);
-            return polished(step, found);
-        }
-    }
-    for (k = 1; k <= 8; k++) {
-        double offset = k < 8 ? size * (k / 8.0) : size, pair[2];
-        dense(step, offset, pair);
-        if (armed && pair[0] < 0.0)
-            return polished(step, root(step, DENSE, left, offset, left_pair, pair));
-        if (armed && left_pair[1] < 0.0 && 0.0 < pair[1]) {
-            double falling[2] = {left_pair[1], NAN}, rising[2] = {pair[1], NAN}, low_pair[2];
-            double lowest = root(step, DENSE_RATE, left, offset, falling, rising);
-            dense(step, lowest, low_pair);
-            if (low_pair[0] < 0.0)
-                return polished(step, root(step, DENSE, left, lowest, left_pair, low_pair));
-        }
-        armed = armed || pair[0] > 0.0;
-        left = offset;
-        left_pair[0] = pair[0];
-        left_pair[1] = pair[1];
-    }
-    if (armed || after[0] >= 0.0) return NAN;
-    return short_rise(step);
+/* The guard inside a step, as `fall.c` asks for it. */
+static void look_inside(const Curve *curve, int kind, double offset, double *pair) {
+    double state[N_Y];
+    (kind == TRUE_END ? true_end : dense)((const Step *)curve, offset, state, pair);
 }
 
 /* Eigenvalues of a real matrix by rows, destroyed; real parts, then imaginary. 0 if none came.
@@ -545,9 +389,13 @@ static double first_size(const Leg *leg) {
 CASADI_SYMBOL_EXPORT int zk_follow(Leg *leg) {
     Found found;
     int i;
-    leg->n_recorded = 0;
+    leg->n_recorded = leg->n_polynomials = 0;
     if (!leg->started) {
         leg->started = 1;
+        leg->time = leg->largest_change = leg->earlier_size = leg->fastest = leg->first = 0.0;
+        leg->refused = leg->has_last = leg->has_rates = leg->n_steps = leg->n_explicit = 0;
+        leg->largest_explicit = lesser(leg->largest_explicit, leg->horizon);
+        leg->largest_implicit = lesser(leg->largest_implicit, leg->horizon);
         guard_at(leg, leg->y, leg->guard);
         leg->size = first_size(leg);
         if (leg->size == 0.0) return NOT_FINITE;
@@ -555,8 +403,8 @@ CASADI_SYMBOL_EXPORT int zk_follow(Leg *leg) {
     }
     while (leg->n_recorded < leg->capacity) {
         double told[3], after[N_Y], fall, end, error, factor, *row;
-        double size = leg->size, pair[2] = {leg->guard[0], leg->guard[1]};
-        Step step = {leg, leg->y, after, told + 1, 0, size};
+        double size = leg->size, pair[2] = {leg->guard[0], leg->guard[1]}, ended[1 + N_Y] = {NAN};
+        Step step = {{look_inside, size, 0}, leg, leg->y, after, told + 1, 0, ended};
         if (leg->implicit) {
             double ratio = leg->has_last ? size / leg->last_size : 0.0;
             int solved = implicit_step(leg, leg->y, size, leg->has_last ? leg->coefficients : 0,
@@ -574,8 +422,9 @@ CASADI_SYMBOL_EXPORT int zk_follow(Leg *leg) {
             }
             memcpy(after, found.after, sizeof after);
             memcpy(leg->coefficients, found.coefficients, sizeof found.coefficients);
-            memcpy(leg->polynomials + leg->n_recorded * N_S * N_Y, found.coefficients,
+            memcpy(leg->polynomials + leg->n_polynomials * N_S * N_Y, found.coefficients,
                    sizeof found.coefficients);
+            leg->n_polynomials++;
             memcpy(told, found.told + 2, sizeof told);
             step.coefficients = leg->coefficients;
             leg->last_size = size;
@@ -601,12 +450,12 @@ CASADI_SYMBOL_EXPORT int zk_follow(Leg *leg) {
         leg->n_steps++;
         if (!leg->implicit) leg->n_explicit++;
 
-        fall = first_fall(&step, pair, told + 1, (int)leg->on_guard);
+        fall = first_fall(&step.curve, pair, told + 1, (int)leg->on_guard);
         end = isnan(fall) ? size : fall;
         if (leg->time + end >= leg->horizon || !isnan(fall)) {
             int over = leg->time + end >= leg->horizon;
             leg->offset = over ? leg->horizon - leg->time : fall;
-            true_end(&step, leg->offset, leg->end, leg->guard);
+            leg_end(&step, leg->offset, leg->end);
             return over ? HORIZON : FALL;
         }
         if (leg->switches && !leg->implicit &&
@@ -625,7 +474,10 @@ CASADI_SYMBOL_EXPORT int zk_follow(Leg *leg) {
         if (leg->on_guard) {
             double change = greater(leg->largest_change, fabs(pair[1]) * size);
             leg->largest_change = greater(change, fabs(told[2]) * size);
-            if (told[1] < -greater(LEAVES * leg->largest_change, leg->rounding)) return LEFT;
+            if (told[1] < -greater(LEAVES * leg->largest_change, leg->rounding)) {
+                memcpy(leg->end, leg->y, sizeof leg->end);
+                return LEFT;
+            }
             leg->on_guard = told[1] <= 0.0;
         }
         leg->guard[0] = told[1];

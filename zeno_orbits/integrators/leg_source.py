@@ -1,13 +1,25 @@
-"""The C code of a compiled leg: the numbers of the step control, then `follow.c`."""
+"""The C code of a compiled leg: numbers of the event search and `fall.c`, then `follow.c`."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from zeno_orbits.integrators import automatic, dop853, events, flow, radau, steps
 from zeno_orbits.integrators.collocation import Collocation
 
-_CODE = Path(__file__).with_name("follow.c")
+
+def fall_source() -> str:
+    """Return the C code that finds where in a step a guard falls."""
+    numbers = {
+        "CUBIC": events.CUBIC,
+        "CUBIC_STEPS": events.CUBIC_STEPS,
+        "HALVINGS": events.HALVINGS,
+        "TINY": events.TINY,
+        "DOUBLES": events.DOUBLES,
+        "POLISH": events.POLISH,
+    }
+    return _with_numbers(numbers, "fall.c")
 
 
 def follow_source(n_y: int, n_factors: int, scheme: Collocation) -> str:
@@ -41,15 +53,14 @@ def follow_source(n_y: int, n_factors: int, scheme: Collocation) -> str:
         "PAYS": automatic.PAYS,
         "LONG_LEFT": automatic.LONG,
         "FIRST_STEP": automatic.FIRST_STEP,
-        "CUBIC": events.CUBIC,
-        "CUBIC_STEPS": events.CUBIC_STEPS,
-        "HALVINGS": events.HALVINGS,
-        "TINY": events.TINY,
-        "DOUBLES": events.DOUBLES,
-        "POLISH": events.POLISH,
         "LEAVES": events.LEAVES,
     }
-    lines = [f"#define {name} ({value!r})" for name, value in numbers.items()]
     entries = ", ".join(repr(float(entry)) for entry in scheme.monomials.ravel())
-    lines.append(f"static const double MONOMIALS[] = {{{entries}}};")
-    return "\n".join((*lines, _CODE.read_text(encoding="utf-8")))
+    monomials = f"static const double MONOMIALS[] = {{{entries}}};"
+    return "\n".join((fall_source(), monomials, _with_numbers(numbers, "follow.c")))
+
+
+def _with_numbers(numbers: Mapping[str, float], file: str) -> str:
+    lines = [f"#define {name} ({value!r})" for name, value in numbers.items()]
+    code = Path(__file__).with_name(file).read_text(encoding="utf-8")
+    return "\n".join((*lines, code))

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators.collocation import Collocation, radau
@@ -23,7 +24,7 @@ UNSOLVED = 0.3
 """Factor of the step size after an iteration that did not converge."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Radau(SteppingEngine):
     """Radau IIA with simplified Newton iterations.
 
@@ -35,7 +36,7 @@ class Radau(SteppingEngine):
     scheme: Collocation = field(default_factory=lambda: radau(7))
     largest_step: float = math.inf
 
-    @property
+    @cached_property
     def loop(self) -> StepLoop:
         """Implicit steps alone."""
         return StepLoop(False, True, math.inf, self.largest_step, self.scheme)

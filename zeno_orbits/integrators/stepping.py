@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from functools import cached_property
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators.compiled_leg import CompilableFlow, StepLoop
@@ -20,7 +21,7 @@ class SteppingEngine(ABC):
 
     __slots__ = ()
 
-    @property
+    @cached_property
     @abstractmethod
     def loop(self) -> StepLoop:
         """The steps that it takes."""

@@ -6,7 +6,7 @@ is there, or where there is no compiler, the same functions are interpreted: res
 to rounding. Libraries are kept in a private folder, each named by all that it depends on.
 
 Offers: `Recipe`, `KernelSource`, `Kernels`, `KernelLibrary`; `When` to compile, `when_to_compile`;
-`KernelFolder` and `kernel_folder`; `Compiler` and `find_compiler`; `complaints` and `account` of
+`KernelFolder` and `kernel_folder`; `Compiler` and `usable_compiler`; `complaints` and `account` of
 what became of them; `caller` for calls that are interpreted.
 
 Imports: arrays, errors.

@@ -1,13 +1,14 @@
 from .casadi_calls import caller as caller
 from .compiler import Compiler as Compiler
-from .compiler import find_compiler as find_compiler
 from .folder import KernelFolder as KernelFolder
 from .folder import kernel_folder as kernel_folder
 from .library import KernelLibrary as KernelLibrary
+from .library import address_of as address_of
 from .requests import Kernels as Kernels
 from .requests import Recipe as Recipe
 from .requests import KernelSource as KernelSource
 from .requests import When as When
 from .requests import account as account
 from .requests import complaints as complaints
+from .requests import usable_compiler as usable_compiler
 from .requests import when_to_compile as when_to_compile

@@ -15,6 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import KernelError
 from zeno_orbits.kernels.casadi_calls import caller
 from zeno_orbits.kernels.compiler import Compiler
@@ -98,19 +99,29 @@ def c_code(source: KernelSource) -> str:
 
 
 def require_agreement(source: KernelSource, library: KernelLibrary) -> None:
-    """Hold every kernel against the interpreter at some numbers.
+    """Hold every kernel against the interpreter at some numbers, NaN and infinity among them.
 
     Raises:
         KernelError: If one differs by more than rounding.
     """
     rng = np.random.default_rng(0)
     for function in source.functions:
-        given = [rng.uniform(0.5, 1.5, function.numel_in(k)) for k in range(function.n_in())]
-        taken = [np.zeros(function.numel_out(k)) for k in range(function.n_out())]
-        library.caller(function.name(), given, taken)()
-        expected = [np.zeros_like(array) for array in taken]
-        caller(function, given, expected)()
-        for found, wanted in zip(taken, expected, strict=True):
-            largest = float(np.max(np.abs(wanted), initial=0.0, where=np.isfinite(wanted)))
-            if not np.allclose(found, wanted, rtol=0.0, atol=_AGREES * largest, equal_nan=True):
+        for first in (1.0, np.nan, np.inf, -np.inf):
+            given = [rng.uniform(0.5, 1.5, function.numel_in(k)) for k in range(function.n_in())]
+            given[0][:1] *= first
+            taken = [np.zeros(function.numel_out(k)) for k in range(function.n_out())]
+            library.caller(function.name(), given, taken)()
+            expected = [np.zeros_like(array) for array in taken]
+            caller(function, given, expected)()
+            if not all(map(_agree, taken, expected)):
                 raise KernelError(f"the compiled `{function.name()}` computes something else")
+    if _TINY / 2 == 0.0:
+        raise KernelError("the compiled code makes the processor round tiny numbers to zero")
+
+
+_TINY = np.array(np.finfo(np.float64).tiny)
+
+
+def _agree(found: Vector, expected: Vector) -> bool:
+    largest = float(np.max(np.abs(expected), initial=0.0, where=np.isfinite(expected)))
+    return np.allclose(found, expected, rtol=0.0, atol=_AGREES * largest, equal_nan=True)

@@ -19,7 +19,10 @@ from pathlib import Path
 from zeno_orbits.errors import KernelError
 
 _NAMES = ("cc", "gcc", "clang")
-_FLAGS = ("-O1", "-fPIC", "-shared", "-ffp-contract=off", "-fno-math-errno", "-w")
+_STRICT = ("-fno-fast-math", "-fno-unsafe-math-optimizations", "-fno-finite-math-only")
+"""They come after a user's own flags: whatever those say, NaN, infinity and tiny numbers survive.
+"""
+_FLAGS = (*("-O1", "-fPIC", "-shared", *_STRICT), "-ffp-contract=off", "-fno-math-errno", "-w")
 """At `-O1` the kernels are as fast as at `-O2`, and compiled in two thirds of the time."""
 _ZIG_FLAGS = ("-mcpu=baseline", "-fno-sanitize=undefined")
 """Zig compiles for the very processor and adds checks, unless it is told not to."""

@@ -59,7 +59,7 @@ class KernelLibrary:
             From the number of rows, contiguous inputs, and a contiguous array for the outputs side
             by side, ``(n, sum(widths))``, to nothing.
         """
-        loop, kernel = self._code["zk_rows"], ctypes.cast(self._code[name], ctypes.c_void_p)
+        loop, kernel = self._code["zk_rows"], self.address(name)
         n_in, n_out, whole = len(strides), len(widths), sum(widths)
         steps = (ctypes.c_longlong * (n_in + n_out))(*strides, *([whole] * n_out))
         offsets = [8 * sum(widths[:k]) for k in range(n_out)]
@@ -67,14 +67,18 @@ class KernelLibrary:
         counts = ctypes.c_longlong(n_in), ctypes.c_longlong(n_out)
 
         def call(n: int, given: Sequence[Vector], taken: Vector) -> None:
-            base = _address(taken)
-            places = addresses(*map(_address, given), *[base + offset for offset in offsets])
+            base = address_of(taken)
+            places = addresses(*map(address_of, given), *[base + offset for offset in offsets])
             loop(kernel, ctypes.c_longlong(n), *counts, places, steps)
 
         return call
 
+    def address(self, name: str) -> ctypes.c_void_p:
+        """Return the address of a kernel, for a function of the library that calls kernels."""
+        return ctypes.cast(self._code[name], ctypes.c_void_p)
 
-def _address(array: Vector) -> int:
+
+def address_of(array: Vector) -> int:
     """Return the address of the numbers of an array, five times faster than ``ctypes.data``."""
     if array.size and array.flags.writeable:
         memory: Any = array

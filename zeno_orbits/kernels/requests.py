@@ -14,7 +14,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
@@ -117,10 +117,7 @@ class Kernels:
     def library(self) -> KernelLibrary | None:
         """Return the library, or nothing as long as it is not there."""
         if self._library is None and not self._given_up:
-            try:
-                self._look()
-            except KernelError as error:
-                self._give_up(str(error))
+            self._try(self._look)
         return self._library
 
     def owe(self, seconds: float) -> None:
@@ -131,7 +128,7 @@ class Kernels:
         """
         self._owed += seconds
         if self._owed > _REPAYS and self._order is None and self._library is None:
-            self._ask()
+            self._try(self._ask)
 
     @contextmanager
     def owing(self) -> Generator[None]:
@@ -143,8 +140,7 @@ class Kernels:
     def build(self) -> bool:
         """Make the library now, wait for it, and return True if it is there."""
         if self.library() is None:
-            self._ask()
-            self._wait()
+            self._try(self._ask_and_wait)
         return self._library is not None
 
     @property
@@ -157,15 +153,14 @@ class Kernels:
             self._given_up = True
         elif not self._key:
             _used.append(self)
-            when, compiler = when_to_compile(), _compiler()
+            when, compiler = when_to_compile(), usable_compiler()
             if when is When.NEVER or compiler is None:
                 self._given_up = True
                 return
             self._key = key_of(self._recipe, compiler)
             self._library = self._found()
             if self._library is None and when is When.WAIT:
-                self._ask()
-                self._wait()
+                self._ask_and_wait()
         elif self._order is not None and self._order.due():
             over = self._order.is_over()
             self._library = self._found()
@@ -183,26 +178,23 @@ class Kernels:
         return None
 
     def _ask(self) -> None:
-        compiler = _compiler()
-        if compiler is None or self._recipe is None or self._given_up:
-            return
-        try:
+        compiler = usable_compiler()
+        if compiler is not None and self._recipe is not None and not self._given_up:
             self._order = _Order.placed(kernel_folder(), self._key, self._recipe, compiler)
-        except KernelError as error:
-            self._give_up(str(error))
 
-    def _wait(self) -> None:
-        if self._order is None:
-            return
-        self._order.wait()
-        try:
+    def _ask_and_wait(self) -> None:
+        self._ask()
+        if self._order is not None:
+            self._order.wait()
             self._library = self._found()
-        except KernelError as error:
-            self._give_up(str(error))
 
-    def _give_up(self, reason: str) -> None:
-        self._given_up = True
-        _complaints.setdefault(reason, None)
+    def _try(self, step: Callable[[], None]) -> None:
+        """Take a step towards the library; what goes wrong is told once, and is the last try."""
+        try:
+            step()
+        except KernelError as error:
+            self._given_up = True
+            _complaints.setdefault(str(error), None)
 
 
 _complaints: dict[str, None] = {}
@@ -222,7 +214,7 @@ def account() -> str:
         return "steps are interpreted, as ZENO_ORBITS_COMPILE=never asks"
     if complaints():
         return f"steps are interpreted: {complaints()[0]}"
-    compiler = _compiler()
+    compiler = usable_compiler()
     if compiler is None:
         install = "install cc, gcc or clang, or run `pip install 'zeno_orbits[compiled]'`"
         return f"steps are interpreted: there is no C compiler ({install})"
@@ -238,7 +230,8 @@ def account() -> str:
 
 
 @cache
-def _compiler() -> Compiler | None:
+def usable_compiler() -> Compiler | None:
+    """Return the compiler of this machine, if any; a `CC` that names none is a complaint."""
     try:
         return find_compiler()
     except KernelError as error:

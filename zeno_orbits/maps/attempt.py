@@ -12,6 +12,7 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.maps.approach import all_come_nearer, is_approached, places_on_the_way
 from zeno_orbits.maps.attractors import Attractor, Fate
 from zeno_orbits.maps.newton import (
     RELEASES,
@@ -29,8 +30,12 @@ _SHRINKS = 0.9
 """Newton's steps shrink at least by this, or the orbit is not near."""
 _STRAIGHT = 0.05
 """Step over the distance of the multipliers from 1 up to which the derivative serves again."""
-_AGREES = 0.5
-"""Part by which the motion's last step may differ from what the derivative at the orbit says."""
+_LOCAL_ERRORS = 10.0
+"""Local errors that a period of a motion adds up to."""
+SAME_PERIOD = 1e-4
+"""Relative difference of times up to which two accuracies tell the same period."""
+_LATER = 2.0
+"""Relative difference of the time of a return, for a unit of the distance from the orbit."""
 _NEAR, _REPELS = 0.05, 1.2
 """An orbit this near with multipliers beyond this is not one that the motion goes to."""
 _VANISHED = 0.02
@@ -58,21 +63,28 @@ class Accuracy:
     exact: float = 2e-6
     repeats: float = 1e-7
 
+    @property
+    def reached(self) -> float:
+        """Distance of a motion from its orbit that its local errors do not tell from none."""
+        return _LOCAL_ERRORS * self.motion
+
 
 class Request(NamedTuple):
     """Lanes that a point asks for, in place of those it has.
 
     Attributes:
-        states: Where they start, ``(n, n_x)``; the first leads the others.
+        states: Where they start, ``(n, n_x)``.
         tolerance: Local error.
         released: Whether they start at a release.
         until: How long they run [s].
+        led: Whether the first leads the others.
     """
 
     states: Vector
     tolerance: float
     released: bool
     until: float
+    led: bool = True
 
 
 SAME = 1e-8
@@ -107,6 +119,11 @@ class Attempt:
         iterations: Steps made.
         contracts: Whether the return map contracts wherever a step began, and none turned back.
         last_step: The last step, in scaled states, ``(n_x,)``.
+        found: The orbit, once Newton's method is at its end.
+        shorter: Returns after which it repeats.
+        doubtful: Whether the motion took another time than it takes more accurately.
+        places: Places between the motion and the orbit, if their returns are waited for.
+        approached: Whether the motion itself is known to be on its way to the orbit.
     """
 
     dynamics: HybridDynamics
@@ -126,6 +143,11 @@ class Attempt:
     iterations: int = 0
     contracts: bool = True
     last_step: Vector | None = None
+    found: FixedPoint | None = None
+    shorter: int = 1
+    doubtful: bool = False
+    places: Vector | None = None
+    approached: bool = False
 
     def request(self, *, neighbours: bool) -> Request:
         """Return the lanes of the next step: the bundle, or its leader where `A` is known."""
@@ -146,6 +168,8 @@ class Attempt:
             returns.append(event)
         if any(len(events) < self.period for events in self.returns.values()):
             return None
+        if self.found is not None and self.places is not None:
+            return self._looked_along_the_way(self.found, self.places)
         cycles = [self.crossing.cycle(self.dynamics, self.returns[k]) for k in sorted(self.returns)]
         try:
             point = newton_step(self.dynamics, self.bundle.section, cycles, self.jacobian)
@@ -167,7 +191,7 @@ class Attempt:
             return Lost()
         if self.final and point.distance <= accuracy.exact:
             return self._accepted(point)
-        self._look_along(point)
+        self._note_contraction(point)
         if self.contracts and self._vanishes(point):
             return Attractor(fate=Fate.REST, trend=point.spectral_radius)
         coarse = not self.final and point.distance > _COARSE
@@ -184,7 +208,7 @@ class Attempt:
         self.jacobian = point.jacobian if straight else None
         return self.request(neighbours=not straight)
 
-    def _look_along(self, point: FixedPoint) -> None:
+    def _note_contraction(self, point: FixedPoint) -> None:
         """Note whether the way to the orbit so far is one that the motion takes as well.
 
         Where the return map contracts all along a straight way, the motion follows it to its end.
@@ -204,15 +228,58 @@ class Attempt:
 
     def _accepted(self, point: FixedPoint) -> Request | Attractor | Lost:
         """Return the orbit if it attracts and the motion is on its way to it."""
-        shorter = self._shorter_period()
-        leads_there = self.contracts or self._is_approached(point)
-        if not (point.spectral_radius < 1.0 and leads_there):
+        if not point.spectral_radius < 1.0:
             return Lost()
+        shorter = self._shorter_period()
+        if not self.approached:
+            section, jacobian = self.bundle.section, point.jacobian
+            centre = section.coordinates(point.state)
+            before = section.coordinates(self.earlier) - centre
+            after = section.coordinates(self.origin) - centre
+            away = float(np.max(np.abs([before, after]), initial=0.0))
+            late = abs(float(point.numbers[0]) - self.span)
+            self.doubtful = late > max(SAME_PERIOD, _LATER * away) * self.span
+            if self.doubtful and not self.accuracy.motion > self.accuracy.orbit:
+                return Lost()
+            if not is_approached(before, after, jacobian, self.accuracy.reached):
+                self.shorter = shorter
+                return self._look_along_the_way(point, places_on_the_way(after, jacobian))
+        return self._concluded(point, shorter)
+
+    def _concluded(self, point: FixedPoint, shorter: int) -> Request | Attractor:
+        """Return the orbit that the motion goes to, or look for it again after fewer returns."""
+        self.approached = True
         if shorter < self.period:
             self.period, self.before = shorter, np.inf
-            self.earlier = self.origin
             return self.request(neighbours=True)
         return self._orbit(point)
+
+    def _look_along_the_way(self, point: FixedPoint, places: Vector) -> Request | Lost:
+        """Ask for returns from between the motion and the orbit, where it would take long."""
+        if not (self.contracts and len(places)):
+            return Lost()
+        section = self.bundle.section
+        centre = section.coordinates(point.state)
+        try:
+            states = np.array([section.state(self.dynamics, centre + one) for one in places])
+        except ZenoOrbitsError:
+            return Lost()
+        self.found, self.places = point, places
+        self.returns = {rank: [] for rank in range(len(states))}
+        return Request(states, self.accuracy.orbit, True, 2 * self.span, led=False)
+
+    def _looked_along_the_way(
+        self, point: FixedPoint, places: Vector
+    ) -> Request | Attractor | Lost:
+        """Return the orbit if returns lead to it from all the way."""
+        section = self.bundle.section
+        centre = section.coordinates(point.state)
+        ends = [self.returns[rank][-1].state for rank in sorted(self.returns)]
+        images = np.array([section.coordinates(end) - centre for end in ends])
+        if not all_come_nearer(places, images, point.jacobian):
+            return Lost()
+        self.places = None
+        return self._concluded(point, self.shorter)
 
     def _shorter_period(self) -> int:
         """Return after how many returns the orbit repeats already."""
@@ -222,17 +289,6 @@ class Attempt:
             if self.period % period == 0 and away < self.accuracy.repeats:
                 return period
         return self.period
-
-    def _is_approached(self, point: FixedPoint) -> bool:
-        """Return True if the last step of the motion was the one that leads to the orbit."""
-        section = self.bundle.section
-        centre = section.coordinates(point.state)
-        before = section.coordinates(self.earlier) - centre
-        after = section.coordinates(self.origin) - centre
-        expected = point.jacobian @ before
-        miss = float(np.max(np.abs(after - expected), initial=0.0))
-        step = float(np.max(np.abs(before - expected), initial=0.0))
-        return miss <= max(_AGREES * step, self.accuracy.repeats)
 
     def _orbit(self, point: FixedPoint) -> Attractor:
         period, *margins = point.numbers.tolist()

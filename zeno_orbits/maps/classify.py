@@ -13,7 +13,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.maps.attempt import Accuracy, Request
 from zeno_orbits.maps.attractors import Attractor
-from zeno_orbits.maps.point import Point
+from zeno_orbits.maps.sure_point import SurePoint
 from zeno_orbits.model import OwnScale, ParameterValues, Problem, own_time
 from zeno_orbits.simulation import (
     OSCILLATIONS,
@@ -143,7 +143,7 @@ class _Run:
         self._usual = model.own.states(model.n_x)
         self._batch = Batch(model, _LANES, bounds=limits)
         self._waiting = deque(range(len(settings)))
-        self._points: dict[int, Point] = {}
+        self._points: dict[int, SurePoint] = {}
         self._lanes: dict[int, list[int]] = {}
         self._owner: dict[int, tuple[int, int]] = {}
         self._asked: deque[tuple[int, Request]] = deque()
@@ -187,29 +187,33 @@ class _Run:
             index = self._waiting.popleft()
             dynamics = self._problem.dynamics(self._numbers[index])
             units = self._problem.state_units
-            point = Point(dynamics, units, self._start, self._until, self._accuracy, self._usual)
+            point = SurePoint(
+                dynamics, units, self._start, self._until, self._accuracy, self._usual
+            )
             self._points[index] = point
             granted.append((index, point.begin()))
             room -= 1
-        kinds = sorted({(r.released, len(r.states), r.tolerance) for _, r in granted})
+        kinds = sorted({(r.released, r.led, len(r.states), r.tolerance) for _, r in granted})
         for kind in kinds:
             alike = [
-                (index, request)
-                for index, request in granted
-                if (request.released, len(request.states), request.tolerance) == kind
+                (index, r)
+                for index, r in granted
+                if (r.released, r.led, len(r.states), r.tolerance) == kind
             ]
-            self._start_lanes(alike, *kind)
+            self._start_lanes(alike, alike[0][1])
 
-    def _start_lanes(
-        self, asked: list[tuple[int, Request]], released: bool, n: int, tolerance: float
-    ) -> None:
+    def _start_lanes(self, asked: list[tuple[int, Request]], one: Request) -> None:
+        """Start lanes that were asked for in the same way as one of them."""
+        n = len(one.states)
         states = np.concatenate([request.states for _, request in asked])
         numbers = np.repeat(self._numbers[[index for index, _ in asked]], n, axis=0)
         until = np.repeat([request.until for _, request in asked], n)
-        if released:
-            lanes = self._batch.start_released(numbers, states, tolerance, until, n_followers=n - 1)
+        if one.released:
+            lanes = self._batch.resume(
+                numbers, states, one.tolerance, until, n_followers=n - 1 if one.led else 0
+            )
         else:
-            lanes = self._batch.start(numbers, states, tolerance, until)
+            lanes = self._batch.start(numbers, states, one.tolerance, until)
         for (index, _), own in zip(asked, lanes.reshape(-1, n).tolist(), strict=True):
             self._lanes[index] = own
             for rank, lane in enumerate(own):

@@ -9,22 +9,26 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
+from zeno_orbits.maps.approach import Way, steps_towards
 from zeno_orbits.maps.attempt import SAME, Accuracy, Attempt, Lost, Request
 from zeno_orbits.maps.attractors import Attractor, Fate
-from zeno_orbits.maps.newton import IMPACTS, RELEASES, bundle_at
+from zeno_orbits.maps.newton import IMPACTS, RELEASES, Crossing, bundle_at
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.simulation import (
+    LOOK_BACK,
     AttractorKind,
     Ended,
     LaneEvent,
     Motion,
     Reason,
+    Repetition,
     SectionReturn,
+    Settling,
     Struck,
+    changes,
     outcome_of,
     scale_of,
 )
-from zeno_orbits.simulation.attractor import LOOK_BACK, Repetition, Settling, changes
 
 _REMEMBERED = 40
 """Returns that are looked back on."""
@@ -58,6 +62,8 @@ class Point:
         self._start = start
         self._until = until
         self._accuracy = accuracy
+        self._times: dict[Crossing, list[float]] = {RELEASES: [], IMPACTS: []}
+        self.way: Way | None = None
         self._origin = 0.0
         self._tolerance = accuracy.motion
         self._returns: list[SectionReturn] = []
@@ -85,6 +91,8 @@ class Point:
         """
         if self._attempt is not None:
             answer = self._attempt.hear(rank, event)
+            if isinstance(answer, Attractor) and answer.state:
+                self._note_way(self._attempt, answer)
             return self._give_up(self._attempt) if isinstance(answer, Lost) else answer
         time = self._origin + event.time
         if isinstance(event, Ended):
@@ -99,6 +107,7 @@ class Point:
         """Look back from a new release."""
         self._strikes.clear()
         self._returns.append(SectionReturn(time=time, state=state))
+        self._times[RELEASES].append(time)
         del self._returns[:-_REMEMBERED]
         if self._unit is None:
             self._unit = scale_of([state], self._units, self._usual)
@@ -154,6 +163,35 @@ class Point:
         )
         return self._attempt.request(neighbours=True)
 
+    def _note_way(self, attempt: Attempt, found: Attractor) -> None:
+        """Note how the motion came to what an attempt found."""
+        state = np.array([found.state[name] for name in self._dynamics.state_names])
+        events = self._returns if attempt.crossing is RELEASES else self._strikes
+        scale = attempt.bundle.section.scale
+        way = self._way(attempt.crossing, events, attempt.period, state, scale)
+        self.way = replace(way, doubtful=attempt.doubtful)
+
+    def _way(
+        self,
+        crossing: Crossing,
+        events: Sequence[SectionReturn | Struck],
+        period: int,
+        state: Vector,
+        scale: Vector,
+    ) -> Way:
+        """Return how the motion came to an orbit.
+
+        Args:
+            crossing: The events at which it came back.
+            events: The last of them.
+            period: How many of them make a period.
+            state: The orbit there, ``(n_x,)``.
+            scale: Size of each state, ``(n_x,)``.
+        """
+        times, passed = self._times[crossing], [one.state for one in events]
+        on_the_way = steps_towards(passed[::-period], state, scale, self._accuracy.reached)
+        return Way(times=tuple(times), captured=len(times) - 1 - period * on_the_way)
+
     def _give_up(self, attempt: Attempt) -> Request:
         """Return to the motion, from its last event on that section."""
         self._attempt = None
@@ -173,6 +211,7 @@ class Point:
     def _struck(self, impact: Struck) -> Request | Attractor | None:
         """Look back from the first impact of a sequence, where no release comes."""
         self._strikes.append(impact)
+        self._times[IMPACTS].append(impact.time)
         del self._strikes[:-_REMEMBERED]
         if len(self._strikes) < LOOK_BACK:
             return None
@@ -186,17 +225,19 @@ class Point:
                 if answer is not None:
                     return answer
             if change < repeats and earlier < 10 * repeats:
-                return self._repeated(period)
+                return self._repeated(period, scale)
             if change < _DISTINCT:
                 # It is on its way to repeat after so many; more would repeat that.
                 return None
         return None
 
-    def _repeated(self, period: int) -> Request | Attractor:
+    def _repeated(self, period: int, scale: Vector) -> Request | Attractor:
         """Go on more accurately from impacts that repeat, then conclude."""
-        if self._tolerance == self._accuracy.orbit:
-            return self._without_zeno(period)
         last = self._strikes[-1]
+        if not self._tolerance > self._accuracy.orbit:
+            self.way = self.way or self._way(IMPACTS, self._strikes, period, last.state, scale)
+            return self._without_zeno(period)
+        self.way = self._way(IMPACTS, self._strikes, period, last.state, scale)
         self._tolerance = self._accuracy.orbit
         self._strikes.clear()
         return self._go_on_from(last)

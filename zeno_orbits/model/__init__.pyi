@@ -12,6 +12,9 @@ from .drives import full_drive as full_drive
 from .drives import ideal_torque_drive as ideal_torque_drive
 from .drives import no_drive as no_drive
 from .drives import quasi_static_drive as quasi_static_drive
+from .formulas import acceleration_formula as acceleration_formula
+from .formulas import six_digits as six_digits
+from .formulas import with_numbers as with_numbers
 from .hybrid import CompletedSystem as CompletedSystem
 from .hybrid import accelerate as accelerate
 from .hybrid import audited_in as audited_in
@@ -26,6 +29,8 @@ from .library import split_fidelity as split_fidelity
 from .numeric.calls import Call as Call
 from .numeric.compiled import CompiledSystem as CompiledSystem
 from .numeric.compiled import bind as bind
+from .numeric.compiled_flow import CompiledFlow as CompiledFlow
+from .numeric.compiled_flow import FlowMemory as FlowMemory
 from .numeric.compiled_flow import ModeFunctions as ModeFunctions
 from .numeric.compiled_flow import N_STAGES as N_STAGES
 from .numeric.compiled_flow import dense_function as dense_function
@@ -34,6 +39,7 @@ from .numeric.compiled_flow import renamed as renamed
 from .numeric.derivatives import Differentials as Differentials
 from .numeric.derivatives import FlowDifferential as FlowDifferential
 from .numeric.hybrid_dynamics import HybridDynamics as HybridDynamics
+from .numeric.hybrid_dynamics import Resting as Resting
 from .numeric.own_scale import constraint_sizes as constraint_sizes
 from .numeric.own_scale import own_time as own_time
 from .problem import Problem as Problem
@@ -45,6 +51,14 @@ from .quantities import unknown as unknown
 from .rig_parts import Bridge as Bridge
 from .rig_parts import Rig as Rig
 from .rig_parts import Switching as Switching
+from .rig_parts import Contact as Contact
+from .rig_parts import Controller as Controller
+from .rig_parts import Friction as Friction
+from .rig_parts import Gear as Gear
+from .rig_parts import PART_NAMES as PART_NAMES
+from .rig_parts import Sensors as Sensors
+from .rig_parts import rig_with_numbers as rig_with_numbers
+from .rig_parts import without_parts as without_parts
 from .scale import OwnScale as OwnScale
 from .scale import USUAL as USUAL
 from .units import powers_of as powers_of

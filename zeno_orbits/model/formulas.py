@@ -86,7 +86,7 @@ def to_sympy(expression: ca.SX, names: Mapping[str, str]) -> Any:
     return convert(expression)
 
 
-def equilibrium_acceleration(problem: Problem) -> Any:
+def acceleration_formula(problem: Problem) -> Any:
     r"""Return :math:`\ddot h` at the Zeno equilibria as a formula in named states and parameters.
 
     Where the gap is one of the coordinates, it and its rate are set to zero; else the formula is

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -39,10 +40,15 @@ class OwnScale:
         """The smallest size of a state, at most 1: what a local error is absolute in."""
         return min([1.0, *self.sizes])
 
-    def rates(self, n_q: int) -> Vector:
-        """Return the size of the rates of coordinates and velocities, ``(2 n_q,)``."""
-        velocities = self.states(2 * n_q)[n_q:]
-        return np.concatenate([velocities, velocities / self.time])
+    def rates(self, n_q: int, n_x: int) -> Vector:
+        """Return the size of the rate of each state, ``(n_x,)``.
+
+        Args:
+            n_q: Number of coordinates.
+            n_x: Number of states.
+        """
+        sizes = self.states(n_x)
+        return np.concatenate([sizes[n_q : 2 * n_q], sizes[n_q:] / self.time])
 
     def not_small(self, sizes: Vector, part: float) -> Vector:
         """Return sizes of states, those that are next to nothing replaced by the largest.
@@ -58,9 +64,15 @@ class OwnScale:
 
     def states(self, n_x: int) -> Vector:
         """Return the size of each state, ``(n_x,)``."""
-        sizes = np.ones(n_x)
-        sizes[: len(self.sizes)] = self.sizes
-        return sizes
+        return _filled(self.sizes, n_x)
+
+
+@lru_cache(maxsize=64)
+def _filled(first: tuple[float, ...], n: int) -> Vector:
+    sizes = np.ones(n)
+    sizes[: len(first)] = first
+    sizes.flags.writeable = False
+    return sizes
 
 
 USUAL = OwnScale()

@@ -1,5 +1,7 @@
 from .bounds import Bound as Bound
+from .bounds import allowance as allowance
 from .bounds import asked_and_reached as asked_and_reached
+from .bounds import excess as excess
 from .bounds import objection_to as objection_to
 from .cycle import Cycle as Cycle
 from .cycle import cycle_between as cycle_between
@@ -28,6 +30,7 @@ from .path import follow_path as follow_path
 from .path import returns_to_start as returns_to_start
 from .period import cycle_of as cycle_of
 from .period import first_return as first_return
+from .period import followed as followed
 from .period import placed as placed
 from .period import to_next_release as to_next_release
 from .phases import Moment as Moment

@@ -120,11 +120,11 @@ def extended_execution(
     traces = [
         ExtendedRun(system, until=until, times=sorted(times)).follow(state) for system in systems
     ]
-    error = trace_difference(*traces, systems[-1].own)
+    shorter, trace = traces
+    error = trace_difference(shorter, trace, systems[-1].own)
     if not error < 10.0**-digits:
         message = f"The execution is certain to {error:.1g} only, not to {digits} digits"
         raise followed_no_further(message, until, state)
-    trace = traces[-1]
     with ctx.workprec(systems[-1].bits):
         return ExtendedExecution(
             state_names=compiled.state_names,

@@ -108,7 +108,8 @@ def extended_orbit(
     compiled = problem.compiled()
     check_state(release_guess, compiled.n_x)
     x = np.array([float(value) for value in release_guess])
-    section = release_section(problem.dynamics(values), x, 1.0 + np.abs(x))
+    dynamics = problem.dynamics(values)
+    section = release_section(dynamics, x, dynamics.own.states(len(x)) + np.abs(x))
     lengths = (_SCOUT_DIGITS, *(digits + spare for spare in SPARE_DIGITS))
     maps = [
         _ReturnMap(ExtendedSystem(problem, values, length), section, horizon) for length in lengths

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from decimal import Decimal
 from typing import Any
 
@@ -110,7 +110,7 @@ def along(x: State, length: Real, direction: State) -> State:
     return [(value + length * d).mid() for value, d in zip(x, direction, strict=True)]
 
 
-def relative_difference(x: State, other: State, sizes: Sequence[float]) -> float:
+def relative_difference(x: State, other: State, sizes: Iterable[float]) -> float:
     """Return the largest difference of two vectors, relative to a size plus the second.
 
     Args:

@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import casadi as ca
@@ -281,8 +281,8 @@ class GaussFlow:
             return None
         rates, length, solve, scale = rough
         size = arb(length) if lands else size
-        base = arb_mat(s + 1, 1, [1] * (s + 1)) * arb_mat(1, n, y)
-        fine = arb_mat(s, n, [arb(x) for x in rates.ravel()])
+        base: Any = arb_mat(s + 1, 1, [1] * (s + 1)) * arb_mat(1, n, y)
+        fine: Any = arb_mat(s, n, [arb(x) for x in rates.ravel()])
         before = None
         for _ in range(_ITERATIONS):
             moved = scheme.matrix * fine
@@ -342,11 +342,7 @@ class GaussFlow:
                 system[m, row:m:n] = weight * coarse[-1]
                 system[m, m] = moved[-1, row] if start[row] else 0.0
                 rest[m] = -(known + weight * moved[-1, row])
-            factors, pivots, _ = dgetrf(system)
-
-            def solve(x: Vector, factors: Array = factors, pivots: Any = pivots) -> Vector:
-                return np.asarray(dgetrs(factors, pivots, x)[0], dtype=np.float64)
-
+            solve = partial(_solved, *dgetrf(system)[:2])
             change = solve(rest)
             rates = rates + change[:m].reshape(s, n)
             scale = np.maximum(np.max(np.abs(stages[:, :n]), axis=0), self._floor)
@@ -397,6 +393,10 @@ class GaussFlow:
         """Return the step to the guard's first fall, from its length to some digits."""
         step = self._step(scheme, y, size, constants, lands=True)
         return step if step and self._fall(y, step, order, landed=True) is None else None
+
+
+def _solved(factors: Any, pivots: Any, x: Vector) -> Vector:
+    return np.asarray(dgetrs(factors, pivots, x)[0], dtype=np.float64)
 
 
 def followed_no_further(

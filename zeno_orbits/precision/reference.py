@@ -95,7 +95,7 @@ def true_landmarks(
         )
     return Truth(
         marks=_exact_landmarks(exact),
-        scale=sizes_of([[float(value) for value in sample.state] for sample in exact.samples]),
+        scale=sizes_of([list(map(float, sample.state)) for sample in exact.samples], dynamics.own),
         how="extended precision",
         error=exact.error,
     )
@@ -110,7 +110,7 @@ def _truth_in_doubles(
         simulate(dynamics, state, until=until, settings=at_tolerance(tolerance, implicit))
         for tolerance in (1e-14, 1e-13)
     )
-    marks, scale = landmarks(finest), sizes(finest)
+    marks, scale = landmarks(finest), sizes(finest, dynamics.own)
     return Truth(
         marks=marks,
         scale=scale,

@@ -48,7 +48,15 @@ def first_root(coefficients: Coefficients) -> float | None:
             continue
         if changes == 1 and values[-1] < 0.0:
             piece = BPoly(values[:, None], [left, right])
-            return float(brentq(piece, left, right, xtol=1e-300, rtol=4 * _ROUNDING))
+            return float(
+                brentq(
+                    lambda u, piece=piece: float(piece(u)),
+                    left,
+                    right,
+                    xtol=1e-300,
+                    rtol=4 * _ROUNDING,
+                )
+            )
         middle = (left + right) / 2
         if right - left < 2.0**-_DEPTH:
             message = f"must have simple roots, but two meet near {middle:.6g}"

@@ -6,4 +6,6 @@ from .proof_of_orbit import check_proof_of as check_proof_of
 from .proof_file import write_proof as write_proof
 from .prover import ProofSettings as ProofSettings
 from .prover import prove as prove
+from .replay import Replay as Replay
+from .replay import replay_proof as replay_proof
 from .theorem import Proof as Proof

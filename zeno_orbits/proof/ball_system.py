@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
 from flint import arb
 
-from zeno_orbits.errors import InputError, ProofError
+from zeno_orbits.errors import ProofError
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.proof.balls import ZERO, Ball, Matrix, identity, matrix
+from zeno_orbits.proof.balls import ZERO, Ball, Matrix, column, identity, matrix
 from zeno_orbits.proof.expressions import proof_expressions
 from zeno_orbits.proof.flow import BallFlow
 from zeno_orbits.proof.program import BallProgram
@@ -18,33 +19,43 @@ from zeno_orbits.proof.program import BallProgram
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImpactValues:
-    """The impulse direction at a state.
+    """The impulse direction and the coefficient of restitution at a state.
 
     Attributes:
         direction: Change of the state by unit gap rate, ``(n,)``.
         slopes: Its derivative, ``(n, n)``.
+        restitution: The coefficient.
+        restitution_slopes: Its derivative, ``(n,)``.
     """
 
     direction: list[Ball]
     slopes: Matrix
+    restitution: Ball
+    restitution_slopes: list[Ball]
 
 
 class BallSystem:
-    """A problem at fixed numbers, in balls.
+    """A problem at fixed numbers, in balls, its states measured in units of their own size.
 
     Attributes:
         expressions: Its equations.
         n: Number of states of the prover.
         gap: Place of the gap.
         rate: Place of the gap rate.
-        restitution: Coefficient of restitution, exact.
+        plastic: Whether the stop takes all speed.
         gap_offset: Gap where the coordinate that it is one of is zero.
+        units: Units of the states, powers of two, ``(n,)``.
+        period: A time against which a duration is short [s].
         free: The flow off the stop.
         locked: The flow on the stop; its guard is the multiplier.
     """
 
     def __init__(
-        self, problem: Problem, values: ParameterValues, over: Mapping[str, float] | None = None
+        self,
+        problem: Problem,
+        values: ParameterValues,
+        over: Mapping[str, float] | None = None,
+        period: float = 1.0,
     ) -> None:
         """Translate the problem.
 
@@ -52,31 +63,37 @@ class BallSystem:
             problem: The problem.
             values: Its numbers, taken exactly.
             over: Gains or parameters that become states of rate zero.
+            period: How long a motion takes, about [s].
 
         Raises:
             TranslationError: If an operation of the problem is not analytic.
-            InputError: If the restitution or the place of the stop is to vary.
         """
-        carried = tuple(over or ())
-        e = self.expressions = proof_expressions(problem, carried)
+        carried, self.period = tuple(over or ()), period
+        named = dict(zip(problem.names, map(float, values.vector), strict=True))
+        own, n_x = problem.dynamics(values).own, len(problem.state_names)
+        sizes = (*own.states(n_x), own.gap, own.gap_rate, *(named[name] for name in carried))
+        units = [power_of_two(size) for size in sizes]
+        e = self.expressions = proof_expressions(problem, carried, units)
+        self.units = units if e.coordinate is None else [*units[:n_x], *units[n_x + 2 :]]
         offset = e.coordinate.offset if e.coordinate else ca.SX(0)
-        for what, expression in (("restitution", e.restitution), ("place of the stop", offset)):
-            if ca.depends_on(expression, e.states):
-                wanted = f"must leave the {what} as it is"
-                raise InputError(f"Argument `over` {wanted}, but it changes with {carried[0]}.")
-        named = dict(zip(problem.names, values.vector, strict=True))
-        self.carried = {name: arb(float(named[name])) for name in carried}
+        self.carried = {
+            name: arb(named[name]) / unit
+            for name, unit in zip(carried, units[n_x + 2 :], strict=True)
+        }
         exact = [arb(float(named[name])) for name in problem.names if name not in carried]
         self.numbers = [*exact, *(arb(value) for value in e.constants)]
         self.n, self.gap, self.rate = e.states.numel(), e.gap_place, e.rate_place
         self.n_x = self.n - len(carried) - (2 if e.coordinate is None else 0)
-        (self.restitution,) = self._program(e.restitution)([ZERO] * self.n)[0] or [ZERO]
+        self._law = self._program(e.restitution, ca.densify(ca.gradient(e.restitution, e.states)))
+        centre = [ZERO] * (self.n - len(carried)) + list(self.carried.values())
+        varies = ca.depends_on(e.restitution, e.states)
+        self.plastic = not varies and bool(self._law(centre)[0][0].is_zero())
         self.gap_offset = (self._program(offset)([ZERO] * self.n)[0] or [ZERO])[0]
         self.free = BallFlow(e.states, e.numbers, e.free, None, self.numbers)
         self.locked = BallFlow(e.states, e.numbers, e.locked, e.multiplier, self.numbers)
         self._slopes = ca.jacobian(e.direction, e.states)
         self._impact = self._program(e.direction, self._slopes)
-        self._tail = self._program(e.free, e.direction)
+        self._tail = self._program(e.free, e.direction, e.restitution)
         gradient = ca.jacobian(e.constraints, e.states)
         self.constraints = self._program(e.constraints, gradient)
         self.constraint_places = list(zip(*gradient.sparsity().get_triplet(), strict=True))
@@ -92,38 +109,47 @@ class BallSystem:
         }
 
     def impact(self, y: Sequence[Ball]) -> ImpactValues:
-        """Return the impulse direction at a state, and its derivative."""
+        """Return the impulse direction and the restitution at a state, and their derivatives."""
         direction, slopes = self._impact(y)
+        (restitution,), gradient = self._law(y)
         rows = [[ZERO] * self.n for _ in range(self.n)]
         places = zip(*self._slopes.sparsity().get_triplet(), strict=True)
         for (row, col), one in zip(places, slopes, strict=True):
             rows[row][col] = one
-        return ImpactValues(direction=direction, slopes=matrix(rows, self.n))
+        return ImpactValues(
+            direction=direction,
+            slopes=matrix(rows, self.n),
+            restitution=restitution,
+            restitution_slopes=gradient,
+        )
 
-    def free_values(self, y: Sequence[Ball]) -> tuple[list[Ball], list[Ball]]:
-        """Return the free flow and the impulse direction at a state, of complex balls too."""
-        rate, direction = self._tail(y)
-        return rate, direction
+    def free_values(self, y: Sequence[Ball]) -> tuple[list[Ball], list[Ball], Ball]:
+        """Return free flow, impulse direction and restitution at a state, of complex balls too."""
+        rate, direction, (restitution,) = self._tail(y)
+        return rate, direction, restitution
 
     def reset_derivative(self, y: Sequence[Ball]) -> Matrix:
         r"""Return the derivative of the reset at states on the stop, ``(n, n)``.
 
-        .. math:: 1 - (1 + e)\,(d\, \partial \dot h + \dot h\, \partial d)
+        .. math:: 1 - (1 + e)\,(d\, \partial \dot h + \dot h\, \partial d) - \dot h\, d\, \partial e
         """
-        law, at, n = 1 + self.restitution, self.impact(y), self.n
-        rows = (identity(n) - at.slopes * (law * y[self.rate])).table()
+        at, n = self.impact(y), self.n
+        law = 1 + at.restitution
+        turned = column(at.direction) * matrix([at.restitution_slopes], n)
+        rows = (identity(n) - (at.slopes * law + turned) * y[self.rate]).table()
         for k in range(n):
             rows[k][self.rate] -= law * at.direction[k]
         rows[self.gap] = [ZERO] * n
-        rows[self.rate] = [ZERO] * n
-        rows[self.rate][self.rate] = -self.restitution
+        rows[self.rate] = [-y[self.rate] * slope for slope in at.restitution_slopes]
+        rows[self.rate][self.rate] = -at.restitution
         return matrix(rows, n)
 
     def reset(self, y: Sequence[Ball]) -> list[Ball]:
         """Return the state after an impact, ``(n,)``; the gap is zero."""
-        push = (1 + self.restitution) * y[self.rate]
-        after = [a - push * d for a, d in zip(y, self.impact(y).direction, strict=True)]
-        after[self.gap], after[self.rate] = ZERO, -self.restitution * y[self.rate]
+        at = self.impact(y)
+        push = (1 + at.restitution) * y[self.rate]
+        after = [a - push * d for a, d in zip(y, at.direction, strict=True)]
+        after[self.gap], after[self.rate] = ZERO, -at.restitution * y[self.rate]
         return after
 
     def _program(self, *outputs: ca.SX) -> BallProgram:
@@ -131,6 +157,11 @@ class BallSystem:
         dense = [ca.densify(one) if one.shape[1] == 1 else one for one in outputs]
         function = ca.Function("part", [e.states, e.numbers], dense, {"cse": True})
         return BallProgram(function, self.numbers)
+
+
+def power_of_two(size: float) -> float:
+    """Return the power of two next to a size, which is exact as a factor; 1 for nothing."""
+    return 2.0 ** round(math.log2(abs(size))) if size else 1.0
 
 
 def require_proved(holds: bool, claim: str, reason: str) -> None:

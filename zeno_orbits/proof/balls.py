@@ -41,6 +41,11 @@ def middle(x: Ball) -> Ball:
     return arb(float(x.mid()))
 
 
+def half_width(x: Ball) -> Ball:
+    """Return the radius of a ball, exact."""
+    return x.rad()
+
+
 def scaled(x: Ball, factor: float) -> Ball:
     """Return a ball of the same midpoint and a radius that is a multiple."""
     return x.mid() + arb(0, x.rad() * factor)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from flint import arb
@@ -10,7 +11,7 @@ from zeno_orbits.model import Problem
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.proof.ball_system import BallSystem, require_proved
 from zeno_orbits.proof.balls import Ball, exact_text, product
-from zeno_orbits.proof.judgement import JudgedBox
+from zeno_orbits.proof.fixed_point import JudgedBox
 from zeno_orbits.proof.theorem import Bounds, MultiplierDisc, ProvedInterval
 
 CLOSE = 1e-8
@@ -33,6 +34,7 @@ def proof_bounds(problem: Problem, system: BallSystem, found: JudgedBox) -> Boun
     moved = product(start.derivative, offset) if offset else [arb(0)] * system.n
     state = [a + b for a, b in zip(start.middle_box, moved, strict=True)]
     coordinate = system.expressions.coordinate
+    state = [value * unit for value, unit in zip(state, system.units, strict=True)]
     if coordinate is not None:
         state[system.gap] = (state[system.gap] - system.gap_offset) * coordinate.sign
     return Bounds(
@@ -58,8 +60,14 @@ def _claimed(x: Ball) -> ProvedInterval:
     return ProvedInterval(low=wide.lower().mid(), high=wide.upper().mid())
 
 
-def require_numbers(orbit: ZenoOrbit, bounds: Bounds) -> None:
-    """Refuse an orbit whose other numbers are not those of the orbit that is proved."""
+def require_numbers(orbit: ZenoOrbit, bounds: Bounds, sizes: Sequence[float]) -> None:
+    """Refuse an orbit whose other numbers are not those of the orbit that is proved.
+
+    Args:
+        orbit: The orbit.
+        bounds: What is enclosed of the orbit that is proved.
+        sizes: Of the states of the problem.
+    """
     allowed = CLOSE * orbit.period
 
     def check(name: str, enclosed: ProvedInterval, value: float, most: float) -> None:
@@ -76,8 +84,9 @@ def require_numbers(orbit: ZenoOrbit, bounds: Bounds) -> None:
     for time in impacts:
         nearest = min(bounds.impact_times, key=lambda one: one.misses(time))
         check("impact_time", nearest, time, allowed)
-    for name, value in orbit.start_state.items():
-        check("start_state", bounds.start_state[name], value, CLOSE * max(1.0, abs(value)))
+    for (name, enclosed), size in zip(bounds.start_state.items(), sizes, strict=False):
+        value = orbit.start_state[name]
+        check("start_state", enclosed, value, CLOSE * max(size, abs(value)))
 
 
 def claims_of(passes: list[JudgedBox], bounds: Bounds) -> list[dict[str, Any]]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 from flint import arb
 
@@ -23,8 +24,10 @@ from zeno_orbits.proof.stage import Departure, ProofRecord, ProofStage
 _SPARE = 1.05
 """How much wider than found a window is given, so that another arithmetic finds it wide enough."""
 _LEAST_WINDOW = arb(2) ** -110
-"""Least half width of a window [s]: a checker of fixed point must tell the guard from zero."""
+"""Least half width of a window, per period: a checker of fixed point must tell the guard from 0."""
 _TRIES = 12
+_GRID = 16
+"""Parts of the time in which a crossing is looked for."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,13 +71,14 @@ def cross(
     """
     claim = "release" if stage.departure is Departure.LOCKED else "impact"
     guard, locked = _guard(system, stage.departure), stage.departure is Departure.LOCKED
-    a_m, b_m = _window(guard, step, guess, lambda t: step.point(series, t), None, claim)
+    least = _LEAST_WINDOW * system.period
+    a_m, b_m = _window(guard, step, guess, lambda t: step.point(series, t), None, claim, least)
     middle = joined(a_m, b_m)
 
     def spread(time: Ball) -> list[Ball]:
         return product(step.derivative(time), stage.at.deviation)
 
-    a, b = _window(guard, step, guess, lambda t: step.point(series, t), spread, claim)
+    a, b = _window(guard, step, guess, lambda t: step.point(series, t), spread, claim, least)
     a, b = _lesser(a, a_m), _greater(b, b_m)
     window = joined(a, b)
     whole = step.derivative(window)
@@ -110,6 +114,7 @@ def _window(
     point: Callable[[Ball], list[Ball]],
     spread: Callable[[Ball], list[Ball]] | None,
     claim: str,
+    least: Ball,
 ) -> tuple[Ball, Ball]:
     """Return two exact times around a guess, the guard positive at the first, negative then."""
 
@@ -127,7 +132,7 @@ def _window(
     for _ in range(3):
         guess = (guess - value(guess) / speed).mid()
     here = value(guess)
-    half = abs(here / speed).abs_upper() * _SPARE + _LEAST_WINDOW
+    half = abs(here / speed).abs_upper() * _SPARE + least
     for _ in range(_TRIES):
         half = half.mid()
         a, b = (guess - half).mid(), (guess + half).mid()
@@ -153,3 +158,68 @@ def _without_rows(m: Matrix, rows: Sequence[int]) -> Matrix:
     for row in rows:
         table[row] = [ZERO] * m.ncols()
     return matrix(table, m.ncols())
+
+
+def meeting_guess(
+    system: BallSystem, stage: ProofStage, points: list[Series], within: float
+) -> float | None:
+    """Return when the middle of a set meets its guard, if it does soon; not for certain.
+
+    Args:
+        system: The problem.
+        stage: Where the set is.
+        points: Taylor coefficients of its middle.
+        within: How far to look [s].
+    """
+    if stage.departure is Departure.LOCKED:
+        return _release_guess(system, points, within)
+    coefficients = [float(c.mid()) for c in points[system.gap]]
+    skipped = {Departure.FLYING: 0, Departure.STRUCK: 1, Departure.RELEASED: 3}[stage.departure]
+    return _first_root(coefficients[skipped:], within)
+
+
+def _release_guess(system: BallSystem, points: list[Series], within: float) -> float | None:
+    def multiplier(time: float) -> float:
+        at = [_horner([float(c.mid()) for c in one], time) for one in points]
+        return float(system.locked.guard([arb(x) for x in at])[0].mid())
+
+    times = [within * k / _GRID for k in range(_GRID + 1)]
+    values = [multiplier(time) for time in times]
+    for k in range(_GRID):
+        if values[k] > 0.0 >= values[k + 1]:
+            return _bisected(multiplier, times[k], times[k + 1])
+    return None
+
+
+def _first_root(coefficients: list[float], within: float) -> float | None:
+    def value(time: float) -> float:
+        return _horner(coefficients, time)
+
+    grid = [within * k / (2 * _GRID) for k in range(2 * _GRID + 1)]
+    if coefficients[0] > 0.0 and len(coefficients) > 2:
+        # A flight near a Zeno point is far shorter than a step.
+        short = -coefficients[0] / coefficients[1] if coefficients[1] < 0 else within
+        grid = sorted({*grid, *(short * k / 8 for k in range(1, 17) if short * k / 8 < within)})
+    for left, right in pairwise(grid):
+        if value(left) > 0.0 >= value(right):
+            return _bisected(value, left, right)
+    return None
+
+
+def _bisected(value: Callable[[float], float], left: float, right: float) -> float:
+    for _ in range(100):
+        middle = (left + right) / 2
+        if not left < middle < right:
+            break
+        if value(middle) > 0.0:
+            left = middle
+        else:
+            right = middle
+    return (left + right) / 2
+
+
+def _horner(coefficients: list[float], time: float) -> float:
+    value = 0.0
+    for one in reversed(coefficients):
+        value = value * time + one
+    return value

@@ -18,7 +18,7 @@ from typing import Any
 import casadi as ca
 
 from zeno_orbits.errors import TranslationError
-from zeno_orbits.model import CompletedSystem, Problem
+from zeno_orbits.model import CompletedSystem, OwnScale, Problem
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,7 +42,8 @@ class ProofExpressions:
 
     Attributes:
         states: ``y``, ``(N,)``: the problem's states, of which two may be the gap and its rate;
-            gap and rate if they are none of them; parameters that are carried as states.
+            gap and rate if they are none of them; parameters that are carried as states; each in
+            its own unit.
         numbers: Gains and parameters, then the constants, symbols.
         constants: Values of the constants.
         gap_place: Place of the gap in ``y``.
@@ -70,12 +71,16 @@ class ProofExpressions:
     constraints: ca.SX
 
 
-def proof_expressions(problem: Problem, carried: Sequence[str] = ()) -> ProofExpressions:
+def proof_expressions(
+    problem: Problem, carried: Sequence[str] = (), sizes: Sequence[float] = ()
+) -> ProofExpressions:
     """Return a problem's equations for the prover.
 
     Args:
         problem: The problem.
         carried: Gains or parameters that become states of rate zero.
+        sizes: Units of the prover's states, powers of two: those of the problem's states, of gap
+            and rate, and of the carried parameters; by default all are 1.
 
     Raises:
         TranslationError: If an operation is not analytic.
@@ -100,7 +105,7 @@ def proof_expressions(problem: Problem, carried: Sequence[str] = ()) -> ProofExp
     outputs, names, values = _without_constants(function, x, p)
     free, locked, gap, rate, acceleration, multiplier, direction, restitution, holonomic = outputs
     over = [symbols[name] for name in carried]
-    coordinate = _coordinate(system, gap)
+    coordinate = _coordinate(system, gap, over)
     still = ca.SX.zeros(len(over))
     if coordinate is None:
         ends = ca.SX.sym("gap", 2)
@@ -133,6 +138,16 @@ def proof_expressions(problem: Problem, carried: Sequence[str] = ()) -> ProofExp
     locked, multiplier, constraints = ca.substitute(
         [locked, multiplier, constraints], [states], [on_stop]
     )
+    if sizes:
+        n_x = x.numel()
+        kept = sizes if coordinate is None else [*sizes[:n_x], *sizes[n_x + 2 :]]
+        unit = ca.SX(list(kept))
+        parts = [free, locked, direction, multiplier, restitution, constraints]
+        free, locked, direction, multiplier, restitution, constraints = ca.substitute(
+            parts, [states], [unit * states]
+        )
+        free, locked = free / unit, locked / unit
+        direction = direction * unit[places[1]] / unit
     left = [symbols[name] for name in problem.names if name not in carried]
     return ProofExpressions(
         states=states,
@@ -150,36 +165,54 @@ def proof_expressions(problem: Problem, carried: Sequence[str] = ()) -> ProofExp
     )
 
 
-def stop_identities(problem: Problem) -> tuple[ca.Function, tuple[str, ...]]:
-    """Return what vanishes identically in a problem whose stop obeys the laws, and their names.
+def stop_identities(problem: Problem, own: OwnScale) -> tuple[ca.Function, dict[str, float]]:
+    """Return what vanishes identically in a problem whose stop obeys the laws.
 
     The prover takes these identities for granted: in balls they would only hold to their width.
 
     Args:
         problem: The problem.
+        own: Sizes of its numbers.
 
     Returns:
-        A function of state and numbers, and what each of its entries says.
+        A function of state and numbers with a column of terms for each identity, their sum zero;
+        and what each says, to the size of its numbers.
     """
     symbols = problem.symbols()
     s = problem.model(symbols)
-    x = s.state
-    rows = {
-        "gap_rate is the rate of gap": ca.jtimes(s.gap, x, s.free_flow) - s.gap_rate,
-        "gap_acceleration is the rate of gap_rate": ca.jtimes(s.gap_rate, x, s.free_flow)
-        - s.gap_acceleration,
-        "an impact leaves the gap": ca.jtimes(s.gap, x, s.impulse_direction),
-        "an impact turns the gap rate round": ca.jtimes(s.gap_rate, x, s.impulse_direction) - 1,
-        "a stop that holds keeps the gap rate": ca.jtimes(s.gap_rate, x, s.locked_flow),
-        "multiplier is what keeps the gap rate": s.multiplier
-        + s.gap_acceleration * s.normal_inertia,
+    gap, rate = (ca.jacobian(one, s.state).T for one in (s.gap, s.gap_rate))
+    columns = [
+        (gap * s.free_flow, -s.gap_rate),
+        (rate * s.free_flow, -s.gap_acceleration),
+        (gap * s.impulse_direction, 0),
+        (rate * s.impulse_direction, -1),
+        (rate * s.locked_flow, 0),
+        (s.multiplier, s.gap_acceleration * s.normal_inertia),
+    ]
+    sizes = {
+        "gap_rate is the rate of gap": own.gap_rate,
+        "gap_acceleration is the rate of gap_rate": own.gap_acceleration,
+        "an impact leaves the gap": own.gap / own.gap_rate,
+        "an impact turns the gap rate round": 1.0,
+        "a stop that holds keeps the gap rate": own.gap_acceleration,
+        "multiplier is what keeps the gap rate": own.multiplier,
     }
-    outputs = [ca.densify(ca.SX(ca.vertcat(*rows.values())))]
-    return ca.Function("identities", [x, ca.vertcat(*symbols.values())], outputs), tuple(rows)
+    outputs = [ca.densify(ca.vertcat(*column)) for column in columns]
+    return ca.Function("identities", [s.state, ca.vertcat(*symbols.values())], outputs), sizes
 
 
-def _coordinate(system: CompletedSystem, gap: ca.SX) -> GapCoordinate | None:
-    """Return the coordinate that the gap is plus or minus, and a number; None if there is none."""
+def _coordinate(
+    system: CompletedSystem, gap: ca.SX, carried: Sequence[ca.SX]
+) -> GapCoordinate | None:
+    """Return the coordinate that the gap is plus or minus, and a number; None if there is none.
+
+    Args:
+        system: The problem.
+        gap: Its gap.
+        carried: Parameters that vary; the place of the stop must be none of theirs.
+    """
+    if any(ca.depends_on(gap, one) for one in carried):
+        return None
     slopes = ca.jacobian(gap, system.state)
     places = [k for k in range(system.state.numel()) if not slopes[k].is_zero()]
     if len(places) != 1 or places[0] >= system.n_q or not slopes[places[0]].is_constant():
@@ -220,9 +253,7 @@ def _without_constants(
         elif code in table:
             work[place] = table[code](*(work[one] for one in takes))
         else:
-            raise TranslationError(
-                operation_name(code), "which is not analytic, or has no rule for balls"
-            )
+            raise TranslationError(operation_name(code), "which the prover does not know")
     return outputs, list(symbols.values()), list(symbols)
 
 

@@ -19,6 +19,13 @@ from flint import acb, acb_mat, arb
 
 from zeno_orbits.errors import ProofError
 from zeno_orbits.proof.balls import Ball, Matrix, identity, mapped, matrix, middle, product
+from zeno_orbits.proof.section import SectionStart
+from zeno_orbits.proof.walk import ProofPassage
+
+_SPARE = 1.5
+"""How much larger than what it becomes a box is taken."""
+_LARGEST = 1e-3
+"""Radius of a box beyond which none is tried, per size of a state."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,4 +152,79 @@ def multiplier_discs(slopes: Matrix) -> MultiplierDiscs:
     )
 
 
-__all__ = ["MultiplierDiscs", "ReturnBox", "matrix", "multiplier_discs"]
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JudgedBox:
+    """A box once around, with what follows.
+
+    Attributes:
+        start: The start.
+        passage: Its way.
+        returned: The return map.
+        orbit: Start coordinates of the periodic orbit less those of the middle, and carried
+            parameters, ``(d + n_over,)``.
+        discs: Of the multipliers.
+    """
+
+    start: SectionStart
+    passage: ProofPassage
+    returned: ReturnBox
+    orbit: list[Ball]
+    discs: MultiplierDiscs
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReturnAttempt:
+    """A box once around, judged.
+
+    Attributes:
+        judged: What follows, if the orbit exists.
+        defect: Where the middle returns, less the middle, ``(d,)``.
+        reason: What is missing.
+        needed: Radii of boxes that may do.
+    """
+
+    judged: JudgedBox | None
+    defect: list[Ball]
+    reason: str = ""
+    needed: list[list[float]]
+
+
+def judge(start: SectionStart, passage: ProofPassage) -> ReturnAttempt:
+    """Judge the return of a box."""
+    places, end, d = start.places, passage.end.at, len(start.places)
+    box = end.box
+    slopes = end.derivative
+    rows = [[slopes[k, j] for j in range(d)] for k in places]
+    carried = matrix(
+        [[slopes[k, j] for j in range(d, slopes.ncols())] for k in places], slopes.ncols() - d
+    )
+    middle = end.middle_box
+    defect = [middle[k] - centre for k, centre in zip(places, start.centre, strict=True)]
+    parameters = start.at.U[d:]
+    spread = product(carried, parameters) if parameters else [arb(0)] * d
+    returned = ReturnBox(
+        box=start.at.U[:d],
+        shift=[a + b for a, b in zip(defect, spread, strict=True)],
+        slopes=matrix(rows, d),
+    )
+    if not all(a.contains(box[k]) for k, a in zip(start.others, start.around, strict=True)):
+        reason = "the box does not come back to the part of the section that it started on"
+        return ReturnAttempt(judged=None, defect=defect, reason=reason, needed=[])
+    found = returned.krawczyk(returned.box)
+    if not returned.encloses(found):
+        wide = [_SPARE * float(one.abs_upper()) for one in found]
+        reason = "the return map is not proved to have a fixed point in the box"
+        small = all(w < _LARGEST for w in wide)
+        asked = [float(u.rad()) for u in returned.box]
+        # A box that holds the one that was asked for is better than a smaller one.
+        needed = [[max(w, u) for w, u in zip(wide, asked, strict=True)], wide] if small else []
+        return ReturnAttempt(judged=None, defect=defect, reason=reason, needed=needed)
+    orbit = [*returned.krawczyk(found), *parameters]
+    judged = JudgedBox(
+        start=start,
+        passage=passage,
+        returned=returned,
+        orbit=orbit,
+        discs=multiplier_discs(returned.slopes),
+    )
+    return ReturnAttempt(judged=judged, defect=defect, needed=[])

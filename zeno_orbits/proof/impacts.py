@@ -38,8 +38,7 @@ def strike(system: BallSystem, stage: ProofStage) -> tuple[ProofRecord, ProofSta
     derivative = system.reset_derivative(box)
     result = at.mapped(system.reset(at.m), derivative, system.groups["beside"])
     record = ProofRecord(kind="impact", numbers={}, orders=(), result=result)
-    plastic = bool(system.restitution.is_zero())
-    after = Departure.LOCKED if plastic else Departure.STRUCK
+    after = Departure.LOCKED if system.plastic else Departure.STRUCK
     return record, stage.next(result, after, stage.time)
 
 
@@ -68,11 +67,11 @@ def _settled(system: BallSystem, stage: ProofStage, share: float) -> tuple[Proof
     speed_now = box[rate].abs_upper()
     radius = [arb(share) * (1 + x.abs_upper()) for x in box]
     radius = [arb(float(one.mid())) for one in radius]
-    speed = arb(share * 1e-6)
+    speed, e = arb(share * 1e-6), system.impact(box).restitution.upper()
     for _ in range(40):
         # The gap and its rate stay far within these in all flights, as `_bounds` checks.
         radius[gap] = speed
-        radius[rate] = arb(float((speed * (4 + 8 / (1 - system.restitution))).mid()))
+        radius[rate] = arb(float((speed * (4 + 8 / (1 - e))).mid()))
         found = _bounds(system, box, radius, speed)
         if found is not None:
             break
@@ -109,9 +108,10 @@ def _bounds(
     system: BallSystem, box: Sequence[Ball], radius: Sequence[Ball], speed: Ball
 ) -> tuple[list[Ball], Ball, Ball, list[Ball]] | None:
     """Return `c`, `rho`, `S` and what is left of the polydisc; None if it is not enough."""
-    gap, rate, e = system.gap, system.rate, system.restitution
+    gap, rate = system.gap, system.rate
     wide = [acb(x + arb(0, r), arb(0, r)) for x, r in zip(box, radius, strict=True)]
-    flow, direction = system.free_values(wide)
+    flow, direction, e = system.free_values(wide)
+    e = e.abs_upper()
     a = flow[rate]
     a0 = a.real.mid()
     spread = (a - a0).abs_upper()
@@ -138,8 +138,8 @@ def _bounds(
         delta.append(radius[i] - speed * (moved + c[i] / (1 - rho)))
         if not bool(delta[i] > 0):
             return None
-    # In flight the rate is at most (2 + kappa) w, and the gap S (1 + kappa) w^2.
-    high, fast = longest * speed * speed * (1 + kappa), speed * (2 + kappa)
+    # In flight the rate is at most (2 + kappa) w, and the gap what that makes in a time S w.
+    high, fast = longest * speed * flow[gap].abs_upper(), speed * (2 + kappa)
     if not (bool(high < radius[gap]) and bool(fast < radius[rate])):
         return None
     return c, rho, longest, delta

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import platform
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,7 +15,7 @@ import flint
 from zeno_orbits.errors import ProofError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.proof.ball_system import BallSystem
-from zeno_orbits.proof.balls import Ball, Matrix, exact_text
+from zeno_orbits.proof.balls import ZERO, Ball, Matrix, exact_text, half_width, mapped
 from zeno_orbits.proof.expressions import operation_name
 from zeno_orbits.proof.section import SectionStart
 from zeno_orbits.proof.sets import BallSet
@@ -24,6 +25,11 @@ from zeno_orbits.work import versions
 
 FORMAT = 1
 _CHECK_BITS = 224
+"""Bits after the point for numbers of everyday size."""
+_EVERYDAY = 1e-3
+"""Period for which that is enough [s]."""
+_OWN_BITS = 180
+"""Bits after the point beyond the first of the smallest parameter."""
 
 
 def system_digest(problem: Problem) -> str:
@@ -55,48 +61,60 @@ def system_digest(problem: Problem) -> str:
 class CertificateWriter:
     """Turn sets and records of the prover into those of the file, in the problem's own states."""
 
-    def __init__(self, system: BallSystem) -> None:
-        """Find out how the prover's gap is a state of the problem."""
-        self._system = system
+    def __init__(self, system: BallSystem, places: Sequence[int]) -> None:
+        """Find out how the prover's states are those of the problem.
+
+        Args:
+            system: The problem in balls.
+            places: Places of the section's coordinates.
+        """
+        self._system, self._units = system, list(system.units)
+        self._shift = [ZERO] * system.n
+        carried = range(system.n - len(system.carried), system.n)
+        self._inputs = [system.units[k] for k in (*places, *carried)]
         coordinate = system.expressions.coordinate
         self.gap_row = None if coordinate is None else coordinate.place
-        self._sign, self._offset = 1, None
         if coordinate is not None:
-            self._sign, self._offset = coordinate.sign, system.gap_offset
-
-    def number_rows(self, m: Matrix) -> list[list[str]]:
-        """Return the numbers of an exact matrix."""
-        return [[exact_text(x) for x in row] for row in m.table()]
+            self._units[system.gap] *= coordinate.sign
+            self._units[system.rate] *= coordinate.sign
+            self._shift[system.gap] = -coordinate.sign * system.gap_offset
 
     def set_of(self, one: BallSet) -> dict[str, Any]:
         """Return a set."""
+        m = [x * u + shift for x, u, shift in zip(one.m, self._units, self._shift, strict=True)]
+        if not m[self._system.gap].is_exact():
+            raise ProofError("certificate", "the stop is at no exact number")
+        ones = [1.0] * self._system.n
         return {
-            "m": [exact_text(x) for x in self._own(one.m)],
-            "C": self.number_rows(self._own_rows(one.C)),
-            "Q": self.number_rows(self._own_rows(one.frame)),
+            "m": [exact_text(x) for x in m],
+            "C": _texts_by(one.C, self._units, self._inputs),
+            "Q": _texts_by(one.frame, self._units, ones),
             "r": [exact_text(x.rad()) for x in one.r],
-            "R": [[exact_text(x.rad()) for x in row] for row in one.R.table()],
+            "R": _texts_by(mapped(one.R, half_width), ones, self._inputs),
         }
 
     def record(self, one: ProofRecord) -> dict[str, Any]:
         """Return a record."""
         numbers = {name: _texts(value) for name, value in one.numbers.items()}
         if one.kind == "tail":
-            places = self._tail_places()
-            numbers["radius"] = [exact_text(one.numbers["radius"][k]) for k in places]
+            radius, units = one.numbers["radius"], self._system.units
+            numbers["radius"] = [exact_text(radius[k] * units[k]) for k in self._tail_places()]
+            numbers["speed"] = exact_text(one.numbers["speed"] * units[self._system.rate])
         orders = {"orders": list(one.orders)} if one.orders else {}
         return {"kind": one.kind, **numbers, **orders, "set": self.set_of(one.result)}
 
     def passage(self, start: SectionStart, passage: ProofPassage) -> dict[str, Any]:
         """Return a set once around."""
-        radii = [exact_text(u.rad()) for u in start.at.U[: len(start.places)]]
+        d, units = len(start.places), self._system.units
+        radii = [u.rad() * unit for u, unit in zip(start.at.U[:d], self._inputs, strict=False)]
+        centre = [x * unit for x, unit in zip(start.centre, self._inputs, strict=False)]
+        around = [x * units[k] for k, x in zip(start.others, start.around, strict=True)]
         others = {
-            "centre": [exact_text(x.mid()) for x in start.around],
-            "radius": [exact_text(x.rad()) for x in start.around],
+            "centre": [exact_text(x.mid()) for x in around],
+            "radius": [exact_text(x.rad()) for x in around],
         }
-        centre = [exact_text(x) for x in start.centre]
         return {
-            "box": {"centre": centre, "radius": radii, "others": others},
+            "box": {"centre": _texts(centre), "radius": _texts(radii), "others": others},
             "start": self.set_of(start.at),
             "records": [self.record(one) for one in passage.records],
         }
@@ -107,25 +125,13 @@ class CertificateWriter:
             return list(range(self._system.n))
         return [k for k in range(self._system.n) if k not in (self._system.gap, self._system.rate)]
 
-    def _own(self, y: Sequence[Ball]) -> list[Ball]:
-        """Return the problem's states of the prover's."""
-        own = list(y)
-        if self.gap_row is not None:
-            gap, rate = self._system.gap, self._system.rate
-            own[gap], own[rate] = own[gap] - self._offset, own[rate] * self._sign
-            own[gap] *= self._sign
-            if not own[gap].is_exact():
-                raise ProofError("certificate", "the stop is at no exact number")
-        return own
 
-    def _own_rows(self, m: Matrix) -> Matrix:
-        if self._sign == 1:
-            return m
-        own = m * 1
-        for k in (self._system.gap, self._system.rate):
-            for j in range(m.ncols()):
-                own[k, j] = -m[k, j]
-        return own
+def _texts_by(m: Matrix, rows: Sequence[float], columns: Sequence[float]) -> list[list[str]]:
+    """Return the numbers of an exact matrix from units of rows by units of columns."""
+    return [
+        [exact_text(x * unit / by) for x, by in zip(row, columns, strict=True)]
+        for row, unit in zip(m.table(), rows, strict=True)
+    ]
 
 
 def _texts(value: Ball | list[Ball]) -> str | list[str]:
@@ -152,7 +158,7 @@ def certificate(
         passes: Sets once around, with their starts.
         claims: What is claimed, its numbers as texts.
     """
-    writer = CertificateWriter(system)
+    writer = CertificateWriter(system, passes[0][0].places)
     named = dict(zip(problem.names, values.vector, strict=True))
     return {
         "format": FORMAT,
@@ -162,7 +168,7 @@ def certificate(
         "parameters": {name: exact_text(flint.arb(float(x))) for name, x in named.items()},
         "over": {name: exact_text(flint.arb(radius)) for name, radius in over.items()},
         "gap_row": writer.gap_row,
-        "bits": _CHECK_BITS,
+        "bits": _check_bits(system, list(named.values())),
         "section": {
             "conditions": ["gap", "gap_rate", "multiplier"],
             "places": list(passes[0][0].places),
@@ -171,6 +177,14 @@ def certificate(
         "claims": [dict(claim) for claim in claims],
         "versions": proof_versions(),
     }
+
+
+def _check_bits(system: BallSystem, numbers: Sequence[float]) -> int:
+    """Return how many bits after the point the checker needs: more where numbers are small."""
+    small = min(*system.units, system.period / _EVERYDAY, 1.0)
+    least = min((abs(x) for x in numbers if x), default=1.0)
+    needed = max(_CHECK_BITS - 2 * math.log2(small), _OWN_BITS - math.log2(least))
+    return min(1024, 32 * math.ceil(needed / 32))
 
 
 def proof_versions() -> dict[str, str]:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import ZenoOrbit
-from zeno_orbits.proof.checker.balls import number
 from zeno_orbits.proof.checker.certificate import ProofVerdict, check_proof
+from zeno_orbits.proof.replay import doubles
 
 _CLOSE = 1e-8
 """How far an orbit's numbers may be from those that are proved, per size."""
@@ -31,11 +28,8 @@ def check_proof_of(orbit: ZenoOrbit, problem: Problem, path: Path) -> ProofVerdi
     """
     verdict = check_proof(path, problem)
     data = json.loads(path.read_text(encoding="utf-8"))
-
-    def doubles(texts: Iterable[Any]) -> list[float]:
-        return [math.ldexp(number(text, data["bits"]).m, -data["bits"]) for text in texts]
-
-    proved = dict(zip(data["parameters"], doubles(data["parameters"].values()), strict=True))
+    bits = data["bits"]
+    proved = dict(zip(data["parameters"], doubles(data["parameters"].values(), bits), strict=True))
     own = orbit.values(problem).vector
     for name, known in zip(problem.names, own, strict=True):
         if proved[name] != known:
@@ -44,8 +38,10 @@ def check_proof_of(orbit: ZenoOrbit, problem: Problem, path: Path) -> ProofVerdi
     for claim in data["claims"]:
         if claim["name"] == "start_state":
             state = problem.state_vector(dict(orbit.start_state))
-            for name, x, y in zip(problem.state_names, doubles(claim["low"]), state, strict=True):
-                if abs(x - y) > _CLOSE * max(1.0, abs(y)):
+            sizes = problem.dynamics(own).own.states(len(state))
+            found = zip(problem.state_names, doubles(claim["low"], bits), state, sizes, strict=True)
+            for name, x, y, size in found:
+                if abs(x - y) > _CLOSE * max(size, abs(y)):
                     wanted = f"must be about an orbit with `{name}` = {y!r} at its start"
                     raise InputError(f"Argument `proof` {wanted}, but it is about {x!r}.")
             return verdict

@@ -15,7 +15,7 @@ from zeno_orbits.orbits import ZenoOrbit, digest_of, same_equations
 from zeno_orbits.proof.ball_system import BallSystem, require_proved
 from zeno_orbits.proof.claims import CLOSE, claims_of, proof_bounds, require_numbers
 from zeno_orbits.proof.expressions import stop_identities
-from zeno_orbits.proof.judgement import JudgedBox, judge
+from zeno_orbits.proof.fixed_point import JudgedBox, judge
 from zeno_orbits.proof.program import BallProgram
 from zeno_orbits.proof.proof_file import certificate, proof_versions
 from zeno_orbits.proof.section import SectionStart, section_places, start_on_section
@@ -26,6 +26,8 @@ from zeno_orbits.work import Progress, silent
 
 _RADII = (1e-9, 1e-12)
 """Radii of the box that are tried, per size of a coordinate."""
+_ATTEMPTS = 3
+"""How often other boxes are tried that a failure suggests."""
 _REFINEMENTS = 8
 _FINE = 4e-15
 """Radius of the box from which the digits are taken, per size of a coordinate."""
@@ -85,7 +87,7 @@ def prove(
     try:
         with ctx.workprec(settings.bits):
             _require_fit(orbit, problem, values)
-            system = BallSystem(problem, values, over)
+            system = BallSystem(problem, values, over, orbit.period)
             found = _found(orbit, problem, system, over, settings, on_progress)
             passes = [found]
             if found.start.places and not over and settings.radius is None:
@@ -120,18 +122,22 @@ def _require_fit(orbit: ZenoOrbit, problem: Problem, values: ParameterValues) ->
 
 def _require_stop(orbit: ZenoOrbit, problem: Problem, values: ParameterValues) -> None:
     """Refuse equations that break an identity of the stop, at a few states around the orbit's."""
-    function, names = stop_identities(problem)
+    own = problem.dynamics(values).own
+    function, sizes = stop_identities(problem, own)
     program = BallProgram(function, [arb(float(value)) for value in values.vector])
     state = problem.state_vector(orbit.start_state)
+    usual = own.states(len(state))
     for k in range(_TRIALS):
         # Irrational multiples spread the states evenly; any state will do.
         moves = [math.sin(3.0 * (k + 1) * (j + 1)) for j in range(len(state))]
-        near = [arb(x + (1 + abs(x)) * move / 4) for x, move in zip(state, moves, strict=True)]
-        for name, value in zip(names, program(near)[0], strict=True):
+        near = [
+            arb(x + (size + abs(x)) * move / 4)
+            for x, size, move in zip(state, usual, moves, strict=True)
+        ]
+        for (name, size), terms in zip(sizes.items(), program(near), strict=True):
             # Constants that CasADi has folded leave rounding.
-            require_proved(
-                bool(abs(value) < _ROUNDING), "model", f"it is not so that {name} ({value})"
-            )
+            off, allowed = sum(terms), _ROUNDING * sum((abs(x) for x in terms), arb(size))
+            require_proved(bool(abs(off) < allowed), "model", f"it is not so that {name} ({off})")
 
 
 def _found(
@@ -148,11 +154,12 @@ def _found(
     sizes = [max(abs(y[k]), 1e-3) for k in places]
     tried = _RADII if settings.radius is None else (settings.radius,)
     radii = [[share * size for size in sizes] for share in tried]
-    failure = ProofError("exists", "no box was tried")
+    failure, attempts = ProofError("exists", "no box was tried"), _ATTEMPTS
     centre = [arb(value) for value in y]
     while radii:
         box = radii.pop(0)
-        widths = [*box, *(over[name] for name in system.carried)]
+        units = system.units[system.n - len(over) :]
+        widths = [*box, *(over[name] / u for name, u in zip(system.carried, units, strict=True))]
         try:
             start = start_on_section(system, centre, places, others, widths)
             passage = _walked(orbit, system, start, settings, on_progress)
@@ -170,8 +177,8 @@ def _found(
         if judged.judged is not None:
             return judged.judged
         failure = ProofError("exists", judged.reason)
-        if judged.needed:
-            radii = [judged.needed]
+        if judged.needed and attempts:
+            radii, attempts = judged.needed, attempts - 1
     raise failure
 
 
@@ -224,7 +231,8 @@ def _walked(
 
 def _prover_state(system: BallSystem, problem: Problem, orbit: ZenoOrbit) -> list[float]:
     """Return the orbit's start in the prover's states, ``(n,)``."""
-    x = [float(value) for value in problem.state_vector(orbit.start_state)]
+    own = problem.state_vector(orbit.start_state)
+    x = [float(value) / unit for value, unit in zip(own, system.units, strict=False)]
     if system.expressions.coordinate is None:
         x += [0.0, 0.0]
     x += [float(value.mid()) for value in system.carried.values()]
@@ -243,19 +251,18 @@ def _proof(
     """Return the theorem of a box, and of a finer one from which its digits are."""
     found, fine = passes[0], passes[-1]
     bounds = proof_bounds(problem, system, fine)
-    require_numbers(orbit, bounds)
-    names = problem.state_names
-    centres = [float(c) for c in found.start.centre]
+    require_numbers(orbit, bounds, system.units)
+    names, units = problem.state_names, system.units
+    box = zip(found.start.places, found.start.centre, found.start.at.U, strict=False)
     claims = claims_of(passes, bounds)
     ways = [(one.start, one.passage) for one in passes]
     return Proof(
         problem=problem.name,
         box={
-            names[k]: (c, float(u.rad()))
-            for k, c, u in zip(found.start.places, centres, found.start.at.U, strict=False)
+            names[k]: (float(centre) * units[k], float(u.rad()) * units[k]) for k, centre, u in box
         },
-        over={n: (float(system.carried[n]), r) for n, r in over.items()},
-        plastic=bool(system.restitution.is_zero()),
+        over={n: (values.number(n), radius) for n, radius in over.items()},
+        plastic=system.plastic,
         inside=found.returned.included,
         stable=bool(found.start.places) and fine.discs.stable,
         repelling=fine.discs.repelling,

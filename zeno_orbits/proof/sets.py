@@ -90,8 +90,8 @@ class BallSet:
             derivative: Of the map over the whole set, ``(n, n)``.
             groups: Rows that get a frame of their own; the other rows keep their axes.
         """
-        # What is new is given doubled: what is handed on from before hardly needs any slack.
-        derivative = mapped(derivative, _doubled)
+        # What is new is given wider: what is handed on from before hardly needs any slack.
+        derivative = mapped(derivative, _given_wide)
         moved, spread = derivative * self.frame, derivative * self.C
         frame = self._frame(moved, groups)
         try:
@@ -101,7 +101,7 @@ class BallSet:
         m = [one.mid() for one in image]
         C = mapped(spread, middle)
         turned = back * moved
-        off = [_doubled(one) - exact for one, exact in zip(image, m, strict=True)]
+        off = [_given_wide(one) - exact for one, exact in zip(image, m, strict=True)]
         r = [a + b for a, b in zip(product(turned, self.r), product(back, off), strict=True)]
         R = turned * self.R + back * (spread - C)
         return BallSet(
@@ -144,8 +144,12 @@ def _orthogonal(directions: Vector) -> Vector:
     return np.asarray(qr(directions / largest, pivoting=True)[0], dtype=np.float64)
 
 
-def _doubled(x: Ball) -> Ball:
-    return scaled(x, 2.0)
+_NEW_WIDER = 1.25
+"""How much wider than found a derivative is given, so that another arithmetic finds it, too."""
+
+
+def _given_wide(x: Ball) -> Ball:
+    return scaled(x, _NEW_WIDER)
 
 
 def _with_slack(x: Ball) -> Ball:

@@ -15,10 +15,9 @@ from flint import arb
 from zeno_orbits.errors import ProofError
 from zeno_orbits.proof.ball_system import BallSystem
 from zeno_orbits.proof.balls import ZERO, Ball, product
-from zeno_orbits.proof.crossing import cross
+from zeno_orbits.proof.crossing import cross, meeting_guess
 from zeno_orbits.proof.flow import BallFlow, FlowStep, enclose
 from zeno_orbits.proof.impacts import settle_impacts, strike
-from zeno_orbits.proof.meeting import meeting_guess
 from zeno_orbits.proof.stage import BallTime, Departure, ProofRecord, ProofStage
 
 _SHORTEST = 1e-5
@@ -36,17 +35,17 @@ class WalkSettings:
         orders: Of Taylor's method for a point, and for the derivative.
         rest: Largest remainder of a step for a point, per size of a state.
         derivative_rest: Largest remainder of its derivative.
-        first: First step that is tried [s].
-        longest: Longest step [s].
-        slowest: Gap rate below which impacts are summed up.
+        first: First step that is tried, per period.
+        longest: Longest step, per period.
+        slowest: Gap rate below which impacts are summed up, per that of the fastest impact.
         most_impacts: Impacts in a flight phase beyond which it is given up.
     """
 
     orders: tuple[int, int] = (34, 28)
     rest: float = 1e-21
     derivative_rest: float = 3e-13
-    first: float = 2e-3
-    longest: float = 0.1
+    first: float = 1e-3
+    longest: float = 0.125
     slowest: float = 1e-19
     most_impacts: int = 5000
 
@@ -100,7 +99,8 @@ def walk(
     impacts: list[BallTime] = []
     zenos: list[BallTime] = []
     ends: list[BallTime] = []
-    stage, pace = start, _Pace(size=settings.first, most=settings.longest)
+    first, fastest = settings.first * system.period, ZERO
+    stage, pace = start, _Pace(size=first, most=settings.longest * system.period)
     while len(ends) < releases:
         locked = stage.departure is Departure.LOCKED
         flow, least = system.locked if locked else system.free, pace.size * _SHORTEST
@@ -113,15 +113,16 @@ def walk(
             ends.append(stage.time)
             continue
         impacts.append(stage.time)
+        fastest = fastest.max(stage.at.box[system.rate].abs_upper())
         record, stage = strike(system, stage)
         records.append(record)
-        slow = bool(stage.at.box[system.rate] < settings.slowest)
+        slow = bool(stage.at.box[system.rate] < settings.slowest * fastest)
         if stage.departure is Departure.STRUCK and slow:
             record, stage = settle_impacts(system, stage)
             records.append(record)
         if stage.departure is Departure.LOCKED:
             zenos.append(stage.time)
-            pace.size = settings.first
+            pace.size = first
         elif len(impacts) > settings.most_impacts:
             raise ProofError("zeno_point", f"impacts do not accumulate in {len(impacts)} of them")
     return ProofPassage(

@@ -1,7 +1,7 @@
 """Results for people: pictures, one page for a browser, and tables in a terminal.
 
 `plots` draws with matplotlib and `terminal` prints with rich, each alone; `page` is one HTML file.
-`table` says which column shows what, for terminal and page alike; `orbit_motion` simulates an orbit
+`table` says which column shows what, for terminal and page alike; `motion` simulates an orbit
 from its own numbers, and `zeno_neighbourhood` cuts out what leads to a Zeno point.
 
 Offers: `figure_of` (the picture of any result) and `save_figure`; `subject_of`, `load_bundle` and

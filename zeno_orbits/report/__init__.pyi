@@ -1,4 +1,4 @@
-from .orbit_motion import motion_of as motion_of
+from .motion import motion_of as motion_of
 from .page import load_bundle as load_bundle
 from .page import page_of as page_of
 from .page import subject_of as subject_of

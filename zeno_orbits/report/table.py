@@ -50,6 +50,45 @@ class Table(Generic[Item]):
     is_titled: bool = False
 
 
+def shown_number(value: float, digits: int) -> str:
+    """Return a number to some digits; zero is 0, without sign."""
+    return f"{value + 0.0:.{digits}g}"
+
+
+def shown_size(size: float) -> str:
+    """Return the size of an error to two digits; zero is 0."""
+    return "0" if size == 0.0 else f"{size:.1e}"
+
+
+def shown_multiplier(value: float, error: float, digits: int) -> str:
+    """Return a part of a Floquet multiplier; what is smaller than its error is 0.
+
+    Args:
+        value: Its real part, imaginary part or modulus.
+        error: Error of the largest multiplier.
+        digits: Digits to show.
+    """
+    return "0" if abs(value) < min(error, _NOTHING) else f"{value:.{digits}g}"
+
+
+def shown_complex(value: complex, error: float, digits: int) -> str:
+    """Return a Floquet multiplier; parts that are smaller than its error are left out.
+
+    Args:
+        value: The multiplier.
+        error: Error of the largest multiplier.
+        digits: Digits to show.
+    """
+    real, imaginary = (shown_multiplier(p, error, digits) for p in (value.real, value.imag))
+    if imaginary == "0":
+        return real
+    return f"{real} {'' if imaginary.startswith('-') else '+'}{imaginary} i"
+
+
+_NOTHING = 1e-9
+"""A multiplier above this is told, however uncertain it is."""
+
+
 def text_column(heading: str, cell: Callable[[Item], Cell]) -> Column[Item]:
     """Return a column of text."""
     return Column(heading=heading, cell=cell)

@@ -10,6 +10,8 @@ from .guess import settle as settle
 from .multistart import StartWorkers as StartWorkers
 from .number_notes import at_ends as at_ends
 from .number_notes import free_gains as free_gains
+from .number_notes import far_from_own as far_from_own
+from .number_notes import held_derived as held_derived
 from .objectives import FastestContraction as FastestContraction
 from .objectives import LeastEnergy as LeastEnergy
 from .objectives import LeastPeak as LeastPeak
@@ -19,6 +21,9 @@ from .objectives import TargetAmplitude as TargetAmplitude
 from .objectives import TargetPeriod as TargetPeriod
 from .objectives import WidestMargin as WidestMargin
 from .objectives import objective_help as objective_help
+from .objectives import OBJECTIVES as OBJECTIVES
+from .objectives import ObjectiveWord as ObjectiveWord
+from .objectives import Operand as Operand
 from .outcome import Candidate as Candidate
 from .outcome import Judgement as Judgement
 from .outcome import OrbitNotFoundError as OrbitNotFoundError

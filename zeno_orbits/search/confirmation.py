@@ -22,12 +22,13 @@ from zeno_orbits.orbits import (
     OrbitPhase,
     OrbitShape,
     ZenoOrbit,
+    allowance,
     cycle_of,
+    excess,
     new_orbit,
     placed,
     round_again,
 )
-from zeno_orbits.orbits.bounds import allowance, excess
 from zeno_orbits.search.closing import escape_of, named
 from zeno_orbits.search.objectives import Objective, Target
 from zeno_orbits.search.outcome import SimulatedSolution, StartOutcome

@@ -22,9 +22,11 @@ from zeno_orbits.simulation import (
     SimulationSettings,
     ZenoExtrapolation,
     bounds_of,
+    growth_of,
+    has_left,
+    is_still,
     simulate,
 )
-from zeno_orbits.simulation.attractor import growth_of, has_left, is_still
 
 _DIFFERENCE = 1e-6
 """Step of a derivative; its error is that part of a correction that is small itself."""
@@ -80,11 +82,13 @@ class FollowedMotion:
         cycle: Its last period, if it is fit for a guess.
         reason: Reason why there is none, as a clause; empty if there is one.
         waited: How long it was followed [s].
+        undecided: True if it had settled to nothing when its time was over.
     """
 
     cycle: Cycle | None
     reason: str = ""
     waited: float = 0.0
+    undecided: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,7 +134,7 @@ def settle(
     settings = settings or SettlingSettings()
     wanted = None if shape is None else shape.at_restitution(dynamics.restitution)
     reasons: list[str] = []
-    waited = 0.0
+    waited, undecided = 0.0, False
     for start in starts:
         state = np.array(start, dtype=np.float64)
         watch = _watch(dynamics, state, settings, problem)
@@ -142,7 +146,9 @@ def settle(
             return settling
         reasons.append(settling.reason)
         waited += settling.waited
-    return FollowedMotion(cycle=None, reason=" / ".join(dict.fromkeys(reasons)))
+        undecided |= settling.undecided
+    reason = " / ".join(dict.fromkeys(reasons))
+    return FollowedMotion(cycle=None, reason=reason, undecided=undecided)
 
 
 def _watch(
@@ -175,7 +181,7 @@ def _settle_from(
     elapsed, at_release, patience, still, held = 0.0, False, watch.chunk, 0.0, 0.0
     recurrence = Recurrence(settled=watch.settled, wanted=wanted)
     speeds: list[float] = []
-    rates, position = np.zeros(2 * n_q), np.abs(state[:n_q])
+    rates, position = np.zeros(len(state) - len(dynamics.clock)), np.abs(state[:n_q])
     while elapsed < watch.horizon:
         try:
             run = _to_next_look(dynamics, state, watch, patience, at_release=at_release)
@@ -222,7 +228,8 @@ def _settle_from(
         return FollowedMotion(
             cycle=None, reason=f"the motion stays on its stop for {held:.4g} s", waited=elapsed
         )
-    return FollowedMotion(cycle=None, reason=recurrence.reason(watch.horizon))
+    undecided = recurrence.settled_to() is None
+    return FollowedMotion(cycle=None, reason=recurrence.reason(watch.horizon), undecided=undecided)
 
 
 def _period(
@@ -270,9 +277,9 @@ def back_on_constraints(dynamics: HybridDynamics, state: Vector, *, locked: bool
 
 
 def _rates(dynamics: HybridDynamics, state: Vector, *, locked: bool) -> Vector:
-    """Return the sizes of velocities and accelerations, ``(2 n_q,)``."""
+    """Return the sizes of the rates of all states but the clock."""
     mode = dynamics.locked if locked else dynamics.free
-    return np.abs(mode.rate(state)[: 2 * dynamics.n_q])
+    return np.delete(np.abs(mode.rate(state)), dynamics.clock)
 
 
 def _rates_at_impacts(dynamics: HybridDynamics, run: Execution) -> list[Vector]:

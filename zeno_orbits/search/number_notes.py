@@ -19,18 +19,18 @@ def free_gains(problem: Problem, fixed: Collection[str] = ()) -> dict[str, tuple
 
 
 def held_derived(
-    problem: Problem, values: ParameterValues, free: Mapping[str, tuple[float, float]]
+    problem: Problem, parameters: Mapping[str, float], free: Mapping[str, tuple[float, float]]
 ) -> list[str]:
-    """Return the parameters that the problem derives from free ones; a search holds them.
+    """Return the parameters that the problem derives from free ones; all but maps hold them.
 
     Args:
         problem: The problem.
-        values: The numbers at the start.
+        parameters: Name to value at the start.
         free: Name to bounds of what is free.
     """
     if problem.derive is None:
         return []
-    known = {n.name: values.parameters[n.name] for n in problem.parameters if n.default is not None}
+    known = {n.name: parameters[n.name] for n in problem.parameters if n.default is not None}
     moved = dict(known)
     for name, box in free.items():
         if name in moved:

@@ -88,6 +88,7 @@ class StartOutcome:
         status: The end.
         start: Name to value of what is free where it started.
         detail: The reason in words, if nothing was accepted.
+        undecided: True if a motion had settled to nothing when its time was over.
         residuals: Row name to scaled violation in its last program.
         agreement: Relative difference of program and simulation over one period.
         closure_error: Estimated error of the Zeno closure, relative.
@@ -104,6 +105,7 @@ class StartOutcome:
     status: SearchStatus
     start: Mapping[str, float] = field(default_factory=dict[str, float])
     detail: str = ""
+    undecided: bool = False
     residuals: Mapping[str, float] = field(default_factory=dict[str, float])
     agreement: float = np.inf
     closure_error: float = np.inf
@@ -149,6 +151,8 @@ class SearchResult(Displayed):
         attempts: Every start, in order.
         candidates: The accepted orbits, the best first.
         detail: The reason in words, if there is no orbit.
+        undecided: True if a motion had settled to nothing when its time was over: a longer wait may
+            tell.
         scan: What motions settle to all over the box, if there is no orbit and it was looked at.
     """
 
@@ -164,6 +168,7 @@ class SearchResult(Displayed):
     attempts: tuple[StartAttempt, ...]
     candidates: tuple[Candidate, ...] = ()
     detail: str = ""
+    undecided: bool = False
     scan: str = ""
 
     def __repr__(self) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -10,8 +11,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import USUAL, OwnScale
 from zeno_orbits.orbits import Cycle, OrbitShape, PhaseKind
-from zeno_orbits.simulation import Execution, Impact, SectionReturn
-from zeno_orbits.simulation.attractor import PERIODS, repetitions
+from zeno_orbits.simulation import PERIODS, Execution, Impact, SectionReturn, repetitions
 
 MOST_IMPACTS = 12
 """Longest period of a motion without releases that is looked for, in impacts."""
@@ -102,10 +102,14 @@ class Recurrence:
             found = repetitions(seen, names, close=self.settled, apart=_APART, usual=usual)
             if found:
                 return self._after_returns(found[0].returns)
+        nearest = math.inf
         for n in range(1, MOST_IMPACTS + 1):
             last = self._after_impacts(n)
-            if last is not None and last.change < self.settled:
+            if last is None:
+                return None
+            if last.change < min(self.settled, _APART * nearest):
                 return last
+            nearest = min(nearest, last.change)
         return None
 
     def nearest(self, usable: float) -> Recurring | None:

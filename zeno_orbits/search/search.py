@@ -24,8 +24,9 @@ from zeno_orbits.search.settings import SearchSettings, SearchStatus
 from zeno_orbits.search.validation import check_search
 from zeno_orbits.work import Progress, silent
 
-_SAME = 1e-6
-"""Orbits whose free numbers and periods differ by less, relative, are the same candidate."""
+_SAME = 1e-5
+"""Orbits whose free numbers and periods differ by less, relative, are the same candidate: a program
+ends a few 1e-6 off the nearest numbers, as their score is flat there."""
 _SAME_OPTIMUM = 1e-3
 """The same for optima, and for their scores."""
 
@@ -155,6 +156,7 @@ def _ranked(search: SearchProblem, outcomes: Generator[StartOutcome]) -> SearchR
         attempts=tuple(attempts),
         candidates=ranked,
         detail=best.detail,
+        undecided=best.undecided,
         scan="" if ranked or len(attempts) == 1 else _summary(search),
     )
 

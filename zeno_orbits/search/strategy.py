@@ -13,7 +13,7 @@ from zeno_orbits.model import HybridDynamics, ParameterValues
 from zeno_orbits.orbits import Cycle, ZenoOrbit, gone_round_twice, round_again
 from zeno_orbits.search.confirmation import one_cycle
 from zeno_orbits.search.fixed_point import close_cycle
-from zeno_orbits.search.guess import settle
+from zeno_orbits.search.guess import FollowedMotion, settle
 from zeno_orbits.search.homotopy import Followed, follow
 from zeno_orbits.search.objectives import NearestGains, Objective, Target, TowardTarget
 from zeno_orbits.search.outcome import SimulatedSolution, StartOutcome
@@ -29,6 +29,7 @@ from zeno_orbits.search.settings import SearchStatus
 from zeno_orbits.search.trust_region import trust_region_steps
 from zeno_orbits.simulation import SimulationSettings
 
+_NOT_FOLLOWED = FollowedMotion(cycle=None, reason="no orbit is near")
 _AT_BOUND = 0.02
 """A number this near its bound, in units of its range, is said to be at it."""
 
@@ -59,15 +60,19 @@ def from_start(search: SearchProblem, start: SearchStart) -> StartOutcome:
     if near is not None:
         path = follow(search, near, near.values(search.problem), values)
         return _along(search, start, path, "the known orbit")
-    cycle, reason = (None, "no orbit is near") if start.known_empty else simulated(search, values)
-    if cycle is not None:
-        outcome = from_cycle(search, values, cycle)
+    motion = _NOT_FOLLOWED if start.known_empty else simulated(search, values)
+    if motion.cycle is not None:
+        outcome = from_cycle(search, values, motion.cycle)
         if outcome.status is SearchStatus.FOUND or search.free:
             return outcome
     else:
         where = f"At {listed(search.numbers(values))}, " if search.numbers(values) else ""
-        detail = f"{where}{reason}."
-        outcome = StartOutcome(status=SearchStatus.NO_GUESS, detail=detail[0].upper() + detail[1:])
+        detail = f"{where}{motion.reason}."
+        outcome = StartOutcome(
+            status=SearchStatus.NO_GUESS,
+            detail=detail[0].upper() + detail[1:],
+            undecided=motion.undecided,
+        )
     return _by_an_easier_way(search, start, outcome)
 
 
@@ -82,23 +87,24 @@ def beside(search: SearchProblem, start: SearchStart, solution: SimulatedSolutio
     return refine(search, solution.values, solution.cycle, search.objective, start.values)
 
 
-def simulated(search: SearchProblem, values: ParameterValues) -> tuple[Cycle | None, str]:
+def simulated(search: SearchProblem, values: ParameterValues) -> FollowedMotion:
     """Return a period to which the problem settles, or why there is none."""
     dynamics = search.dynamics(values)
     starts = [search.problem.state_vector(start) for start in search.initial_states]
     settling = settle(dynamics, starts, search.settings.settling, search.shape, search.problem)
     cycle = settling.cycle
     if cycle is None:
-        return None, settling.reason
+        return settling
     if search.shape is not None or not cycle.shape.has_one_release:
         return _brought_nearer(search, dynamics, cycle)
     # The noise of the loose settling would be meshed; one period costs little.
-    return one_cycle(dynamics, cycle.start.state, 2 * cycle.period, cycle.shape) or cycle, ""
+    again = one_cycle(dynamics, cycle.start.state, 2 * cycle.period, cycle.shape)
+    return FollowedMotion(cycle=again or cycle)
 
 
 def _brought_nearer(
     search: SearchProblem, dynamics: HybridDynamics, cycle: Cycle
-) -> tuple[Cycle | None, str]:
+) -> FollowedMotion:
     """Return the orbit near a period by simulation, if it closes: it may be a poor guess.
 
     A motion that settles slowly, throwing over from one period to the next, looks as if it repeated
@@ -114,13 +120,15 @@ def _brought_nearer(
             shape=cycle.shape,
         ).cycle
     except ZenoOrbitsError:
-        return cycle, ""
+        return FollowedMotion(cycle=cycle)
     shorter = gone_round_twice(near)
     if shorter is None:
-        return near, ""
+        return FollowedMotion(cycle=near)
     if search.shape is not None:
-        return None, round_again(near).removesuffix(".")
-    return one_cycle(dynamics, near.start.state, near.period, shorter) or near, ""
+        sentence = round_again(near).removesuffix(".")
+        return FollowedMotion(cycle=None, reason=sentence[0].lower() + sentence[1:])
+    again = one_cycle(dynamics, near.start.state, near.period, shorter)
+    return FollowedMotion(cycle=again or near)
 
 
 def _by_an_easier_way(
@@ -131,7 +139,7 @@ def _by_an_easier_way(
         if easy == start.values:
             continue
         search.tell(f"following orbits from {listed(_differing(easy, start.values))}")
-        cycle, _ = simulated(search, easy)
+        cycle = simulated(search, easy).cycle
         if cycle is None:
             continue
         path = follow(search, cycle, easy, start.values)

@@ -10,8 +10,8 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import PenetrationError, RunawayError, SimulationError, counted
-from zeno_orbits.integrators import Engine, GuardedFlow, Leg, Outcome, Tolerance, Watch
-from zeno_orbits.model import HybridDynamics
+from zeno_orbits.integrators import Engine, GuardedFlow, Leg, Outcome, Tolerance, light_value
+from zeno_orbits.model import HybridDynamics, Resting
 from zeno_orbits.simulation.execution import Arc, Ending, Impact, Mode
 
 _FIRST_LOOK = 25_000
@@ -20,7 +20,7 @@ _RISING, _RISE = 4, 1.5
 """Looks in a row between which a speed grows by this factor or more: that is no oscillation."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@light_value
 class ArcStart:
     """The start of the next arc.
 
@@ -30,6 +30,7 @@ class ArcStart:
         state: Where, ``(n_x,)``.
         speed: Gap rate of a start from the stop, exactly; ``None`` for any other start.
         impact: The impact that it comes from, if any.
+        resting: The state moved onto the stop, after an impact.
     """
 
     mode: Mode
@@ -37,6 +38,7 @@ class ArcStart:
     state: Vector
     speed: float | None = None
     impact: Impact | None = None
+    resting: Resting | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,7 +78,10 @@ class ArcFollower:
     contact: float
     far: float | tuple[float, ...]
     most_steps: int
+    _start: float = 0.0
+    _unit: float = 1.0
     _n_steps: int = 0
+    _next_look: int = _FIRST_LOOK
     _looks: list[_Look] = field(default_factory=list[_Look])
     _reach: Vector | None = None
 
@@ -120,9 +125,10 @@ class ArcFollower:
             tolerance=self.tolerance,
             on_guard=on_guard,
             rounding=self.contact * (size if start.speed is None else 1 / own.gap_acceleration),
-            watch=self._watch(unit, start.time),
+            watch=self._watch,
             reach=self._reach,
         )
+        self._start, self._unit = start.time, unit
         passage = self.engine.follow(leg)
         time = start.time + unit * passage.duration
         if passage.outcome is Outcome.LEFT:
@@ -145,32 +151,29 @@ class ArcFollower:
         )
         return arc, passage.state
 
-    def _watch(self, unit: float, start: float) -> Watch:
-        """Return what ends a leg that takes too long or goes too far."""
-        n_q = self.dynamics.n_q
-        far = self._reach
-
-        def watch(steps: int, offset: float, y: Vector) -> None:
-            self._n_steps += steps
-            if self._n_steps >= _FIRST_LOOK * 2 ** len(self._looks):
-                self._look(start + unit * offset, y)
-            if self._n_steps > self.most_steps:
-                raise SimulationError(
-                    f"The execution needs more than {counted(self.most_steps, 'step')}: "
-                    "raise `most_steps`, or simulate a shorter time",
-                    time=start + unit * offset,
-                    state=tuple(y.tolist()),
-                )
-            if far is not None and float((np.abs(y[:n_q]) / far).max()) > 1.0:
-                name = self.dynamics.state_names[int(np.argmax(np.abs(y[:n_q]) / far))]
-                raise RunawayError(
-                    f"{name} runs away",
-                    time=start + unit * offset,
-                    state=tuple(y.tolist()),
-                    coordinate=name,
-                )
-
-        return watch
+    def _watch(self, steps: int, offset: float, y: Vector) -> None:
+        """End a leg that takes too long or goes too far."""
+        self._n_steps += steps
+        if self._n_steps >= self._next_look:
+            self._look(self._start + self._unit * offset, y)
+        if self._n_steps > self.most_steps:
+            raise SimulationError(
+                f"The execution needs more than {counted(self.most_steps, 'step')}: "
+                "raise `most_steps` (--most-steps), or simulate a shorter time",
+                time=self._start + self._unit * offset,
+                state=tuple(y.tolist()),
+            )
+        if self._reach is None:
+            return
+        parts = np.abs(y[: self.dynamics.n_q]) / self._reach
+        if float(parts.max()) > 1.0:
+            name = self.dynamics.state_names[int(np.argmax(parts))]
+            raise RunawayError(
+                f"{name} runs away",
+                time=self._start + self._unit * offset,
+                state=tuple(y.tolist()),
+                coordinate=name,
+            )
 
     def _look(self, time: float, y: Vector) -> None:
         """End a motion that speeds up so much that its steps will not last to the horizon.
@@ -179,6 +182,7 @@ class ArcFollower:
         pace since the last one, tell in a tenth of the steps what all of them would.
         """
         n_q = self.dynamics.n_q
+        self._next_look *= 2
         rates = np.abs(y[n_q : 2 * n_q])
         self._looks.append(_Look(steps=self._n_steps, time=time, speed=float(rates.max())))
         last = self._looks[-_RISING:]

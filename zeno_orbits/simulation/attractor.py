@@ -296,10 +296,10 @@ def is_still(rates: Vector, largest: Vector, rounding: Vector | float = 0.0) -> 
     """Return which motions have stopped, ``(n,)``, as flags.
 
     Args:
-        rates: Rates of coordinates and velocities, now and in the other phases of the clock,
-            ``(n, n_phases, 2 n_q)``.
-        largest: The largest that each motion has had, ``(n, 2 n_q)``.
-        rounding: Rates below this are zero, ``(2 n_q,)``.
+        rates: Rates of all states but the clock, now and in the other phases of the clock,
+            ``(n, n_phases, m)``: on its stop a link stands still while a current grows.
+        largest: The largest that each motion has had, ``(n, m)``.
+        rounding: Rates below this are zero, ``(m,)``.
     """
     limit = np.maximum(_STILL * largest, rounding)
     return np.asarray(np.all(np.abs(rates) <= limit[:, None, :], axis=(1, 2)))

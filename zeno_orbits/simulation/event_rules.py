@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from zeno_orbits.arrays import Vector
 from zeno_orbits.simulation.attractor import Flags
 
@@ -19,7 +17,7 @@ _ROUNDING = 4 * 2.0**-52
 
 def stop_holds(
     gap_acceleration: Vector | float, multiplier_rate: Vector | float, slack: Flags | bool
-) -> Flags:
+) -> Any:
     """Return where the stop holds a state at zero gap rate: locked if so, else released at once.
 
     Args:
@@ -27,7 +25,7 @@ def stop_holds(
         multiplier_rate: Rate of the multiplier along the locked flow, which decides where `slack`.
         slack: Where the stop neither holds nor repels, to rounding.
     """
-    return np.asarray(np.where(slack, multiplier_rate, -gap_acceleration) > 0.0)
+    return (slack & (multiplier_rate > 0.0)) | ((slack ^ True) & (gap_acceleration < 0.0))
 
 
 def closes_at_once(

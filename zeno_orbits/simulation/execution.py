@@ -9,7 +9,7 @@ from enum import Enum
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators import Trajectory
+from zeno_orbits.integrators import Trajectory, light_value
 from zeno_orbits.model import USUAL, OwnScale
 from zeno_orbits.work import Columns, Displayed
 
@@ -30,7 +30,7 @@ class Ending(Enum):
     HORIZON = "end of the simulation"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@light_value
 class Impact:
     """One impact that was resolved.
 
@@ -87,7 +87,7 @@ _AT_ONCE = 1e-6
 """A release earlier than this part of a period belongs to the start of the execution."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@light_value
 class Arc:
     """A stretch in one mode.
 

@@ -22,7 +22,7 @@ from zeno_orbits.integrators import (
     Tolerance,
     Trajectory,
 )
-from zeno_orbits.model import HybridDynamics, constraint_sizes
+from zeno_orbits.model import HybridDynamics, OwnScale, constraint_sizes
 from zeno_orbits.simulation.arc_follower import ArcFollower, ArcStart
 from zeno_orbits.simulation.completion import Completion, ZenoPassage
 from zeno_orbits.simulation.event_rules import closes_at_once, enters_stop, stop_holds
@@ -36,7 +36,7 @@ from zeno_orbits.simulation.execution import (
     Release,
     ZenoPoint,
 )
-from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit, estimate_tail
+from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit, tail_from
 from zeno_orbits.work import Progress, silent
 
 _OFF = 1e-9
@@ -143,6 +143,9 @@ class _Run:
         events: Events so far.
         n_impacts: Impacts among them.
         n_releases: Releases among them.
+        own: Sizes of the problem's numbers.
+        small_gap: A gap below this counts as zero.
+        small_rate: A gap rate below this does.
     """
 
     dynamics: HybridDynamics
@@ -154,16 +157,15 @@ class _Run:
     events: list[Event] = field(default_factory=list[Event])
     n_impacts: int = 0
     n_releases: int = 0
+    own: OwnScale = field(init=False)
+    small_gap: float = field(init=False)
+    small_rate: float = field(init=False)
 
-    @property
-    def small_gap(self) -> float:
-        """A gap below this counts as zero."""
-        return self.settings.contact * self.dynamics.own.gap
-
-    @property
-    def small_rate(self) -> float:
-        """A gap rate below this does."""
-        return self.settings.contact * self.dynamics.own.gap_rate
+    def __post_init__(self) -> None:
+        """Look up what every event asks for."""
+        self.own = self.dynamics.own
+        self.small_gap = self.settings.contact * self.own.gap
+        self.small_rate = self.settings.contact * self.own.gap_rate
 
     def execution(self) -> Execution:
         """Return the execution so far."""
@@ -172,7 +174,7 @@ class _Run:
             state_names=names,
             arcs=tuple(self.arcs),
             events=tuple(self.events),
-            own=self.dynamics.own,
+            own=self.own,
         )
 
     def admitted(self, x: Vector) -> ArcStart | None:
@@ -287,9 +289,10 @@ class _Run:
                 time=time,
                 state=tuple(state_minus.tolist()),
             )
-        state_plus = dynamics.reset_map(state_minus, approach_rate)
+        landed = dynamics.landed(state_minus, approach_rate)
+        state_plus = landed.state
         speed = dynamics.speed_after(approach_rate)
-        if enters_stop(dynamics.gap_rate(state_plus), approach_rate, dynamics.own.gap_rate):
+        if enters_stop(landed.gap_rate, approach_rate, self.own.gap_rate):
             raise PenetrationError(
                 "The reset map sends the state into the stop",
                 time=time,
@@ -306,7 +309,7 @@ class _Run:
         if self.arcs and self.n_impacts >= self.most_impacts:
             return None
         if speed <= self.small_rate:
-            state = dynamics.on_stop(state_plus)
+            state = landed.resting.state
             after = self.on_stop(time, state)
             if after.mode is Mode.FREE:
                 # The stop lets go: whatever is left of the speed, the flight is the free flow's.
@@ -314,7 +317,14 @@ class _Run:
             if speed == 0.0:
                 self._reach(ZenoLimit(time=time, state=state, error=0.0), impact, 0.0)
                 return after
-        return ArcStart(mode=Mode.FREE, time=time, state=state_plus, speed=speed, impact=impact)
+        return ArcStart(
+            mode=Mode.FREE,
+            time=time,
+            state=state_plus,
+            speed=speed,
+            impact=impact,
+            resting=landed.resting,
+        )
 
     def on_stop(self, time: float, x: Vector) -> ArcStart:
         """Return the mode that holds on the stop at zero gap rate: locked, or released at once."""
@@ -353,11 +363,11 @@ class _Run:
         self, start: ArcStart, speed: float, estimates: list[TailEstimate]
     ) -> ArcStart | None:
         """Return the start of the locked arc if the impacts so far tell the Zeno point."""
-        if start.impact is None:
+        if start.impact is None or start.resting is None:
             return None
         if estimates and speed >= estimates[-1].speed:
             estimates.clear()
-        estimate = estimate_tail(self.dynamics, start.time, start.state, speed)
+        estimate = tail_from(start.resting, self.dynamics.restitution, start.time, speed)
         if estimate is None:
             estimates.clear()
             return None
@@ -407,7 +417,7 @@ class _Run:
     def _is_slack(self, x: Vector) -> bool:
         """Return True if the stop neither holds nor repels a state on it, to rounding."""
         lift = self.dynamics.gap_acceleration(x)
-        if abs(lift) <= self.settings.contact * self.dynamics.own.gap_acceleration:
+        if abs(lift) <= self.settings.contact * self.own.gap_acceleration:
             return True
         if not lift > 0.0:
             return False

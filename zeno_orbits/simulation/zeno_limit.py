@@ -14,15 +14,14 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators import Step
-from zeno_orbits.model import USUAL, HybridDynamics, OwnScale
+from zeno_orbits.integrators import Step, light_value
+from zeno_orbits.model import USUAL, HybridDynamics, OwnScale, Resting
 
 N_NODES = 5
 """Impacts that the extrapolation uses at most."""
@@ -58,8 +57,9 @@ def limit_weights(speeds: Sequence[Any]) -> list[Any]:
     weights: list[Any] = []
     for k, speed in enumerate(speeds):
         product: Any = 1.0
-        for other in (*speeds[:k], *speeds[k + 1 :]):
-            product *= other / (other - speed)
+        for j, other in enumerate(speeds):
+            if j != k:
+                product *= other / (other - speed)
         weights.append(shares[k] / total * product)
     return weights
 
@@ -108,7 +108,7 @@ def spread_nodes(speeds: Sequence[float]) -> list[int]:
     return nodes[::-1]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@light_value
 class TailEstimate:
     """First-order guess of the Zeno point from one impact; no two are the same.
 
@@ -129,7 +129,7 @@ class TailEstimate:
     gap_acceleration: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@light_value
 class ZenoLimit:
     """The Zeno point of an impact sequence.
 
@@ -161,10 +161,23 @@ def estimate_tail(
         state_plus: State just after it.
         speed: Gap rate just after it, exactly; the state holds it only to rounding.
     """
-    resting = dynamics.resting(state_plus)
+    return tail_from(dynamics.resting(state_plus), dynamics.restitution, time, speed)
+
+
+def tail_from(
+    resting: Resting, restitution: float, time: float, speed: float
+) -> TailEstimate | None:
+    """Return the same from the state after an impact moved onto the stop.
+
+    Args:
+        resting: That state.
+        restitution: :math:`e`.
+        time: Time of the impact [s].
+        speed: Gap rate just after it, exactly.
+    """
     if not resting.gap_acceleration < 0.0:
         return None
-    remaining = tail_time(speed, resting.gap_acceleration, dynamics.restitution)
+    remaining = tail_time(speed, resting.gap_acceleration, restitution)
     return TailEstimate(
         impact_time=time,
         resting=resting.state,
@@ -208,7 +221,7 @@ def combine(estimates: Sequence[TailEstimate], own: OwnScale = USUAL) -> ZenoLim
         earlier = spread_nodes(speeds[: chosen[-2] + 1])
         time_before, state_before = _limit(tuple([estimates[k] for k in earlier]))
         change = np.abs(state - state_before) / (own.states(len(state)) + np.abs(state))
-        error = max(abs(time - time_before) / (own.time + abs(time)), float(change.max()))
+        error = max(abs(time - time_before) / (own.time + abs(time)), *change.tolist())
     return ZenoLimit(time=time, state=state, error=error)
 
 
@@ -219,7 +232,7 @@ def _limit(nodes: tuple[TailEstimate, ...]) -> tuple[float, Vector]:
     It is kept: what one impact gives is what the next one's limit is held against.
     """
     weights = limit_weights([node.speed for node in nodes])
-    time = sum(weight * node.time for weight, node in zip(weights, nodes, strict=True))
+    time = sum([weight * node.time for weight, node in zip(weights, nodes, strict=True)])
     state = np.array(weights) @ np.array([node.state for node in nodes])
     state.flags.writeable = False
     return time, state

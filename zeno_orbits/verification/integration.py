@@ -16,11 +16,11 @@ from zeno_orbits.orbits import (
     OrbitShape,
     at_looser_tolerance,
     first_cycles,
+    followed,
     kinds_of,
     phases_of,
     placed,
 )
-from zeno_orbits.orbits.period import followed
 from zeno_orbits.simulation import Arc, Execution, Mode, SimulationSettings, ZenoExtrapolation
 from zeno_orbits.verification.claim import Claim
 

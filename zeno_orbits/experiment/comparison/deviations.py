@@ -222,6 +222,19 @@ def deviations(table: OrbitTable, time: Vector, values: Vector, where: Alignment
     )
 
 
+def between(row: Vector) -> tuple[Vector, Vector]:
+    """Return a periodic row without gaps, and by how much its ends differ in each gap.
+
+    Args:
+        row: Numbers, NaN where nothing was recorded, ``(n,)``; at least one is known.
+    """
+    places, known = np.arange(len(row)), np.flatnonzero(np.isfinite(row))
+    filled = np.interp(places, known, row[known], period=len(row))
+    after = np.searchsorted(known, places) % len(known)
+    apart = np.abs(row[known[after]] - row[known[after - 1]])
+    return filled, np.where(np.isfinite(row), 0.0, apart)
+
+
 def _slopes(row: Vector, step: float) -> Vector:
     """Return the slopes of a periodic row by straight lines through neighbours."""
     above = np.zeros_like(row)

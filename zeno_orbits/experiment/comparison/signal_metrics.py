@@ -14,8 +14,9 @@ from zeno_orbits.experiment.comparison.deviations import (
     N_BINS,
     Deviations,
     Portrait,
+    between,
 )
-from zeno_orbits.experiment.comparison.estimate import Estimate
+from zeno_orbits.experiment.comparison.estimate import UNKNOWN, Estimate
 from zeno_orbits.experiment.comparison.metrics import Metric, metric
 from zeno_orbits.experiment.orbit_table import measurable
 from zeno_orbits.experiment.polyline import Polyline, telling_corners
@@ -101,8 +102,14 @@ def root_mean_square(found: Deviations, signal: int, chosen: NDArray[np.bool_]) 
 
 
 def greatest(found: Deviations, signal: int) -> Estimate:
-    """Return the greatest mean deviation of a signal, with its sign."""
-    at = int(np.nanargmax(np.abs(found.average[:, signal])))
+    """Return the greatest mean deviation of a signal, with its sign.
+
+    A bin that one group alone has seen tells no error and does not count.
+    """
+    seen = np.sum(found.counts[:, :, signal] > 0.0, axis=0) > 1
+    if not seen.any():
+        return UNKNOWN
+    at = int(np.argmax(np.where(seen, np.abs(found.average[:, signal]), -1.0)))
     one = found.estimate(lambda average: float(average[at, signal]))
     return _at_least(one, _of_many(found.noise[signal], N_BINS))
 
@@ -123,17 +130,18 @@ def apex(found: Deviations, signal: int, sign: float) -> Estimate:
     mean: Vector = values.mean(axis=1)
     own: Vector = values.max(axis=1)
 
-    def extreme(average: Vector) -> float:
-        row = sign * average[:, signal]
+    def rows(average: Vector) -> Vector:
+        row = sign * between(average[:, signal])[0]
         # How the orbit rises within a bin tells of the recording only while both are alike there.
-        within = np.where(own - mean > np.abs(row), own, mean)
-        return float(sign * np.nanmax(within + row))
+        return np.where(own - mean > np.abs(row), own, mean) + row
 
-    one = found.estimate(extreme)
+    one = found.estimate(lambda average: float(sign * np.max(rows(average))))
     noise = float(found.noise[signal])
     # Of many bins that are as high as each other, noise lifts the highest.
     rivals = int(np.sum(own > np.max(own) - 3 * noise))
-    return _at_least(one, _of_many(noise, rivals))
+    # Where no sample falls, the deviation is anything from that before to that after.
+    unseen = float(between(found.average[:, signal])[1][np.argmax(rows(found.average))])
+    return _at_least(one, math.hypot(_of_many(noise, rivals), unseen))
 
 
 def _of_many(noise: float, n: int) -> float:

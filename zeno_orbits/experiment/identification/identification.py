@@ -173,7 +173,7 @@ def identify(
     if not first.agrees or laid is None:
         raise _refusal("; ".join(first.reasons))
     if laid.found.n_cycles < _LEAST_CYCLES:
-        raise _refusal(f"{laid.found.n_cycles:.1f} periods were recorded, and two are needed")
+        raise _refusal(f"{laid.found.n_cycles:.4g} periods were recorded, and two are needed")
     unknowns = unknowns_of(problem, begin, sought)
     orbits = Predictions(problem, unknowns, measurement(problem, laid.names), laid.table.cycle)
     found = replace(laid.found, period=laid.where.period, error=laid.where.period_error)

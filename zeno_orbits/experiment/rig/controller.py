@@ -14,8 +14,7 @@ from enum import Enum
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.model import Bridge, Rig, Switching
-from zeno_orbits.model.rig_parts import Controller, Sensors
+from zeno_orbits.model import Bridge, Controller, Rig, Sensors, Switching
 
 
 class ControlLoop:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from zeno_orbits.model import Bridge
-from zeno_orbits.model.rig_parts import Contact, Friction, Gear
+from zeno_orbits.model import Bridge, Contact, Friction, Gear
 
 _SMALL_VOLTAGE = 0.01
 """Voltage over which an averaged bridge changes its direction [V]."""

@@ -20,8 +20,7 @@ from zeno_orbits.experiment.rig.controller import ControlLoop
 from zeno_orbits.experiment.rig.machine import machine
 from zeno_orbits.experiment.rig.run import Record, RigRun, RigSettings, Touch
 from zeno_orbits.integrators import Leg, Outcome, Passage
-from zeno_orbits.model import Call, ParameterValues, Problem, Rig
-from zeno_orbits.model.numeric.compiled_flow import CompiledFlow, FlowMemory
+from zeno_orbits.model import Call, CompiledFlow, FlowMemory, ParameterValues, Problem, Rig
 from zeno_orbits.simulation import Columns
 from zeno_orbits.work import Progress, silent
 

@@ -10,7 +10,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import Tolerance
 from zeno_orbits.kernels import caller
-from zeno_orbits.model.numeric.hybrid_dynamics import Resting
+from zeno_orbits.model.numeric.hybrid_dynamics import Landed, Resting
 
 Connect = Callable[[Sequence[Vector], Sequence[Vector]], Callable[[], None]]
 """From arrays that are read and arrays that are written to a call of a function."""
@@ -97,3 +97,24 @@ class RestingCall:
             gap_acceleration=self._acceleration.item(),
             rate=self._rate.copy(),
         )
+
+
+class LandingCall:
+    """What an impact leads to at fixed ``p``, called through preallocated memory."""
+
+    def __init__(self, function: ca.Function, p: Vector) -> None:
+        self._x, self._rate = np.zeros(function.size1_in(0)), np.zeros(1)
+        self._after, self._state, self._flow = (np.zeros_like(self._x) for _ in range(3))
+        self._told = np.zeros(2)
+        results = (self._after, self._told[:1], self._state, self._told[1:], self._flow)
+        self._evaluate = caller(function, (self._x, p, self._rate), results)
+
+    def __call__(self, x: Vector, approach_rate: float) -> Landed:
+        """Return it, from the state before an impact and its gap rate."""
+        self._x[:] = x
+        self._rate[0] = approach_rate
+        self._evaluate()
+        gap_rate, acceleration = self._told.tolist()
+        state, flow = self._state.copy(), self._flow.copy()
+        resting = Resting(state=state, gap_acceleration=acceleration, rate=flow)
+        return Landed(state=self._after.copy(), gap_rate=gap_rate, resting=resting)

@@ -22,7 +22,7 @@ from zeno_orbits.model.contact import (
     ImpactLaw,
 )
 from zeno_orbits.model.hybrid import CompletedSystem
-from zeno_orbits.model.numeric.calls import Call, ResetCall, RestingCall
+from zeno_orbits.model.numeric.calls import Call, LandingCall, ResetCall, RestingCall
 from zeno_orbits.model.numeric.compiled_derivatives import CompiledDifferentials, PointFunctions
 from zeno_orbits.model.numeric.compiled_flow import (
     CompiledFlow,
@@ -32,7 +32,7 @@ from zeno_orbits.model.numeric.compiled_flow import (
     mode_functions,
 )
 from zeno_orbits.model.numeric.derivatives import Differentiation
-from zeno_orbits.model.numeric.hybrid_dynamics import FusedResting, HybridDynamics
+from zeno_orbits.model.numeric.hybrid_dynamics import FusedStop, HybridDynamics
 from zeno_orbits.model.numeric.own_scale import own_scale
 from zeno_orbits.model.scale import USUAL, OwnScale
 
@@ -90,6 +90,18 @@ class CompiledSystem:
             reset=self.reset,
             resting=self.resting,
         )
+
+    @cached_property
+    def landing(self) -> ca.Function:
+        """What an impact leads to.
+
+        ``(x, p, approach rate) -> (x after it, its gap_rate, then as `resting` of that)``.
+        """
+        x, p, rate = (ca.SX.sym(f"i{k}", self.reset.size1_in(k)) for k in range(3))
+        after = self.reset(x, p, rate)
+        gap_rate = self.contact(after, p)[GAP_RATE]
+        outputs = [after, gap_rate, *self.resting(after, p)]
+        return dense_function("landing", [x, p, rate], outputs)
 
     def interpreted(self) -> CompiledSystem:
         """Return the same functions, to be interpreted whatever is compiled."""
@@ -259,7 +271,11 @@ def bind(compiled: CompiledSystem, values: Sequence[float] | Vector) -> HybridDy
         holonomic=lambda x: holonomic(x).copy(),
         clock=compiled.clock,
     )
-    at_rest = FusedResting(evaluate=RestingCall(compiled.resting, p), parts=plain.resting_parts)
+    fused = FusedStop(
+        resting=RestingCall(compiled.resting, p),
+        landed=LandingCall(compiled.landing, p),
+        parts=plain.stop_parts,
+    )
 
     @lru_cache(maxsize=8)
     def derivatives(chosen: tuple[int, ...]) -> CompiledDifferentials:
@@ -274,4 +290,4 @@ def bind(compiled: CompiledSystem, values: Sequence[float] | Vector) -> HybridDy
             return USUAL
         return own_scale(plain, compiled.starts, compiled.state_units, compiled.clock)
 
-    return replace(plain, fused_resting=at_rest, differentiation=derivable, scaling=scaling)
+    return replace(plain, fused_stop=fused, differentiation=derivable, scaling=scaling)

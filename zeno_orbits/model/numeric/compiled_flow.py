@@ -12,9 +12,13 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import (
+    FIRST_ITERATIONS,
     Collocation,
     CompilableFlow,
+    Corrected,
     LegCode,
+    NewtonPieces,
+    StageGuess,
     Tolerance,
     error_norm,
     explicit_attempt,
@@ -24,7 +28,6 @@ from zeno_orbits.integrators import (
     overflow,
 )
 from zeno_orbits.integrators.collocation import radau
-from zeno_orbits.integrators.flow import FIRST_ITERATIONS, Corrected, NewtonPieces, StageGuess
 from zeno_orbits.kernels import KernelLibrary, Kernels, KernelSource, Recipe, caller
 from zeno_orbits.model.numeric.calls import Call, Connect, StepCall
 

@@ -14,14 +14,14 @@ import numpy as np
 
 from zeno_orbits.arrays import Scalar, Vector
 from zeno_orbits.errors import InputError
-from zeno_orbits.integrators import GuardedFlow, PlainFlow
+from zeno_orbits.integrators import GuardedFlow, PlainFlow, light_value
 from zeno_orbits.model.numeric.derivatives import Differentiation
 from zeno_orbits.model.scale import OwnScale, usual
 
 _BEYOND = ": the drive's correction is as large as what it corrects; take the full problem."
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@light_value
 class Resting:
     r"""A state moved onto the stop, and what happens there.
 
@@ -36,16 +36,33 @@ class Resting:
     rate: Vector
 
 
+@light_value
+class Landed:
+    """What an impact leads to.
+
+    Attributes:
+        state: State just after it, ``(n_x,)``.
+        gap_rate: Of that state.
+        resting: That state moved onto the stop.
+    """
+
+    state: Vector
+    gap_rate: float
+    resting: Resting
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FusedResting:
+class FusedStop:
     """All that an impact asks of the stop in one evaluation, and the functions that it stands for.
 
     Attributes:
-        evaluate: From a state to its rest.
-        parts: What it is made of, as ``HybridDynamics.resting_parts`` lists it.
+        resting: From a state to its rest.
+        landed: From a state before an impact and its gap rate to what the impact leads to.
+        parts: What they are made of, as ``HybridDynamics.stop_parts`` lists it.
     """
 
-    evaluate: Callable[[Vector], Resting]
+    resting: Callable[[Vector], Resting]
+    landed: Callable[[Vector, float], Landed]
     parts: tuple[object, ...]
 
 
@@ -73,8 +90,8 @@ class HybridDynamics:
         energy: Mechanical and magnetic energy [J].
         holonomic: :math:`(\eta, \dot\eta)`, ``(2 n_eta,)``; zero on admissible states.
         n_q: Number of coordinates; ``x`` begins with them, then as many velocities.
-        fused_resting: The method `resting` in one evaluation, if there is such a thing. It serves
-            as long as the functions that it stands for are this system's own.
+        fused_stop: The methods `resting` and `landed` in one evaluation, if there is such a thing.
+            It serves as long as the functions that it stands for are this system's own.
         differentiation: Its derivatives, if it has formulas. They serve as long, too.
         clock: Places of the clock in the state; the last of `holonomic` is how far it is off its
             circle.
@@ -98,16 +115,16 @@ class HybridDynamics:
     normal_inertia: Scalar
     energy: Scalar
     holonomic: Callable[[Vector], Vector]
-    fused_resting: FusedResting | None = None
+    fused_stop: FusedStop | None = None
     differentiation: Differentiation | None = None
     clock: tuple[int, ...] = ()
     scaling: Callable[[], OwnScale] = usual
 
     def __post_init__(self) -> None:
         """Refuse a restitution that is none, as a corrected drive beyond its reach has."""
-        if self.fused_resting is not None and self.fused_resting.parts != self.resting_parts:
+        if self.fused_stop is not None and self.fused_stop.parts != self.stop_parts:
             # A part was replaced, by a wrong one in a test for instance: the whole is no longer it.
-            object.__setattr__(self, "fused_resting", None)
+            object.__setattr__(self, "fused_stop", None)
         derivable = self.differentiation
         if derivable is not None and derivable.parts != self.derivable_parts:
             object.__setattr__(self, "differentiation", None)
@@ -122,28 +139,28 @@ class HybridDynamics:
         return self.scaling()
 
     @property
-    def resting_parts(self) -> tuple[object, ...]:
-        """The functions that `resting` is made of."""
-        return (self.gap, self.gap_rate, self.gap_acceleration, self.impulse_direction, self.locked)
+    def stop_parts(self) -> tuple[object, ...]:
+        """The functions that `resting` and `landed` are made of."""
+        gap = (self.gap, self.gap_rate, self.gap_acceleration)
+        return (*gap, self.impulse_direction, self.locked, self.reset_map)
 
     @property
     def derivable_parts(self) -> tuple[object, ...]:
         """Everything that derivatives are derivatives of."""
         contact = (self.multiplier, self.multiplier_rate, self.holonomic)
         return (
-            *self.resting_parts,
+            *self.stop_parts,
             *contact,
             self.free,
             self.flight,
-            self.reset_map,
             self.speed_after,
             self.restitution,
         )
 
     def resting(self, x: Vector) -> Resting:
         """Return the state moved onto the stop, as by `on_stop`, and what happens there."""
-        if self.fused_resting is not None:
-            return self.fused_resting.evaluate(x)
+        if self.fused_stop is not None:
+            return self.fused_stop.resting(x)
         state = self.on_stop(x)
         return Resting(
             state=state,
@@ -151,13 +168,25 @@ class HybridDynamics:
             rate=self.locked.rate(state),
         )
 
+    def landed(self, x: Vector, approach_rate: float) -> Landed:
+        """Return what an impact leads to, by the reset map and `resting`.
+
+        Args:
+            x: State before it, ``(n_x,)``.
+            approach_rate: Gap rate before it, exactly.
+        """
+        if self.fused_stop is not None:
+            return self.fused_stop.landed(x, approach_rate)
+        state = self.reset_map(x, approach_rate)
+        return Landed(state=state, gap_rate=self.gap_rate(state), resting=self.resting(state))
+
     def on_stop(self, x: Vector) -> Vector:
         """Return the state moved onto the stop, gap and gap rate zero, along the impulse.
 
         The velocity part is the plastic reset; the position part only takes away rounding.
         """
-        if self.fused_resting is not None:
-            return self.fused_resting.evaluate(x).state
+        if self.fused_stop is not None:
+            return self.fused_stop.resting(x).state
         projected = x.copy()
         gap, direction = self.gap(projected), self.impulse_direction(projected)
         if gap != 0.0:

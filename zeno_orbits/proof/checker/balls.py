@@ -93,18 +93,36 @@ def _about(units: int, bits: int) -> float:
 
 
 def between(low: int, high: int, bits: int) -> Ball:
-    """Return a ball that holds all from ``low`` to ``high``, in units."""
+    """Return a ball that holds all between two ends.
+
+    Args:
+        low: Lower end, in units.
+        high: Upper end, in units.
+        bits: The unit is ``2^-bits``.
+    """
     return Ball((low + high) >> 1, (high - low + 1) >> 1, bits)
 
 
 def rounded(m: int, r: int, bits: int) -> tuple[int, int]:
-    """Return midpoint and radius in units, from units of ``2^(-2 bits)``."""
+    """Return midpoint and radius in units of ``2^-bits``.
+
+    Args:
+        m: Midpoint in units of ``2^(-2 bits)``.
+        r: Radius in the same.
+        bits: The unit is ``2^-bits``.
+    """
     middle = m >> bits
     return middle, -(-r >> bits) + (middle << bits != m)
 
 
 def quotient(m: int, r: int, by: Ball) -> tuple[int, int]:
-    """Return midpoint and radius of ``(m, r) / by``, the first in units of ``2^(-2 bits)``."""
+    """Return midpoint and radius of a quotient in units.
+
+    Args:
+        m: Midpoint of the dividend, in units of ``2^(-2 bits)``.
+        r: Its radius in the same.
+        by: The divisor.
+    """
     least = abs(by.m) - by.r
     if least <= 0:
         raise NotProved(f"a divisor may be zero: {by.shown()}")
@@ -123,6 +141,8 @@ sizes: Any = np.frompyfunc(lambda x: x.size, 1, 1)
 middles: Any = np.frompyfunc(lambda x: Ball(x.m, 0, x.bits), 1, 1)
 around_zero: Any = np.frompyfunc(lambda x: Ball(0, x.size, x.bits), 1, 1)
 """All reals of at most that size."""
+with_zero: Any = np.frompyfunc(Ball.with_zero, 1, 1)
+"""Hulls of balls and zero."""
 exactly: Any = np.frompyfunc(lambda x, bits: Ball(int(x) << bits, 0, bits), 2, 1)
 
 
@@ -159,7 +179,14 @@ def number(text: Any, bits: int, *, exact: bool = True) -> Ball:
 
 
 def numbers(data: Any, shape: tuple[int, ...], bits: int, *, exact: bool = True) -> Array:
-    """Return a list of numbers, or of lists of them, of a certificate."""
+    """Return a list of numbers, or of lists of them, of a certificate.
+
+    Args:
+        data: The list.
+        shape: Its length, and those of the lists in it.
+        bits: The unit is ``2^-bits``.
+        exact: As for one number.
+    """
     if not shape:
         return number(data, bits, exact=exact)
     if not isinstance(data, list) or len(cast("list[Any]", data)) != shape[0]:
@@ -169,7 +196,14 @@ def numbers(data: Any, shape: tuple[int, ...], bits: int, *, exact: bool = True)
 
 
 def radii(data: Any, shape: tuple[int, ...], bits: int, *, exact: bool = True) -> Array:
-    """Return balls around zero with the radii of a certificate."""
+    """Return balls around zero with the radii of a certificate.
+
+    Args:
+        data: The radii.
+        shape: Length of the list of them, and of the lists in it.
+        bits: The unit is ``2^-bits``.
+        exact: As for one number.
+    """
     found = numbers(data, shape, bits, exact=exact)
     if any(x.m < 0 for x in found.ravel()):
         raise InputError("The certificate has a radius below zero.")

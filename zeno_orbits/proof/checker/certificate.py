@@ -42,6 +42,8 @@ _RECORDS = {
 _BITS = range(64, 1025)
 _CHUNK = 16
 """Records that a process proves before it is asked for more."""
+_FEW = 150
+"""Records for which no processes are worth their start."""
 
 
 class ClaimVerdict(NamedTuple):
@@ -172,7 +174,7 @@ def _passage(
         return f"section: {failure}"
     judge = partial(_proved, system, box)
     plastic = _is_plastic(system)
-    proved = judge(tasks) if len(tasks) <= _CHUNK else spread(judge, tasks, Plan(chunk=_CHUNK))
+    proved = judge(tasks) if len(tasks) <= _FEW else spread(judge, tasks, Plan(chunk=_CHUNK))
     time, row = Ball(0, 0, system.bits), first.derivative[0] * 0
     events: dict[str, list[tuple[Ball, Array]]] = {
         "period": [],
@@ -226,8 +228,10 @@ def _stations(system: System, section: Section, records: Sequence[Any]) -> list[
 
 
 def _is_plastic(system: System) -> bool:
-    """Return True if the restitution is zero, exactly."""
-    return system.value(LAW, system.nothing)[0].size == 0
+    """Return True if the restitution is zero, exactly, and not by the value of a state."""
+    law = system.outputs[LAW][0]
+    varies = not set(system.z).isdisjoint(system.graph.needed([law]))
+    return not varies and system.value(LAW, system.nothing)[0].size == 0
 
 
 def _proved(system: System, box: Box, tasks: Sequence[Any]) -> list[list[list[int]] | str]:

@@ -148,7 +148,13 @@ def _name(code: int) -> str:
 
 
 def walked(function: ca.Function, graph: Graph, inputs: Sequence[Sequence[int]]) -> list[list[int]]:
-    """Return the nodes of a function's outputs, instruction by instruction."""
+    """Return the nodes of a function's outputs, instruction by instruction.
+
+    Args:
+        function: The function.
+        graph: The nodes are put there.
+        inputs: Nodes of each of its inputs.
+    """
     outputs = [[-1] * function.numel_out(k) for k in range(function.n_out())]
     work: dict[int, int] = {}
     table = _operations(graph)

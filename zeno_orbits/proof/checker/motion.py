@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -12,6 +12,7 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.proof.checker.balls import (
     Array,
     Ball,
+    NotProved,
     around_zero,
     between,
     entries,
@@ -21,12 +22,15 @@ from zeno_orbits.proof.checker.balls import (
     radii,
     require,
     solved,
+    with_zero,
 )
 from zeno_orbits.proof.checker.series import complex_values, interval, taylor, upper
 from zeno_orbits.proof.checker.system import CONTACT, FREE, IMPULSE, LAW, System
 
 _HIGHEST = 200
 """Order beyond which a certificate is refused before anything is computed."""
+_SWEEPS = 4
+"""How often an a-priori box is tried: rounding of a large number may move a small one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +89,13 @@ class Place(NamedTuple):
 
 
 def require_enclosed(old: Enclosure, mapped: Mapped, new: Enclosure) -> None:
-    """Check that a set holds what a record makes of the one before it."""
+    """Check that a set holds what a record makes of the one before it.
+
+    Args:
+        old: The set before the record.
+        mapped: What the record makes of it.
+        new: The set after the record.
+    """
     slope = mapped.slope
     parts = [(mapped.point - new.m)[:, None], slope @ old.C - new.C, slope @ old.Q]
     # Elimination on intervals would wrap them at every row: it is done on numbers alone.
@@ -115,15 +125,29 @@ class Flow:
         ):
             raise InputError(f"The certificate's orders must be from 1 to {_HIGHEST}.")
         rates = slow | system.variational[mode]
-        series = taylor(graph, rates, system.at(old.hull), self.h, low)
-        box = {v: _hull(series[v], wider=rates[v] is not None) for v in rates}
-        last = taylor(graph, rates, system.constants | box, self.h, low + 1)
-        reach = {v: _hull([*series[v], last[v][-1]]) for v in rates}
-        for v, rate in rates.items():
-            inside = box[v].low < reach[v].low and reach[v].high < box[v].high
-            require(rate is None or inside, "there is no a-priori box")
-        self.box = np.array([reach[v] for v in system.z], dtype=object)
-        self._slope = np.array([[(*series[v], last[v][-1]) for v in row] for row in system.V])
+        moving = np.array([slow[v] is not None for v in system.z])
+
+        def terms(z: Array, order: int) -> Array:
+            """Return the coefficients of the states and of their derivative, ``(N, 1 + N, k)``."""
+            found = taylor(graph, rates, system.at(z), self.h, order)
+            places = zip(system.z, system.V, strict=True)
+            return np.array([[found[v] for v in (z, *row)] for z, row in places], dtype=object)
+
+        known = terms(old.hull, low)
+        reach = _hull(known)
+        for _ in range(_SWEEPS):
+            box = reach.copy()
+            box[moving] = _wider(reach[moving])
+            # A derivative's coefficient is that of the flow from there, times the derivative.
+            rest = terms(box[:, 0], low + 1)[..., -1:]
+            rest[:, 1:, 0] = rest[:, 1:, 0] @ box[:, 1:]
+            series = np.concatenate([known, rest], axis=2)
+            reach = _hull(series)
+            if np.all(_inside(reach[moving], box[moving])):
+                break
+        else:
+            raise NotProved("there is no a-priori box")
+        self.box, self._slope = reach[:, 0], series[:, 1:]
         point = taylor(graph, slow, system.at(old.m), self.h, high)
         ends = taylor(graph, slow, system.at(self.box), self.h, high + 1)
         self._point = np.array([(*point[v], ends[v][-1]) for v in system.z])
@@ -135,10 +159,14 @@ class Flow:
         return point, slope, point + slope @ old.Q @ old.r + slope @ old.derivative @ old.spread
 
 
-def _hull(series: Sequence[Ball], *, wider: bool = False) -> Ball:
-    """Return the sum of all terms over a step; wider, as an a-priori box, if asked."""
-    total = sum((c.with_zero() for c in series[1:]), series[0])
-    return Ball(total.m, total.r + wider * (total.r // 8 + (1 << 20)), total.bits)
+def _hull(series: Array) -> Array:
+    """Return the sums of all terms over a step; orders are on the last axis."""
+    return series[..., 0] + with_zero(series[..., 1:]).sum(axis=-1)
+
+
+_wider: Any = np.frompyfunc(lambda x: Ball(x.m, x.r + x.r // 8 + (1 << 20), x.bits), 1, 1)
+"""Intervals that are wider by a part of themselves, and by some units."""
+_inside: Any = np.frompyfunc(lambda x, y: y.low < x.low and x.high < y.high, 2, 1)
 
 
 def _horner(series: Array, part: Ball) -> Array:
@@ -150,7 +178,14 @@ def _horner(series: Array, part: Ball) -> Array:
 
 
 def stepped(system: System, place: Place, old: Enclosure, record: Mapping[str, Any]) -> Mapped:
-    """Prove one whole step in one mode."""
+    """Prove one whole step in one mode.
+
+    Args:
+        system: What the certificate is about.
+        place: Where in the motion the record stands.
+        old: The set before it.
+        record: Its entries.
+    """
     flow = Flow(system, place.mode, old, record)
     point, slope, box = flow.at(flow.h)
     _require_apart(system, place, flow, box)
@@ -161,6 +196,12 @@ def crossed(system: System, place: Place, old: Enclosure, record: Mapping[str, A
     """Prove the crossing of the guard in a last step: the gap closes, or the multiplier vanishes.
 
     With ``g`` the guard, the derivative is ``(1 - f grad g / (grad g . f)) D phi``.
+
+    Args:
+        system: What the certificate is about.
+        place: Where in the motion the record stands.
+        old: The set before it.
+        record: Its entries.
     """
     flow = Flow(system, place.mode, old, record)
     bits, free = system.bits, place.mode == "free"
@@ -220,7 +261,14 @@ def _require_apart(
 
 
 def struck(system: System, _: Place, old: Enclosure, __: Mapping[str, Any]) -> Mapped:
-    """Return the state after an impact: ``x - (1 + e) hdot d(x)``."""
+    """Return the state after an impact: ``x - (1 + e) hdot d(x)``.
+
+    Args:
+        system: What the certificate is about.
+        _: An impact is the same everywhere.
+        old: The set before it.
+        __: It has no entries.
+    """
     n_x, row, box = system.n_x, system.rate_row, old.hull
     e, at_point = system.value(LAW, box)[0], system.value(LAW, old.m)[0]
     e_slope, rate_slope = system.gradient(LAW, box)[0], system.identity[row] * system.unit
@@ -240,6 +288,12 @@ def accumulated(system: System, _: Place, old: Enclosure, record: Mapping[str, A
     """Return the Zeno point of all impacts to come, by the lemma of the Zeno tail.
 
     All bounds are upper ends of intervals of mpmath, over the complex polydisc of the record.
+
+    Args:
+        system: What the certificate is about.
+        _: A tail is the same everywhere.
+        old: The set before it.
+        record: Its entries.
     """
     bits, box, n_x, inner = system.bits, old.hull, system.n_x, system.inner
     speed, w = number(record["speed"], bits), system.gap_rate(box)

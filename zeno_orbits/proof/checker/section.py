@@ -23,6 +23,8 @@ from zeno_orbits.proof.checker.balls import (
 from zeno_orbits.proof.checker.motion import Enclosure, Mapped, require_enclosed
 from zeno_orbits.proof.checker.system import CONTACT, HOLONOMIC, System
 
+_SWEEPS = 4
+"""How often an enclosure of the other states is made narrower."""
 _CONDITIONS = {"gap": 0, "gap_rate": 1, "multiplier": 3}
 
 
@@ -104,6 +106,12 @@ def require_start(system: System, section: Section, box: Box, start: Enclosure) 
 
     Krawczyk's operator on the conditions, for all coordinates at once, proves that there is just
     one such point with its other states where they are looked for.
+
+    Args:
+        system: What the certificate is about.
+        section: Its section.
+        box: The box.
+        start: The set.
     """
     n, D = len(section.others), len(box.spread)
     inner = [*section.places, *system.inner[system.n_x :]]
@@ -119,31 +127,38 @@ def require_start(system: System, section: Section, box: Box, start: Enclosure) 
         rows = rows.reshape(n, len(z))
         return rows[:, section.others], rows[:, inner]
 
-    def moved(z: Array, reach: Array, spread: Array) -> Array:
-        by_others, by_u = slopes(z)
-        rest = ones - inverse @ by_others
-        return newton + rest @ reach - inverse @ by_u @ spread
+    def near_inverse(matrix: Array) -> Array:
+        return middles(solved(middles(matrix), exactly(np.eye(n, dtype=int), system.bits)))
 
-    ones = exactly(np.eye(n, dtype=int), system.bits)
-    inside, middle = box.centre + box.spread, state(box.centre, box.others)
-    wide = state(inside, box.others + box.others_spread)
-    inverse = middles(solved(middles(slopes(wide)[0]), ones))
-    residual = [system.value(k, middle)[row] for k, row in section.equations]
-    newton = -(inverse @ np.array(residual, dtype=object))
-    found = moved(wide, box.others_spread, box.spread)
+    def newton(middle: Array, reach: Array, spread: Array) -> Array:
+        """Return what holds the other states, less a middle, if they are within reach of it."""
+        by_others, by_u = slopes(state(box.centre + spread, middle + reach))
+        at, inverse = state(box.centre, middle), near_inverse(by_others)
+        residual = [system.value(k, at)[row] for k, row in section.equations]
+        rest = exactly(np.eye(n, dtype=int), system.bits) - inverse @ by_others
+        return rest @ reach - inverse @ np.array(residual, dtype=object) - inverse @ by_u @ spread
+
+    def narrowed(spread: Array) -> Array:
+        middle, left = box.others, found
+        for _ in range(_SWEEPS):
+            step = middles(left)
+            middle, left = middle + step, newton(middle + step, around_zero(left - step), spread)
+        return middle + left
+
+    found = newton(box.others, box.others_spread, box.spread)
     for k, x, y in zip(section.others, found, box.others_spread, strict=True):
         require(x.size < y.r, f"state {k} of the section is not found: {x.shown()}")
-    by_others, by_u = slopes(state(inside, box.others + found))
-    slope = exactly(np.zeros((len(middle), D), dtype=int), system.bits)
+    everywhere = state(box.centre + box.spread, narrowed(box.spread))
+    by_others, by_u = slopes(everywhere)
+    inverse = near_inverse(by_others)
+    slope = exactly(np.zeros((len(system.z), D), dtype=int), system.bits)
     slope[inner] = exactly(np.eye(D, dtype=int), system.bits)
     slope[section.others] = -solved(inverse @ by_others, inverse @ by_u)
     still = exactly(np.zeros(D, dtype=int), system.bits)
-    for _ in range(4):
-        found = moved(state(box.centre, box.others + found), found, still)
-    point = state(box.centre, box.others + found)
+    point = state(box.centre, narrowed(still))
     if not system.is_pinned and not section.settled:
         point[system.rate_row] = system.value(CONTACT, point)[1]
-        slope[system.rate_row] = system.gradient(CONTACT, wide)[1] @ slope
+        slope[system.rate_row] = system.gradient(CONTACT, everywhere)[1] @ slope
     one = system.identity
     nothing = exactly(np.zeros(slope.shape, dtype=int), system.bits)
     exact = Enclosure(point, slope, one, system.nothing, nothing, still)

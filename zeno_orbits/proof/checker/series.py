@@ -93,7 +93,13 @@ def taylor(
 
 
 def values(graph: Graph, inputs: Mapping[int, Ball], outputs: Sequence[int | None]) -> Array:
-    """Return nodes over a box of the inputs; those that are ``None`` are zero."""
+    """Return nodes over a box of the inputs.
+
+    Args:
+        graph: The formulas.
+        inputs: Inputs and their values.
+        outputs: The nodes; those that are ``None`` are zero.
+    """
     bits = next(iter(inputs.values())).bits
     wanted = [place for place in outputs if place is not None]
     found = taylor(graph, {}, inputs, Ball(1 << bits, 0, bits), 0, wanted)

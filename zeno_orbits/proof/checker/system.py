@@ -129,14 +129,22 @@ def bound_system(
     moving = [p[name] for name in over]
     z = [*x, *carried, *moving]
     V = [[graph.put("input") for _ in z] for _ in z]
-    seeds = dict(zip(z, V, strict=True))
+    seeds, none = dict(zip(z, V, strict=True)), [None] * len(z)
     pinned = () if row is None else (row, n_q + row)
     rates: dict[str, list[int | None]] = {
         "free": [*outputs[FREE], *([carried[1], outputs[CONTACT][2]] if carried else [])],
         "locked": [None if k in pinned else node for k, node in enumerate(outputs[LOCKED])],
     }
     flow = {mode: dict(zip_longest(z, nodes)) for mode, nodes in rates.items()}
-    variational = {mode: _variational(graph, nodes, seeds) for mode, nodes in flow.items()}
+    every = [*carried, *(node for nodes in outputs for node in nodes)]
+    rows: dict[int | None, list[int | None]] = dict(
+        zip(every, graph.tangents(every, seeds), strict=True)
+    )
+    # What moves the tangents is the derivative of the flow.
+    slopes = {
+        m: [v for n in nodes.values() for v in rows.get(n, none)] for m, nodes in flow.items()
+    }
+    variational = {m: dict(zip(np.ravel(V).tolist(), slopes[m], strict=True)) for m in flow}
     unit, stop = Ball(1 << bits, 0, bits), Ball(0, 0, bits)
     constants = {p[name]: ball for name, ball in numbers.items() if name not in over}
     if row is not None:
@@ -150,23 +158,12 @@ def bound_system(
         flow=flow,
         variational=variational,
         outputs=outputs,
-        tangents=[graph.tangents(nodes, seeds) for nodes in outputs],
+        tangents=[[rows[node] for node in nodes] for nodes in outputs],
         gap_row=n_x if row is None else row,
         rate_row=n_x + 1 if row is None else n_q + row,
         unit=unit,
         stop=stop,
     )
-
-
-def _variational(graph: Graph, rates: Rates, seeds: Mapping[int, Sequence[int]]) -> Rates:
-    """Return the rates of the tangents: what moves them is the derivative of the flow."""
-    moving = {place: node for place, node in rates.items() if node is not None}
-    rows = dict(zip(moving, graph.tangents(list(moving.values()), seeds), strict=True))
-    return {
-        v: None if place not in rows else rows[place][k]
-        for place, vs in seeds.items()
-        for k, v in enumerate(vs)
-    }
 
 
 def _coordinate(

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 from zeno_orbits.errors import InputError
 from zeno_orbits.report.page import words
-from zeno_orbits.report.page.commands import commands_of
 from zeno_orbits.report.page.plot_data import curves_of
 from zeno_orbits.report.page.plotly_bundle import Bundle
 from zeno_orbits.report.page.subject import Subject
@@ -96,6 +95,27 @@ def _contents(subject: Subject) -> dict[str, str]:
         "reproduce": "How to reproduce it",
     }
     return {name: title for name, title in titles.items() if title}
+
+
+def commands_of(subject: Subject) -> tuple[tuple[str, ...], ...]:
+    """Return the words of the commands that find, check and report the orbit."""
+    orbit, problem = subject.orbit, subject.problem
+    name = subject.problem_file or orbit.problem
+    given = {
+        quantity.name: orbit.parameters[quantity.name]
+        for quantity in problem.parameters
+        if quantity.default is not None and orbit.parameters[quantity.name] != quantity.default
+    }
+    # What the problem derives has to be said only where it is not what it would derive.
+    derived = problem.values(parameters=given).parameters
+    given |= {name: value for name, value in orbit.parameters.items() if derived[name] != value}
+    search = ["zeno-orbits", "search", name]
+    search += [word for name, v in orbit.gains.items() for word in ("--fix", f"{name}={v!r}")]
+    search += [word for name, v in given.items() for word in ("--set", f"{name}={v!r}")]
+    where = ("--problem", subject.problem_file) if subject.problem_file else ()
+    check = ("zeno-orbits", "verify", subject.file, *where)
+    tolerance = ("--tolerance", f"{subject.certificate.tolerance:g}")
+    return ((*search, "-o", subject.file), (*check, *tolerance), subject.command)
 
 
 def template_environment() -> Environment:

@@ -13,7 +13,7 @@ from typing import Any
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model import Problem
 from zeno_orbits.precision import WorkPrecision
-from zeno_orbits.report.machine import STOP, frame_of, machine_motion
+from zeno_orbits.report.motion import STOP, frame_of, machine_motion
 from zeno_orbits.report.page.subject import Subject
 from zeno_orbits.report.paths import ArcPath, drawn_phases_of, paths_of, shown_states
 from zeno_orbits.report.symbols import html_symbol

@@ -8,7 +8,7 @@ from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import HybridDynamics, Problem
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.precision import WorkPrecision
-from zeno_orbits.report.orbit_motion import motion_of
+from zeno_orbits.report.motion import motion_of
 from zeno_orbits.simulation import Execution
 from zeno_orbits.verification import OrbitCertificate
 

@@ -13,7 +13,16 @@ from zeno_orbits.precision import Trial, WorkPrecision
 from zeno_orbits.report.page import words
 from zeno_orbits.report.page.plotly_bundle import Bundle
 from zeno_orbits.report.page.subject import Subject
-from zeno_orbits.report.table import Column, Table, number_column, table_of, text_column
+from zeno_orbits.report.table import (
+    Column,
+    Table,
+    number_column,
+    shown_multiplier,
+    shown_number,
+    shown_size,
+    table_of,
+    text_column,
+)
 from zeno_orbits.simulation import Event, Execution, Impact, Mode, ZenoPoint
 from zeno_orbits.verification import RESIDUALS, OrbitCertificate
 from zeno_orbits.work import versions
@@ -62,16 +71,6 @@ def tables_of(subject: Subject, bundle: Bundle) -> dict[str, Table[Any]]:
     if subject.trade is not None:
         tables["trade"] = trade_table(subject.trade)
     return tables
-
-
-def shown_number(value: float, digits: int) -> str:
-    """Return a number to some digits; zero is 0, without sign."""
-    return f"{value + 0.0:.{digits}g}"
-
-
-def shown_size(size: float) -> str:
-    """Return the size of an error to two digits; zero is 0."""
-    return "0" if size == 0.0 else f"{size:.1e}"
 
 
 def _titled(table: Table[Any]) -> Table[Any]:
@@ -148,11 +147,10 @@ def _hit_speed(event: Event) -> str:
 
 def multipliers_table(certificate: OrbitCertificate) -> Table[Any]:
     """Return the Floquet multipliers."""
-    error = shown_size(certificate.multiplier_error)
+    error = certificate.multiplier_error
 
     def cell(value: float) -> str:
-        # What is smaller than the error of a multiplier is not known from zero.
-        return "0" if abs(value) < min(certificate.multiplier_error, 1e-9) else f"{value:.8g}"
+        return shown_multiplier(value, error, 8)
 
     columns: list[Column[tuple[int, complex]]] = [
         text_column("number", lambda one: f"{one[0]}"),
@@ -160,7 +158,7 @@ def multipliers_table(certificate: OrbitCertificate) -> Table[Any]:
         number_column("imaginary part [1]", lambda one: cell(one[1].imag)),
         number_column("modulus [1]", lambda one: cell(abs(one[1]))),
     ]
-    caption = f"Floquet multipliers (error of the largest: {error})"
+    caption = f"Floquet multipliers (error of the largest: {shown_size(error)})"
     return table_of(caption, columns, enumerate(certificate.multipliers, start=1))
 
 

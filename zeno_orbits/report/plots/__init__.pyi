@@ -4,11 +4,14 @@ from .animation import gif_of as gif_of
 from .animation import has_ffmpeg as has_ffmpeg
 from .animation import mp4_of as mp4_of
 from .certificate import plot_certificate as plot_certificate
+from .certificate import plot_multipliers as plot_multipliers
 from .family import plot_boundaries as plot_boundaries
 from .family import plot_families as plot_families
 from .figure import figure_of as figure_of
 from .graph import plot_graph as plot_graph
 from .map import plot_map as plot_map
+from .paper_figures import Material as Material
+from .paper_figures import PAPER as PAPER
 from .portraits import plot_portraits as plot_portraits
 from .recording import plot_comparison as plot_comparison
 from .region import has_zeno_region as has_zeno_region

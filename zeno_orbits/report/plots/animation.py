@@ -24,7 +24,7 @@ from PIL import Image
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import ParameterValues, Problem
-from zeno_orbits.report.machine import STOP, MachineMotion, frame_of, machine_motion
+from zeno_orbits.report.motion import STOP, MachineMotion, frame_of, machine_motion
 from zeno_orbits.report.paths import paths_of
 from zeno_orbits.report.plots.panels import Panels
 from zeno_orbits.report.plots.style import (

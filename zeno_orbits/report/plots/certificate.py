@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from zeno_orbits.report.plots.panels import is_wide, panels_of
-from zeno_orbits.report.plots.style import FULL_WIDTH, INK, PALETTE, TEXT
+from zeno_orbits.report.plots.style import COLUMN_WIDTH, FULL_WIDTH, INK, PALETTE, TEXT
 from zeno_orbits.verification import RESIDUALS, OrbitCertificate
 
 _PASSED, _FAILED = PALETTE[:2]
@@ -40,7 +40,22 @@ def plot_certificate(
     )
     residuals, multipliers = panels
     _draw_residuals(residuals, certificate)
-    _draw_multipliers(multipliers, certificate)
+    _draw_multipliers(multipliers, certificate.multipliers)
+    return panels.finished()
+
+
+def plot_multipliers(
+    values: Sequence[complex], *, width: float = COLUMN_WIDTH, axes: Sequence[Axes] = ()
+) -> Figure:
+    """Return Floquet multipliers in the unit circle.
+
+    Args:
+        values: The multipliers.
+        width: Width of the picture [in].
+        axes: One panel to draw into; by default a new figure is made.
+    """
+    panels = panels_of(width, 1, height=0.8 * width, axes=axes)
+    _draw_multipliers(panels.axes[0], values)
     return panels.finished()
 
 
@@ -66,9 +81,8 @@ def _draw_residuals(ax: Axes, certificate: OrbitCertificate) -> None:
     ax.set_ylim(len(names) - 0.5, -0.5)
 
 
-def _draw_multipliers(ax: Axes, certificate: OrbitCertificate) -> None:
+def _draw_multipliers(ax: Axes, values: Sequence[complex]) -> None:
     ax.add_patch(Circle((0.0, 0.0), 1.0, fill=False, ec=INK, lw=0.8, ls=(0, (3, 2))))
-    values = certificate.multipliers
     for value in values:
         inside = abs(value) < 1.0
         ax.plot(

@@ -14,10 +14,10 @@ from zeno_orbits.errors import InputError
 from zeno_orbits.experiment import Comparison
 from zeno_orbits.maps import ParameterMap
 from zeno_orbits.model import Problem, load_problem
-from zeno_orbits.orbits import ZenoOrbit
+from zeno_orbits.orbits import Multipliers, ZenoOrbit
 from zeno_orbits.precision import WorkPrecision
-from zeno_orbits.report.orbit_motion import motion_of
-from zeno_orbits.report.plots.certificate import plot_certificate
+from zeno_orbits.report.motion import motion_of
+from zeno_orbits.report.plots.certificate import plot_certificate, plot_multipliers
 from zeno_orbits.report.plots.family import plot_boundaries, plot_families
 from zeno_orbits.report.plots.map import plot_map
 from zeno_orbits.report.plots.panels import add_title
@@ -26,9 +26,12 @@ from zeno_orbits.report.plots.recording import plot_comparison
 from zeno_orbits.report.plots.style import FULL_WIDTH
 from zeno_orbits.report.plots.time_series import plot_states, plot_time_series
 from zeno_orbits.report.plots.work_precision import plot_trade
-from zeno_orbits.search import SearchResult
+from zeno_orbits.search import Closing, SearchResult
 from zeno_orbits.simulation import Execution
 from zeno_orbits.verification import OrbitCertificate, problem_dynamics
+
+_NARROWEST, _WIDEST = 1.5, 60.0
+"""Widths between which a picture can be drawn [in]."""
 
 
 def figure_of(
@@ -46,8 +49,8 @@ def figure_of(
     execution as states over time, a search as its best orbit.
 
     Args:
-        result: An execution, orbit, search result, certificate, family, continuation, map, trade or
-            comparison.
+        result: An execution, orbit, search result, closing, certificate, multipliers, family,
+            continuation, map, trade or comparison.
         problem: Its problem; by default the bundled one of its name. An execution knows no name:
             without its problem it is drawn without units.
         ax: Axes to draw into, for a picture of one panel.
@@ -59,6 +62,7 @@ def figure_of(
         InputError: If there is no picture of such a value, its problem is not known, or the axes
             are not as many as its panels.
         OrbitNotFoundError: If a search result has no orbit.
+        OrbitNotClosedError: If a closing has none.
         SimulationError: If the orbit cannot be simulated.
     """
     given = [*np.ravel(np.asarray(axes, dtype=object))] if ax is None else [ax]
@@ -66,6 +70,9 @@ def figure_of(
         raise InputError("Arguments `ax` and `axes` must not come together, but both are given.")
     if given and width is not None:
         raise InputError("Argument `width` must come without axes, which have one, but does not.")
+    if width is not None and not _NARROWEST <= width <= _WIDEST:
+        limits = f"must lie in [{_NARROWEST:g}, {_WIDEST:g}] inches"
+        raise InputError(f"Argument `width` {limits}, but it is {width:g}.")
     for kind, draw in _PICTURES.items():
         if isinstance(result, kind):
             figure = draw(result, problem, FULL_WIDTH if width is None else width, given)
@@ -107,7 +114,11 @@ _PICTURES: dict[type, Callable[[Any, Problem | None, float, Sequence[Axes]], Fig
     SearchResult: lambda found, problem, width, axes: _of_orbit(
         found.unwrap(), problem, width, axes
     ),
+    Closing: lambda found, problem, width, axes: _of_orbit(found.unwrap(), problem, width, axes),
     OrbitCertificate: lambda found, _, width, axes: plot_certificate(found, width=width, axes=axes),
+    Multipliers: lambda found, _, width, axes: plot_multipliers(
+        tuple(found.values), width=width, axes=axes
+    ),
     Family: lambda found, problem, width, axes: _of_continuation(
         Continuation(families=(found,)), problem, width, axes
     ),

@@ -14,6 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
@@ -21,6 +22,8 @@ from zeno_orbits.model import Problem
 from zeno_orbits.report.plots.style import COLUMN_WIDTH, TEXT
 from zeno_orbits.report.symbols import label_of
 
+_TICK = 0.55
+"""Room for a tick of an axis and its label [in]."""
 _ABOVE = "above"
 """Name of a legend above the panels."""
 
@@ -59,7 +62,11 @@ class Panels:
                 ax.tick_params(labelbottom=lowest)
                 ax.set_xlabel(time if lowest else "")
         for column in range(self.across):
-            self.figure.align_ylabels(self.axes[column :: self.across])
+            named = [ax for ax in self.axes[column :: self.across] if ax.get_ylabel()]
+            self.figure.align_ylabels(named)
+        if self.is_own:
+            for ax in self.axes:
+                _thin_out(ax, self.width / self.across)
         # A colour bar is no panel, but its texts are read beside theirs.
         entries = _entries(self.figure.axes if self.is_own else self.axes)
         if self.is_own:
@@ -124,12 +131,20 @@ def panels_of(
 
 
 def _existing(axes: Sequence[Axes], n: int, across: int) -> Panels:
+    _require_axes(axes)
     if len(axes) != n:
         message = f"must be as many as the picture has panels, {n}, but there are {len(axes)}"
         raise InputError(f"Argument `axes` {message}.")
     figure = _figure_of(axes[0])
     width = float(figure_size(axes[0])[0])
     return Panels(figure=figure, axes=tuple(axes), width=width, across=across, is_own=False)
+
+
+def _require_axes(axes: Sequence[object]) -> None:
+    for one in axes:
+        if not isinstance(one, Axes):
+            kind = type(one).__name__
+            raise InputError(f"Argument `axes` must be axes of matplotlib, but one is a `{kind}`.")
 
 
 def figure_size(ax: Axes) -> Vector:
@@ -185,6 +200,18 @@ def add_title(figure: Figure, title: str, axes: Sequence[Axes] = ()) -> None:
         above[0].set_title(title, prop=FontProperties(size=TEXT + 1))
     else:
         figure.suptitle(title, fontsize=TEXT + 1)
+
+
+def _thin_out(ax: Axes, width: float) -> None:
+    """Leave no more ticks on a linear axis across than have room for their labels.
+
+    Args:
+        ax: The panel.
+        width: Its width with all that belongs to it [in].
+    """
+    locator = ax.xaxis.get_major_locator()
+    if isinstance(locator, MaxNLocator):
+        locator.set_params(nbins=max(round(width / _TICK), 2))
 
 
 def _entries(panels: Sequence[Axes]) -> dict[str, Any]:

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
+from shutil import get_terminal_size
+from textwrap import fill
+from typing import TYPE_CHECKING, Any
 
 from zeno_orbits.report.table import Cell, Column, Item
 
@@ -21,21 +23,40 @@ _GAP = 2
 """Columns of space between the columns of a table."""
 
 
-def print_text(*paragraphs: str) -> None:
-    """Print paragraphs, their lines broken between words."""
-    for paragraph in paragraphs:
-        plain_console().print(paragraph)
+def print_lines(lines: Iterable[str], style: str = "") -> None:
+    """Print sentences: whole into a file, broken between words in a terminal.
+
+    Args:
+        lines: The sentences; a continued line is indented as its first one is.
+        style: Their colour in a terminal.
+    """
+    for line in lines:
+        shown = _folded(line) if sys.stdout.isatty() else line
+        plain_console().print(shown, style=style, soft_wrap=True)
 
 
-def print_lines(lines: Iterable[str]) -> None:
-    """Print plain lines, however long."""
+def _folded(line: str) -> str:
+    """Return a line broken between words, as a terminal has room."""
+    indent = " " * (len(line) - len(line.lstrip()))
+    look: dict[str, Any] = {"break_long_words": False, "break_on_hyphens": False}
+    return fill(line, line_width(), subsequent_indent=indent, **look)
+
+
+def line_width() -> int:
+    """Return the characters of a line of the terminal, or of a file."""
+    return get_terminal_size().columns if sys.stdout.isatty() else _FILE_WIDTH
+
+
+def print_whole(lines: Iterable[str]) -> None:
+    """Print lines that a reader may copy, a path or a command: no end of line is put into one."""
     for line in lines:
         plain_console().print(line, soft_wrap=True)
 
 
 def print_error(message: str) -> None:
-    """Print one line on standard error."""
-    sys.stderr.write(f"zeno-orbits: {' '.join(message.split())}\n")
+    """Print one line on standard error; a terminal's line ends between words."""
+    line = f"zeno-orbits: {' '.join(message.split())}"
+    sys.stderr.write(f"{_folded(line) if sys.stderr.isatty() else line}\n")
 
 
 def plain_console(width: int | None = None) -> Console:
@@ -51,9 +72,7 @@ def plain_console(width: int | None = None) -> Console:
             """Raise the error; rich would exit."""
             raise BrokenPipeError
 
-    if width is None and not sys.stdout.isatty():
-        width = _FILE_WIDTH
-    return Plain(highlight=False, markup=False, width=width)
+    return Plain(highlight=False, markup=False, width=width or line_width())
 
 
 def print_table(columns: Sequence[Column[Item]], items: Iterable[Item]) -> None:
@@ -74,7 +93,8 @@ def print_table(columns: Sequence[Column[Item]], items: Iterable[Item]) -> None:
     widths = _widths(columns, cells, console.width)
     table = Table(box=None, pad_edge=False, header_style="bold")
     for column, width in zip(columns, widths, strict=True):
-        table.add_column(column.heading, width=width, overflow="fold")
+        side = "right" if column.is_number else "left"
+        table.add_column(column.heading, width=width, overflow="fold", justify=side)
     for row in rows:
         table.add_row(*map(_shown, row))
     whole = sum(widths) + _GAP * len(widths)
@@ -87,24 +107,33 @@ def print_table(columns: Sequence[Column[Item]], items: Iterable[Item]) -> None:
 def _widths(
     columns: Sequence[Column[Item]], cells: Sequence[Sequence[Cell]], room: int
 ) -> list[int]:
-    """Return the widths of columns: as much as they want, or less of the widest where they can."""
-    least = [_width(*pair, whole=False) for pair in zip(columns, cells, strict=True)]
-    widths = [_width(*pair, whole=True) for pair in zip(columns, cells, strict=True)]
-    while sum(widths) + _GAP * (len(widths) - 1) > room:
-        spare = [k for k in range(len(widths)) if widths[k] > least[k]]
-        if not spare:
-            break
-        widths[max(spare, key=lambda k: widths[k])] -= 1
+    """Return the widths of columns: as much as they want, or less of the widest where they can.
+
+    Headings are broken first, as that costs one line; then the texts of cells.
+    """
+    pairs = list(zip(columns, cells, strict=True))
+    widths = [max(_heading(c, whole=True), _cells(c, own, whole=True)) for c, own in pairs]
+    for whole in (True, False):
+        least = [max(_heading(c, whole=False), _cells(c, own, whole=whole)) for c, own in pairs]
+        while sum(widths) + _GAP * (len(widths) - 1) > room:
+            spare = [k for k in range(len(widths)) if widths[k] > least[k]]
+            if not spare:
+                break
+            widths[max(spare, key=lambda k: widths[k])] -= 1
     return widths
 
 
-def _width(column: Column[Item], cells: Sequence[Cell], *, whole: bool) -> int:
+def _heading(column: Column[Item], *, whole: bool) -> int:
+    """Return the width of a heading, or of its longest word."""
+    return max(map(len, [column.heading] if whole else column.heading.split()), default=0)
+
+
+def _cells(column: Column[Item], cells: Sequence[Cell], *, whole: bool) -> int:
     """Return the width of the longest cell, or of the longest word where text may be wrapped."""
     texts = [cell for cell in cells if isinstance(cell, str)]
     if not (whole or column.is_number or column.is_whole):
         texts = [word for text in texts for word in text.split()]
-    heading = [column.heading] if whole else column.heading.split()
-    return max(map(len, [*texts, *heading, "ok"]))
+    return max(map(len, [*texts, "ok"]))
 
 
 def _shown(cell: Cell) -> str | Text:

@@ -22,15 +22,22 @@ if TYPE_CHECKING:
 
 _RIG_ROWS = {
     "impact_time": "first impact",
-    "impact_rate": "gap rate at it",
-    "lock_time": "Zeno time; end of chatter",
-    "lock_angle": "coordinate of the amplitude at it",
+    "impact_rate": "gap rate at the first impact",
+    "lock_time": "Zeno point, or end of chatter",
+    "lock_angle": "{amplitude} at that time",
     "period": "period",
 }
+"""Name of a number to its words; times count from release."""
 
 
-def print_rig(comparison: RigComparison) -> None:
-    """Print the cycles of a simulated machine beside an orbit."""
+def print_rig(comparison: RigComparison, amplitude: str) -> None:
+    """Print the cycles of a simulated machine beside an orbit.
+
+    Args:
+        comparison: Both.
+        amplitude: Name of the coordinate whose amplitude the problem measures.
+    """
+    rows = {name: words.format(amplitude=amplitude) for name, words in _RIG_ROWS.items()}
 
     def orbit(name: str) -> float:
         return getattr(comparison.orbit, name)
@@ -39,29 +46,29 @@ def print_rig(comparison: RigComparison) -> None:
         return getattr(comparison.mean, name)
 
     columns: list[Column[str]] = [
-        text_column("", lambda name: _RIG_ROWS[name]),
+        text_column("quantity", lambda name: rows[name]),
         text_column("unit", lambda name: comparison.units[name]),
         number_column("orbit", lambda name: f"{orbit(name):.6f}"),
-        number_column("machine, simulated", lambda name: f"{mean(name):.6f}"),
-        number_column("spread", lambda name: f"{getattr(comparison.spread, name):.1e}"),
+        number_column("machine, mean", lambda name: f"{mean(name):.6f}"),
+        number_column("standard deviation", lambda name: f"{getattr(comparison.spread, name):.1e}"),
         number_column("difference", lambda name: f"{mean(name) - orbit(name):+.1e}"),
     ]
-    print_table(columns, _RIG_ROWS)
+    print_table(columns, rows)
     print_lines(
         [
-            f"Simulated, not measured: {_settled(comparison)}. The machine's largest distance "
-            f"from the orbit in the space of states is {100 * comparison.portrait:.2g} % of the "
-            f"orbit's size, at {100 * comparison.portrait_at:.0f} % of the cycle."
+            f"Simulated, not measured: {_settled(comparison, rows)}. In the space of states the "
+            f"machine is at most {100 * comparison.portrait:.2g} % of the orbit's size away from "
+            f"it, at {100 * comparison.portrait_at:.0f} % of the cycle."
         ]
     )
 
 
-def _settled(comparison: RigComparison) -> str:
+def _settled(comparison: RigComparison, rows: Mapping[str, str]) -> str:
     cycles = counted(comparison.cycles, "cycle")
     if comparison.drifting is None:
         return f"{cycles}, too few to tell whether it has settled"
     if comparison.drifting:
-        moving = ", ".join(_RIG_ROWS[name] for name in comparison.drifting)
+        moving = ", ".join(rows[name] for name in comparison.drifting)
         return f"{cycles}, and the machine has not settled: {moving} still changes in one direction"
     return f"{comparison.cycles} settled cycles"
 
@@ -74,9 +81,11 @@ def print_contacts(name: str, contacts: Sequence[Mapping[str, float]]) -> None:
         contacts: Start, end [s] and approach rate of each.
     """
     columns: list[Column[Mapping[str, float]]] = [
-        number_column("contact from [s]", lambda contact: f"{contact['start']:.6f}"),
-        number_column("to [s]", lambda contact: f"{contact['end']:.6f}"),
-        number_column("gap rate before", lambda contact: f"{contact['approach_rate']:.6f}"),
+        number_column("contact begins [s]", lambda contact: f"{contact['start']:.6f}"),
+        number_column("ends [s]", lambda contact: f"{contact['end']:.6f}"),
+        number_column(
+            "gap rate at its beginning", lambda contact: f"{contact['approach_rate']:.6f}"
+        ),
     ]
     print_table(columns, contacts)
     print_lines([f"Simulated, not measured: {counted(len(contacts), 'contact')} of {name}."])
@@ -85,9 +94,9 @@ def print_contacts(name: str, contacts: Sequence[Mapping[str, float]]) -> None:
 def print_comparison(found: Comparison) -> None:
     """Print a recording beside an orbit."""
     columns: list[Column[Metric]] = [
-        text_column("", lambda metric: metric.name),
+        text_column("quantity", lambda metric: metric.name),
         number_column("orbit", lambda metric: f"{metric.orbit:.7g}"),
-        text_column(
+        number_column(
             found.recording.label, lambda metric: _known(metric.data, ".7g", "not observed")
         ),
         number_column("difference", lambda metric: _known(metric.data - metric.orbit, "+.3g")),
@@ -110,8 +119,8 @@ def _known(value: float, form: str, otherwise: str = "-") -> str:
 def print_identification(recording: Recording, found: Identification) -> None:
     """Print parameters that were fitted to a recording."""
     columns: list[Column[Fitted]] = [
-        name_column("", lambda one: one.unknown.label),
-        number_column("start", lambda one: f"{one.start:.6g}"),
+        name_column("parameter", lambda one: one.unknown.label),
+        number_column("start value", lambda one: f"{one.start:.6g}"),
         number_column("fitted", lambda one: f"{one.value:.7g}"),
         text_column("standard error", lambda one: _known(one.error, ".2g", "not determined")),
         text_column("95 % interval", _interval),

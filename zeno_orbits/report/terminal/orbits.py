@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from zeno_orbits.errors import counted
-from zeno_orbits.report.table import Column, name_column, number_column, text_column
-from zeno_orbits.report.terminal.console import (
-    plain_console,
-    print_lines,
-    print_table,
-    print_text,
+from zeno_orbits.report.table import (
+    Column,
+    name_column,
+    number_column,
+    shown_complex,
+    shown_size,
+    text_column,
 )
+from zeno_orbits.report.terminal.console import line_width, print_lines, print_table
 
 if TYPE_CHECKING:
     from zeno_orbits.arrays import Vector
@@ -29,6 +31,8 @@ _MOST_EVENTS = 40
 """Events of an execution that are printed."""
 _MOST_STATES = 3
 """States of an event that are printed: as many as 80 columns hold."""
+_BEFORE_STATES, _STATE = 45, 11
+"""Width of the columns before the states, and of one of a state: others go into another table."""
 _STILL = 1e-9
 """A state that changes less from event to event stands still, relative."""
 
@@ -51,21 +55,23 @@ def print_execution(problem: Problem, assured: Assured, *, all_states: bool = Fa
         text_column("event", _event_name),
         number_column("error", lambda event: _error(event, errors.get(id(event), math.nan))),
         number_column("dh/dt", _approach_rate),
-        *(_state_column(name, names.index(name)) for name in moving),
     ]
-    print_table(columns, events[:_MOST_EVENTS])
+    across = max((line_width() - _BEFORE_STATES) // _STATE, 1)
+    for k in range(0, max(len(moving), 1), across):
+        states = [_state_column(name, names.index(name)) for name in moving[k : k + across]]
+        print_table([*columns, *states], events[:_MOST_EVENTS])
     if len(events) > _MOST_EVENTS:
-        print_text(f"... and {len(events) - _MOST_EVENTS} more events; --json lists them all.")
+        print_lines([f"... and {len(events) - _MOST_EVENTS} more events; --json lists them all."])
     rest = [name for name in names if name not in moving]
     if events and rest:
-        print_text(f"Not shown: {', '.join(rest)}; --all-states prints them.")
+        print_lines([f"Not shown: {', '.join(rest)}; --all-states prints them."])
     counts = (
         counted(len(execution.impacts), "resolved impact"),
         counted(len(execution.zeno_points), "Zeno point"),
         counted(len(execution.releases), "release"),
     )
     last = execution.arcs[-1].mode.value
-    print_text(f"{', '.join(counts)} in {execution.end_time:g} s; the last arc is {last}.")
+    print_lines([f"{', '.join(counts)} in {execution.end_time:g} s; the last arc is {last}."])
 
 
 def _moving(problem: Problem, events: Sequence[Event]) -> list[str]:
@@ -204,7 +210,7 @@ def _state_rows(problem: Problem, where: str, state: Mapping[str, float]) -> Ite
 
 def _certificate_rows(certificate: OrbitCertificate, energy_unit: str) -> Iterator[_Row]:
     for k, multiplier in enumerate(certificate.multipliers):
-        yield f"multiplier {k + 1}", _complex(multiplier), "1"
+        yield f"multiplier {k + 1}", shown_complex(multiplier, certificate.multiplier_error, 7), "1"
     work = certificate.energies.get("input_work")
     if work is not None:
         yield "input work per period", f"{work:.9g}", energy_unit
@@ -217,7 +223,7 @@ def print_certificate(certificate: OrbitCertificate) -> None:
     sizes, margins = certificate.residuals, certificate.margins
     residual_columns: list[Column[str]] = [
         name_column("residual", lambda name: name),
-        number_column("size", lambda name: f"{sizes[name]:.1e}"),
+        number_column("size", lambda name: shown_size(sizes[name])),
         text_column("passed", lambda name: sizes[name] <= certificate.tolerance),
         text_column("holds if zero", lambda name: RESIDUALS[name]),
     ]
@@ -238,21 +244,21 @@ def print_certificate(certificate: OrbitCertificate) -> None:
         order = certificate.delta_order
         none = "none, no cut has a larger error than the integration"
         seen = f"{order:.2f}" if math.isfinite(order) else none
-        print_text(f"Observed order of the cut's error: {seen} (theory: 3)")
+        print_lines([f"Observed order of the cut's error: {seen} (theory: 3)"])
     point = "none, the section is a point" if certificate.stable else "unknown"
-    multipliers = ", ".join(map(_complex, certificate.multipliers)) or point
-    print_text(
-        f"Floquet multipliers: {multipliers} (+- {certificate.multiplier_error:.0e})",
-        f"Estimated error of the integration: {certificate.integration_error:.0e}, "
-        f"of the Zeno limit in addition: {certificate.zeno_error:.0e}",
+    error = certificate.multiplier_error
+    known = [shown_complex(value, error, 7) for value in certificate.multipliers]
+    multipliers = ", ".join(known) or point
+    print_lines(
+        [
+            f"Floquet multipliers: {multipliers} (+- {error:.0e})",
+            f"Estimated error of the integration: {certificate.integration_error:.0e}, "
+            f"of the Zeno limit in addition: {certificate.zeno_error:.0e}",
+        ]
     )
 
 
 def print_verdict(certificate: OrbitCertificate) -> None:
     """Print yes or no."""
     colour = "green" if certificate.passed else "red"
-    plain_console().print(certificate.verdict(), style=colour, soft_wrap=True)
-
-
-def _complex(value: complex) -> str:
-    return f"{value.real:.7g}" if value.imag == 0.0 else f"{value.real:.7g} {value.imag:+.7g} i"
+    print_lines([certificate.verdict()], style=colour)

@@ -1,4 +1,4 @@
-"""Progress of long work on standard error."""
+"""Progress of long work where a person watches: on standard error, or below a notebook's cell."""
 
 from __future__ import annotations
 
@@ -7,14 +7,20 @@ import sys
 import time
 from collections.abc import Callable
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 _PATIENCE = 1.0
 """Work shorter than this prints nothing [s]."""
 _TELLING = 2.0
 """Time in a stage before its pace tells how long it will take [s]."""
+_ANEW = 0.5
+"""A part that falls below this much of the last one belongs to another stage."""
+_TOLD, _LATE = 0.01, 60.0
+"""A part below this tells it later, as workers take their time to start [s]."""
 _RARER = 0.1
 """A file gets no more lines than one in this part of the time so far."""
+_SILENCE = 2.0
+"""A line that says nothing new waits in a file until so many times as long has passed."""
 
 
 class _TimeLeft:
@@ -33,11 +39,12 @@ class _TimeLeft:
             now: Time since the start [s].
             part: The part of the stage that is done, in [0, 1]; the next stage begins with less.
         """
-        if part < self._part:
-            self._began, self._left = now, math.inf
-        self._part = part
+        if part < _ANEW * self._part:
+            self._began, self._left, self._part = now, math.inf, part
+        # Work that is found to be more than was thought is no new stage.
+        self._part = part = max(part, self._part)
         passed = now - self._began
-        if part > 0.0 and passed >= _TELLING:
+        if part > 0.0 and passed >= (_TELLING if part >= _TOLD else _LATE):
             self._left = min(self._left, passed * (1.0 - part) / part)
         return self._left
 
@@ -63,6 +70,7 @@ class ProgressLine:
         self._started = time.perf_counter()
         self._said = -_PATIENCE
         self._left = _TimeLeft()
+        self._done: tuple[str, str] = ("", "")
         self._terminal = sys.stderr.isatty()
         self._width = 0
 
@@ -92,10 +100,11 @@ class ProgressLine:
         pause = 0.1 if self._terminal else max(_PATIENCE, _RARER * elapsed)
         if elapsed < _PATIENCE or elapsed - self._said < pause:
             return
-        self._said = elapsed
-        line = f"{elapsed:6.1f} s  {stage}"
-        if part is not None and part > 0.0:
-            line += f"  {100 * part:3.0f} %"
+        done = (stage, f"  {100 * part:3.0f} %" if part else "")
+        if not self._terminal and done == self._done and elapsed < _SILENCE * self._said:
+            return
+        self._said, self._done = elapsed, done
+        line = f"{elapsed:6.1f} s  {''.join(done)}"
         if left < math.inf:
             line += f", about {_duration(left)} left"
         self._show(line)
@@ -112,3 +121,35 @@ class ProgressLine:
         if self._width:
             sys.stderr.write("\r" + " " * self._width + "\r")
             sys.stderr.flush()
+
+
+class NotebookLine(ProgressLine):
+    """Show progress reports below the cell of a notebook, as one line that disappears at the end.
+
+    Args:
+        display: IPython's function of this name.
+    """
+
+    def __init__(self, display: Any) -> None:
+        super().__init__(lambda: None)
+        self._terminal = True
+        self._display = display
+        self._handle: Any = None
+
+    def _show(self, line: str) -> None:
+        if self._handle is None:
+            self._handle = self._display({"text/plain": line}, raw=True, display_id=True)
+        else:
+            self._handle.update({"text/plain": line}, raw=True)
+
+    def _clear(self) -> None:
+        if self._handle is not None:
+            self._handle.update({"text/plain": ""}, raw=True)
+
+
+def line_for_watcher() -> ProgressLine | None:
+    """Return where to show progress unasked: a notebook or a terminal; None if nobody watches."""
+    ipython: Any = sys.modules.get("IPython")
+    if ipython is not None and getattr(ipython.get_ipython(), "kernel", None) is not None:
+        return NotebookLine(ipython.display.display)
+    return ProgressLine(lambda: None) if sys.stderr.isatty() else None

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from zeno_orbits.errors import counted
 from zeno_orbits.report.table import Column, number_column, text_column
-from zeno_orbits.report.terminal.console import print_lines, print_table, print_text
+from zeno_orbits.report.terminal.console import print_lines, print_table
 
 if TYPE_CHECKING:
     from zeno_orbits.search import Candidate, SearchResult, StartAttempt
@@ -28,12 +28,13 @@ def print_search(result: SearchResult) -> None:
         ]
         print_table(columns, result.attempts)
     if result.orbit is not None:
-        print_text(
+        found = (
             f"Program: {counted(result.n_unknowns, 'unknown')}, "
             f"{counted(result.iterations, 'iteration')}, {result.solve_time:.3f} s; it agrees "
             f"with a simulation to {result.agreement:.0e}, its Zeno closure to "
             f"{result.closure_error:.0e}. Search: {result.wall_time:.1f} s."
         )
+        print_lines([found])
 
 
 def print_candidates(result: SearchResult) -> None:

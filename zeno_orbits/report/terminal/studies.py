@@ -1,21 +1,67 @@
-"""Tables of many motions or orbits: work-precision measurements, maps and families."""
+"""Tables of many motions or orbits: reduced models, work-precision measurements, maps, families."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from zeno_orbits.errors import counted
-from zeno_orbits.report.table import Column, number_column, text_column
+from zeno_orbits.report.table import (
+    Column,
+    name_column,
+    number_column,
+    shown_complex,
+    shown_size,
+    text_column,
+)
 from zeno_orbits.report.terminal.console import print_lines, print_table
 
 if TYPE_CHECKING:
     from zeno_orbits.continuation import Continuation, Family, SpecialCurve, SpecialPoint
     from zeno_orbits.maps import Attractor, ParameterMap
-    from zeno_orbits.precision import Trial, WorkPrecision
+    from zeno_orbits.precision import ReductionCost, Trial, WorkPrecision
 
+_ROUNDING = 1e-12
+"""A multiplier of a family below this is that of its rounding."""
 _ACCURACIES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
+
+
+def print_reduction_costs(costs: Sequence[ReductionCost]) -> None:
+    """Print the relative errors that the reduced models of a problem make in an orbit."""
+    columns: list[Column[tuple[ReductionCost, str]]] = [
+        name_column("reduced model", lambda row: _if_first(row, row[0].problem)),
+        text_column(
+            "states", lambda row: _if_first(row, f"{row[0].n_states} of {row[0].n_full_states}")
+        ),
+        text_column("error of", lambda row: row[1].replace("_", " ")),
+        number_column("estimate", lambda row: f"{row[0].estimate[row[1]]:.1e}"),
+    ]
+    if any(cost.measured for cost in costs):
+        columns.append(number_column("measured", _measured))
+    print_table(columns, _landmarks(costs))
+    cost = costs[0]
+    print_lines(
+        [
+            f"Relative errors. The currents settle in {cost.layer:.3g} s; the motion changes at "
+            f"{cost.rate:.3g} 1/s."
+        ]
+    )
+
+
+def _landmarks(costs: Sequence[ReductionCost]) -> Iterator[tuple[ReductionCost, str]]:
+    return ((cost, name) for cost in costs for name in cost.estimate)
+
+
+def _if_first(row: tuple[ReductionCost, str], text: str) -> str:
+    """Return a text in the first row of a model only."""
+    cost, name = row
+    return text if name == next(iter(cost.estimate)) else ""
+
+
+def _measured(row: tuple[ReductionCost, str]) -> str:
+    cost, name = row
+    return f"{cost.measured[name]:.1e}" if cost.measured else ""
 
 
 def print_trade(trade: WorkPrecision) -> None:
@@ -36,7 +82,7 @@ def print_trade(trade: WorkPrecision) -> None:
         text_column("cheapest setting", lambda row: _setting(row[1])),
         number_column("value", lambda row: f"{row[1].value:.0e}" if row[1] else ""),
         number_column("time [ms]", lambda row: _milliseconds(row[1]) if row[1] else ""),
-        number_column("error", lambda row: f"{row[1].error:.1e}" if row[1] else ""),
+        number_column("error", lambda row: shown_size(row[1].error) if row[1] else ""),
     ]
     print_table(cheapest, [(accuracy, trade.cheapest(accuracy)) for accuracy in _ACCURACIES])
     print_lines(
@@ -59,7 +105,7 @@ def _milliseconds(trial: Trial) -> str:
 def _error_of(trial: Trial) -> str:
     if trial.trouble:
         return "-"
-    return f"{trial.error:.1e}" if trial.error < math.inf else "another motion"
+    return shown_size(trial.error) if trial.error < math.inf else "another motion"
 
 
 def _setting(trial: Trial | None) -> str:
@@ -130,4 +176,4 @@ def _cusp(boundary: SpecialCurve, place: int) -> str:
 
 
 def _short(value: complex) -> str:
-    return f"{value.real:.5g}" if value.imag == 0.0 else f"{value.real:.5g} {value.imag:+.5g} i"
+    return shown_complex(value, _ROUNDING, 5)

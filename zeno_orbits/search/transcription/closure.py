@@ -9,8 +9,7 @@ import numpy as np
 
 from zeno_orbits.model import HybridDynamics
 from zeno_orbits.orbits import Cycle
-from zeno_orbits.simulation import Impact, TailEstimate
-from zeno_orbits.simulation.zeno_limit import estimate_tail, extrapolate, spread_nodes
+from zeno_orbits.simulation import Impact, TailEstimate, estimate_tail, extrapolate, spread_nodes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -21,14 +21,13 @@ from zeno_orbits.orbits import Bound
 from zeno_orbits.search.transcription.arc import CollocatedArc
 from zeno_orbits.search.transcription.spectral_radius import keep_radius_below
 from zeno_orbits.search.transcription.transcribe import OrbitTerms
-from zeno_orbits.simulation import signal, signal_names
-from zeno_orbits.simulation.signals import Signal, peaks
+from zeno_orbits.simulation import Signal, peaks, signal, signal_names
 
 RADIUS_SLACK = 1e-7
 """By how much less a spectral radius is asked of the program: what its mesh may be wrong by."""
 
 
-def numbers(terms: OrbitTerms, name: str) -> list[ca.MX]:
+def named_numbers(terms: OrbitTerms, name: str) -> list[ca.MX]:
     """Return a number of the whole orbit by its name in `measures.NUMBERS`: one a phase, if so.
 
     What is measured of an orbit of several phases is the least of them.
@@ -129,7 +128,7 @@ def keep(terms: OrbitTerms, bound: Bound, slack: ca.MX | float = 0.0) -> float:
                 offset = -sign * end + slack * size
                 _hold(terms, _label(bound, sign), quantity, columns, sign, offset, size)
         return size
-    values = numbers(terms, bound.name)
+    values = named_numbers(terms, bound.name)
     if len(values) > 1 and math.isfinite(bound.upper):
         wanted = f"must bound `{bound.name}` from below only for the shape `{terms.shape.text}`"
         raise InputError(f"Argument `keep` {wanted}, but it has {bound.text}.")

@@ -85,22 +85,24 @@ class Batch:
             self._transitions.admit(rows, x)
         return rows
 
-    def start_released(
+    def resume(
         self, p: Vector, x: Vector, tolerance: float, until: Vector, *, n_followers: int
     ) -> Rows:
-        """Start lanes from release states, the first of each `n_followers + 1` the leader.
+        """Start lanes from states on the stop, the first of each `n_followers + 1` the leader.
+
+        A motion goes on from there as it does after a release, or after an impact that may be
+        followed by slower ones of the same sequence.
 
         Args:
             p: Gains and parameters, ``(n, n_p)``.
-            x: Release states, ``(n, n_x)``.
+            x: States at a release or just after an impact, ``(n, n_x)``.
             tolerance: Local error allowed.
             until: When they end [s], ``(n,)``.
             n_followers: Lanes that follow each leader.
         """
         rows = self._take(p, tolerance, until, n_followers + 1)
         with np.errstate(all="ignore"):
-            time, unit = np.zeros(len(rows)), np.ones(len(rows))
-            self._transitions.begin(rows, FREE, time, x, unit, on_guard=True)
+            self._transitions.resume(rows, x)
         return rows
 
     def stop(self, lanes: Sequence[int]) -> None:
@@ -188,13 +190,8 @@ class Batch:
         looked = true_rows(wanted & may_fall(size, before, guard, on_guard))
         falls = np.full(len(rows), np.nan)
         if len(looked):
-            falls[looked] = first_falls(
-                lambda at, offset: start.steps(looked[at], offset)[2],
-                size[looked],
-                before[looked],
-                guard[looked],
-                on_guard[looked],
-            )
+            step = (size[looked], before[looked], guard[looked], on_guard[looked])
+            falls[looked] = start.falls(looked, *step)
         return falls
 
     def _go_on(self, mode: int, rows: Rows, after: Vector, guard: Vector, size: Vector) -> None:
@@ -263,9 +260,9 @@ class Batch:
             x[:, :, model.clock] = _turned(x[:, 0, model.clock], turn)
             step = turn[1] / self._clock_rate(mode, rows)
         flat = x.reshape(-1, model.n_x)
-        rates = flow.rate(flat, p)[:, : 2 * model.n_q].reshape(len(rows), n_phases, -1)
-        zero = self.settings.contact * model.own.rates(model.n_q)
-        rests = is_still(rates, lanes.largest_rate[rows], zero)
+        rates = flow.rate(flat, p)[:, model.moving].reshape(len(rows), n_phases, -1)
+        zero = self.settings.contact * model.own.rates(model.n_q, model.n_x)[model.moving]
+        rests = is_still(rates, lanes.largest_rate[rows][:, model.moving], zero)
         if mode == LOCKED and n_phases > 1:
             guard = flow.guard(flat, p).reshape(len(rows), n_phases, 2)
             rests &= keeps_holding(guard[:, :, 0], guard[:, :, 1], step)
@@ -298,6 +295,21 @@ class _Start:
     def steps(self, at: Rows | slice, size: Vector) -> tuple[Vector, Vector, Vector]:
         """Return states, errors and guards after steps of some of the lanes."""
         return self.flow.attempt(self.y[at], self.p[at], size, self.tolerance[at])
+
+    def falls(
+        self, lanes: Rows, size: Vector, before: Vector, after: Vector, on_guard: Mask
+    ) -> Vector:
+        """Return where in their steps the guards of some of the lanes fall, NaN elsewhere."""
+        told = on_guard.astype(np.float64)
+        numbers = np.column_stack([size, self.tolerance[lanes], told, before, after])
+        falls = self.flow.falls(self.y[lanes], self.p[lanes], numbers)
+        if falls is not None:
+            return falls
+
+        def dense(at: Rows, offset: Vector) -> Vector:
+            return self.steps(lanes[at], offset)[2]
+
+        return first_falls(dense, size, before, after, on_guard)
 
 
 def _followed(start: _Start, lanes: Rows, offset: Vector) -> Vector:

@@ -49,7 +49,7 @@ class Lanes:
         struck: Gap rate before the first of them; negative.
         zeno_time: Time of the last Zeno point since then [s]; NaN without.
         zeno_acceleration: Gap acceleration there.
-        largest_rate: Largest rate of each coordinate and velocity at the starts of its legs.
+        largest_rate: Largest rate of each state at the starts of its legs, ``(n_lanes, n_x)``.
         reach: Largest modulus of each coordinate in the first half of its time.
     """
 
@@ -120,7 +120,7 @@ def empty_lanes(n_lanes: int, n_x: int, n_q: int, n_p: int) -> Lanes:
         struck=zeros(),
         zeno_time=zeros(),
         zeno_acceleration=zeros(),
-        largest_rate=np.zeros((n_lanes, 2 * n_q)),
+        largest_rate=np.zeros((n_lanes, n_x)),
         reach=np.zeros((n_lanes, n_q)),
         free_slots=list(range(n_lanes))[::-1],
     )

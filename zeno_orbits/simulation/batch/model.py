@@ -5,18 +5,20 @@ A CasADi function for many rows at once: what each row gets does not depend on t
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import accumulate, pairwise
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators import overflow, rosenbrock_step
-from zeno_orbits.kernels import Kernels, KernelSource, Recipe
+from zeno_orbits.integrators import fall_source, overflow, rosenbrock_step
+from zeno_orbits.kernels import Kernels, KernelSource, Recipe, address_of
 from zeno_orbits.model import (
     USUAL,
     CompiledSystem,
@@ -44,6 +46,7 @@ class BatchFlow:
         self._rate = Columns(mode.rate, kernels, f"zk_{name}")
         self._guard = Columns(mode.guard, kernels, f"zk_{mode.guard.name()}")
         self._step = Columns(_step_function(mode, absolute), kernels, f"zk_{name}_step")
+        self._kernels, self._kernel = kernels, f"zk_{name}_step"
 
     def rate(self, y: Vector, p: Vector) -> Vector:
         """Return ``dy/dt``, ``(n, n_y)``."""
@@ -68,6 +71,26 @@ class BatchFlow:
         numbers[:, 0], numbers[:, 1] = size, tolerance
         after, error, guard = self._step(y, p, numbers)
         return after, error[:, 0], guard
+
+    def falls(self, y: Vector, p: Vector, numbers: Vector) -> Vector | None:
+        """Return what `first_falls` does, ``(n,)``, from compiled code, if there is any by now.
+
+        Args:
+            y: States before the steps, ``(n, n_y)``.
+            p: Parameters, ``(n, n_p)``.
+            numbers: Size, tolerance, 1 on the guard, then guard and rate at the start and at the
+                end, ``(n, 7)``.
+        """
+        library = self._kernels.library()
+        if library is None:
+            return None
+        falls = np.empty(len(y))
+        # Kept by name until the call is over.
+        kept = (*map(np.ascontiguousarray, (y, p, numbers)), np.empty(self.n_y), falls)
+        sizes = [ctypes.c_longlong(size) for size in (len(y), self.n_y, p.shape[1])]
+        places = [ctypes.c_void_p(address_of(array)) for array in kept]
+        library.function("zk_falls")(library.address(self._kernel), *sizes, *places)
+        return falls
 
 
 def _step_function(mode: ModeFunctions, absolute: float) -> ca.Function:
@@ -130,6 +153,11 @@ class BatchModel:
         """Number of states."""
         return len(self.state_names)
 
+    @property
+    def moving(self) -> list[int]:
+        """Places of all states but the clock: of those that stand still where a motion rests."""
+        return [k for k in range(self.n_x) if k not in self.clock]
+
 
 def batch_model(compiled: CompiledSystem, own: OwnScale = USUAL) -> BatchModel:
     """Return the functions of a compiled problem for many rows.
@@ -186,7 +214,9 @@ def batch_kernels(functions: Sequence[ca.Function], numbers: Sequence[float]) ->
     modes = [ModeFunctions(rate=rate, guard=guard) for rate, guard in pairs]
     named = {function.name(): function for function in functions}
     named |= {f"{mode.rate.name()}_step": _step_function(mode, numbers[0]) for mode in modes}
-    return KernelSource(functions=[renamed(one, f"zk_{name}") for name, one in named.items()])
+    code = Path(__file__).with_name("falls.c").read_text(encoding="utf-8")
+    functions = [renamed(one, f"zk_{name}") for name, one in named.items()]
+    return KernelSource(functions=functions, code=fall_source() + code)
 
 
 @lru_cache(maxsize=4)

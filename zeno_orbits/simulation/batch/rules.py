@@ -128,8 +128,7 @@ class Transitions:
         ratio = np.max(np.abs(slope / (self.model.absolute + np.abs(y))), axis=1)
         own_time = self.model.own.time / unit
         size = np.where(ratio * own_time > _HARDLY, 0.01 / ratio, _FIRST * own_time)
-        n_q = self.model.n_q
-        rate = np.abs(slope[:, : 2 * n_q]) / np.reshape(unit, (-1, 1))
+        rate = np.abs(slope[:, : self.model.n_x]) / np.reshape(unit, (-1, 1))
         lanes.largest_rate[rows] = np.fmax(lanes.largest_rate[rows], rate)
         lead = self.lead(rows)
         lanes.size[rows] = size[lead]
@@ -169,6 +168,18 @@ class Transitions:
         self._hit(rows[down], time[down], x[down], rate[down])
         still = well & (gap <= small) & (np.abs(rate) <= small_rate)
         self._rest(rows[still], time[still], x[still])
+
+    def resume(self, rows: Rows, x: Vector) -> None:
+        """Start lanes at time 0 at a release, or in a sequence of impacts, just after one."""
+        p = self.lanes.p[rows, :-1]
+        rate = self.model.contact(x, p)[0][:, GAP_RATE]
+        flies = (rate > self.settings.contact * self.model.own.gap_rate)[self.lead(rows)]
+        time, unit = np.zeros(len(rows)), np.ones(len(rows))
+        at = ~flies
+        self.begin(rows[at], FREE, time[at], x[at], unit[at], on_guard=True)
+        state, acceleration, flow = self.model.resting(x[flies], p[flies])
+        resting = state, acceleration[:, 0], flow
+        self._accumulate(rows[flies], time[flies], x[flies], rate[flies], resting)
 
     def arrive(self, mode: int, rows: Rows, time: Vector, y: Vector, guard: Vector) -> None:
         """Apply the event that the fall of a guard means.

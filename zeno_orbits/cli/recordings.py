@@ -1,4 +1,4 @@
-"""The command `identify`."""
+"""The commands about recordings of a machine: `compare` and `identify`."""
 
 from __future__ import annotations
 
@@ -8,11 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zeno_orbits.cli.options import (
+    NO,
     YES,
     add_command,
     add_gains,
+    add_orbit,
     add_problem,
     add_recording,
+    orbit_and_problem,
     print_json,
     require_outputs,
     say_written,
@@ -23,8 +26,62 @@ from zeno_orbits.cli.parsing import Fit, read_fit
 from zeno_orbits.report import terminal as report
 
 if TYPE_CHECKING:
-    from zeno_orbits.experiment import Unknown
+    from zeno_orbits.experiment import Recording, Unknown
     from zeno_orbits.model import ParameterValues, Problem
+
+
+def add_compare(commands: Any) -> None:
+    """Add the command `compare`."""
+    parser = add_command(
+        commands,
+        "compare",
+        _run_compare,
+        "compare a recording of signals over time with an orbit; exit code 1 if the recording "
+        "does not show the orbit",
+        [
+            "zeno-orbits compare orbit.json data.csv --from 5 --picture compared.png",
+            "zeno-orbits compare orbit.json data.csv --from 5 --json",
+        ],
+    )
+    add_orbit(parser)
+    add_recording(parser)
+    parser.add_argument("--picture", type=Path, help="draw the recording over the orbit here")
+
+
+def _run_compare(options: argparse.Namespace) -> int:
+    from zeno_orbits.experiment import compare
+
+    require_outputs(options, files=(), reads=[options.orbit, options.data])
+    orbit, problem = orbit_and_problem(options)
+    with report.ProgressLine(options.interrupts.check) as progress:
+        recording = _recording(options, problem, progress)
+        progress("comparing")
+        found = compare(orbit, problem, recording)
+    picture: Path | None = options.picture
+    drawn = [] if picture is None or found.deviations is None else [picture]
+    for path in drawn:
+        from zeno_orbits.report import plots
+
+        plots.save_figure(plots.plot_comparison(problem, found), path)
+    if options.json:
+        print_json(found.as_json())
+    else:
+        report.print_comparison(found)
+        say_written(options, drawn)
+        if picture is not None and not drawn:
+            report.print_lines(["Nothing was drawn: the recording cannot be laid over the orbit."])
+    return YES if found.agrees else NO
+
+
+def _recording(
+    options: argparse.Namespace, problem: Problem, progress: report.ProgressLine
+) -> Recording:
+    """Return the part of the recording that counts."""
+    from zeno_orbits.experiment import cut, measurable, read_recording
+
+    progress("reading the recording")
+    recording = read_recording(options.data, only=tuple(measurable(problem)))
+    return cut(recording, options.since, options.to)
 
 
 def add_identify(commands: Any) -> None:
@@ -59,7 +116,7 @@ def add_identify(commands: Any) -> None:
 
 
 def _run_identify(options: argparse.Namespace) -> int:
-    from zeno_orbits.experiment import cut, identify, measurable, read_recording
+    from zeno_orbits.experiment import identify
     from zeno_orbits.model import load_problem
     from zeno_orbits.orbits import write_orbit
 
@@ -68,9 +125,7 @@ def _run_identify(options: argparse.Namespace) -> int:
     unknowns = _unknowns(problem, values, options.fit)
     require_outputs(options, files=("output", "orbit"), pictures=(), reads=[options.data])
     with report.ProgressLine(options.interrupts.check) as progress:
-        progress("reading the recording")
-        recording = read_recording(options.data, only=tuple(measurable(problem)))
-        recording = cut(recording, options.since, options.to)
+        recording = _recording(options, problem, progress)
         found = identify(problem, values, recording, unknowns, on_progress=progress)
     if options.output is not None:
         write_json(found, options.output)

@@ -1,9 +1,9 @@
-"""The command `trade`."""
+"""The commands about what accuracy costs: `fidelity` and `trade`."""
 
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +14,50 @@ from zeno_orbits.cli.options import (
     add_problem,
     add_start,
     hand_out,
+    print_json,
     require_outputs,
     start_of,
     values_of,
 )
 from zeno_orbits.cli.parsing import read_number
+from zeno_orbits.errors import InputError
 from zeno_orbits.report import terminal as report
+
+
+def add_fidelity(commands: Any) -> None:
+    """Add the command `fidelity`."""
+    parser = add_command(
+        commands,
+        "fidelity",
+        _run_fidelity,
+        "estimate the error of a problem's reduced models, before one is used",
+        [
+            "zeno-orbits fidelity motor_pendulum",
+            "zeno-orbits fidelity motor_pendulum --set L=0.02 --measure --json",
+        ],
+    )
+    add_problem(parser)
+    add_gains(parser)
+    parser.add_argument(
+        "--measure", action="store_true", help="also find the full problem's orbit, and compare"
+    )
+
+
+def _run_fidelity(options: argparse.Namespace) -> int:
+    from zeno_orbits.model import load_problem
+    from zeno_orbits.precision import reduction_costs
+
+    problem = load_problem(options.problem)
+    values = values_of(problem, options)
+    if not problem.fidelities:
+        message = f"must have reduced models, but `{problem.name}` has none"
+        raise InputError(f"Argument `problem` {message}.")
+    costs = list(reduction_costs(problem, values, measure=options.measure).values())
+    if options.json:
+        print_json([asdict(cost) for cost in costs])
+    else:
+        report.print_reduction_costs(costs)
+    return YES
 
 
 def add_trade(commands: Any) -> None:

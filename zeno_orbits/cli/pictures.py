@@ -1,4 +1,4 @@
-"""The command `figures`."""
+"""The commands that draw an orbit: `plot` and `figures`."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from zeno_orbits.cli.options import (
     YES,
     add_command,
+    add_orbit,
     add_problem_file,
     orbit_and_problem,
     print_json,
@@ -23,9 +24,79 @@ if TYPE_CHECKING:
     from zeno_orbits.experiment import Counterpart
     from zeno_orbits.model import Problem
     from zeno_orbits.orbits import ZenoOrbit
-    from zeno_orbits.report.plots.paper_figures import Material
+    from zeno_orbits.report import plots
 
-_KINDS = ("graph", "region", "portraits", "beside", "animation")
+_PICTURES = ("portraits", "time", "outputs", "zeno", "region")
+_FIGURES = ("graph", "region", "portraits", "beside", "animation")
+
+
+def add_plot(commands: Any) -> None:
+    """Add the command `plot`."""
+    parser = add_command(
+        commands,
+        "plot",
+        _run_plot,
+        "draw an orbit",
+        [
+            "zeno-orbits plot orbit.json -o pictures",
+            "zeno-orbits plot orbit.json --kind portraits --format pdf",
+        ],
+    )
+    add_orbit(parser)
+    parser.add_argument(
+        "--kind",
+        action="append",
+        choices=_PICTURES,
+        help="picture to draw: phase portraits, states over time, outputs over time, zoom into "
+        "the Zeno point, region d2h/dt2 < 0; may be repeated; by default all that the problem has",
+    )
+    parser.add_argument("--format", choices=("png", "pdf", "svg"), default="png")
+    parser.add_argument(
+        "--periods", type=read_count, default=1, metavar="N", help="periods to draw"
+    )
+    parser.add_argument("-o", "--output", type=Path, default=Path(), help="folder for the pictures")
+
+
+def _run_plot(options: argparse.Namespace) -> int:
+    from zeno_orbits.report import motion_of, plots
+    from zeno_orbits.verification import problem_dynamics
+
+    orbit, problem = orbit_and_problem(options)
+    dynamics = problem_dynamics(orbit, problem)
+    require_folder(options.output)
+    execution = motion_of(orbit, problem, dynamics, periods=options.periods)
+    draw = {
+        "portraits": lambda: plots.plot_portraits(problem, execution),
+        "time": lambda: plots.plot_time_series(problem, execution),
+        "outputs": lambda: plots.plot_outputs(problem, orbit.values(problem), execution),
+        "zeno": lambda: plots.plot_zeno_zoom(problem, execution, dynamics),
+        "region": lambda: plots.plot_zeno_region(problem, dynamics, execution),
+    }
+    rests = orbit.shape.starts_at_release
+    has = {
+        "outputs": bool(problem.outputs),
+        "zeno": rests,
+        "region": rests and plots.has_zeno_region(dynamics),
+    }
+    kinds = options.kind or [kind for kind in _PICTURES if has.get(kind, True)]
+    if "outputs" in kinds and not problem.outputs:
+        raise InputError(
+            f"Argument `kind` must be a picture that `{problem.name}` has, but it has no outputs."
+        )
+    if not rests and {"zeno", "region"} & {*kinds}:
+        wanted = "must be a picture of an orbit without a Zeno point"
+        raise InputError(f"Argument `kind` {wanted}, but it is `zeno` or `region`.")
+    # One that cannot be drawn leaves none behind.
+    files = {
+        f"{kind}.{options.format}": plots.rendered(draw[kind](), options.format) for kind in kinds
+    }
+    write_all(options.output, files)
+    paths = [options.output / name for name in files]
+    if options.json:
+        print_json({"pictures": [str(path) for path in paths]})
+    else:
+        say_written(options, paths)
+    return YES
 
 
 def add_figures(commands: Any) -> None:
@@ -51,7 +122,7 @@ def add_figures(commands: Any) -> None:
     parser.add_argument(
         "--kind",
         action="append",
-        choices=_KINDS,
+        choices=_FIGURES,
         help="figures to draw: the system and its completion as graphs, the region d2h/dt2 < 0, "
         "phase portraits, five figures of the model beside the virtual rig, the machine in motion; "
         "may be repeated; by default all that the problem has",
@@ -73,7 +144,7 @@ def add_figures(commands: Any) -> None:
 
 
 def _run_figures(options: argparse.Namespace) -> int:
-    from zeno_orbits.report.plots.paper_figures import PAPER
+    from zeno_orbits.report import plots
 
     require_folder(options.output)
     if options.data is not None and options.kind and "beside" not in options.kind:
@@ -84,10 +155,10 @@ def _run_figures(options: argparse.Namespace) -> int:
     left_out: dict[str, str] = {}
     with report.ProgressLine(options.interrupts.check) as progress:
         material = _material(options, progress)
-        for kind in dict.fromkeys(asked or _KINDS):
+        for kind in dict.fromkeys(asked or _FIGURES):
             progress(f"drawing: {kind}")
             try:
-                files |= PAPER[kind](material)
+                files |= plots.PAPER[kind](material)
             except (InputError, SimulationError) as error:
                 # What was asked for by name has to be there.
                 if kind in wanted:
@@ -105,9 +176,8 @@ def _run_figures(options: argparse.Namespace) -> int:
     return YES
 
 
-def _material(options: argparse.Namespace, progress: report.ProgressLine) -> Material:
-    from zeno_orbits.report import motion_of
-    from zeno_orbits.report.plots.paper_figures import Material
+def _material(options: argparse.Namespace, progress: report.ProgressLine) -> plots.Material:
+    from zeno_orbits.report import motion_of, plots
     from zeno_orbits.verification import problem_dynamics
 
     orbit, problem = _orbit_and_problem(options, progress)
@@ -118,8 +188,9 @@ def _material(options: argparse.Namespace, progress: report.ProgressLine) -> Mat
         raise InputError(f"Argument `orbit` {message}; see `verify`.")
 
     def other() -> Counterpart:
-        from zeno_orbits.experiment import measurable, read_recording
-        from zeno_orbits.experiment.comparison.counterpart import (
+        from zeno_orbits.experiment import (
+            measurable,
+            read_recording,
             recording_counterpart,
             rig_counterpart,
         )
@@ -130,7 +201,7 @@ def _material(options: argparse.Namespace, progress: report.ProgressLine) -> Mat
             return recording_counterpart(recording, orbit, problem, count)
         return rig_counterpart(orbit, problem, count, on_progress=progress)
 
-    return Material(
+    return plots.Material(
         problem=problem,
         values=orbit.values(problem),
         dynamics=dynamics,

@@ -1,0 +1,111 @@
+"""No small change of a proof of some hundred inclusions is accepted that makes a claim false."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+import random
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import pytest
+
+import zeno_orbits as zo
+from tests.support.certificates import mutate
+from zeno_orbits.errors import InputError
+from zeno_orbits.proof import check_proof
+from zeno_orbits.proof.checker import certificate as judged
+
+pytest.importorskip("flint")
+pytestmark = pytest.mark.slow
+
+Certificate = dict[str, Any]
+STATEMENT = ("format", "kind", "problem", "digest", "parameters", "over", "gap_row", "section")
+
+
+@pytest.fixture(scope="module", params=["curved_surface", "torque_pendulum"])
+def certificate(request: pytest.FixtureRequest) -> Certificate:
+    """Return a proof of two passes and two coordinates, of a machine that is shaken once a turn."""
+    proof = zo.prove(zo.close_orbit(request.param).unwrap())
+    return json.loads(json.dumps(proof.certificate))
+
+
+@pytest.fixture(autouse=True)
+def remembered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Prove no record twice, and none after one that fails: a change concerns two of them."""
+    prove, known = judged._proved, dict[str, Any]()
+
+    def proved(system: Any, box: Any, tasks: Sequence[Any]) -> list[Any]:
+        numbers = (system.constants, system.unit, system.stop, len(system.z), box)
+        found: list[Any] = []
+        for task in tasks:
+            key = repr((numbers, task))
+            if key not in known:
+                known[key] = prove(system, box, [task])[0]
+            found.append(known[key])
+            if isinstance(known[key], str):
+                break
+        return [*found, *["not asked"] * (len(tasks) - len(found))]
+
+    monkeypatch.setattr(judged, "_proved", proved)
+    monkeypatch.setattr(judged, "_FEW", 10**6)
+
+
+def test_none_of_300_mutations_is_accepted_with_a_claim_that_is_false(
+    certificate: Certificate,
+) -> None:
+    assert check_proof(certificate).ok
+    chance, accepted = random.Random(3), 0
+    for _ in range(300):
+        mutant = copy.deepcopy(certificate)
+        mutate(mutant, chance)
+        if _accepted(mutant) and mutant != certificate:
+            accepted += 1
+            assert {k: mutant[k] for k in STATEMENT} == {k: certificate[k] for k in STATEMENT}
+            _require_true(mutant, certificate)
+    # Last digits of a set may change within its slack; most changes are refused.
+    assert accepted < 150
+
+
+def _accepted(mutant: Certificate) -> bool:
+    try:
+        return check_proof(mutant).ok
+    except InputError:
+        return False
+
+
+def _require_true(mutant: Certificate, original: Certificate) -> None:
+    names = [claim["name"] for claim in mutant["claims"]]
+    known = [claim["name"] for claim in original["claims"]]
+    assert set(names) <= set(known)
+    for claim in mutant["claims"]:
+        same = [
+            one
+            for one in original["claims"]
+            if (one["name"], one.get("which")) == (claim["name"], claim.get("which"))
+        ]
+        if "low" in claim:
+            assert any(_holds(claim, one) for one in same)
+        if claim["name"] == "period":
+            # The period is that of the shaking.
+            turn = 2 * math.pi / _value(mutant["parameters"]["omega"])
+            assert _value(claim["low"]) - 1e-15 <= turn <= _value(claim["high"]) + 1e-15
+        for disc, one in zip(claim.get("discs", ()), same[0].get("discs", ()), strict=True):
+            (x, y, r), (a, b, _) = map(_value, disc), map(_value, one)
+            assert math.hypot(x - a, y - b) <= r
+
+
+def _holds(claim: Mapping[str, Any], original: Mapping[str, Any]) -> bool:
+    """Return True if intervals hold the middles of others."""
+    ends = [_listed(one[end]) for one in (claim, original) for end in ("low", "high")]
+    return all(2 * a <= c + d <= 2 * b for a, b, c, d in zip(*ends, strict=True))
+
+
+def _listed(ends: Any) -> list[float]:
+    return [_value(text) for text in ([ends] if isinstance(ends, str) else ends)]
+
+
+def _value(text: str) -> float:
+    mantissa, exponent = text.replace("0x", "").split("p")
+    return int(mantissa, 16) * 2.0 ** int(exponent)
