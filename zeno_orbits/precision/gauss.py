@@ -15,7 +15,7 @@ Numbers are the midpoints of python-flint's balls: nothing is enclosed here.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import Any
@@ -116,7 +116,13 @@ def _legendre(x: Real, n: int) -> list[Real]:
 
 
 def _matrix(rows: Sequence[Sequence[Real]]) -> Any:
-    return arb_mat(len(rows), len(rows[0]), [x for row in rows for x in row])
+    return _filled(len(rows), [x for row in rows for x in row])
+
+
+def _filled(n_rows: int, entries: Iterable[Real]) -> Any:
+    """Return the matrix of some rows with these entries, row by row."""
+    listed = list(entries)
+    return arb_mat(n_rows, len(listed) // n_rows, listed)
 
 
 def _doubles(matrix: Any) -> Array:
@@ -281,14 +287,14 @@ class GaussFlow:
             return None
         rates, length, solve, scale = rough
         size = arb(length) if lands else size
-        base: Any = arb_mat(s + 1, 1, [1] * (s + 1)) * arb_mat(1, n, y)
-        fine: Any = arb_mat(s, n, [arb(x) for x in rates.ravel()])
+        base = _filled(s + 1, y * (s + 1))
+        fine = _filled(s, map(arb, rates.ravel()))
         before = None
         for _ in range(_ITERATIONS):
             moved = scheme.matrix * fine
             table = (base + moved * size).mid().table()
             found = [f for row in table[:-1] for f in self._rate([*row, *constants])[0]]
-            rest = (arb_mat(s, n, found) - fine).mid().entries()
+            rest = (_filled(s, found) - fine).mid().entries()
             if lands:
                 rest.append(-(moved[s, self.row] if y[self.row] == 0 else table[-1][self.row]))
             if not all(one.is_finite() for one in rest):
@@ -297,11 +303,11 @@ class GaussFlow:
             if largest == 0:
                 break
             change = solve(np.array([float(one / largest) for one in rest]))
-            fine = (fine + arb_mat(s, n, [arb(x) for x in change[: s * n]]) * largest).mid()
+            fine = (fine + _filled(s, map(arb, change[: s * n])) * largest).mid()
             if lands:
-                size = (size + arb(change[-1]) * largest).mid()
+                size = (size + largest * float(change[-1])).mid()
             relative = np.max(np.abs(change[: s * n].reshape(s, n)) / scale) * float(size)
-            now = arb(float(relative)) * largest
+            now = largest * float(relative)
             if before is not None:
                 if now * (now / before).min(arb(_GAIN)) < self._least / 16:
                     break
@@ -372,7 +378,7 @@ class GaussFlow:
             row[self.row] / (node**order * (1 - landed * node))
             for row, node in zip(step.states[:-1], step.scheme.nodes, strict=True)
         ]
-        series = (step.scheme.bernstein * arb_mat(len(values), 1, values)).entries()
+        series = (step.scheme.bernstein * _filled(len(values), values)).entries()
         largest = max(abs(one.mid()) for one in series)
         try:
             root = first_root(np.array([float(one / largest) for one in series]))

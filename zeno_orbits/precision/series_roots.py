@@ -8,6 +8,8 @@ too close to zero for its sign to be certain.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BPoly
@@ -47,16 +49,8 @@ def first_root(coefficients: Coefficients) -> float | None:
         if changes == 0 and (np.min(values) > noise or _leads_away(values, left)):
             continue
         if changes == 1 and values[-1] < 0.0:
-            piece = BPoly(values[:, None], [left, right])
-            return float(
-                brentq(
-                    lambda u, piece=piece: float(piece(u)),
-                    left,
-                    right,
-                    xtol=1e-300,
-                    rtol=4 * _ROUNDING,
-                )
-            )
+            piece, tight = BPoly(values[:, None], [left, right]), 4 * _ROUNDING
+            return float(brentq(_value, left, right, args=(piece,), xtol=1e-300, rtol=tight))
         middle = (left + right) / 2
         if right - left < 2.0**-_DEPTH:
             message = f"must have simple roots, but two meet near {middle:.6g}"
@@ -85,3 +79,7 @@ def _halves(values: Coefficients) -> tuple[Coefficients, Coefficients]:
         first.append(row[0])
         second.append(row[-1])
     return np.array(first), np.array(second[::-1])
+
+
+def _value(u: float, polynomial: Any) -> float:
+    return float(polynomial(u))
