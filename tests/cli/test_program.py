@@ -173,3 +173,19 @@ def test_an_interrupt_from_the_keyboard_ends_a_search_without_a_file(here: Path)
     assert rest.endswith("zeno-orbits: interrupted; nothing was written\n")
     assert "Traceback" not in rest
     assert contents(here) == {}
+
+
+def test_what_an_interrupt_leaves_half_done_is_told_as_an_interrupt(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def half_done(_: Any) -> None:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            # As a library does that is interrupted while it is imported.
+            raise AttributeError("module 'sympy' has no attribute 'core'") from None
+
+    monkeypatch.setattr("zeno_orbits.report.terminal.print_problems", half_done)
+    assert ask("problems") == Answer(
+        INTERRUPTED, "", "zeno-orbits: interrupted; nothing was written\n"
+    )

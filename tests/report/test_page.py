@@ -32,7 +32,7 @@ from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.orbit_file import read_orbit, write_orbit
 from zeno_orbits.precision.work_precision import Trial, WorkPrecision, read_work_precision
-from zeno_orbits.report.page import Subject, load_bundle, page_of, subject_of, words
+from zeno_orbits.report.page import Subject, load_bundle, page_of, words
 from zeno_orbits.report.page.page import commands_of, template_environment
 from zeno_orbits.report.page.plot_data import curves_of
 from zeno_orbits.search import find_orbit
@@ -75,15 +75,15 @@ def trade_of(problem: str) -> WorkPrecision:
 def subject(
     orbit: ZenoOrbit, problem: Problem, machine: HybridDynamics, certificate: OrbitCertificate
 ) -> Subject:
-    return subject_of(
-        orbit,
-        problem,
-        machine,
-        certificate,
+    return Subject(
+        orbit=orbit,
+        problem=problem,
+        dynamics=machine,
+        certificate=certificate,
         trade=trade_of("motor_pendulum"),
         content=json.dumps(orbit.as_json()),
         command=("zeno-orbits", "report", "orbit.json", "-o", "report.html"),
-    )
+    ).followed()
 
 
 @pytest.fixture(scope="module")
@@ -748,9 +748,10 @@ def test_pages_of_other_orbits_open_too(
     problem = load_problem(name)
     orbit = find_orbit(problem, problem.values(parameters=parameters)).unwrap()
     dynamics = problem_dynamics(orbit, problem)
-    subject = subject_of(orbit, problem, dynamics, verify(orbit, problem))
+    certificate = verify(orbit, problem)
+    subject = Subject(orbit=orbit, problem=problem, dynamics=dynamics, certificate=certificate)
     path = tmp_path / "report.html"
-    path.write_text(page_of(subject, load_bundle()), encoding="utf-8")
+    path.write_text(page_of(subject.followed(), load_bundle()), encoding="utf-8")
     browser.emulate(1100)
     browser.complaints()
     browser.open(path)

@@ -17,7 +17,7 @@ from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.precision.work_precision import Trial, WorkPrecision
-from zeno_orbits.report.page import Subject, load_bundle, page_of, subject_of
+from zeno_orbits.report.page import Subject, load_bundle, page_of
 from zeno_orbits.report.page.plot_data import curves_of
 from zeno_orbits.report.page.tables import tables_of, tiles_of
 from zeno_orbits.report.table import Table
@@ -60,7 +60,10 @@ def subject(
     )
     asked = {"quantity": "peak", "lower": None, "upper": 2.0, "lowest": 0.5, "highest": 1.5}
     listed = replace(orbit, certificate={"asked": [asked]}, versions={"numpy": "1.2"})
-    return subject_of(listed, problem, machine, told, trade=trade)
+    subject = Subject(
+        orbit=listed, problem=problem, dynamics=machine, certificate=told, trade=trade
+    )
+    return subject.followed()
 
 
 @pytest.fixture(scope="module")

@@ -590,11 +590,19 @@ def test_contours_of_a_map_lie_where_the_map_has_their_level() -> None:
 
 
 @pytest.mark.parametrize("width", [COLUMN_WIDTH, FULL_WIDTH])
-def test_labels_of_contours_keep_off_each_other(width: float) -> None:
-    figure = plot_map(sloping_map(20), width=width)
+@pytest.mark.parametrize("height", [None, -1.7, -1.48, -1.26])
+def test_labels_of_contours_keep_off_each_other_and_off_boundaries(
+    width: float, height: float | None
+) -> None:
+    curve = Boundary(name="fold", points=((0.0, height or 9.0), (9.0, height or 9.0)))
+    figure = plot_map(sloping_map(20), width=width, boundaries=[curve])
     figure.savefig(io.BytesIO(), format="png")
     renderer = FigureCanvasAgg(figure).get_renderer()
-    boxes = [text.get_window_extent(renderer) for text in figure.axes[0].texts]
+    (ax,) = figure.axes
+    boxes = [text.get_window_extent(renderer) for text in ax.texts]
     assert len(boxes) >= 6
     for k, box in enumerate(boxes):
         assert not any(box.overlaps(other) for other in boxes[k + 1 :])
+    for line in ax.lines:
+        _, at = ax.transData.transform((2.0, np.ravel(line.get_ydata())[0]))
+        assert not any(box.y0 <= at <= box.y1 for box in boxes)

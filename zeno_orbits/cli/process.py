@@ -99,10 +99,14 @@ class _Patient(io.TextIOBase):
 
 
 class Interrupts:
-    """Remember an interrupt for as long as the context lasts."""
+    """Remember an interrupt for as long as the context lasts.
+
+    Attributes:
+        seen: True if there was one.
+    """
 
     def __init__(self) -> None:
-        self._seen = False
+        self.seen = False
         self._before: Any = None
 
     def __enter__(self) -> Interrupts:
@@ -127,9 +131,9 @@ class Interrupts:
         Raises:
             KeyboardInterrupt: Once more, should the first have been lost.
         """
-        if self._seen:
+        if self.seen:
             raise KeyboardInterrupt
 
     def _see(self, _number: int, _frame: FrameType | None) -> None:
-        self._seen = True
+        self.seen = True
         raise KeyboardInterrupt

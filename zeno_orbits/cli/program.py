@@ -73,6 +73,9 @@ def _answer(options: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         return _interrupted()
     except Exception as error:
+        # What an interrupt leaves half done, an import for instance, fails afterwards.
+        if options.interrupts.seen:
+            return _interrupted()
         # The last line of defence against a raw traceback.
         if options.debug:
             raise

@@ -68,7 +68,7 @@ def add_report(commands: Any) -> None:
 
 
 def _run_report(options: argparse.Namespace) -> int:
-    from zeno_orbits.report import load_bundle, page_of, subject_of
+    from zeno_orbits.report import Subject, load_bundle, page_of
     from zeno_orbits.verification import VerificationSettings, problem_dynamics, verify
 
     given = (options.orbit, options.trade, options.proof)
@@ -87,11 +87,11 @@ def _run_report(options: argparse.Namespace) -> int:
             orbit, problem, settings=settings, dynamics=dynamics, on_progress=progress
         )
         progress("writing the page")
-        subject = subject_of(
-            orbit,
-            problem,
-            dynamics,
-            certificate,
+        subject = Subject(
+            orbit=orbit,
+            problem=problem,
+            dynamics=dynamics,
+            certificate=certificate,
             trade=trade,
             file=options.orbit.name,
             problem_file=options.problem or "",
@@ -100,7 +100,7 @@ def _run_report(options: argparse.Namespace) -> int:
             date=datetime.now(tz=UTC).date().isoformat(),
             proof=proved.verdict() if proved is not None and proved.ok else "",
         )
-        page = page_of(subject, bundle).encode()
+        page = page_of(subject.followed(), bundle).encode()
     write_whole(options.output, page)
     if options.json:
         print_json(certificate.as_json() | {"page": str(options.output), "bytes": len(page)})

@@ -4,7 +4,7 @@
 `table` says which column shows what, for terminal and page alike; `motion` simulates an orbit
 from its own numbers, and `zeno_neighbourhood` cuts out what leads to a Zeno point.
 
-Offers: `figure_of` (the picture of any result) and `save_figure`; `subject_of`, `load_bundle` and
+Offers: `figure_of` (the picture of any result) and `save_figure`; `Subject`, `load_bundle` and
 `page_of` (the page of an orbit); `ProgressLine` (the progress of long work in a terminal) and
 `line_for_watcher` (the same, or that of a notebook, if anybody watches).
 

@@ -1,7 +1,7 @@
 from .motion import motion_of as motion_of
+from .page import Subject as Subject
 from .page import load_bundle as load_bundle
 from .page import page_of as page_of
-from .page import subject_of as subject_of
 from .plots import figure_of as figure_of
 from .plots import save_figure as save_figure
 from .terminal import ProgressLine as ProgressLine

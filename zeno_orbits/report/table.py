@@ -5,9 +5,9 @@ The terminal and the page both print these; a new column is one entry of a list.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 Item = TypeVar("Item")
 
@@ -114,3 +114,17 @@ def table_of(caption: str, columns: Sequence[Column[Item]], items: Iterable[Item
     """
     rows = tuple(tuple(column.cell(item) for column in columns) for item in items)
     return Table(caption=caption, columns=tuple(columns), rows=rows)
+
+
+def _limit(value: object) -> str:
+    return f"{value:.8g}" if isinstance(value, int | float) else "-"
+
+
+BOUNDS: list[Column[Mapping[str, Any]]] = [
+    text_column("to be kept", lambda one: str(one.get("quantity", ""))),
+    number_column("from", lambda one: _limit(one.get("lower"))),
+    number_column("to", lambda one: _limit(one.get("upper"))),
+    number_column("reached from", lambda one: _limit(one.get("lowest"))),
+    number_column("reached to", lambda one: _limit(one.get("highest"))),
+]
+"""Of the bounds that a search was asked to keep, as its certificate has them."""

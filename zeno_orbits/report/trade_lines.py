@@ -1,4 +1,4 @@
-"""A trade as lines to draw: time over error, one line an engine, closure or model."""
+"""A trade as lines to draw, time over error, and as a table of its cheapest settings."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from itertools import groupby
 
 from zeno_orbits.precision import SAME_WORK, Trial, WorkPrecision
+from zeno_orbits.report.table import Column, number_column, shown_size, text_column
 
 LEAST_ERROR = 2.0**-53
 """Rounding of a number: errors below it are drawn at it, as their axis is logarithmic."""
@@ -52,3 +53,30 @@ def _line(label: str, is_engine: bool, trials: Sequence[Trial]) -> TradeLine:
         errors=tuple(max(trial.error, LEAST_ERROR) for trial in trials),
         milliseconds=tuple(1e3 * trial.seconds for trial in trials),
     )
+
+
+_ACCURACIES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
+
+Cheapest = tuple[float, Trial | None]
+"""An accuracy, and the cheapest trial that reaches it, if one does."""
+
+CHEAPEST: list[Column[Cheapest]] = [
+    number_column("accuracy [1]", lambda one: f"{one[0]:.0e}"),
+    text_column("cheapest setting", lambda one: _setting(one[1])),
+    number_column("time [ms]", lambda one: f"{1e3 * one[1].seconds:.2f}" if one[1] else ""),
+    number_column("error [1]", lambda one: shown_size(one[1].error) if one[1] else ""),
+]
+
+
+def cheapest_of(trade: WorkPrecision) -> list[Cheapest]:
+    """Return the cheapest trial for each accuracy."""
+    return [(accuracy, trade.cheapest(accuracy)) for accuracy in _ACCURACIES]
+
+
+def shown_value(trial: Trial) -> str:
+    """Return what is varied in a trial: a count of impacts, or a tolerance."""
+    return f"{trial.value:g}" if trial.sweep == "impacts" else f"{trial.value:.0e}"
+
+
+def _setting(trial: Trial | None) -> str:
+    return "none" if trial is None else f"{trial.label}, {shown_value(trial)}"

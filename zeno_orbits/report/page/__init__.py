@@ -4,7 +4,7 @@ Values in, the text of the page out: ``page.html`` is its template, ``tables`` i
 plots are drawn in the reader's browser by plotly, whose bundle travels inside the page; the numbers
 and the words are there without it.
 
-Offers: ``subject_of`` (what to report), ``load_bundle`` (plotly's script), ``page_of`` (the page).
+Offers: ``Subject`` (what to report), ``load_bundle`` (plotly's script), ``page_of`` (the page).
 Imports: precision, verification, orbits, simulation, model, arrays, errors.
 """
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import HybridDynamics, Problem
@@ -22,7 +22,7 @@ class Subject:
         problem: Its problem.
         dynamics: The problem at the orbit's numbers.
         certificate: Its certificate, computed afresh.
-        execution: One period, simulated from the orbit's start; ``None`` if that failed.
+        execution: One period, simulated from the orbit's start; ``None`` before, or if that failed.
         trouble: The reason of the failure; empty if there was none.
         trade: The problem's work-precision measurements, if there are any.
         file: Name of the orbit's file.
@@ -37,64 +37,21 @@ class Subject:
     problem: Problem
     dynamics: HybridDynamics
     certificate: OrbitCertificate
-    execution: Execution | None
-    trouble: str
-    trade: WorkPrecision | None
-    file: str
-    problem_file: str
-    content: str
-    command: tuple[str, ...]
+    execution: Execution | None = None
+    trouble: str = ""
+    trade: WorkPrecision | None = None
+    file: str = "orbit.json"
+    problem_file: str = ""
+    content: str = ""
+    command: tuple[str, ...] = ()
     date: str = ""
     proof: str = ""
 
-
-def subject_of(
-    orbit: ZenoOrbit,
-    problem: Problem,
-    dynamics: HybridDynamics,
-    certificate: OrbitCertificate,
-    *,
-    trade: WorkPrecision | None = None,
-    file: str = "orbit.json",
-    problem_file: str = "",
-    content: str = "",
-    command: tuple[str, ...] = (),
-    date: str = "",
-    proof: str = "",
-) -> Subject:
-    """Return the subject of a report, one period simulated.
-
-    Args:
-        orbit: The orbit, as its file has it.
-        problem: Its problem.
-        dynamics: The problem at the orbit's numbers.
-        certificate: Its certificate, computed afresh.
-        trade: The problem's work-precision measurements, if there are any.
-        file: Name of the orbit's file.
-        problem_file: Path of the problem's file; empty for a bundled problem.
-        content: The orbit's file itself.
-        command: The words of the command that wrote the report.
-        date: The day of the check, as text; by default it is not told.
-        proof: What an accepted certificate proves; nothing by default.
-    """
-    execution, trouble = None, ""
-    try:
-        execution = motion_of(orbit, problem, dynamics)
-    except ZenoOrbitsError as error:
-        # A false orbit may run anywhere; the page says so and does without its pictures.
-        trouble = str(error)
-    return Subject(
-        orbit=orbit,
-        problem=problem,
-        dynamics=dynamics,
-        certificate=certificate,
-        execution=execution,
-        trouble=trouble,
-        trade=trade,
-        file=file,
-        problem_file=problem_file,
-        content=content,
-        command=command,
-        date=date,
-        proof=proof,
-    )
+    def followed(self) -> Subject:
+        """Return the subject with one period simulated."""
+        try:
+            execution = motion_of(self.orbit, self.problem, self.dynamics)
+        except ZenoOrbitsError as error:
+            # A false orbit may run anywhere; the page says so and does without its pictures.
+            return replace(self, trouble=str(error))
+        return replace(self, execution=execution)

@@ -9,11 +9,12 @@ from typing import Any, cast
 
 from zeno_orbits.model import Problem, Quantity
 from zeno_orbits.orbits import ZenoOrbit
-from zeno_orbits.precision import Trial, WorkPrecision
+from zeno_orbits.precision import WorkPrecision
 from zeno_orbits.report.page import words
 from zeno_orbits.report.page.plotly_bundle import Bundle
 from zeno_orbits.report.page.subject import Subject
 from zeno_orbits.report.table import (
+    BOUNDS,
     Column,
     Table,
     number_column,
@@ -23,11 +24,11 @@ from zeno_orbits.report.table import (
     table_of,
     text_column,
 )
+from zeno_orbits.report.trade_lines import CHEAPEST, cheapest_of
 from zeno_orbits.simulation import Event, Execution, Impact, Mode, ZenoPoint
 from zeno_orbits.verification import RESIDUALS, OrbitCertificate
 from zeno_orbits.work import versions
 
-_ACCURACIES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 _MOST_EVENTS = 40
 """Rows of the table of events."""
 _FORCES = {("J", "m"): "N", ("J", "rad"): "N m", ("J", "1"): "J"}
@@ -103,14 +104,7 @@ def bounds_table(orbit: ZenoOrbit) -> Table[Any]:
     """Return the bounds that a search was asked to keep, as far as the orbit's file has them."""
     known: list[Any] = list(orbit.certificate.get("asked", ()))
     bounds = [cast("dict[str, Any]", one) for one in known if isinstance(one, dict)]
-    columns: list[Column[dict[str, Any]]] = [
-        text_column("to be kept", lambda one: str(one.get("quantity", ""))),
-        number_column("from", lambda one: _maybe(one.get("lower"))),
-        number_column("to", lambda one: _maybe(one.get("upper"))),
-        number_column("reached from", lambda one: _maybe(one.get("lowest"))),
-        number_column("reached to", lambda one: _maybe(one.get("highest"))),
-    ]
-    return table_of("Bounds the search was asked to keep", columns, bounds)
+    return table_of("Bounds the search was asked to keep", BOUNDS, bounds)
 
 
 def events_table(execution: Execution, unit: str) -> Table[Any]:
@@ -221,21 +215,7 @@ def energies_table(certificate: OrbitCertificate, unit: str) -> Table[Any]:
 
 def trade_table(trade: WorkPrecision) -> Table[Any]:
     """Return the cheapest setting for each accuracy."""
-    columns: list[Column[tuple[float, Trial | None]]] = [
-        text_column("accuracy [1]", lambda one: f"{one[0]:.0e}"),
-        text_column("cheapest setting", lambda one: _setting(one[1])),
-        number_column("time [ms]", lambda one: f"{1e3 * one[1].seconds:.2f}" if one[1] else ""),
-        number_column("error [1]", lambda one: f"{one[1].error:.1e}" if one[1] else ""),
-    ]
-    found = [(accuracy, trade.cheapest(accuracy)) for accuracy in _ACCURACIES]
-    return table_of("Cheapest setting that reaches an accuracy", columns, found)
-
-
-def _setting(trial: Trial | None) -> str:
-    if trial is None:
-        return "none"
-    number = f"{trial.value:g}" if trial.sweep == "impacts" else f"{trial.value:.0e}"
-    return f"{trial.label}, {number}"
+    return table_of("Cheapest setting that reaches an accuracy", CHEAPEST, cheapest_of(trade))
 
 
 def versions_table(orbit: ZenoOrbit, bundle: Bundle) -> Table[Any]:
@@ -247,7 +227,3 @@ def versions_table(orbit: ZenoOrbit, bundle: Bundle) -> Table[Any]:
         text_column("that wrote this page", lambda name: here.get(name, "-")),
     ]
     return table_of("Versions", columns, dict.fromkeys([*orbit.versions, *here]))
-
-
-def _maybe(value: object) -> str:
-    return f"{value:.8g}" if isinstance(value, int | float) else "-"

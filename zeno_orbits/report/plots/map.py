@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import cycle
 from typing import Any
 
@@ -71,8 +71,10 @@ def plot_map(
     ax.set_xlabel(quantity_label(found.x.name, found.x.unit), fontsize=TEXT)
     ax.set_ylabel(quantity_label(found.y.name, found.y.unit), fontsize=TEXT)
     ax.tick_params(labelsize=TEXT - 1)
-    handles = [*_draw_cells(ax, found), *_draw_contours(ax, found)]
-    handles += _draw_boundaries(ax, found, boundaries)
+    handles = _draw_cells(ax, found)
+    curves = _inside(found, boundaries)
+    handles += _draw_contours(ax, found, [points for alike in curves.values() for points in alike])
+    handles += _draw_boundaries(ax, found, curves)
     look: dict[str, Any] = {"fontsize": TEXT - 1, "handlelength": 2.6}
     if not panels.is_own:
         ax.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.02, 1.0), **look)
@@ -136,8 +138,14 @@ def _colour(attractor: Attractor, escape: int) -> str:
     return _PLAIN[attractor.fate]
 
 
-def _draw_contours(ax: Axes, found: ParameterMap) -> list[Line2D]:
-    """Draw period and spectral radius where the motion settles to an orbit of period 1."""
+def _draw_contours(ax: Axes, found: ParameterMap, curves: Sequence[Vector]) -> list[Line2D]:
+    """Draw period and spectral radius where the motion settles to an orbit of period 1.
+
+    Args:
+        ax: The panel.
+        found: The map.
+        curves: What will be drawn on top, and labels keep off.
+    """
     if min(found.shape) < _FEWEST:
         return []
     first = [one.fate in (Fate.ZENO, Fate.SIMPLE) and one.returns == 1 for one in found.attractors]
@@ -163,7 +171,7 @@ def _draw_contours(ax: Axes, found: ParameterMap) -> list[Line2D]:
     taken: list[Vector] = []
     for lines, pieces in drawn:
         others = [p for known, all_of in drawn if known is not lines for q in all_of for p in q]
-        _label_lines(ax, lines, pieces, others, taken)
+        _label_lines(ax, lines, pieces, [*others, *map(_dense, curves)], taken)
     return handles
 
 
@@ -176,6 +184,8 @@ _LONG = 0.6
 """Part of an axis that a contour line must span to be labelled."""
 _EDGE = 0.05
 """Part of an axis at its ends where no label fits."""
+_CLEAR, _LEGIBLE = 0.7, 0.25
+"""Distance from a line, in sizes of a label, that is clear of it, and that can still be read."""
 _ROOM = np.array([0.45, 0.17])
 """Width and height that a label needs [in]."""
 _PANEL = 0.7
@@ -209,7 +219,7 @@ def _label_lines(
     others: Sequence[Vector],
     taken: list[Vector],
 ) -> None:
-    """Label every long contour line once, off other labels and, if it can be, off other lines.
+    """Label the long contour lines of every level, off other labels and, if it can be, off lines.
 
     Args:
         ax: The panel.
@@ -221,25 +231,41 @@ def _label_lines(
     spots: list[tuple[float, float]] = []
     room = _ROOM / (_PANEL * figure_size(ax))
     crossing = np.concatenate([_shares(ax, piece) for piece in others] or [np.empty((0, 2))])
-    for piece in (one for level in pieces for one in level):
-        places = _shares(ax, piece)
-        if np.max(np.ptp(places, axis=0)) <= _LONG:
-            continue
-        inside = np.all((places > _EDGE) & (places < 1 - _EDGE), axis=1)
-        for other in taken:
-            inside &= np.any(np.abs(places - other) > room, axis=1)
-        near = np.abs(places[:, None] - crossing) < 0.7 * room
-        clear = inside & ~np.any(np.all(near, axis=2), axis=1)
-        fits = np.flatnonzero(clear if np.any(clear) else inside)
-        if fits.size:
+    for alike in pieces:
+        found: list[tuple[float, Vector]] = []
+        for piece in alike:
+            places = _shares(ax, piece)
+            if np.max(np.ptp(places, axis=0)) <= _LONG:
+                continue
+            inside = np.all((places > _EDGE) & (places < 1 - _EDGE), axis=1)
+            for other in taken:
+                inside &= np.any(np.abs(places - other) > room, axis=1)
+            apart = np.max(np.abs(places[:, None] - crossing) / room, axis=2)
+            nearest = np.where(inside, np.min(apart, axis=1, initial=_CLEAR), 0.0)
+            # The middle of what is clear, or else the place that is nearest to it.
+            fits = np.flatnonzero(nearest >= min(np.max(nearest), _CLEAR))
             at = fits[np.argmin(np.abs(fits - len(piece) / 2))]
-            taken.append(places[at])
-            spots.append((float(piece[at, 0]), float(piece[at, 1])))
+            found.append((float(nearest[at]), piece[at]))
+        best = max((clear for clear, _ in found), default=0.0)
+        chosen = [spot for clear, spot in found if clear == best > _LEGIBLE]
+        spots += [(float(x), float(y)) for x, y in chosen]
+        taken += [_shares(ax, spot) for spot in chosen]
     ax.clabel(lines, fontsize=TEXT - 2, fmt="%.4g", manual=spots)
 
 
-def _draw_boundaries(ax: Axes, found: ParameterMap, boundaries: Sequence[Boundary]) -> list[Line2D]:
-    """Draw the curves that pass through the plane, those of a name alike."""
+def _dense(curve: Vector) -> Vector:
+    """Return a curve with points between its corners."""
+    corners = np.arange(len(curve))
+    places = np.linspace(0, len(curve) - 1, _BETWEEN * len(curve))
+    return np.stack([np.interp(places, corners, curve[:, k]) for k in range(2)], axis=1)
+
+
+_BETWEEN = 20
+"""Points for a corner of a curve."""
+
+
+def _inside(found: ParameterMap, boundaries: Sequence[Boundary]) -> dict[str, list[Vector]]:
+    """Return the curves that pass through the plane, by their names."""
     (left, right), (low, high) = _reach(found.x), _reach(found.y)
     plane = Bbox.from_extents(left, low, right, high)
     curves: dict[str, list[Vector]] = {}
@@ -247,6 +273,13 @@ def _draw_boundaries(ax: Axes, found: ParameterMap, boundaries: Sequence[Boundar
         points = np.array(boundary.points).reshape(-1, 2)
         if Path(points).intersects_bbox(plane, filled=False):
             curves.setdefault(boundary.name, []).append(points)
+    return curves
+
+
+def _draw_boundaries(
+    ax: Axes, found: ParameterMap, curves: Mapping[str, Sequence[Vector]]
+) -> list[Line2D]:
+    """Draw curves, those of a name alike."""
     handles: list[Line2D] = []
     for (name, alike), dash in zip(curves.items(), cycle(_BOUNDARIES), strict=False):
         look: dict[str, Any] = {"color": "black", "lw": 1.6, "ls": dash}
@@ -254,7 +287,7 @@ def _draw_boundaries(ax: Axes, found: ParameterMap, boundaries: Sequence[Boundar
             ax.plot(*points.T, **look)
         handles.append(Line2D([], [], label=name, **look))
     if curves:
-        ax.set(xlim=(left, right), ylim=(low, high))
+        ax.set(xlim=_reach(found.x), ylim=_reach(found.y))
     return handles
 
 

@@ -22,8 +22,10 @@ from zeno_orbits.model import Problem
 from zeno_orbits.report.plots.style import COLUMN_WIDTH, TEXT
 from zeno_orbits.report.symbols import label_of
 
-_TICK = 0.55
-"""Room for a tick of an axis and its label [in]."""
+_MOST_TICKS, _FEWEST_TICKS = 9, 2
+"""Intervals between the ticks of an axis across."""
+_SIGN, _BETWEEN, _BESIDE = 0.06, 0.1, 0.55
+"""Room for a sign of a tick's label, between two labels, and beside a panel [in]."""
 _ABOVE = "above"
 """Name of a legend above the panels."""
 
@@ -209,9 +211,15 @@ def _thin_out(ax: Axes, width: float) -> None:
         ax: The panel.
         width: Its width with all that belongs to it [in].
     """
-    locator = ax.xaxis.get_major_locator()
-    if isinstance(locator, MaxNLocator):
-        locator.set_params(nbins=max(round(width / _TICK), 2))
+    locator, (left, right) = ax.xaxis.get_major_locator(), sorted(ax.get_xlim())
+    if not isinstance(locator, MaxNLocator):
+        return
+    for most in range(_MOST_TICKS, _FEWEST_TICKS - 1, -1):
+        locator.set_params(nbins=most)
+        ticks = [tick for tick in locator.tick_values(left, right) if left <= tick <= right]
+        labels = ax.xaxis.get_major_formatter().format_ticks(ticks)
+        if sum(_SIGN * len(label) + _BETWEEN for label in labels) <= width - _BESIDE:
+            return
 
 
 def _entries(panels: Sequence[Axes]) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from zeno_orbits.errors import counted
-from zeno_orbits.report.table import Column, number_column, text_column
+from zeno_orbits.report.table import BOUNDS, Column, number_column, text_column
 from zeno_orbits.report.terminal.console import print_lines, print_table
 
 if TYPE_CHECKING:
@@ -87,15 +87,4 @@ def print_bounds(asked: Sequence[Mapping[str, Any]]) -> None:
     """Print the bounds that were asked for and what a simulation reaches."""
     if not asked:
         return
-    columns: list[Column[Mapping[str, Any]]] = [
-        text_column("kept", lambda one: one["quantity"]),
-        number_column("from", lambda one: _limit(one["lower"])),
-        number_column("to", lambda one: _limit(one["upper"])),
-        number_column("reached from", lambda one: f"{one['lowest']:.8g}"),
-        number_column("reached to", lambda one: f"{one['highest']:.8g}"),
-    ]
-    print_table(columns, asked)
-
-
-def _limit(value: float | None) -> str:
-    return "-" if value is None else f"{value:g}"
+    print_table(BOUNDS, asked)

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 _ROUNDING = 1e-12
 """A multiplier of a family below this is that of its rounding."""
-_ACCURACIES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 
 
 def print_reduction_costs(costs: Sequence[ReductionCost]) -> None:
@@ -66,25 +65,20 @@ def _measured(row: tuple[ReductionCost, str]) -> str:
 
 def print_trade(trade: WorkPrecision) -> None:
     """Print the trials of a trade, unbeaten ones marked, and the cheapest for each accuracy."""
+    from zeno_orbits.report.trade_lines import CHEAPEST, cheapest_of, shown_value
+
     front = set(map(id, trade.front))
     columns: list[Column[Trial]] = [
         text_column("", lambda trial: "*" if id(trial) in front else ""),
         text_column("sweep", lambda trial: trial.sweep),
         text_column("setting", lambda trial: trial.name),
-        number_column("value", _value),
+        number_column("value", shown_value),
         number_column("time [ms]", _milliseconds),
         text_column("error", _error_of),
         text_column("impacts", lambda one: one.trouble or str(one.n_impacts or "")),
     ]
     print_table(columns, trade.trials)
-    cheapest: list[Column[tuple[float, Trial | None]]] = [
-        number_column("accuracy", lambda row: f"{row[0]:.0e}"),
-        text_column("cheapest setting", lambda row: _setting(row[1])),
-        number_column("value", lambda row: f"{row[1].value:.0e}" if row[1] else ""),
-        number_column("time [ms]", lambda row: _milliseconds(row[1]) if row[1] else ""),
-        number_column("error", lambda row: shown_size(row[1].error) if row[1] else ""),
-    ]
-    print_table(cheapest, [(accuracy, trade.cheapest(accuracy)) for accuracy in _ACCURACIES])
+    print_table(CHEAPEST, cheapest_of(trade))
     print_lines(
         [
             f"Work: {trade.work}. Reference: {trade.truth}, with an error of "
@@ -92,10 +86,6 @@ def print_trade(trade: WorkPrecision) -> None:
             "* no other setting is both faster and more accurate. Times are of this machine.",
         ]
     )
-
-
-def _value(trial: Trial) -> str:
-    return f"{trial.value:g}" if trial.sweep == "impacts" else f"{trial.value:.0e}"
 
 
 def _milliseconds(trial: Trial) -> str:
@@ -106,10 +96,6 @@ def _error_of(trial: Trial) -> str:
     if trial.trouble:
         return "-"
     return shown_size(trial.error) if trial.error < math.inf else "another motion"
-
-
-def _setting(trial: Trial | None) -> str:
-    return "none" if trial is None else f"{trial.sweep}: {trial.name}"
 
 
 def print_map(found: ParameterMap) -> None:

@@ -1,0 +1,119 @@
+"""Motions followed again where small errors may decide: which answers are believed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from zeno_orbits.maps import sure_point
+from zeno_orbits.maps.approach import Way
+from zeno_orbits.maps.attempt import Accuracy, Request
+from zeno_orbits.maps.attractors import Attractor, Fate
+from zeno_orbits.maps.sure_point import SurePoint
+from zeno_orbits.simulation import Ended, Reason
+
+EVENT = Ended(lane=0, time=1.0, state=np.zeros(1), reason=Reason.HORIZON)
+ORBIT = Attractor(fate=Fate.NO_ZENO, period=2.0)
+REST = Attractor(fate=Fate.REST)
+DIRECT = Way(times=tuple(np.arange(1.0, 41.0)), captured=9)
+LATE = replace(DIRECT, captured=10)
+
+Told = tuple[Attractor, Way | None]
+
+
+def told_by(monkeypatch: pytest.MonkeyPatch, *answers: Told) -> tuple[Attractor, list[Accuracy]]:
+    """Return what is concluded of a motion that settles to these in turn, and the accuracies."""
+    used: list[Accuracy] = []
+
+    class Scripted:
+        """A motion that comes to its answer with the first event."""
+
+        def __init__(self, *arguments: object) -> None:
+            accuracy = arguments[4]
+            assert isinstance(accuracy, Accuracy)
+            used.append(accuracy)
+            self.way = answers[len(used) - 1][1]
+            self._answer = answers[len(used) - 1][0]
+
+        def begin(self) -> Request:
+            return Request(np.zeros((1, 1)), used[-1].motion, False, 1.0)
+
+        def hear(self, rank: int, event: Ended) -> Attractor:
+            assert (rank, event) == (0, EVENT)
+            return self._answer
+
+    monkeypatch.setattr(sure_point, "Point", Scripted)
+    system: object = None
+    point = SurePoint(system, ("m",), np.zeros(1), 1.0, Accuracy())  # type: ignore[arg-type]
+    answer = point.hear(0, EVENT)
+    while isinstance(answer, Request):
+        assert answer.tolerance == used[-1].motion
+        answer = point.hear(0, EVENT)
+    assert answer is not None
+    return answer, used
+
+
+def test_a_motion_that_goes_straight_to_its_orbit_is_followed_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for told in ((ORBIT, DIRECT), (REST, None), (REST, LATE)):
+        answer, used = told_by(monkeypatch, told)
+        assert answer is told[0]
+        assert used == [Accuracy()]
+
+
+def test_a_motion_that_wanders_has_to_do_so_at_two_accuracies_alike(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    finer = replace(ORBIT, period=2.0 * (1 + 0.9e-4))
+    answer, used = told_by(monkeypatch, (ORBIT, LATE), (finer, LATE))
+    assert answer is finer
+    assert [(one.motion, one.orbit) for one in used] == [(1e-6, 1e-8), (1e-8, 1e-8)]
+    # So has one whose last return took another time.
+    doubtful = replace(DIRECT, doubtful=True)
+    answer, used = told_by(monkeypatch, (ORBIT, doubtful), (ORBIT, DIRECT))
+    assert (answer, len(used)) == (ORBIT, 2)
+
+
+@pytest.mark.parametrize(
+    "again",
+    [
+        (replace(ORBIT, period=2.0 * (1 + 1.1e-4)), LATE),
+        (replace(ORBIT, fate=Fate.ZENO), LATE),
+        (replace(ORBIT, returns=1), LATE),
+        # It leaves the way of before by more than a hundredth of a return, or is there sooner.
+        (ORBIT, replace(LATE, times=tuple(np.arange(1.0, 41.0) + 0.011))),
+        (ORBIT, replace(LATE, times=tuple(np.arange(2.0, 12.0)), captured=9)),
+    ],
+)
+def test_a_motion_that_ends_elsewhere_more_accurately_is_followed_a_third_time(
+    monkeypatch: pytest.MonkeyPatch, again: Told
+) -> None:
+    answer, used = told_by(monkeypatch, (ORBIT, LATE), again, again)
+    assert answer is again[0]
+    assert [one.motion for one in used] == pytest.approx([1e-6, 1e-8, 1e-10])
+    assert [one.orbit for one in used] == pytest.approx([1e-8, 1e-8, 1e-10])
+    # The second answer is held against the third, not the first one.
+    answer, _ = told_by(monkeypatch, (ORBIT, LATE), again, (ORBIT, LATE))
+    assert answer.fate is Fate.UNSETTLED
+    assert answer.detail == "what it settles to depends on the smallest errors"
+
+
+def test_a_motion_that_settles_only_inaccurately_is_not_settled(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    growing = Attractor(fate=Fate.UNSETTLED, trend=1.2)
+    answer, used = told_by(monkeypatch, (ORBIT, LATE), (growing, None))
+    assert (answer.fate, answer.trend, len(used)) == (Fate.UNSETTLED, 1.2, 2)
+    assert answer.detail == "what it settles to depends on the smallest errors"
+
+
+def test_a_way_is_shared_up_to_where_it_comes_nearer_only() -> None:
+    times = list(LATE.times)
+    assert LATE.is_shared_by(replace(LATE, times=(*times[:11], 50.0)))
+    times[10] += 0.009
+    assert LATE.is_shared_by(replace(LATE, times=tuple(times)))
+    times[10] += 0.002
+    assert not LATE.is_shared_by(replace(LATE, times=tuple(times)))
