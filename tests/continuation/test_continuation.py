@@ -160,8 +160,7 @@ def test_the_family_in_the_restitution_ends_where_simulations_stop_closing() -> 
 
 @pytest.mark.slow
 def test_close_to_the_end_of_the_locked_arc_the_family_is_right_to_many_digits() -> None:
-    pytest.importorskip("heyoka")
-    from zeno_orbits.precision.extended_fixed_point import extended_orbit
+    from zeno_orbits.precision import extended_orbit
 
     # Where 1e-5 of the restitution is left, and some milliseconds of the lock.
     orbit, value = pendulum_orbit(restitution=0.41), 0.41678
