@@ -3,7 +3,7 @@
     python benchmarks/multipliers.py [--repeats 15]
 
 Medians of processor time on the reference orbit in one process, so read the ratios. The errors of
-the multipliers are measured against the slope that differences of 20 digits give (heyoka needed).
+the multipliers are measured against the slope that differences of 20 digits give.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.orbits.monodromy import return_derivative
 from zeno_orbits.orbits.poincare import floquet_multipliers, poincare_map
-from zeno_orbits.precision.extended_fixed_point import extended_orbit
+from zeno_orbits.precision import extended_orbit
 from zeno_orbits.search import close_orbit
 from zeno_orbits.simulation.simulator import SimulationSettings
 

@@ -19,7 +19,7 @@ from zeno_orbits.cli.parsing import Named, read_named_number
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.problem import ParameterValues, Problem
-from zeno_orbits.precision.extended_fixed_point import ExtendedOrbit, extended_orbit
+from zeno_orbits.precision import ExtendedOrbit, extended_orbit
 from zeno_orbits.search import find_orbit
 
 

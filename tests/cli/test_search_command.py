@@ -24,7 +24,7 @@ from tests.support.commands import (
     raising,
 )
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.precision.extended_fixed_point import ExtendedOrbit, extended_orbit
+from zeno_orbits.precision import ExtendedOrbit, extended_orbit
 from zeno_orbits.search import SearchSettings
 from zeno_orbits.verification.certificate import OrbitCertificate
 
@@ -140,7 +140,6 @@ def test_a_period_that_no_orbit_has_ends_in_a_no_that_says_what_was_tried(here: 
 @pytest.fixture(name="exact", scope="module")
 def _exact() -> ExtendedOrbit:
     """The orbit at the published gains, to 25 digits."""
-    pytest.importorskip("heyoka")
     problem = load_problem("motor_pendulum")
     return extended_orbit(problem, problem.values(), RELEASE)
 

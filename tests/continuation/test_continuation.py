@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from functools import cache
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
 
+import zeno_orbits as zo
 from tests.reference.closed_forms import StoppedOscillator
 from tests.reference.reference_orbit import RELEASE
 from zeno_orbits.continuation.amplitude import orbit_amplitude
@@ -29,7 +31,7 @@ from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.poincare import poincare_map
 from zeno_orbits.orbits.section import release_section
 from zeno_orbits.search import close_cycle, close_orbit, orbit_of
-from zeno_orbits.simulation.simulator import SimulationSettings
+from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 
 PENDULUM = load_problem("motor_pendulum")
 OSCILLATOR = load_problem("forced_oscillator")
@@ -113,6 +115,25 @@ def test_the_locked_arc_of_the_forced_oscillator_vanishes_where_the_closed_form_
 
 
 @pytest.mark.slow
+def test_a_locked_arc_that_vanishes_after_a_few_impacts_is_found_by_later_ones() -> None:
+    # Cut after two impacts, the sequence is on the separatrix far beyond the end.
+    buzzer = zo.load_problem(Path(__file__).parents[1] / "support" / "machines" / "buzzer.py")
+    orbit = close_orbit(buzzer, buzzer.values()).unwrap()
+    family = only(continue_orbit(buzzer, orbit, "omega", (15.0, 25.0)).families)
+    assert family.last.kind is SpecialPointKind.LOCK_VANISHES
+    assert family.last.error < 1e-7
+    low, high = 24.0, 24.5
+    for _ in range(22):
+        middle = (low + high) / 2
+        dynamics = buzzer.dynamics(buzzer.values(parameters={"omega": middle}))
+        run = simulate(dynamics, buzzer.state_vector(buzzer.starts[0]), until=40.0 / middle * 6.0)
+        # Twenty turns of the clock, then as many in which it locks every time or never.
+        locks = any(point.time > 0.5 * run.end_time for point in run.zeno_points)
+        low, high = (middle, high) if locks else (low, middle)
+    assert family.last.at.value == pytest.approx(low, abs=high - low + family.last.error)
+
+
+@pytest.mark.slow
 def test_the_family_in_the_restitution_ends_where_simulations_stop_closing() -> None:
     orbit = pendulum_orbit(restitution=0.4)
     family = only(continue_orbit(PENDULUM, orbit, "restitution", (0.0, 0.5)).families)
@@ -139,8 +160,7 @@ def test_the_family_in_the_restitution_ends_where_simulations_stop_closing() -> 
 
 @pytest.mark.slow
 def test_close_to_the_end_of_the_locked_arc_the_family_is_right_to_many_digits() -> None:
-    pytest.importorskip("heyoka")
-    from zeno_orbits.precision.extended_fixed_point import extended_orbit
+    from zeno_orbits.precision import extended_orbit
 
     # Where 1e-5 of the restitution is left, and some milliseconds of the lock.
     orbit, value = pendulum_orbit(restitution=0.41), 0.41678

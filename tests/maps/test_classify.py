@@ -117,6 +117,24 @@ def test_a_flipped_orbit_has_two_releases_a_period_as_a_long_simulation_has():
     assert abs(first.state[0] - state_of(found)[0]) > 1e-3
 
 
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        # Multipliers near -0.9, and near 0.9 times a third root of 1: after two returns, and after
+        # three, the motion is nearer than after one.
+        (0.0609, 0.0847, 0.0625, 0.0141, 30.41, 0.2685, 12.75, 0.184),
+        (0.057118, 0.107194, 0.055668, 0.0114361, 30.6622, 0.389469, 10.18166, 0.118076),
+    ],
+)
+def test_a_motion_that_circles_around_its_orbit_has_the_period_of_the_orbit(numbers):
+    surface = load_problem("curved_surface")
+    names = ("m", "rho", "c", "A", "omega", "lean", "g", "restitution")
+    values = surface.values(parameters=dict(zip(names, numbers, strict=True)))
+    (found,) = attractors_at(surface, [values])
+    assert (found.fate, found.returns) == (Fate.ZENO, 1)
+    assert found.period == pytest.approx(2 * math.pi / numbers[4], rel=1e-8)
+
+
 def test_an_escape_is_told_in_the_words_of_the_problem():
     (found,) = attractors_at(PENDULUM, [at(1.2, -1.95)])
     assert found.fate is Fate.ESCAPE

@@ -227,3 +227,21 @@ def test_two_systems_bound_to_one_model_keep_their_own_numbers() -> None:
             assert np.array_equal(ours.free.rate(x), theirs.free.rate(x))
             assert np.array_equal(ours.locked.rate(x), theirs.locked.rate(x))
     assert not np.array_equal(shared[0].free.rate(x), shared[1].free.rate(x))
+
+
+def test_what_an_impact_leads_to_is_reset_and_rest_one_after_the_other() -> None:
+    problem = load_problem("motor_pendulum")
+    dynamics = problem.dynamics(problem.values())
+    x = np.array([0.3, 0.0, 1.0, -2.0, 0.5])
+    rate = dynamics.gap_rate(x)
+    landed = dynamics.landed(x, rate)
+    after = dynamics.reset_map(x, rate)
+    assert landed.state_plus.tolist() == after.tolist()
+    assert landed.gap_rate == dynamics.gap_rate(after) == pytest.approx(0.4, rel=1e-12)
+    resting = dynamics.resting(after)
+    assert landed.state.tolist() == resting.state.tolist()
+    assert landed.rate.tolist() == resting.rate.tolist()
+    assert landed.gap_acceleration == resting.gap_acceleration
+    # A reset that was replaced is the one that is taken.
+    stuck = replace(dynamics, reset_map=lambda x, _: x)
+    assert stuck.landed(x, rate).state_plus is x

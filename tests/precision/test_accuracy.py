@@ -12,6 +12,7 @@ import pytest
 from scipy.integrate import DOP853
 
 from tests.reference.reference_orbit import FIRST_IMPACT, PERIOD, RELEASE, ZENO_STATE, ZENO_TIME
+from tests.support.units import Units, in_units
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, PenetrationError, SimulationError
 from zeno_orbits.integrators import Automatic, Radau, RungeKutta, SciPy, Taylor
@@ -59,7 +60,6 @@ def _ball() -> HybridDynamics:
 @pytest.fixture(name="truth", scope="module")
 def _truth(problem: Problem) -> dict[str, list[tuple[float, Vector]]]:
     """Two and a half periods in extended precision: three Zeno points, two releases, the end."""
-    pytest.importorskip("heyoka")
     until = 2.5 * PERIOD
     state = (0.6, 0.0, 0.0, 0.0, 0.0)
     exact = extended_execution(problem, problem.values(), state, until=until, times=[until])
@@ -272,7 +272,6 @@ def off(found: ZenoPoint, truth: tuple[float, Vector]) -> float:
 def test_the_error_of_a_zeno_point_bounds_the_true_one(
     name: str, engine: str, relative: float
 ) -> None:
-    pytest.importorskip("heyoka")
     case = motion(name)
     settings = SimulationSettings(
         engine=ENGINES[engine], tolerance=Tolerance(relative=relative, absolute=relative / 10)
@@ -288,7 +287,6 @@ def test_the_error_of_a_zeno_point_bounds_the_true_one(
 
 def test_the_estimate_of_the_limit_alone_bounds_nothing_of_that() -> None:
     """What a Zeno point used to call its error is a billion times too small for a coarse run."""
-    pytest.importorskip("heyoka")
     case = motion("forced_oscillator")
     coarse = SimulationSettings(tolerance=Tolerance(relative=1e-4, absolute=1e-5))
     run = simulate(case.dynamics, case.start, until=case.until, settings=coarse)
@@ -297,7 +295,6 @@ def test_the_estimate_of_the_limit_alone_bounds_nothing_of_that() -> None:
 
 def test_two_runs_that_take_the_same_steps_are_not_taken_for_exact() -> None:
     """Collocation of order 13 goes through a flight in one step at either tolerance."""
-    pytest.importorskip("heyoka")
     case = motion("forced_oscillator")
     rough = Tolerance(relative=1e-4, absolute=1e-5)
     looser = Tolerance(relative=1e-2, absolute=1e-3)
@@ -464,3 +461,19 @@ def test_every_engine_keeps_the_accuracy(
     assured = simulate_to(machine, RELEASE, until=1.1 * PERIOD, accuracy=1e-6, settings=settings)
     assert abs(assured.execution.returns(PERIOD)[0].time - PERIOD) <= assured.error * PERIOD
     assert assured.settings.engine == engine
+
+
+def test_an_error_estimate_is_the_same_number_in_any_units() -> None:
+    # So small a table in so long a second that 1 and 1e-12 of an SI unit would be vast beside it.
+    # Own sizes are powers of a thousand, so steps differ by what less than that is.
+    table = load_problem("vibrating_table")
+    found: list[Assured] = []
+    for problem, unit in ((table, 1.0), (in_units(table, Units(length=1e-12, time=1e-6)), 1e-6)):
+        dynamics = problem.dynamics(problem.values())
+        start = problem.state_vector(problem.starts[0])
+        found.append(simulate_with_error(dynamics, start, until=2.0 * unit))
+    here, there = found
+    assert len(here.zeno_errors) == len(there.zeno_errors) > 3
+    assert 0.1 < there.error / here.error < 10.0
+    for one, other in zip(here.zeno_errors, there.zeno_errors, strict=True):
+        assert 0.1 < other / one < 10.0

@@ -14,8 +14,6 @@ from zeno_orbits.precision.extended import extended_execution
 from zeno_orbits.precision.extended_fixed_point import ExtendedOrbit, extended_orbit
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 
-pytest.importorskip("heyoka", reason="needs the extra `taylor`")
-
 PENDULUM = load_problem("motor_pendulum")
 
 

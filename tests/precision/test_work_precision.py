@@ -68,7 +68,6 @@ def test_every_sweep_is_measured_and_nothing_fails(measured: WorkPrecision) -> N
 
 
 def test_the_truth_is_far_more_certain_than_any_trial(measured: WorkPrecision) -> None:
-    pytest.importorskip("heyoka")
     assert measured.truth == "extended precision"
     assert measured.truth_error < 1e-3 * min(t.error for t in measured.trials if t.error > 0.0)
 
@@ -190,18 +189,36 @@ def test_meshes_are_solved_where_there_is_an_orbit_and_say_why_where_there_is_no
 # --------------------------------------------------------------------------------- the truth
 
 
-def test_without_heyoka_the_truth_is_in_doubles_and_says_so(
-    problem: Problem, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(truths, "heyoka_is_installed", lambda: False)
+def test_without_heyoka_there_is_no_taylor_to_try(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("zeno_orbits.integrators.engines.find_spec", lambda _: None)
     assert "taylor" not in engines()
+
+
+def test_without_balls_the_truth_is_in_doubles_and_says_so(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(truths, "find_spec", lambda _: None)
     dynamics = problem.dynamics(problem.values())
     truth = true_landmarks(problem, problem.values(), dynamics, RELEASE, 1.02 * PERIOD)
     assert "double precision" in truth.how
-    assert "extra `taylor`" in truth.how
+    assert "extra `proof`" in truth.how
     assert 0.0 < truth.error < 1e-11
     assert abs(truth.marks[-1].time - PERIOD) < 1e-12
+
+
+@pytest.mark.slow
+def test_a_stiff_problem_is_measured_in_many_digits_too() -> None:
+    # R / L = 1e8: some 2e8 decay times; the truth without a current is off by them.
+    problem = load_problem("motor_pendulum")
+    values = problem.values(parameters={"L": 1e-8})
+    truth = true_landmarks(problem, values, problem.dynamics(values), RELEASE, 1.02 * PERIOD)
+    assert truth.how == "extended precision"
+    assert truth.error < 1e-20
+    reduced = problem.at_fidelity("quasi_static")
+    left_out = reduced.dynamics(reduced.shared(values))
+    without = true_landmarks(reduced, reduced.shared(values), left_out, RELEASE[:4], 1.02 * PERIOD)
+    # Theory (20): the error of the reduction is of the order of L / R.
+    assert abs(truth.marks[-1].time - without.marks[-1].time) < 1e-6
 
 
 def test_a_problem_that_is_not_all_analytic_is_measured_in_doubles() -> None:
@@ -212,7 +229,6 @@ def test_a_problem_that_is_not_all_analytic_is_measured_in_doubles() -> None:
 
 
 def test_the_truth_is_judged_by_the_largest_state_on_the_way(problem: Problem) -> None:
-    pytest.importorskip("heyoka")
     dynamics = problem.dynamics(problem.values())
     truth = true_landmarks(problem, problem.values(), dynamics, RELEASE, 1.02 * PERIOD)
     assert {mark.kind for mark in truth.marks} == {Kind.RELEASE}
@@ -222,7 +238,6 @@ def test_the_truth_is_judged_by_the_largest_state_on_the_way(problem: Problem) -
 
 
 def test_nothing_to_judge_by_is_said(problem: Problem) -> None:
-    pytest.importorskip("heyoka")
     with pytest.raises(ZenoOrbitsError, match="no release and no Zeno point in this time"):
         trade(
             problem, problem.values(), (0.6, 0.1, 0.0, 0.0, 0.0), settings=replace(TINY, until=1e-3)

@@ -50,6 +50,17 @@ def test_a_flap_with_a_gear_and_an_offset_stop_is_the_motor_valve() -> None:
 
 
 @pytest.mark.slow
+def test_a_flap_under_an_alternating_voltage() -> None:
+    story = story_of(MACHINES / "buzzer.py")
+    require_one(story)
+    assert story.period == pytest.approx(2 * math.pi / 20.0, rel=1e-11)
+    orbit = zo.find_orbit(MACHINES / "buzzer.py").unwrap()
+    # The stop lets go where the motor just carries the spring: K i = k preload.
+    lifts = 0.05 * 0.2 / 0.03
+    assert orbit.phases[0].start_state["current"] == pytest.approx(lifts, rel=1e-10)
+
+
+@pytest.mark.slow
 def test_a_hammer_that_repeats_after_three_turns_of_its_force() -> None:
     story = story_of(MACHINES / "hammer.py", follow=False)
     require_one(story)

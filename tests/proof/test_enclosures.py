@@ -11,13 +11,11 @@ from flint import arb, ctx
 
 import zeno_orbits as zo
 from zeno_orbits.orbits import ZenoOrbit
-from zeno_orbits.precision.extended import extended_execution
+from zeno_orbits.precision import extended_execution
 from zeno_orbits.proof.ball_system import BallSystem
 from zeno_orbits.proof.section import section_places, start_on_section
 from zeno_orbits.proof.stage import BallTime, Departure, ProofStage
 from zeno_orbits.proof.walk import ProofPassage, WalkSettings, walk
-
-pytest.importorskip("heyoka")
 
 _BITS = 128
 _TRUE = arb("1e-19")

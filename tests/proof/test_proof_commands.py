@@ -83,6 +83,23 @@ def test_the_report_shows_what_is_proved_and_only_that(files: tuple[Path, Path])
     assert "roved: " not in page.read_text()
 
 
+def _not_a_number(data: Any) -> None:
+    data["passes"][0]["records"][0]["h"] = float("nan")
+
+
+def _of_another_problem(data: Any) -> None:
+    data["problem"] = "vibrating_table"
+
+
+@pytest.mark.parametrize("spoil", [_not_a_number, _of_another_problem])
+def test_what_is_no_certificate_of_its_problem_is_refused_in_one_line(
+    files: tuple[Path, Path], spoil: Any
+) -> None:
+    answer = ask("prove", "--check", _changed(files[1], "spoiled.json", spoil))
+    assert answer.code == MISUSE
+    assert len(answer.err.strip().splitlines()) == 1
+
+
 def test_a_certificate_that_is_cut_short_is_refused_in_one_line(files: tuple[Path, Path]) -> None:
     _, proof = files
     short = proof.with_name("short.json")

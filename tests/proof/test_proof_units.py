@@ -41,9 +41,13 @@ def _require_same(name: str, units: Units) -> None:
     assert check_proof(dict(found.certificate), problem).ok
 
 
-@pytest.mark.parametrize("name", ["vibrating_table", "motor_valve"])
-def test_a_machine_in_grams_and_milliseconds_is_proved_and_its_certificate_holds(name: str) -> None:
-    _require_same(name, GRAMS)
+@pytest.mark.parametrize(
+    ("name", "units"), [("vibrating_table", FAR[0]), ("motor_valve", GRAMS)], ids=str
+)
+def test_a_machine_in_other_units_is_proved_and_its_certificate_holds(
+    name: str, units: Units
+) -> None:
+    _require_same(name, units)
 
 
 @pytest.mark.slow

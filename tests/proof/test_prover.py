@@ -138,6 +138,14 @@ def test_an_orbit_is_proved_over_an_interval_of_any_number(table: ZenoOrbit, nam
     assert verdict.ok, verdict.claims
 
 
+@pytest.mark.slow
+def test_an_orbit_is_proved_wherever_its_stop_is_within_an_interval() -> None:
+    # Steps are long here: the checker must not find derivatives wider than the prover does.
+    proof = zo.prove(zo.close_orbit("forced_oscillator").unwrap(), over={"stop": 1e-9})
+    assert proof.proved, proof.verdict()
+    assert check_proof(dict(proof.certificate)).ok
+
+
 def test_the_enclosures_over_an_interval_hold_the_numbers_at_its_ends(table: ZenoOrbit) -> None:
     wide = zo.prove(table, over={"restitution": 1e-6})
     assert wide.bounds is not None

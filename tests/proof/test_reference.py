@@ -9,7 +9,7 @@ from flint import arb, ctx
 
 import zeno_orbits as zo
 from zeno_orbits.orbits import ZenoOrbit
-from zeno_orbits.precision.extended_fixed_point import extended_orbit
+from zeno_orbits.precision import extended_orbit
 from zeno_orbits.proof import ProofSettings, prove
 from zeno_orbits.search import find_orbit
 
@@ -24,7 +24,6 @@ def reference(orbit: ZenoOrbit) -> ZenoOrbit:
 
 
 def test_the_reference_orbit_is_proved_around_its_many_digits(reference: ZenoOrbit) -> None:
-    pytest.importorskip("heyoka")
     proof = zo.prove(reference)
     assert proof.proved, proof.verdict()
     assert proof.stable

@@ -6,7 +6,9 @@ the end. Theory (39).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 
@@ -24,6 +26,9 @@ _GOOD = 1e-11
 _REACH = 4.0
 """Distance of an end from the last point, as a multiple of the predicted one."""
 _MOST_IMPACTS = 400
+_MOST_FIRST_CUTS = 8
+"""Cuts that are tried as the first one."""
+_FIRST_STEP = 1e-4
 
 
 def locate_cut(
@@ -46,10 +51,16 @@ def locate_cut(
         ZenoOrbitsError: If it does not vanish near.
     """
     near = _Near(centre=last.z, reach=_REACH * distance)
-    cut = Margin(loss=Loss.CUT, place=margin.place)
-    n, here, step = _first_cut(returns, metric, last, margin.place, cut)
-    found = _cut_ever_later(returns, metric, here, n, step, margin.place, near)
-    return replace(found, margins={**last.found.margins, margin: 0.0})
+    trouble: ZenoOrbitsError | None = None
+    for n, here in islice(_telling_cuts(returns, metric, last, margin.place), _MOST_FIRST_CUTS):
+        try:
+            found = _cut_ever_later(returns, metric, here, n, _FIRST_STEP, margin.place, near)
+        except ZenoOrbitsError as error:
+            # The root of a cut nears the end as (sigma/kappa)^n: after few impacts it may be far.
+            trouble = error
+            continue
+        return replace(found, margins={**last.found.margins, margin: 0.0})
+    raise trouble or SimulationError("The locked arc does not vanish", time=0.0, state=())
 
 
 def locate_cut_near(
@@ -75,7 +86,7 @@ def locate_cut_near(
         try:
             here = correct(cut_after(returns, place, n), metric, z, along)
             near = _Near(centre=here.z, reach=_BESIDE)
-            return _cut_ever_later(returns, metric, here, n, 1e-4, place, near)
+            return _cut_ever_later(returns, metric, here, n, _FIRST_STEP, place, near)
         except ZenoOrbitsError:
             # Beyond the end a sequence is let go, the later the nearer: fewer impacts still are.
             continue
@@ -140,18 +151,16 @@ def _cut_ever_later(
 _MOST_CUTS = 16
 
 
-def _first_cut(
-    returns: ReturnMap, metric: FamilyMetric, last: BranchPoint, place: int, cut: Margin
-) -> tuple[int, BranchPoint, float]:
-    """Return the least number of impacts at which the cut tells how far the end is."""
-    n = 2
+def _telling_cuts(
+    returns: ReturnMap, metric: FamilyMetric, last: BranchPoint, place: int
+) -> Iterator[tuple[int, BranchPoint]]:
+    """Yield numbers of impacts at which the cut tells how far the end is, the least first."""
+    n, cut = 2, Margin(loss=Loss.CUT, place=place)
     while n < _MOST_IMPACTS:
-        whole = cut_after(returns, place, n)
-        point = correct(whole, metric, last.z, last.tangent)
+        point = correct(cut_after(returns, place, n), metric, last.z, last.tangent)
         if point.found.margins[cut] > 0.0:
-            return n, point, 1e-4
+            yield n, point
         n = max(n + 1, round(1.2 * n))
-    raise SimulationError("The locked arc does not vanish", time=0.0, state=())
 
 
 def _slope(

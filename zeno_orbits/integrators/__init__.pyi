@@ -9,6 +9,7 @@ from .collocation import Collocation as Collocation
 from .collocation import lagrange_basis as lagrange_basis
 from .compiled_leg import CompilableFlow as CompilableFlow
 from .compiled_leg import LegCode as LegCode
+from .compiled_leg import RecordedTrajectory as RecordedTrajectory
 from .dop853 import RungeKutta as RungeKutta
 from .dop853_step import error_norm as error_norm
 from .dop853_step import explicit_attempt as explicit_attempt

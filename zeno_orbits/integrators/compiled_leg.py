@@ -9,9 +9,9 @@ from __future__ import annotations
 import ctypes
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache
-from typing import Any, NamedTuple, overload
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -134,8 +134,7 @@ class LegCode:
             duration += own.offset
         elif outcome is Outcome.HORIZON:
             duration = leg.horizon
-        steps = RecordedSteps(leg, chunks, self._scheme)
-        trajectory = SteppedTrajectory(steps=steps, duration=duration, end=state)
+        trajectory = RecordedTrajectory(leg, chunks, self._scheme, duration, state)
         return Passage(outcome=outcome, duration=duration, state=state, trajectory=trajectory)
 
     def _begin(self, leg: Leg, loop: StepLoop) -> None:
@@ -188,33 +187,67 @@ which are the implicit ones."""
 _NO_STEPS = np.zeros((0, 0, 0))
 
 
-class RecordedSteps(Sequence[Step]):
-    """The steps of a leg, made of their record once somebody asks for one."""
+class RecordedTrajectory:
+    """The flow along a leg, its steps made of their record once somebody asks for one."""
 
-    __slots__ = ("_chunks", "_leg", "_made", "_scheme")
+    __slots__ = ("_chunks", "_leg", "_scheme", "_way", "duration", "end")
 
-    def __init__(self, leg: Leg, chunks: Sequence[_Chunk], scheme: Collocation) -> None:
+    def __init__(
+        self,
+        leg: Leg,
+        chunks: Sequence[_Chunk],
+        scheme: Collocation,
+        duration: float,
+        end: Vector,
+    ) -> None:
         """Keep the record.
 
         Args:
             leg: The leg.
             chunks: Its steps in order.
             scheme: Of the implicit ones.
+            duration: Where the leg ends.
+            end: State there, ``(n_y,)``.
         """
         self._leg, self._chunks, self._scheme = leg, chunks, scheme
-        self._made: list[Step] = []
+        self.duration, self.end = duration, end
+        self._way: SteppedTrajectory | None = None
 
-    def _steps(self) -> list[Step]:
-        if not self._made:
-            before = self._leg.y
-            for rows, polynomials in self._chunks:
-                first = len(rows) - len(polynomials)
-                for k, (start, size) in enumerate(rows[:, :2].tolist()):
-                    after = rows[k, 2:]
-                    coefficients = polynomials[k - first] if k >= first else None
-                    self._made.append(self._step(start, size, before, after, coefficients))
-                    before = after
-        return self._made
+    @property
+    def steps(self) -> Sequence[Step]:
+        """The steps, at least one."""
+        return self.stepped().steps
+
+    @property
+    def times(self) -> Vector:
+        """Starts of the steps, and the end, ``(m,)``."""
+        return self.stepped().times
+
+    @property
+    def states(self) -> Vector:
+        """State at each of these times, ``(m, n_y)``."""
+        return self.stepped().states
+
+    def state_at(self, offset: float) -> Vector:
+        """Return the state at a time from the start."""
+        return self.stepped().state_at(offset)
+
+    def stepped(self) -> SteppedTrajectory:
+        """Return the same in steps."""
+        if self._way is None:
+            steps = tuple(self._made())
+            self._way = SteppedTrajectory(steps=steps, duration=self.duration, end=self.end)
+        return self._way
+
+    def _made(self) -> Iterator[Step]:
+        before = self._leg.y
+        for rows, polynomials in self._chunks:
+            first = len(rows) - len(polynomials)
+            for k, (start, size) in enumerate(rows[:, :2].tolist()):
+                after = rows[k, 2:]
+                coefficients = polynomials[k - first] if k >= first else None
+                yield self._step(start, size, before, after, coefficients)
+                before = after
 
     def _step(
         self, start: float, size: float, before: Vector, after: Vector, coefficients: Vector | None
@@ -232,13 +265,3 @@ class RecordedSteps(Sequence[Step]):
             after=after,
             coefficients=coefficients,
         )
-
-    def __len__(self) -> int:
-        return sum(len(rows) for rows, _ in self._chunks)
-
-    @overload
-    def __getitem__(self, index: int) -> Step: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Step]: ...
-    def __getitem__(self, index: int | slice) -> Step | Sequence[Step]:
-        return self._steps()[index]

@@ -283,11 +283,23 @@ class Attempt:
         return self._concluded(point, self.shorter)
 
     def _shorter_period(self) -> int:
-        """Return after how many returns the orbit repeats already."""
-        state, scale = self.bundle.section.centre, self.bundle.section.scale
-        for period, event in enumerate(self.returns[0], start=1):
-            away = float(np.max(np.abs(event.state - state) / scale))
-            if self.period % period == 0 and away < self.accuracy.repeats:
+        """Return after how many returns Newton's method is at its end already.
+
+        The returns of the last step lie beside the orbit, as its start did: that one is near that
+        start does not tell alone. Nor do coordinates: of a return from elsewhere there may be none.
+        """
+        lanes = [self.returns[rank] for rank in sorted(self.returns)]
+        start, scale = self.bundle.section.centre, self.bundle.section.scale
+        for period in range(1, self.period):
+            away = float(np.max(np.abs(lanes[0][period - 1].state - start) / scale))
+            if self.period % period or not away < self.accuracy.near:
+                continue
+            cycles = [self.crossing.cycle(self.dynamics, events[:period]) for events in lanes]
+            try:
+                point = newton_step(self.dynamics, self.bundle.section, cycles, None)
+            except (np.linalg.LinAlgError, ZenoOrbitsError):
+                continue
+            if point.distance <= self.accuracy.exact:
                 return period
         return self.period
 

@@ -1,14 +1,15 @@
 """Errors of results and their price: error estimates, reduced models, work and precision.
 
 An error estimate comes from a second run at a looser tolerance; the truth that engines are compared
-with, from numbers of many digits (the modules `extended*`, `multiprecision`, `series_roots`).
+with, from numbers of many digits: `gauss` follows flows in them, `extended_run` an execution.
 
 Offers: `simulate_to` (an execution to a wanted accuracy), `simulate_with_error`, `settings_for`,
 `difference` (of two executions); `reduction_costs` (errors of reduced models);
 `trade`, `WorkPrecision`, `read_work_precision`; `extended_execution`, `extended_orbit` (in many
 digits).
 
-Imports: search, verification, orbits, simulation, model, integrators, work, arrays, errors.
+Imports: search, proof (how balls evaluate a function), verification, orbits, simulation, model,
+integrators, work, arrays, errors. Many digits are python-flint's (the extra `proof`).
 """
 
 import lazy_loader as lazy

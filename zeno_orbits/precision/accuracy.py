@@ -17,7 +17,7 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, PenetrationError, SimulationError
 from zeno_orbits.integrators import PAYS, Tolerance, flow_eigenvalues, rates_of, staying_rate
-from zeno_orbits.model import HybridDynamics
+from zeno_orbits.model import USUAL, HybridDynamics, OwnScale
 from zeno_orbits.orbits import at_looser_tolerance
 from zeno_orbits.precision.landmark import ROUNDING, difference, sizes
 from zeno_orbits.simulation import (
@@ -52,7 +52,7 @@ class Assured:
             its own; what its Zeno limits expect, rounding, or the tolerance itself where that is
             more. Infinite if the looser one goes another way or does not come through.
         zeno_errors: The same of every Zeno point alone, flights before it and limit together: of
-            time and state, relative to ``1 + |t|`` and ``1 + |x|``.
+            time and state, relative to ``1 + |t|`` and ``1 + |x|`` (1: own sizes).
     """
 
     execution: Execution
@@ -134,7 +134,7 @@ def simulate_to(
                 raise
             continue
         if previous is not None:
-            assured = _beside(previous, found, tried)
+            assured = _beside(previous, found, tried, dynamics.own)
             if assured.error <= accuracy:
                 return assured
             best = min(best, assured.error)
@@ -185,34 +185,45 @@ def simulate_with_error(
         )
     except SimulationError:
         looser = None
-    return _beside(looser, found, fine)
+    return _beside(looser, found, fine, dynamics.own)
 
 
-def _beside(looser: Execution | None, found: Execution, settings: SimulationSettings) -> Assured:
+def _beside(
+    looser: Execution | None, found: Execution, settings: SimulationSettings, own: OwnScale
+) -> Assured:
     """Return an execution with the error that a looser one shows."""
     # Two runs that take the same steps share their errors, so no run is better than its tolerance.
     least = max(ROUNDING * (1 + len(found.events)), settings.tolerance.relative)
-    error = math.inf if looser is None else difference(looser, found)
+    error = math.inf if looser is None else difference(looser, found, own)
     return Assured(
         execution=found,
         settings=settings,
-        error=max(error, _limit_error(found), least),
-        zeno_errors=tuple(max(error, least) for error in errors_of_zeno_points(looser, found)),
+        error=max(error, _limit_error(found, own), least),
+        zeno_errors=tuple(max(error, least) for error in errors_of_zeno_points(looser, found, own)),
     )
 
 
-def errors_of_zeno_points(looser: Execution | None, found: Execution) -> Iterator[float]:
-    """Yield the error of every Zeno point; infinity from where a looser run goes another way on."""
+def errors_of_zeno_points(
+    looser: Execution | None, found: Execution, own: OwnScale = USUAL
+) -> Iterator[float]:
+    """Yield the error of every Zeno point; infinity from where a looser run goes another way on.
+
+    Args:
+        looser: A run at a looser tolerance; None if it did not come through.
+        found: The run.
+        own: Sizes of the problem's numbers.
+    """
     others = () if looser is None else _holds(looser)
     alike = True
-    for own, other in zip_longest(_holds(found), others):
-        alike = alike and type(own) is type(other)
-        if not isinstance(own, ZenoPoint):
+    for one, other in zip_longest(_holds(found), others):
+        alike = alike and type(one) is type(other)
+        if not isinstance(one, ZenoPoint):
             continue
         if alike and isinstance(other, ZenoPoint):
-            times = abs(own.time - other.time) / (1 + abs(own.time))
-            states = np.abs(own.state - other.state) / (1 + np.abs(own.state))
-            yield max(times, float(np.max(states))) + own.limit_error
+            times = abs(one.time - other.time) / (own.time + abs(one.time))
+            usual = own.states(len(one.state)) + np.abs(one.state)
+            states = np.abs(one.state - other.state) / usual
+            yield max(times, float(np.max(states))) + one.limit_error
         else:
             yield math.inf
 
@@ -242,14 +253,14 @@ def why_engine(dynamics: HybridDynamics, state: Sequence[float] | Vector, leg: f
     return f"explicit steps (DOP853); {rates}."
 
 
-def _limit_error(execution: Execution) -> float:
+def _limit_error(execution: Execution, own: OwnScale) -> float:
     """Return the largest error that the Zeno points themselves expect, relative to the states.
 
     Two runs that complete after the same impact share most of it, and so do not show it.
     """
-    scale = sizes(execution)
+    scale = sizes(execution, own)
     shares = [
-        point.limit_error * float(np.max((1.0 + np.abs(point.state)) / scale))
+        point.limit_error * float(np.max((own.states(len(scale)) + np.abs(point.state)) / scale))
         for point in execution.zeno_points
     ]
     return max(shares, default=0.0)

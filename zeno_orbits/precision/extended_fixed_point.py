@@ -19,9 +19,10 @@ from decimal import Decimal
 from typing import Any
 
 import numpy as np
+from flint import ctx
 
 from zeno_orbits.arrays import Array
-from zeno_orbits.errors import InputError, SimulationError
+from zeno_orbits.errors import InputError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Section, release_section
 from zeno_orbits.precision.extended import (
@@ -30,13 +31,14 @@ from zeno_orbits.precision.extended import (
     ExtendedPoint,
     check_digits,
     check_state,
+    decimal,
     impacts,
-    point,
+    points,
     trace_difference,
 )
 from zeno_orbits.precision.extended_run import ExtendedRun, Trace
-from zeno_orbits.precision.extended_system import ExtendedSystem, State
-from zeno_orbits.precision.multiprecision import Arithmetic, decimal
+from zeno_orbits.precision.extended_system import ExtendedSystem, State, relative_difference
+from zeno_orbits.precision.gauss import followed_no_further
 
 _SCOUT_DIGITS = 20
 """Length of the numbers in which the derivative is measured."""
@@ -87,8 +89,7 @@ def extended_orbit(
 ) -> ExtendedOrbit:
     """Return the orbit near a release state, to the wanted digits.
 
-    Takes about 10 s for a double pendulum with a motor at 25 digits, and
-    grows with the stiffness ``R / L``.
+    Takes about 5 s for a double pendulum with a motor at 25 digits.
 
     Args:
         problem: The problem.
@@ -98,7 +99,7 @@ def extended_orbit(
         horizon: Longest time to wait for a return [s].
 
     Raises:
-        InputError: If heyoka is missing or an argument is out of range.
+        InputError: If an argument is out of range.
         TranslationError: If the model is not analytic.
         SimulationError: If there is no return, the map does not close, or misses the digits.
     """
@@ -106,88 +107,83 @@ def extended_orbit(
     check_digits(digits)
     compiled = problem.compiled()
     check_state(release_guess, compiled.n_x)
-    entries = values.vector
-    near = np.array([float(value) for value in release_guess])
-    section = release_section(problem.dynamics(values), near, 1.0 + np.abs(near))
+    x = np.array([float(value) for value in release_guess])
+    dynamics = problem.dynamics(values)
+    section = release_section(dynamics, x, dynamics.own.states(len(x)) + np.abs(x))
     lengths = (_SCOUT_DIGITS, *(digits + spare for spare in SPARE_DIGITS))
     maps = [
-        _ReturnMap(ExtendedSystem(Arithmetic(digits=length), compiled, entries), section, horizon)
-        for length in lengths
+        _ReturnMap(ExtendedSystem(problem, values, length), section, horizon) for length in lengths
     ]
-    jacobian = maps[0].jacobian(maps[0].release(release_guess))
-    scouted = maps[0].close(release_guess, jacobian).release
-    if _off(scouted, maps[0].release(release_guess)) > _DIFFERENCE:
-        jacobian = maps[0].jacobian(scouted)
-    shorter = maps[1].close(scouted, jacobian)
-    longer = maps[2].close(shorter.release, jacobian)
+    scout, shorter, longer = maps
+    start = scout.release(release_guess)
+    jacobian = scout.jacobian(start)
+    near, _, _ = scout.close(start, jacobian)
+    if scout.off(near, start) > _DIFFERENCE:
+        jacobian = scout.jacobian(near)
+    near, other, _ = shorter.close(near, jacobian)
+    release, trace, closure = longer.close(near, jacobian)
     sizes = np.linalg.svd(np.eye(len(jacobian)) - jacobian, compute_uv=False)
     gain = 1 / float(np.min(sizes, initial=np.inf))
-    error = max(
-        trace_difference(shorter.trace, longer.trace), _off(shorter.release, longer.release)
-    )
-    error = max(error, gain * longer.closure)
+    apart = trace_difference(other, trace, longer.system.own)
+    error = max(apart, longer.off(near, release), gain * closure)
     if not error < 10.0**-digits:
         message = f"The orbit is certain to {error:.1g} only, not to {digits} digits"
-        raise SimulationError(
-            message, time=float(longer.trace.releases[-1][0]), state=_floats(longer.release)
+        raise followed_no_further(message, *trace.releases[-1])
+    multipliers = sorted(map(complex, np.linalg.eigvals(jacobian)), key=abs, reverse=True)
+    with ctx.workprec(longer.system.bits):
+        return ExtendedOrbit(
+            state_names=compiled.state_names,
+            period=decimal(trace.releases[-1][0]),
+            release_state=tuple(map(decimal, release)),
+            impacts=impacts(trace),
+            zeno_points=points(trace.zeno_points),
+            multipliers=tuple(multipliers),
+            closure=closure,
+            error=error,
+            wall_time=clock.perf_counter() - started,
         )
-    values_found = np.linalg.eigvals(jacobian)
-    return ExtendedOrbit(
-        state_names=compiled.state_names,
-        period=decimal(longer.trace.releases[-1][0]),
-        release_state=tuple(decimal(value) for value in longer.release),
-        impacts=impacts(longer.trace),
-        zeno_points=tuple(point(*pair) for pair in longer.trace.zeno_points),
-        multipliers=tuple(sorted((complex(m) for m in values_found), key=abs, reverse=True)),
-        closure=longer.closure,
-        error=error,
-        wall_time=clock.perf_counter() - started,
-    )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Closed:
-    """A fixed point of the return map in numbers of one length."""
-
-    release: State
-    trace: Trace
-    closure: float
 
 
 class _ReturnMap:
     """The return map in numbers of one length."""
 
     def __init__(self, system: ExtendedSystem, section: Section, horizon: float) -> None:
-        self._system = system
+        self.system = system
         self._section = section
-        self._horizon = system.arithmetic.number(horizon)
+        self._horizon = horizon
 
     def release(self, x: Sequence[Any]) -> State:
         """Return the release state nearest to a state, to all digits."""
-        number, here = self._system.arithmetic.number, self._system.arithmetic.numbers(x)
+        system, own = self.system, self.system.own
+        weights = self._section.scale[:, None] * self._section.normal
         off = float("inf")
-        for _ in range(_CORRECTIONS):
-            gap, gap_rate, _, multiplier, _ = self._system.contact(here)
-            conditions = [gap, gap_rate, multiplier, *self._system.holonomic(here)[0]]
-            before, off = off, max(float(abs(c)) for c in conditions)
-            if off == 0.0 or (off <= self._system.smallest and off >= before / 2):
-                return here
-            weights = self._section.scale[:, None] * self._section.normal
-            here = [
-                value - sum(number(float(w)) * c for w, c in zip(row, conditions, strict=True))
-                for value, row in zip(here, weights, strict=True)
-            ]
+        with ctx.workprec(system.bits):
+            here = system.numbers(x)
+            for _ in range(_CORRECTIONS):
+                conditions = system.conditions(here)
+                sizes = np.ones(len(conditions))
+                sizes[:3] = own.gap, own.gap_rate, own.multiplier
+                before = off
+                off = max(float(abs(c)) / s for c, s in zip(conditions, sizes, strict=True))
+                if off == 0.0 or (off <= system.smallest and off >= before / 2):
+                    return here
+                here = [
+                    (value - sum(float(w) * c for w, c in zip(row, conditions, strict=True))).mid()
+                    for value, row in zip(here, weights, strict=True)
+                ]
         message = "Argument `release_guess` must be near a release state"
         raise InputError(f"{message}, but the conditions stay off by {off:.3g}.")
 
     def image(self, x: State) -> Trace:
         """Return what happens until the next release."""
-        trace = ExtendedRun(self._system, until=self._horizon, releases=1).follow(x)
+        trace = ExtendedRun(self.system, until=self._horizon, releases=1).follow(x)
         if not trace.releases:
-            raise SimulationError(
-                "There is no next release", time=float(self._horizon), state=_floats(x)
-            )
+            raise followed_no_further("There is no next release", self._horizon, x)
         return trace
+
+    def off(self, x: State, other: State) -> float:
+        """Return the largest difference of two states, relative to size and value."""
+        return relative_difference(x, other, self.system.sizes)
 
     def jacobian(self, x: State) -> Array:
         """Return the derivative of the map in section coordinates, by central differences."""
@@ -201,43 +197,33 @@ class _ReturnMap:
             jacobian[:, k] = self._coordinates(ahead, behind) / (2 * _DIFFERENCE)
         return jacobian
 
-    def close(self, guess: Sequence[Any], jacobian: Array) -> _Closed:
-        """Return the fixed point near a guess."""
+    def close(self, guess: Sequence[Any], jacobian: Array) -> tuple[State, Trace, float]:
+        """Return the fixed point near a guess, its period, and what that leaves."""
         left = np.eye(len(jacobian)) - jacobian
         x, before = self.release(guess), float("inf")
         for _ in range(_PASSES):
             trace = self.image(x)
             image = trace.releases[-1][1]
-            closure = _off(image, x)
-            if closure <= 10.0**_CLOSED * self._system.smallest:
-                return _Closed(release=x, trace=trace, closure=closure)
+            closure = self.off(image, x)
+            if closure <= 10.0**_CLOSED * self.system.smallest:
+                return x, trace, closure
             if not closure < before:
                 break
             before = closure
             x = self._moved(
                 x, np.asarray(np.linalg.solve(left, self._coordinates(image, x)), float)
             )
-        horizon = float(self._horizon)
         message = f"The return map does not close: it leaves {before:.3g}"
-        raise SimulationError(message, time=horizon, state=_floats(x))
+        raise followed_no_further(message, self._horizon, x)
 
     def _coordinates(self, x: State, origin: State) -> Array:
         """Return the section coordinates of a small difference of states."""
         # The difference is taken in full length; as a double it keeps 16 of its own digits.
-        apart = np.array([float(a - b) for a, b in zip(x, origin, strict=True)])
+        with ctx.workprec(self.system.bits):
+            apart = np.array([float(a - b) for a, b in zip(x, origin, strict=True)])
         return self._section.components(apart)
 
     def _moved(self, x: State, coordinates: Array) -> State:
         shifts = self._section.scale * (self._section.tangent @ coordinates)
-        number = self._system.arithmetic.number
-        return self.release([a + number(float(b)) for a, b in zip(x, shifts, strict=True)])
-
-
-def _off(x: State, other: State) -> float:
-    """Return the largest difference of two states, relative to one plus the other."""
-    pairs = zip(x, other, strict=True)
-    return max(float(abs(a - b) / (1 + abs(b))) for a, b in pairs)
-
-
-def _floats(x: Sequence[Any]) -> tuple[float, ...]:
-    return tuple(float(value) for value in x)
+        with ctx.workprec(self.system.bits):
+            return self.release([(a + float(b)).mid() for a, b in zip(x, shifts, strict=True)])

@@ -2,68 +2,101 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
+from decimal import Decimal
+from typing import Any
 
-from zeno_orbits.model import CompiledSystem, ContactQuantities, ImpactLaw
-from zeno_orbits.precision.multiprecision import Arithmetic, Formula, Real, flow_of
+import casadi as ca
+import numpy as np
+from flint import arb, ctx
+
+from zeno_orbits.model import ContactQuantities, ImpactLaw, ParameterValues, Problem
+from zeno_orbits.precision.gauss import GaussFlow, Real, ball_function
 
 State = list[Real]
 
+_SPARE_BITS = 32
 _LOST = 3
-"""Digits that the conditions on the stop lose against the numbers they are made of."""
+"""Digits that conditions on the stop lose against the numbers they are made of."""
 
 
 class ExtendedSystem:
-    """A problem at fixed numbers, in numbers of a length: flows, contact and reset map."""
+    """A problem at fixed numbers, in numbers of a length: flows, contact and reset map.
 
-    def __init__(
-        self, arithmetic: Arithmetic, compiled: CompiledSystem, values: Sequence[float]
-    ) -> None:
-        """Compile the flows; takes about a second.
+    Attributes:
+        digits: Decimal digits that count.
+        bits: Length of the numbers; all that is done with them is done in this length.
+        sizes: Size of each state of the problem, ``(n_x,)``.
+    """
+
+    def __init__(self, problem: Problem, values: ParameterValues, digits: int) -> None:
+        """Translate the problem.
 
         Args:
-            arithmetic: Length of the numbers.
-            compiled: The problem.
-            values: Gains, then parameters, exactly.
+            problem: The problem.
+            values: Its numbers, exactly.
+            digits: Decimal digits that count.
         """
-        self.arithmetic = arithmetic
-        self.n_x, self.n_q, self.n_values = compiled.n_x, compiled.n_q, len(values)
-        self.flight = flow_of(arithmetic, compiled.flight.rate, (*values, 1.0))
-        self.locked = flow_of(arithmetic, compiled.locked.rate, values, compiled.locked.guard)
-        self._contact = Formula(arithmetic, compiled.contact, values)
-        self.holonomic = Formula(arithmetic, compiled.holonomic, values)
-        self._locked_rate = Formula(arithmetic, compiled.locked.rate, values)
-        self._impulse = Formula(arithmetic, compiled.impulse, values)
+        self.digits, self.bits = digits, math.ceil(digits * math.log2(10.0)) + _SPARE_BITS
+        self.own = problem.dynamics(values).own
+        compiled, p = problem.compiled(), values.vector
+        n_x = compiled.n_x
+        self.sizes = self.own.states(n_x)
+        y, q = ca.SX.sym("y", n_x + 3), ca.SX.sym("p", len(p))
+        flight = compiled.flight.rate(y[: n_x + 2], ca.vertcat(q, y[n_x + 2]))
+        guard_rate = compiled.locked.guard(y[:n_x], q)[1]
+        locked = ca.vertcat(compiled.locked.rate(y[:n_x], q), guard_rate)
+        struck = compiled.reset(y[:n_x], q, y[n_x])
+        law = compiled.law_at(q)
+
+        def flow(name: str, rate: ca.SX, n_in: int, sizes: list[float]) -> GaussFlow:
+            function = ca.Function(name, [y[:n_in], q], [rate])
+            return GaussFlow(function, p, np.append(self.sizes, sizes), n_x, digits)
+
+        with ctx.workprec(self.bits):
+            gap = [self.own.gap, self.own.gap_rate]
+            self.flight = flow("flight", flight, n_x + 3, gap)
+            self.locked = flow("locked", locked, n_x + 1, [self.own.multiplier])
+            self._contact = ball_function(compiled.contact, p)
+            self._holonomic = ball_function(compiled.holonomic, p)
+            self._resting = ball_function(compiled.resting, p)
+            strike = ca.Function("strike", [y[: n_x + 1], q], [struck, *law])
+            self._strike = ball_function(strike, p)
 
     @property
     def smallest(self) -> float:
-        """Size below which a condition on the stop counts as zero."""
-        return 10.0 ** (_LOST - self.arithmetic.digits)
+        """Part of its size below which a condition on the stop counts as zero."""
+        return 10.0 ** (_LOST - self.digits)
+
+    @property
+    def smallest_speed(self) -> Real:
+        """Speed after an impact whose square is below rounding."""
+        return self.own.gap_rate * arb(10) ** (-(self.digits + _LOST) / arb(2))
+
+    def numbers(self, values: Sequence[float | Decimal | Real]) -> State:
+        """Return values in this length, exactly if they fit."""
+        exact = [str(value) if isinstance(value, Decimal) else value for value in values]
+        return [arb(value).mid() for value in exact]
 
     def contact(self, x: State) -> ContactQuantities:
         """Return the contact quantities at a state."""
-        return ContactQuantities(*self._contact(x)[0])
+        return ContactQuantities(*_middles(self._contact(x)[0]))
 
-    def on_stop(self, x: State) -> State:
-        """Return the state moved onto the stop along the impulse, gap and gap rate zero."""
-        (direction,), n_q = self._impulse(x)[:1], self.n_q
-        gap = self.contact(x).gap
-        shifts = [gap * d for d in direction[n_q : 2 * n_q]]
-        moved = [value - shift for value, shift in zip(x, shifts, strict=False)] + x[n_q:]
-        rate = self.contact(moved).gap_rate
-        return along(moved, -rate, self._impulse(moved)[0])
+    def conditions(self, x: State) -> State:
+        """Return what is zero where the stop lets go: gap, gap rate, multiplier, constraints."""
+        at = self.contact(x)
+        return [at.gap, at.gap_rate, at.multiplier, *_middles(self._holonomic(x)[0])]
 
-    def reset(self, x: State, approach_rate: Real) -> tuple[State, State, Real, Real]:
-        """Return states after the impact and after a plastic one, speed and restitution."""
-        direction, _, numbers = self._impulse(x)
-        law = ImpactLaw(*numbers)
-        after = along(x, -law.rate_drop(approach_rate), direction)
-        resting = self.on_stop(along(x, -approach_rate, direction))
-        return after, resting, law.speed_after(approach_rate), law.restitution
+    def resting(self, x: State) -> tuple[State, Real, State]:
+        """Return a state moved onto the stop, its d2h/dt2 and its locked flow."""
+        state, (acceleration,), rate = map(_middles, self._resting(x))
+        return state, acceleration, rate
 
-    def locked_on(self, x: State, duration: Real) -> State:
-        """Return the state after a short time on the stop, to first order."""
-        return along(x, duration, self._locked_rate(x)[0])
+    def strike(self, x: State, approach_rate: Real) -> tuple[State, ImpactLaw]:
+        """Return the state after an impact, and the law with its numbers."""
+        after, *law = map(_middles, self._strike([*x, approach_rate]))
+        return after, ImpactLaw(*(number for (number,) in law))
 
 
 def along(x: State, length: Real, direction: State) -> State:
@@ -74,4 +107,20 @@ def along(x: State, length: Real, direction: State) -> State:
         length: How far.
         direction: Direction, ``(n_x,)``.
     """
-    return [value + length * d for value, d in zip(x, direction, strict=True)]
+    return [(value + length * d).mid() for value, d in zip(x, direction, strict=True)]
+
+
+def relative_difference(x: State, other: State, sizes: Iterable[float]) -> float:
+    """Return the largest difference of two vectors, relative to a size plus the second.
+
+    Args:
+        x: One.
+        other: The other.
+        sizes: Of the entries.
+    """
+    rows = zip(x, other, sizes, strict=True)
+    return max((float(abs(a - b) / (s + abs(b))) for a, b, s in rows), default=0.0)
+
+
+def _middles(x: Sequence[Any]) -> State:
+    return [value.mid() for value in x]

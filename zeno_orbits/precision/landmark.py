@@ -11,13 +11,14 @@ from itertools import pairwise
 import numpy as np
 
 from zeno_orbits.arrays import Vector
+from zeno_orbits.model import USUAL, OwnScale
 from zeno_orbits.simulation import Event, Execution, Impact, ZenoPoint
 
 ROUNDING = 4e-15
 """Differences below this, times the number of events, are rounding: two runs may share it."""
 
 _NOTHING = 1e-12
-"""A state that is never larger is zero to rounding, and no unit of its own error."""
+"""A state that is never larger, in its own size, is zero to rounding and no unit of its error."""
 
 
 class Kind(Enum):
@@ -44,7 +45,7 @@ class Landmark:
     state: Vector
 
 
-def difference(first: Execution, second: Execution) -> float:
+def difference(first: Execution, second: Execution, own: OwnScale = USUAL) -> float:
     """Return the largest relative difference of two executions, over every event and the end.
 
     Times are relative to the last event's, states to their largest
@@ -55,13 +56,14 @@ def difference(first: Execution, second: Execution) -> float:
     Args:
         first: One execution.
         second: Another one to the same time.
+        own: Sizes of the problem's numbers.
 
     Returns:
         Infinity if they go different ways.
     """
     pairs = list(_pairs(_sections_of(first), _sections_of(second)))
     last = max((event.time for event in second.events), default=0.0)
-    return _largest(pairs, sizes(second), last or second.end_time)
+    return _largest(pairs, sizes(second, own), last or second.end_time)
 
 
 def landmarks(execution: Execution) -> tuple[Landmark, ...]:
@@ -94,15 +96,16 @@ def apart(first: Sequence[Landmark], second: Sequence[Landmark], scale: Vector) 
     return _largest(list(zip(first, second, strict=True)), scale, second[-1].time or 1.0)
 
 
-def sizes(execution: Execution) -> Vector:
-    """Return the largest value of each state at the ends of arcs, ``(n_x,)``; 1 for no value."""
-    return sizes_of([x for arc in execution.arcs for x in (arc.start_state, arc.end_state)])
+def sizes(execution: Execution, own: OwnScale = USUAL) -> Vector:
+    """Return the largest value of each state at the ends of arcs, ``(n_x,)``; its size for zero."""
+    return sizes_of([x for arc in execution.arcs for x in (arc.start_state, arc.end_state)], own)
 
 
-def sizes_of(states: Sequence[Sequence[float] | Vector]) -> Vector:
-    """Return the largest value of each state among some, ``(n_x,)``; 1 for no value."""
+def sizes_of(states: Sequence[Sequence[float] | Vector], own: OwnScale = USUAL) -> Vector:
+    """Return the largest value of each state among some, ``(n_x,)``; its own size for zero."""
     largest = np.max(np.abs(np.array(states, dtype=np.float64)), axis=0)
-    return np.where(largest > _NOTHING, largest, 1.0)
+    usual = own.states(len(largest))
+    return np.where(largest > _NOTHING * usual, largest, usual)
 
 
 def _landmark(event: Event) -> Landmark:

@@ -1,17 +1,18 @@
-"""The reference of trials: an execution in extended precision, with its error."""
+"""The reference of trials: an execution in many digits, with its error."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, TranslationError, ZenoOrbitsError
-from zeno_orbits.integrators import Radau, decay_rates, heyoka_is_installed
+from zeno_orbits.integrators import Radau
 from zeno_orbits.model import HybridDynamics, ParameterValues, Problem
 from zeno_orbits.precision.accuracy import at_tolerance
 from zeno_orbits.precision.landmark import (
@@ -32,9 +33,6 @@ TRUTH_DIGITS = 20
 
 _SAMPLES = 64
 """Times at which the truth is looked at for the size of its states."""
-
-_MOST_DECAYS = 1e5
-"""Fastest decay times horizon up to which a series takes less than a minute or so."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,10 +76,8 @@ def true_landmarks(
     if not 0.0 < until < math.inf:
         message = f"Argument `until` must be a positive number of seconds, but it is {until}."
         raise InputError(message)
-    if not heyoka_is_installed():
-        return _truth_in_doubles(dynamics, state, until, "install the extra `taylor` for a better")
-    if is_too_stiff(dynamics, state, until):
-        return _truth_in_doubles(dynamics, state, until, "the problem is too stiff for a better")
+    if find_spec("flint") is None:
+        return _truth_in_doubles(dynamics, state, until, "install the extra `proof` for a better")
     from zeno_orbits.precision.extended import extended_execution
 
     try:
@@ -99,22 +95,10 @@ def true_landmarks(
         )
     return Truth(
         marks=_exact_landmarks(exact),
-        scale=sizes_of([[float(value) for value in sample.state] for sample in exact.samples]),
+        scale=sizes_of([list(map(float, sample.state)) for sample in exact.samples], dynamics.own),
         how="extended precision",
         error=exact.error,
     )
-
-
-def is_too_stiff(dynamics: HybridDynamics, state: Sequence[float], until: float) -> bool:
-    """Return True if Taylor series, explicit as they are, would take minutes.
-
-    Args:
-        dynamics: The system.
-        state: Initial state, ``(n_x,)``.
-        until: Length of the execution [s].
-    """
-    fastest, _ = decay_rates(dynamics.free, np.array(state, dtype=np.float64))
-    return fastest * until > _MOST_DECAYS
 
 
 def _truth_in_doubles(
@@ -126,7 +110,7 @@ def _truth_in_doubles(
         simulate(dynamics, state, until=until, settings=at_tolerance(tolerance, implicit))
         for tolerance in (1e-14, 1e-13)
     )
-    marks, scale = landmarks(finest), sizes(finest)
+    marks, scale = landmarks(finest), sizes(finest, dynamics.own)
     return Truth(
         marks=marks,
         scale=scale,

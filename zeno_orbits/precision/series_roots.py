@@ -1,6 +1,6 @@
 r"""The first root of a polynomial on an interval, isolated without samples.
 
-Written in Bernstein's basis on ``[0, 1]``, a polynomial has no more roots in the interval than its
+In Bernstein's basis on ``[0, 1]`` a polynomial has no more roots in the interval than its
 coefficients have changes of sign (Descartes), so an interval without a change needs no further
 look, and one with a single change holds exactly one root. The rest is bisected, and so is what is
 too close to zero for its sign to be certain.
@@ -8,11 +8,12 @@ too close to zero for its sign to be certain.
 
 from __future__ import annotations
 
-from functools import cache
-from math import comb
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import BPoly
+from scipy.optimize import brentq
 
 from zeno_orbits.errors import InputError
 
@@ -24,10 +25,11 @@ _DEPTH = 46
 
 
 def first_root(coefficients: Coefficients) -> float | None:
-    r"""Return where :math:`\sum_k a_k u^k` first ceases to be positive in ``[0, 1]``, if it does.
+    r"""Return where a polynomial first ceases to be positive in ``[0, 1]``, if it does.
 
     Args:
-        coefficients: :math:`a_k`, ``(n + 1,)``.
+        coefficients: Those in Bernstein's basis,
+            :math:`\sum_k b_k \binom{n}{k} u^k (1 - u)^{n - k}`, ``(n + 1,)``.
 
     Returns:
         The root, to rounding; 0 if the polynomial is not positive there.
@@ -38,16 +40,17 @@ def first_root(coefficients: Coefficients) -> float | None:
     if not np.all(np.isfinite(coefficients)):
         raise InputError("Argument `coefficients` must be finite, but some are not.")
     noise = 4 * len(coefficients) * _ROUNDING * float(np.max(np.abs(coefficients)))
-    pieces = [(0.0, 1.0, _bernstein(len(coefficients) - 1) @ coefficients)]
+    pieces = [(0.0, 1.0, coefficients)]
     while pieces:
         left, right, values = pieces.pop()
         if values[0] <= 0.0:
             return left
-        changes = _sign_changes(values)
+        changes = np.count_nonzero(np.diff(np.sign(values[values != 0.0])))
         if changes == 0 and (np.min(values) > noise or _leads_away(values, left)):
             continue
         if changes == 1 and values[-1] < 0.0:
-            return _bisect(coefficients, left, right)
+            piece, tight = BPoly(values[:, None], [left, right]), 4 * _ROUNDING
+            return float(brentq(_value, left, right, args=(piece,), xtol=1e-300, rtol=tight))
         middle = (left + right) / 2
         if right - left < 2.0**-_DEPTH:
             message = f"must have simple roots, but two meet near {middle:.6g}"
@@ -67,18 +70,6 @@ def _leads_away(values: Coefficients, left: float) -> bool:
     return (left == 0.0 and bool(np.all(steps > 0.0))) or bool(np.all(steps < 0.0))
 
 
-@cache
-def _bernstein(degree: int) -> Coefficients:
-    """Return the matrix from powers to Bernstein's basis: no entry is negative, or above one."""
-    rows = range(degree + 1)
-    return np.array([[comb(j, k) / comb(degree, k) for k in rows] for j in rows])
-
-
-def _sign_changes(values: Coefficients) -> int:
-    signs = np.sign(values[values != 0.0])
-    return int(np.count_nonzero(signs[1:] != signs[:-1]))
-
-
 def _halves(values: Coefficients) -> tuple[Coefficients, Coefficients]:
     """Return the coefficients on both halves, by de Casteljau's rule."""
     row = values
@@ -90,14 +81,5 @@ def _halves(values: Coefficients) -> tuple[Coefficients, Coefficients]:
     return np.array(first), np.array(second[::-1])
 
 
-def _bisect(coefficients: Coefficients, left: float, right: float) -> float:
-    """Return the one root between a positive and a negative value."""
-    descending = coefficients[::-1]
-    while True:
-        middle = (left + right) / 2
-        if not left < middle < right:
-            return middle
-        if float(np.polyval(descending, middle)) > 0.0:
-            left = middle
-        else:
-            right = middle
+def _value(u: float, polynomial: Any) -> float:
+    return float(polynomial(u))

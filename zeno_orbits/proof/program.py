@@ -226,7 +226,7 @@ class BallProgram:
                 root = add("sqrt", root)
             sign = self._constant(arb(-1 if name == "acos" else 1))
             return add(name, a, add("div", sign, root))
-        raise TranslationError(name, "which the prover does not know")
+        raise TranslationError(name, "which is not analytic, or has no rule for balls")
 
     def _hyperbolic(self, name: str, a: int) -> int:
         add = self._add

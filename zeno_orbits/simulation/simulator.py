@@ -235,7 +235,7 @@ class _Run:
 
     def locked_arc(self, start: ArcStart) -> ArcStart | None:
         """Follow the locked flow to the release, where the multiplier falls through zero."""
-        slack = self._is_slack(start.state)
+        slack = self._is_slack(start.state, self.dynamics.gap_acceleration(start.state))
         arc, _ = self._arc(start, self.dynamics.locked, Ending.RELEASE, on_guard=slack)
         if arc.ending is Ending.HORIZON:
             return None
@@ -290,7 +290,7 @@ class _Run:
                 state=tuple(state_minus.tolist()),
             )
         landed = dynamics.landed(state_minus, approach_rate)
-        state_plus = landed.state
+        state_plus = landed.state_plus
         speed = dynamics.speed_after(approach_rate)
         if enters_stop(landed.gap_rate, approach_rate, self.own.gap_rate):
             raise PenetrationError(
@@ -309,7 +309,7 @@ class _Run:
         if self.arcs and self.n_impacts >= self.most_impacts:
             return None
         if speed <= self.small_rate:
-            state = landed.resting.state
+            state = landed.state
             after = self.on_stop(time, state)
             if after.mode is Mode.FREE:
                 # The stop lets go: whatever is left of the speed, the flight is the free flow's.
@@ -323,14 +323,15 @@ class _Run:
             state=state_plus,
             speed=speed,
             impact=impact,
-            resting=landed.resting,
+            resting=landed,
         )
 
     def on_stop(self, time: float, x: Vector) -> ArcStart:
         """Return the mode that holds on the stop at zero gap rate: locked, or released at once."""
-        slack = self._is_slack(x)
+        lift = self.dynamics.gap_acceleration(x)
+        slack = self._is_slack(x, lift)
         rate = self.dynamics.multiplier_rate(x) if slack else math.nan
-        holds = stop_holds(self.dynamics.gap_acceleration(x), rate, slack)
+        holds = stop_holds(lift, rate, slack)
         return ArcStart(mode=Mode.LOCKED if holds else Mode.FREE, time=time, state=x)
 
     def impact_sequence(self, start: ArcStart) -> ArcStart | None:
@@ -414,9 +415,13 @@ class _Run:
             return None
         return SteppedTrajectory(steps=limit.path, duration=limit.time - start, end=limit.state)
 
-    def _is_slack(self, x: Vector) -> bool:
-        """Return True if the stop neither holds nor repels a state on it, to rounding."""
-        lift = self.dynamics.gap_acceleration(x)
+    def _is_slack(self, x: Vector, lift: float) -> bool:
+        """Return True if the stop neither holds nor repels a state on it, to rounding.
+
+        Args:
+            x: The state, ``(n_x,)``.
+            lift: Its gap acceleration.
+        """
         if abs(lift) <= self.settings.contact * self.own.gap_acceleration:
             return True
         if not lift > 0.0:

@@ -22,6 +22,7 @@ from zeno_orbits.integrators import (
     ExplicitStep,
     GuardedFlow,
     RadauStep,
+    RecordedTrajectory,
     Step,
     SteppedTrajectory,
     Tolerance,
@@ -99,7 +100,8 @@ def _steps(flow: GuardedFlow, arc: Arc, tolerance: Tolerance) -> Iterator[Step]:
     """Yield the steps of an arc, the last of which may reach beyond its end."""
     way = arc.trajectory
     kinds = (ExplicitStep, RadauStep)
-    if isinstance(way, SteppedTrajectory) and all(isinstance(step, kinds) for step in way.steps):
+    known = isinstance(way, SteppedTrajectory | RecordedTrajectory)
+    if known and all(isinstance(step, kinds) for step in way.steps):
         yield from way.steps
         return
     y = arc.flow_state_at(0.0)

@@ -115,6 +115,10 @@ class LandingCall:
         self._rate[0] = approach_rate
         self._evaluate()
         gap_rate, acceleration = self._told.tolist()
-        state, flow = self._state.copy(), self._flow.copy()
-        resting = Resting(state=state, gap_acceleration=acceleration, rate=flow)
-        return Landed(state=self._after.copy(), gap_rate=gap_rate, resting=resting)
+        return Landed(
+            state=self._state.copy(),
+            gap_acceleration=acceleration,
+            rate=self._flow.copy(),
+            state_plus=self._after.copy(),
+            gap_rate=gap_rate,
+        )

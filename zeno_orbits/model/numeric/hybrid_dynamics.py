@@ -37,18 +37,16 @@ class Resting:
 
 
 @light_value
-class Landed:
-    """What an impact leads to.
+class Landed(Resting):
+    """What an impact leads to: the state after it, moved onto the stop, and as it is.
 
     Attributes:
-        state: State just after it, ``(n_x,)``.
+        state_plus: State just after it, ``(n_x,)``.
         gap_rate: Of that state.
-        resting: That state moved onto the stop.
     """
 
-    state: Vector
+    state_plus: Vector
     gap_rate: float
-    resting: Resting
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -177,8 +175,15 @@ class HybridDynamics:
         """
         if self.fused_stop is not None:
             return self.fused_stop.landed(x, approach_rate)
-        state = self.reset_map(x, approach_rate)
-        return Landed(state=state, gap_rate=self.gap_rate(state), resting=self.resting(state))
+        state_plus = self.reset_map(x, approach_rate)
+        resting = self.resting(state_plus)
+        return Landed(
+            state=resting.state,
+            gap_acceleration=resting.gap_acceleration,
+            rate=resting.rate,
+            state_plus=state_plus,
+            gap_rate=self.gap_rate(state_plus),
+        )
 
     def on_stop(self, x: Vector) -> Vector:
         """Return the state moved onto the stop, gap and gap rate zero, along the impulse.

@@ -23,8 +23,9 @@ from zeno_orbits.proof.checker.balls import (
     require,
 )
 from zeno_orbits.proof.checker.claims import CLAIMS, Passage, show
+from zeno_orbits.proof.checker.enclosure import Enclosure, require_enclosed
 from zeno_orbits.proof.checker.formulas import formulas_of
-from zeno_orbits.proof.checker.motion import KINDS, Enclosure, Place, require_enclosed
+from zeno_orbits.proof.checker.motion import KINDS, Place
 from zeno_orbits.proof.checker.section import Box, Section, require_start
 from zeno_orbits.proof.checker.system import LAW, System, bound_system
 from zeno_orbits.work import Plan, spread

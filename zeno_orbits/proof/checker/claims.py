@@ -22,7 +22,7 @@ from zeno_orbits.proof.checker.balls import (
     require,
     solved,
 )
-from zeno_orbits.proof.checker.motion import Enclosure
+from zeno_orbits.proof.checker.enclosure import Enclosure
 from zeno_orbits.proof.checker.section import Box
 
 

@@ -20,7 +20,7 @@ from zeno_orbits.proof.checker.balls import (
     require,
     solved,
 )
-from zeno_orbits.proof.checker.motion import Enclosure, Mapped, require_enclosed
+from zeno_orbits.proof.checker.enclosure import Enclosure, Mapped, require_enclosed
 from zeno_orbits.proof.checker.system import CONTACT, HOLONOMIC, System
 
 _SWEEPS = 4
