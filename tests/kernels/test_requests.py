@@ -16,7 +16,7 @@ import pytest
 
 from tests.support.compiling import forget, needs_compiler, use_folder, written_as_c
 from zeno_orbits.cli import main
-from zeno_orbits.kernels import Kernels, Recipe, account, caller, complaints, requests
+from zeno_orbits.kernels import Kernels, Recipe, account, caller, complaints, order, requests
 from zeno_orbits.kernels.folder import KernelFolder, kernel_folder
 
 INPUTS = np.array([0.3, -2.0, np.nan, np.inf, -np.inf, 0.0])
@@ -122,7 +122,7 @@ def test_a_library_is_made_once_and_loaded_ever_after(monkeypatch: pytest.Monkey
     def refuse(*_: object) -> None:
         raise AssertionError("A library is made again.")
 
-    monkeypatch.setattr(requests, "_start", refuse)
+    monkeypatch.setattr(order, "_start", refuse)
     assert np.array_equal(values_of(Kernels(wave())), values, equal_nan=True)
     other = Recipe(maker=wave().maker, functions=wave().functions, numbers=(1,))
     with pytest.raises(AssertionError, match="made again"):
@@ -178,7 +178,7 @@ def test_how_steps_were_taken_is_told_beside_taylors_method_where_that_is_there(
     monkeypatch.setattr(requests, "find_spec", lambda _: object() if there else None)
     assert account() == ""
     Kernels(wave()).library()
-    assert account().endswith("as fast as `--engine taylor` and sooner ready") == there
+    assert account().endswith("as fast as `--engine taylor`, and sooner ready") == there
     monkeypatch.setenv("ZENO_ORBITS_COMPILE", "never")
     assert account().endswith("in long runs `--engine taylor` is several times as fast") == there
     assert account().startswith("steps are interpreted, as ZENO_ORBITS_COMPILE=never asks")
@@ -218,7 +218,7 @@ def test_a_broken_compiler_is_one_line_and_is_not_tried_again(
         raise AssertionError("A library is made again.")
 
     forget(monkeypatch)
-    monkeypatch.setattr(requests, "_start", refuse)
+    monkeypatch.setattr(order, "_start", refuse)
     assert Kernels(wave()).library() is None
     assert complaints() == [said]
 
@@ -320,7 +320,7 @@ def test_a_request_that_nobody_works_on_any_more_is_taken_over(folder: Path) -> 
     job = folder / f"{file.name.partition('-')[0]}.job"
     file.unlink()
     job.touch()
-    long_ago = time.time() - 2 * requests._ABANDONED
+    long_ago = time.time() - 2 * order._ABANDONED
     os.utime(job, (long_ago, long_ago))
     assert np.isfinite(values_of(Kernels(wave()))[0])
 

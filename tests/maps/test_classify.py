@@ -383,8 +383,9 @@ def test_a_slow_way_to_an_orbit_is_looked_at_on_one_side_or_on_both():
     slow, origin = np.array([[0.98, 0.5], [0.0, 0.1]]), np.array([0.3, 0.01])
     places = places_on_the_way(origin, slow)
     assert places == pytest.approx(np.outer(np.arange(1, 7) / 6, origin))
-    both = places_on_the_way(origin, -slow)
-    assert both == pytest.approx(np.concatenate([places, -places]))
+    for over in (-slow, np.diag([-0.98, 0.1])):
+        both = places_on_the_way(origin, over)
+        assert both == pytest.approx(np.concatenate([places, -places]))
     turning = 0.98 * np.array([[0.6, -0.8], [0.8, 0.6]])
     assert len(places_on_the_way(origin, turning)) == 0
 
@@ -394,6 +395,8 @@ def test_a_slow_way_ends_at_another_orbit_if_one_place_goes_back():
     places = places_on_the_way(np.array([0.3, 0.01]), slow)
     images = places @ slow.T
     assert all_come_nearer(places, images, slow)
+    over = places_on_the_way(np.array([0.3, 0.01]), -slow)
+    assert all_come_nearer(over, over @ -slow.T, -slow)
     # At half of the rate of the multipliers, but not at a tenth of it.
     assert all_come_nearer(places, (places + images) / 2, slow)
     assert not all_come_nearer(places, 0.9 * places + 0.1 * images, slow)

@@ -15,6 +15,7 @@ from zeno_orbits.maps.sure_point import SurePoint
 from zeno_orbits.simulation import Ended, Reason
 
 EVENT = Ended(lane=0, time=1.0, state=np.zeros(1), reason=Reason.HORIZON)
+SOON = replace(EVENT, time=0.5)
 ORBIT = Attractor(fate=Fate.NO_ZENO, period=2.0)
 REST = Attractor(fate=Fate.REST)
 DIRECT = Way(times=tuple(np.arange(1.0, 41.0)), captured=9)
@@ -23,7 +24,12 @@ LATE = replace(DIRECT, captured=10)
 Told = tuple[Attractor, Way | None]
 
 
-def told_by(monkeypatch: pytest.MonkeyPatch, *answers: Told) -> tuple[Attractor, list[Accuracy]]:
+ACCURATE = Accuracy(motion=1e-8)
+
+
+def told_by(
+    monkeypatch: pytest.MonkeyPatch, *answers: Told, accuracy: Accuracy | None = None
+) -> tuple[Attractor, list[Accuracy]]:
     """Return what is concluded of a motion that settles to these in turn, and the accuracies."""
     used: list[Accuracy] = []
 
@@ -40,16 +46,18 @@ def told_by(monkeypatch: pytest.MonkeyPatch, *answers: Told) -> tuple[Attractor,
         def begin(self) -> Request:
             return Request(np.zeros((1, 1)), used[-1].motion, False, 1.0)
 
-        def hear(self, rank: int, event: Ended) -> Attractor:
-            assert (rank, event) == (0, EVENT)
-            return self._answer
+        def hear(self, rank: int, event: Ended) -> Attractor | None:
+            assert rank == 0
+            return None if event is SOON else self._answer
 
     monkeypatch.setattr(sure_point, "Point", Scripted)
     system: object = None
-    point = SurePoint(system, ("m",), np.zeros(1), 1.0, Accuracy())  # type: ignore[arg-type]
-    answer = point.hear(0, EVENT)
+    begun = accuracy or Accuracy()
+    point = SurePoint(system, ("m",), np.zeros(1), 1.0, begun)  # type: ignore[arg-type]
+    answer: Request | Attractor | None = point.begin()
     while isinstance(answer, Request):
         assert answer.tolerance == used[-1].motion
+        assert point.hear(0, SOON) is None
         answer = point.hear(0, EVENT)
     assert answer is not None
     return answer, used
@@ -71,6 +79,9 @@ def test_a_motion_that_wanders_has_to_do_so_at_two_accuracies_alike(
     answer, used = told_by(monkeypatch, (ORBIT, LATE), (finer, LATE))
     assert answer is finer
     assert [(one.motion, one.orbit) for one in used] == [(1e-6, 1e-8), (1e-8, 1e-8)]
+    # One that is as accurate as its orbit already is followed more accurately.
+    _, used = told_by(monkeypatch, (ORBIT, LATE), (finer, LATE), accuracy=ACCURATE)
+    assert [one.motion for one in used] == pytest.approx([1e-8, 1e-10])
     # So has one whose last return took another time.
     doubtful = replace(DIRECT, doubtful=True)
     answer, used = told_by(monkeypatch, (ORBIT, doubtful), (ORBIT, DIRECT))
@@ -111,9 +122,10 @@ def test_a_motion_that_settles_only_inaccurately_is_not_settled(
 
 
 def test_a_way_is_shared_up_to_where_it_comes_nearer_only() -> None:
-    times = list(LATE.times)
-    assert LATE.is_shared_by(replace(LATE, times=(*times[:11], 50.0)))
-    times[10] += 0.009
-    assert LATE.is_shared_by(replace(LATE, times=tuple(times)))
-    times[10] += 0.002
-    assert not LATE.is_shared_by(replace(LATE, times=tuple(times)))
+    # Four returns in 20 s: they may differ by 0.05 s when the way begins.
+    times = (2.0, 4.0, 6.0, 20.0)
+    way = Way(times=times, captured=2)
+    assert way.is_shared_by(replace(way, times=(2.5, 4.5, 6.049)))
+    assert way.is_shared_by(replace(way, times=(2.0, 4.0, 5.951, 50.0)))
+    assert not way.is_shared_by(replace(way, times=(2.0, 4.0, 6.051, 20.0)))
+    assert not way.is_shared_by(replace(way, times=(2.0, 4.0)))

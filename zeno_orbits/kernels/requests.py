@@ -7,12 +7,9 @@ kernels would have done has taken `_REPAYS` seconds in this process.
 
 from __future__ import annotations
 
-import atexit
 import hashlib
 import json
 import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
@@ -26,15 +23,12 @@ import casadi as ca
 
 from zeno_orbits.errors import KernelError
 from zeno_orbits.kernels.compiler import Compiler, find_compiler
-from zeno_orbits.kernels.folder import KernelFolder, kernel_folder
+from zeno_orbits.kernels.folder import kernel_folder
 from zeno_orbits.kernels.library import KernelLibrary
+from zeno_orbits.kernels.order import Order
 
 _REPAYS = 0.05
 """Interpreted work after which a library is asked for [s]."""
-_POLL = 0.05
-"""Interval at which a library that was asked for is looked for [s]."""
-_ABANDONED = 600.0
-"""Age of a request that nobody works on any more [s]."""
 _WRITERS = ("integrators", "kernels", "model/numeric", "simulation/batch")
 """Folders whose code writes kernels; another version of it writes others."""
 
@@ -111,7 +105,7 @@ class Kernels:
         self._recipe = recipe
         self._library: KernelLibrary | None = None
         self._key = ""
-        self._order: _Order | None = None
+        self._order: Order | None = None
         self._given_up = False
         self._owed = 0.0
 
@@ -181,7 +175,7 @@ class Kernels:
     def _ask(self) -> None:
         compiler = usable_compiler()
         if compiler is not None and self._recipe is not None and not self._given_up:
-            self._order = _Order.placed(kernel_folder(), self._key, self._recipe, compiler)
+            self._order = Order.placed(kernel_folder(), self._key, self._recipe.plain(), compiler)
 
     def _ask_and_wait(self) -> None:
         self._ask()
@@ -220,7 +214,7 @@ def account() -> str:
         return said
     if said.startswith(_INTERPRETED):
         return f"{said}; in long runs `--engine taylor` is several times as fast"
-    return f"{said}, which is as fast as `--engine taylor` and sooner ready"
+    return f"{said}; compiled, they are as fast as `--engine taylor`, and sooner ready"
 
 
 _INTERPRETED = "steps are interpreted"
@@ -243,7 +237,7 @@ def _how_and_why() -> str:
     why = f"the rest took less than {_REPAYS:g} s, which repays no compiling"
     if ordered:
         why = f"{ordered} more are being compiled for the next run"
-    return f"steps of {there} of {len(_used)} flows ({why}) are {by}"
+    return f"steps of {there} of {len(_used)} flows are {by}; {why}"
 
 
 @cache
@@ -272,91 +266,3 @@ def _writers() -> str:
             if file.suffix in {".py", ".c"}:
                 digest.update(file.name.encode() + file.read_bytes())
     return digest.hexdigest()
-
-
-class _Order:
-    """A library that another process makes."""
-
-    def __init__(self, job: Path, process: subprocess.Popen[bytes] | None) -> None:
-        self._job, self._process, self._next = job, process, 0.0
-
-    @classmethod
-    def placed(cls, folder: KernelFolder, key: str, recipe: Recipe, compiler: Compiler) -> _Order:
-        """Ask for a library, unless somebody else did.
-
-        Raises:
-            KernelError: If the folder cannot be written, or no process started.
-        """
-        folder.make()
-        job = folder.job_of(key)
-        content = {
-            "key": key,
-            "folder": str(folder.path),
-            "command": compiler.command,
-            "file": str(compiler.file),
-            **recipe.plain(),
-        }
-        try:
-            if job.exists() and time.time() - job.stat().st_mtime > _ABANDONED:
-                job.unlink(missing_ok=True)
-            handle = os.open(job, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        except FileExistsError:
-            return cls(job, None)
-        except OSError as error:
-            reason = f"`{folder.path}` cannot be written ({error.strerror})"
-            raise KernelError(reason) from error
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                json.dump(content, file)
-            return cls(job, _start(job))
-        except OSError as error:
-            job.unlink(missing_ok=True)
-            raise KernelError(f"no compiling could be started ({error.strerror})") from error
-
-    def due(self) -> bool:
-        """Return True now and then."""
-        now = time.monotonic()
-        if now < self._next:
-            return False
-        self._next = now + _POLL
-        return True
-
-    def is_over(self) -> bool:
-        """Return True if nobody works on it any more."""
-        if self._process is not None:
-            return self._process.poll() is not None
-        return not self._job.exists()
-
-    def wait(self) -> None:
-        """Wait until nobody works on it any more."""
-        if self._process is not None:
-            self._process.wait()
-        while not self.is_over():
-            time.sleep(_POLL)
-
-
-_started: list[subprocess.Popen[bytes]] = []
-
-
-def _start(job: Path) -> subprocess.Popen[bytes]:
-    """Start a process that makes a library and outlives this one."""
-    # It finds what this process finds, and nothing that lies in the current folder by chance.
-    paths = [path or str(Path.cwd()) for path in sys.path]
-    process = subprocess.Popen(
-        [sys.executable, "-P", "-m", "zeno_orbits.kernels", str(job)],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths), "ZENO_ORBITS_COMPILE": "never"},
-        start_new_session=True,
-    )
-    _started.append(process)
-    return process
-
-
-@atexit.register
-def _let_go() -> None:
-    """Leave the processes that still compile alone: they end by themselves."""
-    for process in _started:
-        if process.poll() is None:
-            process.returncode = 0

@@ -238,7 +238,8 @@ class Attempt:
             after = section.coordinates(self.origin) - centre
             away = float(np.max(np.abs([before, after]), initial=0.0))
             late = abs(float(point.numbers[0]) - self.span)
-            self.doubtful = late > max(SAME_PERIOD, _LATER * away) * self.span
+            close = max(SAME_PERIOD, self.accuracy.reached, _LATER * away)
+            self.doubtful = late > close * self.span
             if self.doubtful and not self.accuracy.motion > self.accuracy.orbit:
                 return Lost()
             if not is_approached(before, after, jacobian, self.accuracy.reached):
