@@ -201,3 +201,24 @@ def test_the_table_fits_eighty_columns(problem: str, monkeypatch: pytest.MonkeyP
     lines = ask("simulate", problem, "--until", "3").out.splitlines()
     table = lines[: next(k for k, line in enumerate(lines) if not line.strip())]
     assert max(len(line.rstrip()) for line in table) <= 80
+
+
+def test_a_single_event_shows_its_states() -> None:
+    out = ask("simulate", "motor_pendulum", "--until", "1").out
+    heading, row = out.splitlines()[:2]
+    assert heading.split()[-3:] == ["theta1", "dtheta1", "current"]
+    assert row.split()[1] == "release"
+    assert len(row.split()) == 5
+
+
+def test_all_states_stand_in_several_tables_where_one_is_too_wide(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("zeno_orbits.report.terminal.orbits.line_width", lambda: 80)
+    out = ask("simulate", "motor_pendulum", "--until", "1.4", "--all-states").out
+    headings = [line.split() for line in out.splitlines() if line.lstrip().startswith("t [s]")]
+    states = [heading[heading.index("dh/dt") + 1 :] for heading in headings]
+    every = ["theta1", "theta2", "dtheta1", "dtheta2", "current"]
+    assert [name for shown in states for name in shown] == every
+    assert len(states) > 1
+    assert all(len(line) <= 80 for line in out.splitlines()[:9])

@@ -178,7 +178,7 @@ def test_how_steps_were_taken_is_told_beside_taylors_method_where_that_is_there(
     monkeypatch.setattr(requests, "find_spec", lambda _: object() if there else None)
     assert account() == ""
     Kernels(wave()).library()
-    assert account().endswith("as fast as `--engine taylor` and sooner ready") == there
+    assert account().endswith("as fast as `--engine taylor`, and sooner ready") == there
     monkeypatch.setenv("ZENO_ORBITS_COMPILE", "never")
     assert account().endswith("in long runs `--engine taylor` is several times as fast") == there
     assert account().startswith("steps are interpreted, as ZENO_ORBITS_COMPILE=never asks")

@@ -54,10 +54,15 @@ class Parser(argparse.ArgumentParser):
 
 def _sentence(message: str) -> str:
     """Return a message of ``argparse`` in the form of the package's own messages."""
+    missing = re.fullmatch(r"the following arguments are required: (.*)", message)
+    if missing is not None:
+        return f"Missing: {missing[1]}."
     found = re.fullmatch(r"argument (?:-\w/)?(?:--)?([^:]+): (.*)", message, flags=re.DOTALL)
     if found is None:
         return message[0].upper() + message[1:]
     option, clause = found.groups()
+    if clause == "expected one argument":
+        clause = "must have a value, but it has none"
     choice = re.fullmatch(r"invalid choice: '(.*)' \(choose from (.*)\)", clause, flags=re.DOTALL)
     if choice is not None:
         given, known = choice[1], re.findall(r"'([^']*)'", choice[2])

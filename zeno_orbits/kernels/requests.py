@@ -214,7 +214,7 @@ def account() -> str:
         return said
     if said.startswith(_INTERPRETED):
         return f"{said}; in long runs `--engine taylor` is several times as fast"
-    return f"{said}, which is as fast as `--engine taylor` and sooner ready"
+    return f"{said}; compiled, they are as fast as `--engine taylor`, and sooner ready"
 
 
 _INTERPRETED = "steps are interpreted"
@@ -237,7 +237,7 @@ def _how_and_why() -> str:
     why = f"the rest took less than {_REPAYS:g} s, which repays no compiling"
     if ordered:
         why = f"{ordered} more are being compiled for the next run"
-    return f"steps of {there} of {len(_used)} flows ({why}) are {by}"
+    return f"steps of {there} of {len(_used)} flows are {by}; {why}"
 
 
 @cache

@@ -87,7 +87,7 @@ def _moving(problem: Problem, events: Sequence[Event]) -> list[str]:
     for k, name in enumerate(problem.state_names[:n_timeless]):
         size = _STILL * (1.0 + float(np.max(np.abs(states[:, k]))))
         same = float(np.max(np.abs(np.abs(states[:, k]) - np.abs(rates)))) < size
-        if not same and float(np.ptp(states[:, k])) > size:
+        if not same and (len(events) == 1 or float(np.ptp(states[:, k])) > size):
             found.append(name)
     return found
 
