@@ -23,6 +23,7 @@ from zeno_orbits.search import (
     close_orbit,
     find_orbit,
     search_gains,
+    start,
 )
 from zeno_orbits.search.guess import SettlingSettings
 from zeno_orbits.search.objectives import (
@@ -364,6 +365,44 @@ def test_the_best_orbit_that_attracts_is_taken_where_the_best_of_all_lies_on_a_f
     assert result.candidates[0].extents["spectral_radius"].highest < 0.99
     assert result.detail.startswith("The best orbit, at Kp = 2.5, Kd = -1, lies on a fold of the")
     assert "the best one with a spectral radius up to 0.99" in result.detail
+
+
+@pytest.mark.slow
+def test_an_orbit_on_the_way_is_taken_where_no_bounded_search_finds_one_that_attracts(
+    problem: Problem, certificate: OrbitCertificate, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    on_fold = replace(certificate, multipliers=(1.0 + 0.0j,))
+    seen: list[ZenoOrbit] = []
+
+    def refuse_some(orbit: ZenoOrbit) -> Judgement:
+        seen.append(orbit)
+        if len(seen) <= 8:
+            return Judgement(objection="It does not attract.", certificate=on_fold)
+        return Judgement(certificate=certificate)
+
+    lost = StartOutcome(status=SearchStatus.NOT_SOLVED)
+    from_start = start.from_start
+    monkeypatch.setattr(start, "beside", lambda *_: lost)
+    monkeypatch.setattr(
+        start, "from_start", lambda search, one: lost if search.bounds else from_start(search, one)
+    )
+    result = search_gains(
+        problem,
+        problem.values(),
+        free={"Kd": (-1.1, -0.9)},
+        objective=NearestGains(target={"Kd": -0.9}),
+        accept=refuse_some,
+        settings=SearchSettings(n_starts=1),
+    )
+    # The first start is the target itself. From the second one, the orbits near the target and
+    # 95 % of the way there are refused, that at 80 % is not.
+    begun, reached = result.attempts[1].gains["Kd"], seen[6].gains["Kd"]
+    assert reached == pytest.approx(-0.9, abs=1e-3)
+    wanted = [begun + part * (reached - begun) for part in (0.95, 0.8)]
+    assert [orbit.gains["Kd"] for orbit in seen[7:]] == pytest.approx(wanted, rel=1e-12)
+    assert result.unwrap() is seen[-1]
+    assert "lies on a fold of the family" in result.detail
+    assert result.detail.endswith("this one, on the way to it, does.")
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.model import ParameterValues, Problem
 from zeno_orbits.orbits import Bound, ZenoOrbit, objection_to
 from zeno_orbits.search.number_notes import far_from_own
+from zeno_orbits.search.objectives import NearestGains
 from zeno_orbits.search.outcome import Accept, Candidate, Judgement, StartOutcome
 from zeno_orbits.search.search_problem import SearchProblem, clipped, listed
 from zeno_orbits.search.settings import SearchStatus
@@ -139,15 +140,54 @@ def _attracting(
     except InputError:
         # Only a few multipliers can be bounded.
         return refused
-    if outcome.candidate is None:
-        return refused
     limit = "does not attract"
     multipliers = () if judgement.certificate is None else judgement.certificate.multipliers
     for value, word in ((1.0, "a fold of the family"), (-1.0, "a period doubling")):
         if any(abs(multiplier - value) < _AT_LIMIT for multiplier in multipliers):
             limit = f"lies on {word}, where orbits cease to attract"
-    detail = f"The best orbit, at {where}, {limit}; this is the best one with a spectral radius"
-    return replace(outcome, detail=f"{detail} up to {_ATTRACTS:g}.")
+    the_best = f"The best orbit, at {where}, {limit}"
+    if outcome.candidate is not None:
+        detail = f"{the_best}; this is the best one with a spectral radius up to {_ATTRACTS:g}."
+        return replace(outcome, detail=detail)
+    if isinstance(search.objective, NearestGains):
+        outcome = _on_the_way(search, start, accept, name, refused.solution.values)
+    if outcome.candidate is None:
+        return refused
+    return replace(outcome, detail=f"{the_best}; this one, on the way to it, does.")
+
+
+_PARTS = (0.95, 0.8, 0.5, 0.2, 0.0)
+"""Places on the way to an orbit that does not attract, from the start, at which others may."""
+
+
+def _on_the_way(
+    search: SearchProblem,
+    start: SearchStart,
+    accept: Accept | None,
+    name: str,
+    place: ParameterValues,
+) -> StartOutcome:
+    """Search at given numbers between a start and a place; nearness is a wish, an orbit the point.
+
+    Args:
+        search: The search.
+        start: The start.
+        accept: The check of orbits.
+        name: The start in words.
+        place: Where the nearest orbit of all is.
+    """
+    held = replace(search, free={})
+    outcome = StartOutcome(status=SearchStatus.NO_GUESS)
+    for part in _PARTS:
+        numbers = {
+            free: (1.0 - part) * start.values.number(free) + part * place.number(free)
+            for free in search.free
+        }
+        there = SearchStart(values=start.values.replaced(numbers))
+        outcome, _ = _judged(search, from_start(held, there), accept, name)
+        if outcome.candidate is not None:
+            break
+    return outcome
 
 
 def _measured(search: SearchProblem, orbit: ZenoOrbit, name: str) -> Mapping[str, Extent]:
