@@ -25,8 +25,8 @@ from tests.support.mechanisms import GRAVITY, falling_away
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, PenetrationError, SimulationError, StepSizeError
 from zeno_orbits.integrators import Leg, Outcome, Passage, RungeKutta, Taylor, taylor
-from zeno_orbits.integrators import taylor_modes as series
 from zeno_orbits.integrators.flow import GuardedFlow, PlainFlow, Tolerance
+from zeno_orbits.integrators.taylor import modes as series
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.compiled import bind
 from zeno_orbits.model.numeric.compiled_flow import CompiledFlow, mode_functions
