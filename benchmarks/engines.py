@@ -25,9 +25,9 @@ from scipy.integrate import Radau as SciPyRadau
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.integrators import Automatic, Engine, Radau, RungeKutta, SciPy, Taylor
-from zeno_orbits.integrators.casadi_to_heyoka import load_heyoka, translate
 from zeno_orbits.integrators.engine import Leg, Passage
 from zeno_orbits.integrators.flow import Tolerance
+from zeno_orbits.integrators.taylor.casadi_to_heyoka import load_heyoka, translate
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.compiled import CompiledSystem, bind
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics

@@ -11,8 +11,8 @@ import work
 from work import HORIZON, Method, Motion
 
 from zeno_orbits.integrators import Automatic, Engine, Radau, RungeKutta, Taylor
-from zeno_orbits.integrators.casadi_to_heyoka import heyoka_is_installed
 from zeno_orbits.integrators.flow import Tolerance
+from zeno_orbits.integrators.taylor.casadi_to_heyoka import heyoka_is_installed
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.simulation.completion import ZenoExtrapolation

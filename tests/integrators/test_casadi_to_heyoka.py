@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 from zeno_orbits.errors import InputError, TranslationError
-from zeno_orbits.integrators.casadi_to_heyoka import _SPELLED, _operations, load_heyoka, translate
+from zeno_orbits.integrators.taylor.casadi_to_heyoka import (
+    _SPELLED,
+    _operations,
+    load_heyoka,
+    translate,
+)
 from zeno_orbits.model.library import load_problem
 
 heyoka = pytest.importorskip("heyoka", reason="needs the extra `taylor`")

@@ -24,9 +24,10 @@ from tests.reference.reference_orbit import (
 from tests.support.mechanisms import GRAVITY, falling_away
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, PenetrationError, SimulationError, StepSizeError
-from zeno_orbits.integrators import Leg, Outcome, Passage, RungeKutta, Taylor, taylor
-from zeno_orbits.integrators import taylor_modes as series
+from zeno_orbits.integrators import Leg, Outcome, Passage, RungeKutta, Taylor
 from zeno_orbits.integrators.flow import GuardedFlow, PlainFlow, Tolerance
+from zeno_orbits.integrators.taylor import engine
+from zeno_orbits.integrators.taylor import modes as series
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.compiled import bind
 from zeno_orbits.model.numeric.compiled_flow import CompiledFlow, mode_functions
@@ -57,13 +58,13 @@ def _ball() -> HybridDynamics:
 def _walked(monkeypatch: pytest.MonkeyPatch) -> list[Leg]:
     """Collect the legs that are followed step by step after all."""
     legs: list[Leg] = []
-    follow_steps = taylor.follow_steps
+    follow_steps = engine.follow_steps
 
     def spied(steps: Any, leg: Leg) -> Passage:
         legs.append(leg)
         return follow_steps(steps, leg)
 
-    monkeypatch.setattr(taylor, "follow_steps", spied)
+    monkeypatch.setattr(engine, "follow_steps", spied)
     return legs
 
 

@@ -325,6 +325,19 @@ def test_a_request_that_nobody_works_on_any_more_is_taken_over(folder: Path) -> 
     assert np.isfinite(values_of(Kernels(wave()))[0])
 
 
+def test_a_process_that_was_killed_while_it_compiled_is_not_waited_for_for_ever(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    values_of(Kernels(wave()))
+    (file,) = folder.glob("*.kernels")
+    file.unlink()
+    (folder / f"{file.name.partition('-')[0]}.job").touch()
+    monkeypatch.setattr(order, "_PATIENCE", 0.2)
+    kernels = Kernels(wave())
+    assert not kernels.build()
+    assert any("another process has not compiled" in complaint for complaint in complaints())
+
+
 def test_old_libraries_go_once_there_are_many(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

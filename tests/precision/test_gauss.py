@@ -15,7 +15,8 @@ from zeno_orbits.errors import SimulationError, StepSizeError, TranslationError
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.precision.extended import decimal
 from zeno_orbits.precision.extended_system import ExtendedSystem
-from zeno_orbits.precision.gauss import GaussFlow, Real, ball_function, gauss_scheme
+from zeno_orbits.precision.gauss import GaussFlow, ball_function
+from zeno_orbits.precision.gauss_scheme import Real, gauss_scheme
 
 DIGITS = 40
 TINY = mp.mpf(10) ** -DIGITS

@@ -16,9 +16,9 @@ from zeno_orbits.orbits.period import placed
 from zeno_orbits.orbits.poincare import floquet_multipliers
 from zeno_orbits.search import close_orbit
 from zeno_orbits.search.confirmation import one_cycle
-from zeno_orbits.search.nearness import Nearness
 from zeno_orbits.search.transcription.arc import TranscriptionSettings
 from zeno_orbits.search.transcription.closure import closures_of
+from zeno_orbits.search.transcription.nearness import Nearness
 from zeno_orbits.search.transcription.program import ProgramBuilder
 from zeno_orbits.search.transcription.spectral_radius import keep_radius_below, section_map
 from zeno_orbits.search.transcription.transcribe import OrbitTerms, transcribe

@@ -17,10 +17,10 @@ from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.cycle import Cycle, cycles
 from zeno_orbits.search import SearchStatus, find_orbit
-from zeno_orbits.search.nearness import Nearness
 from zeno_orbits.search.transcription.arc import TranscriptionSettings
 from zeno_orbits.search.transcription.closure import closures_of
 from zeno_orbits.search.transcription.ipopt import Hessian, IpoptSettings, SolveStatus, solve
+from zeno_orbits.search.transcription.nearness import Nearness
 from zeno_orbits.search.transcription.program import Program
 from zeno_orbits.search.transcription.transcribe import transcribe
 from zeno_orbits.simulation.simulator import simulate

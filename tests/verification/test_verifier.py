@@ -20,9 +20,9 @@ from tests.support.orbits import changed
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.integrators import Automatic, Taylor
-from zeno_orbits.integrators.casadi_to_heyoka import heyoka_is_installed
 from zeno_orbits.integrators.engine import Leg, Passage
 from zeno_orbits.integrators.flow import Tolerance
+from zeno_orbits.integrators.taylor.casadi_to_heyoka import heyoka_is_installed
 from zeno_orbits.model.hybrid import CompletedSystem
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics

@@ -4,7 +4,7 @@ from .automatic import decay_rates as decay_rates
 from .automatic import flow_eigenvalues as flow_eigenvalues
 from .automatic import rates_of as rates_of
 from .automatic import staying_rate as staying_rate
-from .casadi_to_heyoka import heyoka_is_installed as heyoka_is_installed
+from .taylor.casadi_to_heyoka import heyoka_is_installed as heyoka_is_installed
 from .collocation import Collocation as Collocation
 from .collocation import lagrange_basis as lagrange_basis
 from .compiled_leg import CompilableFlow as CompilableFlow
@@ -45,4 +45,4 @@ from .scipy import SciPy as SciPy
 from .stepping import SteppingEngine as SteppingEngine
 from .steps import ExplicitStep as ExplicitStep
 from .steps import RadauStep as RadauStep
-from .taylor import Taylor as Taylor
+from .taylor.engine import Taylor as Taylor

@@ -17,6 +17,8 @@ from zeno_orbits.kernels.folder import KernelFolder
 
 _POLL = 0.05
 """Interval at which a library that was asked for is looked for [s]."""
+_PATIENCE = 60.0
+"""Longest wait for a library that another process makes [s]."""
 _ABANDONED = 600.0
 """Age of a request that nobody works on any more [s]."""
 
@@ -83,10 +85,18 @@ class Order:
         return not self._job.exists()
 
     def wait(self) -> None:
-        """Wait until nobody works on it any more."""
+        """Wait until nobody works on it any more.
+
+        Raises:
+            KernelError: If another process takes too long: it may have been killed.
+        """
         if self._process is not None:
             self._process.wait()
+        end = time.monotonic() + _PATIENCE
         while not self.is_over():
+            if time.monotonic() > end:
+                reason = f"another process has not compiled them within {_PATIENCE:g} s"
+                raise KernelError(f"{reason} (`zeno-orbits cache --clear` forgets it)")
             time.sleep(_POLL)
 
 

@@ -1,7 +1,7 @@
 """Errors of results and their price: error estimates, reduced models, work and precision.
 
 An error estimate comes from a second run at a looser tolerance; the truth that engines are compared
-with, from numbers of many digits: `gauss` follows flows in them, `extended_run` an execution.
+with, from numbers of many digits: `gauss` follows flows in them, `extended_run` executions.
 
 Offers: `simulate_to` (an execution to a wanted accuracy), `simulate_with_error`, `settings_for`,
 `difference` (of two executions); `reduction_costs` (errors of reduced models);

@@ -21,7 +21,8 @@ from zeno_orbits.precision.extended_system import (
     State,
     along,
 )
-from zeno_orbits.precision.gauss import GaussFlow, Real, followed_no_further
+from zeno_orbits.precision.gauss import GaussFlow, followed_no_further
+from zeno_orbits.precision.gauss_scheme import Real
 from zeno_orbits.simulation import Mode, tail_time
 
 _CONTACT = 1e-12

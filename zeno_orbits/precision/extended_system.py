@@ -12,7 +12,8 @@ import numpy as np
 from flint import arb, ctx
 
 from zeno_orbits.model import ContactQuantities, ImpactLaw, ParameterValues, Problem
-from zeno_orbits.precision.gauss import GaussFlow, Real, ball_function
+from zeno_orbits.precision.gauss import GaussFlow, ball_function
+from zeno_orbits.precision.gauss_scheme import Real
 
 State = list[Real]
 

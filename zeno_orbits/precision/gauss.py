@@ -15,31 +15,33 @@ Numbers are the midpoints of python-flint's balls: nothing is enclosed here.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import Any
 
 import casadi as ca
 import numpy as np
-from flint import arb, arb_mat, ctx
+from flint import arb, ctx
 from scipy.linalg.lapack import dgetrf, dgetrs
 
 from zeno_orbits.arrays import Array, Vector
 from zeno_orbits.errors import InputError, SimulationError, StepSizeError
+from zeno_orbits.precision.gauss_scheme import (
+    GaussScheme,
+    Real,
+    ball_rows,
+    double_rows,
+    gauss_scheme,
+)
 from zeno_orbits.precision.series_roots import first_root
 from zeno_orbits.proof import BallProgram
-
-Real = Any
-"""A number of many digits, a ball of radius zero."""
 
 _STAGES_PER_DIGIT = 0.75
 _BLOCK = 4
 """Numbers of stages come in multiples of it, but for the largest."""
 _ORDERS = 1.5
 """Digits that the end of a step has for each that its polynomial has: 2 where nothing is stiff."""
-_SPARE_BITS = 64
-"""Bits that the nodes are computed with beyond those of the numbers."""
 _MOST_STEPS = 100_000
 _MOST_TRIES = 200
 """Tries of a step, each shorter."""
@@ -55,78 +57,6 @@ _GAIN = 1e-3
 _GROWTH = 3.0
 _FLOOR = 1e-6
 """Part of its own size below which a state is zero to a step's error."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class GaussScheme:
-    """The collocation at Gauss's nodes on ``[0, 1]``, in the length of numbers it was made in.
-
-    Attributes:
-        nodes: Stage positions, ``(s,)``.
-        matrix: ``a``, and ``b`` as its last row, ``(s + 1, s)``.
-        coarse: The same in doubles.
-        bernstein: From values at the nodes to coefficients in Bernstein's basis, ``(s, s)``.
-        tails: From values at the nodes to the last two Legendre coefficients, ``(2, s)``.
-    """
-
-    nodes: list[Real]
-    matrix: Any
-    coarse: Array
-    bernstein: Any
-    tails: Any
-
-
-@lru_cache
-def gauss_scheme(s: int, bits: int) -> GaussScheme:
-    r"""Return the scheme of `s` stages in numbers of a length.
-
-    With Legendre's polynomials :math:`P_k` on ``[-1, 1]`` and :math:`\int_{-1}^{x} P_k =
-    (P_{k+1}(x) - P_{k-1}(x)) / (2 k + 1)`.
-    """
-    with ctx.workprec(bits + _SPARE_BITS):
-        pairs = [arb.legendre_p_root(s, k, weight=True) for k in range(s)][::-1]
-        values = [_legendre(x, s) for x, _ in [*pairs, (arb(1), 0)]]
-        modes = [
-            [(2 * k + 1) * w * p[k] / 2 for (_, w), p in zip(pairs, values, strict=False)]
-            for k in range(s)
-        ]
-        integrals = [
-            [(p[1] + 1) / 2, *((p[k + 1] - p[k - 1]) / (4 * k + 2) for k in range(1, s))]
-            for p in values
-        ]
-        matrix = _matrix(integrals) * _matrix(modes)
-        nodes = [(1 + x) / 2 for x, _ in pairs]
-        basis = [
-            [math.comb(s - 1, k) * x**k * (1 - x) ** (s - 1 - k) for k in range(s)] for x in nodes
-        ]
-        return GaussScheme(
-            nodes=[x.mid() for x in nodes],
-            matrix=matrix.mid(),
-            coarse=_doubles(matrix),
-            bernstein=_matrix(basis).inv().mid(),
-            tails=_matrix(modes[-2:]).mid(),
-        )
-
-
-def _legendre(x: Real, n: int) -> list[Real]:
-    found = [arb(1), x]
-    for k in range(1, n):
-        found.append(((2 * k + 1) * x * found[k] - k * found[k - 1]) / (k + 1))
-    return found
-
-
-def _matrix(rows: Sequence[Sequence[Real]]) -> Any:
-    return _filled(len(rows), [x for row in rows for x in row])
-
-
-def _filled(n_rows: int, entries: Iterable[Real]) -> Any:
-    """Return the matrix of some rows with these entries, row by row."""
-    listed = list(entries)
-    return arb_mat(n_rows, len(listed) // n_rows, listed)
-
-
-def _doubles(matrix: Any) -> Array:
-    return np.array([[float(x) for x in row] for row in matrix.table()])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -287,14 +217,14 @@ class GaussFlow:
             return None
         rates, length, solve, scale = rough
         size = arb(length) if lands else size
-        base = _filled(s + 1, y * (s + 1))
-        fine = _filled(s, map(arb, rates.ravel()))
+        base = ball_rows(s + 1, y * (s + 1))
+        fine = ball_rows(s, map(arb, rates.ravel()))
         before = None
         for _ in range(_ITERATIONS):
             moved = scheme.matrix * fine
             table = (base + moved * size).mid().table()
             found = [f for row in table[:-1] for f in self._rate([*row, *constants])[0]]
-            rest = (_filled(s, found) - fine).mid().entries()
+            rest = (ball_rows(s, found) - fine).mid().entries()
             if lands:
                 rest.append(-(moved[s, self.row] if y[self.row] == 0 else table[-1][self.row]))
             if not all(one.is_finite() for one in rest):
@@ -303,7 +233,7 @@ class GaussFlow:
             if largest == 0:
                 break
             change = solve(np.array([float(one / largest) for one in rest]))
-            fine = (fine + _filled(s, map(arb, change[: s * n])) * largest).mid()
+            fine = (fine + ball_rows(s, map(arb, change[: s * n])) * largest).mid()
             if lands:
                 size = (size + largest * float(change[-1])).mid()
             relative = np.max(np.abs(change[: s * n].reshape(s, n)) / scale) * float(size)
@@ -315,7 +245,7 @@ class GaussFlow:
                     return None
             before = now
         states = (base + scheme.matrix * fine * size).mid().table()
-        error = float(np.max(np.abs(_doubles(scheme.tails * fine)) / scale)) * float(size)
+        error = float(np.max(np.abs(double_rows(scheme.tails * fine)) / scale)) * float(size)
         return _Step(scheme=scheme, size=size, states=states, error=error)
 
     def _rough_step(
@@ -378,7 +308,7 @@ class GaussFlow:
             row[self.row] / (node**order * (1 - landed * node))
             for row, node in zip(step.states[:-1], step.scheme.nodes, strict=True)
         ]
-        series = (step.scheme.bernstein * _filled(len(values), values)).entries()
+        series = (step.scheme.bernstein * ball_rows(len(values), values)).entries()
         largest = max(abs(one.mid()) for one in series)
         try:
             root = first_root(np.array([float(one / largest) for one in series]))

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from zeno_orbits.model import Problem
     from zeno_orbits.orbits import Cycle
-    from zeno_orbits.search.nearness import Nearness
+    from zeno_orbits.search.transcription.nearness import Nearness
     from zeno_orbits.search.transcription.transcribe import OrbitTerms
     from zeno_orbits.simulation import Extent
 

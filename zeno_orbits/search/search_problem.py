@@ -8,9 +8,9 @@ from typing import Any
 
 from zeno_orbits.model import CompiledSystem, HybridDynamics, ParameterValues, Problem
 from zeno_orbits.orbits import Bound, OrbitShape, ZenoOrbit
-from zeno_orbits.search.nearness import Nearness
 from zeno_orbits.search.objectives import NearestGains, Objective
 from zeno_orbits.search.settings import SearchSettings
+from zeno_orbits.search.transcription.nearness import Nearness
 from zeno_orbits.simulation import Extent
 from zeno_orbits.work import Progress, silent
 

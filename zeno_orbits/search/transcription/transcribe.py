@@ -17,10 +17,10 @@ from zeno_orbits.arrays import Array, Vector
 from zeno_orbits.integrators import Collocation
 from zeno_orbits.model import CompiledSystem, HybridDynamics, ImpactLaw, ParameterValues
 from zeno_orbits.orbits import Cycle, OrbitShape
-from zeno_orbits.search.nearness import Nearness
 from zeno_orbits.search.transcription.arc import CollocatedArc, TranscriptionSettings
 from zeno_orbits.search.transcription.closure import Closure
 from zeno_orbits.search.transcription.motion_derivative import ProgramMotion
+from zeno_orbits.search.transcription.nearness import Nearness
 from zeno_orbits.search.transcription.phase import PhaseTerms, PhaseWriter, WrittenPhase
 from zeno_orbits.search.transcription.program import ProgramBuilder
 

@@ -18,7 +18,7 @@ from zeno_orbits.integrators.engine import Leg, Outcome, Passage
 from zeno_orbits.integrators.events import SteppedTrajectory, follow_steps
 from zeno_orbits.integrators.flow import GuardedFlow, Tolerance
 from zeno_orbits.integrators.steps import first_size
-from zeno_orbits.integrators.taylor_modes import Carrier, SymbolicMode, carrier, stepper, symbols_of
+from zeno_orbits.integrators.taylor.modes import Carrier, SymbolicMode, carrier, stepper, symbols_of
 
 _FIRST_BOUND, _BOUND_GROWTH = 1.0, 16.0
 """Bound of the steps in the first batch, and its growth from batch to batch: a polynomial flow

@@ -16,8 +16,8 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, StepSizeError
-from zeno_orbits.integrators.casadi_to_heyoka import load_heyoka, translate
 from zeno_orbits.integrators.flow import GuardedFlow
+from zeno_orbits.integrators.taylor.casadi_to_heyoka import load_heyoka, translate
 from zeno_orbits.kernels import caller
 
 NUDGE = 1e-30
