@@ -457,7 +457,7 @@ def test_an_unstable_orbit_is_not_called_one_that_the_machine_keeps(
         (("-o", "r.html", "--trade", "nowhere.json"), "must hold what `trade -o` wrote"),
         (("-o", "r.html", "--trade", "orbit.json"), "must hold what `trade -o` wrote"),
         (("-o", "r.html", "--trade", "ball.json"), "must be of the problem `motor_pendulum`"),
-        ((), "required: -o/--output"),
+        ((), "Missing: -o/--output"),
     ],
 )
 def test_misuse_is_one_line_and_writes_nothing(

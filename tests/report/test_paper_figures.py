@@ -665,9 +665,9 @@ def test_an_ffmpeg_that_fails_is_heard(
 
 
 def test_the_command_offers_every_kind_there_is() -> None:
-    from zeno_orbits.cli import figures
+    from zeno_orbits.cli import pictures
 
-    assert tuple(PAPER) == figures._KINDS
+    assert tuple(PAPER) == pictures._FIGURES
 
 
 @pytest.mark.usefixtures("parts")
@@ -766,7 +766,7 @@ def test_a_problem_is_searched_at_its_own_numbers(
         (("orbit.json", "-o", "f", "--kind", "graph", "--data", "a.csv"), "the kind `beside`"),
         (("orbit.json", "-o", "f", "--data", "a.csv"), "must hold a recording"),
         (("orbit.json", "-o", "f", "--kind", "film"), "`kind` must be one of graph"),
-        (("orbit.json",), "required: -o/--output"),
+        (("orbit.json",), "Missing: -o/--output"),
     ],
 )
 def test_bad_input_is_one_line_and_writes_nothing(

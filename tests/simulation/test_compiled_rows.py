@@ -16,6 +16,9 @@ from zeno_orbits.simulation.batch.outcomes import LaneEvent
 
 pytestmark = needs_compiler
 
+ROUNDING = 1e-11
+"""Some hundred events, each with a root to a few units in the last place."""
+
 
 @pytest.fixture(autouse=True)
 def _folder(
@@ -41,12 +44,16 @@ def events_of(model: BatchModel, name: str, n: int, until: float) -> list[LaneEv
 @pytest.mark.parametrize(
     "name", ["bouncing_ball", pytest.param("motor_pendulum", marks=pytest.mark.slow)]
 )
-def test_a_compiled_batch_has_the_events_of_an_interpreted_one_to_the_last_bit(name: str) -> None:
+def test_a_compiled_batch_has_the_events_of_an_interpreted_one_to_rounding(name: str) -> None:
     system = fresh_system(name)
     compiled = events_of(batch_model(system), name, 5, 4.0)
     plain = events_of(batch_model(system.interpreted()), name, 5, 4.0)
     assert len(compiled) > 5
-    assert repr(compiled) == repr(plain)
+    # Steps are the same to the last bit; falls inside them are found by a C code of their own.
+    assert [(type(one), one.lane) for one in compiled] == [(type(one), one.lane) for one in plain]
+    for mine, other in zip(compiled, plain, strict=True):
+        assert mine.time == pytest.approx(other.time, rel=ROUNDING)
+        assert mine.state == pytest.approx(other.state, rel=ROUNDING, abs=ROUNDING)
 
 
 def test_columns_are_compiled_and_pass_on_what_is_not_finite() -> None:

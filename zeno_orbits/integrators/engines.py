@@ -37,7 +37,7 @@ ENGINES = {
     "automatic": EngineRow("automatic", "Automatic"),
     "explicit": EngineRow("dop853", "RungeKutta"),
     "implicit": EngineRow("radau", "Radau"),
-    "taylor": EngineRow("taylor", "Taylor", needs="heyoka"),
+    "taylor": EngineRow("taylor.engine", "Taylor", needs="heyoka"),
 }
 """The first is the default."""
 

@@ -8,8 +8,9 @@ Offers: `simulate_to` (an execution to a wanted accuracy), `simulate_with_error`
 `trade`, `WorkPrecision`, `read_work_precision`; `extended_execution`, `extended_orbit` (in many
 digits).
 
-Imports: search, proof (how balls evaluate a function), verification, orbits, simulation, model,
-integrators, work, arrays, errors. Many digits are python-flint's (the extra `proof`).
+Many digits are python-flint's (the extra `proof`); `proof` evaluates functions in them.
+
+Imports: search, proof, verification, orbits, simulation, model, integrators, work, arrays, errors.
 """
 
 import lazy_loader as lazy
