@@ -12,7 +12,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import StepSizeError
 from zeno_orbits.integrators import Automatic, Leg, Outcome, Passage, Radau, RungeKutta
 from zeno_orbits.integrators.automatic import decay_rates, staying_rate
-from zeno_orbits.integrators.collocation import radau
+from zeno_orbits.integrators.collocation import radau_scheme
 from zeno_orbits.integrators.events import SteppedTrajectory
 from zeno_orbits.integrators.flow import (
     GuardedFlow,
@@ -58,7 +58,7 @@ def test_a_decay_changes_neither_the_guard_time_nor_the_number_of_steps(rate: fl
 def test_the_order_is_two_s_minus_one() -> None:
     # One step of y' = -y: the end is the Pade approximant of exp(-h), right to h^(2 s).
     flow = PlainFlow(field=lambda y: -y, guard_and_rate=lambda _: (1.0, 0.0))
-    scheme = radau(3)
+    scheme = radau_scheme(3)
     errors: list[float] = []
     for size in (0.2, 0.1):
         step = solved(flow.newton(scheme), np.array([1.0]), size, TIGHT, None)
@@ -70,7 +70,7 @@ def test_the_order_is_two_s_minus_one() -> None:
 
 @pytest.mark.parametrize("n_stages", [1, 3, 5, 7])
 def test_the_eigenvectors_rebuild_the_inverse_of_the_matrix(n_stages: int) -> None:
-    scheme = radau(n_stages)
+    scheme = radau_scheme(n_stages)
     spectrum = scheme.spectrum
     rebuilt = np.zeros((n_stages, n_stages))
     for value, column, row in zip(spectrum.values, spectrum.columns, spectrum.rows, strict=True):
@@ -84,7 +84,7 @@ def test_compiled_and_plain_iterations_are_the_same() -> None:
     dynamics = problem.dynamics(problem.values())
     flow = dynamics.free
     plain = PlainFlow(field=flow.rate, guard_and_rate=flow.guard)
-    y, scheme, size = np.array([0.2, 0.1, -5.0, 1.0, -1.8]), radau(7), 5e-4
+    y, scheme, size = np.array([0.2, 0.1, -5.0, 1.0, -1.8]), radau_scheme(7), 5e-4
     # Central differences are right to about 1e-10, which Newton turns into a rate, not an error.
     ours = solved(flow.newton(scheme), y, size, TIGHT, None)
     theirs = solved(plain.newton(scheme), y, size, TIGHT, None)
@@ -242,7 +242,7 @@ def _explicit_end(flow: GuardedFlow, y: Vector) -> tuple[Vector, tuple[float, fl
 
 
 def _implicit_end(flow: GuardedFlow, y: Vector) -> tuple[Vector, tuple[float, float]]:
-    after = flow.newton(radau(7)).begin(y, 1e-3, TIGHT, None).after
+    after = flow.newton(radau_scheme(7)).begin(y, 1e-3, TIGHT, None).after
     return after, flow.guard(after)
 
 
@@ -261,7 +261,7 @@ def test_a_singular_newton_matrix_refuses_the_step_and_no_wrong_state_comes_out(
     dummy = ca.Function("dummy", [y, p], [ca.vertcat(y, y)])
     mode = ModeFunctions(rate=rate, guard=dummy)
     flow = CompiledFlow(mode, np.zeros(0))
-    scheme = radau(7)
+    scheme = radau_scheme(7)
     singular = scheme.spectrum.values[0].real
     assert solved(flow.newton(scheme), np.array([1.0]), singular, TIGHT, None) is None
     good = solved(flow.newton(scheme), np.array([1.0]), 0.5, TIGHT, None)

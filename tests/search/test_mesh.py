@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from zeno_orbits.arrays import Array
-from zeno_orbits.integrators.collocation import Collocation, radau
+from zeno_orbits.integrators.collocation import Collocation, radau_scheme
 from zeno_orbits.search.transcription.mesh import graded_mesh, stage_fractions
 
 ROUNDING = 1e-13
@@ -17,7 +17,7 @@ ROUNDING = 1e-13
 
 @pytest.mark.parametrize("n", range(1, 8))
 def test_every_stage_integrates_polynomials_exactly(n: int) -> None:
-    scheme = radau(n)
+    scheme = radau_scheme(n)
     for power in range(n):
         integrals = scheme.matrix @ scheme.nodes**power
         assert integrals == pytest.approx(scheme.nodes ** (power + 1) / (power + 1), abs=ROUNDING)
@@ -25,7 +25,7 @@ def test_every_stage_integrates_polynomials_exactly(n: int) -> None:
 
 @pytest.mark.parametrize("n", range(1, 8))
 def test_the_end_integrates_polynomials_of_almost_twice_the_degree(n: int) -> None:
-    scheme = radau(n)
+    scheme = radau_scheme(n)
     for power in range(2 * n - 1):
         exact = 1 / (power + 1)
         assert scheme.weights @ scheme.nodes**power == pytest.approx(exact, abs=ROUNDING)
@@ -35,7 +35,7 @@ def test_the_end_integrates_polynomials_of_almost_twice_the_degree(n: int) -> No
 
 @pytest.mark.parametrize("n", range(1, 8))
 def test_the_last_stage_is_the_end_of_the_interval(n: int) -> None:
-    scheme = radau(n)
+    scheme = radau_scheme(n)
     assert scheme.n_stages == n
     assert scheme.nodes[-1] == pytest.approx(1.0, abs=1e-15)
     assert np.all(np.diff(scheme.nodes) > 0)
@@ -66,8 +66,8 @@ def _layer(scheme: Collocation, rate: float, n_steps: int) -> float:
 @pytest.mark.parametrize(("n", "steps"), [(1, 64), (2, 16), (3, 8), (4, 4)])
 def test_the_order_is_one_less_than_twice_the_stages(n: int, steps: int) -> None:
     exact = math.cos(1.0) + math.exp(-5.0)
-    coarse = abs(_layer(radau(n), 5.0, steps) - exact)
-    fine = abs(_layer(radau(n), 5.0, 2 * steps) - exact)
+    coarse = abs(_layer(radau_scheme(n), 5.0, steps) - exact)
+    fine = abs(_layer(radau_scheme(n), 5.0, 2 * steps) - exact)
     assert fine > 100 * ROUNDING
     assert math.log2(coarse / fine) == pytest.approx(2 * n - 1, abs=0.3)
 
@@ -75,13 +75,13 @@ def test_the_order_is_one_less_than_twice_the_stages(n: int, steps: int) -> None
 @pytest.mark.parametrize("n", [2, 3, 6])
 def test_a_layer_that_no_step_resolves_dies_at_once(n: int) -> None:
     # The step is 1e5 widths of the layer; the scheme's factor there is about n^2 / 1e5.
-    assert abs(_stability(radau(n), -1e5)) < 2 * n**2 / 1e5
-    assert _layer(radau(n), 1e6, 10) == pytest.approx(math.cos(1.0), abs=1e-6)
+    assert abs(_stability(radau_scheme(n), -1e5)) < 2 * n**2 / 1e5
+    assert _layer(radau_scheme(n), 1e6, 10) == pytest.approx(math.cos(1.0), abs=1e-6)
 
 
 @pytest.mark.parametrize("y", [0.1, 1.0, 10.0, 100.0])
 def test_oscillations_never_grow(y: float) -> None:
-    assert abs(_stability(radau(6), 1j * y)) <= 1 + ROUNDING
+    assert abs(_stability(radau_scheme(6), 1j * y)) <= 1 + ROUNDING
 
 
 # Meshes.
@@ -105,7 +105,7 @@ def _between(mesh: Array, width: float, scheme: Collocation) -> float:
 @pytest.mark.parametrize("width", [3e-2, 1e-2, 1e-3])
 @pytest.mark.parametrize("tolerance", [1e-5, 1e-8])
 def test_a_mesh_is_fine_in_a_layer_and_coarse_outside(width: float, tolerance: float) -> None:
-    scheme = radau(5)
+    scheme = radau_scheme(5)
     mesh = graded_mesh(
         lambda t: np.array([math.exp(-t / width)]), scheme, scale=ONE, tolerance=tolerance
     )
@@ -124,7 +124,10 @@ def test_a_mesh_is_fine_in_a_layer_and_coarse_outside(width: float, tolerance: f
 def test_a_tighter_tolerance_gives_a_finer_mesh() -> None:
     def sized(tolerance: float) -> int:
         mesh = graded_mesh(
-            lambda t: np.array([math.exp(-t / 0.01)]), radau(4), scale=ONE, tolerance=tolerance
+            lambda t: np.array([math.exp(-t / 0.01)]),
+            radau_scheme(4),
+            scale=ONE,
+            tolerance=tolerance,
         )
         return len(mesh)
 
@@ -134,7 +137,10 @@ def test_a_tighter_tolerance_gives_a_finer_mesh() -> None:
 @pytest.mark.parametrize("n", [2, 4, 6])
 def test_a_polynomial_of_the_degree_of_the_stages_needs_one_interval(n: int) -> None:
     mesh = graded_mesh(
-        lambda t: np.array([(t - 0.3) ** n, 1.0]), radau(n), scale=np.ones(2), tolerance=ROUNDING
+        lambda t: np.array([(t - 0.3) ** n, 1.0]),
+        radau_scheme(n),
+        scale=np.ones(2),
+        tolerance=ROUNDING,
     )
     assert mesh.tolist() == [0.0, 1.0]
 
@@ -143,32 +149,38 @@ def test_a_state_counts_in_units_of_its_scale() -> None:
     def mesh(scale: float) -> Array:
         return graded_mesh(
             lambda t: np.array([1e3 * math.exp(-t / 0.02)]),
-            radau(4),
+            radau_scheme(4),
             scale=np.array([scale]),
             tolerance=1e-6,
         )
 
     assert len(mesh(1e3)) < len(mesh(1.0))
     alone = graded_mesh(
-        lambda t: np.array([math.exp(-t / 0.02)]), radau(4), scale=ONE, tolerance=1e-6
+        lambda t: np.array([math.exp(-t / 0.02)]), radau_scheme(4), scale=ONE, tolerance=1e-6
     )
     assert mesh(1e3).tolist() == alone.tolist()
 
 
 def test_a_jump_ends_at_the_deepest_interval() -> None:
     mesh = graded_mesh(
-        lambda t: np.array([float(t > 1 / 3)]), radau(3), scale=ONE, tolerance=1e-6, deepest=5
+        lambda t: np.array([float(t > 1 / 3)]),
+        radau_scheme(3),
+        scale=ONE,
+        tolerance=1e-6,
+        deepest=5,
     )
     assert np.min(np.diff(mesh)) == 2.0**-5
 
 
 def test_fewest_even_intervals_are_kept() -> None:
-    mesh = graded_mesh(lambda t: np.array([t]), radau(3), scale=ONE, tolerance=1e-9, fewest=4)
+    mesh = graded_mesh(
+        lambda t: np.array([t]), radau_scheme(3), scale=ONE, tolerance=1e-9, fewest=4
+    )
     assert mesh.tolist() == [0.0, 0.25, 0.5, 0.75, 1.0]
 
 
 def test_stages_lie_in_their_intervals_and_end_them() -> None:
-    mesh, scheme = np.array([0.0, 0.25, 1.0]), radau(3)
+    mesh, scheme = np.array([0.0, 0.25, 1.0]), radau_scheme(3)
     fractions = stage_fractions(mesh, scheme)
     assert fractions.shape == (6,)
     assert fractions[2::3] == pytest.approx(mesh[1:], abs=1e-15)

@@ -132,11 +132,9 @@ def _run_continue(options: argparse.Namespace) -> int:
 
 def _print_held(options: argparse.Namespace, problem: Problem, found: Continuation) -> None:
     """Say which parameters keep the values that the problem would derive anew: a map does so."""
-    from zeno_orbits.search import held_derived
-
     changes = [one for one in (options.range, options.second) if one is not None]
-    boxes = {one.name: one.box for one in changes}
-    held = held_derived(problem, found.families[0].parameters, boxes)
+    names = [one.name for one in changes]
+    held = problem.derived_from(names, found.families[0].parameters)
     if held:
         report.print_lines([f"Derived, and held at their initial values: {', '.join(held)}."])
 

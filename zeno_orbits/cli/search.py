@@ -164,7 +164,6 @@ def _run_search(options: argparse.Namespace) -> int:
         SettlingSettings,
         StartWorkers,
         far_from_own,
-        held_derived,
         search_gains,
     )
     from zeno_orbits.work import Plan
@@ -219,7 +218,7 @@ def _run_search(options: argparse.Namespace) -> int:
             free=free,
             objective=objective,
             bounds=bounds,
-            held=held_derived(problem, values.parameters, free),
+            held=problem.derived_from(free, values.parameters),
             far=far_from_own(problem, values),
         )
         return answer(options, problem, result, notes)

@@ -7,6 +7,7 @@ from .automatic import staying_rate as staying_rate
 from .taylor.casadi_to_heyoka import heyoka_is_installed as heyoka_is_installed
 from .collocation import Collocation as Collocation
 from .collocation import lagrange_basis as lagrange_basis
+from .collocation import radau_scheme as radau_scheme
 from .compiled_leg import CompilableFlow as CompilableFlow
 from .compiled_leg import LegCode as LegCode
 from .compiled_leg import RecordedTrajectory as RecordedTrajectory

@@ -160,7 +160,7 @@ def _tidy(value: complex) -> complex:
 
 
 @cache
-def radau(n_stages: int) -> Collocation:
+def radau_scheme(n_stages: int) -> Collocation:
     """Return Radau IIA, of order ``2 n_stages - 1``: stiffly accurate, so layers decay."""
     powers = np.arange(1, n_stages + 1)
     nodes = radau_abscissae(n_stages)

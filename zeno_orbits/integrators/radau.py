@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators.collocation import Collocation, radau
+from zeno_orbits.integrators.collocation import Collocation, radau_scheme
 from zeno_orbits.integrators.compiled_leg import StepLoop
 from zeno_orbits.integrators.engine import FAR
 from zeno_orbits.integrators.flow import GuardedFlow, StageGuess, Tolerance
@@ -33,7 +33,7 @@ class Radau(SteppingEngine):
         largest_step: No step is longer than this, in the time of the flow.
     """
 
-    scheme: Collocation = field(default_factory=lambda: radau(7))
+    scheme: Collocation = field(default_factory=lambda: radau_scheme(7))
     largest_step: float = math.inf
 
     @cached_property

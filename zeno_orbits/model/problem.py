@@ -7,7 +7,7 @@ folder with a ``model.py``) that defines ``PROBLEM``. ``problem@fidelity`` is a 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -46,6 +46,9 @@ if TYPE_CHECKING:
 
 Transform = Callable[[CompletedSystem], CompletedSystem]
 """A change of a completed system, ``hybrid.audited`` for instance: a function of a module."""
+
+_MOVED, _FROM_ZERO = 1.01, 1e-6
+"""Factor by which a number is moved to see what follows from it; from zero it is moved so far."""
 
 __all__ = [
     "Escape",
@@ -198,7 +201,7 @@ class Problem:
         looks = [*self.output_formulas(system, symbols), *self.lines(system, symbols).values()]
         unused = unused_symbols(system, symbols, looks)
         for name in unused:
-            if not self._derives_from(name, values):
+            if not self.derived_from([name], values.parameters):
                 kind = "gains" if name in values.gains else "parameters"
                 wanted = "must appear in the model or an output"
                 raise ValueError(f"Argument `{kind}` {wanted}, but `{name}` appears nowhere.")
@@ -222,17 +225,23 @@ class Problem:
         states = {name: system.state[k] for k, name in enumerate(self.state_names)}
         return lines_of(self.drawing, states, symbols)
 
-    def _derives_from(self, name: str, values: ParameterValues) -> bool:
-        """Return True if derived parameters change with a parameter."""
-        if self.derive is None or name not in values.parameters:
-            return False
-        given = {q.name for q in self.parameters if q.default is not None}
-        known = {key: value for key, value in values.parameters.items() if key in given}
-        moved = {**known, name: known.get(name, 0.0) * 1.01 + 1e-6}
+    def derived_from(self, names: Collection[str], parameters: Mapping[str, float]) -> list[str]:
+        """Return the parameters that the problem derives from some of the others.
+
+        Args:
+            names: Names of those; a gain has none.
+            parameters: Name to value where they are looked at.
+        """
+        derived = [q.name for q in self.parameters if q.default is None and q.name not in names]
+        if self.derive is None:
+            return []
+        given = {q.name: parameters[q.name] for q in self.parameters if q.default is not None}
+        moved = {name: _MOVED * given[name] or _FROM_ZERO for name in names if name in given}
         try:
-            return dict(self.derive(known)) != dict(self.derive(moved))
-        except ValueError:
-            return True
+            before, after = self.derive(given), self.derive({**given, **moved})
+        except (ValueError, ArithmeticError):
+            return derived
+        return [name for name in derived if before[name] != after[name]]
 
     def at_fidelity(self, word: str) -> Problem:
         """Return the reduced model of that name; its own name is ``problem@word``.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 
-from zeno_orbits.errors import InputError
 from zeno_orbits.model import ParameterValues, Problem
 
 
@@ -16,30 +15,6 @@ def free_gains(problem: Problem, fixed: Collection[str] = ()) -> dict[str, tuple
         fixed: Names of the gains that are held.
     """
     return {g.name: (g.lower, g.upper) for g in problem.gains if g.name not in fixed}
-
-
-def held_derived(
-    problem: Problem, parameters: Mapping[str, float], free: Mapping[str, tuple[float, float]]
-) -> list[str]:
-    """Return the parameters that the problem derives from free ones; all but maps hold them.
-
-    Args:
-        problem: The problem.
-        parameters: Name to value at the start.
-        free: Name to bounds of what is free.
-    """
-    if problem.derive is None:
-        return []
-    known = {n.name: parameters[n.name] for n in problem.parameters if n.default is not None}
-    moved = dict(known)
-    for name, box in free.items():
-        if name in moved:
-            moved[name] = sum(box) / 2 if moved[name] == box[0] else box[0]
-    try:
-        before, after = problem.derive(known), problem.derive(moved)
-    except InputError:
-        return [n.name for n in problem.parameters if n.default is None and n.name not in free]
-    return [name for name in before if before[name] != after[name] and name not in free]
 
 
 _FAR = 100.0

@@ -26,8 +26,8 @@ from zeno_orbits.integrators import (
     Step,
     SteppedTrajectory,
     Tolerance,
+    radau_scheme,
 )
-from zeno_orbits.integrators.collocation import radau
 from zeno_orbits.model import N_STAGES, FlowDifferential
 from zeno_orbits.simulation.execution import Arc
 
@@ -82,12 +82,12 @@ def courses(
         for part in range(1, parts + 1):
             size = whole * part / parts
             if isinstance(step, RadauStep):
-                v = _implicit(differential, step, radau(N_STAGES), size, before, q)
+                v = _implicit(differential, step, radau_scheme(N_STAGES), size, before, q)
             else:
                 v, error = differential.step(step.before, size, before, q)
                 if not error <= max(_GROWS, _SHARE * tolerance.relative):
                     # The state, on its slow manifold, does not feel a fast perturbation grow.
-                    v = _implicit(differential, step, radau(N_STAGES), size, before, q)
+                    v = _implicit(differential, step, radau_scheme(N_STAGES), size, before, q)
             yield step.start + size, v
 
 

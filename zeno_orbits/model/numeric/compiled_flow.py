@@ -26,8 +26,8 @@ from zeno_orbits.integrators import (
     implicit_expressions,
     n_factors,
     overflow,
+    radau_scheme,
 )
-from zeno_orbits.integrators.collocation import radau
 from zeno_orbits.kernels import KernelLibrary, Kernels, KernelSource, Recipe, caller
 from zeno_orbits.model.numeric.calls import Call, Connect, StepCall
 
@@ -105,7 +105,7 @@ def leg_kernels(functions: Sequence[ca.Function], numbers: Sequence[float]) -> K
         numbers: Stages of an implicit step.
     """
     rate, guard = functions
-    mode, scheme = ModeFunctions(rate=rate, guard=guard), radau(int(numbers[0]))
+    mode, scheme = ModeFunctions(rate=rate, guard=guard), radau_scheme(int(numbers[0]))
     newton = newton_functions(mode, scheme)
     kernels = {
         "rate": rate,
@@ -225,7 +225,7 @@ class FlowMemory:
     def newton(self, scheme: Collocation) -> NewtonCalls:
         """Return one step of a collocation scheme, in pieces."""
         if self._newton is None or self._newton[0] is not scheme:
-            library = self.mode.kernels.library() if scheme is radau(N_STAGES) else None
+            library = self.mode.kernels.library() if scheme is radau_scheme(N_STAGES) else None
             if library is None:
                 with self.mode.kernels.owing():
                     functions = newton_functions(self.mode, scheme)
@@ -240,7 +240,7 @@ class FlowMemory:
         if self._leg_code is None:
             library = self.mode.kernels.library()
             if library is not None:
-                self._leg_code = LegCode(library, self.p, self.mode.n_y, radau(N_STAGES))
+                self._leg_code = LegCode(library, self.p, self.mode.n_y, radau_scheme(N_STAGES))
         return self._leg_code
 
 

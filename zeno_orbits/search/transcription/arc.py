@@ -8,8 +8,7 @@ import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Array, Vector
-from zeno_orbits.integrators import Collocation
-from zeno_orbits.integrators.collocation import radau
+from zeno_orbits.integrators import Collocation, radau_scheme
 from zeno_orbits.model import CompiledSystem, ModeFunctions
 from zeno_orbits.search.transcription.mesh import graded_mesh, stage_fractions
 from zeno_orbits.search.transcription.program import ProgramBuilder
@@ -27,7 +26,7 @@ class TranscriptionSettings:
         closure_tolerance: Largest estimated error of the Zeno closure.
     """
 
-    scheme: Collocation = field(default_factory=lambda: radau(7))
+    scheme: Collocation = field(default_factory=lambda: radau_scheme(7))
     mesh_tolerance: float = 3e-8
     closure_tolerance: float = 1e-11
 
