@@ -87,13 +87,14 @@ def mapped(tables: Sequence[Table], omega: float) -> list[float]:
 
 
 def searched(tables: Sequence[Table], omega: float) -> list[float]:
-    """Return the periods of the verified orbits that searches find, likewise."""
+    """Return the periods of the attracting orbits that searches find and verify, likewise."""
     problem = zo.load_problem("vibrating_table")
     found: list[float] = []
     for table in tables:
         values = values_of(problem, table, omega)
         orbit = zo.find_orbit(problem, parameters=dict(values.parameters)).orbit
-        good = orbit is not None and zo.verify(orbit, problem=problem).passed
+        checked = None if orbit is None else zo.verify(orbit, problem=problem)
+        good = checked is not None and checked.passed and checked.stable
         found.append(orbit.period * omega / (2 * math.pi) if orbit and good else math.nan)
     return found
 
