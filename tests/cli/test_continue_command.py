@@ -86,6 +86,7 @@ def test_a_family_starts_at_an_orbit_file_and_prints_json(
     assert "`from` cannot be combined with --gain or --set" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_parameters_that_a_map_would_derive_anew_are_told_to_be_held(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -18,6 +18,7 @@ from tests.support.commands import (
 pytestmark = pytest.mark.usefixtures("here")
 
 
+@pytest.mark.slow
 def test_plot_writes_five_pictures(orbit_file: Path, here: Path) -> None:
     answer = ask("plot", orbit_file, "-o", "pictures")
     assert answer.code == YES

@@ -119,6 +119,7 @@ def test_exact_pulses_ask_for_a_bridge(file: Path) -> None:
     assert refused(answer, "`exact` must come with a bridge, but the machine has none.")
 
 
+@pytest.mark.slow
 def test_exact_pulses_tell_nearly_what_their_mean_tells() -> None:
     """A tenth of a second; a dead time and a ripple later the same within a per mille."""
     common = ("rig", "motor_pendulum", "--only", "bridge", "--until", "0.4", "--json")

@@ -86,6 +86,7 @@ def test_search_for_a_parameter_says_what_stays_and_what_is_reached(orbit_file: 
     assert max(map(len, rows)) <= 80
 
 
+@pytest.mark.slow
 def test_search_at_gains_without_an_orbit_answers_no_with_the_reason(here: Path) -> None:
     gains = ("--fix", "Kp=2.5", "--fix", "Kd=1")
     answer = ask("search", "motor_pendulum", *gains, "-o", "f.json")

@@ -60,6 +60,7 @@ def test_the_published_orbit_closes_with_the_published_multipliers() -> None:
     assert product.real == pytest.approx(0.8**2 * math.exp(-0.1 * 2 * math.pi), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_the_family_in_the_amplitude_ends_by_grazing_at_one_tenth() -> None:
     (family,) = family_in_amplitude().families
     end = next(end for end in (family.first, family.last) if end.kind is not SpecialPointKind.BOUND)

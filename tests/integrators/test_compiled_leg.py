@@ -131,7 +131,7 @@ def test_explicit_steps_agree_to_the_last_bit(shared: Callable[[str], CompiledSy
         assert np.array_equal(compiled.trajectory.states, plain.trajectory.states)
 
 
-@pytest.mark.parametrize("engine", [Automatic(), Radau()])
+@pytest.mark.parametrize("engine", [Automatic(), pytest.param(Radau(), marks=pytest.mark.slow)])
 def test_a_valve_takes_the_same_steps_in_both_loops(
     engine: SteppingEngine, shared: Callable[[str], CompiledSystem]
 ) -> None:

@@ -347,6 +347,7 @@ def test_an_orbit_that_repels_is_not_what_impacts_come_to():
     assert heard(np.nan) == Lost()
 
 
+@pytest.mark.slow
 def test_an_orbit_is_not_that_of_a_motion_whose_errors_led_to_it():
     # Errors of 1e-6 lead this ball, after 140 turns, to an attracting orbit of ten turns. Exact
     # flights do not come near it in 3000 turns, in which no other start within 1e-6 does either.
@@ -486,8 +487,8 @@ def test_a_length_without_a_bound_runs_away_if_it_is_far_beyond_where_it_was():
         ("vibrating_table", 1e-6, 1.0),
         ("vibrating_table", 1.0, 1e3),
         ("vibrating_table", 1e2, 1e-3),
-        ("curved_surface", 1e3, 1e3),
-        ("curved_surface", 1e-3, 1.0),
+        pytest.param("curved_surface", 1e3, 1e3, marks=pytest.mark.slow),
+        pytest.param("curved_surface", 1e-3, 1.0, marks=pytest.mark.slow),
     ],
 )
 def test_the_same_machine_in_other_units_settles_to_the_same_orbit(name, metre, second):

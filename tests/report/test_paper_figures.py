@@ -561,6 +561,7 @@ def film(problem: Problem, orbit: ZenoOrbit, one: Execution) -> plots.Film:
     return plots.film_of(problem, orbit.values(problem), one, orbit.period)
 
 
+@pytest.mark.slow
 def test_the_film_lasts_a_period_and_moves(film: plots.Film, orbit: ZenoOrbit) -> None:
     assert len(film.frames) / film.rate == pytest.approx(orbit.period, abs=0.5 / film.rate)
     stills = {frame.tobytes() for frame in film.frames}
@@ -568,6 +569,7 @@ def test_the_film_lasts_a_period_and_moves(film: plots.Film, orbit: ZenoOrbit) -
     assert len({frame.size for frame in film.frames}) == 1
 
 
+@pytest.mark.slow
 def test_nothing_but_the_machine_and_its_points_moves(film: plots.Film) -> None:
     # Labels and numbers of the axes, below them and on the left.
     first = np.asarray(film.frames[0])
@@ -577,6 +579,7 @@ def test_nothing_but_the_machine_and_its_points_moves(film: plots.Film) -> None:
         assert np.array_equal(here[:, :64], first[:, :64])
 
 
+@pytest.mark.slow
 def test_both_portraits_have_a_moving_point(film: plots.Film) -> None:
     first, later = (np.asarray(film.frames[k]).astype(int) for k in (2, 18))
     changed = np.any(first != later, axis=2)
@@ -607,6 +610,7 @@ def test_every_picture_of_the_gif_is_that_of_the_film(film: plots.Film) -> None:
             assert np.mean(off > 60) < 2e-3, k
 
 
+@pytest.mark.slow
 def test_the_gif_runs_round_with_all_its_pictures(film: plots.Film) -> None:
     data = plots.gif_of(film)
     with Image.open(io.BytesIO(data)) as gif:
@@ -621,6 +625,7 @@ def test_the_gif_runs_round_with_all_its_pictures(film: plots.Film) -> None:
     assert len(data) < 1_000_000
 
 
+@pytest.mark.slow
 def test_the_colour_of_the_machine_tells_the_mode(film: plots.Film, orbit: ZenoOrbit) -> None:
     blue, orange = (0, 114, 178), (213, 94, 0)
 
@@ -646,10 +651,12 @@ def test_a_problem_without_a_drawing_has_no_film(
 
 
 @pytest.mark.skipif(not plots.has_ffmpeg(), reason="ffmpeg is not installed")
+@pytest.mark.slow
 def test_an_mp4_is_made_where_ffmpeg_is(film: plots.Film) -> None:
     assert plots.mp4_of(film)[4:8] == b"ftyp"
 
 
+@pytest.mark.slow
 def test_an_ffmpeg_that_fails_is_heard(
     film: plots.Film, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -698,6 +705,7 @@ def test_the_same_orbit_gives_the_same_bytes(orbit_file: Path) -> None:
 
 
 @pytest.mark.usefixtures("parts")
+@pytest.mark.slow
 def test_a_recording_takes_the_place_of_the_rig(
     orbit_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -219,6 +219,7 @@ def test_a_seed_repeats_its_starts_and_another_has_others() -> None:
     assert not {*other[2:]} & {*first[2:]}
 
 
+@pytest.mark.slow
 def test_a_start_that_kills_every_worker_is_a_failure_by_name(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -697,6 +697,7 @@ def test_a_motion_that_speeds_up_without_end_is_told_in_a_tenth_of_the_steps(gai
     assert caught.value.time < 4.0
 
 
+@pytest.mark.slow
 def test_an_oscillation_of_many_steps_is_no_runaway() -> None:
     # Some 180 000 steps: the looks at 25 000, 50 000 and 100 000 see no speed that keeps growing.
     small = SimulationSettings(engine=RungeKutta(largest_step=1e-3), most_steps=200_000)
@@ -743,7 +744,7 @@ def test_a_stop_that_lets_go_and_holds_again_within_rounding_holds(turn: float) 
         assert -second.approach_rate == pytest.approx(1.5 * a**2 / b, rel=1e-2)
 
 
-@pytest.mark.parametrize("engine", [Radau(), RungeKutta()])
+@pytest.mark.parametrize("engine", [pytest.param(Radau(), marks=pytest.mark.slow), RungeKutta()])
 def test_an_exact_graze_does_not_end_a_motion(engine: Engine) -> None:
     # `x'' = -x` swings as far as its stop: whether it touches is a matter of the last digit.
     drawn = np.random.default_rng(0)
