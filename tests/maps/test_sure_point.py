@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from zeno_orbits.maps import sure_point
 from zeno_orbits.maps.approach import Way
 from zeno_orbits.maps.attempt import Accuracy, Request
 from zeno_orbits.maps.attractors import Attractor, Fate
@@ -27,17 +26,14 @@ Told = tuple[Attractor, Way | None]
 ACCURATE = Accuracy(motion=1e-8)
 
 
-def told_by(
-    monkeypatch: pytest.MonkeyPatch, *answers: Told, accuracy: Accuracy | None = None
-) -> tuple[Attractor, list[Accuracy]]:
+def told_by(*answers: Told, accuracy: Accuracy | None = None) -> tuple[Attractor, list[Accuracy]]:
     """Return what is concluded of a motion that settles to these in turn, and the accuracies."""
     used: list[Accuracy] = []
 
     class Scripted:
         """A motion that comes to its answer with the first event."""
 
-        def __init__(self, *arguments: object) -> None:
-            accuracy = arguments[4]
+        def __init__(self, accuracy: Accuracy) -> None:
             assert isinstance(accuracy, Accuracy)
             used.append(accuracy)
             self.way = answers[len(used) - 1][1]
@@ -50,10 +46,7 @@ def told_by(
             assert rank == 0
             return None if event is SOON else self._answer
 
-    monkeypatch.setattr(sure_point, "Point", Scripted)
-    system: object = None
-    begun = accuracy or Accuracy()
-    point = SurePoint(system, ("m",), np.zeros(1), 1.0, begun)  # type: ignore[arg-type]
+    point = SurePoint(Scripted, accuracy or Accuracy())  # type: ignore[arg-type]
     answer: Request | Attractor | None = point.begin()
     while isinstance(answer, Request):
         assert answer.tolerance == used[-1].motion
@@ -63,28 +56,24 @@ def told_by(
     return answer, used
 
 
-def test_a_motion_that_goes_straight_to_its_orbit_is_followed_once(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_motion_that_goes_straight_to_its_orbit_is_followed_once() -> None:
     for told in ((ORBIT, DIRECT), (REST, None), (REST, LATE)):
-        answer, used = told_by(monkeypatch, told)
+        answer, used = told_by(told)
         assert answer is told[0]
         assert used == [Accuracy()]
 
 
-def test_a_motion_that_wanders_has_to_do_so_at_two_accuracies_alike(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_motion_that_wanders_has_to_do_so_at_two_accuracies_alike() -> None:
     finer = replace(ORBIT, period=2.0 * (1 + 0.9e-4))
-    answer, used = told_by(monkeypatch, (ORBIT, LATE), (finer, LATE))
+    answer, used = told_by((ORBIT, LATE), (finer, LATE))
     assert answer is finer
     assert [(one.motion, one.orbit) for one in used] == [(1e-6, 1e-8), (1e-8, 1e-8)]
     # One that is as accurate as its orbit already is followed more accurately.
-    _, used = told_by(monkeypatch, (ORBIT, LATE), (finer, LATE), accuracy=ACCURATE)
+    _, used = told_by((ORBIT, LATE), (finer, LATE), accuracy=ACCURATE)
     assert [one.motion for one in used] == pytest.approx([1e-8, 1e-10])
     # So has one whose last return took another time.
     doubtful = replace(DIRECT, doubtful=True)
-    answer, used = told_by(monkeypatch, (ORBIT, doubtful), (ORBIT, DIRECT))
+    answer, used = told_by((ORBIT, doubtful), (ORBIT, DIRECT))
     assert (answer, len(used)) == (ORBIT, 2)
 
 
@@ -99,24 +88,20 @@ def test_a_motion_that_wanders_has_to_do_so_at_two_accuracies_alike(
         (ORBIT, replace(LATE, times=tuple(np.arange(2.0, 12.0)), captured=9)),
     ],
 )
-def test_a_motion_that_ends_elsewhere_more_accurately_is_followed_a_third_time(
-    monkeypatch: pytest.MonkeyPatch, again: Told
-) -> None:
-    answer, used = told_by(monkeypatch, (ORBIT, LATE), again, again)
+def test_a_motion_that_ends_elsewhere_more_accurately_is_followed_a_third_time(again: Told) -> None:
+    answer, used = told_by((ORBIT, LATE), again, again)
     assert answer is again[0]
     assert [one.motion for one in used] == pytest.approx([1e-6, 1e-8, 1e-10])
     assert [one.orbit for one in used] == pytest.approx([1e-8, 1e-8, 1e-10])
     # The second answer is held against the third, not the first one.
-    answer, _ = told_by(monkeypatch, (ORBIT, LATE), again, (ORBIT, LATE))
+    answer, _ = told_by((ORBIT, LATE), again, (ORBIT, LATE))
     assert answer.fate is Fate.UNSETTLED
     assert answer.detail == "what it settles to depends on the smallest errors"
 
 
-def test_a_motion_that_settles_only_inaccurately_is_not_settled(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_motion_that_settles_only_inaccurately_is_not_settled() -> None:
     growing = Attractor(fate=Fate.UNSETTLED, trend=1.2)
-    answer, used = told_by(monkeypatch, (ORBIT, LATE), (growing, None))
+    answer, used = told_by((ORBIT, LATE), (growing, None))
     assert (answer.fate, answer.trend, len(used)) == (Fate.UNSETTLED, 1.2, 2)
     assert answer.detail == "what it settles to depends on the smallest errors"
 

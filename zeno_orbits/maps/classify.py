@@ -6,6 +6,7 @@ import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.maps.attempt import Accuracy, Request
 from zeno_orbits.maps.attractors import Attractor
+from zeno_orbits.maps.point import Point
 from zeno_orbits.maps.sure_point import SurePoint
 from zeno_orbits.model import OwnScale, ParameterValues, Problem, own_time
 from zeno_orbits.simulation import (
@@ -187,9 +189,8 @@ class _Run:
             index = self._waiting.popleft()
             dynamics = self._problem.dynamics(self._numbers[index])
             units = self._problem.state_units
-            point = SurePoint(
-                dynamics, units, self._start, self._until, self._accuracy, self._usual
-            )
+            motion = partial(Point, dynamics, units, self._start, self._until, usual=self._usual)
+            point = SurePoint(motion, self._accuracy)
             self._points[index] = point
             granted.append((index, point.begin()))
             room -= 1

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
-from zeno_orbits.arrays import Vector
 from zeno_orbits.maps.approach import Way
 from zeno_orbits.maps.attempt import SAME_PERIOD, Accuracy, Request
 from zeno_orbits.maps.attractors import Attractor, Fate
 from zeno_orbits.maps.point import Point
-from zeno_orbits.model import HybridDynamics
 from zeno_orbits.simulation import LaneEvent
 
 _WANDERS = 10
@@ -24,16 +22,14 @@ _DEPENDS = "what it settles to depends on the smallest errors"
 class SurePoint:
     """A motion that settles; where it wanders first, it has to do so at two accuracies alike."""
 
-    def __init__(
-        self,
-        dynamics: HybridDynamics,
-        units: Sequence[str],
-        start: Vector,
-        until: float,
-        accuracy: Accuracy,
-        usual: Vector | float = 1.0,
-    ) -> None:
-        self._motion = dynamics, units, start, until, usual
+    def __init__(self, motion: Callable[[Accuracy], Point], accuracy: Accuracy) -> None:
+        """Begin at the usual accuracy.
+
+        Args:
+            motion: From an accuracy to the motion from its start.
+            accuracy: The usual one.
+        """
+        self._motion = motion
         finer = (accuracy.orbit, _FINER * accuracy.orbit)
         self._left = [
             replace(accuracy, motion=error, orbit=min(error, accuracy.orbit))
@@ -41,12 +37,7 @@ class SurePoint:
             if error < accuracy.motion
         ]
         self._before: tuple[Attractor, Way] | None = None
-        self._point = self._followed(accuracy)
-
-    def _followed(self, accuracy: Accuracy) -> Point:
-        """Return the motion from its start."""
-        dynamics, units, start, until, usual = self._motion
-        return Point(dynamics, units, start, until, accuracy, usual)
+        self._point = motion(accuracy)
 
     def begin(self) -> Request:
         """Return the first lane to run."""
@@ -66,7 +57,7 @@ class SurePoint:
         if way is None or not self._left:
             return Attractor(fate=Fate.UNSETTLED, trend=answer.trend, detail=_DEPENDS)
         self._before = answer, way
-        self._point = self._followed(self._left.pop(0))
+        self._point = self._motion(self._left.pop(0))
         return self._point.begin()
 
 
