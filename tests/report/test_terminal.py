@@ -125,12 +125,18 @@ class Clock:
         return self.now
 
 
-def test_the_time_left_only_falls_within_a_stage_and_begins_anew_with_the_next(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    """The clock of progress, which is patient for a second."""
     clock = Clock()
     monkeypatch.setattr(progress, "time", clock)
     monkeypatch.setattr(progress, "_PATIENCE", 1.0)
+    return clock
+
+
+def test_the_time_left_only_falls_within_a_stage_and_begins_anew_with_the_next(
+    clock: Clock, capsys: pytest.CaptureFixture[str]
+) -> None:
     line = progress.ProgressLine(lambda: None)
     left: list[list[int]] = [[], []]
     # A pace that slows down, and a second stage that is slower than the first.
@@ -156,11 +162,8 @@ def test_the_time_left_only_falls_within_a_stage_and_begins_anew_with_the_next(
 
 
 def test_the_time_left_is_not_told_by_a_trace_of_the_work_while_workers_start(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    clock: Clock, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    clock = Clock()
-    monkeypatch.setattr(progress, "time", clock)
-    monkeypatch.setattr(progress, "_PATIENCE", 1.0)
     line = progress.ProgressLine(lambda: None)
     for now, part, told in ((30.0, 1e-4, False), (40.0, 0.02, True), (80.0, 0.04, True)):
         clock.now = now
@@ -169,11 +172,8 @@ def test_the_time_left_is_not_told_by_a_trace_of_the_work_while_workers_start(
 
 
 def test_work_that_turns_out_to_be_more_does_not_begin_the_time_left_anew(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    clock: Clock, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    clock = Clock()
-    monkeypatch.setattr(progress, "time", clock)
-    monkeypatch.setattr(progress, "_PATIENCE", 1.0)
     line = progress.ProgressLine(lambda: None)
     for now, part in ((90.0, 0.4), (105.0, 0.399), (130.0, 0.4001), (150.0, 0.45)):
         clock.now = now
@@ -183,11 +183,8 @@ def test_work_that_turns_out_to_be_more_does_not_begin_the_time_left_anew(
 
 
 def test_a_file_gets_a_line_when_something_is_new_and_a_sign_of_life_ever_more_rarely(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    clock: Clock, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    clock = Clock()
-    monkeypatch.setattr(progress, "time", clock)
-    monkeypatch.setattr(progress, "_PATIENCE", 1.0)
     line = progress.ProgressLine(lambda: None)
     for now in range(100):
         clock.now = float(now)
