@@ -285,3 +285,27 @@ def test_a_flow_that_blows_up_is_the_same_error_at_the_same_place(
     assert str(compiled.value).partition(" at ")[0] == str(plain.value).partition(" at ")[0]
     assert math.isclose(compiled.value.time, 1.0, abs_tol=1e-12)
     assert math.isclose(plain.value.time, 1.0, abs_tol=1e-12)
+
+
+def test_where_a_jacobian_is_not_finite_both_loops_take_explicit_steps(
+    monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    # The slope of a root at zero is infinite, and its flow stays there: x = exp(-t) beside it.
+    y, p = ca.SX.sym("y", 2), ca.SX.sym("p")
+    rate = ca.vertcat(-y[0], -ca.sqrt(y[1]))
+    mode = mode_functions("root", y, p, rate, ca.vertcat(y[0], rate[0]))
+    use_folder(monkeypatch, tmp_path_factory.getbasetemp().parent / "kernels")
+    assert mode.kernels.build()
+    flow = CompiledFlow(mode, np.zeros(1))
+    leg = Leg(
+        flow=flow,
+        y=np.array([1.0, 0.0]),
+        horizon=40.0,
+        tolerance=TOLERANCE,
+        on_guard=False,
+    )
+    assert not np.all(np.isfinite(flow.jacobian(leg.y)))
+    compiled, plain = Automatic().follow(leg), Automatic().follow_interpreted(leg)
+    require_same_steps(compiled, plain)
+    assert len(compiled.trajectory.times) > 20
+    assert abs(compiled.state[0] - math.exp(-40.0)) < 1e-8

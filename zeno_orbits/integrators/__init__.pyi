@@ -1,7 +1,6 @@
 from .automatic import Automatic as Automatic
 from .automatic import PAYS as PAYS
 from .automatic import decay_rates as decay_rates
-from .automatic import flow_eigenvalues as flow_eigenvalues
 from .automatic import rates_of as rates_of
 from .automatic import staying_rate as staying_rate
 from .taylor.casadi_to_heyoka import heyoka_is_installed as heyoka_is_installed
@@ -36,6 +35,7 @@ from .flow import NewtonPieces as NewtonPieces
 from .flow import PlainFlow as PlainFlow
 from .flow import StageGuess as StageGuess
 from .flow import Tolerance as Tolerance
+from .flow import flow_eigenvalues as flow_eigenvalues
 from .leg_source import fall_source as fall_source
 from .leg_source import follow_source as follow_source
 from .radau import Radau as Radau

@@ -19,7 +19,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators.compiled_leg import StepLoop
 from zeno_orbits.integrators.dop853 import RungeKutta
 from zeno_orbits.integrators.engine import FAR, Step
-from zeno_orbits.integrators.flow import GuardedFlow, Tolerance
+from zeno_orbits.integrators.flow import GuardedFlow, Tolerance, flow_eigenvalues
 from zeno_orbits.integrators.radau import Radau
 from zeno_orbits.integrators.stepping import SteppingEngine
 
@@ -110,11 +110,7 @@ _NONE = _Limits(fastest=0.0, first=0.0, values=np.zeros(0, dtype=np.complex128))
 
 def _limits(flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> _Limits:
     """Return the decay that holds explicit steps back and an implicit step to begin with."""
-    try:
-        values = flow_eigenvalues(flow, y)
-    except np.linalg.LinAlgError:
-        # The state is finite still, its Jacobian is not: explicit steps come to their end soon.
-        return _NONE
+    values = flow_eigenvalues(flow, y)
     fastest, next_rate = rates_of(values)
     if not fastest > PAYS * staying_rate(values, math.inf):
         return _NONE
@@ -133,11 +129,6 @@ def _time_left(flow: GuardedFlow, step: Step) -> float:
     if bend < 0.0:
         return (rate + math.sqrt(rate * rate - 2.0 * bend * value)) / -bend
     return -value / rate if rate < 0.0 else math.inf
-
-
-def flow_eigenvalues(flow: GuardedFlow, y: Vector) -> Values:
-    """Return the eigenvalues of the Jacobian of a flow, ``(n_y,)`` [1/time]."""
-    return np.linalg.eigvals(flow.jacobian(y)).astype(np.complex128)
 
 
 def decay_rates(flow: GuardedFlow, y: Vector) -> tuple[float, float]:

@@ -19,6 +19,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators.collocation import Collocation
 from zeno_orbits.integrators.engine import Leg, Outcome, Passage, Step
 from zeno_orbits.integrators.events import SteppedTrajectory
+from zeno_orbits.integrators.flow import flow_eigenvalues
 from zeno_orbits.integrators.steps import ExplicitStep, RadauStep, not_finite, too_small
 from zeno_orbits.kernels import KernelLibrary
 
@@ -157,7 +158,7 @@ class LegCode:
         """Do what the loop cannot do by itself, or raise what it met."""
         own = self._leg
         if ending == _RATES:
-            values = np.linalg.eigvals(leg.flow.jacobian(self._rows[own.n_recorded, 2:]))
+            values = flow_eigenvalues(leg.flow, self._rows[own.n_recorded, 2:])
             self._rates[:] = values.real, values.imag
             own.has_rates = 1
         elif ending == _NOT_FINITE:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators.collocation import Collocation
@@ -126,6 +127,17 @@ class GuardedFlow(Protocol):
     def newton(self, scheme: Collocation) -> NewtonPieces:
         """Return the iteration for an implicit step of a collocation scheme."""
         ...
+
+
+def flow_eigenvalues(flow: GuardedFlow, y: Vector) -> NDArray[np.complex128]:
+    """Return the eigenvalues of the Jacobian of a flow, ``(n_y,)`` [1/time].
+
+    They are zero where the Jacobian is not finite, so nothing is told of the steps there. Explicit
+    steps, of a state that is finite still, come to their end soon.
+    """
+    jacobian = flow.jacobian(y)
+    known = jacobian if np.all(np.isfinite(jacobian)) else np.zeros_like(jacobian)
+    return np.linalg.eigvals(known).astype(np.complex128)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
