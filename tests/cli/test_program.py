@@ -27,6 +27,7 @@ from tests.support.commands import (
     raising,
 )
 from zeno_orbits.cli import main
+from zeno_orbits.errors import InputError, StepSizeError, ZenoOrbitsError
 from zeno_orbits.report.terminal import progress
 
 pytestmark = pytest.mark.usefixtures("here")
@@ -69,6 +70,41 @@ def test_an_unexpected_error_is_one_line(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr("zeno_orbits.model.load_problem", raising(RuntimeError("two\nlines")))
     answer = ask("simulate", "motor_pendulum")
     assert_refused(answer, "internal error", "RuntimeError: two lines", "--debug")
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [(InputError("no."), MISUSE), (StepSizeError("no", time=1.0, state=()), NO)],
+    ids=["input", "outcome"],
+)
+def test_a_refusal_is_data_for_programs_too(
+    error: ZenoOrbitsError, code: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("zeno_orbits.model.load_problem", raising(error))
+    answer = ask("trade", "motor_pendulum", "--json")
+    assert answer.code == code
+    assert answer.data == {"error": type(error).__name__, "message": str(error)}
+    assert answer.err == f"zeno-orbits: {error}\n"
+    assert ask("trade", "motor_pendulum").out == ""
+
+
+def test_an_unexpected_error_is_data_for_programs_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("zeno_orbits.model.load_problem", raising(RuntimeError("deep")))
+    answer = ask("simulate", "motor_pendulum", "--json")
+    assert answer.code == MISUSE
+    assert answer.data["error"] == "RuntimeError"
+    assert "internal error" in answer.data["message"]
+
+
+def test_a_refusal_is_told_where_there_is_no_room_for_its_data(here: Path) -> None:
+    command = [sys.executable, "-m", "zeno_orbits", "verify", "none.json", "--json"]
+    with Path("/dev/full").open("w", encoding="utf-8") as full:
+        ended = subprocess.run(
+            command, check=False, cwd=here, stdout=full, stderr=subprocess.PIPE, text=True
+        )
+    assert ended.returncode == MISUSE
+    assert ended.stderr.count("\n") == 1
+    assert "none.json" in ended.stderr
 
 
 def test_debug_shows_where_an_error_comes_from(monkeypatch: pytest.MonkeyPatch) -> None:

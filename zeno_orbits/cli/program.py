@@ -13,7 +13,7 @@ from zeno_orbits.cli.completion import add_completion
 from zeno_orbits.cli.continue_command import add_continue
 from zeno_orbits.cli.costs import add_fidelity, add_trade
 from zeno_orbits.cli.map import add_map
-from zeno_orbits.cli.options import INTERRUPTED, MISUSE, NO, Parser
+from zeno_orbits.cli.options import INTERRUPTED, MISUSE, NO, Parser, print_json
 from zeno_orbits.cli.pictures import add_figures, add_plot
 from zeno_orbits.cli.problems import add_conditions, add_new, add_problems
 from zeno_orbits.cli.process import Interrupts, patient_streams
@@ -80,8 +80,7 @@ def _answer(options: argparse.Namespace) -> int:
         if options.debug:
             raise
         text = f"internal error, please report it ({type(error).__name__}: {error}); see --debug"
-        report.print_error(text)
-        return MISUSE
+        return _end(error, MISUSE, options, text)
     finally:
         _tell_of_kernels(options)
 
@@ -105,10 +104,17 @@ def _interrupted() -> int:
     return INTERRUPTED
 
 
-def _end(error: Exception, code: int, options: argparse.Namespace) -> int:
+def _end(error: Exception, code: int, options: argparse.Namespace, text: str = "") -> int:
+    """Tell an error, by its own words or others, to people and to programs."""
     if options.debug:
         raise error
-    report.print_error(str(error))
+    said = text or str(error)
+    report.print_error(said)
+    if options.json:
+        # A disk that is full does not hide the error.
+        with suppress(InputError):
+            print_json({"error": type(error).__name__, "message": said})
+            sys.stdout.flush()
     return code
 
 
