@@ -196,19 +196,6 @@ def test_arguments_that_do_not_fit_are_refused() -> None:
         translate(_function(x, inputs=[x]), [[heyoka.expression("a")]])
 
 
-def test_a_constant_is_exact_in_the_wider_type() -> None:
-    x = ca.SX.sym("x")
-    (narrow,) = translate(_function(x * 0.1, inputs=[x]), [[heyoka.expression(3.0)]])
-    (wide,) = translate(
-        _function(x * 0.1, inputs=[x]),
-        [[heyoka.expression(heyoka.real(3.0, 200))]],
-        number=lambda value: heyoka.real(value, 200),
-    )
-    assert str(narrow) == repr(0.1 * 3.0)
-    # The double 0.1 is 0.1 + 5.55...e-18, and three times that needs 55 bits.
-    assert str(wide).startswith("3.00000000000000016653345369377348106")
-
-
 def test_a_power_of_two_variables_has_the_series_of_exp_and_log() -> None:
     # x' = x^y with y' = 0 and y = 2: x = 1 / (1/x0 - t).
     x = ca.SX.sym("x", 2)

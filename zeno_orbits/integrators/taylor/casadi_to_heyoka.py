@@ -45,24 +45,15 @@ def load_heyoka() -> Any:
         raise InputError(f"{message} ({error}).") from error
 
 
-def translate(
-    function: ca.Function,
-    arguments: Sequence[Sequence[Any]],
-    *,
-    number: Callable[[float], Any] = float,
-) -> list[Any]:
+def translate(function: ca.Function, arguments: Sequence[Sequence[Any]]) -> list[Any]:
     """Return the outputs of a CasADi function as heyoka expressions of its inputs.
 
     Operation by operation, so a value shared by two outputs is one node in both. A power with an
     exponent that depends on the variables is ``exp(y log x)``, and so asks for a positive base.
-    heyoka folds constants as it meets them: to keep more digits than a double has, make constants
-    and constant arguments of a wider type.
 
     Args:
         function: The function; of type MX it is expanded first.
         arguments: For every input its entries, column by column, zeros of its sparsity included.
-        number: From a constant of the function to the number that heyoka shall hold; a double
-            gives the exact one by default.
 
     Returns:
         The entries of all outputs, one output after the other, column by column, dense.
@@ -75,7 +66,7 @@ def translate(
     if not function.is_a("SXFunction"):
         function = function.expand()
     inputs = _entries(function, arguments)
-    outputs = [[heyoka.expression(number(0.0))] * function.numel_out(k) for k in _outs(function)]
+    outputs = [[heyoka.expression(0.0)] * function.numel_out(k) for k in _outs(function)]
     places = [_places(function.sparsity_out(k)) for k in _outs(function)]
     table = _operations(heyoka)
     work: dict[int, Any] = {}
@@ -87,7 +78,7 @@ def translate(
         elif code == ca.OP_OUTPUT:
             outputs[gives[0]][places[gives[0]][gives[1]]] = work[takes[0]]
         elif code == ca.OP_CONST:
-            work[gives[0]] = heyoka.expression(number(function.instruction_constant(k)))
+            work[gives[0]] = heyoka.expression(function.instruction_constant(k))
         elif code in table:
             work[gives[0]] = table[code](*(work[place] for place in takes))
         else:
