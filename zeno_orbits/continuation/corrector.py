@@ -91,6 +91,8 @@ def correct(
         \end{pmatrix} \begin{pmatrix}\delta y\\ \delta s\end{pmatrix} =
         - \begin{pmatrix} P - y\\ t^\top (z - z_0) \end{pmatrix}
 
+    with `s` in units of its range: of very different columns rounding leaves only the largest.
+
     Args:
         returns: The return map.
         metric: Units.
@@ -120,8 +122,8 @@ def correct(
             break
         matrix = np.concatenate([rows, (normal @ ambient)[None, :]])
         change = np.linalg.lstsq(matrix, -np.append(missed, off), rcond=None)[0]
-        x = x + here.lift @ change
-        s = s if is_held else s + float(change[-1])
+        x = x + metric.scale * (ambient[:-1] @ change)
+        s = s if is_held else s + metric.unit * float(change[-1])
         if max(miss, abs(off)) <= CLOSED or stalled:
             # The last correction is too small to be worth another return.
             return _point(x, s, metric, rows, ambient, found, miss, along)
@@ -150,7 +152,7 @@ def corrected_again(returns: ReturnMap, metric: FamilyMetric, point: BranchPoint
     matrix = np.concatenate([rows, (point.tangent @ ambient)[None, :]])
     missed = np.append(here.components(found.end - point.x), 0.0)
     change = np.linalg.lstsq(matrix, -missed, rcond=None)[0]
-    place = metric.place(point.x + here.lift @ change, point.s + float(change[-1]))
+    place = metric.place(point.x, point.s) + ambient @ change
     return correct(returns, metric, place, point.tangent)
 
 
@@ -199,7 +201,9 @@ def returned(returns: ReturnMap, x: Vector, s: float, metric: FamilyMetric) -> D
 def linearized(
     here: Section, found: DifferentiatedReturn, metric: FamilyMetric
 ) -> tuple[Vector, Vector]:
-    """Return the derivative of `P - y` and of the ambient place, by coordinates and parameter.
+    """Return the derivative of `P - y` and of the ambient place.
+
+    By the coordinates, then by the parameter in units of its range.
 
     Args:
         here: The section around the state.
@@ -214,8 +218,11 @@ def linearized(
     moved[:, d] += found.by_parameter
     rows = here.components(moved - here.lift)
     parameter = np.zeros((1, d + 1))
-    parameter[0, d] = 1 / metric.unit
-    return rows, np.concatenate([here.lift / metric.scale[:, None], parameter])
+    parameter[0, d] = 1.0
+    ambient = np.concatenate([here.lift / metric.scale[:, None], parameter])
+    rows[:, d] *= metric.unit
+    ambient[:-1, d] *= metric.unit
+    return rows, ambient
 
 
 def _point(
