@@ -87,8 +87,9 @@ def followed(
     s: float,
     box: tuple[float, float],
     steps: FamilySteps | None = None,
+    unit: float = 1.0,
 ) -> Branch:
-    metric = FamilyMetric(scale=np.ones(len(x)), unit=1.0, horizon=1.0)
+    metric = FamilyMetric(scale=np.ones(len(x)), unit=unit, horizon=1.0)
     start = first_point(returns, metric, np.array(x), s, rising=True)
     return follow_branch(returns, metric, start, box, steps or FamilySteps(), on_progress=silent)
 
@@ -101,6 +102,21 @@ def test_a_family_that_is_a_circle_closes_after_both_its_folds() -> None:
     assert [one.z[-1] for _, one in branch.special] == pytest.approx([1.0, -1.0], abs=1e-9)
     for point in branch.points:
         assert float(point.x @ point.x) + point.s**2 == pytest.approx(1.0, abs=1e-10)
+
+
+@pytest.mark.parametrize("unit", [1e-16, 1e16])
+def test_a_family_is_the_same_in_a_parameter_of_any_unit(unit: float) -> None:
+    # y1 = sin s, y2 = cos s in units of s: as a column of 1e16 it would hide those of the states.
+    def wave(y: ca.SX, s: ca.SX) -> ca.SX:
+        return (y + ca.vertcat(ca.sin(s / unit), ca.cos(s / unit))) / 2
+
+    returns = Formula(function=formula(wave, 2))
+    branch = followed(returns, [0.0, 1.0], 0.0, (-unit, unit), unit=2 * unit)
+    assert branch.ending is SpecialPointKind.BOUND
+    assert branch.points[-1].s == unit
+    for point in branch.points:
+        s = point.s / unit
+        assert point.x == pytest.approx([np.sin(s), np.cos(s)], abs=1e-10)
 
 
 def test_a_complex_pair_that_leaves_the_circle_is_a_torus_and_two_real_ones_are_none() -> None:

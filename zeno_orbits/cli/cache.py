@@ -56,4 +56,5 @@ def _compiled(name: str) -> bool:
     """Compile the steps of a problem and return True if all of them are compiled."""
     from zeno_orbits.model import load_problem
 
-    return load_problem(name).compiled().build()
+    problem = load_problem(name)
+    return problem.compiled().build(problem.values().vector)

@@ -96,7 +96,7 @@ def _approach(
     returns: ReturnMap, metric: FamilyMetric, before: BranchPoint, last: BranchPoint, margin: Margin
 ) -> Located:
     """Return the limit of points at which a margin is halved again and again."""
-    nodes = [before, last]
+    nodes, unit = [before, last], last.found.time
     best: tuple[float, Vector] | None = None
     for _ in range(_HALVINGS):
         try:
@@ -109,7 +109,7 @@ def _approach(
         if len(used) < 4:
             continue
         values = [node.found.margins[margin] for node in used]
-        rows = np.array([np.append(node.z, node.found.time) for node in used])
+        rows = np.array([np.append(node.z, node.found.time / unit) for node in used])
         limit, error = _neville(np.array(values), rows)
         if best is None or error < best[0]:
             best = (error, limit)
@@ -125,7 +125,7 @@ def _approach(
         kind=ENDS[margin.loss],
         point=nodes[-1],
         z=limit[:-1],
-        period=float(limit[-1]),
+        period=float(limit[-1]) * unit,
         error=error * metric.unit,
         margins=_limits(nodes[-2], nodes[-1], margin),
         place=margin.place,

@@ -49,9 +49,9 @@ from zeno_orbits.simulation import (
 class Loss(Enum):
     """Kinds of margins: numbers that are positive along a family. The value is the word shown.
 
-    ``AMPLITUDE`` is the largest range of any state over a few fixed phases of a return: smooth
-    along a family, and zero where the motion stands still. The amplitude that a problem names is
-    `orbit_amplitude`.
+    ``AMPLITUDE`` is the largest range of any state over a few fixed phases of a return, in the
+    problem's own sizes: smooth along a family, and zero where the motion stands still. The
+    amplitude that a problem names is `orbit_amplitude`.
     """
 
     AMPLITUDE = "amplitude"
@@ -212,8 +212,9 @@ class ReleaseReturns(SectionReturns):
         states = [found.start, zeno.state, run.impacts[0].state_plus]
         states += [_inside(arc, part) for arc in (flight, locked) for part in _PARTS]
         ranges = np.delete(np.ptp(np.array(states), axis=0), self.compiled.clock)
+        sizes = np.delete(dynamics.own.states(len(x)), self.compiled.clock)
         margins = {
-            Margin(loss=Loss.AMPLITUDE): float(np.max(ranges)),
+            Margin(loss=Loss.AMPLITUDE): float(np.max(ranges / sizes)),
             Margin(loss=Loss.LOCK): found.locked_time.value,
             Margin(loss=Loss.ACCELERATION): -found.gap_acceleration.value,
             Margin(loss=Loss.FIRST_IMPACT): -found.first_rate.value,
@@ -361,7 +362,7 @@ class ImpactReturns(SectionReturns):
         )
         after = perturbations.struck(impact, perturbations.flown(arc, perturbations.launched(x)))
         n_x = x.size
-        end = projected(dynamics, IMPACT_ROWS, impact.state_plus, np.ones(n_x))
+        end = projected(dynamics, IMPACT_ROWS, impact.state_plus, dynamics.own.states(n_x))
         margins = {Margin(loss=Loss.FIRST_IMPACT): -impact.approach_rate}
         least = least_inside(arc, dynamics.gap, dynamics.gap_rate)
         if least is not None:

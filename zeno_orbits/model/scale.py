@@ -40,6 +40,14 @@ class OwnScale:
         """The smallest size of a state, at most 1: what a local error is absolute in."""
         return min([1.0, *self.sizes])
 
+    def weights(self, n_x: int) -> tuple[float, ...]:
+        """Return the size of each state over the least, in which a local error is absolute."""
+        return tuple((self.states(n_x) / self.least).tolist())
+
+    def flight_weights(self, n_x: int) -> tuple[float, ...]:
+        """Return the same of a rescaled flight: the states, the scaled gap and its rate."""
+        return (*self.weights(n_x), 1 / (self.gap_acceleration * self.least), 1 / self.least)
+
     def rates(self, n_q: int, n_x: int) -> Vector:
         """Return the size of the rate of each state, ``(n_x,)``.
 

@@ -174,7 +174,7 @@ def _interpreted(
     """Plan the engines of compiled steps once more, interpreted; none where nothing is compiled."""
     compiled = problem.compiled()
     # What is measured must be compiled before, not in the middle of it.
-    if not compiled.build():
+    if not compiled.build(values.vector):
         return
     dynamics = bind(compiled.interpreted(), values.vector)
     for name, engine in engines().items():
@@ -199,8 +199,9 @@ def _reduced(
 ) -> Iterator[_Plan]:
     """Plan the reduced models of a problem; the truth stays that of the full one."""
     for reduced in problem.ladder()[1:]:
-        reduced.compiled().build()
-        dynamics = reduced.dynamics(reduced.shared(values))
+        shared = reduced.shared(values)
+        reduced.compiled().build(shared.vector)
+        dynamics = reduced.dynamics(shared)
         entries = [problem.state_names.index(name) for name in reduced.state_names]
         for tolerance in settings.tolerances:
             yield _Plan(

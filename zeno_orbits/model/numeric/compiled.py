@@ -30,6 +30,7 @@ from zeno_orbits.model.numeric.compiled_flow import (
     ModeFunctions,
     dense_function,
     mode_functions,
+    weighted,
 )
 from zeno_orbits.model.numeric.derivatives import Differentiation
 from zeno_orbits.model.numeric.hybrid_dynamics import FusedStop, HybridDynamics
@@ -110,9 +111,24 @@ class CompiledSystem:
         )
         return replace(self, free=free, locked=locked, flight=flight)
 
-    def build(self) -> bool:
-        """Compile the steps of all modes now, wait for it, and return True if that was done."""
-        return all(mode.kernels.build() for mode in (self.free, self.locked, self.flight))
+    def weighted(self, own: OwnScale) -> tuple[ModeFunctions, ModeFunctions, ModeFunctions]:
+        """Return all modes, free, locked and flight, with local errors absolute in given sizes."""
+        weights = own.weights(self.n_x)
+        flight = own.flight_weights(self.n_x)
+        return (
+            weighted(self.free, weights),
+            weighted(self.locked, weights),
+            weighted(self.flight, flight),
+        )
+
+    def build(self, values: Sequence[float]) -> bool:
+        """Compile the steps of all modes now, wait for it, and return True if that was done.
+
+        Args:
+            values: ``p``, whose sizes the steps are measured in.
+        """
+        modes = self.weighted(bind(self, values).own)
+        return all(mode.kernels.build() for mode in modes)
 
     @property
     def n_x(self) -> int:
@@ -244,7 +260,11 @@ def bind(compiled: CompiledSystem, values: Sequence[float] | Vector) -> HybridDy
     energy = Call(compiled.energy, p)
     holonomic = Call(compiled.holonomic, p)
 
-    flights = FlowMemory(compiled.flight)
+    def memory(place: int) -> FlowMemory:
+        mode = (compiled.free, compiled.locked, compiled.flight)[place]
+        return FlowMemory(mode, lambda: compiled.weighted(scaling())[place])
+
+    flights = memory(2)
 
     def flight(speed: float) -> GuardedFlow:
         numbers = np.empty(p.size + 1)
@@ -256,8 +276,8 @@ def bind(compiled: CompiledSystem, values: Sequence[float] | Vector) -> HybridDy
         n_q=compiled.n_q,
         restitution=law.restitution,
         speed_after=law.speed_after,
-        free=CompiledFlow(compiled.free, p),
-        locked=CompiledFlow(compiled.locked, p),
+        free=CompiledFlow(compiled.free, p, memory(0)),
+        locked=CompiledFlow(compiled.locked, p, memory(1)),
         flight=flight,
         gap=lambda x: float(contact(x)[GAP]),
         gap_rate=lambda x: float(contact(x)[GAP_RATE]),

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from typing import NamedTuple
 
@@ -40,11 +40,13 @@ class ModeFunctions:
         rate: ``(y, p) -> dy/dt``.
         guard: ``(y, p) -> (guard, its time derivative)``.
         interpreted: They stay interpreted, for comparisons.
+        weights: Size of each state, of which an absolute local error is a part; none if all are 1.
     """
 
     rate: ca.Function
     guard: ca.Function
     interpreted: bool = False
+    weights: tuple[float, ...] = ()
 
     @property
     def n_y(self) -> int:
@@ -74,7 +76,7 @@ class ModeFunctions:
         numbers = ca.SX.sym("numbers", 3)
         size, relative, absolute = ca.vertsplit(numbers)
         after, fifth, third = explicit_attempt(lambda state: self.rate(state, p), y, size)
-        scale = absolute + relative * ca.fmax(ca.fabs(y), ca.fabs(after))
+        scale = self.weighed(absolute) + relative * ca.fmax(ca.fabs(y), ca.fabs(after))
         error = overflow(ca.sum1(after), ca) + error_norm(
             ca.sumsqr(fifth / scale), ca.sumsqr(third / scale), ca.fabs(size), y.numel(), ca
         )
@@ -86,8 +88,12 @@ class ModeFunctions:
         """The same compiled, with the loop over the steps of a leg."""
         maker = f"{__name__}:{leg_kernels.__name__}"
         functions = (self.rate, self.guard)
-        recipe = Recipe(maker=maker, functions=functions, numbers=(N_STAGES,))
+        recipe = Recipe(maker=maker, functions=functions, numbers=(N_STAGES, *self.weights))
         return Kernels(None if self.interpreted else recipe)
+
+    def weighed(self, absolute: ca.SX | float) -> ca.SX:
+        """Return the absolute local error of each state, ``(n_y,)``, or one for all."""
+        return absolute * ca.SX(list(self.weights)) if self.weights else ca.SX(absolute)
 
     def _symbols(self) -> tuple[ca.SX, ca.SX]:
         return ca.SX.sym("y", self.n_y), ca.SX.sym("p", self.n_p)
@@ -102,10 +108,12 @@ def leg_kernels(functions: Sequence[ca.Function], numbers: Sequence[float]) -> K
 
     Args:
         functions: Rate and guard of the mode.
-        numbers: Stages of an implicit step.
+        numbers: Stages of an implicit step, then the weights of the states, if there are any.
     """
     rate, guard = functions
-    mode, scheme = ModeFunctions(rate=rate, guard=guard), radau_scheme(int(numbers[0]))
+    stages, *weights = numbers
+    mode = ModeFunctions(rate=rate, guard=guard, weights=tuple(weights))
+    scheme = radau_scheme(int(stages))
     newton = newton_functions(mode, scheme)
     kernels = {
         "rate": rate,
@@ -119,6 +127,17 @@ def leg_kernels(functions: Sequence[ca.Function], numbers: Sequence[float]) -> K
     named = [renamed(function, f"zk_{name}") for name, function in kernels.items()]
     code = follow_source(mode.n_y, n_factors(mode.n_y, scheme), scheme)
     return KernelSource(functions=named, code=code)
+
+
+@lru_cache(maxsize=64)
+def weighted(mode: ModeFunctions, weights: tuple[float, ...]) -> ModeFunctions:
+    """Return a mode whose local errors are absolute in other sizes of its states, made once.
+
+    Args:
+        mode: The mode.
+        weights: Size of each state, ``(n_y,)``.
+    """
+    return mode if set(weights) == {1.0} else replace(mode, weights=weights)
 
 
 def renamed(function: ca.Function, name: str) -> ca.Function:
@@ -190,12 +209,20 @@ class FlowMemory:
     Memory is made at the first call: an engine that has its own code needs none of it.
     """
 
-    def __init__(self, mode: ModeFunctions) -> None:
+    def __init__(
+        self, mode: ModeFunctions, stepping: Callable[[], ModeFunctions] | None = None
+    ) -> None:
         self.mode = mode
+        self._stepping = stepping
         self.p: Vector = np.zeros(mode.n_p)
         self.owner: object = None
         self._newton: tuple[Collocation, NewtonCalls] | None = None
         self._leg_code: LegCode | None = None
+
+    @cached_property
+    def stepping(self) -> ModeFunctions:
+        """The mode whose steps are taken; its weights may not be known before they are."""
+        return self.mode if self._stepping is None else self._stepping()
 
     @cached_property
     def rate(self) -> Call:
@@ -215,20 +242,21 @@ class FlowMemory:
     @cached_property
     def step(self) -> StepCall:
         """One step of DOP853."""
-        library = self.mode.kernels.library()
+        library = self.stepping.kernels.library()
         if library is not None:
             return StepCall(self.mode.n_y, self.p, _kernel(library, "step"))
-        with self.mode.kernels.owing():
-            step = self.mode.step
+        with self.stepping.kernels.owing():
+            step = self.stepping.step
         return StepCall(self.mode.n_y, self.p, partial(caller, step))
 
     def newton(self, scheme: Collocation) -> NewtonCalls:
         """Return one step of a collocation scheme, in pieces."""
         if self._newton is None or self._newton[0] is not scheme:
-            library = self.mode.kernels.library() if scheme is radau_scheme(N_STAGES) else None
+            mode = self.stepping
+            library = mode.kernels.library() if scheme is radau_scheme(N_STAGES) else None
             if library is None:
-                with self.mode.kernels.owing():
-                    functions = newton_functions(self.mode, scheme)
+                with mode.kernels.owing():
+                    functions = newton_functions(mode, scheme)
                 connect = _NewtonConnect(*(partial(caller, function) for function in functions))
             else:
                 connect = _NewtonConnect(*(_kernel(library, n) for n in NewtonFunctions._fields))
@@ -238,7 +266,7 @@ class FlowMemory:
     def leg_code(self) -> LegCode | None:
         """Return the compiled loop over the steps of a leg, if there is one by now."""
         if self._leg_code is None:
-            library = self.mode.kernels.library()
+            library = self.stepping.kernels.library()
             if library is not None:
                 self._leg_code = LegCode(library, self.p, self.mode.n_y, radau_scheme(N_STAGES))
         return self._leg_code
@@ -305,7 +333,7 @@ class CompiledFlow(CompilableFlow):
 
     def owe(self, seconds: float) -> None:
         """Hear of time that compiled code would have saved [s]; in the end that repays it."""
-        self.mode.kernels.owe(seconds)
+        self._memory.stepping.kernels.owe(seconds)
 
 
 class CompiledNewton:
@@ -396,7 +424,7 @@ def newton_functions(mode: ModeFunctions, scheme: Collocation) -> NewtonFunction
     y, stages, factors = pieces.y, pieces.stages, pieces.factors
     numbers = ca.SX.sym("numbers", 5)
     size, relative, absolute, start, ratio = ca.vertsplit(numbers)
-    scale = absolute + relative * ca.fabs(y)
+    scale = mode.weighed(absolute) + relative * ca.fabs(y)
 
     def norm(change: ca.SX) -> ca.SX:
         columns = ca.repmat(scale, 1, change.shape[1])

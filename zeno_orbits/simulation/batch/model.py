@@ -99,7 +99,7 @@ def _step_function(mode: ModeFunctions, absolute: float) -> ca.Function:
     numbers = ca.SX.sym("numbers", 2)
     size, tolerance = ca.vertsplit(numbers)
     after, miss = rosenbrock_step(lambda state: mode.rate(state, p), mode.jacobian(y, p), y, size)
-    scale = tolerance * (absolute + ca.fmax(ca.fabs(y), ca.fabs(after)))
+    scale = tolerance * (mode.weighed(absolute) + ca.fmax(ca.fabs(y), ca.fabs(after)))
     error = ca.sqrt(ca.sumsqr(miss / scale) / y.numel()) + overflow(ca.sum1(after), ca)
     name = f"{mode.rate.name()}_rosenbrock"
     return dense_function(name, [y, p, numbers], [after, error, mode.guard(after, p)])
@@ -168,7 +168,8 @@ def batch_model(compiled: CompiledSystem, own: OwnScale = USUAL) -> BatchModel:
     """
     absolute = ABSOLUTE * own.least
     n_p = compiled.contact.size1_in(1)
-    modes = (compiled.free, compiled.locked, compiled.flight)
+    free, locked, flight = modes = compiled.weighted(own)
+    weights = own.flight_weights(compiled.n_x)
     functions = (
         *(function for mode in modes for function in (mode.rate, mode.guard)),
         *(compiled.contact, _restitution(compiled), compiled.rebound),
@@ -176,7 +177,7 @@ def batch_model(compiled: CompiledSystem, own: OwnScale = USUAL) -> BatchModel:
     )
     maker = f"{__name__}:{batch_kernels.__name__}"
     interpreted = compiled.free.interpreted
-    recipe = Recipe(maker=maker, functions=functions, numbers=(absolute,))
+    recipe = Recipe(maker=maker, functions=functions, numbers=(absolute, *weights))
     kernels = Kernels(None if interpreted else recipe)
     contact, restitution, rebound, reset, resting = (
         Columns(function, kernels, f"zk_{function.name()}") for function in functions[-5:]
@@ -186,9 +187,9 @@ def batch_model(compiled: CompiledSystem, own: OwnScale = USUAL) -> BatchModel:
         n_q=compiled.n_q,
         clock=compiled.clock,
         n_p=n_p,
-        free=BatchFlow(compiled.free, absolute, kernels),
-        locked=BatchFlow(compiled.locked, absolute, kernels),
-        flight=BatchFlow(compiled.flight, absolute, kernels),
+        free=BatchFlow(free, absolute, kernels),
+        locked=BatchFlow(locked, absolute, kernels),
+        flight=BatchFlow(flight, absolute, kernels),
         contact=contact,
         restitution=restitution,
         rebound=rebound,
@@ -208,12 +209,16 @@ def batch_kernels(functions: Sequence[ca.Function], numbers: Sequence[float]) ->
 
     Args:
         functions: Rate and guard of every mode, then what holds at a point.
-        numbers: Absolute over relative local error.
+        numbers: Absolute over relative local error, and the weights of a rescaled flight.
     """
+    absolute, *weights = numbers
     pairs = zip(functions[:6:2], functions[1:6:2], strict=True)
-    modes = [ModeFunctions(rate=rate, guard=guard) for rate, guard in pairs]
+    modes = [
+        ModeFunctions(rate=rate, guard=guard, weights=tuple(weights[: rate.size1_in(0)]))
+        for rate, guard in pairs
+    ]
     named = {function.name(): function for function in functions}
-    named |= {f"{mode.rate.name()}_step": _step_function(mode, numbers[0]) for mode in modes}
+    named |= {f"{mode.rate.name()}_step": _step_function(mode, absolute) for mode in modes}
     code = Path(__file__).with_name("falls.c").read_text(encoding="utf-8")
     functions = [renamed(one, f"zk_{name}") for name, one in named.items()]
     return KernelSource(functions=functions, code=fall_source() + code)
