@@ -99,6 +99,20 @@ class Lost:
     """There is no orbit that the motion goes to, as far as this attempt tells."""
 
 
+class _Look(NamedTuple):
+    """A look along the way from the motion to an orbit.
+
+    Attributes:
+        point: The orbit.
+        places: Places on the way whose returns are waited for, from the orbit, ``(n, m)``.
+        shorter: Returns after which the orbit repeats.
+    """
+
+    point: FixedPoint
+    places: Vector
+    shorter: int
+
+
 @dataclass(slots=True, kw_only=True)
 class Attempt:
     """Newton's method under way for orbits of a period.
@@ -119,10 +133,8 @@ class Attempt:
         iterations: Steps made.
         contracts: Whether the return map contracts wherever a step began, and none turned back.
         last_step: The last step, in scaled states, ``(n_x,)``.
-        found: The orbit, once Newton's method is at its end.
-        shorter: Returns after which it repeats.
+        look: What returns are waited for once Newton's method is at its end.
         doubtful: Whether the motion took another time than it takes more accurately.
-        places: Places between the motion and the orbit, if their returns are waited for.
         approached: Whether the motion itself is known to be on its way to the orbit.
     """
 
@@ -143,10 +155,8 @@ class Attempt:
     iterations: int = 0
     contracts: bool = True
     last_step: Vector | None = None
-    found: FixedPoint | None = None
-    shorter: int = 1
+    look: _Look | None = None
     doubtful: bool = False
-    places: Vector | None = None
     approached: bool = False
 
     def request(self, *, neighbours: bool) -> Request:
@@ -168,8 +178,8 @@ class Attempt:
             returns.append(event)
         if any(len(events) < self.period for events in self.returns.values()):
             return None
-        if self.found is not None and self.places is not None:
-            return self._looked_along_the_way(self.found, self.places)
+        if self.look is not None:
+            return self._looked(self.look)
         cycles = [self.crossing.cycle(self.dynamics, self.returns[k]) for k in sorted(self.returns)]
         try:
             point = newton_step(self.dynamics, self.bundle.section, cycles, self.jacobian)
@@ -243,8 +253,8 @@ class Attempt:
             if self.doubtful and not self.accuracy.motion > self.accuracy.orbit:
                 return Lost()
             if not is_approached(before, after, jacobian, self.accuracy.reached):
-                self.shorter = shorter
-                return self._look_along_the_way(point, places_on_the_way(after, jacobian))
+                places = places_on_the_way(after, jacobian)
+                return self._look_along_the_way(_Look(point, places, shorter))
         return self._concluded(point, shorter)
 
     def _concluded(self, point: FixedPoint, shorter: int) -> Request | Attractor:
@@ -255,32 +265,30 @@ class Attempt:
             return self.request(neighbours=True)
         return self._orbit(point)
 
-    def _look_along_the_way(self, point: FixedPoint, places: Vector) -> Request | Lost:
+    def _look_along_the_way(self, look: _Look) -> Request | Lost:
         """Ask for returns from between the motion and the orbit, where it would take long."""
-        if not (self.contracts and len(places)):
+        if not (self.contracts and len(look.places)):
             return Lost()
         section = self.bundle.section
-        centre = section.coordinates(point.state)
+        rows = section.coordinates(look.point.state) + look.places
         try:
-            states = np.array([section.state(self.dynamics, centre + one) for one in places])
+            states = np.array([section.state(self.dynamics, row) for row in rows])
         except ZenoOrbitsError:
             return Lost()
-        self.found, self.places = point, places
+        self.look = look
         self.returns = {rank: [] for rank in range(len(states))}
         return Request(states, self.accuracy.orbit, True, 2 * self.span, led=False)
 
-    def _looked_along_the_way(
-        self, point: FixedPoint, places: Vector
-    ) -> Request | Attractor | Lost:
+    def _looked(self, look: _Look) -> Request | Attractor | Lost:
         """Return the orbit if returns lead to it from all the way."""
         section = self.bundle.section
-        centre = section.coordinates(point.state)
+        centre = section.coordinates(look.point.state)
         ends = [self.returns[rank][-1].state for rank in sorted(self.returns)]
         images = np.array([section.coordinates(end) - centre for end in ends])
-        if not all_come_nearer(places, images, point.jacobian):
+        if not all_come_nearer(look.places, images, look.point.jacobian):
             return Lost()
-        self.places = None
-        return self._concluded(point, self.shorter)
+        self.look = None
+        return self._concluded(look.point, look.shorter)
 
     def _shorter_period(self) -> int:
         """Return after how many returns Newton's method is at its end already.
