@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 
-from zeno_orbits.integrators.collocation import doubled_nodes, radau_nodes
+from zeno_orbits.integrators.collocation import doubled_nodes, radau_nodes, radau_scheme
 
 ROUNDING = 1e-13
 
@@ -16,6 +18,22 @@ def test_two_stages_are_those_of_the_textbook() -> None:
     assert nodes.places == pytest.approx([1 / 3, 1.0], abs=ROUNDING)
     assert nodes.integral == pytest.approx(np.array([[5 / 12, -1 / 12], [3 / 4, 1 / 4]]))
     assert nodes.whole == pytest.approx([3 / 4, 1 / 4])
+
+
+@pytest.mark.parametrize("n", [3, 5, 7, 9])
+def test_the_matrix_of_the_scheme_is_that_of_its_nodes_to_rounding(n: int) -> None:
+    # Each entry is the integral of a Lagrange polynomial of the nodes, here in exact fractions.
+    # Sums of n terms below 1 err by n roundings; powers of the nodes would lose 200 at n = 7.
+    scheme = radau_scheme(n)
+    nodes = [Fraction(float(node)) for node in scheme.nodes]
+    for j, here in enumerate(nodes):
+        product = [Fraction(1)]
+        for other in (*nodes[:j], *nodes[j + 1 :]):
+            lower, raised = [*product, Fraction(0)], [Fraction(0), *product]
+            product = [(r - other * p) / (here - other) for r, p in zip(raised, lower, strict=True)]
+        for i, end in enumerate(nodes):
+            exact = sum(part * end ** (k + 1) / (k + 1) for k, part in enumerate(product))
+            assert abs(Fraction(float(scheme.matrix[i, j])) - exact) < n * np.finfo(float).eps
 
 
 @pytest.mark.parametrize("n", [4, 8, 16])

@@ -162,18 +162,12 @@ def _tidy(value: complex) -> complex:
 @cache
 def radau_scheme(n_stages: int) -> Collocation:
     """Return Radau IIA, of order ``2 n_stages - 1``: stiffly accurate, so layers decay."""
-    powers = np.arange(1, n_stages + 1)
-    nodes = radau_abscissae(n_stages)
-    # Stage i integrates the polynomials exactly: sum_j a_ij c_j^(k-1) = c_i^k / k.
-    vandermonde = nodes[:, None] ** (powers - 1)
-    moments = nodes[:, None] ** powers / powers
-    matrix = np.asarray(np.linalg.solve(vandermonde.T, moments.T).T, dtype=np.float64)
-    return Collocation(nodes=nodes, matrix=matrix)
+    nodes = radau_nodes(n_stages)
+    return Collocation(nodes=nodes.places, matrix=nodes.integral)
 
 
 def radau_abscissae(n_stages: int) -> Array:
     """Return the zeros of :math:`P_{s-1} - P_s` on [0, 1], P the Legendre polynomials."""
-    legendre = np.polynomial.legendre
     series = np.zeros(n_stages + 1)
     series[-2:] = (1.0, -1.0)
     slope = legendre.legder(series)
