@@ -262,7 +262,7 @@ def main() -> int:
     if options.runs < 1:
         parser.error(f"--runs must be at least 1, but it is {options.runs}")
     problem = load_problem("motor_pendulum")
-    problem.compiled().build()
+    problem.compiled().build(problem.values().vector)
     over_tolerances(problem, options.runs, options.patience)
     over_ratios(problem, options.runs, options.patience)
     return 0

@@ -32,10 +32,11 @@ def settings(accuracy: float, engine: Engine | None = None) -> SimulationSetting
 def problem(name: str, rate: float | None = None) -> HybridDynamics:
     """Return a problem at its numbers, compiled."""
     problem = load_problem(name)
-    # What is measured must not be compiled in the middle of it.
-    problem.compiled().build()
     parameters = {} if rate is None else work.declared(rate)
-    return problem.dynamics(problem.values(parameters=parameters))
+    values = problem.values(parameters=parameters)
+    # What is measured must not be compiled in the middle of it.
+    problem.compiled().build(values.vector)
+    return problem.dynamics(values)
 
 
 def prepare(
