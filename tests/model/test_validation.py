@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
 
+from tests.support.units import Units, in_units
+from zeno_orbits import Problem, positive, restitution
 from zeno_orbits.cli import main
 from zeno_orbits.cli.problems import template
 from zeno_orbits.errors import ProblemFileError
 from zeno_orbits.model.clock import Clock
 from zeno_orbits.model.drives import MotorBank, no_drive
-from zeno_orbits.model.hybrid import complete
+from zeno_orbits.model.hybrid import CompletedSystem, complete
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.library import bundled_problems, load_problem
 from zeno_orbits.model.units import is_rate_of, powers_of
@@ -280,6 +284,68 @@ def test_units_multiply_out() -> None:
 def test_what_is_no_unit_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="is no unit"):
         powers_of(text)
+
+
+# The same verdict in any units.
+
+UNITS = [
+    Units(length=length, time=time)
+    for length in (1e-6, 1e-3, 1.0, 1e3, 1e6)
+    for time in (1e-6, 1.0)
+]
+REACH = (9.81 + 0.015 * 30**2) / 30**2
+"""How far the ball of the table goes while the clock turns by a radian: all of a / omega^2 [m]."""
+
+
+@pytest.mark.parametrize("units", UNITS, ids=str)
+def test_a_start_is_beyond_the_stop_by_a_part_of_how_far_the_problem_goes(units: Units) -> None:
+    table = load_problem("vibrating_table")
+
+    def start(part: float) -> Problem:
+        return in_units(replace(table, starts=({"height": -part * REACH, "cosine": 1.0},)), units)
+
+    assert start(0.9e-9).checked()
+    with pytest.raises(ValueError, match="Start 1 must have a gap >= 0"):
+        start(1.1e-9).checked()
+
+
+@pytest.mark.parametrize("units", UNITS, ids=str)
+def test_a_mass_that_vanishes_nearby_is_found(units: Units) -> None:
+    def model(p: Mapping[str, ca.SX]) -> CompletedSystem:
+        q, v = ca.SX.sym("q"), ca.SX.sym("v")
+        body = HybridLagrangian.from_energies(
+            q=q, v=v, kinetic=p["m"] * (1 - q / p["far"]) * v**2 / 2, potential=p["k"] * q, gap=q
+        )
+        return complete(body, no_drive(body), p["restitution"])
+
+    problem = Problem(
+        name="thinning",
+        title="",
+        source="",
+        state_names=("x", "dx"),
+        state_units=("m", "m/s"),
+        parameters=(
+            positive("m", 2.0, "kg", ""),
+            positive("far", 0.02, "m", ""),
+            positive("k", 3.0, "N", ""),
+            restitution(0.5),
+        ),
+        gains=(),
+        model=model,
+        starts=({"x": 0.014},),
+        portraits=(("x", "dx"),),
+        amplitude_of="x",
+    )
+    with pytest.raises(ValueError, match=r"at the admissible state .* it is indefinite"):
+        in_units(problem, units).checked()
+    # From a tenth of the way it goes no farther than twice as far.
+    assert in_units(replace(problem, starts=({"x": 0.002},)), units).checked()
+
+
+@pytest.mark.parametrize("name", ["motor_cart", "curved_surface"])
+@pytest.mark.parametrize("length", [1e-6, 1e6])
+def test_masses_beside_moments_of_inertia_are_no_singular_matrix(name: str, length: float) -> None:
+    assert in_units(load_problem(name), Units(length=length)).checked()
 
 
 # Matrices in place of energies.

@@ -206,7 +206,8 @@ class Problem:
                 wanted = "must appear in the model or an output"
                 raise ValueError(f"Argument `{kind}` {wanted}, but `{name}` appears nowhere.")
         starts = [self.state_vector(start) for start in self.starts]
-        require_sound_numbers(system, symbols, values.vector, self.state_names, starts)
+        dynamics, units = self.dynamics(values), self.state_units
+        require_sound_numbers(system, symbols, values.vector, dynamics, units, starts)
         for word in self.fidelities:
             self.at_fidelity(word).checked()
         return self

@@ -14,16 +14,18 @@ import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model.hybrid import CompletedSystem
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model.numeric.own_scale import Reach, constraint_sizes, reach_of
 from zeno_orbits.model.units import is_rate_of
 
 _TRIALS = 24
 """States near each start at which the mass matrix is tried."""
 _SPREAD = 1.0
-"""Distance of these from a start, in each coordinate [m or rad]."""
+"""Distance of these from a start, in each coordinate, as a part of how far the problem goes."""
 _SINGULAR = 1e-12
 """Least eigenvalue of a mass matrix, relative to its largest one, that is not rounding."""
 _OFF = 1e-9
-"""Distance of a start from the stop or a constraint that a simulation admits."""
+"""Distance of a start from the stop or a constraint, as a part of how far they go."""
 
 _FORMULAS = (
     "free_flow",
@@ -128,7 +130,8 @@ def require_sound_numbers(
     system: CompletedSystem,
     symbols: Mapping[str, ca.SX],
     values: Sequence[float],
-    state_names: Sequence[str],
+    dynamics: HybridDynamics,
+    state_units: Sequence[str],
     starts: Sequence[Sequence[float]],
 ) -> None:
     """Refuse a model that fails at its own numbers, and starts that are not admissible.
@@ -137,7 +140,8 @@ def require_sound_numbers(
         system: The completed system.
         symbols: Its gains and parameters by name.
         values: Their numbers, in the same order.
-        state_names: Names of the states, ``(n_x,)``.
+        dynamics: The system at these numbers: how far it goes is what all is measured by.
+        state_units: Units of the states, ``(n_x,)``.
         starts: Initial states, each ``(n_x,)``.
 
     Raises:
@@ -150,16 +154,21 @@ def require_sound_numbers(
     look = _function(system, symbols, [ca.densify(mass_matrix), system.gap])
     formulas = {name: _function(system, symbols, [getattr(system, name)]) for name in _FORMULAS}
     random = np.random.default_rng(0)
+    with np.errstate(all="ignore"):
+        # What is not finite has no size yet; it is told of below.
+        reach = reach_of(dynamics, starts, state_units, system.clock)
+    sizes = reach.sizes(len(state_units))
+    around, names = sizes[: system.n_q], dynamics.state_names
     for number, start in enumerate(starts, start=1):
         x = np.asarray(start, dtype=np.float64)
-        _require_mass(look, x, p, system.n_q, state_names, f"at start {number}")
+        _require_mass(look, x, p, around, names, f"at start {number}")
         _require_finite(formulas, x, p, number)
-        _require_admissible(formulas, x, p, number)
+        _require_admissible(dynamics, x, reach, number)
         for _ in range(_TRIALS):
             near = x.copy()
-            near[: system.n_q] += random.uniform(-_SPREAD, _SPREAD, system.n_q)
+            near[: system.n_q] += around * random.uniform(-_SPREAD, _SPREAD, system.n_q)
             if float(look(near, p)[1]) >= 0.0:
-                _require_mass(look, near, p, system.n_q, state_names, "at the admissible state")
+                _require_mass(look, near, p, around, names, "at the admissible state")
 
 
 def _require_finite(formulas: Mapping[str, Any], x: Vector, p: Vector, number: int) -> None:
@@ -171,12 +180,12 @@ def _require_finite(formulas: Mapping[str, Any], x: Vector, p: Vector, number: i
             raise ValueError(f"Argument `model` {where}{asked}.")
 
 
-def _require_admissible(formulas: Mapping[str, Any], x: Vector, p: Vector, number: int) -> None:
-    gap = float(formulas["gap"](x, p))
-    if gap < -_OFF:
+def _require_admissible(dynamics: HybridDynamics, x: Vector, reach: Reach, number: int) -> None:
+    gap = dynamics.gap(x)
+    if gap < -_OFF * reach.gap:
         raise ValueError(f"Start {number} must have a gap >= 0, but it is {gap:.6g}.")
-    off = formulas["holonomic"](x, p).full()
-    if off.size and float(np.max(np.abs(off))) > _OFF:
+    off = dynamics.holonomic(x)
+    if np.any(np.abs(off) > _OFF * constraint_sizes(dynamics, x, reach.sizes(len(x)))):
         raise ValueError(
             f"Start {number} must keep the constraints, but it is off by "
             f"{float(np.max(np.abs(off))):.3g}; a clock may start with its cosine at 1."
@@ -184,21 +193,22 @@ def _require_admissible(formulas: Mapping[str, Any], x: Vector, p: Vector, numbe
 
 
 def _require_mass(
-    look: Any, x: Vector, p: Vector, n_q: int, state_names: Sequence[str], where: str
+    look: Any, x: Vector, p: Vector, sizes: Vector, state_names: Sequence[str], where: str
 ) -> None:
-    matrix = look(x, p)[0].full()
+    # In these sizes all entries are energies, so what is next to nothing is so in any units.
+    matrix = look(x, p)[0].full() * np.outer(sizes, sizes)
     if not np.all(np.isfinite(matrix)):
         return
     roots = np.linalg.eigvalsh(matrix)
     if roots[0] > _SINGULAR * abs(roots[-1]):
         return
     place = ", ".join(
-        f"{name} = {value:.3g}" for name, value in zip(state_names, x[:n_q], strict=False)
+        f"{name} = {value:.3g}" for name, value in zip(state_names, x[: sizes.size], strict=False)
     )
     what = "singular" if abs(roots[0]) <= _SINGULAR * abs(roots[-1]) else "indefinite"
     raise ValueError(
         f"The mass matrix must be positive definite, but {where} ({place}) it is {what}: "
-        f"its eigenvalues reach from {roots[0]:.3g} to {roots[-1]:.3g}."
+        f"in the problem's own sizes its eigenvalues reach from {roots[0]:.3g} to {roots[-1]:.3g}."
     )
 
 

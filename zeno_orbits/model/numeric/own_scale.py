@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -51,6 +52,27 @@ def own_time(dynamics: HybridDynamics, state: Vector) -> float:
     return 2 * math.pi * math.sqrt(size / pull) if size > 0.0 and pull > 0.0 else 1.0
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reach:
+    """How far a problem goes from where it starts, in its own units and not rounded.
+
+    Attributes:
+        states: Sizes of coordinates, then of their velocities, ``(2 n_q,)``.
+        gap: Of the gap.
+        time: [s].
+    """
+
+    states: Vector
+    gap: float
+    time: float
+
+    def sizes(self, n_x: int) -> Vector:
+        """Return the size of each state, ``(n_x,)``; 1 where there is none."""
+        sizes = np.ones(n_x)
+        sizes[: len(self.states)] = _usable(self.states)
+        return sizes
+
+
 def own_scale(
     dynamics: HybridDynamics,
     starts: Sequence[Sequence[float]],
@@ -67,17 +89,44 @@ def own_scale(
     """
     with np.errstate(all="ignore"):
         # What overflows has no size, and counts as 1.
-        return _own_scale(dynamics, np.array(starts, dtype=np.float64), units, clock)
+        reach = reach_of(dynamics, starts, units, clock)
+        states = _in_phases(np.array(starts, dtype=np.float64), clock)
+        inertia = max(abs(dynamics.normal_inertia(x)) for x in states)
+        gap, time = np.float64(reach.gap), np.float64(reach.time)
+        return OwnScale(
+            time=_rounded(float(time)),
+            gap=_rounded(float(gap)),
+            gap_rate=_rounded(float(gap / time)),
+            gap_acceleration=_rounded(float(gap / time / time), _WIDE),
+            multiplier=_rounded(float(gap / time / time * inertia), _WIDE),
+            sizes=tuple(map(_rounded, reach.states.tolist())),
+        )
 
 
-def _own_scale(
-    dynamics: HybridDynamics, states: Vector, units: Sequence[str], clock: Sequence[int]
-) -> OwnScale:
+def _in_phases(states: Vector, clock: Sequence[int]) -> Vector:
+    """Return states with their clock turned to four phases, if there is one."""
     if clock:
         turns = np.tile(2 * math.pi * np.arange(_PHASES) / _PHASES, len(states))
         states = np.repeat(states, _PHASES, axis=0)
         states[:, clock[0]], states[:, clock[1]] = np.cos(turns), np.sin(turns)
-    n_q = dynamics.n_q
+    return states
+
+
+def reach_of(
+    dynamics: HybridDynamics,
+    starts: Sequence[Sequence[float]],
+    units: Sequence[str],
+    clock: Sequence[int] = (),
+) -> Reach:
+    """Return how far a problem goes, as the sizes of `own_scale` before they are rounded.
+
+    Args:
+        dynamics: The system.
+        starts: States at which the problem starts, each ``(n_x,)``.
+        units: Unit of each state; coordinates of one unit are measured alike.
+        clock: Places of the clock in the state; it is looked at in four phases.
+    """
+    states, n_q = _in_phases(np.array(starts, dtype=np.float64), clock), dynamics.n_q
     rates = np.array([dynamics.free.rate(x) for x in states])
     places = _alike(np.max(np.abs(states[:, :n_q]), axis=0), units)
     velocities = _alike(np.max(np.abs(rates[:, :n_q]), axis=0), units, fixed=0.0)
@@ -89,15 +138,7 @@ def _own_scale(
     largest = np.maximum(np.maximum(places, velocities * time), accelerations * time * time)
     largest = _alike(largest, units)
     gap = np.float64(max(_gap_reach(dynamics, x, largest) for x in states))
-    inertia = max(abs(dynamics.normal_inertia(x)) for x in states)
-    return OwnScale(
-        time=_rounded(float(time)),
-        gap=_rounded(float(gap)),
-        gap_rate=_rounded(float(gap / time)),
-        gap_acceleration=_rounded(float(gap / time / time), _WIDE),
-        multiplier=_rounded(float(gap / time / time * inertia), _WIDE),
-        sizes=tuple(_rounded(size) for size in (*largest.tolist(), *(largest / time).tolist())),
-    )
+    return Reach(states=np.append(largest, largest / time), gap=float(gap), time=float(time))
 
 
 def _alike(sizes: Vector, units: Sequence[str], fixed: float = 1.0) -> Vector:
@@ -131,7 +172,9 @@ def _slowest(dynamics: HybridDynamics, x: Vector) -> float:
         return 1.0
 
 
-def constraint_sizes(dynamics: HybridDynamics, x: Vector) -> Vector:
+def constraint_sizes(
+    dynamics: HybridDynamics, x: Vector, own_sizes: Vector | None = None
+) -> Vector:
     """Return how much the holonomic constraints change where states do by their size, ``(n,)``.
 
     At most by that a state may be off; 1 for a system without formulas.
@@ -139,13 +182,20 @@ def constraint_sizes(dynamics: HybridDynamics, x: Vector) -> Vector:
     Args:
         dynamics: The system.
         x: A state, ``(n_x,)``.
+        own_sizes: Least size of each state, ``(n_x,)``; by default the system's own.
     """
     derivable = dynamics.differentiation
     if derivable is None:
         return np.ones_like(dynamics.holonomic(x))
-    sizes = np.maximum(np.abs(x), dynamics.own.states(len(x)))
+    least = dynamics.own.states(len(x)) if own_sizes is None else own_sizes
+    sizes = np.maximum(np.abs(x), least)
     found = np.abs(derivable.by(()).holonomic(x)) @ sizes
     return np.where(found > 0.0, found, 1.0)
+
+
+def _usable(sizes: Vector) -> Vector:
+    """Return sizes, 1 where there is none."""
+    return np.where(np.isfinite(sizes) & (sizes > 0.0), sizes, 1.0)
 
 
 def _gap_reach(dynamics: HybridDynamics, x: Vector, sizes: Vector) -> float:
