@@ -151,6 +151,7 @@ def test_teeth_carry_nothing_inside_the_play_and_push_on_either_side() -> None:
 
 BRIDGE = Bridge(supply=10.0, frequency=1e4, dead_time=1e-6, diode_drop=0.5)
 LOST = (10.0 + 2 * 0.5) * 1e-6 * 1e4
+STALL = ca.SX(10.0)
 
 
 @pytest.mark.parametrize(
@@ -168,7 +169,7 @@ def test_an_averaged_bridge_loses_what_its_dead_times_take(
     asked: float, current: float, mean: float
 ) -> None:
     voltage, i = ca.SX.sym("voltage"), ca.SX.sym("i")
-    averaged = averaged_voltage(BRIDGE, voltage, i, ca.SX(1e-3))
+    averaged = averaged_voltage(BRIDGE, voltage, i, ca.SX(1e-3), STALL)
     # The roundings of the two signs are below exp(-20) here.
     assert at(averaged, [voltage, i], asked, current) == pytest.approx(mean, abs=1e-8)
 
@@ -190,7 +191,7 @@ def test_the_mean_of_the_pulses_is_what_the_averaged_bridge_says(
     voltage, i = ca.SX.sym("voltage"), ca.SX.sym("i")
     # Without ripple, as the current is held here.
     averaged = at(
-        averaged_voltage(BRIDGE, voltage, i, ca.SX(1e9)), [voltage, i], 10 * share, current
+        averaged_voltage(BRIDGE, voltage, i, ca.SX(1e9), STALL), [voltage, i], 10 * share, current
     )
     # A pulse or a pause shorter than the dead time keeps both transistors off for its own length
     # and one dead time; the averaged law does not know that, and errs by what a dead time weighs.

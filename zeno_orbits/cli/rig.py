@@ -149,12 +149,13 @@ def _from_start(options: argparse.Namespace) -> int:
         if getattr(options, name) is not None:
             raise InputError(f"Argument `{name}` must come with an orbit, but there is none.")
     problem = load_problem(options.target)
-    until = _UNTIL if options.until is None else options.until
+    values = values_of(problem, options)
+    until = options.until or _UNTIL * problem.dynamics(values).own.time
     rig = _rig_of(options, problem)
     with report.ProgressLine(options.interrupts.check) as progress:
         run = simulate_rig(
             problem,
-            values_of(problem, options),
+            values,
             rig,
             start_of(problem, options),
             until,

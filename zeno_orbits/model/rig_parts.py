@@ -40,7 +40,7 @@ class Contact:
     """
 
     QUANTITIES: ClassVar[tuple[Quantity, ...]] = (
-        positive("stiffness", 1e5, "1", "force over penetration to the exponent, SI"),
+        positive("stiffness", 1e5, "1", "force over penetration to the exponent"),
         Quantity(
             name="exponent",
             unit="1",
@@ -49,7 +49,7 @@ class Contact:
             lower=1.0,
             upper=3.0,
         ),
-        positive("slowest", 1e-6, "1", "speed below which damping grows no further, SI"),
+        positive("slowest", 1e-6, "1", "speed below which damping grows no further"),
     )
 
     stiffness: float = 1e5

@@ -17,7 +17,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError, counted
 from zeno_orbits.experiment.rig.run import RigRun, RigSettings, Touch
 from zeno_orbits.experiment.rig.simulator import simulate_rig
-from zeno_orbits.model import Problem, Rig
+from zeno_orbits.model import Contact, Problem, Rig
 from zeno_orbits.orbits import ZenoOrbit
 from zeno_orbits.simulation import AttractorKind, Motion, SectionReturn, outcome_of
 from zeno_orbits.work import Progress, silent
@@ -169,8 +169,12 @@ def settling_cycles(orbit: ZenoOrbit) -> int:
 
 
 def default_rig(problem: Problem) -> Rig:
-    """Return the parts that a problem declares, else a stop alone."""
-    return problem.rig or Rig()
+    """Return the parts that a problem declares, else a stop alone, as stiff in its own sizes."""
+    if problem.rig is not None:
+        return problem.rig
+    own, usual = problem.dynamics(problem.values()).own, Contact()
+    stiffness = usual.stiffness * own.multiplier / own.gap
+    return Rig(contact=Contact(stiffness=stiffness, slowest=usual.slowest * own.gap_rate))
 
 
 def cut_cycles(touches: Sequence[Touch], orbit: ZenoOrbit) -> tuple[RigCycle, ...]:

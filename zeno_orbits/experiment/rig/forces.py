@@ -6,10 +6,10 @@ import casadi as ca
 
 from zeno_orbits.model import Bridge, Contact, Friction, Gear
 
-_SMALL_VOLTAGE = 0.01
-"""Voltage over which an averaged bridge changes its direction [V]."""
-_SMALL_CURRENT = 0.01
-"""Current over which the diodes of an averaged dead time change theirs [A]."""
+_SMALL_VOLTAGE = 1e-3
+"""Part of the supply over which an averaged bridge changes its direction."""
+_SMALL_CURRENT = 1e-3
+"""Part of the stalled motor's current over which diodes of an averaged dead time change theirs."""
 
 
 def contact_force(contact: Contact, damping: ca.SX, depth: ca.SX, rate: ca.SX) -> ca.SX:
@@ -52,7 +52,9 @@ def teeth_torque(gear: Gear, twist: ca.SX, rate: ca.SX) -> ca.SX:
     return flank(twist - half, rate) - flank(-twist - half, -rate)
 
 
-def averaged_voltage(bridge: Bridge, asked: ca.SX, current: ca.SX, inductance: ca.SX) -> ca.SX:
+def averaged_voltage(
+    bridge: Bridge, asked: ca.SX, current: ca.SX, inductance: ca.SX, stall: ca.SX
+) -> ca.SX:
     r"""Return the mean voltage of bridges over a period of their pulses.
 
     .. math:: \bar V = s \max(0, |V| - \sigma s V_d),\qquad V_d = (V_s + 2 V_f)\, t_d f
@@ -65,6 +67,7 @@ def averaged_voltage(bridge: Bridge, asked: ca.SX, current: ca.SX, inductance: c
         asked: Voltages asked for, ``(n_M,)`` [V].
         current: Of every motor [A].
         inductance: Of every motor, for the ripple [H].
+        stall: Current of every motor at rest under the supply [A].
     """
     voltage = ca.fmax(-bridge.supply, ca.fmin(bridge.supply, asked))
     if bridge.dead_time == 0.0:
@@ -72,7 +75,7 @@ def averaged_voltage(bridge: Bridge, asked: ca.SX, current: ca.SX, inductance: c
     lost = (bridge.supply + 2 * bridge.diode_drop) * bridge.dead_time * bridge.frequency
     size = ca.fabs(voltage)
     ripple = size * (1 - size / bridge.supply) / (2 * bridge.frequency * inductance)
-    above = ca.tanh((current - ripple) / _SMALL_CURRENT)
-    below = ca.tanh((current + ripple) / _SMALL_CURRENT)
-    sign = ca.tanh(voltage / _SMALL_VOLTAGE)
+    above = ca.tanh((current - ripple) / (_SMALL_CURRENT * stall))
+    below = ca.tanh((current + ripple) / (_SMALL_CURRENT * stall))
+    sign = ca.tanh(voltage / (_SMALL_VOLTAGE * bridge.supply))
     return sign * ca.fmax(0, size - (above + below) / 2 * sign * lost)

@@ -23,6 +23,7 @@ from zeno_orbits.model import (
     CompletedSystem,
     ModeFunctions,
     MotorBank,
+    OwnScale,
     Problem,
     Rig,
     Switching,
@@ -63,6 +64,16 @@ class Machine:
     command: ca.Function
     rest: ca.Function
     inertia: ca.Function
+
+    def weights(self, own: OwnScale) -> tuple[float, ...]:
+        """Return the sizes that local errors are absolute in; rotors turn by radians.
+
+        Args:
+            own: Sizes of the problem's numbers.
+        """
+        n_rotors = (len(self.state_names) - self.n_x) // 2
+        rotor = (1 / own.least, 1 / (own.time * own.least))
+        return (*own.weights(self.n_x), *(n_rotors * rotor))
 
 
 @lru_cache(maxsize=16)
@@ -191,8 +202,9 @@ class _Parts:
         if self._rig.bridge is None or self._exact or self._motors is None:
             return asked
         inductance = ca.diag(self._motors.inductance)
+        stall = self._rig.bridge.supply / ca.diag(self._motors.resistance)
         current = self._system.motor_current
-        return averaged_voltage(self._rig.bridge, asked, current, inductance)
+        return averaged_voltage(self._rig.bridge, asked, current, inductance, stall)
 
     def _current(self) -> ca.SX:
         if self._motors is None or self._system.drive.current.numel():

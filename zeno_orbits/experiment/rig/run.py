@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from zeno_orbits.arrays import Vector
 from zeno_orbits.experiment.recordings.recording import RecordedSignal, Recording, Source
 from zeno_orbits.integrators import Automatic, Engine, Tolerance
-from zeno_orbits.model import Problem, Rig
+from zeno_orbits.model import Contact, OwnScale, Problem, Rig
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -18,15 +18,39 @@ class RigSettings:
 
     Attributes:
         engine: The integrator.
-        tolerance: Its local error.
-        spacing: Between two records [s]; contacts are recorded at every step as well.
+        tolerance: Its local error; by default `rig_tolerance`.
+        spacing: Between two records [s], by default a thousandth of the problem's own time;
+            contacts are recorded at every step as well.
         keep_from: Nothing earlier is recorded, but contacts are [s].
     """
 
     engine: Engine = field(default_factory=Automatic)
-    tolerance: Tolerance = field(default_factory=lambda: Tolerance(relative=1e-10, absolute=1e-12))
-    spacing: float = 1e-3
+    tolerance: Tolerance | None = None
+    spacing: float | None = None
     keep_from: float = 0.0
+
+
+SPACING = 1e-3
+"""Between two records, as a part of the problem's own time."""
+_RELATIVE, _ABSOLUTE, _FINEST = 1e-10, 1e-12, 1e-13
+"""Local errors of a machine with a soft stop, and the least relative one."""
+_OF_DEPTH = 1e-6
+"""Part of the depth of a stop under load that an absolute local error is at most."""
+
+
+def rig_tolerance(contact: Contact, own: OwnScale) -> Tolerance:
+    r"""Return the local error at which a contact's force is known, in the problem's own sizes.
+
+    Under a load :math:`F` the stop gives way by :math:`\delta = (F / k)^{1/n}`. An error of the
+    gap is one of the force, relative to :math:`\delta`: a stiff stop turns it into vibrations.
+
+    Args:
+        contact: The stop.
+        own: Sizes of the problem's numbers; the load is that of the multiplier.
+    """
+    depth = (own.multiplier / contact.stiffness) ** (1 / contact.exponent) / own.gap
+    finer = max(min(1.0, _OF_DEPTH * depth / _ABSOLUTE), _FINEST / _RELATIVE)
+    return Tolerance(relative=_RELATIVE * finer, absolute=_ABSOLUTE * finer)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -18,7 +18,14 @@ from zeno_orbits.errors import InputError, RunawayError, SimulationError
 from zeno_orbits.experiment.rig.contact_damping import damping_number
 from zeno_orbits.experiment.rig.controller import ControlLoop
 from zeno_orbits.experiment.rig.machine import machine
-from zeno_orbits.experiment.rig.run import Record, RigRun, RigSettings, Touch
+from zeno_orbits.experiment.rig.run import (
+    SPACING,
+    Record,
+    RigRun,
+    RigSettings,
+    Touch,
+    rig_tolerance,
+)
 from zeno_orbits.integrators import Leg, Outcome, Passage
 from zeno_orbits.model import Call, CompiledFlow, FlowMemory, ParameterValues, Problem, Rig
 from zeno_orbits.simulation import Columns
@@ -84,16 +91,23 @@ class _Follower:
         seed: int,
     ) -> None:
         built = machine(problem, rig)
+        own = problem.dynamics(values).own
+        tolerance = settings.tolerance or rig_tolerance(rig.contact, own)
         self._machine, self._problem, self._rig, self._settings = built, problem, rig, settings
-        self._number = number
+        self._number, self._tolerance = number, tolerance.times(own.least)
+        self._spacing = settings.spacing or SPACING * own.time
         self._p = np.asarray(values.vector, dtype=np.float64)
         self._numbers = np.concatenate([self._p, np.zeros(built.n_motors), [0.0]])
-        self._memories = {False: FlowMemory(built.free), True: FlowMemory(built.contact)}
+        modes = {False: built.free, True: built.contact}
+        self._memories = {
+            touching: FlowMemory(mode, lambda: built.weights(own))
+            for touching, mode in modes.items()
+        }
         self._observe = Call(built.observe, self._numbers)
         self._motors = Call(built.motors, self._numbers)
         self._loop = self._control_loop(np.random.default_rng(seed)) if built.holds else None
         self._time = 0.0
-        self._row = math.ceil(settings.keep_from / settings.spacing)
+        self._row = math.ceil(settings.keep_from / self._spacing)
         self._rows: list[tuple[float, Vector, Vector, bool]] = []
         self._touches: list[Touch] = []
         self._began: tuple[float, Vector, float] | None = None
@@ -162,7 +176,7 @@ class _Follower:
             flow=CompiledFlow(mode, numbers, self._memories[self._touching]),
             y=self._y,
             horizon=edge - self._time,
-            tolerance=self._settings.tolerance,
+            tolerance=self._tolerance,
             on_guard=inside <= 0.0,
         )
         passage = self._settings.engine.follow(leg)
@@ -205,8 +219,8 @@ class _Follower:
         """Keep the grid points inside a leg, and in a contact every step."""
         settings, start = self._settings, self._time
         times: list[float] = []
-        while self._row * settings.spacing < end:
-            times.append(self._row * settings.spacing)
+        while self._row * self._spacing < end:
+            times.append(self._row * self._spacing)
             self._row += 1
         if self._touching and end >= settings.keep_from:
             own = start + passage.trajectory.times
@@ -250,7 +264,7 @@ class _Follower:
         """Return what the computer wrote down; without one, the states at even times."""
         n_q = self._machine.n_q
         if self._loop is None:
-            spacing = self._settings.spacing
+            spacing = self._spacing
             even = times == np.round(times / spacing) * spacing
             return Record(times=times[even], coordinates=states[even, :n_q], currents=current[even])
         read = [entry for entry in self._loop.log if entry[0] >= self._settings.keep_from]

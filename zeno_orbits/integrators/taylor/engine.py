@@ -34,7 +34,7 @@ _NET = 1e-9
 """Depth of the net under the guard, as part of guard and rate at the start."""
 
 _SHALLOW = 1e-12
-"""A rise from the guard lower than this is rounding, and so is a net that shallow."""
+"""A rise from the guard lower than this is rounding where a leg does not say what is."""
 
 _ON_ROOT = 1e-9
 """A root is one if the guard there is below this part of what it fell from."""
@@ -130,7 +130,8 @@ def _carried(leg: Leg, mode: SymbolicMode, p: Vector, kept: Carrier) -> Passage 
     before = kept.begin(leg.y, p)
     if not (leg.on_guard or before[0] > 0.0):
         return None
-    kept.set_net(max(leg.rounding, _SHALLOW, _NET * (abs(before[0]) + abs(before[1]))))
+    shallow = leg.rounding or _SHALLOW
+    kept.set_net(max(shallow, _NET * (abs(before[0]) + abs(before[1]))))
     bound, batch, last, false_falls = _FIRST_BOUND, _FEWEST, 0.0, 0
     while True:
         outcome, steps, time = kept.advance(leg.horizon, bound, batch)
@@ -147,7 +148,7 @@ def _carried(leg: Leg, mode: SymbolicMode, p: Vector, kept: Carrier) -> Passage 
         if outcome == kept.time_limit:
             return _passage(leg, mode, p, Outcome.HORIZON, leg.horizon, end) if value > 0 else None
         height = -rate * time
-        if not leg.on_guard or height > max(leg.rounding, _SHALLOW):
+        if not leg.on_guard or height > shallow:
             sound = rate < 0.0 and abs(value) <= _ON_ROOT * max(before[0], height)
             return _passage(leg, mode, p, Outcome.FALL, time, end) if sound else None
         # The start is a root to rounding only, and the guard fell from less than that.

@@ -260,11 +260,10 @@ def bind(compiled: CompiledSystem, values: Sequence[float] | Vector) -> HybridDy
     energy = Call(compiled.energy, p)
     holonomic = Call(compiled.holonomic, p)
 
-    def memory(place: int) -> FlowMemory:
-        mode = (compiled.free, compiled.locked, compiled.flight)[place]
-        return FlowMemory(mode, lambda: compiled.weighted(scaling())[place])
+    def weights() -> tuple[float, ...]:
+        return scaling().weights(compiled.n_x)
 
-    flights = memory(2)
+    flights = FlowMemory(compiled.flight, lambda: scaling().flight_weights(compiled.n_x))
 
     def flight(speed: float) -> GuardedFlow:
         numbers = np.empty(p.size + 1)
@@ -276,8 +275,8 @@ def bind(compiled: CompiledSystem, values: Sequence[float] | Vector) -> HybridDy
         n_q=compiled.n_q,
         restitution=law.restitution,
         speed_after=law.speed_after,
-        free=CompiledFlow(compiled.free, p, memory(0)),
-        locked=CompiledFlow(compiled.locked, p, memory(1)),
+        free=CompiledFlow(compiled.free, p, FlowMemory(compiled.free, weights)),
+        locked=CompiledFlow(compiled.locked, p, FlowMemory(compiled.locked, weights)),
         flight=flight,
         gap=lambda x: float(contact(x)[GAP]),
         gap_rate=lambda x: float(contact(x)[GAP_RATE]),

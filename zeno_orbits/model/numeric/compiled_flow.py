@@ -206,14 +206,15 @@ def dense_function(name: str, inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.F
 class FlowMemory:
     """The functions of a mode with their memory, which flows at different ``p`` take in turns.
 
-    Memory is made at the first call: an engine that has its own code needs none of it.
+    Memory is made at the first call: an engine that has its own code needs none of it. Nor are the
+    weights of the states asked for before the first step.
     """
 
     def __init__(
-        self, mode: ModeFunctions, stepping: Callable[[], ModeFunctions] | None = None
+        self, mode: ModeFunctions, weights: Callable[[], tuple[float, ...]] | None = None
     ) -> None:
         self.mode = mode
-        self._stepping = stepping
+        self._weights = weights
         self.p: Vector = np.zeros(mode.n_p)
         self.owner: object = None
         self._newton: tuple[Collocation, NewtonCalls] | None = None
@@ -221,8 +222,8 @@ class FlowMemory:
 
     @cached_property
     def stepping(self) -> ModeFunctions:
-        """The mode whose steps are taken; its weights may not be known before they are."""
-        return self.mode if self._stepping is None else self._stepping()
+        """The mode with the weights that its steps are taken with."""
+        return self.mode if self._weights is None else weighted(self.mode, self._weights())
 
     @cached_property
     def rate(self) -> Call:

@@ -1,0 +1,116 @@
+"""A machine and its recordings in other units: the same contacts, comparisons and parameters."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import zeno_orbits as zo
+from tests.support.units import Units, dimension_of, in_units
+from zeno_orbits.experiment import (
+    RigSettings,
+    Unknown,
+    compare_cycles,
+    default_rig,
+    identify,
+    recording_of,
+    rig_cycles,
+    simulate_rig,
+)
+from zeno_orbits.experiment.comparison.comparison import compare
+from zeno_orbits.experiment.rig.run import rig_tolerance
+from zeno_orbits.model.rig_parts import Contact, Rig
+from zeno_orbits.model.scale import OwnScale
+
+GRAMS = Units(mass=1e3, length=1e3, time=1e3)
+"""Gram, millimetre, millisecond."""
+FAR = [Units(length=length, time=time) for length in (1e-6, 1e6) for time in (1e-6, 1e6)]
+STIFF = 1e-4
+"""Part of a period that a contact lasts, over pi."""
+TABLES = 2e-6
+"""Two tables of an orbit differ by so much of its size: each is as exact as half of it."""
+
+
+@pytest.mark.parametrize("units", FAR, ids=str)
+def test_a_machine_that_nobody_declared_is_the_same(units: Units) -> None:
+    def contacts(units: Units) -> np.ndarray:
+        table = in_units(zo.load_problem("vibrating_table"), units)
+        own = table.dynamics(table.values()).own
+        # The stiffness of a usual stop goes with sizes that are rounded to powers of a thousand.
+        part = units.factor((1, 0, -2)) / (own.multiplier / own.gap)
+        usual = default_rig(table).contact
+        stop = Contact(stiffness=part * usual.stiffness, slowest=usual.slowest)
+        start = table.state_vector(table.starts[0])
+        run = simulate_rig(table, table.values(), Rig(contact=stop), start, 0.5 * units.time)
+        rows = [(one.start, one.approach_rate * units.time) for one in run.touches if one.start]
+        assert np.ptp(run.times) == pytest.approx(0.5 * units.time)
+        assert len(run.record.times) > 400
+        return np.array(rows) / [units.time, units.length]
+
+    # Local errors of 1e-10, over two contacts and flights.
+    assert contacts(units) == pytest.approx(contacts(Units()), rel=1e-8, abs=1e-10)
+
+
+def test_a_stiff_stop_is_followed_as_exactly_as_its_force_asks_for() -> None:
+    soft, stiff = Contact(stiffness=1e4), Contact(stiffness=4e7)
+    assert rig_tolerance(soft, OwnScale()).relative == 1e-10
+    # It gives way by 1 / 4e7 under a load of 1, of which 1e-6 is 2.5e-14.
+    assert rig_tolerance(stiff, OwnScale()).absolute == pytest.approx(2.5e-14)
+    # The same part of a gap of a million under a load of a million.
+    far = OwnScale(gap=1e6, multiplier=1e6)
+    assert rig_tolerance(stiff, far).absolute == pytest.approx(2.5e-14)
+    ball = Contact(stiffness=1e12, exponent=1.5)
+    assert rig_tolerance(ball, OwnScale()).absolute == pytest.approx(1e-14)
+
+
+@pytest.mark.slow
+def test_cycles_on_a_stiff_stop_do_not_scatter() -> None:
+    pendulum = zo.load_problem("motor_pendulum")
+    orbit = zo.close_orbit(pendulum).unwrap()
+    settled = rig_cycles(orbit, pendulum, Rig(contact=Contact(stiffness=8e7)), cycles=5)
+    # Local errors shake the link on its stop: 2.5e-6 s at a tolerance of 1e-9, 7e-8 at 1e-10. The
+    # machine's period differs from the orbit's by 9.5e-7 s, which is to be known to a hundredth.
+    assert np.ptp([one.period for one in settled.cycles]) < 9.5e-9
+
+
+def told(name: str, units: Units) -> dict[str, float]:
+    """Return what a machine, a comparison of its record and a fit to it tell, in SI units."""
+    known = zo.load_problem(name)
+    problem, gap = in_units(known, units), units.factor(dimension_of(known.gap_unit))
+    orbit = zo.close_orbit(problem).unwrap()
+    dynamics = problem.dynamics(orbit.values(problem))
+    inertia = dynamics.normal_inertia(np.array(problem.state_vector(orbit.zeno_state)))
+    stop = Contact(stiffness=inertia / (STIFF * orbit.period) ** 2, slowest=1e-6 * gap / units.time)
+    settings = RigSettings(spacing=orbit.period / 997.3)
+    settled = rig_cycles(orbit, problem, Rig(contact=stop), cycles=5, settings=settings)
+    cycles = compare_cycles(orbit, problem, settled)
+    record = recording_of(settled.run, problem)
+    seen = compare(orbit, problem, record)
+    assert seen.agrees, seen.reasons
+    facts = {
+        "rig: period": cycles.mean.period / units.time,
+        "rig: impact": cycles.mean.impact_time / units.time,
+        "rig: rate": cycles.mean.impact_rate / gap * units.time,
+        "rig: lock": cycles.mean.lock_time / units.time,
+        "rig: portrait": cycles.portrait,
+    }
+    for metric in seen.metrics:
+        size = units.factor(dimension_of(metric.unit))
+        facts |= {metric.name: metric.data / size, f"{metric.name}, error": metric.error / size}
+    true = known.values().number("restitution")
+    start = problem.values(parameters={"restitution": 0.97 * true})
+    sought = Unknown(names=("restitution",), lower=true / 2, upper=(1 + true) / 2)
+    found = identify(problem, start, record, [sought])
+    (one,) = found.fitted
+    return facts | {"fit": one.value, "fit, error": one.error, "misfit": found.misfit}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("units", [GRAMS, *FAR], ids=str)
+@pytest.mark.parametrize("name", ["vibrating_table", "motor_pendulum"])
+def test_a_machine_its_record_and_a_fit_to_it_tell_the_same(name: str, units: Units) -> None:
+    if name == "motor_pendulum" and units in FAR[1:3]:
+        pytest.skip("two corners of its far units are enough")
+    assert told(name, units) == pytest.approx(
+        told(name, Units()), rel=TABLES, abs=1e-9, nan_ok=True
+    )
