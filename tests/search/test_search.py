@@ -33,7 +33,13 @@ from zeno_orbits.search import (
     strategy,
 )
 from zeno_orbits.search.guess import SettlingSettings
-from zeno_orbits.search.objectives import LeastEnergy, NearestGains, TargetAmplitude, TargetPeriod
+from zeno_orbits.search.objectives import (
+    FastestContraction,
+    LeastEnergy,
+    NearestGains,
+    TargetAmplitude,
+    TargetPeriod,
+)
 from zeno_orbits.search.outcome import StartOutcome
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.simulation.execution import Execution
@@ -325,10 +331,9 @@ def test_an_agreement_that_cannot_be_had_ends_the_search() -> None:
     assert "differ by" in result.detail
 
 
-@pytest.mark.slow
-def test_an_orbit_is_kept_where_the_way_to_the_nearest_gains_is_lost(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+@pytest.fixture
+def lost_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let every program fail that moves gains all the way; steps towards it go on."""
     refine = strategy.refine
 
     def lose_the_way(search: SearchProblem, *arguments: Any) -> StartOutcome:
@@ -337,6 +342,11 @@ def test_an_orbit_is_kept_where_the_way_to_the_nearest_gains_is_lost(
         return refine(search, *arguments)
 
     monkeypatch.setattr(strategy, "refine", lose_the_way)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("lost_way")
+def test_an_orbit_is_kept_where_the_way_to_the_nearest_gains_is_lost() -> None:
     pendulum = load_problem("motor_pendulum")
     # At Kd = 0.5 the motion dies out, so orbits are followed toward it, up to where they end.
     result = search_gains(
@@ -346,7 +356,28 @@ def test_an_orbit_is_kept_where_the_way_to_the_nearest_gains_is_lost(
         settings=SearchSettings(n_starts=4),
     )
     assert result.status is SearchStatus.FOUND
-    assert "not the nearest" in result.detail
+    assert "The way to gains near Kp = 2.5, Kd = 0.5 was lost" in result.detail
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("lost_way")
+def test_the_last_orbit_on_the_way_to_an_optimum_is_kept_where_the_way_is_lost() -> None:
+    pendulum = load_problem("motor_pendulum")
+    values = pendulum.values()
+    result = search_gains(
+        pendulum,
+        values,
+        free={"Kd": (-1.2, -0.9)},
+        objective=FastestContraction(),
+        settings=SearchSettings(n_starts=0),
+    )
+    assert "The way to the fastest contraction was lost" in result.detail
+    found = result.unwrap()
+    assert verify(found, pendulum).passed
+    # The steps that were taken count: the orbit attracts faster than that at the start.
+    start = find_orbit(pendulum, values).unwrap()
+    radius = [verify(one, pendulum).spectral_radius for one in (found, start)]
+    assert radius[0] < radius[1]
 
 
 @pytest.mark.parametrize("wanted", [1e-12, 1e-10, 1e-6, 1e-2])

@@ -15,7 +15,7 @@ from zeno_orbits.search.confirmation import one_cycle
 from zeno_orbits.search.fixed_point import close_cycle
 from zeno_orbits.search.guess import FollowedMotion, settle
 from zeno_orbits.search.homotopy import Followed, follow
-from zeno_orbits.search.objectives import NearestGains, Objective, Target, TowardTarget
+from zeno_orbits.search.objectives import NearestGains, Target, TowardTarget
 from zeno_orbits.search.outcome import SimulatedSolution, StartOutcome
 from zeno_orbits.search.refinement import (
     COARSE,
@@ -209,30 +209,21 @@ def from_cycle(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> 
                 shortfall=lacking.shortfall,
             )
     search.tell(f"small steps toward {objective.wish}")
-    stepped = _in_small_steps(search, values, cycle, objective)
-    if stepped.status is SearchStatus.FOUND:
-        return stepped
-    if nearest and not search.bounds:
-        # Nearness is a wish, the orbit the point: keep the one at the gains of the start.
-        here = refine(held, values, cycle, objective)
-        if here.status is SearchStatus.FOUND:
-            return replace(
-                here, detail="Its gains are not the nearest ones: the path to them was lost."
-            )
-    return outcome
-
-
-def _in_small_steps(
-    search: SearchProblem, values: ParameterValues, cycle: Cycle, objective: Objective
-) -> StartOutcome:
-    """Search in boxes around one orbit after another, then in the whole box."""
-    origin = values
 
     def solve(near: SearchProblem, here: ParameterValues, around: Cycle) -> StartOutcome:
-        return solve_once(near, origin, here, around, objective, COARSE)
+        return solve_once(near, values, here, around, objective, COARSE)
 
     last = trust_region_steps(search, values, cycle, solve)
-    return refine(search, last.values, last.cycle, objective, origin)
+    stepped = refine(search, last.values, last.cycle, objective, values)
+    if stepped.status is SearchStatus.FOUND:
+        return stepped
+    if not search.bounds:
+        # The objective is a wish, the orbit the point: keep the one that the steps came to.
+        here = refine(held, last.values, last.cycle, objective)
+        if here.status is SearchStatus.FOUND:
+            lost = f"The way to {objective.wish} was lost: this is the last orbit on it."
+            return replace(here, detail=lost)
+    return outcome
 
 
 def _where_bounds_are_kept(
