@@ -11,8 +11,8 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Sequence
+from functools import cache, partial
 from typing import Any
 
 import casadi as ca
@@ -30,15 +30,9 @@ SCRATCH = tempfile.TemporaryDirectory()
 """Where CasADi puts what it compiles; else it would be the working folder."""
 
 
-def prepare(
-    plugin: str,
-    options: Mapping[str, Any],
-    rate: float,
-    accuracy: float,
-    start: Sequence[float],
-    locked: bool,
-) -> Callable[[], Motion]:
-    """Build the integrator, and return the whole motion as a function without arguments."""
+@cache
+def built(plugin: str, rate: float, accuracy: float, *, compiled: bool) -> Any:
+    """Return the integrator of the whole motion, interpreted or compiled in C."""
     machine, slowest = work.pendulum(rate), work.cut(accuracy)
     x, t, guard = ca.SX.sym("x", 6), ca.SX.sym("t"), ca.SX.sym("guard")
     pendulum, on_stop = [x[k] for k in range(5)], x[5] > 0.5
@@ -64,7 +58,7 @@ def prepare(
     rates = [ca.if_else(on_stop, *pair) for pair in zip(locked_rates, free, strict=True)]
     hold = machine.hold(x[0], x[4], ca.sin)
     guards = ca.vertcat(ca.if_else(on_stop, 1, x[1]), ca.if_else(on_stop, hold, 1))
-    integrator = ca.integrator(
+    return ca.integrator(
         "motion",
         plugin,
         {"t": t, "x": x, "ode": ca.vertcat(*rates, 0), "zero": guards},
@@ -77,9 +71,22 @@ def prepare(
             "reltol": accuracy,
             "abstol": accuracy,
             "jit_options": {"flags": ["-O2"], "directory": f"{SCRATCH.name}/"},
-            **options,
+            **(COMPILED if compiled else {}),
         },
     )
+
+
+def prepare(
+    plugin: str,
+    rate: float,
+    accuracy: float,
+    start: Sequence[float],
+    locked: bool,
+    *,
+    compiled: bool = False,
+) -> Callable[[], Motion]:
+    """Build the integrator, and return the whole motion as a function without arguments."""
+    integrator = built(plugin, rate, accuracy, compiled=compiled)
     x0 = [start[0], NUDGE, *start[2:], int(locked)]
 
     def follow() -> Motion:
@@ -101,16 +108,16 @@ METHODS = [
         name="CasADi rosenbrock",
         accuracies=(1e-4, 1e-5, 1e-6, 1e-8, 1e-10, 1e-11),
         sweep_accuracies=(1e-6, 1e-7, 1e-8, 1e-11),
-        prepare=partial(prepare, "rosenbrock", {}),
+        prepare=partial(prepare, "rosenbrock"),
     ),
     Method(
         name="CasADi ros. with jit",
         accuracies=(1e-5, 1e-6, 1e-8, 1e-10, 1e-11),
         sweep_accuracies=(1e-6, 1e-7, 1e-8),
-        prepare=partial(prepare, "rosenbrock", COMPILED),
+        prepare=partial(prepare, "rosenbrock", compiled=True),
     ),
-    Method(name="CasADi cvodes", accuracies=(1e-8,), prepare=partial(prepare, "cvodes", {})),
-    Method(name="CasADi idas", accuracies=(1e-8,), prepare=partial(prepare, "idas", {})),
+    Method(name="CasADi cvodes", accuracies=(1e-8,), prepare=partial(prepare, "cvodes")),
+    Method(name="CasADi idas", accuracies=(1e-8,), prepare=partial(prepare, "idas")),
 ]
 
 if __name__ == "__main__":
