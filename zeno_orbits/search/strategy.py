@@ -10,7 +10,14 @@ from dataclasses import dataclass, replace
 
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model import HybridDynamics, ParameterValues
-from zeno_orbits.orbits import Cycle, ZenoOrbit, gone_round_twice, round_again
+from zeno_orbits.orbits import (
+    Cycle,
+    ZenoOrbit,
+    at_looser_tolerance,
+    gone_round_twice,
+    round_again,
+)
+from zeno_orbits.search.closing import escape_of, orbit_of
 from zeno_orbits.search.confirmation import one_cycle
 from zeno_orbits.search.fixed_point import close_cycle
 from zeno_orbits.search.guess import FollowedMotion, settle
@@ -64,6 +71,9 @@ def from_start(search: SearchProblem, start: SearchStart) -> StartOutcome:
     if motion.cycle is not None:
         outcome = from_cycle(search, values, motion.cycle)
         if outcome.status is SearchStatus.FOUND or search.free:
+            return outcome
+        outcome = _closed(search, values, motion.cycle) or outcome
+        if outcome.status is SearchStatus.FOUND:
             return outcome
     else:
         where = f"At {listed(search.numbers(values))}, " if search.numbers(values) else ""
@@ -129,6 +139,43 @@ def _brought_nearer(
         return FollowedMotion(cycle=None, reason=sentence[0].lower() + sentence[1:])
     again = one_cycle(dynamics, near.start.state, near.period, shorter)
     return FollowedMotion(cycle=again or near)
+
+
+def _closed(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> StartOutcome | None:
+    """Return the orbit that a motion settles to, closed by simulation at the finest accuracy.
+
+    Over many impacts errors grow beyond what program and simulation may differ by, and a way round
+    would lead to an orbit beside the one that the motion settles to.
+    """
+    if isinstance(search.objective, Target):
+        return None
+    try:
+        closed = close_cycle(
+            search.dynamics(values),
+            cycle.start.state,
+            scale=cycle.scale_at_events(),
+            period=cycle.period,
+            settings=_FINEST,
+            shape=cycle.shape,
+        )
+    except ZenoOrbitsError:
+        return None
+    found = closed.cycle
+    if round_again(found) or escape_of(search.problem, found):
+        return None
+    orbit = orbit_of(found, search.problem, values)
+    return StartOutcome(
+        status=SearchStatus.FOUND,
+        detail=_BY_ITSELF,
+        agreement=closed.miss,
+        solution=SimulatedSolution(
+            values=values, cycle=found, unknowns={}, orbit=orbit, excesses={}
+        ),
+    )
+
+
+_FINEST = at_looser_tolerance(SimulationSettings(), factor=1e-2)
+_BY_ITSELF = "Errors grow too much on it for the program: simulation alone closes the orbit."
 
 
 def _by_an_easier_way(

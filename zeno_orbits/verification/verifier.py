@@ -18,6 +18,7 @@ from zeno_orbits.model import HybridDynamics, Problem, load_reference
 from zeno_orbits.orbits import (
     Multipliers,
     ZenoOrbit,
+    at_looser_tolerance,
     digest_of,
     floquet_multipliers,
     placed,
@@ -57,6 +58,11 @@ class VerificationSettings:
     use_reference: bool = False
 
 
+_GROWN = 1e3
+"""Residual, in units of what passes, up to which it may be the integration's own error."""
+_FINER = 1e-2
+"""Tolerances of the integration that tells, in units of the usual ones."""
+
 _SHARE = 0.1
 """Part of the looser integration's error that the finer one may have, to be on the safe side."""
 
@@ -92,6 +98,13 @@ def verify(
     on_progress("integrating the orbit", None)
     seen = observe(dynamics, claim, settings.simulation, settings.n_periods)
     residuals = orbit_residuals(dynamics, problem, claim, seen)
+    worst = max(residuals.values(), default=0.0) / settings.tolerance
+    if seen.first is not None and 1.0 < worst < _GROWN:
+        # Over many impacts the integration's own errors may have grown so far.
+        finer = at_looser_tolerance(settings.simulation, factor=_FINER)
+        settings = replace(settings, simulation=finer)
+        seen = observe(dynamics, claim, finer, settings.n_periods)
+        residuals = orbit_residuals(dynamics, problem, claim, seen)
     multipliers: Multipliers | None = None
     again = _CrossChecks()
     if seen.first is not None:
