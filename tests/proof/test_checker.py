@@ -6,14 +6,17 @@ import copy
 import json
 import random
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import mpmath as mp
 import pytest
 
 from tests.support.certificates import (
     BITS,
+    digest_of,
     forced_oscillator,
     impact_oscillator,
     mutate,
@@ -21,7 +24,9 @@ from tests.support.certificates import (
 )
 from zeno_orbits.errors import InputError
 from zeno_orbits.model import load_problem
+from zeno_orbits.model.contact import ImpactLaw
 from zeno_orbits.proof import ProofVerdict, check_proof
+from zeno_orbits.proof.checker import certificate as judged
 
 Certificate = dict[str, Any]
 
@@ -117,10 +122,15 @@ def _repelling(c: Certificate) -> None:
     c["claims"].append({"name": "repelling", "pass": 0, "basis": basis})
 
 
+def _stable_in_a_basis_that_is_none(c: Certificate) -> None:
+    _claim(c, "stable")["basis"] = {part: [[text_of(0)] * 2] * 2 for part in ("re", "im")}
+
+
 @pytest.mark.parametrize(
     ("falsify", "name"),
     [
         (_period_too_long, "period"),
+        (_stable_in_a_basis_that_is_none, "stable"),
         (_state_too_far, "start_state"),
         (_disc_too_small, "multipliers"),
         (_disc_elsewhere, "multipliers"),
@@ -204,6 +214,19 @@ def _a_centre_that_misses(c: Certificate) -> str:
     return "record 12 (cross): the guard may vanish outside its window"
 
 
+def _a_step_of_no_length(c: Certificate) -> str:
+    c["passes"][0]["records"][3]["h"] = text_of(0)
+    return "record 3 (step): the step is not positive"
+
+
+def _an_impact_inside_a_step(c: Certificate) -> str:
+    records = c["passes"][0]["records"]
+    names = ("h", "orders", "set")
+    through = {"kind": "step", **{name: records[12][name] for name in names}}
+    records.insert(12, {**through, "h": text_of(0.5)})
+    return "record 12 (step): the gap may close"
+
+
 def _a_box_of_others_elsewhere(c: Certificate) -> str:
     c["passes"][0]["box"]["others"]["centre"][0] = text_of(0.9)
     return "section: state 2"
@@ -228,6 +251,8 @@ def _a_return_elsewhere(c: Certificate) -> str:
         _an_order_too_low,
         _a_window_before_the_impact,
         _a_centre_that_misses,
+        _a_step_of_no_length,
+        _an_impact_inside_a_step,
         _a_box_of_others_elsewhere,
         _a_return_elsewhere,
     ],
@@ -262,6 +287,24 @@ def _tail_whose_impacts_are_faster(c: Certificate) -> str:
     return "(tail): the speed after the impact"
 
 
+def _held_until_the_stop_pulls(c: Certificate) -> str:
+    records = c["passes"][0]["records"]
+    last = {name: records[-1][name] for name in ("h", "orders", "set")}
+    records.insert(-1, {"kind": "step", **last})
+    return "(step): the multiplier may be"
+
+
+def _released_where_the_stop_begins_to_press(c: Certificate) -> str:
+    part = c["passes"][0]
+    for numbers, place in (
+        (part["box"]["others"]["centre"], 1),
+        (part["start"]["m"], 3),
+        (part["records"][-1]["set"]["m"], 3),
+    ):
+        numbers[place] = f"-{numbers[place]}"
+    return "record 0 (step): the gap may close"
+
+
 def _tail(c: Certificate) -> Any:
     return next(record for record in c["passes"][0]["records"] if record["kind"] == "tail")
 
@@ -273,9 +316,11 @@ def _tail(c: Certificate) -> Any:
         _tail_over_too_large_a_disc,
         _tail_over_too_small_a_disc,
         _tail_whose_impacts_are_faster,
+        _held_until_the_stop_pulls,
+        _released_where_the_stop_begins_to_press,
     ],
 )
-def test_a_zeno_tail_that_is_not_shown_is_refused_with_the_inequality(
+def test_a_zeno_motion_that_is_not_shown_is_refused_with_the_inequality(
     zeno: Certificate, falsify: Callable[[Certificate], str]
 ) -> None:
     false = copy.deepcopy(zeno)
@@ -348,9 +393,36 @@ def _a_number_finer_than_the_unit(c: Certificate) -> None:
     c["passes"][0]["records"][0]["h"] = "0x1p-400"
 
 
+def _no_records(c: Certificate) -> None:
+    c["passes"][0]["records"] = []
+
+
+def _no_passes(c: Certificate) -> None:
+    c["passes"] = []
+
+
+def _a_pass_beside_the_first(c: Certificate) -> None:
+    beside = copy.deepcopy(c["passes"][0])
+    beside["box"]["centre"][0] = _moved(beside["box"]["centre"][0], 1e-12)
+    c["passes"].append(beside)
+
+
+def _a_coordinate_twice(c: Certificate) -> None:
+    c["section"]["places"] = [1, 1]
+
+
+def _orders_that_are_none(c: Certificate) -> None:
+    c["passes"][0]["records"][0]["orders"] = 30
+
+
 @pytest.mark.parametrize(
     "spoil",
     [
+        _no_records,
+        _no_passes,
+        _a_pass_beside_the_first,
+        _a_coordinate_twice,
+        _orders_that_are_none,
         _another_digest,
         _another_problem,
         _a_number_that_is_none,
@@ -377,6 +449,46 @@ def test_what_is_no_certificate_is_refused_in_one_line(
     with pytest.raises(InputError) as refusal:
         check_proof(spoiled)
     assert "\n" not in str(refusal.value)
+
+
+def test_a_record_of_another_shape_is_refused_by_whatever_process_meets_it(
+    impact: Certificate, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spoiled = copy.deepcopy(impact)
+    _orders_that_are_none(spoiled)
+    # All records are met by workers, as those of a long certificate are.
+    monkeypatch.setattr(judged, "_FEW", 0)
+    with pytest.raises(InputError, match="does not fit together"):
+        check_proof(spoiled)
+
+
+def test_what_claims_nothing_is_no_proof(impact: Certificate) -> None:
+    silent = {**impact, "claims": []}
+    verdict = check_proof(silent)
+    assert not verdict.ok
+    assert verdict.verdict() == "Not proved: no claim says that there is an orbit."
+
+
+def _twice_as_fast(system: Any) -> Any:
+    flow = system.free_flow
+    return replace(system, free_flow=ca.vertcat(2 * flow[0], flow[1:]))
+
+
+def _restitution_of_the_phase(system: Any) -> Any:
+    return replace(system, law=ImpactLaw(system.restitution * system.state[2]))
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [(_twice_as_fast, "`gap_row`"), (_restitution_of_the_phase, "constant restitution")],
+)
+def test_a_problem_that_the_lemmas_are_not_about_is_refused(
+    impact: Certificate, change: Callable[[Any], Any], told: str
+) -> None:
+    problem = load_problem("impact_oscillator")
+    other = replace(problem, model=lambda p: change(problem.model(p)))
+    with pytest.raises(InputError, match=told):
+        check_proof({**impact, "digest": digest_of(other)}, other)
 
 
 def test_a_file_that_is_cut_short_is_refused(tmp_path: Path, impact: Certificate) -> None:

@@ -94,6 +94,37 @@ def test_series_of_a_function_hold_its_derivatives(name: str) -> None:
                 assert ball.low <= exact * 2**60 <= ball.high
 
 
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_series_hold_derivatives_where_some_numbers_do_not_move(name: str) -> None:
+    graph = Graph()
+    x, c = graph.put("input"), graph.put("input")
+    one, f = graph.put("constant", 1.0), graph.function(name, c)
+    # (f(c) x + c) / f(c x) + f(f(c) + 1), at c = 5/4 and x = 2.
+    top = graph.put("add", graph.put("mul", f, x), c)
+    ratio = graph.put("div", top, graph.function(name, graph.put("mul", x, c)))
+    whole = graph.put("add", ratio, graph.function(name, graph.put("add", f, one)))
+    starts = {x: Ball(2 << 60, 0, 60), c: Ball(5 << 58, 0, 60)}
+    found = taylor(graph, {x: one, c: None}, starts, Ball(1 << 60, 0, 60), 6, [whole])[whole]
+    g = FUNCTIONS[name]
+
+    def exact(t: mp.mpf) -> mp.mpf:
+        fixed = g(mp.mpf("1.25"))
+        return (fixed * t + mp.mpf("1.25")) / g(t * mp.mpf("1.25")) + g(fixed + 1)
+
+    with mp.workdps(60):
+        for ball, coefficient in zip(found, mp.taylor(exact, 2, 6), strict=True):
+            assert ball.low <= coefficient * 2**60 <= ball.high
+            assert ball.r < 2**24
+
+
+def test_the_same_operation_has_one_node_and_inputs_are_each_their_own() -> None:
+    graph = Graph()
+    x, y = graph.put("input"), graph.put("input")
+    assert x != y
+    assert graph.put("mul", x, y) == graph.put("mul", x, y) != graph.put("mul", y, x)
+    assert graph.function("sin", x) == graph.function("sin", x) != graph.function("sin", y)
+
+
 @pytest.mark.parametrize("name", ["log", "sqrt"])
 def test_a_function_is_refused_where_it_is_not_analytic(name: str) -> None:
     with pytest.raises(NotProved):

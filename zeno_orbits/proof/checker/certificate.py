@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
@@ -95,30 +96,36 @@ def check_proof(
     Raises:
         InputError: If it is no certificate, or one of other formulas.
     """
-    try:
+    with _fitting_together():
         data = _read(certificate)
         problem = load_problem(data["problem"]) if problem is None else problem
         system, over = _system(data, problem)
         section = Section.of(system, data["section"])
-        passages, verdicts = list[Passage | str](), list[ClaimVerdict]()
-        first: Box | None = None
+        passages, verdicts, boxes = list[Passage | str](), list[ClaimVerdict](), list[Box]()
         for k, part in enumerate(data["passes"]):
-            box_data, start, records = entries(part, "box", "start", "records")
-            box = Box.of(system, section, box_data, over)
-            first = box if first is None else first
-            if not first.holds(box):
+            box, start, records = entries(part, "box", "start", "records")
+            boxes.append(Box.of(system, section, box, over))
+            if not boxes[0].holds(boxes[k]):
                 raise InputError("The certificate's boxes must lie in the first of them.")
-            passages.append(_passage(system, section, box, start, records))
-            failure = passages[-1] if isinstance(passages[-1], str) else ""
-            evidence = failure or f"{len(records)} inclusions"
-            verdicts.append(ClaimVerdict(f"motion {k}", not failure, evidence))
-        for claim in data["claims"]:
-            verdicts.append(_claimed(passages, claim))
-    except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"The certificate does not fit together ({error!r:.80}).") from error
+            try:
+                passages.append(_passage(system, section, boxes[k], start, records))
+                verdicts.append(ClaimVerdict(f"motion {k}", True, f"{len(records)} inclusions"))
+            except NotProved as failure:
+                passages.append(str(failure))
+                verdicts.append(ClaimVerdict(f"motion {k}", False, str(failure)))
+        verdicts += [_claimed(passages, claim) for claim in data["claims"]]
     return ProofVerdict(problem=problem.name, claims=tuple(verdicts))
+
+
+@contextmanager
+def _fitting_together() -> Generator[None]:
+    """Refuse data of another shape than that of a certificate."""
+    try:
+        yield
+    except InputError:
+        raise
+    except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
+        raise InputError(f"The certificate does not fit together ({error!r:.80}).") from error
 
 
 def _read(certificate: str | Path | Mapping[str, Any]) -> Mapping[str, Any]:
@@ -161,40 +168,37 @@ def _system(data: Mapping[str, Any], problem: Problem) -> tuple[System, list[tup
 
 def _passage(
     system: System, section: Section, box: Box, start: Any, records: Sequence[Any]
-) -> Passage | str:
-    """Prove all records, each by itself; return the passage, or why there is none."""
+) -> Passage:
+    """Prove the start, all records, each by itself, and the return; raise what is not proved."""
+    plastic = _is_plastic(system)
+    stations = _stations(section, records, plastic=plastic)
     sets = [start, *(record["set"] for record in records)]
     first, last = (_set(system, box, data) for data in (sets[0], sets[-1]))
-    tasks = list(zip(_stations(system, section, records), sets, records, strict=False))
     try:
         require_start(system, section, box, first)
-        hull = last.hull
-        for k, middle, reach in zip(section.others, box.others, box.others_spread, strict=True):
-            require((hull[k] - middle).size <= reach.r, f"state {k} does not return to the section")
     except NotProved as failure:
-        return f"section: {failure}"
-    judge = partial(_proved, system, box)
-    plastic = _is_plastic(system)
+        raise NotProved(f"section: {failure}") from failure
+    back = last.hull[section.others] - box.others
+    for k, x, reach in zip(section.others, back, box.others_spread, strict=True):
+        require(x.size <= reach.r, f"section: state {k} does not return to it")
+    judge, tasks = partial(_proved, system, box), list(zip(stations, sets, records, strict=False))
     proved = judge(tasks) if len(tasks) <= _FEW else spread(judge, tasks, Plan(chunk=_CHUNK))
-    time, row = Ball(0, 0, system.bits), first.derivative[0] * 0
-    events: dict[str, list[tuple[Ball, Array]]] = {
-        "period": [],
-        "zeno_time": [],
-        "impact_time": [],
-    }
+    times = np.array([[Ball(0, 0, system.bits)] * (1 + len(box.spread))])
+    events: dict[str, list[Array]] = {"impact_time": [], "zeno_time": []}
     for k, (record, found) in enumerate(zip(records, proved, strict=True)):
-        if not isinstance(found, list):
-            return f"record {k} ({record['kind']}): {found}"
-        balls = [Ball(m, r, system.bits) for m, r in found]
-        time, row = time + balls[0], row + np.array(balls[1:], dtype=object)
+        if isinstance(found, str):
+            raise NotProved(f"record {k} ({record['kind']}): {found}")
+        times = times + np.array([[Ball(m, r, system.bits) for m, r in found]])
         if record["kind"] == "impact":
-            events["impact_time"].append((time, row))
+            events["impact_time"].append(times)
         # A plastic impact is its own Zeno point: the stop holds from there on.
         if record["kind"] == "tail" or (record["kind"] == "impact" and plastic):
-            events["zeno_time"].append((time, row))
-    events["period"].append((time, row))
+            events["zeno_time"].append(times)
     return Passage(
-        n_x=system.n_x, places=section.places, box=box, start=first, end=last, times=events
+        places=section.places,
+        box=box,
+        end=last,
+        enclosed={**events, "period": [times], "start_state": [first.whole[: system.n_x]]},
     )
 
 
@@ -202,7 +206,7 @@ def _set(system: System, box: Box, data: Any) -> Enclosure:
     return Enclosure.of(data, box.spread, len(system.z), system.bits)
 
 
-def _stations(system: System, section: Section, records: Sequence[Any]) -> list[Place]:
+def _stations(section: Section, records: Sequence[Any], *, plastic: bool) -> list[Place]:
     """Return where in the motion each record stands, if their order is one of a motion."""
     mode, began = section.mode, "release" if section.end == "cross" else "impact"
     stations = list[Place]()
@@ -220,9 +224,8 @@ def _stations(system: System, section: Section, records: Sequence[Any]) -> list[
         elif kind == "cross":
             mode, began = ("closed", "") if mode == "free" else ("free", "release")
         else:
-            mode, began = (
-                ("locked", "") if _is_plastic(system) or kind == "tail" else ("free", "impact")
-            )
+            held = plastic or kind == "tail"
+            mode, began = ("locked", "") if held else ("free", "impact")
     if not records or records[-1]["kind"] != section.end or mode != section.mode:
         raise InputError("The certificate's last record must end on the section.")
     return stations
@@ -244,16 +247,17 @@ def _proved(system: System, box: Box, tasks: Sequence[Any]) -> list[list[list[in
     """
     found = list[list[list[int]] | str]()
     for place, before, record in tasks:
-        old, new = _set(system, box, before), _set(system, box, record["set"])
         try:
-            mapped = KINDS[record["kind"]](system, Place(*place), old, record)
-            require_enclosed(old, mapped, new)
+            with _fitting_together():
+                old, new = _set(system, box, before), _set(system, box, record["set"])
+                mapped = KINDS[record["kind"]](system, Place(*place), old, record)
+                require_enclosed(old, mapped, new)
         except NotProved as failure:
             found.append(str(failure))
             continue
-        time = mapped.time + mapped.time_slope @ old.Q @ old.r
-        row = mapped.time_slope @ old.derivative
-        found.append([[ball.m, ball.r] for ball in (time, *row)])
+        slope = mapped.time_slope
+        times = (mapped.time + slope @ old.Q @ old.E[:, 0], *(slope @ old.whole[:, 1:]))
+        found.append([[ball.m, ball.r] for ball in times])
     return found
 
 

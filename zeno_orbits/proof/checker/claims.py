@@ -6,14 +6,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import isqrt
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from zeno_orbits.errors import InputError
 from zeno_orbits.proof.checker.balls import (
     Array,
-    Ball,
     NotProved,
     entries,
     exactly,
@@ -31,30 +30,22 @@ class Passage:
     """A proved passage: from a box of the section once around to its image.
 
     Attributes:
-        n_x: Number of states.
         places: States that are the section's coordinates.
         box: The box.
-        start: The set that the box lies in.
         end: The set that it has become.
-        times: When what happens, by its name: the centre's time, and its derivative.
+        enclosed: Times of events by their name, and the start's state: rows of the centre's
+            number and its derivative, for each event.
     """
 
-    n_x: int
     places: Sequence[int]
     box: Box
-    start: Enclosure
     end: Enclosure
-    times: Mapping[str, Sequence[tuple[Ball, Array]]]
+    enclosed: Mapping[str, Sequence[Array]]
 
     @property
     def bits(self) -> int:
         """The unit is ``2^-bits``."""
-        return self.start.m[0].bits
-
-    @property
-    def one(self) -> int:
-        """The number one, in units."""
-        return 1 << self.bits
+        return self.end.m[0].bits
 
     @property
     def d(self) -> int:
@@ -64,13 +55,12 @@ class Passage:
     @property
     def slope(self) -> Array:
         """Derivative of the return map by coordinates and parameters, ``(d, D)``."""
-        return self.end.derivative[list(self.places)]
+        return self.end.whole[list(self.places), 1:]
 
     @property
     def shift(self) -> Array:
         """What the centre returns to, less the centre, ``(d,)``."""
-        point = self.end.m + self.end.Q @ self.end.r
-        return point[list(self.places)] - self.box.centre[: self.d]
+        return self.end.whole[list(self.places), 0] - self.box.centre[: self.d]
 
     @cached_property
     def fixed_points(self) -> tuple[Array, Array]:
@@ -85,23 +75,21 @@ class Passage:
         found = (one - Y @ off) @ spread[:d] + Y @ (self.shift + self.slope[:, d:] @ spread[d:])
         return np.concatenate([found, self.box.spread[d:]])
 
-    def turned(self, basis: Any) -> tuple[Array, Array]:
-        """Return real and imaginary part of ``T^-1 DP T``, each ``(d, d)``."""
+    def discs(self, basis: Any) -> list[tuple[int, int, int]]:
+        """Return Gershgorin's discs of ``T^-1 DP T``: centre, its imaginary part, radius, in units.
+
+        The disc of a row holds its diagonal entry with all others around it.
+        """
         d = self.d
         re, im = (numbers(part, (d, d), self.bits) for part in entries(basis, "re", "im"))
         both = np.concatenate([np.concatenate([re, -im], axis=1), np.concatenate([im, re], axis=1)])
         J = self.slope[:, :d]
         inverse = solved(both, exactly(np.eye(2 * d, dtype=int), self.bits))
         found = inverse @ np.concatenate([J @ both[:d], J @ both[d:]])
-        return found[:d, :d], found[d:, :d]
-
-    def discs(self, basis: Any) -> list[tuple[int, int, int]]:
-        """Return Gershgorin's discs: real and imaginary part of the centre, radius, in units."""
-        re, im = self.turned(basis)
+        re, im = found[:d, :d], found[d:, :d]
         beside = _moduli(re, im)
         np.fill_diagonal(beside, 0)
-        radii = beside.sum(axis=1)
-        parts = ((re[k, k], im[k, k], int(radii[k])) for k in range(self.d))
+        parts = ((re[k, k], im[k, k], int(beside[k].sum())) for k in range(d))
         return [(x.m, y.m, x.r + y.r + r) for x, y, r in parts]
 
 
@@ -113,14 +101,13 @@ def _exists(passage: Passage, by: Any) -> str:
     """Show that the return map has a fixed point in the box."""
     if by not in ("inclusion", "krawczyk"):
         raise InputError("The certificate's `by` must be inclusion or krawczyk.")
-    spread = passage.box.spread
+    spread = passage.box.spread[: passage.d]
     images = passage.fixed_points[0][: passage.d]
     if by == "inclusion":
-        images = passage.shift + passage.slope @ spread
-    largest = 0.0
-    for k, (image, bound) in enumerate(zip(images, spread, strict=False)):
+        images = passage.shift + passage.slope @ passage.box.spread
+    for k, (image, bound) in enumerate(zip(images, spread, strict=True)):
         require(image.size < bound.r, f"coordinate {k} leaves the box: {image.shown()}")
-        largest = max(largest, image.size / bound.r)
+    largest = max((x.size / u.r for x, u in zip(images, spread, strict=True)), default=0.0)
     return f"the image takes {largest:.2g} of the box"
 
 
@@ -129,13 +116,16 @@ def _unique(passage: Passage) -> str:
 
 
 def _stable(passage: Passage, basis: Any) -> str:
-    norm = max(_moduli(*passage.turned(basis)).sum(axis=1), default=0)
-    require(norm < passage.one, f"the norm of the derivative is {norm / passage.one:.6g}")
-    return f"the norm of the derivative is {norm / passage.one:.6g}"
+    # A row's disc reaches as far from zero as the sizes of the row sum up to.
+    one = 1 << passage.bits
+    norm = max((isqrt(x * x + y * y) + 1 + r for x, y, r in passage.discs(basis)), default=0)
+    told = f"the norm of the derivative is {norm / one:.6g}"
+    require(norm < one, told)
+    return told
 
 
 def _repelling(passage: Passage, basis: Any) -> str:
-    discs, one = passage.discs(basis), passage.one
+    discs, one = passage.discs(basis), 1 << passage.bits
     for k, (x, y, r) in enumerate(discs):
         others = discs[:k] + discs[k + 1 :]
         apart = all((x - a) ** 2 + (y - b) ** 2 > (r + c) ** 2 for a, b, c in others)
@@ -152,49 +142,27 @@ def _multipliers(passage: Passage, basis: Any, discs: Any) -> str:
     return f"{passage.d} discs of Gershgorin"
 
 
-def _timed(name: str) -> Callable[..., str]:
-    def claim(passage: Passage, low: Any, high: Any, which: Any = 0) -> str:
-        known = passage.times[name]
-        if type(which) is not int or not 0 <= which < len(known):
-            raise InputError(f"The certificate's `which` must be one of {len(known)} events.")
-        time, slope = known[which]
-        return _within(passage, [time + slope @ passage.fixed_points[1]], [low], [high])
-
-    return claim
-
-
-def _start_state(passage: Passage, low: Any, high: Any) -> str:
-    start = passage.start
-    point = start.m + start.Q @ start.r + start.derivative @ passage.fixed_points[1]
-    return _within(passage, point[: passage.n_x], low, high)
-
-
-def _within(passage: Passage, found: Sequence[Ball], low: Any, high: Any) -> str:
-    lows, highs = (numbers(ends, (len(found),), passage.bits) for ends in (low, high))
+def _within(found: Array, low: Any, high: Any) -> str:
+    """Show that numbers lie between those of the certificate, a text for one, a list for more."""
+    ends = ([one] if isinstance(one, str) else one for one in (low, high))
+    lows, highs = (numbers(one, found.shape, found[0].bits) for one in ends)
     for a, x, b in zip(lows, found, highs, strict=True):
         require(a.m <= x.low and x.high <= b.m, f"it is {x.shown()}")
     return ", ".join(x.shown() for x in found)
 
 
-class Claim(NamedTuple):
-    """A kind of claim: its entries beside name and pass, its proof, and if it needs an orbit."""
-
-    entries: tuple[str, ...]
-    shown: Callable[..., str]
-    of_orbit: bool = True
-
-
-CLAIMS = {
-    "exists": Claim(("by",), _exists, False),
-    "unique": Claim((), _unique, False),
-    "stable": Claim(("basis",), _stable),
-    "repelling": Claim(("basis",), _repelling),
-    "multipliers": Claim(("basis", "discs"), _multipliers),
-    "period": Claim(("low", "high"), _timed("period")),
-    "zeno_time": Claim(("low", "high", "which"), _timed("zeno_time")),
-    "impact_time": Claim(("low", "high", "which"), _timed("impact_time")),
-    "start_state": Claim(("low", "high"), _start_state),
+CLAIMS: dict[str, tuple[Callable[..., str] | None, tuple[str, ...]]] = {
+    "exists": (_exists, ("by",)),
+    "unique": (_unique, ()),
+    "stable": (_stable, ("basis",)),
+    "repelling": (_repelling, ("basis",)),
+    "multipliers": (_multipliers, ("basis", "discs")),
+    "period": (None, ("low", "high")),
+    "zeno_time": (None, ("low", "high", "which")),
+    "impact_time": (None, ("low", "high", "which")),
+    "start_state": (None, ("low", "high")),
 }
+"""Kinds of claims: what shows one, if it is no enclosure, and its entries."""
 
 
 def show(passage: Passage, claim: Mapping[str, Any]) -> str:
@@ -204,11 +172,19 @@ def show(passage: Passage, claim: Mapping[str, Any]) -> str:
         NotProved: If it is not proved.
         InputError: If it is no claim.
     """
-    kind = CLAIMS[claim["name"]]
-    given = entries(claim, "name", "pass", *kind.entries)[2:]
-    if kind.of_orbit:
+    name = claim["name"]
+    shown, names = CLAIMS[name]
+    given = entries(claim, "name", "pass", *names)[2:]
+    if shown not in (_exists, _unique):
         try:
             _exists(passage, "krawczyk")
         except NotProved:
             _exists(passage, "inclusion")
-    return kind.shown(passage, *given)
+    if shown is not None:
+        return shown(passage, *given)
+    low, high, which = (*given, 0)[:3]
+    known = passage.enclosed[name]
+    if type(which) is not int or not 0 <= which < len(known):
+        raise InputError(f"The certificate's `which` must be one of {len(known)} events.")
+    found = known[which]
+    return _within(found[:, 0] + found[:, 1:] @ passage.fixed_points[1], low, high)

@@ -21,16 +21,18 @@ from zeno_orbits.proof.checker.balls import (
 
 @dataclass(frozen=True, slots=True)
 class Enclosure:
-    """A set handed on: ``z(u_c)`` in ``m + Q r``, ``dz/du`` in ``C + Q R``, over a box of u.
+    """A set handed on: ``(z(u_c), dz/du)`` in ``Z + Q E``, over a box of u.
 
-    ``r`` and ``R`` are balls around zero, ``spread`` is the box of ``u - u_c``.
+    Attributes:
+        Z: The matrix ``(m, C)`` of a certificate, ``(N, 1 + D)``.
+        Q: Directions of what is uncertain, ``(N, N)``.
+        E: Balls around zero with the radii ``(r, R)``, ``(N, 1 + D)``.
+        spread: The box of ``u - u_c``, ``(D,)``.
     """
 
-    m: Array
-    C: Array
+    Z: Array
     Q: Array
-    r: Array
-    R: Array
+    E: Array
     spread: Array
 
     @classmethod
@@ -38,24 +40,33 @@ class Enclosure:
         """Return a set of a certificate: its numbers rounded down to units, wherever it is used."""
         m, C, Q, r, R = entries(data, "m", "C", "Q", "r", "R")
         D = len(spread)
+        Z = numbers(m, (n,), bits, exact=False), numbers(C, (n, D), bits, exact=False)
+        E = radii(r, (n,), bits, exact=False), radii(R, (n, D), bits, exact=False)
         return cls(
-            m=numbers(m, (n,), bits, exact=False),
-            C=numbers(C, (n, D), bits, exact=False),
+            Z=np.concatenate([Z[0][:, None], Z[1]], axis=1),
             Q=numbers(Q, (n, n), bits, exact=False),
-            r=radii(r, (n,), bits, exact=False),
-            R=radii(R, (n, D), bits, exact=False),
+            E=np.concatenate([E[0][:, None], E[1]], axis=1),
             spread=spread,
         )
 
     @property
-    def derivative(self) -> Array:
-        """A set that holds ``dz/du``, ``(N, D)``."""
-        return self.C + self.Q @ self.R
+    def m(self) -> Array:
+        """A point near that of the centre, ``(N,)``."""
+        return self.Z[:, 0]
+
+    @property
+    def whole(self) -> Array:
+        """A set that holds ``(z(u_c), dz/du)``, ``(N, 1 + D)``."""
+        return self.Z + self.Q @ self.E
 
     @property
     def hull(self) -> Array:
         """A box that holds all states, ``(N,)``."""
-        return self.m + self.Q @ self.r + self.derivative @ self.spread
+        return self.m + self.moved(exactly(np.eye(len(self.Q), dtype=int), self.m[0].bits))
+
+    def moved(self, slope: Array) -> Array:
+        """Return what a linear map, ``(..., N)``, makes of all states less m."""
+        return slope @ self.Q @ self.E[:, 0] + slope @ self.whole[:, 1:] @ self.spread
 
 
 class Mapped(NamedTuple):
@@ -75,15 +86,11 @@ def require_enclosed(old: Enclosure, mapped: Mapped, new: Enclosure) -> None:
         mapped: What the record makes of it.
         new: The set after the record.
     """
-    slope = mapped.slope
-    parts = [(mapped.point - new.m)[:, None], slope @ old.C - new.C, slope @ old.Q]
+    n = len(old.Z)
+    image = np.concatenate([mapped.point[:, None], mapped.slope @ old.Z[:, 1:]], axis=1) - new.Z
     # Elimination on intervals would wrap them at every row: it is done on numbers alone.
-    inverse = solved(new.Q, exactly(np.eye(len(new.m), dtype=int), new.m[0].bits))
-    found = inverse @ np.concatenate(parts, axis=1)
-    point, drift, noise = np.split(found, [1, 1 + len(old.spread)], axis=1)
-    images = {"r": point[:, 0] + noise @ old.r, "R": drift + noise @ old.R}
-    for name, image in images.items():
-        for place, x in np.ndenumerate(image):
-            bound = getattr(new, name)[place]
-            failure = f"{name}[{place[0]}] must hold {x.shown()}, but is {bound.shown()}"
-            require(x.size <= bound.r, failure)
+    inverse = solved(new.Q, exactly(np.eye(n, dtype=int), new.m[0].bits))
+    found = inverse @ image + inverse @ (mapped.slope @ old.Q) @ old.E
+    for (i, j), x in np.ndenumerate(found):
+        failure = f"{'R' if j else 'r'}[{i}] must hold {x.shown()}, but is {new.E[i, j].shown()}"
+        require(x.size <= new.E[i, j].r, failure)

@@ -7,12 +7,13 @@ derivative: ``("function", name, u, integrand)`` with ``integrand = f'(u) u'``.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple, cast
 
 import casadi as ca
 
+from zeno_orbits.errors import InputError
 from zeno_orbits.model import Problem
 from zeno_orbits.proof.checker.balls import NotProved
 
@@ -24,21 +25,30 @@ class Graph:
         self.nodes: list[tuple[Any, ...]] = []
         self.order: list[int] = []
         self._functions: dict[tuple[str, int], int] = {}
+        self._places: dict[tuple[Any, ...], int] = {}
 
     def put(self, *node: Any) -> int:
-        """Append a node and return its place."""
+        """Return the place of a node, which is appended if it is a new one."""
+        if node == ("input",) or node not in self._places:
+            self._places[node] = self._place(*node)
+            self.order.append(self._places[node])
+        return self._places[node]
+
+    def _place(self, *node: Any) -> int:
         self.nodes.append(node)
-        self.order.append(len(self.nodes) - 1)
-        return self.order[-1]
+        return len(self.nodes) - 1
 
     def function(self, name: str, u: int) -> int:
         """Return the node of an analytic function of a node."""
         if (name, u) not in self._functions:
-            place = self._functions[name, u] = len(self.nodes)
-            self.nodes.append(())
-            integrand = self.put("mul", self.derivative(name, u), self.put("slope", u))
-            self.nodes[place] = ("function", name, u, integrand)
+            place, at = self._place(), len(self.order)
+            self._functions[name, u] = place
             self.order.append(place)
+            slope = self._place("slope", u)
+            integrand = self._place("mul", self.derivative(name, u), slope)
+            self.nodes[place] = ("function", name, u, integrand)
+            # One order behind, it is asked for by the function, and needs what comes after that.
+            self.order[at:at] = [slope, integrand]
         return self._functions[name, u]
 
     def derivative(self, name: str, u: int) -> int:
@@ -116,9 +126,15 @@ class Formulas(NamedTuple):
 
 
 def formulas_of(problem: Problem) -> Formulas:
-    """Return the formulas of a problem; the digest is of CasADi's instructions."""
+    """Return the formulas of a problem; the digest is of CasADi's instructions.
+
+    Raises:
+        InputError: If its impacts obey another law than that of one constant.
+    """
     symbols = problem.symbols()
     system = problem.model(symbols)
+    if system.law_numbers.numel() != 1 or ca.depends_on(system.law_numbers, system.state):
+        raise InputError("A certificate must be about impacts with a constant restitution.")
     parts: tuple[Any, ...] = (
         system.free_flow,
         system.locked_flow,
@@ -131,20 +147,20 @@ def formulas_of(problem: Problem) -> Formulas:
     outputs = [ca.densify(ca.SX(part)) for part in parts]
     function = ca.Function("system", inputs, outputs)
     lines = [f"{function.numel_in(0)} {function.numel_in(1)} {system.n_q}"]
-    for k in range(function.n_instructions()):
-        words = [_name(function.instruction_id(k))]
-        words += [",".join(map(str, function.instruction_input(k)))]
-        words += [",".join(map(str, function.instruction_output(k)))]
-        if function.instruction_id(k) == ca.OP_CONST:
-            words.append(float(function.instruction_constant(k)).hex())
-        lines.append(" ".join(words))
+    for name, takes, gives, number in _instructions(function):
+        words = [name, ",".join(map(str, takes)), ",".join(map(str, gives))]
+        lines.append(" ".join(words if number is None else [*words, number.hex()]))
     text = "".join(line + "\n" for line in lines)
     return Formulas(function, hashlib.sha256(text.encode()).hexdigest(), system.n_q)
 
 
-def _name(code: int) -> str:
-    names = (name for name in sorted(dir(ca)) if name.startswith("OP_"))
-    return next(name for name in names if getattr(ca, name) == code).removeprefix("OP_")
+def _instructions(function: ca.Function) -> Iterator[tuple[str, list[int], list[int], Any]]:
+    """Give name, arguments and results of each instruction, and the number of a constant."""
+    names = {getattr(ca, name): name for name in sorted(dir(ca), reverse=True) if name[:3] == "OP_"}
+    for k in range(function.n_instructions()):
+        code = function.instruction_id(k)
+        number = float(function.instruction_constant(k)) if code == ca.OP_CONST else None
+        yield names[code][3:], function.instruction_input(k), function.instruction_output(k), number
 
 
 def walked(function: ca.Function, graph: Graph, inputs: Sequence[Sequence[int]]) -> list[list[int]]:
@@ -158,15 +174,13 @@ def walked(function: ca.Function, graph: Graph, inputs: Sequence[Sequence[int]])
     outputs = [[-1] * function.numel_out(k) for k in range(function.n_out())]
     work: dict[int, int] = {}
     table = _operations(graph)
-    for k in range(function.n_instructions()):
-        name = _name(function.instruction_id(k))
-        takes, gives = function.instruction_input(k), function.instruction_output(k)
+    for name, takes, gives, number in _instructions(function):
         if name == "INPUT":
             work[gives[0]] = inputs[takes[0]][takes[1]]
         elif name == "OUTPUT":
             outputs[gives[0]][gives[1]] = work[takes[0]]
         elif name == "CONST":
-            work[gives[0]] = graph.put("constant", float(function.instruction_constant(k)))
+            work[gives[0]] = graph.put("constant", number)
         elif name in table:
             work[gives[0]] = table[name](*(work[place] for place in takes))
         else:

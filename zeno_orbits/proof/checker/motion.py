@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from zeno_orbits.proof.checker.balls import (
 )
 from zeno_orbits.proof.checker.enclosure import Enclosure, Mapped
 from zeno_orbits.proof.checker.series import complex_values, interval, taylor, upper
-from zeno_orbits.proof.checker.system import CONTACT, FREE, IMPULSE, LAW, System
+from zeno_orbits.proof.checker.system import CONTACT, FREE, IMPULSE, LAW, MULTIPLIER, System
 
 _HIGHEST = 200
 """Order beyond which a certificate is refused before anything is computed."""
@@ -80,9 +80,9 @@ class Flow:
 
     def at(self, time: Ball) -> tuple[Array, Array, Array]:
         """Return point, derivative and box of the set at a time of the step."""
-        part, old = time / self.h, self.old
+        part = time / self.h
         point, slope = (_horner(series, part) for series in (self._point, self._slope))
-        return point, slope, point + slope @ old.Q @ old.r + slope @ old.derivative @ old.spread
+        return point, slope, point + self.old.moved(slope)
 
 
 def _hull(series: Array) -> Array:
@@ -143,8 +143,8 @@ def crossed(system: System, place: Place, old: Enclosure, record: Mapping[str, A
         gradient, rate = system.identity[system.gap_row] * system.unit, system.gap_rate(box)
         _require_apart(system, place, flow, flow.at(a)[2], last=True)
     else:
-        gradient, rate = system.gradient(CONTACT, box)[3], system.value(CONTACT, box)[4]
-        falling = system.value(CONTACT, flow.box)[4]
+        gradient, rate = system.gradient(CONTACT, box)[MULTIPLIER], system.multiplier_rate(box)
+        falling = system.multiplier_rate(flow.box)
         require(falling.high < 0, f"the multiplier's rate may be {falling.shown()}")
     require(rate.high < 0, f"the guard's rate may be {rate.shown()}")
     delay = -(gradient @ slope) / rate
@@ -161,27 +161,25 @@ def _guard(system: System, flow: Flow, time: Ball, *, whole: bool, free: bool) -
     point, slope, box = flow.at(time)
     if free:
         return system.gap(box if whole else point)
-    value, old = system.value(CONTACT, point)[3], flow.old
-    if not whole:
-        return value
-    row = system.gradient(CONTACT, box)[3] @ slope
-    return value + row @ old.Q @ old.r + row @ old.derivative @ old.spread
+    value = system.value(CONTACT, point)[MULTIPLIER]
+    gradient = system.gradient(CONTACT, box)[MULTIPLIER]
+    return value + flow.old.moved(gradient @ slope) if whole else value
 
 
 def _require_apart(
     system: System, place: Place, flow: Flow, end: Array, *, last: bool = False
 ) -> None:
     """Check that nothing is touched: the gap stays open, or the stop presses."""
-    contact = system.value(CONTACT, flow.box)
     if place.mode == "locked":
-        require(contact[3].low > 0, f"the multiplier may be {contact[3].shown()}")
+        multiplier = system.value(CONTACT, flow.box)[MULTIPLIER]
+        require(multiplier.low > 0, f"the multiplier may be {multiplier.shown()}")
         return
     start, gap, rate = flow.old.hull, system.gap(flow.box), system.gap_rate(flow.box)
     thrown = place.began == "impact" and system.gap_rate(start).low > 0
     open_first, open_last = thrown or system.gap(start).low > 0, system.gap(end).low > 0
-    bent = contact[2].high < 0 and open_first and open_last
+    bent = open_first and open_last and system.gap_acceleration(flow.box).high < 0
     falls, rises = rate.high < 0 and open_last, rate.low > 0 and open_first and not last
-    left = place.began == "release" and not last and system.third_derivative(flow.box).low > 0
+    left = place.began == "release" and not last and system.gap_jerk(flow.box).low > 0
     clear = gap.low > 0 and not last
     require(bent or falls or rises or left or clear, f"the gap may close: it is {gap.shown()}")
 
@@ -228,8 +226,10 @@ def accumulated(system: System, _: Place, old: Enclosure, record: Mapping[str, A
     discs = {place: (ball, Ball(0, 0, bits)) for place, ball in system.constants.items()}
     discs |= {system.z[k]: (box[k], r) for k, r in zip(inner, radius, strict=True)}
     nodes = [node for k in (FREE, IMPULSE, LAW) for node in system.outputs[k]]
-    *found, fall = complex_values(system.graph, discs, [*nodes, system.outputs[CONTACT][2]])
+    acceleration = cast("int", system.flow["free"][system.z[system.rate_row]])
+    *found, fall = complex_values(system.graph, discs, [*nodes, acceleration])
     *bound, e = (abs(z).b for z in found)
+    fall = fall * interval(system.unit)
     middle = fall.real.mid
     apart = abs(fall - middle).b
     least = -middle - apart

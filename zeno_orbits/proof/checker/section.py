@@ -21,11 +21,18 @@ from zeno_orbits.proof.checker.balls import (
     solved,
 )
 from zeno_orbits.proof.checker.enclosure import Enclosure, Mapped, require_enclosed
-from zeno_orbits.proof.checker.system import CONTACT, HOLONOMIC, System
+from zeno_orbits.proof.checker.system import (
+    CONTACT,
+    GAP,
+    GAP_RATE,
+    HOLONOMIC,
+    MULTIPLIER,
+    System,
+)
 
 _SWEEPS = 4
 """How often an enclosure of the other states is made narrower."""
-_CONDITIONS = {"gap": 0, "gap_rate": 1, "multiplier": 3}
+_CONDITIONS = {"gap": GAP, "gap_rate": GAP_RATE, "multiplier": MULTIPLIER}
 
 
 class Section(NamedTuple):
@@ -104,7 +111,7 @@ class Box(NamedTuple):
 def require_start(system: System, section: Section, box: Box, start: Enclosure) -> None:
     """Check that a set holds every point of the section whose coordinates are in a box.
 
-    Krawczyk's operator on the conditions, for all coordinates at once, proves that there is just
+    Newton's operator on the conditions, for all coordinates at once, proves that there is just
     one such point with its other states where they are looked for.
 
     Args:
@@ -122,44 +129,38 @@ def require_start(system: System, section: Section, box: Box, start: Enclosure) 
         z[inner], z[section.others] = coordinates, others
         return z
 
-    def slopes(z: Array) -> tuple[Array, Array]:
-        rows = np.array([system.gradient(k, z)[row] for k, row in section.equations], dtype=object)
-        rows = rows.reshape(n, len(z))
-        return rows[:, section.others], rows[:, inner]
+    def newton(middle: Array, reach: Array, spread: Array) -> tuple[Array, Array]:
+        """Return the other states, less a middle, if within reach of it; and their derivative."""
+        around, at = state(box.centre + spread, middle + reach), state(box.centre, middle)
+        rows = [system.gradient(k, around)[row] for k, row in section.equations]
+        slopes = np.array(rows, dtype=object).reshape(n, len(around))
+        rest = np.array([system.value(k, at)[row] for k, row in section.equations], dtype=object)
+        by_u = slopes[:, inner]
+        right = np.concatenate([(rest + by_u @ spread)[:, None], by_u], axis=1)
+        found = -solved(slopes[:, section.others], right)
+        return found[:, 0], found[:, 1:]
 
-    def near_inverse(matrix: Array) -> Array:
-        return middles(solved(middles(matrix), exactly(np.eye(n, dtype=int), system.bits)))
-
-    def newton(middle: Array, reach: Array, spread: Array) -> Array:
-        """Return what holds the other states, less a middle, if they are within reach of it."""
-        by_others, by_u = slopes(state(box.centre + spread, middle + reach))
-        at, inverse = state(box.centre, middle), near_inverse(by_others)
-        residual = [system.value(k, at)[row] for k, row in section.equations]
-        rest = exactly(np.eye(n, dtype=int), system.bits) - inverse @ by_others
-        return rest @ reach - inverse @ np.array(residual, dtype=object) - inverse @ by_u @ spread
-
-    def narrowed(spread: Array) -> Array:
-        middle, left = box.others, found
+    def narrowed(spread: Array) -> tuple[Array, Array]:
+        middle, left, slope = box.others, *newton(box.others, box.others_spread, box.spread)
         for _ in range(_SWEEPS):
             step = middles(left)
-            middle, left = middle + step, newton(middle + step, around_zero(left - step), spread)
-        return middle + left
+            middle, reach = middle + step, around_zero(left - step)
+            left, slope = newton(middle, reach, spread)
+        return middle + left, slope
 
-    found = newton(box.others, box.others_spread, box.spread)
+    found, _ = newton(box.others, box.others_spread, box.spread)
     for k, x, y in zip(section.others, found, box.others_spread, strict=True):
         require(x.size < y.r, f"state {k} of the section is not found: {x.shown()}")
-    everywhere = state(box.centre + box.spread, narrowed(box.spread))
-    by_others, by_u = slopes(everywhere)
-    inverse = near_inverse(by_others)
+    others, by_u = narrowed(box.spread)
+    everywhere = state(box.centre + box.spread, others)
     slope = exactly(np.zeros((len(system.z), D), dtype=int), system.bits)
     slope[inner] = exactly(np.eye(D, dtype=int), system.bits)
-    slope[section.others] = -solved(inverse @ by_others, inverse @ by_u)
+    slope[section.others] = by_u
     still = exactly(np.zeros(D, dtype=int), system.bits)
-    point = state(box.centre, narrowed(still))
+    point = state(box.centre, narrowed(still)[0])
     if not system.is_pinned and not section.settled:
-        point[system.rate_row] = system.value(CONTACT, point)[1]
-        slope[system.rate_row] = system.gradient(CONTACT, everywhere)[1] @ slope
-    one = system.identity
-    nothing = exactly(np.zeros(slope.shape, dtype=int), system.bits)
-    exact = Enclosure(point, slope, one, system.nothing, nothing, still)
+        point[system.rate_row] = system.value(CONTACT, point)[GAP_RATE]
+        slope[system.rate_row] = system.gradient(CONTACT, everywhere)[GAP_RATE] @ slope
+    whole, one = np.concatenate([point[:, None], slope], axis=1), system.identity
+    exact = Enclosure(whole, one, exactly(np.zeros(whole.shape, dtype=int), system.bits), still)
     require_enclosed(exact, Mapped(point, one, Ball(0, 0, system.bits), system.nothing), start)

@@ -29,15 +29,16 @@ _SPARE = 20
 
 
 class Series:
-    """Coefficients of one node: midpoints, radii, and bounds of their absolute values."""
+    """Coefficients of one node: midpoints, radii, and bounds of their absolute values.
 
-    __slots__ = ("a", "m", "r", "s")
+    Those of a node that does not move are zero but for the first.
+    """
 
-    def __init__(self) -> None:
-        self.m: list[int] = []
-        self.a: list[int] = []
-        self.r: list[int] = []
-        self.s: list[int] = []
+    __slots__ = ("a", "m", "r", "s", "still")
+
+    def __init__(self, *, still: bool) -> None:
+        self.still = still
+        self.m, self.a, self.r, self.s = (list[int]() for _ in range(4))
 
     def append(self, m: int, r: int) -> None:
         """Append a coefficient."""
@@ -45,6 +46,11 @@ class Series:
         self.a.append(abs(m))
         self.r.append(r)
         self.s.append(abs(m) + r)
+
+    def rest(self, count: int) -> None:
+        """Append zeros if the node does not move."""
+        for known in (self.m, self.a, self.r, self.s) if self.still else ():
+            known.extend([0] * count)
 
     def append_part(self, m: int, r: int, part: int) -> None:
         """Append a coefficient that is divided by a whole number."""
@@ -71,17 +77,22 @@ def taylor(
     """
     bits = h.bits
     plan = [p for p in graph.needed([*rates.values(), *outputs]) if graph.nodes[p][0] != "input"]
-    series = {place: Series() for place in (*plan, *starts)}
+    series: dict[int, Series] = {}
     for place, ball in starts.items():
+        series[place] = Series(still=rates.get(place) is None)
         series[place].append(ball.m, ball.r)
+    for place in plan:
+        given = (a for a in graph.nodes[place][1:] if isinstance(a, int) and a in series)
+        series[place] = Series(still=all(series[a].still for a in given))
     for k in range(order + 1):
         for place in plan:
             _grow(graph.nodes[place], series, series[place], bits)
-        for place in starts:
-            node = rates.get(place)
-            if node is None:
-                series[place].append(0, 0)
-            else:
+        if k == 0:
+            for one in series.values():
+                one.rest(order + 1)
+            plan = [place for place in plan if not series[place].still]
+        for place, node in rates.items():
+            if node is not None:
                 ball = h * Ball(series[node].m[k], series[node].r[k], bits)
                 series[place].append_part(ball.m, ball.r, k + 1)
     return {
@@ -113,7 +124,7 @@ def _grow(node: tuple[Any, ...], series: Mapping[int, Series], own: Series, bits
     """Append the next coefficient of a node, if those that it needs are known."""
     name, n = node[0], len(own.m)
     if name == "constant":
-        numerator, denominator = node[1].as_integer_ratio() if n == 0 else (0, 1)
+        numerator, denominator = node[1].as_integer_ratio()
         own.append_part(numerator << bits, 0, denominator)
         return
     if name == "function":
@@ -131,6 +142,9 @@ def _grow(node: tuple[Any, ...], series: Mapping[int, Series], own: Series, bits
         own.append((n + 1) * x.m[n + 1], (n + 1) * x.r[n + 1])
     elif name == "neg":
         own.append(-x.m[n], x.r[n])
+    elif name == "mul" and (x.still or y.still):
+        x, y = (x, y) if x.still else (y, x)
+        own.append(*rounded(x.m[0] * y.m[n], x.a[0] * y.r[n] + x.r[0] * y.s[n], bits))
     elif name == "mul":
         m = sum(map(mul, x.m, y.m[n::-1]))
         r = sum(map(mul, x.a, y.r[n::-1])) + sum(map(mul, x.r, y.s[n::-1]))

@@ -16,6 +16,7 @@ from zeno_orbits.proof.checker.series import taylor, values
 Rates = dict[int, int | None]
 Rows = list[list[int | None]]
 FREE, LOCKED, CONTACT, IMPULSE, LAW, HOLONOMIC = range(6)
+GAP, GAP_RATE, GAP_ACCELERATION, MULTIPLIER = range(4)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,10 +104,18 @@ class System:
         """Return the gap rate over a box of states."""
         return self.unit * z[self.rate_row]
 
-    def third_derivative(self, z: Array) -> Ball:
+    def gap_acceleration(self, z: Array) -> Ball:
+        """Return the second time derivative of the gap off the stop."""
+        return self.unit * self.rates("free", z)[self.rate_row]
+
+    def gap_jerk(self, z: Array) -> Ball:
         """Return the third time derivative of the gap off the stop."""
-        node, one = self.outputs[CONTACT][2], Ball(1 << self.bits, 0, self.bits)
-        return taylor(self.graph, self.flow["free"], self.at(z), one, 1, [node])[node][1]
+        one, row = Ball(1 << self.bits, 0, self.bits), self.z[self.rate_row]
+        return self.unit * taylor(self.graph, self.flow["free"], self.at(z), one, 2)[row][2] * 2
+
+    def multiplier_rate(self, z: Array) -> Ball:
+        """Return the time derivative of the multiplier on the stop."""
+        return self.gradient(CONTACT, z)[MULTIPLIER] @ self.rates("locked", z)
 
 
 def bound_system(
@@ -131,8 +140,9 @@ def bound_system(
     V = [[graph.put("input") for _ in z] for _ in z]
     seeds, none = dict(zip(z, V, strict=True)), [None] * len(z)
     pinned = () if row is None else (row, n_q + row)
+    acceleration = outputs[CONTACT][GAP_ACCELERATION]
     rates: dict[str, list[int | None]] = {
-        "free": [*outputs[FREE], *([carried[1], outputs[CONTACT][2]] if carried else [])],
+        "free": [*outputs[FREE], *([carried[1], acceleration] if carried else [])],
         "locked": [None if k in pinned else node for k, node in enumerate(outputs[LOCKED])],
     }
     flow = {mode: dict(zip_longest(z, nodes)) for mode, nodes in rates.items()}
@@ -148,7 +158,9 @@ def bound_system(
     unit, stop = Ball(1 << bits, 0, bits), Ball(0, 0, bits)
     constants = {p[name]: ball for name, ball in numbers.items() if name not in over}
     if row is not None:
-        unit, stop = _coordinate(graph, outputs[CONTACT][0], x[row], constants, bits)
+        unit, stop = _coordinate(graph, outputs[CONTACT][GAP], x[row], constants, bits)
+        if outputs[FREE][row] != x[n_q + row]:
+            raise InputError("The certificate's `gap_row` must move by a state of its own.")
     return System(
         graph=graph,
         n_x=n_x,
