@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import math
 import platform
 from collections.abc import Mapping, Sequence
@@ -206,6 +207,4 @@ def write_proof(data: Mapping[str, Any], path: Path) -> None:
         data: The certificate.
         path: The file.
     """
-    import json
-
     path.write_text(json.dumps(data, separators=(",", ":")) + "\n", encoding="utf-8")

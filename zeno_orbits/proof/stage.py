@@ -81,15 +81,13 @@ class ProofStage:
     departure: Departure
     time: BallTime
 
-    def timed(self, duration: Ball, row: Matrix | None = None) -> BallTime:
+    def timed(self, duration: Ball, row: Matrix) -> BallTime:
         """Return the times after an event.
 
         Args:
             duration: From here to it, for ``m``.
             row: Its derivative with respect to the state, ``(1, n)``.
         """
-        if row is None:
-            return self.time.later(duration)
         slopes: list[Ball] = (row * self.at.derivative).entries() if self.at.U else []
         (noise,) = product(row, self.at.noise)
         return self.time.later(duration + noise, slopes)
