@@ -117,7 +117,7 @@ def test_a_search_that_fails_names_the_numbers_that_may_be_in_another_unit(
             ("--allow-unstable", "wider ranges"),
         ),
         (SearchStatus.NOT_SOLVED, ("--keep", "wider ranges than Kp=1:5"), ("--start", "map")),
-        (SearchStatus.NOT_ACCEPTED, ("--allow-unstable", "--keep"), ("--until", "map")),
+        (SearchStatus.NOT_ACCEPTED, ("--keep",), ("--until", "map", "--allow-unstable")),
     ],
 )
 def test_every_no_says_which_options_to_try_and_which_are_of_no_use(
@@ -132,6 +132,15 @@ def test_every_no_says_which_options_to_try_and_which_are_of_no_use(
     said = " ".join(json.loads(capsys.readouterr().out)["try"])
     assert all(word in said for word in levers), said
     assert not any(word in said for word in others), said
+
+
+def test_only_where_an_orbit_repels_is_the_option_named_that_takes_one(
+    problem: Problem, capsys: pytest.CaptureFixture[str]
+) -> None:
+    failed = replace(NOTHING, status=SearchStatus.NOT_ACCEPTED, repels=True)
+    answer(_options(json=True), problem, failed, _notes([]))
+    said = " ".join(json.loads(capsys.readouterr().out)["try"])
+    assert "--allow-unstable" in said
 
 
 def test_a_motion_that_rests_need_not_be_waited_for(

@@ -150,7 +150,8 @@ def _from_start(options: argparse.Namespace) -> int:
             raise InputError(f"Argument `{name}` must come with an orbit, but there is none.")
     problem = load_problem(options.target)
     values = values_of(problem, options)
-    until = options.until or _UNTIL * problem.dynamics(values).own.time
+    own_time = problem.dynamics(values).own.time
+    until = _UNTIL * own_time if options.until is None else options.until
     rig = _rig_of(options, problem)
     with report.ProgressLine(options.interrupts.check) as progress:
         run = simulate_rig(

@@ -156,7 +156,7 @@ def _levers(
         found.append(f"{map_command(problem, options, notes)}, to see where orbits are.")
         if options.shape is not None:
             found.append("no --shape, to take the orbits that motions settle to.")
-    if result.status is SearchStatus.NOT_ACCEPTED and not options.allow_unstable:
+    if result.repels:
         found.append("--allow-unstable, to take an orbit that does not attract.")
     if notes.bounds:
         kept = ", ".join(f"{bound.name}={bound.text}" for bound in notes.bounds)

@@ -89,6 +89,7 @@ class StartOutcome:
         start: Name to value of what is free where it started.
         detail: The reason in words, if nothing was accepted.
         undecided: True if a motion had settled to nothing when its time was over.
+        repels: True if the orbit was refused because it does not attract.
         residuals: Row name to scaled violation in its last program.
         agreement: Relative difference of program and simulation over one period.
         closure_error: Estimated error of the Zeno closure, relative.
@@ -106,6 +107,7 @@ class StartOutcome:
     start: Mapping[str, float] = field(default_factory=dict[str, float])
     detail: str = ""
     undecided: bool = False
+    repels: bool = False
     residuals: Mapping[str, float] = field(default_factory=dict[str, float])
     agreement: float = np.inf
     closure_error: float = np.inf
@@ -153,6 +155,7 @@ class SearchResult(Displayed):
         detail: The reason in words, if there is no orbit.
         undecided: True if a motion had settled to nothing when its time was over: a longer wait may
             tell.
+        repels: True if an orbit was refused because it does not attract.
         scan: What motions settle to all over the box, if there is no orbit and it was looked at.
     """
 
@@ -169,6 +172,7 @@ class SearchResult(Displayed):
     candidates: tuple[Candidate, ...] = ()
     detail: str = ""
     undecided: bool = False
+    repels: bool = False
     scan: str = ""
 
     def __repr__(self) -> str:

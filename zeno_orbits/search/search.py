@@ -157,6 +157,7 @@ def _ranked(search: SearchProblem, outcomes: Generator[StartOutcome]) -> SearchR
         candidates=ranked,
         detail=best.detail,
         undecided=best.undecided,
+        repels=best.repels,
         scan="" if ranked or len(attempts) == 1 else _summary(search),
     )
 

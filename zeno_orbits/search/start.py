@@ -93,7 +93,12 @@ def _judged(
         search.tell(f"{name}: verifying")
         judgement = accept(orbit)
     if judgement.objection:
-        refused = replace(outcome, status=SearchStatus.NOT_ACCEPTED, detail=judgement.objection)
+        refused = replace(
+            outcome,
+            status=SearchStatus.NOT_ACCEPTED,
+            detail=judgement.objection,
+            repels=judgement.repels,
+        )
         return refused, judgement
     score = search.score(orbit.values(search.problem), extents)
     certificate = judgement.certificate

@@ -95,7 +95,7 @@ class _Follower:
         tolerance = settings.tolerance or rig_tolerance(rig.contact, own)
         self._machine, self._problem, self._rig, self._settings = built, problem, rig, settings
         self._number, self._tolerance = number, tolerance.times(own.least)
-        self._spacing = settings.spacing or SPACING * own.time
+        self._spacing = SPACING * own.time if settings.spacing is None else settings.spacing
         self._p = np.asarray(values.vector, dtype=np.float64)
         self._numbers = np.concatenate([self._p, np.zeros(built.n_motors), [0.0]])
         modes = {False: built.free, True: built.contact}
