@@ -309,3 +309,33 @@ def test_where_a_jacobian_is_not_finite_both_loops_take_explicit_steps(
     require_same_steps(compiled, plain)
     assert len(compiled.trajectory.times) > 20
     assert abs(compiled.state[0] - math.exp(-40.0)) < 1e-8
+
+
+@pytest.mark.parametrize("engine", [Automatic(), RungeKutta()])
+def test_a_rise_of_rounding_off_the_guard_is_no_fall(
+    engine: SteppingEngine,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    # The guard is t^3, with the rounding of cos^2 + sin^2 - 1 on it. A state that begins at zero
+    # makes the first steps so short that they rise less than this rounding.
+    y, p = ca.SX.sym("y", 5), ca.SX.sym("p")
+    time, cube, cosine, sine, _ = ca.vertsplit(y)
+    rate = ca.vertcat(1.0, 3 * time**2, -sine, cosine, 1.0)
+    guard = ca.vertcat(cosine**2 + sine**2 - 1.0 + cube, 3 * time**2)
+    mode = mode_functions("noisy", y, p, rate, guard)
+    use_folder(monkeypatch, tmp_path_factory.getbasetemp().parent / "kernels")
+    assert mode.kernels.build()
+    start = np.array([0.0, 0.0, math.cos(0.7), math.sin(0.7), 0.0])
+    tight = Tolerance(relative=1e-12, absolute=1e-24)
+    for rounding, outcome in ((1e-14, Outcome.HORIZON), (0.0, Outcome.FALL)):
+        leg = Leg(
+            flow=CompiledFlow(mode, np.zeros(1)),
+            y=start,
+            horizon=1.0,
+            tolerance=tight,
+            on_guard=True,
+            rounding=rounding,
+        )
+        assert engine.follow_interpreted(leg).outcome is outcome
+        assert engine.follow(leg).outcome is outcome

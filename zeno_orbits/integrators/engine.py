@@ -49,7 +49,8 @@ class Leg:
         horizon: Longest time, in the flow's own.
         tolerance: Local error of a step.
         on_guard: The start is a root of the guard that does not count.
-        rounding: A guard that was never positive and falls below minus this has been left.
+        rounding: A guard of this size is zero but for rounding: before it has risen higher it does
+            not fall, and below minus this it has been left.
         watch: Told of the progress; it ends a leg that takes too long or goes too far.
         reach: Moduli of the first entries of the state beyond which the watch is told at once,
             ``(n,)``; an engine may else take many steps between two words to it.

@@ -298,6 +298,8 @@ def follow_steps(steps: Iterator[Step], leg: Leg) -> Passage:
         leg.watch(1, step.start, step.after)
         after = flow.guard(step.after)
         fall = first_fall(flow, step, before, after, on_guard=on_guard)
+        if fall is not None and on_guard and _is_rounding(leg, step, fall):
+            fall = None
         end = step.size if fall is None else fall
         if step.start + end >= leg.horizon:
             state = end_state(step, leg.horizon - step.start)
@@ -308,11 +310,17 @@ def follow_steps(steps: Iterator[Step], leg: Leg) -> Passage:
             largest = max(largest, abs(before[1]) * step.size, abs(after[1]) * step.size)
             if after[0] < -max(LEAVES * largest, leg.rounding):
                 return _passage(Outcome.LEFT, taken, step.start, step.before)
-            on_guard = after[0] <= 0.0
+            on_guard = after[0] <= leg.rounding
         before = after
     raise StepSizeError(
         "The engine stopped before the guard", time=before[0], state=tuple(leg.y.tolist())
     )
+
+
+def _is_rounding(leg: Leg, step: Step, fall: float) -> bool:
+    """Return True if the guard, from its root at the start, has not risen above rounding."""
+    _, rate = leg.flow.guard(end_state(step, fall))
+    return abs(rate) * (step.start + fall) < leg.rounding
 
 
 def _passage(outcome: Outcome, steps: list[Step], duration: float, state: Vector) -> Passage:

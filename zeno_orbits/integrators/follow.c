@@ -148,6 +148,14 @@ static void leg_end(const Step *step, double offset, double *state) {
     for (i = 0; i < N_Y; i++) state[i] = step->ended[1 + i] + shift * slope[i];
 }
 
+/* Whether the guard, from its root at the start of the leg, has not risen above rounding. */
+static int is_rounding(const Step *step, double fall) {
+    double state[N_Y], pair[2];
+    leg_end(step, fall, state);
+    guard_at(step->leg, state, pair);
+    return fabs(pair[1]) * (step->leg->time + fall) < step->leg->rounding;
+}
+
 /* The guard inside a step, as `fall.c` asks for it. */
 static void look_inside(const Curve *curve, int kind, double offset, double *pair) {
     double state[N_Y];
@@ -451,6 +459,7 @@ CASADI_SYMBOL_EXPORT int zk_follow(Leg *leg) {
         if (!leg->implicit) leg->n_explicit++;
 
         fall = first_fall(&step.curve, pair, told + 1, (int)leg->on_guard);
+        if (!isnan(fall) && leg->on_guard && is_rounding(&step, fall)) fall = NAN;
         end = isnan(fall) ? size : fall;
         if (leg->time + end >= leg->horizon || !isnan(fall)) {
             int over = leg->time + end >= leg->horizon;
@@ -478,7 +487,7 @@ CASADI_SYMBOL_EXPORT int zk_follow(Leg *leg) {
                 memcpy(leg->end, leg->y, sizeof leg->end);
                 return LEFT;
             }
-            leg->on_guard = told[1] <= 0.0;
+            leg->on_guard = told[1] <= leg->rounding;
         }
         leg->guard[0] = told[1];
         leg->guard[1] = told[2];
