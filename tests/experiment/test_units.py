@@ -54,13 +54,13 @@ def test_a_machine_that_nobody_declared_is_the_same(units: Units) -> None:
 def test_a_stiff_stop_is_followed_as_exactly_as_its_force_asks_for() -> None:
     soft, stiff = Contact(stiffness=1e4), Contact(stiffness=4e7)
     assert rig_tolerance(soft, OwnScale()).relative == 1e-10
-    # It gives way by 1 / 4e7 under a load of 1, of which 1e-6 is 2.5e-14.
-    assert rig_tolerance(stiff, OwnScale()).absolute == pytest.approx(2.5e-14)
+    # It gives way by 1 / 4e7 under a load of 1, of which 3e-7 is 7.5e-15.
+    assert rig_tolerance(stiff, OwnScale()).absolute == pytest.approx(7.5e-15)
     # The same part of a gap of a million under a load of a million.
     far = OwnScale(gap=1e6, multiplier=1e6)
-    assert rig_tolerance(stiff, far).absolute == pytest.approx(2.5e-14)
+    assert rig_tolerance(stiff, far).absolute == pytest.approx(7.5e-15)
     ball = Contact(stiffness=1e12, exponent=1.5)
-    assert rig_tolerance(ball, OwnScale()).absolute == pytest.approx(1e-14)
+    assert rig_tolerance(ball, OwnScale()).absolute == pytest.approx(3e-15)
 
 
 @pytest.mark.slow
@@ -111,6 +111,9 @@ def told(name: str, units: Units) -> dict[str, float]:
 def test_a_machine_its_record_and_a_fit_to_it_tell_the_same(name: str, units: Units) -> None:
     if name == "motor_pendulum" and units in FAR[1:3]:
         pytest.skip("two corners of its far units are enough")
-    assert told(name, units) == pytest.approx(
-        told(name, Units()), rel=TABLES, abs=1e-9, nan_ok=True
-    )
+    found, wanted = told(name, units), told(name, Units())
+    assert found.keys() == wanted.keys()
+    for fact, value in wanted.items():
+        # An estimated error is not known better than to a tenth; a misfit is a sum of squares.
+        within = 0.1 if fact.endswith("error") else 2 * TABLES if fact == "misfit" else TABLES
+        assert found[fact] == pytest.approx(value, rel=within, abs=1e-9, nan_ok=True), fact

@@ -34,7 +34,7 @@ SPACING = 1e-3
 """Between two records, as a part of the problem's own time."""
 _RELATIVE, _ABSOLUTE, _FINEST = 1e-10, 1e-12, 1e-13
 """Local errors of a machine with a soft stop, and the least relative one."""
-_OF_DEPTH = 1e-6
+_OF_DEPTH = 3e-7
 """Part of the depth of a stop under load that an absolute local error is at most."""
 
 
