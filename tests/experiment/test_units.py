@@ -18,7 +18,7 @@ from zeno_orbits.experiment import (
     simulate_rig,
 )
 from zeno_orbits.experiment.comparison.comparison import compare
-from zeno_orbits.experiment.rig.run import rig_tolerance
+from zeno_orbits.experiment.rig.run import rate_weight, rig_tolerance
 from zeno_orbits.model.rig_parts import Contact, Rig
 from zeno_orbits.model.scale import OwnScale
 
@@ -61,6 +61,26 @@ def test_a_stiff_stop_is_followed_as_exactly_as_its_force_asks_for() -> None:
     assert rig_tolerance(stiff, far).absolute == pytest.approx(7.5e-15)
     ball = Contact(stiffness=1e12, exponent=1.5)
     assert rig_tolerance(ball, OwnScale()).absolute == pytest.approx(3e-15)
+
+
+def test_rates_in_contact_are_held_to_what_rounding_of_the_gap_leaves() -> None:
+    # A soft stop holds rates as coordinates, a stiff one as a soft one: 1e-12 over 7.5e-15 is 133.
+    assert rate_weight(Contact(stiffness=1e4), OwnScale(), 1.0) == 1.0
+    assert rate_weight(Contact(stiffness=4e7), OwnScale(), 40.0) == pytest.approx(1e2)
+    # 1e-15 of a gap excites 1e-15 * 2e5 of its rate, which is 2.7e4 times 7.5e-15.
+    assert rate_weight(Contact(stiffness=4e7), OwnScale(), 1e-3) == pytest.approx(1e4)
+    # The load of 1 presses a ball in by 1e-8; there its stop is one of 1.5e12 * 1e-4.
+    ball = Contact(stiffness=1e12, exponent=1.5)
+    assert rate_weight(ball, OwnScale(), 1.5e-2) == pytest.approx(1e4)
+
+
+def test_a_leg_of_too_many_steps_ends_with_where_it_was() -> None:
+    table = zo.load_problem("vibrating_table")
+    start = table.state_vector(table.starts[0])
+    settings = RigSettings(most_steps=20)
+    with pytest.raises(zo.SimulationError, match="more than 20 steps to its next event") as told:
+        simulate_rig(table, table.values(), default_rig(table), start, 0.5, settings=settings)
+    assert 0.0 < told.value.time < 0.5
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import casadi as ca
+import numpy as np
 
 from zeno_orbits.errors import InputError
 from zeno_orbits.experiment.rig.forces import (
@@ -65,15 +66,18 @@ class Machine:
     rest: ca.Function
     inertia: ca.Function
 
-    def weights(self, own: OwnScale) -> tuple[float, ...]:
+    def weights(self, own: OwnScale, rates: float = 1.0) -> tuple[float, ...]:
         """Return the sizes that local errors are absolute in; rotors turn by radians.
 
         Args:
             own: Sizes of the problem's numbers.
+            rates: Further factor of the velocities.
         """
         n_rotors = (len(self.state_names) - self.n_x) // 2
         rotor = (1 / own.least, 1 / (own.time * own.least))
-        return (*own.weights(self.n_x), *(n_rotors * rotor))
+        states = np.array(own.weights(self.n_x))
+        states[self.n_q : 2 * self.n_q] *= rates
+        return (*states.tolist(), *(n_rotors * rotor))
 
 
 @lru_cache(maxsize=16)

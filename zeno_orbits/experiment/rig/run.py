@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -22,12 +23,14 @@ class RigSettings:
         spacing: Between two records [s], by default a thousandth of the problem's own time;
             contacts are recorded at every step as well.
         keep_from: Nothing earlier is recorded, but contacts are [s].
+        most_steps: Steps between two events before the run is given up.
     """
 
     engine: Engine = field(default_factory=Automatic)
     tolerance: Tolerance | None = None
     spacing: float | None = None
     keep_from: float = 0.0
+    most_steps: int = 1_000_000
 
 
 SPACING = 1e-3
@@ -35,7 +38,7 @@ SPACING = 1e-3
 _RELATIVE, _ABSOLUTE, _FINEST = 1e-10, 1e-12, 1e-13
 """Local errors of a machine with a soft stop, and the least relative one."""
 _OF_DEPTH = 3e-7
-"""Part of the depth of a stop under load that an absolute local error is at most."""
+"""Part of the depth of a stop under load that an absolute local error of the gap is at most."""
 
 
 def rig_tolerance(contact: Contact, own: OwnScale) -> Tolerance:
@@ -48,9 +51,40 @@ def rig_tolerance(contact: Contact, own: OwnScale) -> Tolerance:
         contact: The stop.
         own: Sizes of the problem's numbers; the load is that of the multiplier.
     """
-    depth = (own.multiplier / contact.stiffness) ** (1 / contact.exponent) / own.gap
-    finer = max(min(1.0, _OF_DEPTH * depth / _ABSOLUTE), _FINEST / _RELATIVE)
+    finer = _finer(contact, own)
     return Tolerance(relative=_RELATIVE * finer, absolute=_ABSOLUTE * finer)
+
+
+def rate_weight(contact: Contact, own: OwnScale, inertia: float) -> float:
+    r"""Return by how much the velocities' local error is larger in contact than the coordinates'.
+
+    It is that of a soft stop, but not below :math:`\omega\epsilon`: the link vibrates on its stop
+    with :math:`\omega^2 = n k \delta^{n - 1} / m_n`, and the least error :math:`\epsilon` that a gap
+    is held to excites vibrations of that speed. Less would ask for more than rounding leaves.
+
+    Args:
+        contact: The stop.
+        own: Sizes of the problem's numbers.
+        inertia: Normal inertia :math:`m_n`.
+
+    Returns:
+        The ratio, a power of ten: stops of like stiffness share compiled steps.
+    """
+    depth = _depth(contact, own) * own.gap
+    stiffness = contact.exponent * contact.stiffness * depth ** (contact.exponent - 1)
+    frequency = math.sqrt(stiffness / inertia) * own.time
+    rate = max(1.0, frequency * _FINEST / _RELATIVE)
+    return 10.0 ** math.floor(math.log10(rate / _finer(contact, own)))
+
+
+def _finer(contact: Contact, own: OwnScale) -> float:
+    """Return by how much local errors are finer than those on a soft stop."""
+    return max(min(1.0, _OF_DEPTH * _depth(contact, own) / _ABSOLUTE), _FINEST / _RELATIVE)
+
+
+def _depth(contact: Contact, own: OwnScale) -> float:
+    """Return by how much a stop gives way under load, in units of the own gap."""
+    return (own.multiplier / contact.stiffness) ** (1 / contact.exponent) / own.gap
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

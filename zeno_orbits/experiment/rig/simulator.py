@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from typing import NoReturn
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError, RunawayError, SimulationError
+from zeno_orbits.errors import InputError, RunawayError, SimulationError, counted
 from zeno_orbits.experiment.rig.contact_damping import damping_number
 from zeno_orbits.experiment.rig.controller import ControlLoop
 from zeno_orbits.experiment.rig.machine import machine
@@ -24,10 +25,11 @@ from zeno_orbits.experiment.rig.run import (
     RigRun,
     RigSettings,
     Touch,
+    rate_weight,
     rig_tolerance,
 )
 from zeno_orbits.integrators import Leg, Outcome, Passage
-from zeno_orbits.model import Call, CompiledFlow, FlowMemory, ParameterValues, Problem, Rig
+from zeno_orbits.model import Call, CompiledFlow, FlowMemory, OwnScale, ParameterValues, Problem, Rig
 from zeno_orbits.simulation import Columns
 from zeno_orbits.work import Progress, silent
 
@@ -100,13 +102,13 @@ class _Follower:
         self._numbers = np.concatenate([self._p, np.zeros(built.n_motors), [0.0]])
         modes = {False: built.free, True: built.contact}
         self._memories = {
-            touching: FlowMemory(mode, lambda: built.weights(own))
+            touching: FlowMemory(mode, partial(self._weights, own, touching))
             for touching, mode in modes.items()
         }
         self._observe = Call(built.observe, self._numbers)
         self._motors = Call(built.motors, self._numbers)
         self._loop = self._control_loop(np.random.default_rng(seed)) if built.holds else None
-        self._time = 0.0
+        self._time, self._n_steps = 0.0, 0
         self._row = math.ceil(settings.keep_from / self._spacing)
         self._rows: list[tuple[float, Vector, Vector, bool]] = []
         self._touches: list[Touch] = []
@@ -135,6 +137,13 @@ class _Follower:
         self._touching = gap < 0.0 or (gap == 0.0 and rate < 0.0)
         if self._touching:
             self._enter(rate)
+
+    def _weights(self, own: OwnScale, touching: bool) -> tuple[float, ...]:  # noqa: FBT001
+        """Return what local errors are absolute in."""
+        if not touching or self._settings.tolerance is not None:
+            return self._machine.weights(own)
+        _, _, _, inertia = self._observe(self._y).tolist()
+        return self._machine.weights(own, rate_weight(self._rig.contact, own, inertia))
 
     def _require_inertia(self, x: Vector) -> None:
         n_q = self._machine.n_q
@@ -178,8 +187,10 @@ class _Follower:
             horizon=edge - self._time,
             tolerance=self._tolerance,
             on_guard=inside <= 0.0,
+            watch=self._watch,
         )
         passage = self._settings.engine.follow(leg)
+        self._n_steps = 0
         over = passage.outcome is Outcome.HORIZON
         end = edge if over else self._time + passage.duration
         self._keep(passage, end, numbers)
@@ -191,6 +202,14 @@ class _Follower:
                 self._enter(rate)
             else:
                 self._leave(rate)
+
+    def _watch(self, steps: int, offset: float, y: Vector) -> None:
+        """End a leg that takes too long: its steps are kept until it is over."""
+        self._n_steps += steps
+        if self._n_steps > self._settings.most_steps:
+            most = counted(self._settings.most_steps, "step")
+            reason = f"The machine needs more than {most} to its next event"
+            raise SimulationError(reason, time=self._time + offset, state=tuple(y.tolist()))
 
     def _gap(self) -> tuple[float, float]:
         _, gap, rate, _ = self._observe(self._y).tolist()
