@@ -4,8 +4,8 @@ A program is solved from one start after another, and what it finds is simulated
 check; `close_orbit` closes an orbit by simulation alone.
 
 Offers: `find_orbit` and `search_gains` (with `SearchSettings`, a `SearchResult` of `Candidate`
-orbits, `Judgement` for checks, `StartWorkers`), `close_orbit` and `close_cycle`, and the
-objectives: `NearestGains`, `TargetPeriod`, `TargetAmplitude`, `LeastEnergy`, `LeastPeak`,
+orbits, `Judgement` for checks, `StartWorkers`), `close_orbit`, `close_cycle` and `close_near`, and
+the objectives: `NearestGains`, `TargetPeriod`, `TargetAmplitude`, `LeastEnergy`, `LeastPeak`,
 `FastestContraction`, `WidestMargin`.
 
 Imports: maps, verification, orbits, simulation, model, integrators, work, arrays, errors.

@@ -4,6 +4,7 @@ from .closing import close_orbit as close_orbit
 from .closing import orbit_of as orbit_of
 from .fixed_point import ClosedCycle as ClosedCycle
 from .fixed_point import close_cycle as close_cycle
+from .fixed_point import close_near as close_near
 from .fixed_point import cycle_near as cycle_near
 from .guess import SettlingSettings as SettlingSettings
 from .guess import settle as settle

@@ -126,6 +126,27 @@ def close_cycle(
     )
 
 
+def close_near(dynamics: HybridDynamics, cycle: Cycle, settings: SimulationSettings) -> ClosedCycle:
+    """Return the period of the same shape that repeats, near one that hardly does.
+
+    Args:
+        dynamics: The system.
+        cycle: A period near the orbit.
+        settings: Engine and accuracy.
+
+    Raises:
+        SimulationError: As `close_cycle`.
+    """
+    return close_cycle(
+        dynamics,
+        cycle.start.state,
+        scale=cycle.scale_at_events(),
+        period=cycle.period,
+        settings=settings,
+        shape=cycle.shape,
+    )
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Trial:
     """A return from a point of the section.

@@ -19,7 +19,7 @@ from zeno_orbits.orbits import (
 )
 from zeno_orbits.search.closing import escape_of, orbit_of
 from zeno_orbits.search.confirmation import one_cycle
-from zeno_orbits.search.fixed_point import close_cycle
+from zeno_orbits.search.fixed_point import close_near
 from zeno_orbits.search.guess import FollowedMotion, settle
 from zeno_orbits.search.homotopy import Followed, follow
 from zeno_orbits.search.objectives import NearestGains, Target, TowardTarget
@@ -121,14 +121,7 @@ def _brought_nearer(
     after two.
     """
     try:
-        near = close_cycle(
-            dynamics,
-            cycle.start.state,
-            scale=cycle.scale_at_events(),
-            period=cycle.period,
-            settings=SimulationSettings(),
-            shape=cycle.shape,
-        ).cycle
+        near = close_near(dynamics, cycle, SimulationSettings()).cycle
     except ZenoOrbitsError:
         return FollowedMotion(cycle=cycle)
     shorter = gone_round_twice(near)
@@ -150,14 +143,7 @@ def _closed(search: SearchProblem, values: ParameterValues, cycle: Cycle) -> Sta
     if isinstance(search.objective, Target):
         return None
     try:
-        closed = close_cycle(
-            search.dynamics(values),
-            cycle.start.state,
-            scale=cycle.scale_at_events(),
-            period=cycle.period,
-            settings=_FINEST,
-            shape=cycle.shape,
-        )
+        closed = close_near(search.dynamics(values), cycle, _FINEST)
     except ZenoOrbitsError:
         return None
     found = closed.cycle

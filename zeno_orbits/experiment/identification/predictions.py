@@ -14,7 +14,7 @@ from zeno_orbits.experiment.identification.unknowns import Unknowns
 from zeno_orbits.experiment.orbit_table import Measurement, OrbitTable, tabulated
 from zeno_orbits.model import Problem
 from zeno_orbits.orbits import Cycle
-from zeno_orbits.search import close_cycle
+from zeno_orbits.search import close_near
 from zeno_orbits.simulation import SimulationSettings
 
 _KEPT = 8
@@ -83,13 +83,7 @@ class Predictions:
     def _tabulated(self, key: bytes) -> OrbitTable:
         near, p = self._near, self.unknowns.p_at(np.append(np.frombuffer(key), 0.0))
         dynamics = self._problem.dynamics(p)
-        closed = close_cycle(
-            dynamics,
-            near.start.state,
-            scale=near.scale_at_events(),
-            period=near.period,
-            settings=self._settings,
-        )
+        closed = close_near(dynamics, near, self._settings)
         return tabulated(dynamics, closed.cycle, self._measured, p)
 
     def _differentiated(self, key: bytes) -> OrbitSlope:

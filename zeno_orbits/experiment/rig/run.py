@@ -59,8 +59,8 @@ def rate_weight(contact: Contact, own: OwnScale, inertia: float) -> float:
     r"""Return by how much the velocities' local error is larger in contact than the coordinates'.
 
     It is that of a soft stop, but not below :math:`\omega\epsilon`: the link vibrates on its stop
-    with :math:`\omega^2 = n k \delta^{n - 1} / m_n`, and the least error :math:`\epsilon` that a gap
-    is held to excites vibrations of that speed. Less would ask for more than rounding leaves.
+    with :math:`\omega^2 = n k \delta^{n - 1} / m_n`, and the least error :math:`\epsilon` that a
+    gap is held to excites vibrations of that speed. Less would ask for more than rounding leaves.
 
     Args:
         contact: The stop.

@@ -29,7 +29,15 @@ from zeno_orbits.experiment.rig.run import (
     rig_tolerance,
 )
 from zeno_orbits.integrators import Leg, Outcome, Passage
-from zeno_orbits.model import Call, CompiledFlow, FlowMemory, OwnScale, ParameterValues, Problem, Rig
+from zeno_orbits.model import (
+    Call,
+    CompiledFlow,
+    FlowMemory,
+    OwnScale,
+    ParameterValues,
+    Problem,
+    Rig,
+)
 from zeno_orbits.simulation import Columns
 from zeno_orbits.work import Progress, silent
 
@@ -138,7 +146,7 @@ class _Follower:
         if self._touching:
             self._enter(rate)
 
-    def _weights(self, own: OwnScale, touching: bool) -> tuple[float, ...]:  # noqa: FBT001
+    def _weights(self, own: OwnScale, touching: bool) -> tuple[float, ...]:
         """Return what local errors are absolute in."""
         if not touching or self._settings.tolerance is not None:
             return self._machine.weights(own)
