@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,7 +14,7 @@ from tests.reference.reference_orbit import PERIOD, RELEASE
 from tests.support.mechanisms import forced_oscillator, oscillator_state
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
-from zeno_orbits.orbits.cycle import Cycle, cycles
+from zeno_orbits.orbits.cycle import Cycle, cycle_between, cycles, gone_round_twice, round_again
 from zeno_orbits.simulation.execution import Ending, Execution, Mode
 from zeno_orbits.simulation.simulator import simulate
 
@@ -96,6 +97,55 @@ def test_the_scale_is_the_size_over_the_period_and_never_zero(turn: Cycle) -> No
     assert scale[1:2] == pytest.approx([1.0], abs=0.05)
     assert scale[3:] == pytest.approx([1.0], abs=0.05)
     assert scale[0] >= 0.8
+
+
+def test_the_scale_counts_what_is_largest_on_the_locked_arc() -> None:
+    table = load_problem("vibrating_table")
+    (turn, *_) = cycles(simulate(table.dynamics(table.values()), (0.0, 0.0, 0.0, 1.0), until=1.0))
+    (phase,) = turn.phases
+    # The cosine of the clock passes through -1 in the flight, too: a short hop stands for it here.
+    short = replace(turn, phases=(replace(phase, flight=turn.rescaled_flights[-1]),))
+    times = np.linspace(turn.locked.start_time, turn.locked.end_time, 101)
+    inside = max(abs(turn.locked.state_at(t)[2]) for t in times)
+    assert inside > 1.4 * turn.scale_at_events()[2]
+    assert short.scale()[2] == pytest.approx(inside, rel=0.01)
+
+
+def test_a_period_gone_round_twice_is_told_by_the_state_half_way(turns: Execution) -> None:
+    first, second, _ = cycles(turns)
+    assert gone_round_twice(first) is None
+    twice = cycle_between(turns, (*first.phases, *second.phases))
+    assert twice.shorter_periods(twice.scale()) == {first.shape: 0.0}
+    assert gone_round_twice(twice) == first.shape
+    text, once = twice.shape.text, first.shape.text
+    assert (
+        round_again(twice)
+        == f"The orbit of shape `{text}` is one of shape `{once}`, traversed 2 times."
+    )
+
+
+def test_two_unlike_returns_are_no_period_gone_round_twice(machine: HybridDynamics) -> None:
+    start = machine.on_stop(np.array(RELEASE) * 1.05)
+    run = simulate(machine, start, until=4 * PERIOD)
+    first, second = cycles(run)[:2]
+    twice = cycle_between(run, (*first.phases, *second.phases))
+    scale = twice.scale()
+    off = np.abs(second.start.state - first.start.state) / scale
+    assert np.min(off) < np.max(off)
+    assert twice.shorter_periods(scale) == {first.shape: np.max(off)}
+    assert gone_round_twice(twice) is None
+    assert round_again(twice) == ""
+
+
+@pytest.mark.parametrize("missing", ["zeno", "locked"])
+def test_a_period_without_a_zeno_point_or_its_locked_arc_has_neither(
+    turn: Cycle, missing: str
+) -> None:
+    (phase,) = turn.phases
+    without = replace(turn, phases=(replace(phase, **{missing: None}),))
+    for name in ("zeno", "locked"):
+        with pytest.raises(ValueError, match="a Zeno point where the stop holds"):
+            getattr(without, name)
 
 
 def test_the_declared_release_starts_a_period_that_closes(machine: HybridDynamics) -> None:

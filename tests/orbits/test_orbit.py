@@ -51,6 +51,15 @@ SMALL = ZenoOrbit(
 """No real orbit: enough to be written and read."""
 
 
+def test_the_states_at_events_are_starts_zeno_points_and_those_before_impacts() -> None:
+    (phase,) = SMALL.phases
+    low, lower = {**STATE, "height": 0.01}, {**STATE, "height": 0.001}
+    impacts = (OrbitImpact(time=0.1, state_minus=low), OrbitImpact(time=0.2, state_minus=lower))
+    zeno = {**STATE, "speed": 0.0}
+    orbit = replace(SMALL, phases=(replace(phase, impacts=impacts, zeno_state=zeno),))
+    assert orbit.states_at_events == (STATE, zeno, low, lower)
+
+
 def _round_trip(orbit: ZenoOrbit, folder: Path) -> ZenoOrbit:
     path = folder / "orbit.json"
     write_orbit(orbit, path)

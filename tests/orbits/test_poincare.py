@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -16,9 +17,20 @@ from zeno_orbits.errors import SimulationError
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
+from zeno_orbits.orbits import poincare
+from zeno_orbits.orbits import section as sections
 from zeno_orbits.orbits.period import to_next_release
 from zeno_orbits.orbits.poincare import Multipliers, floquet_multipliers, poincare_map
-from zeno_orbits.orbits.section import release_section
+from zeno_orbits.orbits.section import (
+    IMPACT_ROWS,
+    RELEASE_ROWS,
+    REST_ROWS,
+    conditions,
+    projected,
+    release_section,
+    rows_of,
+)
+from zeno_orbits.orbits.shape import OrbitShape
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 
 SETTINGS = SimulationSettings()
@@ -119,14 +131,14 @@ def test_a_locked_arc_forgets_the_current(problem: Problem) -> None:
     assert abs(np.linalg.det(found.jacobian)) < 1e-6
 
 
-def _clocked(*, attracting: bool, by_differences: bool = False) -> Multipliers:
+def _clocked(*, attracting: bool, by_differences: bool = False, noise: float = 0.0) -> Multipliers:
     problem = clocked_oscillator(FORCED, attracting=attracting)
     dynamics = problem.dynamics(problem.values())
     if by_differences:
         dynamics = replace(dynamics, differentiation=None)
     release = np.array(oscillator_state(FORCED.release_time, FORCED.stop, 0.0))
     return floquet_multipliers(
-        dynamics, release, scale=np.ones(4), period=2 * math.pi, settings=SETTINGS
+        dynamics, release, scale=np.ones(4), period=2 * math.pi, settings=SETTINGS, noise=noise
     )
 
 
@@ -196,3 +208,39 @@ def test_conditions_of_far_different_sizes_are_all_kept(time: float) -> None:
     release = np.array([0.0, 0.0, math.sqrt(1 - sine**2), sine])
     scale = np.array([0.01, 0.4 / time, 1.0, 1.0])
     assert release_section(dynamics, release, scale).dimension == 0
+
+
+def test_a_state_without_a_section_near_it_is_told(
+    machine: HybridDynamics, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    away = CENTRE + 1e-3
+    near = projected(machine, RELEASE_ROWS, away, SCALE)
+    assert conditions(machine, RELEASE_ROWS, near) == pytest.approx(np.zeros(3), abs=1e-12)
+    # Conditions that stay where they are, by as little as rounding may leave or by more.
+    size = np.max(np.abs(release_section(machine, CENTRE, SCALE).normal @ np.ones(3)))
+    for off, found in ((0.1, True), (10.0, False)):
+        stuck = np.full(3, off * 1e-9 / size)
+        monkeypatch.setattr(sections, "conditions", lambda *_, stuck=stuck: stuck)
+        with nullcontext() if found else pytest.raises(SimulationError, match="no section here"):
+            projected(machine, RELEASE_ROWS, CENTRE, SCALE)
+
+
+@pytest.mark.parametrize(
+    ("restitution", "rows"), [(0.0, REST_ROWS), (0.3, IMPACT_ROWS), (1.0, IMPACT_ROWS)]
+)
+def test_a_period_from_an_impact_starts_on_the_stop_and_at_rest_after_a_plastic_one(
+    restitution: float, rows: tuple[int, ...]
+) -> None:
+    assert rows_of(OrbitShape.parsed("impact"), restitution) == rows
+    assert rows_of(OrbitShape.parsed("zeno"), restitution) == RELEASE_ROWS
+
+
+def test_the_error_of_multipliers_is_the_farthest_of_the_rougher_ones_and_noise() -> None:
+    found = poincare._multipliers(np.diag([0.5, 0.2]), np.diag([0.49, 0.1]), 1e-3)
+    assert sorted(value.real for value in found.values) == [0.2, 0.5]
+    assert found.error == pytest.approx(0.1 + 1e-3)
+
+
+def test_noise_of_returns_counts_in_differences_over_their_step() -> None:
+    quiet, noisy = (_clocked(attracting=True, by_differences=True, noise=x) for x in (0.0, 1e-12))
+    assert noisy.error - quiet.error == pytest.approx(1e-12 / poincare._DIFFERENCE, rel=1e-3)

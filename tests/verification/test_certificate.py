@@ -98,6 +98,18 @@ def test_a_verdict_is_one_sentence_on_one_line(seen: OrbitCertificate) -> None:
     assert not verdict.endswith("..")
 
 
+def test_the_table_of_a_certificate_has_the_residuals_that_were_taken_in_causal_order() -> None:
+    pandas = pytest.importorskip("pandas", reason="the extra `tables` is not installed")
+    taken = {"period": 2e-9, "closure": 1e-9, "first_impact": 3e-13}
+    table = replace(GOOD, residuals=taken).to_pandas()
+    assert isinstance(table, pandas.DataFrame)
+    assert list(table.columns) == ["check", "name", "residual", "passed"]
+    assert list(table["name"]) == ["first_impact", "closure", "period"]
+    assert list(table.check) == [RESIDUALS[name] for name in table["name"]]
+    assert list(table.residual) == [3e-13, 1e-9, 2e-9]
+    assert list(table.passed) == [True, True, False]
+
+
 # Stability.
 
 
@@ -105,6 +117,7 @@ def test_the_spectral_radius_is_the_largest_modulus() -> None:
     assert GOOD.spectral_radius == pytest.approx(math.sqrt(0.26))
     assert math.isnan(replace(GOOD, multipliers=(), multiplier_error=math.inf).spectral_radius)
     assert replace(GOOD, multipliers=()).spectral_radius == 0.0
+    assert replace(GOOD, multipliers=(0.1 + 0j, -0.9 + 0j, 0.3j)).spectral_radius == 0.9
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -18,7 +20,7 @@ from tests.reference.shaken_truth import DIGITS, Table, throw
 from tests.support.mechanisms import clocked_oscillator
 from tests.support.orbits import changed
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError
+from zeno_orbits.errors import InputError, SimulationError
 from zeno_orbits.integrators import Automatic, Taylor
 from zeno_orbits.integrators.engine import Leg, Passage
 from zeno_orbits.integrators.flow import Tolerance
@@ -31,12 +33,15 @@ from zeno_orbits.model.quantities import Escape
 from zeno_orbits.orbits.orbit import OrbitImpact, ZenoOrbit
 from zeno_orbits.orbits.shape import PhaseKind
 from zeno_orbits.search import close_orbit, find_orbit
-from zeno_orbits.simulation.completion import ZenoExtrapolation
+from zeno_orbits.simulation.completion import Truncation, ZenoExtrapolation
 from zeno_orbits.simulation.execution import Execution, Mode
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit
+from zeno_orbits.verification import cross_checks
 from zeno_orbits.verification.certificate import RESIDUALS, OrbitCertificate
-from zeno_orbits.verification.cross_checks import cut_order
+from zeno_orbits.verification.claim import claim_of
+from zeno_orbits.verification.cross_checks import cut_order, delta_sweep
+from zeno_orbits.verification.integration import _measured, observe
 from zeno_orbits.verification.verifier import VerificationSettings, certified, verify
 
 QUICK = VerificationSettings(n_periods=1)
@@ -411,6 +416,35 @@ def test_a_second_model_that_is_wrong_on_the_stop_fails_alone(
     assert seen.failed == ("second_model",)
 
 
+def test_a_second_model_that_is_wrong_before_impacts_only_fails_alone(
+    orbit: ZenoOrbit, problem: Problem, machine: HybridDynamics, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    struck = [np.array(list(impact.state_minus.values())) for impact in orbit.impacts]
+
+    def energy(x: Vector) -> float:
+        at_impact = min(float(np.max(np.abs(x - one))) for one in struck) < 1e-6
+        return machine.energy(x) * (1 + 1e-6 * at_impact)
+
+    def wrong(_: Problem) -> Any:
+        return SimpleNamespace(dynamics=lambda _: replace(machine, energy=energy))
+
+    monkeypatch.setattr(cross_checks, "load_reference", wrong)
+    assert verify(orbit, problem, settings=FAST).failed == ("second_model",)
+
+
+def test_the_largest_gap_of_a_rescaled_flight_is_that_of_the_motion(
+    orbit: ZenoOrbit, problem: Problem, machine: HybridDynamics
+) -> None:
+    first = observe(machine, claim_of(orbit, problem), FAST.simulation, 1).first
+    assert first is not None
+    hop = first.cycle.rescaled_flights[0]
+    states = [hop.state_at(t) for t in np.linspace(hop.start_time, hop.end_time, 201)]
+    alone = replace(first.cycle.execution, arcs=(hop,), events=())
+    seen = _measured(machine, replace(first.cycle, execution=alone)).gap
+    # The steps, at which it is looked for, lie at most an eighth of the hop apart.
+    assert seen == pytest.approx(max(machine.gap(x) for x in states), rel=0.05)
+
+
 def test_a_gap_that_is_negative_in_mid_flight_fails_alone(
     check: Check, orbit: ZenoOrbit, machine: HybridDynamics
 ) -> None:
@@ -511,6 +545,28 @@ def test_one_wrong_zeno_limit_of_two_is_enough(place: int) -> None:
     simulation = SimulationSettings(completion=late)
     seen = verify(orbit, table, settings=replace(QUICK, simulation=simulation))
     assert {"zeno_point", "delta_sweep"} <= set(seen.failed)
+
+
+def test_a_cut_that_cannot_be_followed_is_told_by_an_error_without_bound(
+    orbit: ZenoOrbit, problem: Problem, machine: HybridDynamics, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = observe(machine, claim_of(orbit, problem), FAST.simulation, 1).first
+    assert first is not None
+
+    def fails_once(*given: Any, settings: SimulationSettings, **named: Any) -> Execution:
+        if settings.completion == Truncation(delta=middle):
+            raise SimulationError("The cut motion has no end", time=0.0, state=())
+        return simulate(*given, settings=settings, **named)
+
+    fastest = abs(first.cycle.phases[0].impacts[0].approach_rate)
+    middle = 3e-3 * fastest
+    monkeypatch.setattr(cross_checks, "simulate", fails_once)
+    sweep = delta_sweep(machine, first, (3e-2, 3e-3, 3e-4), FAST.simulation, 1e-9)
+    assert [cut.delta for cut in sweep] == pytest.approx(
+        [part * fastest for part in (3e-2, 3e-3, 3e-4)]
+    )
+    assert [math.isinf(cut.error) for cut in sweep] == [False, True, False]
+    assert math.isnan(sweep[1].speed)
 
 
 def test_the_cuts_go_on_where_the_locked_arc_is_about_to_vanish(problem: Problem) -> None:
