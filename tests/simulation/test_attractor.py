@@ -153,6 +153,19 @@ def test_a_stop_lets_go_if_its_force_falls_through_zero_between_two_phases(least
     assert keeps_holding(force[None], slope[None], np.pi / 32 / omega).tolist() == [holds]
 
 
+def test_a_stop_that_has_let_go_at_one_phase_does_not_hold():
+    # At the first phase its force comes back, so that the cubic is positive from there on.
+    force, slope = np.array([[-0.01, 1.0, 1.0]]), np.array([[10.0, 0.0, 0.0]])
+    assert keeps_holding(force, slope, 1.0).tolist() == [False]
+    assert keeps_holding(np.abs(force), slope, 1.0).tolist() == [True]
+
+
+def test_a_force_that_rises_between_two_phases_holds_and_one_that_falls_may_not():
+    force, slope = np.array([[1.0, 1.0]]), np.array([[6.0, -6.0]])
+    assert keeps_holding(force, slope, 1.0).tolist() == [True]
+    assert keeps_holding(force, -slope, 1.0).tolist() == [False]
+
+
 def test_a_stop_without_a_clock_holds_while_its_force_is_positive():
     assert keeps_holding(np.array([[0.1], [-0.1]]), np.zeros((2, 1)), 0.0).tolist() == [True, False]
 

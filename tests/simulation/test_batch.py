@@ -11,7 +11,7 @@ from zeno_orbits.integrators.rosenbrock import rosenbrock_step
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.simulation.batch.batch import Batch, BatchSettings
 from zeno_orbits.simulation.batch.events import first_falls, may_fall
-from zeno_orbits.simulation.batch.model import model_in_rows
+from zeno_orbits.simulation.batch.model import ABSOLUTE, Columns, _step_function, model_in_rows
 from zeno_orbits.simulation.batch.outcomes import Ended, Reason, Released, Struck
 from zeno_orbits.simulation.batch.zeno_limit import Tails
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
@@ -62,6 +62,40 @@ def test_a_rosenbrock_step_has_order_5_and_its_error_estimate_order_4():
     (coarse, told), (fine, told_fine) = missed(0.4), missed(0.2)
     assert math.log2(coarse / fine) == pytest.approx(6, abs=0.5)
     assert math.log2(told / told_fine) == pytest.approx(5, abs=0.5)
+
+
+def test_the_local_error_of_a_step_is_the_mean_square_of_those_of_its_states():
+    mode, p, size, relative = PENDULUM.compiled().free, PENDULUM.values().vector, 1e-4, 1e-6
+    _, error, _ = _step_function(mode, ABSOLUTE)(RELEASE, p, [size, relative])
+    after, miss = one_step(lambda y: mode.rate(y, p), RELEASE, size)
+    scale = relative * (ABSOLUTE + np.maximum(np.abs(RELEASE), np.abs(after)))
+    assert float(error) == pytest.approx(np.sqrt(np.mean((miss / scale) ** 2)), rel=1e-9)
+
+
+def test_lanes_of_a_clock_rest_where_their_table_throws_nothing():
+    table = load_problem("vibrating_table")
+    least = 9.81 / table.values().number("omega") ** 2
+    parts = (0.5, 1.02, 0.98, 1.5)
+    shaken = [table.values(parameters={"A": part * least, "restitution": 0.3}) for part in parts]
+    batch = Batch(model_in_rows(table), len(shaken))
+    starts = np.tile([0.0, 0.0, 1.0, 0.0], (len(shaken), 1))
+    batch.start(np.array([one.vector for one in shaken]), starts, 1e-8, np.full(len(shaken), 8.0))
+    ended = {event.lane: event.reason for event in run(batch) if isinstance(event, Ended)}
+    assert [ended[lane] is Reason.REST for lane in range(len(shaken))] == [True, False, True, False]
+
+
+@pytest.mark.parametrize("size", [1.0, 3.0])
+def test_the_rate_of_a_clock_is_its_own_wherever_it_stands(size):
+    table = load_problem("vibrating_table")
+    phases = np.array([0.0, 0.7, 2.0, 4.0])
+    starts = np.stack([1.0 + 0 * phases, 0 * phases, np.cos(phases), np.sin(phases)], axis=1)
+    starts[:, 2:] *= size
+    batch = Batch(model_in_rows(table), len(phases))
+    p = np.tile(table.values().vector, (len(phases), 1))
+    rows = batch.start(p, starts, 1e-8, np.full(len(phases), 1.0))
+    batch._lanes.y[rows, :4] = starts
+    omega = table.values().number("omega")
+    assert batch._clock_rate(0, rows) == pytest.approx(np.full(len(phases), omega), rel=1e-12)
 
 
 def test_a_fast_decay_is_damped_in_one_step_however_stiff():
@@ -337,3 +371,14 @@ def test_starts_that_are_none_are_refused_each_for_its_reason() -> None:
     assert details[:3] == ["The start is not admissible: the gap is negative"] * 3
     assert details[3:] == ["The restitution does not lie in [0, 1)"] * 2
     assert {event.reason for event in ended.values()} == {Reason.FAILURE}
+
+
+@pytest.mark.parametrize("n", [0, 1, 5, 300, 700])
+def test_rows_are_called_in_blocks_and_none_is_left_out(n: int) -> None:
+    x, y = ca.SX.sym("x", 2), ca.SX.sym("y")
+    function = ca.Function("f", [x, y], [x * y, ca.sum1(x) + y])
+    generator = np.random.default_rng(n)
+    rows, factors = generator.normal(size=(n, 2)), generator.normal(size=(n, 1))
+    product, total = Columns(function)(rows, factors)
+    assert product == pytest.approx(rows * factors, rel=1e-15)
+    assert total == pytest.approx(rows.sum(axis=1, keepdims=True) + factors, abs=1e-15)

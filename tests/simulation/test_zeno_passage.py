@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import mpmath
 import numpy as np
@@ -21,13 +22,16 @@ from tests.support.mechanisms import (
     forced_oscillator,
     oscillator_state,
 )
+from tests.support.units import Units, dimension_of, in_units
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import RungeKutta
 from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model.scale import OwnScale
 from zeno_orbits.simulation.completion import ZenoExtrapolation, ZenoPassage
 from zeno_orbits.simulation.execution import Execution, ZenoPoint
+from zeno_orbits.simulation.impact_curve import CurveEnd, ImpactCurve
 from zeno_orbits.simulation.rescaled_flight import Flight, rescaled_flights
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 from zeno_orbits.simulation.zeno_limit import TailEstimate, ZenoLimit
@@ -377,7 +381,56 @@ def test_a_transient_of_very_many_impacts_is_not_waited_for() -> None:
     assert is_settled(_sequence(lambda k: 0.999**k + 1e-2 * 0.97**k, 10), 0.999)
 
 
+@pytest.mark.parametrize("units", [Units(), Units(length=1e3, time=1e3), Units(time=1e-6)])
+def test_the_states_on_the_stop_are_those_without_gap_and_gap_rate_in_any_units(
+    units: Units,
+) -> None:
+    pendulum = in_units(load_problem("motor_pendulum"), units)
+    dynamics = pendulum.dynamics(pendulum.values())
+    sizes = np.array([units.factor(dimension_of(unit)) for unit in pendulum.state_units])
+    x = np.array(NEAR_ZENO) * sizes / dynamics.own.states(len(sizes))
+    basis = ImpactCurve(dynamics, _Counted(dynamics), PLENTY).tangents(np.append(x, 0.0))
+    assert basis.shape == (5, 3)
+    assert basis.T @ basis == pytest.approx(np.eye(3), abs=1e-12)
+    # The gap is the second angle.
+    assert basis[[1, 3]] == pytest.approx(np.zeros((2, 3)), abs=1e-6)
+
+
+def test_neighbouring_curves_approach_at_the_largest_rate_of_their_states() -> None:
+    derivative = np.vstack([np.diag([-0.3, 0.1]), np.zeros(2)])
+    end = CurveEnd(
+        z=np.zeros(3), w=1.0, basis=np.eye(2), slope=np.zeros(3), fall=1.0, derivative=derivative
+    )
+    assert end.fastest == pytest.approx(0.3)
+    alone = replace(end, z=np.zeros(1), basis=np.zeros((0, 0)), derivative=np.zeros((1, 0)))
+    assert alone.fastest == 0.0
+
+
 # The completion of a simulation.
+
+
+@pytest.mark.parametrize("units", [Units(length=1e3, time=1e3), Units(length=1e-6, time=1e-6)])
+def test_a_passage_is_the_same_in_far_units(units: Units) -> None:
+    def zeno(units: Units) -> list[float]:
+        pendulum = in_units(load_problem("motor_pendulum"), units)
+        dynamics = pendulum.dynamics(pendulum.values(parameters={"restitution": 0.999}))
+        sizes = np.array([units.factor(dimension_of(unit)) for unit in pendulum.state_units])
+        start = np.add(NEAR_ZENO, (0.0, 0.0, 0.0, 0.003, 0.0)) * sizes
+        rule = SimulationSettings(completion=ZenoPassage())
+        run = simulate(dynamics, start, until=units.time, settings=rule)
+        point = run.zeno_points[0]
+        return [point.time / units.time, *(point.state / sizes)]
+
+    assert zeno(units) == pytest.approx(zeno(Units()), rel=1e-9, abs=1e-11)
+
+
+def test_a_transient_counts_in_the_size_that_its_state_usually_has() -> None:
+    smooth = _sequence(lambda k: 0.999**k, 10)
+    states = [np.append(one.resting, 1e-14 * 0.3**k) for k, one in enumerate(smooth)]
+    both = [replace(one, resting=x) for one, x in zip(smooth, states, strict=True)]
+    assert is_settled(both, 0.999)
+    usual = (*(1.0 for _ in smooth[0].resting), 1e-14)
+    assert not is_settled(both, 0.999, OwnScale(sizes=usual))
 
 
 def _simulated(
