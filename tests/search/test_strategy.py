@@ -1,0 +1,76 @@
+"""Steps of a search that a whole search shows at its end only."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from zeno_orbits.model.problem import ParameterValues
+from zeno_orbits.orbits import Bound
+from zeno_orbits.search import strategy
+from zeno_orbits.search.homotopy import Followed
+from zeno_orbits.search.outcome import SearchStatus
+from zeno_orbits.search.strategy import SearchStart
+from zeno_orbits.search.transcription import constraints
+from zeno_orbits.search.transcription.ipopt import Solution, SolveStatus
+from zeno_orbits.search.trust_region import _is_held
+
+
+def gains(**values: float) -> ParameterValues:
+    return ParameterValues(gains=values, parameters={})
+
+
+@pytest.mark.parametrize(
+    ("kp", "held"),
+    [
+        (2.5, False),
+        (2.0, True),
+        (3.0, True),
+        (2.2, False),
+    ],
+)
+def test_a_step_is_held_by_a_side_of_its_small_box(kp: float, held: bool) -> None:
+    search: Any = SimpleNamespace(free={"Kp": (0.0, 10.0), "Kd": (-1.0, 1.0)})
+    box = {"Kp": (2.0, 3.0), "Kd": (-0.5, 0.5)}
+    assert _is_held(search, gains(Kp=kp, Kd=0.0), box) is held
+    # The second number is looked at as well as the first.
+    turned = {"Kd": (-0.5, 0.5), "Kp": (2.0, 3.0)}
+    assert _is_held(search, gains(Kp=kp, Kd=0.0), turned) is held
+
+
+@pytest.mark.parametrize("side", [0.0, 10.0])
+def test_a_step_is_not_held_by_a_side_of_the_whole_box(side: float) -> None:
+    search: Any = SimpleNamespace(free={"Kp": (0.0, 10.0)})
+    box = {"Kp": (max(side - 1.0, 0.0), min(side + 1.0, 10.0))}
+    assert not _is_held(search, gains(Kp=side), box)
+
+
+def test_a_known_orbit_that_cannot_be_followed_is_no_guess() -> None:
+    nowhere = Followed(cycle=None, values=gains(Kp=1.0), arrived=False)
+    start, search = SearchStart(values=gains(Kp=2.0)), SimpleNamespace()
+    outcome = strategy._along(search, start, nowhere, "the known orbit")  # type: ignore[arg-type]
+    assert outcome.status is SearchStatus.NO_GUESS
+    assert outcome.detail == "From the known orbit no orbit could be followed."
+
+
+def test_the_rows_of_a_bound_say_which_end_they_hold() -> None:
+    bound = Bound(name="current", lower=-2.0, upper=0.5)
+    assert constraints._label(bound, 1.0) == "current >= -2"
+    assert constraints._label(bound, -1.0) == "current <= 0.5"
+
+
+def test_the_worst_rows_of_a_solution_are_its_three_largest_violations() -> None:
+    sizes = {"a": 1e-9, "b": 3.0, "c": 0.5, "d": 2.0, "e": 1.0}
+    found = Solution(
+        status=SolveStatus.from_ipopt("Solve_Succeeded"),
+        values={"x": np.zeros((1, 1))},
+        residuals=sizes,
+        objective=0.0,
+        iterations=1,
+        wall_time=0.0,
+    )
+    assert found.worst() == [("b", 3.0), ("d", 2.0), ("e", 1.0)]
+    assert found.worst(1) == [("b", 3.0)]
