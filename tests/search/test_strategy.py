@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,7 +17,7 @@ from zeno_orbits.search.outcome import SearchStatus
 from zeno_orbits.search.strategy import SearchStart
 from zeno_orbits.search.transcription import constraints
 from zeno_orbits.search.transcription.ipopt import Solution, SolveStatus
-from zeno_orbits.search.trust_region import _is_held
+from zeno_orbits.search.trust_region import _BOXES, _is_held, trust_region_steps
 
 
 def gains(**values: float) -> ParameterValues:
@@ -74,3 +75,30 @@ def test_the_worst_rows_of_a_solution_are_its_three_largest_violations() -> None
     )
     assert found.worst() == [("b", 3.0), ("d", 2.0), ("e", 1.0)]
     assert found.worst(1) == [("b", 3.0)]
+
+
+@dataclass(frozen=True)
+class _Box:
+    """A search as far as steps in boxes are concerned."""
+
+    free: dict[str, tuple[float, float]]
+
+
+def test_boxes_grow_from_step_to_step_while_their_sides_hold_the_optimum() -> None:
+    search: Any = _Box(free={"Kp": (0.0, 10.0)})
+    widths: list[float] = []
+
+    def to_the_upper_side(there: Any, _values: ParameterValues, cycle: Any) -> Any:
+        low, high = there.free["Kp"]
+        widths.append((high - low) / 10.0)
+        reached = SimpleNamespace(values=gains(Kp=min(high, 9.0)), cycle=cycle)
+        return SimpleNamespace(solution=reached, agreement=0.0, detail="")
+
+    cycle: Any = None
+    last = trust_region_steps(search, gains(Kp=5.0), cycle, to_the_upper_side)
+    assert last.converged
+    assert last.values.number("Kp") == 9.0
+    # Twice half a box, and the growth of the second one.
+    assert widths[0] == pytest.approx(2 * _BOXES.first)
+    assert widths[1] == pytest.approx(2 * min(_BOXES.growth * _BOXES.first, _BOXES.longest))
+    assert widths[1] > widths[0]
