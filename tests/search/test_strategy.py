@@ -9,10 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.problem import ParameterValues
 from zeno_orbits.orbits import Bound
 from zeno_orbits.search import strategy
 from zeno_orbits.search.homotopy import Followed
+from zeno_orbits.search.number_notes import at_ends
+from zeno_orbits.search.objectives import TargetAmplitude, TargetPeriod
 from zeno_orbits.search.outcome import SearchStatus
 from zeno_orbits.search.strategy import SearchStart
 from zeno_orbits.search.transcription import constraints
@@ -102,3 +105,21 @@ def test_boxes_grow_from_step_to_step_while_their_sides_hold_the_optimum() -> No
     assert widths[0] == pytest.approx(2 * _BOXES.first)
     assert widths[1] == pytest.approx(2 * min(_BOXES.growth * _BOXES.first, _BOXES.longest))
     assert widths[1] > widths[0]
+
+
+@pytest.mark.parametrize(("kp", "end"), [(3.0, "upper"), (2.0, "lower"), (2.5, "")])
+def test_a_number_at_an_end_of_its_range_is_told_with_the_end(kp: float, end: str) -> None:
+    pendulum = load_problem("motor_pendulum")
+    values = pendulum.values(gains={"Kp": kp, "Kd": -1.0})
+    told = (
+        f"`Kp` = {kp:g} is the {end} end of its range 2:3: beyond it there may be a better orbit."
+    )
+    found = at_ends(pendulum, values, {"Kp": (2.0, 3.0), "Kd": (-1.5, -0.5)}, {})
+    assert found == ([told] if end else [])
+    # What was asked for is no compromise.
+    assert at_ends(pendulum, values, {"Kp": (2.0, 3.0)}, {"Kp": kp}) == []
+
+
+def test_objectives_say_what_they_wish() -> None:
+    assert TargetPeriod(target=1.8).wish == "a period of 1.8 s"
+    assert TargetAmplitude(target=0.25, state="theta1").wish == "an amplitude of 0.25 of theta1"

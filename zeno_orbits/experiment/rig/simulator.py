@@ -216,7 +216,8 @@ class _Follower:
         self._n_steps += steps
         if self._n_steps > self._settings.most_steps:
             most = counted(self._settings.most_steps, "step")
-            reason = f"The machine needs more than {most} to its next event"
+            softer = "soften its stop (--part contact.stiffness), or raise `most_steps`"
+            reason = f"The machine needs more than {most} to its next event: {softer}"
             raise SimulationError(reason, time=self._time + offset, state=tuple(y.tolist()))
 
     def _gap(self) -> tuple[float, float]:
