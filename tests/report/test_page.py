@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import html
 import json
 import math
 import os
@@ -806,3 +807,20 @@ def test_words_and_lines_stand_out_in_light_and_dark() -> None:
         assert all(_contrast(colours[a], colours[b]) >= 4.5 for a, b in texts)
         lines = ("free", "locked", "law", "release")
         assert all(_contrast(colours[name], colours["paper"]) >= 3.0 for name in lines)
+
+
+def test_the_sections_have_their_titles_in_the_contents_and_above_them(page: str) -> None:
+    titles = [
+        "What happens",
+        "The motion",
+        "Stability",
+        "Can it be trusted?",
+        "Margins",
+        "What accuracy costs",
+        "Parameters",
+        "The theory in short",
+        "How to reproduce it",
+    ]
+    text = html.unescape(page)
+    for title in titles:
+        assert len(re.findall(rf">\s*(?:\d+\.?\s*)?{re.escape(title)}\s*<", text)) >= 2, title

@@ -9,10 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.reference.reference_orbit import PERIOD, RELEASE
 from zeno_orbits.model.library import load_problem
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues
 from zeno_orbits.orbits import Bound
-from zeno_orbits.search import strategy
+from zeno_orbits.orbits.cycle import cycles
+from zeno_orbits.search import homotopy, strategy
 from zeno_orbits.search.homotopy import Followed
 from zeno_orbits.search.number_notes import at_ends
 from zeno_orbits.search.objectives import TargetAmplitude, TargetPeriod
@@ -21,6 +24,7 @@ from zeno_orbits.search.strategy import SearchStart
 from zeno_orbits.search.transcription import constraints
 from zeno_orbits.search.transcription.ipopt import Solution, SolveStatus
 from zeno_orbits.search.trust_region import _BOXES, _is_held, trust_region_steps
+from zeno_orbits.simulation.simulator import simulate
 
 
 def gains(**values: float) -> ParameterValues:
@@ -123,3 +127,15 @@ def test_a_number_at_an_end_of_its_range_is_told_with_the_end(kp: float, end: st
 def test_objectives_say_what_they_wish() -> None:
     assert TargetPeriod(target=1.8).wish == "a period of 1.8 s"
     assert TargetAmplitude(target=0.25, state="theta1").wish == "an amplitude of 0.25 of theta1"
+
+
+def test_the_margins_of_a_path_are_those_of_its_orbit(machine: HybridDynamics) -> None:
+    start = np.array(RELEASE)
+    (cycle,) = cycles(simulate(machine, start, until=1.5 * PERIOD), start=start)
+    margins = homotopy._margins(machine, cycle)
+    # To the digits that the declared orbit is given with.
+    assert margins["first_impact_speed"] == pytest.approx(-cycle.impacts[0].approach_rate)
+    assert margins["locked_time"] == pytest.approx(cycle.end.time - cycle.zeno.time)
+    pressed = machine.multiplier(cycle.zeno.state) / machine.normal_inertia(cycle.zeno.state)
+    assert margins["gap_acceleration"] == pytest.approx(pressed, rel=1e-6)
+    assert min(margins.values()) > 0.0
