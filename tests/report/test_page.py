@@ -824,3 +824,14 @@ def test_the_sections_have_their_titles_in_the_contents_and_above_them(page: str
     text = html.unescape(page)
     for title in titles:
         assert len(re.findall(rf">\s*(?:\d+\.?\s*)?{re.escape(title)}\s*<", text)) >= 2, title
+
+
+@pytest.mark.parametrize(("n", "many"), [(1, False), (2, True), (5, True)])
+def test_an_orbit_of_several_hits_is_told_to_have_many(
+    subject: Subject, n: int, many: bool
+) -> None:
+    (phase,) = subject.orbit.phases
+    orbit = replace(subject.orbit, phases=(replace(phase, impacts=phase.impacts[:n]),))
+    text = words.story(orbit, subject.certificate, subject.execution)
+    assert ("in the end each time 5 times slower" in text) is many
+    assert ("That one hit takes all of its speed" in text) is not many
