@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -532,3 +533,17 @@ def test_differences_see_a_replaced_part_that_formulas_would_not(machine: Hybrid
 def test_a_motion_without_a_return_has_no_derivative(machine: HybridDynamics) -> None:
     with pytest.raises(SimulationError, match="There is no next release"):
         return_derivative(machine, CENTRE, horizon=0.5 * PERIOD, settings=SETTINGS)
+
+
+def test_a_return_whose_derivative_overflows_is_refused(
+    machine: HybridDynamics, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    right = Perturbations.released
+
+    def overflown(self: Perturbations, *given: Any) -> EventShift:
+        shift = right(self, *given)
+        return replace(shift, state=np.inf * np.ones_like(shift.state))
+
+    monkeypatch.setattr(Perturbations, "released", overflown)
+    with pytest.raises(SimulationError, match="no finite derivative"):
+        return_derivative(machine, np.array(RELEASE), horizon=2 * PERIOD, settings=SETTINGS)

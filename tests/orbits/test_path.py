@@ -100,3 +100,15 @@ def test_a_circle_is_back_at_its_start_when_a_chord_passes_it_and_not_before() -
     back = [n for n in range(1, 70) if returns_to_start(points[:n], stray=0.1, turn=0.2)]
     # The chord from 6.2 to 6.3 passes 2 pi.
     assert back == [64]
+
+
+def test_a_spiral_that_passes_beside_its_start_is_not_back() -> None:
+    class OnSpiral(OnCircle):
+        @property
+        def z(self) -> np.ndarray:
+            # A turn later it is 0.06 farther out, more than a tenth of a chord.
+            return (1.0 + self.angle / 100) * super().z
+
+    points = [OnSpiral(0.1 * k) for k in range(70)]
+    assert not any(returns_to_start(points[:n], stray=0.1, turn=0.2) for n in range(1, 70))
+    assert any(returns_to_start(points[:n], stray=1.0, turn=0.2) for n in range(1, 70))
