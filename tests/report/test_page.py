@@ -822,6 +822,7 @@ def test_the_sections_have_their_titles_in_the_contents_and_above_them(page: str
         "How to reproduce it",
     ]
     text = html.unescape(page)
+    assert re.search(r"<title>.*: Zeno periodic orbit</title>", text)
     for title in titles:
         assert len(re.findall(rf">\s*(?:\d+\.?\s*)?{re.escape(title)}\s*<", text)) >= 2, title
 
