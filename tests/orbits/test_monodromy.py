@@ -26,9 +26,12 @@ from zeno_orbits.model.hybrid import complete
 from zeno_orbits.model.lagrangian import HybridLagrangian
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
+from zeno_orbits.orbits import monodromy
 from zeno_orbits.orbits.monodromy import (
+    EventMotion,
     ReturnDerivative,
     differentials_of,
+    period_derivative,
     return_derivative,
 )
 from zeno_orbits.orbits.period import first_return, to_next_release
@@ -39,6 +42,7 @@ from zeno_orbits.orbits.poincare import (
     section_derivative,
 )
 from zeno_orbits.orbits.section import release_section
+from zeno_orbits.orbits.shape import ONE_ZENO
 from zeno_orbits.simulation.completion import Truncation, ZenoExtrapolation
 from zeno_orbits.simulation.execution import Ending, Impact
 from zeno_orbits.simulation.sensitivity import Bounce, EventShift, Perturbations
@@ -547,3 +551,20 @@ def test_a_return_whose_derivative_overflows_is_refused(
     monkeypatch.setattr(Perturbations, "released", overflown)
     with pytest.raises(SimulationError, match="no finite derivative"):
         return_derivative(machine, np.array(RELEASE), horizon=2 * PERIOD, settings=SETTINGS)
+
+
+def test_a_period_whose_derivative_overflows_is_refused(
+    machine: HybridDynamics, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    right = monodromy.passed
+
+    def overflown(*given: Any) -> EventMotion:
+        motion = right(*given)
+        end = replace(motion.end, state=np.inf * np.ones_like(motion.end.state))
+        return replace(motion, end=end)
+
+    monkeypatch.setattr(monodromy, "passed", overflown)
+    with pytest.raises(SimulationError, match="no finite derivative"):
+        period_derivative(
+            machine, np.array(RELEASE), ONE_ZENO, horizon=2 * PERIOD, settings=SETTINGS
+        )

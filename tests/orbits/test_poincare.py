@@ -244,3 +244,29 @@ def test_the_error_of_multipliers_is_the_farthest_of_the_rougher_ones_and_noise(
 def test_noise_of_returns_counts_in_differences_over_their_step() -> None:
     quiet, noisy = (_clocked(attracting=True, by_differences=True, noise=x) for x in (0.0, 1e-12))
     assert noisy.error - quiet.error == pytest.approx(1e-12 / poincare._DIFFERENCE, rel=1e-3)
+
+
+def test_the_slope_of_a_system_without_formulas_is_that_of_differences(
+    machine: HybridDynamics,
+) -> None:
+    given = {"scale": SCALE, "period": PERIOD, "settings": SETTINGS}
+    blind = replace(machine, differentiation=None)
+    exact = poincare.return_slope(machine, CENTRE, **given)
+    # The fourth order in the step of 2e-5 leaves the noise of a return, 1e-12, over it.
+    assert poincare.return_slope(blind, CENTRE, **given) == pytest.approx(exact, abs=1e-6)
+
+
+def test_a_section_that_is_a_point_has_no_multipliers_by_differences_either() -> None:
+    table = load_problem("vibrating_table")
+    dynamics, values = table.dynamics(table.values()), table.values().parameters
+    sine = values["g"] / (values["A"] * values["omega"] ** 2)
+    release = np.array([0.0, 0.0, math.sqrt(1 - sine**2), sine])
+    found = floquet_multipliers(
+        replace(dynamics, differentiation=None),
+        release,
+        scale=np.array([0.01, 0.4, 1.0, 1.0]),
+        period=2 * math.pi / values["omega"],
+        settings=SETTINGS,
+    )
+    assert found.values == ()
+    assert found.spectral_radius == 0.0
