@@ -60,6 +60,9 @@ class Table:
         if not abs(turns - round(turns)) <= SAME * turns:
             return True
         right = 0 if self.truth is None else self.truth.turns
+        if self.truth is not None and not self.truth.arrived and right % round(turns) == 0:
+            # On its way to half a period a motion alternates, over as many turns as it likes.
+            return False
         return round(turns) != right and min(right or math.inf, turns) <= LONGEST
 
 
