@@ -209,6 +209,11 @@ def test_a_long_sequence_of_hits_is_cut_in_its_middle(
     short = page_of(subject, load_bundle())
     assert f"and {len(subject.execution.events) - 4} more" in _Reader(short).words
     assert len(short) < len(page)
+    # As many as there may be are all shown.
+    monkeypatch.setattr(
+        "zeno_orbits.report.page.tables._MOST_EVENTS", len(subject.execution.events)
+    )
+    assert " more" not in _Reader(page_of(subject, load_bundle())).words
 
 
 @pytest.mark.parametrize(("points", "said"), [(0, "flies on, 10 times"), (2, "2 times infinitely")])
@@ -836,3 +841,13 @@ def test_an_orbit_of_several_hits_is_told_to_have_many(
     text = words.story(orbit, subject.certificate, subject.execution)
     assert ("in the end each time 5 times slower" in text) is many
     assert ("That one hit takes all of its speed" in text) is not many
+
+
+def test_the_commands_of_a_problem_of_ones_own_name_its_file(subject: Subject) -> None:
+    own = replace(subject, problem_file="mine/machine.py")
+    search, check, _ = commands_of(own)
+    assert search[:3] == ("zeno-orbits", "search", "mine/machine.py")
+    assert check[-4:-2] == ("--problem", "mine/machine.py")
+    search, check, _ = commands_of(subject)
+    assert search[:3] == ("zeno-orbits", "search", "motor_pendulum")
+    assert "--problem" not in check

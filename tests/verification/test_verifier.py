@@ -459,6 +459,36 @@ def test_a_gap_that_is_negative_in_mid_flight_fails_alone(
     assert seen.residuals["penetration"] == pytest.approx(1e-3, rel=0.01)
 
 
+def test_a_gap_that_is_negative_at_one_step_only_fails_alone(
+    check: Check, orbit: ZenoOrbit, problem: Problem, machine: HybridDynamics
+) -> None:
+    first = observe(machine, claim_of(orbit, problem), FAST.simulation, 1).first
+    assert first is not None
+    inside = first.cycle.execution.arcs[0].flow_states[1]
+
+    def gap(x: Vector) -> float:
+        return -1e-3 if np.array_equal(x, inside) else machine.gap(x)
+
+    assert check(orbit, replace(machine, gap=gap)).failed == ("penetration",)
+
+
+def test_an_energy_that_an_impact_loses_too_much_is_measured_in_that_of_the_first_hit(
+    check: Check, orbit: ZenoOrbit, problem: Problem, machine: HybridDynamics
+) -> None:
+    first = observe(machine, claim_of(orbit, problem), FAST.simulation, 1).first
+    assert first is not None
+    hit = first.cycle.impacts[0]
+    share = 1e-6 * machine.normal_inertia(hit.state_minus) * hit.approach_rate**2 / 2
+
+    def energy(x: Vector) -> float:
+        at_it = float(np.max(np.abs(x - hit.state_plus))) < 1e-8
+        return machine.energy(x) - share * at_it
+
+    seen = check(orbit, replace(machine, energy=energy))
+    assert "impact_energy" in seen.failed
+    assert seen.residuals["impact_energy"] == pytest.approx(1e-6, rel=1e-3)
+
+
 def test_a_constraint_that_is_broken_before_the_first_impact_only_fails_alone(
     check: Check, orbit: ZenoOrbit, machine: HybridDynamics
 ) -> None:
