@@ -2,7 +2,7 @@
 
 Random motor pendulums: masses and lengths within 40 % of the declared ones, `R` likewise, `L` over
 one and a half decades, `e` from 0 to 0.8, gains over the region where orbits live. A problem counts
-if a long simulation of it settles to one Zeno point a period, to 1e-6. Then
+if a long simulation of it settles to a periodic orbit, to 1e-6; most have one Zeno point. Then
 
 * fixed: the search at these gains must find the orbit, and the verifier must pass it;
 * default: the search starts 30 % off in every gain, with all gains free;
@@ -84,7 +84,7 @@ def random_problems(seed: int) -> Iterator[dict[str, Any]]:
 
 
 def has_orbit(values: ParameterValues) -> bool:
-    """Tell whether a long simulation settles to one Zeno point a period."""
+    """Tell whether a long simulation settles to a periodic orbit."""
     problem = pendulum()
     starts = [problem.state_vector(start) for start in problem.starts]
     cycle = settle(problem.dynamics(values), starts).cycle

@@ -1,0 +1,69 @@
+"""How many of random pendulums' orbits can be proved, and why the others cannot.
+
+    python benchmarks/proofs.py --orbits 30
+
+The pendulums are those of `search_success.py` with restitutions up to a half, of which a long
+simulation says that they settle to a periodic orbit. Each orbit is closed by simulation and
+handed to the prover; what fails is printed with its reason. Exit 1 if fewer than 90 % are proved.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Iterator
+
+from search_success import has_orbit, random_problems
+
+import zeno_orbits as zo
+
+MOST = 0.5
+"""Largest restitution."""
+GOAL = 0.9
+
+
+def random_orbits(seed: int) -> Iterator[zo.ParameterValues]:
+    """Yield numbers of pendulums that settle to a periodic orbit, without end."""
+    for given in random_problems(seed):
+        values = zo.ParameterValues(gains=given["gains"], parameters=given["parameters"])
+        if values.parameters["restitution"] <= MOST and has_orbit(values):
+            yield values
+
+
+def main() -> int:
+    """Print a line an orbit, and how many are proved; return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--orbits", type=int, default=30)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    pendulum, proved = zo.load_problem("motor_pendulum"), 0
+    print("| Kp | Kd | e | R / L [1/s] | spectral radius | period [s] | proved | time [s] |")
+    print("|---|---|---|---|---|---|---|---|")
+    for _, values in zip(range(options.orbits), random_orbits(options.seed), strict=False):
+        numbers = {**values.gains, **values.parameters}
+        orbit = zo.close_orbit(
+            pendulum, gains=dict(values.gains), parameters=dict(values.parameters)
+        ).unwrap()
+        radius = zo.verify(orbit, problem=pendulum).spectral_radius
+        started = time.process_time()
+        proof = zo.prove(orbit)
+        seconds = time.process_time() - started
+        proved += proof.proved
+        cells = (
+            *(f"{numbers[name]:.3f}" for name in ("Kp", "Kd", "restitution")),
+            f"{numbers['R'] / numbers['L']:.0f}",
+            f"{radius:.3g}",
+            f"{orbit.period:.6f}",
+            "yes" if proof.proved else "no",
+            f"{seconds:.0f}",
+        )
+        print("|", " | ".join(cells), "|", flush=True)
+        if not proof.proved:
+            print(f"  {proof.verdict()}", flush=True)
+    print(f"\n{proved} of {options.orbits} proved")
+    return int(proved < GOAL * options.orbits)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
