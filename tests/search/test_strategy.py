@@ -15,7 +15,7 @@ from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues
 from zeno_orbits.orbits import Bound
 from zeno_orbits.orbits.cycle import cycles
-from zeno_orbits.search import homotopy, strategy
+from zeno_orbits.search import fixed_point, homotopy, strategy
 from zeno_orbits.search.homotopy import Followed
 from zeno_orbits.search.number_notes import at_ends
 from zeno_orbits.search.objectives import TargetAmplitude, TargetPeriod
@@ -139,3 +139,38 @@ def test_the_margins_of_a_path_are_those_of_its_orbit(machine: HybridDynamics) -
     pressed = machine.multiplier(cycle.zeno.state) / machine.normal_inertia(cycle.zeno.state)
     assert margins["gap_acceleration"] == pytest.approx(pressed, rel=1e-6)
     assert min(margins.values()) > 0.0
+
+
+@pytest.mark.parametrize(
+    ("slope", "returns", "slopes"),
+    # The start, a return that leads away, and the fixed point by the exact slope at the start; a
+    # slope that is known leads there at once.
+    [(None, 3, 1), (np.diag([3.0, -2.0]), 2, 0)],
+)
+def test_the_slope_is_taken_where_returns_alone_lead_away(
+    slope: Any, returns: int, slopes: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    matrix, taken = np.diag([3.0, -2.0]), []
+
+    def tried(_dynamics: Any, _section: Any, at: Any, *_: Any, **__: Any) -> Any:
+        cycle: Any = SimpleNamespace(
+            start=SimpleNamespace(state=at), drift=lambda _: 0.0, scale_at_events=lambda: 1.0
+        )
+        return fixed_point._Trial(at=at, cycle=cycle, miss=matrix @ (at - 0.01) - (at - 0.01))
+
+    def exact(*_: Any, **__: Any) -> Any:
+        taken.append(matrix)
+        return matrix
+
+    section = SimpleNamespace(dimension=2)
+    monkeypatch.setattr(fixed_point, "section_around", lambda *_: section)
+    monkeypatch.setattr(fixed_point, "placed", lambda _dynamics, _shape, state: state)
+    monkeypatch.setattr(fixed_point, "_tried", tried)
+    monkeypatch.setattr(fixed_point, "return_slope", exact)
+    machine: Any = SimpleNamespace(restitution=0.2)
+    settings: Any = None
+    found = fixed_point.close_cycle(
+        machine, np.zeros(2), scale=np.ones(2), period=1.0, settings=settings, slope=slope
+    )
+    assert found.cycle.start.state == pytest.approx([0.01, 0.01], abs=1e-14)
+    assert (found.returns, len(taken)) == (returns, slopes)
