@@ -60,8 +60,8 @@ class Table:
         if not abs(turns - round(turns)) <= SAME * turns:
             return True
         right = 0 if self.truth is None else self.truth.turns
-        if self.truth is not None and not self.truth.arrived and right % round(turns) == 0:
-            # On its way to half a period a motion alternates, over as many turns as it likes.
+        if right and right == 2 * round(turns) and self.truth and not self.truth.arrived:
+            # On its way to half the period a motion alternates, for as many turns as it likes.
             return False
         return round(turns) != right and min(right or math.inf, turns) <= LONGEST
 
