@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -91,6 +93,20 @@ def test_cycles_on_a_stiff_stop_do_not_scatter() -> None:
     # Local errors shake the link on its stop: 2.5e-6 s at a tolerance of 1e-9, 7e-8 at 1e-10. The
     # machine's period differs from the orbit's by 9.5e-7 s, which is to be known to a hundredth.
     assert np.ptp([one.period for one in settled.cycles]) < 9.5e-9
+
+
+@pytest.mark.parametrize("name", ["motor_pendulum", "two_motors"])
+def test_the_period_of_a_very_stiff_machine_exceeds_the_orbits_by_the_law(name: str) -> None:
+    # The excess goes with k^(-1/2). The next order is smaller by another k^(-1/2): measured 2e-2 of
+    # it at k = 1e5, so 2e-4 at 1e9.
+    problem = zo.load_problem(name)
+    orbit = zo.close_orbit(problem).unwrap()
+    products = []
+    for stiffness in (1e9, 1e11):
+        rig = Rig(contact=Contact(stiffness=stiffness))
+        mean = np.mean([one.period for one in rig_cycles(orbit, problem, rig, cycles=2).cycles])
+        products.append((mean - orbit.period) * math.sqrt(stiffness))
+    assert products[0] == pytest.approx(products[1], rel=5e-4)
 
 
 def told(name: str, units: Units) -> dict[str, float]:

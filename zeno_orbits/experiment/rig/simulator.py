@@ -197,8 +197,8 @@ class _Follower:
             on_guard=inside <= 0.0,
             watch=self._watch,
         )
-        passage = self._settings.engine.follow(leg)
         self._n_steps = 0
+        passage = self._settings.engine.follow(leg)
         over = passage.outcome is Outcome.HORIZON
         end = edge if over else self._time + passage.duration
         self._keep(passage, end, numbers)
