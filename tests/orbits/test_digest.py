@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from zeno_orbits.model.library import bundled_problems, load_problem
 from zeno_orbits.model.problem import Problem
+from zeno_orbits.orbits import digest as module
 from zeno_orbits.orbits.digest import digest_of, same_equations
 
 
@@ -52,3 +55,34 @@ def test_problems_of_different_machines_have_different_digests() -> None:
         # Both are one mass on a spring before a stop, shaken by a clock.
         both = {"forced_oscillator", "impact_oscillator"}
         assert set(alike) == (both if name in both else {name})
+
+
+def test_the_digest_of_a_ball_is_what_files_of_it_hold() -> None:
+    # By hand: k (sqrt(5) - 1) / 2 without its whole part for k = 1, 2 and so on, plus 0.2 for a
+    # state or a weight and plus 0.5 for a parameter.
+    parts = np.array(
+        [0.6180339887498949, 0.2360679774997898, 0.8541019662496847, 0.4721359549995796]
+    )
+    (height, speed), (m, g) = parts[:2] + 0.2, parts[:2] + 0.5
+    weight = parts + 0.2
+    free, locked, contact, _, energy, motors = digest_of(load_problem("bouncing_ball"))
+    assert free == pytest.approx(weight[0] * speed - weight[1] * g, rel=1e-12)
+    assert locked == pytest.approx(weight[0] * speed, rel=1e-12)
+    assert contact == pytest.approx(weight @ [height, speed, -g, m * g], rel=1e-12)
+    assert energy == pytest.approx(weight[0] * m * (speed**2 / 2 + g * height), rel=1e-12)
+    assert motors == 0.0
+
+
+def test_digests_agree_to_a_millionth_of_their_size_and_small_ones_to_a_millionth() -> None:
+    one = (1.0, -3e4, 0.0)
+    assert same_equations(one, (1.0, -3e4 * (1 + 0.9e-6), 0.9e-6))
+    assert not same_equations(one, (1.0, -3e4 * (1 + 1.5e-6), 0.0))
+    assert not same_equations(one, (1.0, -3e4, 1.5e-6))
+    assert not same_equations(one, one[:2])
+
+
+def test_a_function_without_a_value_at_the_state_of_the_digest_tells_nothing() -> None:
+    assert module._number((np.array([1.0, math.nan]), 2.0)) == 0.0
+    assert module._number(np.array([0.0, math.inf])) == 0.0
+    # The weights are 0.818 and 0.436.
+    assert module._number((1.0, 2.0)) == pytest.approx(0.8180339887 + 2 * 0.4360679775)

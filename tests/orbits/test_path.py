@@ -59,6 +59,40 @@ def test_a_path_ends_after_its_number_of_points_or_where_a_step_or_what_looks_ah
     assert (path.points[-1], path.end) == (1.0, "the wall")
 
 
+def test_a_step_as_short_as_the_shortest_is_tried_and_each_new_length_is_told() -> None:
+    steps: list[float] = []
+    told: list[float] = []
+
+    def ahead(_points: Sequence[float], step: float) -> PathStep[float, str]:
+        told.append(step)
+        return PathStep()
+
+    control = StepControl(first=1.0, shortest=0.25)
+    path = follow_path(0.0, control, until(0.0, steps), give_up=gave_up, shortened=ahead)
+    assert steps == [1.0, 0.5, 0.25]
+    assert told == [0.5, 0.25]
+    assert (path.points, path.end) == ((0.0,), "beyond the wall after 0")
+
+
+def test_a_step_that_is_not_easy_is_followed_by_one_as_long_and_an_easy_one_by_more() -> None:
+    def hard_after(easy: int) -> list[float]:
+        steps: list[float] = []
+
+        def advance(points: Sequence[float], step: float) -> PathStep[float, str]:
+            steps.append(step)
+            ahead = (points[-1] + step, points[-1] + 2 * step)
+            return PathStep(points=ahead, easy=len(steps) <= easy)
+
+        control = StepControl(first=1.0, shortest=0.1, most=4, growth=3.0)
+        path = follow_path(0.0, control, advance, give_up=gave_up)
+        # Two points a step: two more than four when the third step is taken.
+        assert len(path.points) == 7 - 2 * (len(steps) < 3)
+        return steps
+
+    assert hard_after(0) == [1.0, 1.0]
+    assert hard_after(1) == [1.0, 3.0]
+
+
 @pytest.mark.parametrize("error", [TypeError(), InputError("A name is wrong."), WorkError("Gone.")])
 def test_an_error_that_is_no_outcome_of_a_step_is_passed_on(error: Exception) -> None:
     def broken(_points: Sequence[float], _step: float) -> PathStep[float, str]:
@@ -112,3 +146,50 @@ def test_a_spiral_that_passes_beside_its_start_is_not_back() -> None:
     points = [OnSpiral(0.1 * k) for k in range(70)]
     assert not any(returns_to_start(points[:n], stray=0.1, turn=0.2) for n in range(1, 70))
     assert any(returns_to_start(points[:n], stray=1.0, turn=0.2) for n in range(1, 70))
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A point of the plane with the direction of its tangent."""
+
+    x: float
+    y: float = 0.0
+    angle: float = 0.0
+
+    @property
+    def z(self) -> np.ndarray:
+        return np.array([self.x, self.y])
+
+    @property
+    def tangent(self) -> np.ndarray:
+        return np.array([np.cos(self.angle), np.sin(self.angle)])
+
+
+@pytest.mark.parametrize(
+    ("start", "back"),
+    [
+        (Placed(1.5), True),
+        # The chord is 2 long, from 0 on: its end belongs to it, its beginning does not.
+        (Placed(2.0), True),
+        (Placed(0.0), False),
+        (Placed(2.5), False),
+        (Placed(-0.5), False),
+        # Beside it by less than a quarter of its length, by a quarter, by more.
+        (Placed(1.5, 0.4), True),
+        (Placed(0.25, -0.4), True),
+        (Placed(1.5, 0.5), False),
+        (Placed(1.5, -0.6), False),
+        # Turned by less than twice 0.2, by more, and all the way round.
+        (Placed(1.5, angle=0.39), True),
+        (Placed(1.5, angle=-0.41), False),
+        (Placed(1.5, angle=np.pi), False),
+    ],
+    ids=str,
+)
+def test_a_start_is_passed_by_a_chord_that_it_lies_on_beside_by_little_and_along(
+    start: Placed, *, back: bool
+) -> None:
+    points = [start, Placed(9.0, 9.0), Placed(0.0), Placed(2.0)]
+    assert returns_to_start(points, stray=0.25, turn=0.2) is back
+    # Three points are no loop.
+    assert not returns_to_start([start, *points[2:]], stray=0.25, turn=0.2)

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tests.reference.closed_forms import FORCED
+from tests.support.executions import at, execution_of
 from tests.support.mechanisms import forced_oscillator, oscillator_state
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.orbits.period import cycle_of, placed
-from zeno_orbits.orbits.phases import follow_each_other, kinds_of, phases_of
+from zeno_orbits.orbits.phases import Phase, follow_each_other, kinds_of, phases_of
 from zeno_orbits.orbits.shape import ONE_ZENO, OrbitShape, PhaseKind
-from zeno_orbits.simulation.execution import Mode
+from zeno_orbits.simulation.execution import Execution, Mode
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 
 TURN = 2 * math.pi
@@ -142,3 +144,132 @@ def test_a_start_that_rounding_has_locked_is_where_the_first_phase_starts() -> N
     assert run.releases[0].time == pytest.approx(1e-7 / values["omega"], rel=1e-4)
     first = phases_of(run, start)[0]
     assert (first.start.time, first.start.state.tolist()) == (0.0, start.tolist())
+
+
+# Executions made by hand: which arcs and events belong to which phase.
+
+START = at(0.0, 1.0)
+ONCE = (("i", 1.0), ("i", 1.5), ("z", 2.0), ("r", 3.0))
+
+
+def _spans(phases: tuple[Phase, ...]) -> list[tuple[str, float, float]]:
+    """Return kind, start and end of each phase."""
+    return [(phase.kind.value, phase.start.time, phase.end.time) for phase in phases]
+
+
+def _later(legs: tuple[tuple[str, float], ...], time: float) -> tuple[tuple[str, float], ...]:
+    return tuple((letter, end + time) for letter, end in legs)
+
+
+def test_every_part_of_a_phase_is_where_it_belongs() -> None:
+    run = execution_of(*ONCE, ("i", 4.0), ("z", 5.0), ("r", 6.0), ("f", 7.0))
+    first, second = phases_of(run, START)
+    arcs, zenos = run.arcs, run.zeno_points
+    assert (first.kind, second.kind) == (PhaseKind.ZENO, PhaseKind.ZENO)
+    assert (first.start.time, first.start.state.tolist()) == (0.0, [0.0, 1.0])
+    assert (first.flight, first.rescaled_flights) == (arcs[0], (arcs[1],))
+    assert first.impacts == run.impacts[:2]
+    assert (first.zeno, first.locked) == (zenos[0], arcs[3])
+    assert (first.end.time, first.end.state.tolist()) == (3.0, [3.0, 0.0])
+    assert first.arcs == (arcs[0], arcs[1], arcs[3])
+    assert second.start is first.end
+    assert (second.flight, second.rescaled_flights) == (arcs[4], ())
+    assert second.impacts == run.impacts[2:]
+    assert (second.zeno, second.locked, second.end.time) == (zenos[1], arcs[6], 6.0)
+    assert _spans(phases_of(run)) == [("zeno", 3.0, 6.0)]
+
+
+def test_an_execution_that_ends_locked_has_no_further_phase() -> None:
+    run = execution_of(*ONCE, ("i", 4.0), ("z", 5.0), ("l", 9.0))
+    assert _spans(phases_of(run, START)) == [("zeno", 0.0, 3.0)]
+    assert phases_of(execution_of(("l", 9.0)), START) == ()
+
+
+@pytest.mark.parametrize(
+    "middle",
+    [
+        # A touch that is no impact, no Zeno point, two of them, no flight at all.
+        (("t", 4.0), ("i", 4.5), ("z", 5.0), ("r", 6.0)),
+        (("i", 4.0), ("r", 6.0)),
+        (("i", 4.0), ("z", 4.5), ("i", 4.75), ("z", 5.0), ("r", 6.0)),
+        (("r", 6.0),),
+    ],
+)
+def test_a_return_that_is_no_phase_is_left_out_and_the_next_one_is_whole(
+    middle: tuple[tuple[str, float], ...],
+) -> None:
+    phases = phases_of(execution_of(*ONCE, *middle, *_later(ONCE, 6.0)), START)
+    assert _spans(phases) == [("zeno", 0.0, 3.0), ("zeno", 6.0, 9.0)]
+    assert not follow_each_other(phases)
+    assert follow_each_other(phases[:1])
+
+
+def test_chatter_that_ends_at_the_release_itself_belongs_to_the_phase_before() -> None:
+    run = execution_of(("i", 1.0), ("z", 2.0), ("r", 2.0), ("i", 3.0), ("z", 4.0), ("r", 5.0))
+    assert _spans(phases_of(run, START)) == [("zeno", 0.0, 2.0), ("zeno", 2.0, 5.0)]
+
+
+@pytest.mark.parametrize(("moment", "begins"), [(1e-7, 0.0), (1e-6, 0.0), (1.1e-6, 1.1e-6)])
+def test_a_start_locked_for_a_millionth_of_the_execution_is_released_at_once(
+    moment: float, begins: float
+) -> None:
+    run = execution_of(("r", moment), ("i", 0.25), ("z", 0.5), ("r", 0.75), ("f", 1.0))
+    assert _spans(phases_of(run, START)) == [("zeno", begins, 0.75)]
+    # Without its start the first release is the start.
+    found = phases_of(run)
+    assert [phase.start.time for phase in found] == ([] if begins == 0.0 else [begins])
+
+
+def test_a_phase_that_is_short_beside_the_execution_is_one() -> None:
+    short = (("i", 1e-7), ("z", 2e-7), ("r", 3e-7))
+    run = execution_of(*short, ("i", 0.5), ("z", 0.75), ("r", 1.0))
+    assert _spans(phases_of(run, START)) == [("zeno", 0.0, 3e-7), ("zeno", 3e-7, 1.0)]
+
+
+def test_falls_on_a_plastic_stop_are_phases_of_their_own_until_it_holds() -> None:
+    run = execution_of(("i", 1.0), ("i", 2.0), ("p", 3.0), ("r", 4.0), ("p", 5.0), ("r", 6.0))
+    phases = phases_of(run, START)
+    assert _spans(phases) == [
+        ("impact", 0.0, 1.0),
+        ("impact", 1.0, 2.0),
+        ("plastic", 2.0, 4.0),
+        ("plastic", 4.0, 6.0),
+    ]
+    arcs, impacts = run.arcs, run.impacts
+    assert [phase.flights for phase in phases] == [(arcs[k],) for k in (0, 1, 2, 4)]
+    assert [phase.impacts for phase in phases] == [(impact,) for impact in impacts]
+    assert [phase.locked for phase in phases] == [None, None, arcs[3], arcs[5]]
+    assert [phase.zeno for phase in phases] == [None, None, *run.zeno_points]
+    assert phases[0].arcs == (arcs[0],)
+    assert phases[1].start.state.tolist() == phases[0].end.state.tolist() == [1.0, 1.0]
+
+
+@pytest.mark.parametrize(("tail", "speed"), [(0.0, 0.1), (0.1, 0.0)])
+def test_an_accumulation_that_is_cut_at_an_impact_is_no_plastic_one(
+    tail: float, speed: float
+) -> None:
+    run = execution_of(("i", 1.0), ("p", 3.0), ("r", 4.0))
+    zeno = replace(run.zeno_points[0], tail=tail, last_speed=speed)
+    events = tuple(zeno if event is run.zeno_points[0] else event for event in run.events)
+    (phase,) = phases_of(replace(run, events=events), START)
+    assert phase.kind is PhaseKind.ZENO
+    assert len(phase.impacts) == 2
+
+
+def test_impacts_end_phases_of_their_own_up_to_the_first_arc_that_holds() -> None:
+    run = execution_of(("i", 1.0), ("i", 2.5), ("z", 3.0), ("r", 4.0), ("i", 5.0))
+    phases = phases_of(run, START, held=False)
+    assert _spans(phases) == [("impact", 0.0, 1.0), ("impact", 1.0, 2.5)]
+    assert [phase.flights for phase in phases] == [(run.arcs[0],), (run.arcs[1],)]
+    assert phases[1].start.state.tolist() == [1.0, 1.0]
+    at_once = execution_of(("p", 1.0), ("r", 1.0), ("i", 2.0))
+    assert _spans(phases_of(at_once, START, held=False)) == [("impact", 0.0, 1.0)]
+
+
+def test_a_touch_between_impacts_leaves_out_its_phase_and_the_one_after() -> None:
+    run: Execution = execution_of(("r", 0.5), ("i", 1.0), ("t", 2.0), ("i", 3.0), ("i", 4.0))
+    phases = phases_of(run, START, held=False)
+    assert _spans(phases) == [("impact", 0.0, 1.0), ("impact", 3.0, 4.0)]
+    assert not follow_each_other(phases)
+    touched = execution_of(("t", 1.0), ("r", 1.5), ("i", 2.0), ("i", 3.0))
+    assert phases_of(touched, START, held=False) == ()

@@ -30,7 +30,7 @@ class Bound:
 
     def __post_init__(self) -> None:
         """Refuse bounds that exclude nothing, or everything."""
-        if math.isnan(self.lower) or math.isnan(self.upper) or not self.lower <= self.upper:
+        if not self.lower <= self.upper:
             wanted = "must have bounds LOWER <= UPPER"
             raise InputError(f"Argument `{self.name}` {wanted}, but they are {self.text}.")
         if not (math.isfinite(self.lower) or math.isfinite(self.upper)):

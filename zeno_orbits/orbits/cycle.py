@@ -224,7 +224,7 @@ def first_cycles(execution: Execution, start: Vector, shape: OrbitShape) -> tupl
     flight = next((arc for arc in execution.arcs if arc.mode is Mode.FREE), None)
     if not phases or phases[0].flight is not flight:
         return ()
-    for k in range(0, len(phases) - n + 1, n):
+    for k in range(0, len(phases), n):
         period = phases[k : k + n]
         if kinds_of(period) != shape.phases or not follow_each_other(phases[: k + n]):
             break
