@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from contextlib import nullcontext
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,13 +16,21 @@ from tests.reference.reference_orbit import MULTIPLIER, PERIOD, RELEASE, ZENO_ST
 from tests.support.mechanisms import clocked_oscillator, oscillator_state
 from tests.support.units import Units, in_units
 from zeno_orbits.errors import SimulationError
+from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits import poincare
 from zeno_orbits.orbits import section as sections
+from zeno_orbits.orbits.monodromy import Sensitivity
 from zeno_orbits.orbits.period import to_next_release
-from zeno_orbits.orbits.poincare import Multipliers, floquet_multipliers, poincare_map
+from zeno_orbits.orbits.poincare import (
+    Multipliers,
+    SectionDerivative,
+    floquet_multipliers,
+    poincare_map,
+    return_slope,
+)
 from zeno_orbits.orbits.section import (
     IMPACT_ROWS,
     RELEASE_ROWS,
@@ -30,7 +40,8 @@ from zeno_orbits.orbits.section import (
     release_section,
     rows_of,
 )
-from zeno_orbits.orbits.shape import OrbitShape
+from zeno_orbits.orbits.shape import ONE_ZENO, OrbitShape
+from zeno_orbits.simulation.completion import ZenoExtrapolation
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 
 SETTINGS = SimulationSettings()
@@ -80,8 +91,10 @@ def test_the_orbit_is_a_fixed_point_of_the_return_map(machine: HybridDynamics) -
 
 
 def test_a_horizon_before_the_next_release_is_told(machine: HybridDynamics) -> None:
-    with pytest.raises(SimulationError, match="There is no next release"):
+    with pytest.raises(SimulationError, match="There is no next release") as caught:
         poincare_map(machine, CENTRE, horizon=0.9 * PERIOD, settings=SETTINGS)
+    assert caught.value.time == 0.9 * PERIOD
+    assert caught.value.state == tuple(RELEASE)
 
 
 def test_the_pendulum_has_the_declared_multipliers(multipliers: Multipliers) -> None:
@@ -270,3 +283,116 @@ def test_a_section_that_is_a_point_has_no_multipliers_by_differences_either() ->
     )
     assert found.values == ()
     assert found.spectral_radius == 0.0
+
+
+def test_a_number_moves_with_the_coordinates_through_the_state_and_with_parameters_twice() -> None:
+    derivative = SectionDerivative(
+        jacobian=np.zeros((2, 2)),
+        by_parameters=np.zeros((2, 1)),
+        lift=np.array([[1.0, 0.0, 10.0], [0.0, 2.0, 20.0], [3.0, 4.0, 30.0]]),
+    )
+    number = Sensitivity(
+        value=1.0, by_state=np.array([1.0, 0.5, -1.0]), by_parameters=np.array([7.0])
+    )
+    # The parameter moves the state by its column of the lift, and the number by 7 besides.
+    assert derivative.of(number).tolist() == [-2.0, -3.0, 10.0 + 10.0 - 30.0 + 7.0]
+
+
+def test_the_spectral_radius_is_the_largest_modulus() -> None:
+    found = Multipliers(values=(0.6 + 0.8j, 0.5, -2.0), error=0.0, jacobian=np.zeros((3, 3)))
+    assert found.spectral_radius == 2.0
+    assert replace(found, values=(0.3 + 0.4j, 0.1)).spectral_radius == 0.5
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_a_return_is_waited_for_twice_as_long_as_the_period_that_is_given(*, exact: bool) -> None:
+    problem = clocked_oscillator(FORCED, attracting=True)
+    dynamics = problem.dynamics(problem.values())
+    dynamics = dynamics if exact else replace(dynamics, differentiation=None)
+    x = np.array(oscillator_state(FORCED.release_time, FORCED.stop, 0.0))
+    given = {"scale": np.ones(4), "settings": SETTINGS}
+    found = return_slope(dynamics, x, period=0.55 * 2 * math.pi, **given)
+    assert found[0, 0] == pytest.approx(math.exp(-2 * math.pi), abs=1e-8)
+    with pytest.raises(SimulationError):
+        return_slope(dynamics, x, period=0.45 * 2 * math.pi, **given)
+
+
+def _slopes(
+    monkeypatch: pytest.MonkeyPatch, fine: np.ndarray, rough: np.ndarray | None
+) -> tuple[Multipliers, list[SimulationSettings]]:
+    """Return multipliers of slopes that are given, and the settings of each; none is an error."""
+    asked: list[SimulationSettings] = []
+
+    def slope(*_: Any, settings: SimulationSettings, **__: Any) -> np.ndarray:
+        asked.append(settings)
+        if len(asked) == 1:
+            return fine
+        if rough is None:
+            raise SimulationError("It does not return", time=1.0, state=())
+        return rough
+
+    monkeypatch.setattr(poincare, "return_slope", slope)
+    system: Any = SimpleNamespace(differentiation=object())
+    settings = SimulationSettings(
+        tolerance=Tolerance(relative=1e-6, absolute=1e-8),
+        completion=ZenoExtrapolation(tolerance=1e-9, resolved=1e-3),
+    )
+    found = floquet_multipliers(
+        system, np.zeros(2), scale=np.ones(2), period=1.0, settings=settings, noise=5.0
+    )
+    return found, asked
+
+
+def test_multipliers_are_taken_again_at_looser_tolerances_with_impacts_left_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    fine = np.diag([0.5, -0.75])
+    found, (first, second) = _slopes(monkeypatch, fine, np.diag([0.25, -0.75]))
+    assert found.values == (-0.75, 0.5)
+    assert found.jacobian is fine
+    assert first.tolerance == Tolerance(relative=1e-6, absolute=1e-8)
+    assert second.tolerance.relative == pytest.approx(1e-4)
+    assert isinstance(second.completion, ZenoExtrapolation)
+    assert second.completion.tolerance == pytest.approx(1e-7)
+    assert second.completion.resolved == pytest.approx(1e-2)
+    # What they differ by, and ten times the tolerance, as two runs may agree by chance.
+    assert found.error == pytest.approx(0.25 + 1e-5, rel=1e-9)
+
+
+def test_multipliers_that_cannot_be_taken_again_have_no_known_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found, _ = _slopes(monkeypatch, np.diag([0.5, -0.75]), None)
+    assert found.values == (-0.75, 0.5)
+    assert found.error == math.inf
+
+
+def test_differences_are_central_and_extrapolated_over_two_steps(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # A return map of two coordinates that is cubic: a central difference over d errs by its third
+    # derivative times d^2 / 6, and what is extrapolated by nothing. It has even parts, too.
+    slope, cubic = np.array([[0.5, 0.25], [-1.0, 0.75]]), np.array([[1e9, 2e9], [3e9, 0.0]])
+
+    def chart(*_: Any) -> Any:
+        return SimpleNamespace(
+            dimension=2, state=lambda _, y: y.copy(), coordinates=lambda x: 2.0 * x
+        )
+
+    def cycle(_: Any, y: np.ndarray, *__: Any, **___: Any) -> Any:
+        after = slope @ y + cubic @ y**3 + 1e5 * y[::-1] ** 2
+        return SimpleNamespace(end=SimpleNamespace(state=after))
+
+    monkeypatch.setattr(poincare, "_section", chart)
+    monkeypatch.setattr(poincare, "placed", lambda _, __, x: x)
+    monkeypatch.setattr(poincare, "cycle_of", cycle)
+    given: Any = {"scale": np.ones(2), "period": 1.0, "settings": SETTINGS}
+    system: Any = SimpleNamespace(differentiation=None)
+    near, far = poincare._differences(system, np.zeros(2), ONE_ZENO, **given)
+    assert near == pytest.approx(2 * (slope + cubic * 2e-5**2), rel=1e-9)
+    assert far == pytest.approx(2 * (slope + cubic * 4e-5**2), rel=1e-9)
+    assert return_slope(system, np.zeros(2), **given) == pytest.approx(2 * slope, rel=1e-9)
+    found = floquet_multipliers(system, np.zeros(2), **given, noise=4e-5)
+    assert found.jacobian == pytest.approx(2 * slope, rel=1e-9)
+    off = [min(abs(np.linalg.eigvals(near) - value)) for value in np.linalg.eigvals(2 * slope)]
+    assert found.error == pytest.approx(max(off) + 2.0, rel=1e-9)

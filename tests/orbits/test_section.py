@@ -39,7 +39,7 @@ class Surface:
         *contact: Callable[[Vector], float],
         gradient: Callable[[Vector], Any] | None = None,
         holonomic: Callable[[Vector], Vector] = lambda _: np.zeros(0),
-        holonomic_gradient: Callable[[Vector], Any] = lambda x: np.zeros((0, 9)),
+        holonomic_gradient: Callable[[Vector], Any] = lambda _: np.zeros((0, 9)),
     ) -> None:
         self.calls = 0
         self._gap, self.gap_rate, self.multiplier = (*contact, contact[0], contact[0])[:3]
