@@ -14,6 +14,7 @@ from scipy.integrate import DOP853
 
 from tests.reference.closed_forms import COCO, FORCED, StoppedOscillator
 from tests.reference.reference_orbit import MULTIPLIER, PERIOD, RELEASE
+from tests.support.executions import at, execution_of
 from tests.support.families import BALL, OSCILLATOR
 from tests.support.mechanisms import clocked_oscillator, oscillator_state
 from zeno_orbits.arrays import Vector
@@ -24,6 +25,7 @@ from zeno_orbits.model.contact import GAP, GAP_RATE
 from zeno_orbits.model.drives import no_drive
 from zeno_orbits.model.hybrid import complete
 from zeno_orbits.model.lagrangian import HybridLagrangian
+from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits import monodromy
@@ -31,10 +33,12 @@ from zeno_orbits.orbits.monodromy import (
     EventMotion,
     ReturnDerivative,
     differentials_of,
+    passed,
     period_derivative,
     return_derivative,
 )
 from zeno_orbits.orbits.period import first_return, to_next_release
+from zeno_orbits.orbits.phases import phases_of
 from zeno_orbits.orbits.poincare import (
     floquet_multipliers,
     poincare_map,
@@ -42,7 +46,7 @@ from zeno_orbits.orbits.poincare import (
     section_derivative,
 )
 from zeno_orbits.orbits.section import release_section
-from zeno_orbits.orbits.shape import ONE_ZENO
+from zeno_orbits.orbits.shape import ONE_ZENO, OrbitShape, PhaseKind
 from zeno_orbits.simulation.completion import Truncation, ZenoExtrapolation
 from zeno_orbits.simulation.execution import Ending, Impact
 from zeno_orbits.simulation.sensitivity import Bounce, EventShift, Perturbations
@@ -568,3 +572,185 @@ def test_a_period_whose_derivative_overflows_is_refused(
         period_derivative(
             machine, np.array(RELEASE), ONE_ZENO, horizon=2 * PERIOD, settings=SETTINGS
         )
+
+
+def test_a_fall_that_a_plastic_table_throws_off_moves_the_return_behind_it() -> None:
+    table = load_problem("vibrating_table")
+    values = table.values(parameters={"A": 0.048, "restitution": 0.0})
+    names = list(table.names)
+    chosen = tuple(names.index(name) for name in ("A", "omega"))
+    vector = np.array(values.vector)
+    machine = table.dynamics(values)
+    numbers = values.parameters
+    # Just after the release at the sine g / (A omega^2), so that it flies whatever moves.
+    phase = math.asin(numbers["g"] / (numbers["A"] * numbers["omega"] ** 2)) + 1e-3
+
+    def released(angle: float) -> Vector:
+        return np.array([0.0, 0.0, math.cos(angle), math.sin(angle)])
+
+    x = released(phase)
+    derivative = return_derivative(machine, x, horizon=3.0, settings=SETTINGS, parameters=chosen)
+    assert [phase.kind for phase in phases_of(derivative.execution, x)] == [
+        PhaseKind.IMPACT,
+        PhaseKind.PLASTIC,
+    ]
+    assert derivative.parameters == chosen
+    assert numbers_of(derivative) == pytest.approx(simulated(machine, x, 3.0), abs=1e-12)
+    by_state, by_parameters = slopes_of(derivative)
+    for k, place in enumerate(chosen):
+
+        def moved(part: float, place: int = place) -> Vector:
+            p = vector.copy()
+            p[place] += part
+            return simulated(table.dynamics(p), x, 3.0)
+
+        # The time of the return, 0.3 s, turns the clock by 4e-4: the fourth power is no more.
+        step = 2e-4 * vector[place]
+        size = np.maximum(np.abs(by_parameters[:, k]), 1.0)
+        measured = differences(moved, step)
+        assert by_parameters[:, k] / size == pytest.approx(measured / size, abs=1e-6)
+    along = np.array([0.0, 0.0, -math.sin(phase), math.cos(phase)])
+    turned = differences(lambda s: simulated(machine, released(phase + s), 3.0))
+    assert by_state @ along == pytest.approx(turned, abs=1e-6)
+
+
+@pytest.mark.parametrize("turns", [1, 2])
+def test_a_period_of_impacts_has_the_multipliers_that_coco_publishes(turns: int) -> None:
+    phase, velocity = 0.07595216493831239, -1.3565863500759056
+    problem = clocked_oscillator(COCO, attracting=False)
+    machine = problem.dynamics(problem.values())
+    start = np.array(oscillator_state(phase, COCO.stop, velocity))
+    shape = OrbitShape(phases=turns * (PhaseKind.IMPACT,))
+    derivative = period_derivative(machine, start, shape, horizon=20.0, settings=SETTINGS)
+    assert derivative.start.tolist() == start.tolist()
+    assert derivative.end == pytest.approx(start, abs=1e-11)
+    assert derivative.period.value == pytest.approx(2 * math.pi * turns, abs=1e-11)
+    assert derivative.period.by_parameters.tolist() == []
+    published = complex(-0.58429531434153, 0.00560035149247) ** turns
+    slope = return_slope(
+        machine,
+        start,
+        scale=np.array([1.0, 2.0, 3.0, 4.0]),
+        period=2 * math.pi * turns,
+        settings=SETTINGS,
+        shape=shape,
+    )
+    values = sorted(np.linalg.eigvals(slope), key=lambda value: (value.real, value.imag))
+    pair = sorted([published, published.conjugate()], key=lambda value: value.imag)
+    assert min(values, key=lambda value: abs(value - 1.0)) == pytest.approx(1.0, abs=1e-10)
+    for value in pair:
+        assert min(abs(found - value) for found in values) < 1e-10
+    # Along the velocity after the impact.
+    one = np.array([0.0, 0.0, 1.0, 0.0])
+
+    def ended(s: float) -> Vector:
+        run = simulate(machine, start + s * one, until=20.0, impacts=turns)
+        return np.append(run.impacts[-1].state_plus, run.impacts[-1].time)
+
+    measured = differences(ended)
+    assert derivative.by_state @ one == pytest.approx(measured[:4], abs=OF_DIFFERENCES)
+    assert derivative.period.by_state @ one == pytest.approx(measured[4], abs=OF_DIFFERENCES)
+
+
+# Executions made by hand.
+
+
+@pytest.mark.parametrize(
+    ("legs", "time"),
+    [
+        ((("t", 1.0), ("r", 2.0)), 2.0),
+        ((("t", 1.0), ("r", 2.0), ("i", 3.0), ("z", 4.0), ("r", 5.0)), 2.0),
+        ((("i", 1.0), ("z", 2.0), ("i", 3.0), ("z", 4.0), ("r", 5.0)), 5.0),
+    ],
+)
+def test_a_return_that_is_not_one_accumulation_tells_where_it_ends(
+    machine: HybridDynamics,
+    monkeypatch: pytest.MonkeyPatch,
+    legs: tuple[tuple[str, float], ...],
+    time: float,
+) -> None:
+    monkeypatch.setattr(monodromy, "to_next_release", lambda *_, **__: execution_of(*legs))
+    with pytest.raises(SimulationError, match="stop is touched without an impact") as caught:
+        return_derivative(machine, CENTRE, horizon=9.0, settings=SETTINGS)
+    assert (caught.value.time, caught.value.state) == (time, (time, 0.0))
+
+
+def test_a_return_that_does_not_come_tells_the_horizon_and_its_start(
+    machine: HybridDynamics,
+) -> None:
+    with pytest.raises(SimulationError, match="no next release") as caught:
+        return_derivative(machine, CENTRE, horizon=0.25, settings=SETTINGS)
+    assert (caught.value.time, caught.value.state) == (0.25, tuple(RELEASE))
+
+
+class Walk:
+    """Stands for the equations of perturbations: names the steps that are taken."""
+
+    def at_start(self) -> Any:
+        return "start"
+
+    def flown(self, arc: Any, here: Any) -> Any:
+        return ("flown", arc.end_time, here)
+
+    def struck(self, impact: Any, here: Any) -> Any:
+        return ("struck", impact.time, here)
+
+    def joined(self, bounces: Any, impact: Any, here: Any) -> Any:
+        return [*bounces, (impact.time, here)]
+
+    def limit(self, bounces: Any, state: Any) -> Any:
+        return ("limit", [time for time, _ in bounces], state.tolist())
+
+    def released(self, arc: Any, here: Any) -> Any:
+        return ("released", arc.end_time, here)
+
+
+def test_a_perturbation_goes_from_flight_to_impact_to_limit_to_release() -> None:
+    walk: Any = Walk()
+    run = execution_of(("i", 1.0), ("i", 1.5), ("z", 2.0), ("r", 3.0))
+    (phase,) = phases_of(run, at(0.0, 1.0))
+    motion = passed(walk, phase, walk.at_start())
+    assert motion.first == ("flown", 1.0, "start")
+    assert motion.zeno == ("limit", [1.0, 1.5], [2.0, 0.0])
+    assert motion.end == ("released", 3.0, motion.zeno)
+    run = execution_of(("i", 1.0), ("i", 2.0))
+    _, second = phases_of(run, at(0.0, 1.0), held=False)
+    motion = passed(walk, second, walk.at_start())
+    assert motion.first == ("flown", 2.0, "start")
+    assert (motion.zeno, motion.end) == (None, ("struck", 2.0, motion.first))
+
+
+@pytest.mark.parametrize(
+    ("legs", "begun"),
+    [
+        ((("r", 2e-6), ("i", 1.0)), "start"),
+        ((("r", 2.1e-6), ("i", 1.0)), ("released", 2.1e-6, "start")),
+        ((("i", 1.0), ("r", 2.0)), "start"),
+    ],
+)
+def test_a_start_flies_at_once_if_it_locks_for_a_millionth_of_a_return(
+    legs: tuple[tuple[str, float], ...], begun: Any
+) -> None:
+    walk: Any = Walk()
+    assert monodromy._begun(walk, execution_of(*legs), 2.0) == begun
+
+
+@pytest.mark.parametrize("missing", ["zeno", "moved"])
+def test_a_return_that_passes_no_zeno_point_has_no_derivative(missing: str) -> None:
+    run = execution_of(("i", 1.0), ("z", 2.0), ("r", 3.0))
+    (phase,) = phases_of(run, at(0.0, 1.0))
+    shift: Any = "moves"
+    motion = EventMotion(first=shift, zeno=None if missing == "moved" else shift, end=shift)
+    without = replace(phase, zeno=None) if missing == "zeno" else phase
+    walk: Any = Walk()
+    with pytest.raises(SimulationError, match="passes no Zeno point") as caught:
+        monodromy._derivative(walk, run, at(0.0, 1.0), without, motion, ())
+    assert (caught.value.time, caught.value.state) == (3.0, (3.0, 0.0))
+
+
+def test_one_entry_that_overflows_is_enough_to_refuse_a_derivative() -> None:
+    state = np.array([[1.0, 2.0], [np.inf, 3.0]])
+    shift = EventShift(time=np.zeros(2), state=state, rate=np.zeros(2))
+    with pytest.raises(SimulationError, match="no finite derivative") as caught:
+        monodromy._require_finite(shift, 2.5, at(0.25))
+    assert (caught.value.time, caught.value.state) == (2.5, (0.25, 0.0))
