@@ -17,12 +17,14 @@ from tests.reference.reference_orbit import ORBIT_KEYS
 from tests.support.orbits import changed
 from zeno_orbits.errors import InputError, OrbitFileError
 from zeno_orbits.model.problem import Problem
+from zeno_orbits.orbits.digest import digest_of
 from zeno_orbits.orbits.orbit import (
     FORMAT,
     ONE_RELEASE,
     OrbitImpact,
     OrbitPhase,
     ZenoOrbit,
+    new_orbit,
     one_release_phase,
 )
 from zeno_orbits.orbits.orbit_file import read_orbit, write_orbit
@@ -472,3 +474,132 @@ def test_a_file_of_one_release_has_format_1_and_no_other(tmp_path: Path) -> None
     assert "a shape `zeno` has format 1, but it has 2" in _refusal(tmp_path, json.dumps(data))
     said = SMALL.as_json() | {"shape": "zeno*2"}
     assert "its `shape` is `zeno*2`" in _refusal(tmp_path, json.dumps(said))
+
+
+# What an orbit says of itself.
+
+
+def test_an_orbit_in_one_line_has_its_gains_period_shape_multipliers_and_verdict() -> None:
+    orbit = replace(
+        SMALL,
+        gains={"Kp": 2.5, "Kd": -1 / 3},
+        floquet_multipliers=(complex(-0.3, 0.4), complex(0.125, 0.0)),
+    )
+    assert repr(orbit) == (
+        "<ZenoOrbit of bouncing_ball: Kp=2.5, Kd=-0.3333333, period=3.141592654 s, "
+        "shape=zeno, impacts=1, multipliers of modulus 0.5, 0.125, verified=True>"
+    )
+    bare = replace(SMALL, floquet_multipliers=(), certificate={"passed": False})
+    assert repr(bare) == (
+        "<ZenoOrbit of bouncing_ball: period=3.141592654 s, shape=zeno, impacts=1, verified=False>"
+    )
+    assert "verified=False" in repr(replace(SMALL, certificate={}))
+
+
+def test_the_table_of_an_orbit_has_the_time_and_the_state_before_every_impact() -> None:
+    early, late = {"height": 0.5, "speed": -1.0}, {"height": 0.25, "speed": -2.0}
+    first, second = OTHER.phases
+    orbit = replace(
+        OTHER,
+        phases=(
+            replace(first, impacts=(OrbitImpact(time=0.5, state_minus=early),)),
+            replace(second, impacts=(OrbitImpact(time=2.0, state_minus=late),)),
+        ),
+    )
+    assert {name: list(values) for name, values in orbit._columns().items()} == {
+        "time": [0.5, 2.0],
+        "height": [0.5, 0.25],
+        "speed": [-1.0, -2.0],
+    }
+
+
+def test_states_at_events_of_several_phases_are_all_starts_then_all_zeno_points() -> None:
+    def state(height: float) -> dict[str, float]:
+        return {**STATE, "height": height}
+
+    first, second = OTHER.phases
+    orbit = replace(
+        OTHER,
+        phases=(
+            replace(first, start_state=state(1.0), zeno_state=state(2.0), impacts=()),
+            replace(second, start_state=state(3.0), zeno_state=None, impacts=()),
+        ),
+    )
+    assert orbit.states_at_events == (state(1.0), state(3.0), state(2.0))
+    assert orbit.start_state == state(1.0)
+
+
+@pytest.mark.parametrize("name", ["release_state", "zeno_time", "zeno_state"])
+def test_what_belongs_to_one_zeno_point_is_refused_by_an_orbit_of_two(name: str) -> None:
+    with pytest.raises(InputError, match="its shape is `zeno\\*2`"):
+        getattr(OTHER, name)
+
+
+@pytest.mark.parametrize("missing", ["zeno_time", "zeno_state"])
+@pytest.mark.parametrize("name", ["zeno_time", "zeno_state"])
+def test_an_orbit_whose_zeno_point_lacks_its_time_or_state_has_neither(
+    name: str, missing: str
+) -> None:
+    with pytest.raises(InputError, match="must have a Zeno point"):
+        getattr(changed(SMALL, **{missing: None}), name)
+
+
+def test_the_numbers_of_one_release_are_those_of_its_phase() -> None:
+    (phase,) = SMALL.phases
+    assert phase.start_time == 0.0
+    assert SMALL.zeno_time == phase.zeno_time == math.nextafter(2.0, 3.0)
+    other = changed(SMALL, zeno_state={"height": 7.0}, release_state={"height": 8.0})
+    assert (other.zeno_state, other.release_state) == ({"height": 7.0}, {"height": 8.0})
+
+
+@pytest.mark.parametrize(
+    ("times", "kind"),
+    [
+        ((2.0,), PhaseKind.PLASTIC),
+        ((1.0,), PhaseKind.ZENO),
+        ((1.0, 2.0), PhaseKind.ZENO),
+        ((2.0, 2.0), PhaseKind.ZENO),
+        ((), PhaseKind.ZENO),
+    ],
+)
+def test_one_impact_at_the_zeno_time_itself_is_a_plastic_one(
+    times: tuple[float, ...], kind: PhaseKind
+) -> None:
+    impacts = [OrbitImpact(time=time, state_minus=STATE) for time in times]
+    phase = one_release_phase(release_state=STATE, impacts=impacts, zeno_time=2.0, zeno_state=STATE)
+    assert phase.kind is kind
+    assert phase.impacts == tuple(impacts)
+
+
+def test_a_file_of_several_phases_has_a_zeno_point_where_the_stop_holds_and_nowhere_else() -> None:
+    first, second = OTHER.phases
+    bounce = replace(first, kind=PhaseKind.IMPACT, zeno_time=None, zeno_state=None)
+    orbit = replace(OTHER, phases=(bounce, replace(second, kind=PhaseKind.PLASTIC)))
+    data = orbit.as_json()
+    assert data["shape"] == "impact,plastic"
+    assert data["floquet_multipliers"] == [[0.1, -0.2]]
+    thrown = {"time": 0.5, "state_minus": STATE}
+    assert data["phases"] == [
+        {"kind": "impact", "start_time": 0.0, "start_state": STATE, "impacts": [thrown]},
+        {
+            "kind": "plastic",
+            "start_time": 1.0,
+            "start_state": STATE,
+            "impacts": [{"time": 2.0, "state_minus": STATE}],
+            "zeno_time": 2.5,
+            "zeno_state": STATE,
+        },
+    ]
+    assert "release_state" not in data
+    assert "phases" not in SMALL.as_json()
+
+
+def test_a_new_orbit_is_unverified_and_knows_its_problem_and_packages(problem: Problem) -> None:
+    values = problem.values(gains={"Kp": 3.0})
+    orbit = new_orbit(problem, values, period=1.5, phases=SMALL.phases)
+    assert (orbit.problem, orbit.period, orbit.phases) == (problem.name, 1.5, SMALL.phases)
+    assert orbit.values(problem) == values
+    assert orbit.gains["Kp"] == 3.0
+    assert (orbit.certificate, orbit.floquet_multipliers) == ({}, ())
+    assert orbit.problem_digest == digest_of(problem)
+    assert {"zeno_orbits", "casadi", "numpy", "python"} <= set(orbit.versions)

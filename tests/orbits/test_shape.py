@@ -70,6 +70,15 @@ def test_a_slip_of_the_pen_makes_no_period_of_a_million_phases() -> None:
         OrbitShape.parsed("impact*1000000")
 
 
+@pytest.mark.parametrize(
+    ("text", "n"), [("impact*1000", 1000), ("impact*500,impact*499,plastic", 1000)]
+)
+def test_a_period_has_a_thousand_phases_at_most(text: str, n: int) -> None:
+    assert OrbitShape.parsed(text).n_phases == n
+    with pytest.raises(InputError, match="`shape` must be zeno"):
+        OrbitShape.parsed(f"impact,{text}")
+
+
 @pytest.mark.parametrize("text", ["zeno,impact", "plastic,zeno", "impact,zeno,impact"])
 def test_impacts_of_an_accumulation_are_no_phases_of_their_own(text: str) -> None:
     with pytest.raises(InputError, match="must not mix zeno"):
