@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from tests.support.mechanisms import GRAVITY, bead_on_disc, fading_ball
+from tests.support.mechanisms import bead_on_disc, fading_ball
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import RungeKutta
 from zeno_orbits.integrators.collocation import doubled_nodes, radau_nodes

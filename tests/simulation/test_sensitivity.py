@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import cmath
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
 import pytest
 from scipy.integrate import DOP853
 
-from tests.reference.closed_forms import FORCED
 from tests.support.families import BALL, CART, OSCILLATOR
 from tests.support.mechanisms import oscillator_state
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators import Engine, Radau, RungeKutta, SciPy
+from zeno_orbits.integrators import Engine, Radau, RungeKutta, SciPy, SteppedTrajectory
 from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.model.numeric.derivatives import FlowDifferential
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
@@ -192,20 +193,22 @@ BY = (2, 1)
 """Places of drag and weight among the parameters of the ball, in this order."""
 
 
-def _fallen(numbers: Vector, time: float) -> Vector:
+def _fallen(numbers: Sequence[complex], time: float) -> list[complex]:
     """Return height and velocity of a ball after a time, of numbers that may be complex."""
     height, velocity, drag, weight = numbers
     slack = velocity + weight / drag
-    decayed = np.exp(-drag * time)
+    decayed = cmath.exp(-drag * time)
     fall = slack * (1 - decayed) / drag - weight / drag * time
-    return np.array([height + fall, slack * decayed - weight / drag])
+    return [height + fall, slack * decayed - weight / drag]
 
 
 def _fall_slopes(x: Vector, drag: float, time: float) -> Vector:
     """Return the derivatives of the same by height, velocity, drag and weight, by complex steps."""
-    numbers = np.array([*x, drag, G], dtype=complex)
-    tiny = 1e-30
-    return np.array([_fallen(numbers + 1j * tiny * one, time).imag / tiny for one in np.eye(4)]).T
+    tiny, slopes = 1e-30, list[list[float]]()
+    for one in np.eye(4):
+        numbers = [complex(at, tiny * way) for at, way in zip((*x, drag, G), one, strict=True)]
+        slopes.append([value.imag / tiny for value in _fallen(numbers, time)])
+    return np.array(slopes).T
 
 
 def _falling(engine: Engine, x: Vector, drag: float, until: float) -> tuple[Perturbations, Arc]:
@@ -239,6 +242,7 @@ def test_perturbations_of_a_falling_ball_are_those_of_its_closed_form(
     assert each == pytest.approx(np.repeat(each[:, :1], parts, axis=1), rel=1e-9)
     if not isinstance(engine, SciPy):
         assert times[::parts] == pytest.approx(arc.flow_times, rel=1e-14)
+        assert len(list(courses(*given))) == len(arc.flow_times) - 1
     for time, found in passed:
         assert found == pytest.approx(_fall_slopes(x, DRAG, time), abs=1e-10)
     assert carried(*given).tolist() == list(courses(*given))[-1][1].tolist()
@@ -266,6 +270,36 @@ def test_where_explicit_steps_are_no_good_implicit_ones_follow_the_same_states()
         assert found == pytest.approx(_fall_slopes(x, DRAG, time), abs=1e-12)
 
 
+@dataclass
+class _Whole:
+    """A step of no known kind, as long as its arc."""
+
+    size: float
+    before: Vector
+    after: Vector
+    start: float = 0.0
+
+    def state_at(self, offset: float) -> Vector:
+        return self.before if offset == 0.0 else self.after
+
+    def end_at(self, offset: float) -> Vector:
+        return self.state_at(offset)
+
+
+def test_an_arc_of_steps_that_are_not_known_is_stepped_once_more() -> None:
+    x = np.array([2.0, 1.5])
+    walk, arc = _falling(RungeKutta(), x, DRAG, 3.0)
+    whole = _Whole(size=arc.duration, before=arc.start_state, after=arc.end_state)
+    assert isinstance(arc.trajectory, SteppedTrajectory)
+    other = SteppedTrajectory(
+        steps=(arc.trajectory.steps[0], whole), duration=arc.duration, end=arc.end_state
+    )
+    arc.trajectory = other  # type: ignore[misc]
+    given = (walk.dynamics.free, walk.differentials.free, arc, walk.tolerance)
+    found = carried(*given, np.eye(2, 4), walk.parameters)
+    assert found == pytest.approx(_fall_slopes(x, DRAG, arc.duration), abs=1e-10)
+
+
 class _Claimed:
     """A variational equation whose explicit steps claim an error: 7 after them, else no change."""
 
@@ -285,6 +319,7 @@ class _Claimed:
     [
         # Above 1e-8, and a thousand times the tolerance of the state, steps are not trusted.
         (1e-12, 0.9e-8, True),
+        (1e-12, 1e-8, True),
         (1e-12, 1.1e-8, False),
         (1e-9, 0.9e-6, True),
         (1e-9, 1.1e-6, False),

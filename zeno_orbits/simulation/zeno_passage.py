@@ -112,8 +112,7 @@ def pass_through(
             z, layer = passed.step.end, passed.layer
             error += _CAUTION * passed.error
             path.append(passed.step)
-            length = passed.step.piece.length
-            w = 0.0 if length == w else w - length
+            w -= passed.step.piece.length
             if w == 0.0:
                 break
     except CurveLostError:
