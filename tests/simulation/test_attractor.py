@@ -115,20 +115,111 @@ def test_changes_see_the_period_of_a_sequence_and_zero_states_do_not_blur_it():
     assert found[2] > 0.05
 
 
-def test_growth_near_rest_follows_its_law_down_to_zero():
-    def amplitudes(at_rest, bend, n=12):
-        values = [1.0]
-        for _ in range(n):
-            values.append(values[-1] * math.exp(at_rest + bend * values[-1] ** 2))
-        return values
+def lawful(at_rest, bend, n=12):
+    """Amplitudes of n + 1 returns from 1 by the law of growth."""
+    values = [1.0]
+    for _ in range(n):
+        values.append(values[-1] * math.exp(at_rest + bend * values[-1] ** 2))
+    return values
 
-    assert growth_of(amplitudes(-0.05, -0.02)).dies_out
-    assert growth_of(amplitudes(-0.05, 0.03)).dies_out
+
+def test_growth_near_rest_follows_its_law_down_to_zero():
+    assert growth_of(lawful(-0.05, -0.02)).dies_out
+    assert growth_of(lawful(-0.05, 0.03)).dies_out
     # Falls to an orbit of amplitude sqrt(0.02 / 0.06), where growth begins.
-    assert not growth_of(amplitudes(0.02, -0.06)).dies_out
+    assert not growth_of(lawful(0.02, -0.06)).dies_out
     # Grows.
-    assert growth_of(amplitudes(0.05, -0.01)).factor > 1.0
-    assert not growth_of(amplitudes(0.05, -0.01)).dies_out
+    assert growth_of(lawful(0.05, -0.01)).factor > 1.0
+    assert not growth_of(lawful(0.05, -0.01)).dies_out
+
+
+def test_the_words_of_a_kind_end_a_sentence_that_begins_with_the_motion():
+    words = [kind.value for kind in AttractorKind]
+    assert all(word.replace(" ", "").isalpha() and word.islower() for word in words)
+
+
+def test_a_motion_grows_from_a_thousandth_a_return():
+    for last, outcome in ((1.001, AttractorKind.UNDECIDED), (1.0015, AttractorKind.GROWS)):
+        found = outcome_of(Motion(units=UNITS, amplitudes=[1.0, last]), close=1e-6)
+        assert found.outcome is outcome
+
+
+def test_sizes_are_largest_moduli_and_never_nearly_zero():
+    assert scale_of([np.array([-3.0, 1.0]), np.array([2.0, -5.0])], ("m", "A")).tolist() == [3, 5]
+    # A thousandth of the others of its unit, and of nothing else.
+    one_unit = scale_of([np.array([5.0, 0.0, 1e-4, 2.0])], ("m", "m", "A", "m"))
+    assert one_unit == pytest.approx([5.0, 5e-3, 1e-4, 2.0], rel=1e-15)
+    # Below a thousandth of a millionth of all others it is rounding, and has their size.
+    lone = [192e-9, 128 * 1e-9, 64e-9, 0.0, 128.0]
+    alone = scale_of([np.array(lone)], ("m", "A", "rad", "V", "m/s"))
+    assert alone.tolist() == [192e-9, 128.0, 128.0, 128.0, 128.0]
+    assert scale_of([np.zeros(2)], ("m", "A")).tolist() == [1.0, 1.0]
+
+
+def test_two_returns_are_enough_to_repeat_and_one_is_not():
+    met = returns(lambda _: [1.0, 0.3, 2.0, 0.0], n=2)
+    assert [one.returns for one in repetitions(met, UNITS, close=1e-6, apart=0.01)] == [1]
+    assert repetitions(met[:1], UNITS, close=1e-6, apart=0.01) == ()
+    assert repetitions([], UNITS, close=1e-6, apart=0.01) == ()
+
+
+def test_returns_repeat_if_they_are_nearer_than_asked():
+    met = [SectionReturn(time=t, state=np.array([t]), size=np.array([4.0])) for t in (1.0, 2.0)]
+    assert repetitions(met, ("m",), close=0.25, apart=0.01) == ()
+    (found,) = repetitions(met, ("m",), close=0.26, apart=0.01)
+    assert found.change == 0.25
+
+
+def test_the_sizes_of_the_last_eight_returns_count():
+    def found(large):
+        met = [
+            SectionReturn(
+                time=float(k),
+                state=np.array([1.0 + 0.1 * (k % 2)]),
+                size=np.array([1e6 if k == 10 - large else 1.0]),
+            )
+            for k in range(10)
+        ]
+        return repetitions(met, ("m",), close=1e-2, apart=0.01)[0].returns
+
+    assert [found(large) for large in (1, 8, 9)] == [1, 1, 2]
+
+
+def test_more_returns_must_come_nearer_by_a_hundred_where_nobody_says_how_much():
+    def found(near):
+        met = returns(lambda k: [1.0 + 0.1 * (k % 2) + near * (k == 2), 0.3, 2.0, 0.0], n=3)
+        return outcome_of(Motion(units=UNITS, returns=met), close=1e-2).outcome
+
+    # The changes are 0.1 and `near`.
+    assert found(0.8e-3) is AttractorKind.REPEATS
+    assert found(1.5e-3) is AttractorKind.UNDECIDED
+
+
+def test_rates_of_either_sign_count_against_the_largest_of_their_own_motion():
+    rates = np.array([[[-1e-6, 0.0]], [[-1.5e-6, 0.0]], [[-1.5e-6, 0.0]], [[0.0, 1e-9]]])
+    largest = np.array([[1.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 0.0]])
+    assert is_still(rates, largest).tolist() == [True, False, True, False]
+    # A limit for each state.
+    assert is_still(rates, largest, np.array([0.0, 1e-8])).tolist() == [True, False, True, True]
+
+
+@pytest.mark.parametrize(("slope", "holds"), [(2.9, True), (3.0, False), (3.5, False)])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_force_may_not_fall_to_zero_within_a_third_of_a_step(sign, slope, holds):
+    # The hull of the cubic ends at 1 - slope / 3 beside the middle phase, on one side of it.
+    force, rate = np.array([[10.0, 1.0, 10.0]]), np.array([[0.0, sign * slope, 0.0]])
+    assert keeps_holding(force, rate, 1.0).tolist() == [holds]
+
+
+def test_every_motion_has_phases_of_its_own_length():
+    force, rate = np.ones((3, 2)), np.full((3, 2), -1.0)
+    steps = np.array([1.0, 4.0, 2.0])
+    assert keeps_holding(force, rate, steps).tolist() == [True, False, True]
+
+
+def test_a_stop_without_force_at_one_phase_does_not_hold():
+    assert keeps_holding(np.array([[0.0]]), np.zeros((1, 1)), 0.0).tolist() == [False]
+    assert keeps_holding(np.array([[0.0, 1.0]]), np.array([[3.0, 0.0]]), 1.0).tolist() == [False]
 
 
 def test_a_motion_is_still_only_if_it_is_in_every_phase_of_the_clock():
@@ -173,21 +264,36 @@ def test_a_stop_without_a_clock_holds_while_its_force_is_positive():
 def test_what_the_problem_declares_is_gone_and_other_angles_after_ten_turns():
     bounds = bounds_of(("x", "a", "dx", "da"), UNITS, 2, {"x": 3.0})
     assert bounds.tolist() == [3.0, TEN_TURNS, math.inf, math.inf]
+    assert pytest.approx(10 * 2 * math.pi, rel=1e-15) == TEN_TURNS
     assert bounds_of(("x", "a", "dx", "da"), UNITS, 2, {"a": 1.0})[1] == 1.0
 
 
 def test_other_coordinates_have_left_once_they_are_far_beyond_where_they_ever_were():
     before = np.array([1e-3, 1e6, 0.0])
     assert has_left(np.array([2.0, 2e6, 5.0]), before).tolist() == [True, False, False]
+    assert has_left(np.array([-2.0, -2e6, -5.0]), before).tolist() == [True, False, False]
+    assert has_left(np.array([1001.0, 1000.0]), np.ones(2)).tolist() == [True, False]
 
 
 def test_few_amplitudes_tell_their_mean_factor_alone() -> None:
     assert math.isnan(growth_of([]).factor)
     assert math.isnan(growth_of([1.0]).factor)
     assert growth_of([4.0, 2.0]).factor == pytest.approx(0.5)
-    assert growth_of([1.0, 5.0, 4.0]).factor == pytest.approx(2.0)
+    assert growth_of([1.0, 5.0, 9.0]).factor == pytest.approx(3.0)
+    assert growth_of([4.0, 0.5]).factor == pytest.approx(1 / 8)
     assert math.isnan(growth_of([0.0, 1.0]).factor)
+    assert math.isnan(growth_of([1.0, 1.0, 0.0]).factor)
     assert not growth_of([4.0, 2.0]).dies_out
+
+
+@pytest.mark.parametrize("n_before", [0, 1, 20])
+def test_the_growth_is_the_mean_of_the_last_six_factors_and_no_others(n_before: int) -> None:
+    amplitudes = np.cumprod([*([17.0] * n_before), 1.0, 2.0, 3.0, 5.0, 7.0, 11.0, 13.0])
+    assert growth_of(amplitudes.tolist()).factor == pytest.approx(30030 ** (1 / 6), rel=1e-12)
+    # Of a motion that has faded, too.
+    falling = growth_of((1 / amplitudes).tolist())
+    assert falling.dies_out
+    assert falling.factor == pytest.approx(30030 ** (-1 / 6), rel=1e-12)
 
 
 def test_the_last_six_factors_tell_the_growth() -> None:
@@ -198,7 +304,10 @@ def test_the_last_six_factors_tell_the_growth() -> None:
 
 def test_a_motion_dies_out_as_soon_as_it_has_faded() -> None:
     assert growth_of([1.0, 0.9e-3]).dies_out
+    assert growth_of([1.0, 1e-3]).dies_out
     assert not growth_of([1.0, 1.1e-3]).dies_out
+    assert growth_of([10.0, 0.9e-2]).dies_out
+    assert not growth_of([10.0, 1.1e-2]).dies_out
     # Of the largest there ever was, and by the last one alone.
     assert growth_of([0.1, 1.0, 0.5, 0.9e-3]).dies_out
     assert not growth_of([1.0, 0.9e-3, 0.1]).dies_out
@@ -228,15 +337,39 @@ def test_a_motion_may_repeat_after_so_many_returns(n):
 
 
 def test_decay_that_is_not_clear_or_pauses_is_no_death():
-    def amplitudes(at_rest, bend, n=12):
-        values = [1.0]
-        for _ in range(n):
-            values.append(values[-1] * math.exp(at_rest + bend * values[-1] ** 2))
-        return values
-
     # Its decay at rest would take five hundred returns for a factor of e.
-    assert not growth_of(amplitudes(-0.002, -0.05)).dies_out
-    assert growth_of(amplitudes(-0.02, -0.05)).dies_out
-    paused = amplitudes(-0.05, -0.02)
+    assert not growth_of(lawful(-0.002, -0.05)).dies_out
+    assert growth_of(lawful(-0.02, -0.05)).dies_out
+    paused = lawful(-0.05, -0.02)
     paused[-3] = paused[-4] * 1.001
     assert not growth_of(paused).dies_out
+
+
+def test_a_law_is_told_from_six_factors_and_not_from_fewer():
+    assert not growth_of(lawful(-0.05, -0.02, n=6)).dies_out
+    assert growth_of(lawful(-0.05, -0.02, n=7)).dies_out
+
+
+@pytest.mark.parametrize("size", [0.01, 1.0, 100.0])
+def test_a_fall_by_less_than_a_tenth_over_six_returns_tells_no_death(size):
+    assert not growth_of([size * 0.99**k for k in range(12)]).dies_out
+    # 0.98 ** 6 is 0.886; 0.98 ** 5 would be 0.904.
+    assert growth_of([size * 0.98**k for k in range(12)]).dies_out
+
+
+@pytest.mark.parametrize(("first", "dies"), [(-0.002, False), (-0.0045, True)])
+def test_every_factor_must_be_one_of_clear_decay(first, dies):
+    # A law without misfit, which at rest decays by e; only the first factor may be near 1.
+    amplitudes = [2.0, *lawful(-1.0, 1.0 + first, n=6)]
+    assert amplitudes[7] < 0.6 * amplitudes[1]
+    assert growth_of(amplitudes).dies_out is dies
+
+
+@pytest.mark.parametrize(("kick", "dies"), [(0.006, True), (0.018, False), (0.04, False)])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_factors_that_scatter_about_their_law_tell_no_death(kick, dies, sign):
+    # One of six equal rates is off: some five sixths of it is misfit, against a fifth of 0.05.
+    rates = np.full(7, -0.05)
+    rates[3] += sign * kick
+    amplitudes = np.exp(np.cumsum([0.0, *rates]))
+    assert growth_of(amplitudes.tolist()).dies_out is dies
