@@ -33,7 +33,7 @@ class Extent:
     @property
     def largest(self) -> float:
         """Largest absolute value."""
-        return max(abs(self.lowest), abs(self.highest))
+        return max(-self.lowest, self.highest)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
