@@ -10,12 +10,9 @@ from zeno_orbits.integrators.flow import Tolerance
 from zeno_orbits.integrators.rosenbrock import rosenbrock_step
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.simulation.batch.batch import Batch, BatchSettings
-from zeno_orbits.simulation.batch.events import first_falls, may_fall
 from zeno_orbits.simulation.batch.model import ABSOLUTE, Columns, _step_function, model_in_rows
 from zeno_orbits.simulation.batch.outcomes import Ended, Reason, Released, Struck
-from zeno_orbits.simulation.batch.zeno_limit import Tails
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
-from zeno_orbits.simulation.zeno_limit import TailEstimate, combine
 
 PENDULUM = load_problem("motor_pendulum")
 BALL = load_problem("bouncing_ball")
@@ -263,71 +260,6 @@ def test_a_motion_resumed_after_an_impact_knows_that_it_is_in_a_sequence():
     rest, _ = struck(lambda b: lambda *a: b.resume(*a, n_followers=0), at.state, at.time)
     # A local error of 1e-10 on 60 flights.
     assert rest == pytest.approx(whole[3:], abs=1e-7)
-
-
-def cubic(roots, size):
-    """Return rows of a guard with these roots, and what `first_falls` asks of it."""
-    polynomials = [np.poly1d(np.poly(row)) * -1.0 for row in roots]
-
-    def dense(rows, offset):
-        pairs = [
-            (polynomials[r](t), polynomials[r].deriv()(t))
-            for r, t in zip(rows, offset, strict=True)
-        ]
-        return np.array(pairs).reshape(-1, 2)
-
-    every = np.arange(len(roots))
-    return dense, dense(every, np.zeros(len(roots))), dense(every, np.full(len(roots), size))
-
-
-def test_falls_are_found_where_a_cubic_has_them_and_nowhere_else():
-    # -(t - a)(t - b)(t - c) falls at the first and third root, and rises at the second.
-    roots = [(0.3, 2.0, 3.0), (-1.0, -0.5, 0.7), (0.2, 0.21, 4.0), (-2.0, -1.0, 5.0)]
-    dense, before, after = cubic(roots, 1.0)
-    size, on_guard = np.ones(4), np.zeros(4, dtype=bool)
-    before = before.copy()
-    falls = first_falls(dense, size, before, after, on_guard)
-    assert falls[:2] == pytest.approx([0.3, 0.7], abs=1e-14)
-    assert falls[2] == pytest.approx(0.2, abs=1e-12)
-    assert np.isnan(falls[3])
-    assert may_fall(size, before, after, on_guard).tolist() == [True, True, True, False]
-
-
-def test_the_start_on_a_guard_is_no_fall_but_a_later_one_is():
-    # Roots at the start, where the guard rises, and at 0.6, where it falls.
-    dense, before, after = cubic([(-1.0, 0.0, 0.6)], 1.0)
-    falls = first_falls(dense, np.ones(1), before, after, np.ones(1, dtype=bool))
-    assert falls == pytest.approx([0.6], abs=1e-14)
-
-
-def test_limits_in_rows_are_those_of_single_sequences():
-    rng = np.random.default_rng(2)
-    tails = Tails(3, np.ones(5))
-    estimates = {lane: [] for lane in range(3)}
-    for lane, (ratio, n) in enumerate([(0.2, 6), (0.7, 40), (0.45, 1)]):
-        for k in range(n):
-            speed = ratio**k
-            state = rng.normal(size=4) * 1e-3 * speed**2 + lane
-            time = 2.0 + 0.1 * speed**2
-            rows = np.array([lane])
-            tails.append(rows, np.array([speed]), np.array([time]), state[None])
-            estimates[lane].append(
-                TailEstimate(
-                    impact_time=0.0,
-                    resting=state,
-                    speed=speed,
-                    time=time,
-                    state=state,
-                    gap_acceleration=-1.0,
-                )
-            )
-    rows = np.arange(3)
-    times, states, errors = tails.limits(rows, rows)
-    for lane in range(3):
-        limit = combine(estimates[lane])
-        assert times[lane] == pytest.approx(limit.time, rel=1e-13)
-        assert states[lane] == pytest.approx(limit.state, rel=1e-12)
-        assert errors[lane] == pytest.approx(limit.error, rel=1e-6, abs=1e-14)
 
 
 @pytest.mark.parametrize("e", [0.0, 0.3])
