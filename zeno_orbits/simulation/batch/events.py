@@ -112,7 +112,7 @@ def _search(
         open_ &= ~falls
         armed |= pair[:, 0] > 0.0
         at, here = offset, pair
-    for k in true_rows(open_ & ~armed & (end[:, 0] < 0.0)).tolist():
+    for k in true_rows(~armed & (end[:, 0] < 0.0)).tolist():
         _short_rise(dense, rows[k], bracket, bracketed)
 
 
@@ -201,6 +201,6 @@ def _hermite_root(low: Vector, low_rate: Vector, high: Vector, high_rate: Vector
             slope = low_rate + place * (2 * square + 3 * place * cube)
             left, right = np.where(value > 0, place, left), np.where(value > 0, right, place)
             better = place - value / slope
-            inside = (better > left) & (better < right)
+            inside = (better >= left) & (better <= right)
             place = np.where(inside, better, (left + right) / 2)
     return place
