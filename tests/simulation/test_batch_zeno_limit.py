@@ -60,9 +60,12 @@ def test_the_last_speed_is_that_of_each_lanes_own_sequence():
 
 def test_room_is_made_for_long_sequences_and_none_of_their_impacts_is_lost():
     tails, speeds = Tails(2, np.ones(2)), 0.99 ** np.arange(150)
-    add(tails, 0, 0.5, 3.0, [4.0])
     for speed in speeds:
-        add(tails, 1, speed, 2.0 + speed**2, [1.0 - speed**2])
+        # The other begins anew each time.
+        tails.clear(np.array([0]))
+        states = np.array([[4.0], [1.0 - speed**2]])
+        times = np.array([3.0, 2.0 + speed**2])
+        tails.append(np.arange(2), np.array([0.5, speed]), times, states)
     tails.append(np.empty(0, dtype=np.intp), np.empty(0), np.empty(0), np.empty((0, 1)))
     assert tails.count.tolist() == [1, 150]
     assert tails.speed[1, :150].tolist() == speeds.tolist()
