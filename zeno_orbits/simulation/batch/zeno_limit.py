@@ -76,7 +76,7 @@ class Tails:
 
     def _nodes(self, lanes: Rows, last: Rows) -> Rows:
         """Return the impacts to extrapolate from, the slowest first, -1 where there are no more."""
-        nodes = np.full((len(lanes), N_NODES), -1, dtype=np.intp)
+        nodes = np.empty((len(lanes), N_NODES), dtype=np.intp)
         nodes[:, 0] = last
         longest = int(last.max(initial=0)) + 1
         speed = self.speed[lanes, :longest]
