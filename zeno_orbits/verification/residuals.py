@@ -167,13 +167,13 @@ def _penetration(dynamics: HybridDynamics, first: FirstCycle) -> float:
 
 
 def _adhesion(dynamics: HybridDynamics, first: FirstCycle) -> float:
-    forces = [
-        dynamics.multiplier(x)
+    pulls = [
+        max(0.0, -dynamics.multiplier(x))
         for phase in first.cycle.phases
         if phase.locked is not None
         for x in phase.locked.flow_states
     ]
-    return max(0.0, -min(forces, default=0.0)) / first.force
+    return max(pulls, default=0.0) / first.force
 
 
 def lawful_impact(dynamics: HybridDynamics, impact: Impact) -> tuple[float, float]:

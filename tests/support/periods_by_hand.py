@@ -1,0 +1,140 @@
+"""Periods made by hand, of which every number is known: nothing is integrated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from zeno_orbits.orbits.phases import Moment
+from zeno_orbits.orbits.shape import OrbitShape
+from zeno_orbits.simulation.execution import Arc, Ending, Impact, Mode, ZenoPoint
+from zeno_orbits.verification.claim import Claim, ClaimedPhase
+from zeno_orbits.verification.integration import FirstCycle
+
+SCALE = np.array([1.0, 10.0, 100.0])
+"""Sizes of the states."""
+
+
+def system(**parts: Any) -> Any:
+    """Return a system whose state is the gap, its rate and the multiplier."""
+    named = {
+        "restitution": 0.5,
+        "gap": lambda x: float(x[0]),
+        "gap_rate": lambda x: float(x[1]),
+        "multiplier": lambda x: float(x[2]),
+        "gap_acceleration": lambda x: -10.0 * float(x[2]),
+        "multiplier_rate": lambda x: -100.0 * float(x[2]),
+        "normal_inertia": lambda x: 2.0 + float(x[2]),
+        "energy": lambda x: (2.0 + float(x[2])) * float(x[1]) ** 2 / 2,
+        "holonomic": lambda _: np.array([]),
+        "impulse_direction": lambda _: np.array([0.0, 1.0, 0.0]),
+        "on_stop": lambda x: np.array([0.0, 0.0, x[2]]),
+        "differentiation": None,
+    }
+    return SimpleNamespace(**{**named, **parts})
+
+
+def state(*entries: float) -> Any:
+    """Return a state."""
+    return np.array(entries, dtype=float)
+
+
+def impact(time: float, before: Sequence[float], after: Sequence[float] | None = None) -> Impact:
+    """Return an impact; by default it halves the speed and turns it round."""
+    rate = before[1]
+    plus = state(before[0], -0.5 * rate, *before[2:]) if after is None else state(*after)
+    return Impact(time=time, state_minus=state(*before), state_plus=plus, approach_rate=rate)
+
+
+def zeno(time: float, x: Sequence[float], **parts: float) -> ZenoPoint:
+    """Return a Zeno point with a tail of a tenth of a second."""
+    named = {"limit_error": 0.0, "tail": 0.1, "last_speed": 0.25, **parts}
+    return ZenoPoint(time=time, state=state(*x), **named)
+
+
+def arc(
+    mode: Mode,
+    times: Sequence[float],
+    states: Sequence[Sequence[float]],
+    *,
+    flow: Sequence[Sequence[float]] | None = None,
+    unit: float = 1.0,
+) -> Arc:
+    """Return an arc through states; ``flow`` are those of the flow itself, if they differ.
+
+    Without ``flow`` between two states it is straight.
+    """
+    inner = np.array(states if flow is None else flow, dtype=float)
+    straight = flow is None and len(states) == 2
+    steps = SimpleNamespace(
+        times=(np.array(times) - times[0]) / unit,
+        states=inner,
+        duration=(times[-1] - times[0]) / unit,
+    )
+    return Arc(
+        mode=mode,
+        start_time=times[0],
+        end_time=times[-1],
+        start_state=state(*states[0]),
+        end_state=state(*states[-1]),
+        ending=Ending.IMPACT if mode is Mode.FREE else Ending.RELEASE,
+        impact_index=0,
+        time_unit=unit,
+        trajectory=None if straight else steps,  # type: ignore[arg-type]
+    )
+
+
+def phase(
+    start: tuple[float, Sequence[float]],
+    impacts: Sequence[Impact],
+    limit: ZenoPoint | None,
+    end: tuple[float, Sequence[float]],
+    **parts: Any,
+) -> Any:
+    """Return a phase: where it starts, what happens, where it ends."""
+    return SimpleNamespace(
+        start=Moment(time=start[0], state=state(*start[1])),
+        impacts=tuple(impacts),
+        zeno=limit,
+        end=Moment(time=end[0], state=state(*end[1])),
+        **{"locked": None, "flight": None, **parts},
+    )
+
+
+def cycle(phases: Sequence[Any], arcs: Sequence[Arc] = (), **parts: Any) -> Any:
+    """Return a period of some phases."""
+    named = {"shorter_periods": lambda _: dict[OrbitShape, float](), **parts}
+    return SimpleNamespace(
+        phases=tuple(phases),
+        impacts=tuple(one for part in phases for one in part.impacts),
+        zeno_points=tuple(part.zeno for part in phases if part.zeno is not None),
+        start=phases[0].start,
+        end=phases[-1].end,
+        execution=SimpleNamespace(arcs=tuple(arcs)),
+        **named,
+    )
+
+
+def first_cycle(period: Any, *, gap: float = 2.0, force: float = 50.0) -> FirstCycle:
+    """Return a period with the sizes of its states, of its gap and of its multiplier."""
+    return FirstCycle(cycle=period, largest=SCALE, scale=SCALE, gap=gap, force=force)
+
+
+def claim(shape: str, period: float, phases: Sequence[Any]) -> Claim:
+    """Return what an orbit says that has these phases, to the last digit."""
+    return Claim(
+        shape=OrbitShape.parsed(shape),
+        period=period,
+        phases=tuple(
+            ClaimedPhase(
+                start_time=one.start.time,
+                start=one.start.state,
+                impacts=tuple((i.time, i.state_minus) for i in one.impacts),
+                zeno=None if one.zeno is None else (one.zeno.time, one.zeno.state),
+            )
+            for one in phases
+        ),
+    )
