@@ -83,7 +83,7 @@ def arc(
         ending=Ending.IMPACT if mode is Mode.FREE else Ending.RELEASE,
         impact_index=0,
         time_unit=unit,
-        trajectory=None if straight else steps,  # type: ignore[arg-type]
+        trajectory=None if straight else steps,
     )
 
 

@@ -142,6 +142,49 @@ def test_stability_takes_the_error_of_the_multiplier_into_account(
     assert seen.passed
 
 
+@pytest.mark.parametrize(
+    ("multiplier", "error", "unstable"),
+    [
+        (1.01, 1e-6, True),
+        (-3.0, 1.9, True),
+        (1.01, 0.02, False),
+        (1.5, 0.5, False),
+        (1.0, 0.0, False),
+        (0.5, 1e-6, False),
+        (3.0, math.inf, False),
+    ],
+)
+def test_instability_takes_the_error_of_the_multiplier_into_account(
+    multiplier: float, error: float, unstable: bool
+) -> None:
+    seen = replace(GOOD, multipliers=(complex(multiplier),), multiplier_error=error)
+    assert seen.unstable is unstable
+    assert ("an unstable" in seen.verdict()) is unstable
+    assert ("of unknown stability" in seen.verdict()) is not (unstable or seen.stable)
+
+
+@pytest.mark.parametrize(
+    ("shape", "named"),
+    [
+        ("zeno", "a stable Zeno periodic orbit;"),
+        ("plastic", "a stable Zeno periodic orbit;"),
+        ("zeno*2", "a stable Zeno periodic orbit (shape zeno*2);"),
+        ("impact,plastic", "a stable Zeno periodic orbit (shape impact,plastic);"),
+        ("impact", "a stable periodic orbit without a Zeno point (shape impact);"),
+        ("impact*2", "a stable periodic orbit without a Zeno point (shape impact*2);"),
+    ],
+)
+def test_a_verdict_names_the_shape_that_is_not_the_usual_one(shape: str, named: str) -> None:
+    assert named in replace(GOOD, shape=shape).verdict()
+
+
+def test_a_certificate_shows_itself_by_its_verdict_and_spectral_radius() -> None:
+    shown = repr(GOOD)
+    assert GOOD.verdict() in shown
+    assert f"spectral_radius={math.sqrt(0.26):.6g}" in shown
+    assert "\n" not in shown
+
+
 def test_without_multipliers_nothing_is_called_stable() -> None:
     assert not replace(GOOD, multipliers=(), multiplier_error=math.inf).stable
 
@@ -215,6 +258,67 @@ def test_an_orbit_of_unknown_or_unit_multipliers_has_an_error_without_bound() ->
     assert math.isinf(replace(GOOD, residuals={}).orbit_error)
     # A section of one point has no multipliers and nothing to magnify.
     assert replace(GOOD, multipliers=()).orbit_error == pytest.approx(2e-12)
+
+
+def test_a_miss_is_magnified_by_the_multiplier_nearest_to_one_alone() -> None:
+    # The integration may be as far off as it says: 1e-6 + 3e-6.
+    seen = replace(_with(closure=1e-6), integration_error=3e-6, multipliers=(-0.9, 0.5, 0.75))
+    assert seen.orbit_error == pytest.approx(4e-6 / 0.25)
+    # However strongly the orbit attracts elsewhere, its Zeno point and period miss by themselves.
+    away = replace(seen, multipliers=(-0.9, -3.0, 2.5))
+    assert away.orbit_error == pytest.approx(4e-6)
+    assert replace(seen, multipliers=(1.5j, -0.2)).orbit_error == pytest.approx(4e-6)
+
+
+@pytest.mark.parametrize("name", ["start", "phases"])
+def test_an_orbit_that_starts_after_an_impact_has_an_error_by_its_own_residuals(name: str) -> None:
+    # Neither a release nor a Zeno point: the error is told without.
+    own = {"start", "phases", "first_impact", "impact_sequence", "closure", "period"}
+    few = replace(GOOD, residuals=dict.fromkeys(own, 1e-12), multipliers=())
+    assert few.orbit_error == pytest.approx(2e-12)
+    assert replace(few, residuals={**few.residuals, name: 1e-6}).orbit_error >= 1e-6
+    without = {key: size for key, size in few.residuals.items() if key not in ("start", "phases")}
+    assert math.isinf(replace(few, residuals=without).orbit_error)
+
+
+@pytest.mark.parametrize("name", ["first_impact", "impact_sequence", "closure", "period"])
+def test_a_residual_that_every_orbit_has_leaves_no_error_where_it_lacks(name: str) -> None:
+    few = {key: size for key, size in GOOD.residuals.items() if key != name}
+    assert math.isinf(replace(GOOD, residuals=few).orbit_error)
+
+
+@pytest.mark.parametrize("name", ["integration_error", "multiplier_error"])
+@pytest.mark.parametrize("value", [math.inf, math.nan])
+def test_errors_without_bound_leave_none_of_the_orbit(name: str, value: float) -> None:
+    assert math.isinf(replace(GOOD, **{name: value}).orbit_error)
+
+
+def test_a_verdict_names_the_first_margin_that_is_lost_only_where_nothing_else_is_wrong() -> None:
+    lost = {"first_impact_speed": -0.25, "locked_time": 0.5, "gap_acceleration": -1.0}
+    seen = replace(GOOD, margins=lost)
+    assert "`first_impact_speed` = -2.5e-01" in seen.verdict()
+    assert replace(seen, trouble="It is late").verdict() == "Refused: It is late."
+    failed = replace(seen, residuals={"closure": 2e-3})
+    assert "`closure` = 2.0e-03 exceeds 1e-09" in failed.verdict()
+    assert failed.verdict().endswith(").")
+
+
+def test_a_certificate_without_residuals_has_none_that_is_large() -> None:
+    assert replace(GOOD, residuals={}).verdict().endswith("largest residual 0.0e+00.")
+
+
+def test_the_largest_residual_is_told() -> None:
+    assert "largest residual 5.0e-10." in _with(drift=5e-10).verdict()
+
+
+def test_every_residual_has_words_for_both_answers_and_they_differ() -> None:
+    assert list(RESIDUALS) == list(FAILURES)
+    assert list(RESIDUALS) == [
+        *("release", "start", "first_impact", "impact_sequence", "restitution", "impact_energy"),
+        *("zeno_point", "phases", "delta_sweep", "penetration", "adhesion", "escape", "closure"),
+        *("period", "drift", "energy_balance", "holonomic", "second_model", "integration"),
+    ]
+    assert all(RESIDUALS[name] != FAILURES[name] for name in RESIDUALS)
 
 
 def test_the_json_holds_every_number_under_its_name() -> None:
