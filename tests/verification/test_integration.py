@@ -200,6 +200,12 @@ def test_a_motion_without_impacts_has_none_of_the_phases(monkeypatch: pytest.Mon
 # Sizes.
 
 
+def test_the_error_of_the_zeno_points_is_that_of_the_worst() -> None:
+    worse = SimpleNamespace(**{**vars(PHASES[0]), "zeno": zeno(0.7, (0, 0, 5), limit_error=3e-9)})
+    for phases in ([PHASES[0], worse], [worse, PHASES[0]]):
+        assert _measured(system(), cycle(phases, [FLIGHT, REST])).zeno_error == 3e-9
+
+
 def test_the_sizes_of_a_period_are_the_largest_on_its_way() -> None:
     first = _measured(system(), cycle(PHASES, [FLIGHT, REST]))
     assert first.largest.tolist() == first.scale.tolist() == [3.0, 4.0, 7.0]
@@ -217,11 +223,11 @@ def test_the_multiplier_at_a_zeno_point_counts_where_the_locked_arc_is_short() -
 
 
 def test_a_state_that_never_moves_has_the_size_one_and_so_has_a_force_that_never_acts() -> None:
-    still = arc(Mode.FREE, [0, 1, 2], [(0, 1, 0), (-2, 0, 0), (0, -1, 0)])
+    still = arc(Mode.FREE, [0, 1, 2], [(0, 1, 0), (-0.25, 0, 0), (0, -1, 0)])
     one = phase((0, (0, 1, 0)), [impact(2, (0, -1, 0))], None, (2, (0, 1, 0)))
     first = _measured(system(), cycle([one], [still]))
-    assert first.largest.tolist() == [2.0, 1.0, 0.0]
-    assert first.scale.tolist() == [2.0, 1.0, 1.0]
+    assert first.largest.tolist() == [0.25, 1.0, 0.0]
+    assert first.scale.tolist() == [0.25, 1.0, 1.0]
     assert first.force == 1.0
     assert first.zeno_error == 0.0
 

@@ -1,0 +1,387 @@
+"""What a page says of orbits of every kind, from numbers made up for it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.support.periods_by_hand import arc, impact, zeno
+from zeno_orbits.errors import StepSizeError
+from zeno_orbits.report.page import subject as subjects
+from zeno_orbits.report.page import words
+from zeno_orbits.report.page.page import _contents, commands_of
+from zeno_orbits.report.page.subject import Subject
+from zeno_orbits.report.page.tables import (
+    bounds_table,
+    checks_table,
+    energies_table,
+    events_table,
+    margins_table,
+    multipliers_table,
+    tables_of,
+    tiles_of,
+    trade_table,
+    versions_table,
+)
+from zeno_orbits.simulation.execution import Execution, Mode, Release
+from zeno_orbits.verification.certificate import RESIDUALS, OrbitCertificate
+
+GOOD = OrbitCertificate(
+    tolerance=2e-9,
+    residuals={"closure": 1e-9, "first_impact": 3e-10},
+    margins={"first_impact_speed": 2.5, "release_transversality": 1.25},
+    energies={"input_work": 8.0, "copper_loss": -4.0, "energy_gain": 3e-13},
+    multipliers=(0.25 + 0j,),
+    multiplier_error=1e-6,
+    delta_sweep=(),
+    delta_order=3.0,
+    integration_error=1e-12,
+    zeno_error=1e-13,
+    period=2.0,
+    n_periods=3,
+    model="derived",
+)
+
+
+def _orbit(*hits: float, **parts: Any) -> Any:
+    named = {
+        "problem": "toy",
+        "period": 2.0,
+        "impacts": [SimpleNamespace(time=time) for time in hits],
+        "parameters": {"restitution": 0.25},
+        "gains": {},
+        "certificate": {},
+        "versions": {},
+    }
+    return SimpleNamespace(**{**named, **parts})
+
+
+HITS = [impact(0.5, (0.0, -4.0, 0.0)), impact(0.75, (0.0, -2.0, 0.0))]
+LIMIT = zeno(1.25, (0.0, 0.0, 0.0), tail=0.125)
+RELEASE = Release(time=2.0, state=np.zeros(3))
+FLIGHT = arc(Mode.FREE, [0.0, 0.5], [(0, 0, 0), (0, -4, 0)])
+REST = arc(Mode.LOCKED, [1.25, 2.0], [(0, 0, 0), (0, 0, 0)])
+
+
+def _execution(*events: Any, arcs: Any = (FLIGHT, REST)) -> Execution:
+    return Execution(state_names=("a", "b", "c"), arcs=tuple(arcs), events=events)
+
+
+def _subject(**parts: Any) -> Any:
+    named = {
+        "orbit": _orbit(0.5, 0.75),
+        "certificate": GOOD,
+        "execution": _execution(*HITS, LIMIT, RELEASE),
+        "trade": None,
+        "problem_file": "",
+        "file": "orbit.json",
+        "command": ("zeno-orbits", "report"),
+        "problem": SimpleNamespace(
+            name="toy", gap_unit="m", energy_unit="J", gains=(), parameters=()
+        ),
+    }
+    return SimpleNamespace(**{**named, **parts})
+
+
+# Sentences.
+
+
+def test_a_period_with_a_zeno_point_is_told_by_its_numbers() -> None:
+    told = words.story(_orbit(0.5, 0.75), GOOD, _execution(*HITS, LIMIT, RELEASE))
+    assert told.startswith("The same motion repeats every 2 s.")
+    for said in ("flies for 0.5 s", "each time 4 times slower", "fit into 0.75 s"):
+        assert said in told
+    assert "rests on the stop for 0.75 s" in told
+
+
+@pytest.mark.parametrize(
+    ("hits", "e", "many"),
+    [((0.5, 0.75), 0.25, True), ((0.5, 0.75), 0.0, False), ((0.5,), 0.25, False)],
+)
+def test_one_hit_takes_all_speed_where_it_is_alone_or_the_stop_is_plastic(
+    hits: tuple[float, ...], e: float, many: bool
+) -> None:
+    orbit = _orbit(*hits, parameters={"restitution": e})
+    told = words.story(orbit, GOOD, _execution(*HITS, LIMIT))
+    assert ("hits again and again" in told) is many
+    assert ("the Zeno point is there at once" in told) is not many
+
+
+def test_an_orbit_without_a_restitution_has_a_plastic_stop() -> None:
+    told = words.story(_orbit(0.5, 0.75, parameters={}), GOOD, _execution(*HITS, LIMIT))
+    assert "the Zeno point is there at once" in told
+
+
+def test_other_numbers_of_zeno_points_are_counted() -> None:
+    told = words.story(_orbit(0.5), GOOD, _execution(*HITS))
+    assert "flies on, 2 times a period" in told
+    told = words.story(_orbit(0.5), GOOD, _execution(*HITS, LIMIT, LIMIT, LIMIT))
+    assert "hits its stop 2 times that" in told
+    assert "3 times infinitely many" in told
+
+
+def test_a_false_orbit_is_told_as_what_its_file_says() -> None:
+    refused = replace(GOOD, trouble="It is late")
+    assert words.story(_orbit(0.5), refused, None).startswith("So says the file")
+    assert words.story(_orbit(0.5), GOOD, None) == "The same motion repeats every 2 s."
+
+
+def test_a_headline_says_what_is_known() -> None:
+    assert words.headline(replace(GOOD, trouble="It is late")).startswith("Not verified")
+    assert "keeps it" in words.headline(GOOD)
+    assert "but unstable" in words.headline(replace(GOOD, multipliers=(1.5 + 0j,)))
+    assert "not known" in words.headline(replace(GOOD, multipliers=(1.0 + 0j,)))
+
+
+def test_a_small_push_is_told_by_the_largest_multiplier() -> None:
+    assert "at most 25 %" in words.stability(GOOD)
+    assert "2.5 times from period to period" in words.stability(
+        replace(GOOD, multipliers=(0.5 + 0j, -2.5 + 0j))
+    )
+    assert "nothing to choose" in words.stability(replace(GOOD, multipliers=()))
+    unknown = replace(GOOD, multipliers=(), multiplier_error=math.inf)
+    assert "not accurate enough" in words.stability(unknown)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "unit", "cautions"),
+    [
+        (-1.0, 3.2, "rad", 1),
+        (-3.2, 1.0, "rad", 1),
+        (-3.1, 3.1, "rad", 0),
+        (-math.pi, math.pi, "rad", 0),
+        (-9.0, 9.0, "rad/s", 0),
+    ],
+)
+def test_only_an_angle_beyond_half_a_turn_gets_a_caution(
+    low: float, high: float, unit: str, cautions: int
+) -> None:
+    swing = arc(Mode.FREE, [0.0, 1.0], [(0.0, low), (0.0, high)])
+    problem: Any = SimpleNamespace(state_names=("x", "phi"), state_units=("m", unit))
+    found = words.cautions(problem, _execution(arcs=[swing]))
+    assert len(found) == cautions
+    for caution in found:
+        assert caution.startswith(f"phi runs from {low:g} to {high:g} rad")
+    assert words.cautions(problem, None) == []
+
+
+# Tiles.
+
+
+def test_tiles_are_the_main_numbers_of_a_period() -> None:
+    rests = arc(Mode.LOCKED, [0.0, 0.25], [(0, 0, 0), (0, 0, 0)])
+    shown = _execution(*HITS, LIMIT, RELEASE, arcs=[rests, FLIGHT, REST])
+    assert tiles_of(_subject(execution=shown)) == (
+        ("period", "2", "s"),
+        ("first hit after", "0.5", "s"),
+        ("Zeno point after", "1.25", "s"),
+        ("rests on the stop for", "1", "s"),
+        ("a small push is multiplied by", "0.25", "per period"),
+    )
+
+
+def test_no_more_than_three_zeno_points_have_tiles_and_none_no_rest() -> None:
+    points = [zeno(float(k), (0, 0, 0)) for k in (1, 2, 3, 4)]
+    names = [name for name, _, _ in tiles_of(_subject(execution=_execution(*HITS, *points)))]
+    assert names.count("Zeno point after") == 3
+    for execution in (None, _execution(*HITS)):
+        names = [name for name, _, _ in tiles_of(_subject(execution=execution))]
+        assert names == ["period", "first hit after", "a small push is multiplied by"]
+
+
+def test_numbers_are_told_to_ten_digits_and_an_unknown_radius_as_unknown() -> None:
+    third = 1.0 / 3.0
+    certificate = replace(GOOD, multipliers=(), multiplier_error=math.inf)
+    limit = zeno(third, (0, 0, 0))
+    rest = arc(Mode.LOCKED, [third, 1.0], [(0, 0, 0), (0, 0, 0)])
+    found = tiles_of(
+        _subject(
+            orbit=_orbit(third, period=third),
+            certificate=certificate,
+            execution=_execution(limit, arcs=[rest]),
+        )
+    )
+    assert [number for _, number, _ in found] == [*["0.3333333333"] * 3, "0.666667", "unknown"]
+    known = replace(GOOD, multipliers=(third + 0j,))
+    assert tiles_of(_subject(certificate=known))[-1][1] == "0.3333"
+
+
+# Tables.
+
+
+def test_a_table_of_events_is_cut_in_its_middle_where_it_is_long() -> None:
+    hits = [impact(k / 8, (0.0, -1.0 - k, 0.0)) for k in range(41)]
+    whole = events_table(_execution(*hits[:40]), "m")
+    assert len(whole.rows) == 40
+    assert [column.heading for column in whole.columns][2] == "speed of the hit [m/s]"
+    cut = events_table(_execution(*hits, LIMIT, RELEASE), "m")
+    assert len(cut.rows) == 41
+    assert cut.rows[19:22] == (
+        ("2.375", "hit", "20"),
+        ("...", "and 3 more", ""),
+        ("2.875", "hit", "24"),
+    )
+    assert cut.rows[0] == ("0", "hit", "1")
+    assert cut.rows[-2] == ("1.25", "Zeno point, 0.12 s after the last hit followed", "")
+    assert cut.rows[-1] == ("2", "release", "")
+
+
+def test_times_and_speeds_of_events_have_their_digits() -> None:
+    third = impact(1.0 / 3.0, (0.0, -1.0 / 3.0, 0.0))
+    assert events_table(_execution(third), "m").rows == (("0.333333333333", "hit", "0.333333"),)
+
+
+def test_residuals_up_to_the_tolerance_pass_in_causal_order() -> None:
+    sizes = {"period": 2.1e-9, "closure": 2e-9, "release": 0.0, "drift": math.inf}
+    table = checks_table(replace(GOOD, residuals=sizes))
+    assert [(row[1], row[2]) for row in table.rows] == [
+        (True, "0"),
+        (True, "2.0e-09"),
+        (False, "2.1e-09"),
+        (False, "never reached"),
+    ]
+    names = ["release", "closure", "period", "drift"]
+    assert [row[3] for row in table.rows] == [f"{name}: {RESIDUALS[name]}" for name in names]
+    assert [row[0] for row in table.rows] == [words.CHECKS[name] for name in names]
+    assert "2e-09" in table.caption
+
+
+@pytest.mark.parametrize(
+    ("energy", "unit", "force"),
+    [("J", "m", "N"), ("J", "rad", "N m"), ("J", "1", "J"), ("kJ", "m", "kJ/m"), ("J", "c", "J/c")],
+)
+def test_margins_have_the_units_of_the_gap_and_of_its_force(
+    energy: str, unit: str, force: str
+) -> None:
+    every = dict(zip(words.MARGINS, (1 / 3, *(2.0, 3.0, 4.0, 5.0, 6.0)), strict=True))
+    table = margins_table(replace(GOOD, margins=every), unit, energy)
+    assert table.is_titled
+    assert [(name, value, of) for name, value, of, _ in table.rows] == [
+        ("gap_acceleration", "0.333333", f"{unit}/s^2"),
+        ("first_impact_speed", "2", f"{unit}/s"),
+        ("release_transversality", "3", f"{force}/s"),
+        ("lets_go", "4", f"{unit}/s^2"),
+        ("phases_apart", "5", "1"),
+        ("locked_time", "6", "s"),
+    ]
+    assert [row[3] for row in table.rows] == [words.MARGINS[name][0] for name in every]
+
+
+def test_energies_are_zero_where_they_are_rounding_of_the_largest() -> None:
+    rows = energies_table(GOOD, "J").rows
+    # 3e-13 of 8 is rounding; a part without words has its name.
+    assert rows == (
+        ("put in by the source", "8"),
+        ("lost as heat in the windings", "-4"),
+        ("left over after the period", "0"),
+    )
+    told = {"input_work": -2.0, "odd_part": 1.0 / 3.0, "energy_gain": -3e-13}
+    table = energies_table(replace(GOOD, energies=told), "kJ")
+    assert [column.heading for column in table.columns] == ["part", "energy [kJ]"]
+    assert table.rows[1:] == (
+        ("odd_part", "0.333333"),
+        ("left over after the period", "-3e-13"),
+    )
+    assert energies_table(replace(GOOD, energies={}), "J").rows == ()
+
+
+def test_multipliers_are_numbered_from_one() -> None:
+    table = multipliers_table(replace(GOOD, multipliers=(0.3 - 0.4j, 1.0 / 3.0 + 0j)))
+    assert table.rows == (
+        ("1", "0.3", "-0.4", "0.5"),
+        ("2", "0.33333333", "0", "0.33333333"),
+    )
+    assert "1.0e-06" in table.caption
+
+
+def test_bounds_that_are_no_bounds_are_left_out() -> None:
+    one = {"quantity": "peak", "lower": 1.0, "upper": None, "lowest": 1.5, "highest": 2.0}
+    asked = _orbit(0.5, certificate={"asked": [one, "odd", 3]})
+    assert bounds_table(asked).rows == (("peak", "1", "-", "1.5", "2"),)
+    assert bounds_table(_orbit(0.5)).rows == ()
+
+
+def test_packages_that_found_the_orbit_come_first() -> None:
+    bundle: Any = SimpleNamespace(version="9.9")
+    rows = versions_table(_orbit(0.5, versions={"abacus": "0.1"}), bundle).rows
+    assert rows[0] == ("abacus", "0.1", "-")
+    assert rows[-1] == ("plotly", "-", "9.9")
+    assert len({row[0] for row in rows}) == len(rows) > 3
+
+
+def test_tables_that_a_subject_lacks_are_left_out() -> None:
+    bundle: Any = SimpleNamespace(version="9.9")
+    always = {"gains", "bounds", "multipliers", "checks", "margins", "energies", "parameters"}
+    always |= {"versions"}
+    assert set(tables_of(_subject(execution=None), bundle)) == always
+    assert set(tables_of(_subject(), bundle)) == always | {"events"}
+    trade: Any = SimpleNamespace(cheapest=lambda _: None)
+    found = tables_of(_subject(trade=trade), bundle)
+    assert set(found) == always | {"events", "trade"}
+    assert {row[1:] for row in trade_table(trade).rows} == {("none", "", "")}
+    titled = {name for name, table in found.items() if table.is_titled}
+    assert titled == {"margins", "parameters"}
+
+
+# Contents and commands.
+
+
+def test_sections_are_those_that_the_subject_has() -> None:
+    always = ["happens", "asked", "motion", "stability", "checks"]
+    more = ["parameters", "theory", "reproduce"]
+    assert list(_contents(_subject(trade="a trade"))) == [*always, "margins", "trade", *more]
+    bare = _subject(certificate=replace(GOOD, margins={}))
+    assert list(_contents(bare)) == [*always, *more]
+
+
+def test_only_numbers_that_are_the_orbits_own_stand_in_its_commands() -> None:
+    def values(parameters: dict[str, float]) -> Any:
+        # `derived` follows from `free`, and `odd` from nothing.
+        known = {"free": 1.0, "kept": 2.0, "odd": 0.0, **parameters}
+        return SimpleNamespace(parameters={**known, "derived": 10 * known["free"]})
+
+    defaults = {"free": 1.0, "kept": 2.0, "derived": None, "odd": None}
+    problem = SimpleNamespace(
+        parameters=[SimpleNamespace(name=n, default=v) for n, v in defaults.items()], values=values
+    )
+    numbers = {"free": 3.0, "kept": 2.0, "derived": 30.0, "odd": 0.5}
+    orbit = _orbit(0.5, parameters=numbers, gains={"Kp": 0.1, "Kd": -1.0})
+    search, check, report = commands_of(_subject(orbit=orbit, problem=problem))
+    assert search == (
+        *("zeno-orbits", "search", "toy", "--fix", "Kp=0.1", "--fix", "Kd=-1.0"),
+        *("--set", "free=3.0", "--set", "odd=0.5", "-o", "orbit.json"),
+    )
+    assert check == ("zeno-orbits", "verify", "orbit.json", "--tolerance", "2e-09")
+    assert report == ("zeno-orbits", "report")
+    own = _subject(orbit=orbit, problem=problem, problem_file="my.py", file="mine.json")
+    search, check, _ = commands_of(own)
+    assert (search[2], search[-1]) == ("my.py", "mine.json")
+    assert check[:5] == ("zeno-orbits", "verify", "mine.json", "--problem", "my.py")
+
+
+# The motion of a subject.
+
+
+def _whole(monkeypatch: pytest.MonkeyPatch, motion: Any) -> Subject:
+    def of(*_: Any) -> Any:
+        if isinstance(motion, Exception):
+            raise motion
+        return motion
+
+    monkeypatch.setattr(subjects, "motion_of", of)
+    some: Any = None
+    return Subject(orbit=some, problem=some, dynamics=some, certificate=some).followed()
+
+
+def test_a_subject_is_followed_or_says_why_it_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = _whole(monkeypatch, "a motion")
+    assert (found.execution, found.trouble) == ("a motion", "")
+    assert (found.file, found.problem_file, found.content, found.date) == ("orbit.json", "", "", "")
+    lost = _whole(monkeypatch, StepSizeError("It is lost", time=0.5, state=()))
+    assert lost.execution is None
+    assert "It is lost" in lost.trouble
