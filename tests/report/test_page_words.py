@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -385,3 +387,22 @@ def test_a_subject_is_followed_or_says_why_it_is_not(monkeypatch: pytest.MonkeyP
     lost = _whole(monkeypatch, StepSizeError("It is lost", time=0.5, state=()))
     assert lost.execution is None
     assert "It is lost" in lost.trouble
+
+
+def test_every_law_has_the_number_that_the_theory_gives_it() -> None:
+    theory = (Path(__file__).parents[2] / "docs" / "theory.md").read_text(encoding="utf-8")
+    titles = {
+        int(number): title for number, title in re.findall(r"^### \((\d+)\) (.*)$", theory, re.M)
+    }
+    told = {
+        "Newton's law of an impact": "Reset map",
+        "The Zeno point": "Gap acceleration and Theorem 1",
+        "The release": "Release",
+        "The energy balance": "Energy balance",
+        "The time that all later flights take": "Zeno limit",
+        "The return map": "Release section, return map, multipliers",
+        "A residual": "Residuals of a certificate",
+    }
+    for (number, _, meaning), (begin, title) in zip(words.LAWS, told.items(), strict=True):
+        assert meaning.startswith(begin)
+        assert titles[number] == title

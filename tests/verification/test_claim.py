@@ -92,7 +92,10 @@ def test_an_orbit_of_another_problem_is_refused_with_both_names() -> None:
 
 
 def test_odd_gains_and_parameters_are_named_in_order() -> None:
-    assert "the gains of its problem, but these differ: Kd, Kp." in _refusal(HELD, gains={"Kd": 1})
+    assert "the gains of its problem, but these differ: Kp." in _refusal(HELD, gains={})
+    # However many there are.
+    odd = dict.fromkeys("zyxwabcd", 1.0)
+    assert "these differ: Kp, a, b, c, d, w, x, y, z." in _refusal(HELD, gains=odd)
     message = _refusal(HELD, parameters={"restitution": 0.5, "l": 1.0, "m": 2.0})
     assert "the parameters of its problem, but these differ: l." in message
 

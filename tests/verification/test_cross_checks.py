@@ -171,7 +171,7 @@ def test_a_cut_motion_starts_after_the_first_impact_that_it_makes_plastic_or_the
 def test_a_cut_is_as_far_off_as_the_motions_are_in_the_sizes_of_the_states(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    hits = (impact(0.0, (0, -1.0, 0)), impact(0.1, (0, -0.3, 0)))
+    hits = tuple(impact(t, (0, -speed, 0)) for t, speed in ((0.0, 1.0), (0.1, 0.6), (0.2, 0.3)))
     _Motion(monkeypatch, state(0.0, 2.0, 20.0), hits)
     found = _one_cut(_piling(), 0.4)
     # 20 in 100, and 1/2 in 10; the speed is that of the last impact before the cut.
@@ -211,8 +211,8 @@ def test_the_order_is_the_slope_over_the_cuts_that_tell() -> None:
     odd = [(1.0, math.inf), (1e-4, 0.9e-12)]
     assert cut_order(_cuts_at(*cubic, *odd), 0.0) == pytest.approx(3.0)
     assert cut_order(_cuts_at(*cubic, (1e-4, 4e-8)), 5e-8) == pytest.approx(3.0)
-    assert cut_order(_cuts_at((1.0, 4e-11), (0.1, 4e-12)), 0.0) == pytest.approx(1.0)
-    assert math.isnan(cut_order(_cuts_at((1.0, 4e-11), (0.1, 4e-13)), 0.0))
+    assert cut_order(_cuts_at((1.0, 1.5e-11), (0.1, 1.5e-12)), 0.0) == pytest.approx(1.0)
+    assert math.isnan(cut_order(_cuts_at((1.0, 9e-12), (0.1, 9e-13)), 0.0))
     # Two speeds make a slope, one does not.
     assert cut_order(_cuts_at(*cubic[:2]), 0.0) == pytest.approx(3.0)
     assert math.isnan(cut_order(_cuts_at(cubic[0], cubic[0]), 0.0))
@@ -229,17 +229,20 @@ class _Ledger:
     """In place of an orbit and its problem: a ledger in kilojoules after the three states."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, shape: str) -> None:
-        hits = [impact(0.5, (0.0, -4.0, 1.0, 0, 0, 0)), impact(0.9, (0.0, -2.0, 3.0, 0, 0, 0))]
-        hits[-1] = replace(hits[-1], state_plus=state(0.0, 1.0, 3.0, 0.7, 0.6, 0.5))
-        limit = zeno(1.0, (0.0, 0.0, 6.0, 0, 0, 0), last_speed=0.5)
+        hits = [
+            impact(time, (0.0, -speed, force, 9, 0, 0, 0))
+            for time, speed, force in ((0.5, 4.0, 1.0), (0.7, 0.0, 8.0), (0.9, 2.0, 3.0))
+        ]
+        hits[-1] = replace(hits[-1], state_plus=state(0.0, 1.0, 3.0, 9, 0.7, 0.6, 0.5))
+        limit = zeno(1.0, (0.0, 0.0, 6.0, 9, 0, 0, 0), last_speed=0.5)
         self.run = SimpleNamespace(
             impacts=tuple(hits),
             zeno_points=(limit,) if shape == "zeno" else (),
-            end_state=state(0.0, 3.0, 2.0, 7.0, 4.0, 2.0),
+            end_state=state(0.0, 3.0, 2.0, 9, 7.0, 4.0, 2.0),
         )
-        parts = [phase((0, (0, 2.0, 1.0)), hits, None, (2.0, (0, 0, 0)))]
+        parts = [phase((0, (0, 2.0, 1.0, 5)), hits, None, (2.0, (0, 0, 0)))]
         if shape != "zeno":
-            parts = [phase((0, (0, 2.0, 1.0)), [hit], None, (2.0, (0, 0, 0))) for hit in hits]
+            parts = [phase((0, (0, 2.0, 1.0, 5)), [hit], None, (2.0, (0, 0, 0))) for hit in hits]
         self.claim = claim(shape, 2.0, parts)
         self.cycle = cycle(parts)
         self.cycle.end = Moment(time=2.0, state=state(0, 0, 0))
@@ -284,14 +287,14 @@ def test_energies_are_those_of_a_ledger_and_of_every_impact(
     assert ledger.audited == ["in 1000 J"]
     [(start, named)] = ledger.asked
     # The ledger starts empty.
-    assert start.tolist() == [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
+    assert start.tolist() == [0.0, 0.0, 1.0, 5.0, 0.0, 0.0, 0.0]
     assert (named["until"], named["impacts"]) == (2.0, None)
 
 
 def test_a_period_that_an_impact_ends_has_the_energies_just_after_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    ledger = _Ledger(monkeypatch, "impact*2")
+    ledger = _Ledger(monkeypatch, "impact*3")
     found = ledger.energies()
     assert found == pytest.approx(
         {
@@ -304,8 +307,8 @@ def test_a_period_that_an_impact_ends_has_the_energies_just_after_it(
         }
     )
     [(start, named)] = ledger.asked
-    assert start.tolist() == [0.0, 2.0, 1.0, 0.0, 0.0, 0.0]
-    assert named["impacts"] == 2
+    assert start.tolist() == [0.0, 2.0, 1.0, 5.0, 0.0, 0.0, 0.0]
+    assert named["impacts"] == 3
     # The impact may come a little later than it did.
     assert 2.0 < named["until"] < 2.01
 
@@ -345,7 +348,7 @@ def _model(**parts: Any) -> Any:
         "gap_acceleration": lambda x: 4.0 + x[0],
         "multiplier": lambda x: 5.0 + x[0],
         "energy": lambda x: 6.0 + x[0],
-        "normal_inertia": lambda x: 7.0 + x[0],
+        "normal_inertia": lambda x: (7.0 + x[0]) / 100.0,
         "on_stop": lambda x: np.array([x[0], 1.0]),
     }
     return SimpleNamespace(**{**named, **parts})
@@ -396,7 +399,7 @@ def test_two_models_differ_by_their_worst_quantity_in_its_largest_size(
         ({"gap_acceleration": _at(place, model.gap_acceleration, by)}, 15.0),
         ({"multiplier": _at(place, model.multiplier, by)}, 16.0),
         ({"energy": _at(place, model.energy, by)}, 17.0),
-        ({"normal_inertia": _at(place, model.normal_inertia, by)}, 18.0),
+        ({"normal_inertia": _at(place, model.normal_inertia, by)}, 0.18),
     ):
         assert _difference(monkeypatch, **parts) == pytest.approx(0.5 / size)
 
