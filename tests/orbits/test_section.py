@@ -228,8 +228,9 @@ def test_a_state_is_projected_to_the_nearest_one_in_scaled_states() -> None:
 def test_a_projection_ends_at_rounding_or_after_twenty_corrections() -> None:
     for value, calls in ((4e-16, 1), (-4e-16, 1), (6e-16, 20), (1e-9, 20), (-1e-9, 20)):
         system = stuck(value)
-        projected(system, IMPACT_ROWS, np.zeros(2), np.ones(2))
+        found = projected(system, IMPACT_ROWS, np.zeros(2), np.ones(2))
         assert system.calls == calls
+        assert found == pytest.approx([-calls * value, 0.0], rel=1e-12, abs=0.0)
     with pytest.raises(SimulationError, match="no section here") as caught:
         projected(stuck(-1.2e-9), IMPACT_ROWS, np.array([0.0, 2.0]), np.ones(2))
     assert caught.value.time == 0.0

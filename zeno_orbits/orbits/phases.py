@@ -125,10 +125,10 @@ def _held(execution: Execution, begin: Moment | None) -> list[Phase]:
             continue
         end = Moment(time=release.time, state=release.state)
         whole = [(flight, impact) for flight, impact in flights if impact is not None]
-        since = -1.0 if here is None else here.time
-        zenos = [z for z in execution.zeno_points if since < z.time <= arc.start_time]
-        if here is not None and whole and len(whole) == len(flights) and len(zenos) == 1:
-            phases += _to_release(here, whole, zenos[0], arc, end)
+        if here is not None and whole and len(whole) == len(flights):
+            zenos = [z for z in execution.zeno_points if here.time < z.time <= arc.start_time]
+            if len(zenos) == 1:
+                phases += _to_release(here, whole, zenos[0], arc, end)
         here, flights = end, []
     return phases
 
