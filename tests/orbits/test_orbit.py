@@ -476,6 +476,79 @@ def test_a_file_of_one_release_has_format_1_and_no_other(tmp_path: Path) -> None
     assert "its `shape` is `zeno*2`" in _refusal(tmp_path, json.dumps(said))
 
 
+THROWN = replace(
+    OTHER,
+    phases=tuple(
+        replace(phase, kind=PhaseKind.IMPACT, zeno_time=None, zeno_state=None)
+        for phase in OTHER.phases
+    ),
+)
+"""No real orbit either: two impacts that the stop throws off."""
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("start_time", math.inf, "`phases[1].start_time` must be a finite number"),
+        ("start_state", {"height": math.nan}, "`phases[1].start_state.height` must be a finite"),
+        ("zeno_time", 2.5, "`phases[1].kind` is `impact`, and yet there is a Zeno point"),
+        ("zeno_state", STATE, "`phases[1].kind` is `impact`, and yet there is a Zeno point"),
+    ],
+)
+def test_a_phase_without_a_zeno_point_is_read_as_strictly(
+    tmp_path: Path, name: str, value: Any, words: str
+) -> None:
+    assert _round_trip(THROWN, tmp_path) == THROWN
+    data = THROWN.as_json()
+    data["phases"][1][name] = value
+    assert words in _refusal(tmp_path, json.dumps(data))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("zeno_time", math.inf), ("zeno_state", {"height": math.nan})]
+)
+def test_a_zeno_point_of_a_phase_is_finite(tmp_path: Path, name: str, value: Any) -> None:
+    assert f"`phases[1].{name}" in _refusal(tmp_path, _spoilt("phases", 1, name, to=value))
+
+
+def test_a_long_entry_is_told_by_its_first_forty_characters(tmp_path: Path) -> None:
+    text = "0123456789" * 9
+    told = f'but it is "{text[:39]}'
+    for message in (
+        _refusal(tmp_path, json.dumps(text)),
+        _refusal(tmp_path, json.dumps(OTHER.as_json() | {"phases": text})),
+    ):
+        assert told in message
+        assert f"{told}{text[39]}" not in message
+
+
+def test_what_is_found_in_place_of_an_entry_is_told_or_that_it_is_missing(tmp_path: Path) -> None:
+    def unformatted(data: dict[str, Any]) -> str:
+        del data["format"]
+        return json.dumps(data)
+
+    for text, found in (
+        (_changed("format", to=1.5), "1.5"),
+        (_changed("format", to=None), "null"),
+        (unformatted(SMALL.as_json()), "missing"),
+        (_spoilt("phases", to=None), "missing"),
+        (_spoilt("phases", to=[]), "[]"),
+        (_spoilt("shape", to=None), "missing"),
+        (_spoilt("phases", 1, "kind", to="zenon"), '"zenon"'),
+        (_changed("period", to=-1.5), "-1.5"),
+        (json.dumps([1, 2]), "[1, 2]"),
+    ):
+        assert _refusal(tmp_path, text).removesuffix(".").endswith(f"but it is {found}")
+
+
+def test_a_file_is_text_for_eyes_with_an_entry_a_line(tmp_path: Path) -> None:
+    path = tmp_path / "orbit.json"
+    write_orbit(SMALL, path)
+    lines = path.read_text(encoding="utf-8").split("\n")
+    assert (lines[0], lines[1], lines[-2], lines[-1]) == ("{", '  "format": 1,', "}", "")
+    assert '    "height": 0.1,' in lines
+
+
 # What an orbit says of itself.
 
 
