@@ -81,6 +81,7 @@ def _refusal(folder: Path, text: str | bytes) -> str:
     message = str(caught.value)
     assert caught.value.path == path
     assert "\n" not in message
+    assert not message.endswith("..")
     assert message.startswith(f"Orbit file `{path}` must hold a Zeno orbit, but ")
     return message
 
