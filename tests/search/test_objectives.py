@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+import math
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from tests.support.hand_made import Course, course, hand_made, rows_of
 from zeno_orbits.api import Verified
 from zeno_orbits.errors import InputError
 from zeno_orbits.model.library import load_problem
@@ -27,17 +32,25 @@ from zeno_orbits.search import (
 )
 from zeno_orbits.search.guess import SettlingSettings
 from zeno_orbits.search.objectives import (
+    LEAST_RADIUS,
+    OBJECTIVES,
     FastestContraction,
     LeastEnergy,
     LeastPeak,
     NearestGains,
     Objective,
+    Operand,
+    TargetAmplitude,
     TargetPeriod,
+    TowardTarget,
     WidestMargin,
+    objective_help,
 )
 from zeno_orbits.search.outcome import StartOutcome
 from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.search.start import try_start
+from zeno_orbits.search.transcription.nearness import Nearness
+from zeno_orbits.simulation import Extent
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 from zeno_orbits.verification.certificate import OrbitCertificate
 from zeno_orbits.verification.measurement import measure
@@ -60,6 +73,213 @@ def _scan(
         extent = measure(near, problem, [quantity])[quantity]
         found.append(extent.largest if quantity != "margin" else extent.lowest)
     return found
+
+
+# What objectives ask of a program and how they score, at terms made by hand.
+
+HILL = course((0.0, 5.25, -6.0, 2.0), (1.0, 0.0, -3.0, 0.0))
+FALL = course((0.5, -1.0), (2.0, -3.0))
+
+
+def _made(
+    objective: Objective, *flights: Course, free: Mapping[str, float] | None = None, **more: Any
+) -> tuple[float, dict[str, list[float]], Any]:
+    """Return an objective's cost in the guess, its rows there, and the program."""
+    made = hand_made()
+    unknown = {
+        name: made.program.variable(f"free {name}", value)[0, 0]
+        for name, value in (free or {"k": 2.0}).items()
+    }
+    phases = [made.phase(f"phase {k}: ", one) for k, one in enumerate(flights or (HILL,))]
+    terms = made.terms(*phases, free=unknown)
+    terms.nearness = Nearness(first={"k": 1.0, "r": 30.0}, sizes={"k": 0.5, "r": 10.0})
+    for name, value in more.items():
+        setattr(terms, name, value)
+    cost = float(terms.guessed(ca.MX(objective.cost(terms)))[0, 0])
+    return cost, rows_of(made.program), made.program.build()
+
+
+NEAR = Nearness(first={"k": 1.0, "r": 30.0}, sizes={"k": 0.5, "r": 10.0})
+EXTENTS = {"x": Extent(lowest=-3.0, highest=2.0), "energy": Extent(lowest=5.0, highest=6.0)}
+
+
+def test_nearest_gains_cost_half_their_squared_distance_from_the_target_or_the_start() -> None:
+    objective, free = NearestGains(target={"k": 5.0}), {"k": 2.0, "r": 50.0}
+    # ((2 - 5) / 0.5)^2 / 2 + ((50 - 30) / 10)^2 / 2.
+    cost, rows, _ = _made(objective, free=free)
+    assert cost == pytest.approx(18.0 + 2.0)
+    assert rows == {}
+    assert objective.score(free, NEAR, {}) == pytest.approx(20.0)
+    assert objective.goal == {"k": 5.0}
+    assert objective.quantities == ()
+    assert objective.least == -math.inf
+
+
+def test_gains_that_are_wanted_are_named() -> None:
+    assert NearestGains(target={"Kp": 2.5, "Kd": -1.0}).wish == "gains near Kp = 2.5, Kd = -1"
+    assert NearestGains(target={}).wish == "gains near the start"
+
+
+def test_a_gain_that_is_wanted_is_a_finite_number(problem: Problem) -> None:
+    NearestGains(target={"Kd": 1.0, "R": 2.0}).check(problem, {"R": (1.0, 3.0)})
+    with pytest.raises(InputError, match="finite for `Kd`, but it is inf"):
+        NearestGains(target={"Kp": 1.0, "Kd": math.inf}).check(problem, {})
+    with pytest.raises(InputError, match=r"free \(Kp, Kd, R\), but it names `L`"):
+        NearestGains(target={"L": 1.0}).check(problem, {"R": (1.0, 3.0)})
+
+
+def test_a_period_that_is_wanted_is_a_row_and_the_start_the_cost() -> None:
+    objective = TargetPeriod(target=6.5)
+    cost, rows, _ = _made(objective)
+    assert cost == pytest.approx(2.0)
+    assert rows == {"a period of 6.5 s": [1.5]}
+    assert objective.score({"k": 2.0}, NEAR, {}) == pytest.approx(2.0)
+    cycle: Any = SimpleNamespace(period=6.0)
+    assert objective.measured(cycle) == 6.0
+    assert objective.miss(cycle) == pytest.approx(0.5 / 6.5)
+    longer: Any = SimpleNamespace(period=7.8)
+    assert objective.miss(longer) == pytest.approx(0.2)
+
+
+def test_an_amplitude_is_half_the_range_of_its_state_over_all_arcs() -> None:
+    objective = TargetAmplitude(state="v", target=0.25)
+    # Highest at the start of the second arc, lowest at the end of the first one.
+    cost, rows, _ = _made(objective, HILL, course((0.0,), (2.0, -3.0)))
+    assert cost == pytest.approx(2.0)
+    assert rows["an amplitude of 0.25 of v"] == pytest.approx([(2.0 - -2.0) / 2 - 0.25])
+    cycle: Any = SimpleNamespace(state_names=("x", "v"), arcs=(HILL, FALL))
+    assert objective.measured(cycle) == pytest.approx(2.0, abs=1e-12)
+    assert objective.miss(cycle) == pytest.approx(7.0)
+
+
+@pytest.mark.parametrize("target", [0.0, -1.0, math.inf, math.nan])
+def test_a_target_is_positive_and_finite(problem: Problem, target: float) -> None:
+    TargetPeriod(target=1e-3).check(problem, {})
+    TargetAmplitude(target=1e-3, state="theta1").check(problem, {})
+    for objective in (TargetPeriod(target=target), TargetAmplitude(target=target, state="theta1")):
+        with pytest.raises(InputError, match=f"a positive target, but it is {target:g}"):
+            objective.check(problem, {})
+
+
+def test_an_amplitude_is_one_of_a_state(problem: Problem) -> None:
+    with pytest.raises(InputError, match=r"\(theta1, .*\), but it names `angle`"):
+        TargetAmplitude(target=1.0, state="angle").check(problem, {})
+
+
+def test_on_the_way_to_a_target_the_distance_from_it_is_the_cost() -> None:
+    objective = TowardTarget(target=TargetPeriod(target=10.0))
+    cost, rows, _ = _made(objective)
+    assert cost == pytest.approx(((8.0 - 10.0) / 10.0) ** 2 / 2)
+    assert rows == {}
+    assert objective.wish == "a period of 10 s, or near it"
+
+
+@pytest.mark.parametrize(("work", "cost"), [(-20.0, -1.0), (4.0, 1.0), (0.0, 0.0)])
+def test_energy_costs_what_it_is_in_units_of_the_guess(work: float, cost: float) -> None:
+    objective = LeastEnergy()
+    scaled = ca.MX(work)
+    found, rows, _ = _made(objective, electrical_work=scaled)
+    assert found == pytest.approx(cost)
+    assert rows == {}
+    assert objective.wish == "the least electrical energy a period"
+    assert objective.quantities == ("energy",)
+    assert objective.score({}, NEAR, EXTENTS) == 6.0
+
+
+def test_a_peak_is_an_unknown_in_units_of_its_size_on_all_arcs() -> None:
+    objective = LeastPeak(signal="v")
+    cost, rows, program = _made(objective, HILL, course((0.0,), (0.5, -3.0)))
+    assert cost == pytest.approx(1.0)
+    assert set(rows) == {"peak of v: not above it", "peak of v: not below minus it"}
+    # At the end of the second arc v = -2.5: to the thousandth that the guess is larger.
+    assert min(rows["peak of v: not below minus it"]) == pytest.approx(0.001)
+    assert program.scales[program.names["peak of v"][0]] == pytest.approx(2.5)
+    assert objective.wish == "the least peak of v"
+    assert LeastPeak(signal="x").score({}, NEAR, EXTENTS) == 3.0
+
+
+def test_a_peak_that_is_not_there_costs_nothing() -> None:
+    cost, _, _ = _made(LeastPeak(signal="v"), course((1.0,), (0.0,)))
+    # Where a signal vanishes its size is a convention, a unit of its own.
+    assert cost == pytest.approx(1.0)
+
+
+def test_a_radius_is_an_unknown_above_all_multipliers() -> None:
+    objective = FastestContraction()
+    slope = ca.MX(ca.DM([[0.5, 1.0], [0.0, -0.25]]))
+    cost, rows, program = _made(objective, return_slope=slope)
+    radius = 1.01 * 0.5
+    assert cost == pytest.approx(radius)
+    place = program.names["spectral radius"][0]
+    assert program.lower[place] == pytest.approx(1e-4)
+    assert program.guess[place] == pytest.approx(radius)
+    # The characteristic polynomial of A / rho at 1.
+    above = (1 - 0.5 / radius) * (1 + 0.25 / radius)
+    assert rows["multipliers: real ones not above the spectral radius"] == pytest.approx([above])
+    assert objective.wish == "the fastest contraction"
+    assert objective.least == LEAST_RADIUS == 1e-4
+    assert objective.quantities == ("spectral_radius",)
+    assert objective.rank(Extent(lowest=0.2, highest=0.3)) == 0.3
+    assert objective.rank(Extent(lowest=0.0, highest=1e-9)) == 1e-4
+
+
+def test_multipliers_that_vanish_leave_the_least_radius() -> None:
+    cost, _, _ = _made(FastestContraction(), return_slope=ca.MX(ca.DM([[1e-7]])))
+    assert cost == pytest.approx(1.01e-4)
+
+
+def test_a_contraction_without_a_return_map_is_a_mistake() -> None:
+    with pytest.raises(ValueError, match="must carry the return map"):
+        _made(FastestContraction())
+
+
+def test_a_margin_costs_minus_the_smallest_share() -> None:
+    objective = WidestMargin()
+    cost, rows, _ = _made(objective)
+    assert cost == pytest.approx(-0.1)
+    assert "margin: phase 0: speed of the first impact" in rows
+    assert objective.wish == "the widest margin to losing the orbit"
+    assert objective.quantities == ("margin",)
+    extents = {"margin": Extent(lowest=0.25, highest=0.5)}
+    assert objective.score({}, NEAR, extents) == -0.25
+
+
+# Words of the command line.
+
+
+def test_every_word_makes_its_objective(problem: Problem) -> None:
+    made = {
+        word: one.objective(problem, operand)
+        for (word, one), operand in zip(
+            OBJECTIVES.items(), [{"Kp": 2.0}, 1.8, 0.5, None, "current", None, None], strict=True
+        )
+    }
+    assert made == {
+        "nearest": NearestGains(target={"Kp": 2.0}),
+        "period": TargetPeriod(target=1.8),
+        "amplitude": TargetAmplitude(target=0.5, state="theta1"),
+        "energy": LeastEnergy(),
+        "peak": LeastPeak(signal="current"),
+        "contraction": FastestContraction(),
+        "margin": WidestMargin(),
+    }
+
+
+def test_help_names_every_word_with_its_operand() -> None:
+    words = {
+        "nearest": Operand.NUMBERS,
+        "period=SECONDS": Operand.NUMBER,
+        "amplitude=VALUE": Operand.NUMBER,
+        "energy": Operand.NOTHING,
+        "peak=SIGNAL": Operand.SIGNAL,
+        "contraction": Operand.NOTHING,
+        "margin": Operand.NOTHING,
+    }
+    assert {one.usage: one.operand for one in OBJECTIVES.values()} == words
+    told = objective_help()
+    assert told.startswith("nearest (to the problem's gains), nearest:NAME=VALUE,..., period=")
+    assert ", peak=SIGNAL (least peak of current, voltage or a state), contraction (" in told
+    assert told.endswith(", or margin (widest before the orbit is lost)")
 
 
 # Objectives, each against a scan by simulation.

@@ -163,7 +163,7 @@ def _closed(line: _Line, part: float, guess: Vector, scale: Vector, period: floa
     """
     first, last = line.first, line.last
     numbers = {n: (1 - part) * x + part * last.number(n) for n, x in first.numbers.items()}
-    values = last if part == 1.0 else first.replaced(numbers)
+    values = first.replaced(numbers)
     try:
         dynamics = line.search.dynamics(values)
         start = placed(dynamics, line.shape, guess)

@@ -21,9 +21,6 @@ _BOXES = StepControl(first=0.1, shortest=2e-3, most=40, growth=2.0, shrinkage=0.
 _TOUCHES = 1e-3
 """A number this near the side of its box, in units of its half width, is held by it."""
 
-_STILL = 1e-5
-"""A step that moves nothing by more, in units of the ranges, has converged."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LastStep:
@@ -64,8 +61,7 @@ def trust_region_steps(
         there = outcome.solution
         if there is None or not outcome.agreement < ON_THE_WAY:
             raise StepError(outcome.detail)
-        moved = _moved(search, last.values, there.values)
-        converged = moved < _STILL or not _is_held(search, there.values, box)
+        converged = not _is_held(search, there.values, box)
         step = LastStep(
             values=there.values, cycle=there.cycle, outcome=outcome, converged=converged
         )
@@ -86,13 +82,6 @@ def _box_around(
         here, reach = values.number(name), half * (high - low)
         box[name] = (max(low, here - reach), min(high, here + reach))
     return box
-
-
-def _moved(search: SearchProblem, here: ParameterValues, there: ParameterValues) -> float:
-    return max(
-        abs(there.number(name) - here.number(name)) / (high - low)
-        for name, (low, high) in search.free.items()
-    )
 
 
 def _is_held(

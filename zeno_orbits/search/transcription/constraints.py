@@ -247,7 +247,7 @@ def _entry(index: int) -> Callable[[Vector], float]:
 def _interval(terms: OrbitTerms, arc: CollocatedArc, fraction: float) -> tuple[ca.MX, float]:
     """Return the states of the interval that holds a fraction of an arc, and the place in it."""
     mesh, n = arc.mesh, terms.scheme.n_stages
-    interval = int(np.clip(np.searchsorted(mesh, fraction) - 1, 0, len(mesh) - 2))
+    interval = max(int(np.searchsorted(mesh, fraction)) - 1, 0)
     first = interval * n
     start = arc.start if first == 0 else arc.stages[:, first - 1]
     place = (fraction - mesh[interval]) / (mesh[interval + 1] - mesh[interval])
