@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +16,8 @@ from tests.support.mechanisms import forced_oscillator, oscillator_state
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits.cycle import Cycle, cycles
-from zeno_orbits.search.transcription.closure import closure_of
+from zeno_orbits.search.transcription import closure as closure_module
+from zeno_orbits.search.transcription.closure import Closure, closure_of, closures_of
 from zeno_orbits.simulation.simulator import simulate
 from zeno_orbits.simulation.zeno_limit import estimate_tail, extrapolate
 
@@ -80,3 +84,84 @@ def test_a_plastic_impact_closes_alone(problem: Problem) -> None:
     assert closure.n_impacts == 1
     assert closure.nodes == (0,)
     assert closure.error == 0.0
+
+
+# Which impacts are taken, told by estimates that are given.
+
+E = 0.5
+
+
+def _closure(
+    monkeypatch: pytest.MonkeyPatch,
+    speeds: list[float],
+    errors: dict[int, float],
+    tolerance: float = 1e-3,
+    unusable: tuple[int, ...] = (),
+) -> Closure:
+    """Return the closure of impacts with given speeds after them, and errors by their number."""
+    impacts: Any = [
+        SimpleNamespace(time=float(k), state_plus=k, approach_rate=-speed / E)
+        for k, speed in enumerate(speeds)
+    ]
+
+    def estimate(_dynamics: Any, time: float, state: int, speed: float) -> Any:
+        assert time == state
+        assert speed == pytest.approx(speeds[state])
+        return None if state in unusable else SimpleNamespace(speed=speed, place=state)
+
+    def limit(_dynamics: Any, estimates: list[Any]) -> Any:
+        # Estimates are those of impacts that follow each other.
+        places = [one.place for one in estimates]
+        assert places == list(range(places[0], places[0] + len(places)))
+        return SimpleNamespace(error=errors.get(len(places), 1.0))
+
+    monkeypatch.setattr(closure_module, "estimate_tail", estimate)
+    monkeypatch.setattr(closure_module, "extrapolate", limit)
+    monkeypatch.setattr(closure_module, "spread_nodes", lambda found: tuple(range(len(found))))
+    dynamics: Any = SimpleNamespace(speed_after=lambda rate: -E * rate)
+    return closure_of(impacts, dynamics, tolerance)
+
+
+def test_impacts_are_taken_until_the_error_is_the_tolerance(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    speeds = [8.0, 4.0, 2.0, 1.0, 0.5]
+    found = _closure(monkeypatch, speeds, {1: 1.0, 2: 0.1, 3: 1e-3, 4: 1e-9})
+    assert found == Closure(n_impacts=3, nodes=(0, 1, 2), error=1e-3)
+
+
+@pytest.mark.parametrize("third", [3.0, 4.0, 5.0])
+def test_impacts_count_anew_where_speeds_do_not_fall(
+    monkeypatch: pytest.MonkeyPatch, third: float
+) -> None:
+    found = _closure(monkeypatch, [8.0, 4.0, third, 2.0, 1.0], {3: 1e-4})
+    if third < 4.0:
+        assert found == Closure(n_impacts=3, nodes=(0, 1, 2), error=1e-4)
+    else:
+        assert found == Closure(n_impacts=5, nodes=(2, 3, 4), error=1e-4)
+
+
+def test_impacts_count_anew_after_one_from_which_no_tail_is_told(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    speeds = [8.0, 4.0, 2.0, 1.0, 0.5, 0.25]
+    found = _closure(monkeypatch, speeds, {3: 1e-4}, unusable=(0, 2))
+    assert found == Closure(n_impacts=6, nodes=(3, 4, 5), error=1e-4)
+
+
+def test_without_any_tail_the_first_impact_closes_and_nothing_is_known_of_its_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = _closure(monkeypatch, [2.0, 1.0], {}, unusable=(0, 1))
+    assert found == Closure(n_impacts=1, nodes=(0,), error=math.inf)
+
+
+def test_each_phase_has_its_closure_and_an_impact_that_does_not_hold_closes_exactly(
+    oscillator: HybridDynamics, turn: Cycle
+) -> None:
+    (held,) = turn.phases
+    let_go = replace(held, zeno=None, locked=None)
+    cycle: Any = SimpleNamespace(phases=(held, let_go, held))
+    expected = closure_of(turn.impacts, oscillator, 1e-7)
+    alone = Closure(n_impacts=1, nodes=(), error=0.0)
+    assert closures_of(cycle, oscillator, 1e-7) == (expected, alone, expected)

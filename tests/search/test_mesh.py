@@ -186,3 +186,42 @@ def test_stages_lie_in_their_intervals_and_end_them() -> None:
     assert fractions[2::3] == pytest.approx(mesh[1:], abs=1e-15)
     assert fractions[:3] == pytest.approx(0.25 * scheme.nodes)
     assert fractions[3:] == pytest.approx(0.25 + 0.75 * scheme.nodes)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("tolerance", "scale", "n"), [(0.01, 1.0, 8), (0.01, 4.0, 4), (1 / 64, 1.0, 4)]
+)
+def test_a_parabola_is_halved_until_its_chords_are_near_enough(
+    sign: float, tolerance: float, scale: float, n: int
+) -> None:
+    # Half way the chord of x^2 over an interval h misses it by h^2 / 4, from whichever side; the
+    # second state never does.
+    mesh = graded_mesh(
+        lambda t: np.array([sign * t**2, 3.0]),
+        radau_scheme(1),
+        scale=np.array([scale, 1e-9]),
+        tolerance=tolerance,
+    )
+    assert mesh.tolist() == [k / n for k in range(n + 1)]
+
+
+def test_a_trajectory_is_seen_at_the_points_of_the_polynomial_and_half_way_between_them() -> None:
+    scheme, seen = radau_scheme(3), set[float]()
+
+    def trajectory(t: float) -> Array:
+        seen.add(t)
+        return np.zeros(1)
+
+    mesh = graded_mesh(trajectory, scheme, scale=ONE, tolerance=0.0)
+    assert mesh.tolist() == [0.0, 1.0]
+    points = [0.0, *scheme.nodes.tolist()]
+    half_way = [(one + two) / 2 for one, two in pairwise(points)]
+    assert sorted(seen) == pytest.approx(sorted([*points, *half_way]), abs=1e-15)
+
+
+def test_a_jump_is_halved_fourteen_times_if_nothing_else_is_said() -> None:
+    mesh = graded_mesh(
+        lambda t: np.array([float(t > 1 / 3)]), radau_scheme(1), scale=ONE, tolerance=1e-6
+    )
+    assert np.min(np.diff(mesh)) == 2.0**-14
