@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import casadi as ca
 import numpy as np
 import pytest
 
 from tests.reference.reference_orbit import MULTIPLIER
+from tests.support.hand_made import SCALE, K, course, hand_made, rows_of
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError
 from zeno_orbits.model.library import load_problem
@@ -16,11 +20,16 @@ from zeno_orbits.orbits.period import placed
 from zeno_orbits.orbits.poincare import floquet_multipliers
 from zeno_orbits.search import close_orbit
 from zeno_orbits.search.confirmation import one_cycle
+from zeno_orbits.search.transcription import spectral_radius
 from zeno_orbits.search.transcription.arc import TranscriptionSettings
 from zeno_orbits.search.transcription.closure import closures_of
 from zeno_orbits.search.transcription.nearness import Nearness
-from zeno_orbits.search.transcription.program import ProgramBuilder
-from zeno_orbits.search.transcription.spectral_radius import keep_radius_below, section_map
+from zeno_orbits.search.transcription.program import Derived, ProgramBuilder
+from zeno_orbits.search.transcription.spectral_radius import (
+    keep_radius_below,
+    radius_of,
+    section_map,
+)
 from zeno_orbits.search.transcription.transcribe import OrbitTerms, transcribe
 from zeno_orbits.simulation.simulator import SimulationSettings
 
@@ -150,3 +159,93 @@ def test_the_rows_hold_for_exactly_the_radii_above_the_spectral_radius(size: int
             point = np.concatenate([matrix.flatten(order="F"), [factor * true]])
             assert (float(ca.mmin(rows(point))) >= 0.0) is holds
     assert kinds == ({False} if size == 1 else {False, True})
+
+
+@pytest.mark.parametrize(("size", "n_complex"), [(1, 0), (2, 1), (3, 2), (4, 4), (5, 4), (6, 6)])
+def test_rows_of_multipliers_say_which_of_them_they_hold(size: int, n_complex: int) -> None:
+    program = ProgramBuilder()
+    matrix = program.variable("entries", 0.5 * np.eye(size))
+    keep_radius_below(program, matrix, 1.0)
+    rows = rows_of(program)
+    names = [
+        "multipliers: real ones not above the spectral radius",
+        "multipliers: real ones not below - the spectral radius",
+        "multipliers: complex ones not above the spectral radius",
+    ]
+    assert list(rows) == names[: 2 + (n_complex > 0)]
+    # p(1) and (-1)^d p(-1) of (z - 1/2)^d.
+    assert rows[names[0]] == pytest.approx([0.5**size])
+    assert rows[names[1]] == pytest.approx([1.5**size])
+    # No row is asked twice.
+    assert len(rows.get(names[2], [])) == n_complex
+
+
+def test_a_spectral_radius_is_the_size_of_the_largest_multiplier() -> None:
+    assert radius_of(np.array([[0.0, -4.0], [1.0, 0.0]])) == pytest.approx(2.0)
+    assert radius_of(np.diag([0.5, -0.75])) == 0.75
+
+
+# The section and its map, at terms made by hand.
+
+
+def _by_hand(released: bool) -> tuple[Any, ca.MX]:
+    """Return terms whose period ends twice as far from zero as it starts, and their end."""
+    made = hand_made()
+    rest = course((0.5,), (1.5,))
+    phase = made.phase("", rest, rest if released else None)
+    terms = made.terms(phase)
+    end = 2.0 * phase.start
+    terms.start, terms.end = phase.start, end
+    terms.tangent = np.array([[1.0, 0.0], [0.0, 1.0]])
+    terms.motion = "the motion"
+    return terms, end
+
+
+@pytest.mark.parametrize("released", [True, False])
+def test_the_map_is_asked_for_in_coordinates_of_the_section(
+    released: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Any] = []
+    d = 1 if released else 2
+
+    def derived(*arguments: Any) -> Derived:
+        asked.extend(arguments)
+        return Derived(value=ca.MX(ca.DM.eye(d)), slope=ca.MX(d * d, 6))
+
+    monkeypatch.setattr(spectral_radius, "derivative_along", derived)
+    terms, _ = _by_hand(released)
+    slope = section_map(terms)
+    assert slope.shape == (d, d)
+    program, motion, start, targets, arrival = asked
+    assert program is terms.program
+    assert motion == "the motion"
+    values = terms.guessed(start).ravel(), terms.guessed(arrival).ravel()
+    # The multiplier k x + v, of scaled states 8 and 1/2, vanishes along the section; where an
+    # impact ends the flight all of the tangent is its section.
+    if released:
+        basis = np.array([[0.5], [-8.0]]) / math.hypot(0.5, 8.0)
+        basis *= np.sign(values[1][0]) * np.sign(float(basis[:, 0] @ [0.125, 3.0]))
+        multiplier = [(K * 1.0 + 3.0) / 8.0]
+    else:
+        basis, multiplier = np.eye(2), []
+    scaled = np.array([0.5, 1.5]) / SCALE
+    assert values[0] == pytest.approx([*multiplier, *(basis.T @ scaled)])
+    assert values[1] == pytest.approx(basis.T @ (2 * scaled))
+    assert targets.tolist() == [*[[0.0]] * len(multiplier), *np.eye(d).tolist()]
+
+
+@pytest.mark.parametrize("size", [0, 7])
+def test_a_section_without_coordinates_or_with_more_than_six_is_refused(
+    size: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    terms, _ = _by_hand(released=False)
+    terms.tangent = np.zeros((2, size))
+    with pytest.raises(InputError, match=f"{size} coordinates, but one to 6 can be asked for"):
+        section_map(terms)
+    monkeypatch.setattr(spectral_radius, "derivative_along", lambda *_: _derived(6))
+    terms.tangent = np.zeros((2, 6))
+    assert section_map(terms).shape == (6, 6)
+
+
+def _derived(size: int) -> Derived:
+    return Derived(value=ca.MX(size, size), slope=ca.MX(size**2, 6))

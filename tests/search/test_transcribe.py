@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import SimpleNamespace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -16,13 +18,16 @@ from zeno_orbits.model.numeric.compiled import bind
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits.cycle import Cycle, cycles
+from zeno_orbits.orbits.shape import OrbitShape
 from zeno_orbits.search import SearchStatus, find_orbit
+from zeno_orbits.search.transcription import transcribe as transcription
 from zeno_orbits.search.transcription.arc import TranscriptionSettings
 from zeno_orbits.search.transcription.closure import closures_of
 from zeno_orbits.search.transcription.ipopt import Hessian, IpoptSettings, SolveStatus, solve
 from zeno_orbits.search.transcription.nearness import Nearness
-from zeno_orbits.search.transcription.program import Program
-from zeno_orbits.search.transcription.transcribe import transcribe
+from zeno_orbits.search.transcription.phase import PhaseTerms, WrittenPhase
+from zeno_orbits.search.transcription.program import Program, ProgramBuilder
+from zeno_orbits.search.transcription.transcribe import OrbitTerms, start_block, transcribe
 from zeno_orbits.simulation.simulator import simulate
 
 MESH = 1e-7
@@ -244,3 +249,185 @@ def test_the_orbit_of_the_forced_oscillator_is_found(attracting: bool) -> None:
     for impact, (time, approach) in zip(found.impacts, FORCED.impacts(), strict=False):
         assert impact.time == pytest.approx(time - FORCED.release_time, abs=accuracy)
         assert impact.state_minus["dx"] == pytest.approx(approach, abs=accuracy)
+
+
+# How phases are put together, told by phases that are given.
+
+
+class _Writer:
+    """Writes phases of given lengths; what it is asked is kept."""
+
+    def __init__(self, program: ProgramBuilder, *asked: Any) -> None:
+        self.program = program
+        self.asked = asked
+        self.scale = np.array([2.0, 3.0])
+        self.phases: list[tuple[str, Any, Any, tuple[int, ...]]] = []
+        self.joined: list[tuple[Any, ...]] = []
+        self.closed: tuple[Any, ...] = ()
+        _Writer.last = self
+
+    last: Any = None
+
+    def rows_before(self, place: int) -> tuple[int, ...]:
+        return (10 + place,)
+
+    def phase(self, label: str, phase: Any, closure: Any, rows: tuple[int, ...]) -> WrittenPhase:
+        k = len(self.phases)
+        self.phases.append((label, phase, closure, rows))
+        start = self.program.variable(f"{label}start", [float(k), 0.0])[:, 0]
+        self.program.equal(f"{label}row", start[1])
+        terms = PhaseTerms(
+            label=label,
+            start=start,
+            flights=(),
+            approach_rate=ca.MX(-1.0),
+            zeno=None,
+            locked=None,
+        )
+        return WrittenPhase(
+            terms=terms,
+            end=start + 1,
+            rows=(20 + k,),
+            limit_time=ca.MX(0.25 * (k + 1)),
+            duration=ca.MX(1.0 + k),
+            work=ca.MX(10.0**k),
+        )
+
+    def join(self, *asked: Any) -> None:
+        self.joined.append(asked)
+        self.program.equal("join", self.program.variable(f"join {asked[0]}", 0.0))
+
+    def close(self, *asked: Any) -> Any:
+        self.closed = asked
+        self.program.equal("close", self.program.variable("close", 0.0))
+        return "the tangent"
+
+
+def _put_together(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch, n: int, **free: tuple[float, float]
+) -> tuple[OrbitTerms, Any]:
+    monkeypatch.setattr(transcription, "PhaseWriter", _Writer)
+    cycle: Any = SimpleNamespace(
+        phases=tuple(f"phase {k}" for k in range(n)),
+        shape=OrbitShape.parsed(f"zeno*{n}"),
+        start=SimpleNamespace(state="the start"),
+    )
+    closures: Any = [f"closure {k}" for k in range(n)]
+    dynamics: Any = "the dynamics"
+    terms = transcribe(
+        problem.compiled(),
+        problem.values(),
+        dynamics=dynamics,
+        cycle=cycle,
+        closures=closures,
+        free=free,
+        nearness=Nearness(first={}, sizes={}),
+        settings=TranscriptionSettings(),
+    )
+    return terms, _Writer.last
+
+
+def test_phases_follow_each_other_in_time_and_their_works_add_up(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    terms, writer = _put_together(problem, monkeypatch, 3, Kp=(1.0, 6.0))
+    labels = ["phase 1: ", "phase 2: ", "phase 3: "]
+    assert writer.phases == [
+        (label, f"phase {k}", f"closure {k}", (10 + k,)) for k, label in enumerate(labels)
+    ]
+    program = terms.program.build()
+    reports = ca.Function("reports", [program.unknowns], list(program.reports.values()))
+    told = dict(
+        zip(
+            program.reports,
+            [float(one) for one in reports.call([ca.DM(program.guess)])],
+            strict=True,
+        )
+    )
+    assert told == {
+        "phase 1: start time": 0.0,
+        "phase 1: Zeno time": 0.25,
+        "phase 2: start time": 1.0,
+        "phase 2: Zeno time": 1.5,
+        "phase 3: start time": 3.0,
+        "phase 3: Zeno time": 3.75,
+        "period": 6.0,
+        "electrical work": 111.0,
+    }
+    assert [float(terms.guessed(one)[0, 0]) for one in (terms.period, terms.electrical_work)] == [
+        6.0,
+        111.0,
+    ]
+    # Each phase starts where the one before it ends, where the rows of that one vanish by
+    # themselves; the first starts where the last one ends.
+    joins = [(label, phase, rows) for label, phase, _, _, rows in writer.joined]
+    assert joins == [(labels[1], "phase 1", (20,)), (labels[2], "phase 2", (21,))]
+    for k, (_, _, end, start, _) in enumerate(writer.joined):
+        assert terms.guessed(ca.horzcat(end, start)).tolist() == [[k + 1.0, k + 1.0], [1.0, 0.0]]
+    at, start, end, rows = writer.closed
+    assert (at, rows) == ("the start", (22,))
+    assert terms.guessed(ca.horzcat(start, end)).tolist() == [[0.0, 3.0], [0.0, 1.0]]
+    assert terms.guessed(terms.end).tolist() == [[3.0], [1.0]]
+    assert terms.tangent == "the tangent"
+    # A motion need not close, and what is free does not move with it.
+    assert [one.names for one in terms.motion.equations].count("join") == 2
+    assert "close" not in [one.names for one in terms.motion.equations]
+    assert [one.name for one in terms.motion.blocks][:2] == ["phase 1: start", "phase 2: start"]
+    assert not any(one.name.startswith(("free", "close")) for one in terms.motion.blocks)
+
+
+@pytest.mark.parametrize(
+    ("name", "box", "size"),
+    [
+        ("Kp", (1.0, 6.0), 2.5),
+        ("Kd", (-900.0, 100.0), 10.0),
+        ("Kd", (-90.0, 0.0), 1.0),
+    ],
+)
+def test_a_free_number_has_its_own_size_or_a_hundredth_of_its_range(
+    problem: Problem,
+    monkeypatch: pytest.MonkeyPatch,
+    name: str,
+    box: tuple[float, float],
+    size: float,
+) -> None:
+    terms, _ = _put_together(problem, monkeypatch, 1, **{name: box})
+    program = terms.program.build()
+    (place, _) = program.names[f"free {name}"]
+    assert program.scales[place] == pytest.approx(size)
+    assert program.lower[place] * size == pytest.approx(box[0])
+    assert program.upper[place] * size == pytest.approx(box[1])
+    values = problem.values()
+    assert terms.guessed(terms.p).ravel().tolist() == list(values.vector) == list(terms.numbers)
+    assert list(terms.free) == [name]
+    # It is the one of the numbers that moves with its unknown.
+    moved = terms.guessed(ca.jacobian(terms.p, terms.program.blocks[0].symbol)).ravel()
+    assert moved.tolist() == [size * (one == name) for one in values.numbers]
+
+
+@pytest.mark.parametrize("free", [("Kp",), ("R", "restitution"), ()])
+def test_the_law_of_impact_depends_on_what_is_free_only_if_it_does(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch, free: tuple[str, ...]
+) -> None:
+    values = problem.values()
+    ranges = {name: (0.5 * values.number(name), 1.5 * values.number(name)) for name in free}
+    terms, writer = _put_together(problem, monkeypatch, 1, **ranges)
+    law = writer.asked[3]
+    assert float(terms.guessed(law.restitution)[0, 0]) == values.number("restitution")
+    assert law.restitution.is_constant() is ("restitution" not in free)
+
+
+@pytest.mark.parametrize(
+    ("text", "blocks"),
+    [
+        ("zeno", ["release state"]),
+        ("impact", ["start state"]),
+        ("impact,plastic", ["phase 1: release state", "phase 2: start state"]),
+        ("zeno*2", ["phase 1: release state", "phase 2: release state"]),
+    ],
+)
+def test_a_phase_starts_at_a_release_if_the_one_before_it_holds(
+    text: str, blocks: list[str]
+) -> None:
+    shape = OrbitShape.parsed(text)
+    assert [start_block(shape, k) for k in range(shape.n_phases)] == blocks
