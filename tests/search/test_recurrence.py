@@ -187,7 +187,7 @@ def test_a_later_impact_that_differs_more_counts_and_so_does_its_speed() -> None
         assert slower.change == pytest.approx(change)
 
 
-@pytest.mark.parametrize(("size", "change"), [(1e-10, 1e-10), (1e-8, 1.0)])
+@pytest.mark.parametrize(("size", "change"), [(1e-10, 1e-10), (1.5e-9, 1.0)])
 def test_a_state_that_vanishes_at_the_impacts_has_the_largest_size(
     size: float, change: float
 ) -> None:
@@ -203,7 +203,7 @@ def test_a_state_that_vanishes_at_the_impacts_has_the_largest_size(
 
 
 def test_sizes_of_impacts_are_those_before_and_after_them() -> None:
-    before, after = np.array([8.0, 1.0]), np.array([2.0, 1.0])
+    before, after = np.array([-8.0, 1.0]), np.array([2.0, 1.0])
     struck = [
         TimedImpact(
             time=float(k),
@@ -272,6 +272,9 @@ def test_no_longer_period_of_impacts_is_looked_for_than_the_longest() -> None:
 def test_impacts_repeat_if_they_change_by_less_than_what_counts_as_none() -> None:
     assert _seen(struck=_struck((0.9985, 1.0), (1.0, 1.0))).settled_to() is None
     assert _seen(struck=_struck((0.9995, 1.0), (1.0, 1.0))).settled_to() is not None
+    same = _struck((1.0, 1.0), (1.0, 1.0))
+    assert _seen(struck=same).settled_to() is not None
+    assert _seen(struck=same, settled=0.0).settled_to() is None
 
 
 def test_two_impacts_are_one_period_only_if_nearer_by_far_than_one() -> None:
@@ -311,6 +314,10 @@ def test_the_shortest_usable_period_is_a_guess_unless_a_longer_one_is_ten_times_
         found = _seen(returns=_laps(1.0, 1.02 + end - 1.0, end)).nearest(usable=0.1)
         assert found is not None
         assert found.shape.n_phases == n
+    # Exactly ten times is no more than that.
+    tenth = _seen(returns=_laps(1.0, 1.6875, 1.0625)).nearest(usable=1.0)
+    assert tenth is not None
+    assert (tenth.shape, tenth.change) == (ONE_ZENO, 10 * 0.0625)
     near = _seen(returns=_laps(1.0, 1.02))
     assert near.nearest(usable=0.021) is not None
     assert near.nearest(usable=0.019) is None
@@ -324,6 +331,9 @@ def test_without_returns_impacts_are_a_guess() -> None:
     found = _seen(struck=struck).nearest(usable=0.1)
     assert found is not None
     assert found.shape == OrbitShape.parsed("impact*2")
+    once = _seen(struck=_struck((1.0, 1.0), (1.0625, 1.0))).nearest(usable=0.1)
+    assert once is not None
+    assert once.shape == OrbitShape.parsed("impact")
     longest = 2 * [(float(k), 1.0) for k in range(1, MOST_IMPACTS + 1)]
     found = _seen(struck=_struck(*longest)).nearest(usable=0.01)
     assert found is not None
