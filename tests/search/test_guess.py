@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -19,12 +20,18 @@ from tests.support.mechanisms import (
     pushed_away,
     spring_mass,
 )
+from zeno_orbits.errors import InputError, RunawayError, SimulationError
+from zeno_orbits.integrators import Tolerance
 from zeno_orbits.model import OwnScale, own_time
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
+from zeno_orbits.model.quantities import Escape
+from zeno_orbits.orbits import OrbitShape
 from zeno_orbits.search import guess
-from zeno_orbits.search.guess import SettlingSettings, back_on_constraints, settle
+from zeno_orbits.search.guess import FollowedMotion, SettlingSettings, back_on_constraints, settle
+from zeno_orbits.search.recurrence import Recurring
+from zeno_orbits.simulation import Impact, Mode, SimulationSettings, ZenoExtrapolation
 from zeno_orbits.simulation.execution import Execution
 from zeno_orbits.simulation.simulator import simulate
 
@@ -240,3 +247,473 @@ def test_a_state_is_put_back_on_its_constraint_in_any_unit(unit: float) -> None:
     # One step of Newton's method leaves the square of what was off, 1.6e-4.
     assert abs(holonomic(back)[0]) < 1e-7 < abs(holonomic(off)[0])
     assert back == pytest.approx(off, rel=2e-4)
+
+
+# ---------------------------------------------------------------------------- motions made up
+
+
+def _machine(**changes: Any) -> Any:
+    """Return a machine of two coordinates whose rates are its states, ten times these if locked."""
+    told: dict[str, Any] = {
+        "n_q": 2,
+        "state_names": ("a", "b", "da", "db"),
+        "clock": (),
+        "restitution": 0.5,
+        "own": OwnScale(),
+        "free": SimpleNamespace(rate=lambda x: -x),
+        "locked": SimpleNamespace(rate=lambda x: 10 * x),
+        "holonomic": lambda _: np.zeros(0),
+        "on_stop": lambda x: np.array([0.0, *x[1:]]),
+    }
+    return SimpleNamespace(**told | changes)
+
+
+def _piece(
+    length: float,
+    end: Sequence[float] = (1.0, 1.0, 1.0, 1.0),
+    *,
+    locked: bool = False,
+    releases: Sequence[tuple[float, Sequence[float]]] = (),
+    found: Sequence[Any] = (),
+    impacts: Sequence[Impact] = (),
+    events: int = 0,
+) -> Any:
+    """Return what was seen between two looks; it has an event if it has a release or an impact."""
+    let_go = tuple(SimpleNamespace(time=time, state=np.array(state)) for time, state in releases)
+    return SimpleNamespace(
+        end_time=length,
+        end_state=np.array(end),
+        arcs=[SimpleNamespace(mode=Mode.LOCKED if locked else Mode.FREE)],
+        releases=let_go,
+        zeno_points=[],
+        impacts=list(impacts),
+        events=[*let_go, *impacts, *(events * [None])],
+        own=OwnScale(),
+        found=list(found),
+    )
+
+
+def _lap(change: float = 1.0, *, since: float = 1.0, speed: float = 1.0) -> Any:
+    """Return a return that changes each state by a part of its size, 1."""
+    phases = [SimpleNamespace(kind=kind) for kind in OrbitShape.parsed("zeno").phases]
+    return SimpleNamespace(
+        state_names=("a", "b", "da", "db"),
+        start=SimpleNamespace(time=0.0, state=since * np.ones(4)),
+        end=SimpleNamespace(time=1.0, state=(since + change) * np.ones(4)),
+        period=1.0,
+        phases=phases,
+        impacts=[SimpleNamespace(approach_rate=-speed), SimpleNamespace(approach_rate=-100.0)],
+        scale_at_events=lambda: np.ones(4),
+    )
+
+
+def _limits(**changes: Any) -> guess._Watch:
+    told: dict[str, Any] = {
+        "settings": SimulationSettings(),
+        "settled": 1e-6,
+        "usable": 0.1,
+        "horizon": 8.0,
+        "chunk": 1.0,
+        "turn": 100.0,
+        "phrases": {},
+    }
+    return guess._Watch(**told | changes)
+
+
+@dataclass
+class Told:
+    """Pieces of a motion that are seen one after the other, the last for ever, and what was asked.
+
+    Attributes:
+        monkeypatch: Where they are put.
+        asked: State, patience and whether it is at a release, at each look.
+    """
+
+    monkeypatch: pytest.MonkeyPatch
+    asked: list[tuple[list[float], float, bool]]
+
+    def pieces(self, *pieces: Any) -> None:
+        """Let the motion consist of these."""
+        left = list(pieces)
+
+        def look(_: Any, state: Any, _watch: Any, patience: float, *, at_release: bool) -> Any:
+            self.asked.append((np.array(state).tolist(), patience, at_release))
+            piece = left.pop(0) if len(left) > 1 else left[0]
+            if isinstance(piece, Exception):
+                raise piece
+            return piece
+
+        self.monkeypatch.setattr(guess, "_to_next_look", look)
+        self.monkeypatch.setattr(guess, "cycles", lambda run, **_: run.found)
+
+
+@pytest.fixture(name="told")
+def _told(monkeypatch: pytest.MonkeyPatch) -> Told:
+    return Told(monkeypatch=monkeypatch, asked=[])
+
+
+START = np.array([0.0, 1.0, 1.0, 1.0])
+
+
+def _followed(told: Told, *pieces: Any, wanted: Any = None, **limits: Any) -> FollowedMotion:
+    told.pieces(*pieces)
+    del told.asked[:]
+    return guess._settle_from(_machine(), START, _limits(**limits), wanted)
+
+
+@pytest.mark.parametrize(("horizon", "looks"), [(8.0, 4), (8.1, 5), (7.9, 4)])
+def test_a_motion_is_looked_at_until_its_time_is_over(
+    told: Told, horizon: float, looks: int
+) -> None:
+    found = _followed(told, _piece(2.0, events=1), horizon=horizon)
+    assert len(told.asked) == looks
+    assert found == FollowedMotion(
+        cycle=None,
+        reason=f"no release is followed by a Zeno point after {horizon:g} s",
+        undecided=True,
+    )
+
+
+def test_a_motion_goes_on_from_its_last_release_if_it_ends_there_and_else_from_its_end(
+    told: Told,
+) -> None:
+    at, later = (0.5, 2.0, 3.0, 4.0), (9.0, 8.0, 7.0, 6.0)
+    _followed(
+        told,
+        _piece(2.0, later, releases=[(1.0, later), (2.0, at)]),
+        _piece(2.0, later, releases=[(1.0, at)]),
+        _piece(2.0, at, locked=True),
+        _piece(2.0, later, events=1),
+    )
+    # On its stop a state is put onto it.
+    assert [one for one, *_ in told.asked] == [
+        [0.0, 1.0, 1.0, 1.0],
+        [*at],
+        [*later],
+        [0.0, *at[1:]],
+    ]
+    assert [released for *_, released in told.asked] == [False, True, False, False]
+
+
+def test_a_motion_that_does_not_come_back_to_its_release_is_waited_for_twice_as_long(
+    told: Told,
+) -> None:
+    released = _piece(1.0, releases=[(1.0, START)])
+    silent = _piece(1.0, events=1)
+    _followed(told, released, silent, silent, released, released, silent, released, silent)
+    assert [patience for _, patience, _ in told.asked] == [1, 1, 2, 2, 2, 2, 4, 4]
+
+
+def test_a_return_that_repeats_is_taken_at_once(told: Told) -> None:
+    lap = _lap(1e-7)
+    found = _followed(told, _piece(1.0, releases=[(1.0, START)], found=[lap]))
+    assert found == FollowedMotion(cycle=lap)
+    assert len(told.asked) == 1
+    wanted = _followed(
+        told, _piece(1.0, releases=[(1.0, START)], found=[lap]), wanted=OrbitShape.parsed("zeno")
+    )
+    assert wanted.cycle is lap
+
+
+def test_a_motion_that_settles_to_another_shape_is_followed_no_longer(told: Told) -> None:
+    lap = _lap(1e-7)
+    piece = _piece(1.0, releases=[(1.0, START)], found=[lap])
+    found = _followed(told, piece, wanted=OrbitShape.parsed("zeno*2"))
+    assert len(told.asked) == 1
+    assert found.reason == "the motion settles to an orbit of shape `zeno`"
+    assert not found.undecided
+
+
+def test_the_nearest_period_is_a_guess_when_the_time_is_over(told: Told) -> None:
+    laps = [_lap(0.09, since=1.0 + 0.09 * k) for k in range(8)]
+    pieces = [_piece(1.0, releases=[(1.0, START)], found=[lap]) for lap in laps]
+    assert _followed(told, *pieces).cycle is laps[-1]
+    assert len(told.asked) == 8
+    worse = _followed(told, *pieces, usable=0.08)
+    assert worse.cycle is None
+    assert worse.reason == "its periods differ after 8 s"
+
+
+def test_a_motion_whose_first_impacts_fade_dies_out(told: Told) -> None:
+    fading = [
+        _piece(1.0, releases=[(1.0, START)], found=[_lap(since=since, speed=speed)])
+        for since, speed in ((1.0, 1.0), (2.0, 0.9e-3))
+    ]
+    found = _followed(told, *fading)
+    assert found == FollowedMotion(cycle=None, reason="the motion dies out")
+    assert len(told.asked) == 2
+    # It is told when there is a return only.
+    quiet = _followed(told, *fading[:1], _piece(1.0, releases=[(1.0, START)]))
+    assert quiet.reason != "the motion dies out"
+
+
+def test_a_coordinate_that_runs_away_is_told_in_the_words_of_the_problem_or_of_the_simulation(
+    told: Told,
+) -> None:
+    state = (1.0, 1.0)
+    for coordinate, words in (("a", "it falls off"), ("b", "it is gone"), ("", "it is gone")):
+        gone = RunawayError("it is gone", time=1.0, state=state, coordinate=coordinate)
+        found = _followed(told, gone, phrases={"a": "it falls off"})
+        assert found == FollowedMotion(cycle=None, reason=words)
+    failure = SimulationError("The Step is small", time=1.0, state=state)
+    found = _followed(told, _piece(1.0, events=1), failure)
+    assert found == FollowedMotion(cycle=None, reason="the simulation fails: the Step is small")
+
+
+STILL = (0.5e-6, 0.5e-6, 0.5e-6, 0.5e-6)
+
+
+@pytest.mark.parametrize(("turn", "looks"), [(3.0, 4), (3.1, 5)])
+def test_a_motion_that_is_still_for_a_turn_of_the_clock_rests(
+    told: Told, turn: float, looks: int
+) -> None:
+    found = _followed(told, _piece(1.0, START + 1.0), _piece(1.0, STILL), turn=turn)
+    assert found == FollowedMotion(cycle=None, reason="the motion comes to rest")
+    assert len(told.asked) == looks
+
+
+@pytest.mark.parametrize(
+    "between",
+    [_piece(1.0, (0.0, 0.0, 1.0, 0.0)), _piece(1.0, STILL, events=1)],
+    ids=["moved", "an event"],
+)
+def test_a_motion_that_moves_in_between_is_waited_for_anew(told: Told, between: Any) -> None:
+    still = _piece(1.0, STILL)
+    found = _followed(told, _piece(1.0), still, still, between, still, still, still, turn=3.0)
+    assert found.reason == "the motion comes to rest"
+    assert len(told.asked) == 7
+
+
+def test_rates_are_compared_with_the_largest_so_far_those_before_an_impact_included(
+    told: Told,
+) -> None:
+    fast = np.array([1e7, 1e7, 1e7, 1e7])
+    hit = Impact(time=0.5, state_minus=fast, state_plus=fast, approach_rate=-1.0)
+    found = _followed(told, _piece(1.0, impacts=[hit]), _piece(1.0), turn=3.0)
+    # What moves at a rate of 1 is still beside ten million.
+    assert found.reason == "the motion comes to rest"
+    assert len(told.asked) == 4
+    found = _followed(told, _piece(1.0, fast), _piece(1.0), turn=3.0, horizon=20.0)
+    assert found.reason == "the motion comes to rest"
+    assert _followed(told, _piece(1.0), turn=3.0).reason.endswith("after 8 s")
+    # On its stop its rates are ten times its state.
+    found = _followed(told, _piece(1.0, locked=True), _piece(1.0, 0.9e-5 * np.ones(4)), turn=3.0)
+    assert found.reason == "the motion comes to rest"
+
+
+def test_a_motion_that_is_held_for_more_than_half_its_time_is_said_to_stay(told: Told) -> None:
+    held, flown = _piece(1.0, locked=True), _piece(1.0, events=1)
+    found = _followed(told, *(3 * [flown]), *(5 * [held]))
+    assert found == FollowedMotion(
+        cycle=None, reason="the motion stays on its stop for 5 s", waited=8.0
+    )
+    for pieces in (
+        [*(4 * [flown]), *(4 * [held])],
+        # A flight in between, or an event, counts anew.
+        [*(4 * [held]), flown, *(3 * [held])],
+        [*(4 * [held]), _piece(1.0, locked=True, events=1), *(3 * [held])],
+    ):
+        found = _followed(told, *pieces)
+        assert found.reason == "no release is followed by a Zeno point after 8 s"
+        assert found.waited == 0.0
+    # What was held at last is all that counts.
+    found = _followed(told, flown, _piece(1.0, locked=True, events=1), *(6 * [held]))
+    assert found.reason == "the motion stays on its stop for 6 s"
+
+
+def test_a_coordinate_a_thousand_times_as_far_as_in_the_first_half_runs_away(told: Told) -> None:
+    def far(size: float, sign: float = 1.0) -> Any:
+        return _piece(1.0, (0.0, sign * size, 0.0, 0.0), events=1)
+
+    # It starts at 1 and is at 2 in the first half.
+    pieces = [far(2.0, -1.0), far(1.0), far(1.0), far(1e9), far(1e9), far(1e9), far(1e9)]
+    assert _followed(told, *pieces, far(2001.0, -1.0)).reason == "b runs away"
+    assert _followed(told, *pieces, far(1999.0)).reason.endswith("after 8 s")
+    # Where it starts counts, too: `a` is at zero there.
+    assert _followed(told, *(7 * [far(0.5)]), far(1001.0)).reason == "b runs away"
+    assert _followed(told, *(7 * [far(0.5)]), far(999.0)).reason.endswith("after 8 s")
+
+
+def test_rates_are_those_of_all_states_but_the_clock() -> None:
+    machine = _machine(clock=(1, 3))
+    state = np.array([1.0, 2.0, -3.0, 4.0])
+    assert guess._rates(machine, state, locked=False).tolist() == [1.0, 3.0]
+    assert guess._rates(machine, state, locked=True).tolist() == [10.0, 30.0]
+    hits = [
+        Impact(time=0.5, state_minus=k * state, state_plus=state, approach_rate=-1.0)
+        for k in (2.0, 5.0)
+    ]
+    (first,) = guess._rates_at_impacts(machine, _piece(1.0, impacts=hits))
+    assert first.tolist() == [2.0, 6.0]
+    assert guess._rates_at_impacts(machine, _piece(1.0)) == []
+
+
+def test_a_motion_with_a_clock_can_be_followed(told: Told) -> None:
+    told.pieces(_piece(1.0), _piece(1.0, (9.0, 9.0, 0.0, 9.0)))
+    clocked = _machine(clock=(0, 1, 3))
+    found = guess._settle_from(clocked, START, _limits(turn=3.0), None)
+    assert found.reason == "the motion comes to rest"
+
+
+# Several starts.
+
+
+@dataclass
+class _Starts:
+    """Motions that are followed from starts, as they are told to end."""
+
+    ends: list[FollowedMotion]
+    asked: list[tuple[list[float], float, Any]]
+
+    def __call__(self, _: Any, state: Any, watch: Any, wanted: Any) -> FollowedMotion:
+        self.asked.append((state.tolist(), watch.horizon, wanted))
+        return self.ends.pop(0)
+
+
+@pytest.mark.parametrize(("waited", "left"), [(0.0, 9.0), (5.0, 4.0), (7.0, 3.0), (100.0, 3.0)])
+def test_what_was_waited_for_one_start_is_taken_from_the_next_down_to_a_third(
+    monkeypatch: pytest.MonkeyPatch, waited: float, left: float
+) -> None:
+    ended = FollowedMotion(cycle=None, reason="it stays", waited=waited)
+    repeats = FollowedMotion(cycle=_lap())
+    starts = _Starts(ends=[ended, repeats], asked=[])
+    monkeypatch.setattr(guess, "_settle_from", starts)
+    monkeypatch.setattr(guess, "own_time", lambda *_: 1.0)
+    settings, wanted = SettlingSettings(horizon=9.0), OrbitShape.parsed("plastic")
+    assert settle(_machine(), [(0.0,), (1.0,)], settings, wanted) is repeats
+    # The stop is not plastic.
+    zeno = OrbitShape.parsed("zeno")
+    assert starts.asked == [([0.0], 9.0, zeno), ([1.0], pytest.approx(left), zeno)]
+
+
+def test_what_was_waited_adds_up_and_any_start_may_be_undecided(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(guess, "own_time", lambda *_: 1.0)
+    ends = [
+        FollowedMotion(cycle=None, reason="it stays", waited=1.0),
+        FollowedMotion(cycle=None, reason="it goes", waited=2.0, undecided=True),
+        FollowedMotion(cycle=None, reason="it stays"),
+    ]
+    starts = _Starts(ends=[*ends], asked=[])
+    monkeypatch.setattr(guess, "_settle_from", starts)
+    found = settle(_machine(), 3 * [(0.0,)], SettlingSettings(horizon=9.0))
+    assert found == FollowedMotion(cycle=None, reason="it stays / it goes", undecided=True)
+    assert [left for _, left, _ in starts.asked] == [9.0, 8.0, 6.0]
+    assert [wanted for *_, wanted in starts.asked] == [None, None, None]
+    monkeypatch.setattr(guess, "_settle_from", _Starts(ends=[ends[0]], asked=[]))
+    assert not settle(_machine(), [(0.0,)]).undecided
+
+
+# Limits of the wait.
+
+
+def test_the_wait_is_measured_in_the_problems_own_time_unless_told(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(guess, "own_time", lambda *_: 2.0)
+    machine, state = _machine(), np.zeros(4)
+    alone = guess._watch(machine, state, SettlingSettings(), None)
+    assert (alone.horizon, alone.chunk, alone.turn) == (115 * 2.0, 6 * 2.0, 2.0)
+    assert (alone.settings.far, alone.phrases) == (math.inf, {})
+    assert (alone.settled, alone.usable) == (1e-6, 0.1)
+    told = SettlingSettings(horizon=7.0, chunk=3.0, settled=0.25, usable=0.5)
+    watch = guess._watch(machine, state, told, None)
+    assert (watch.horizon, watch.chunk, watch.settled, watch.usable) == (7.0, 3.0, 0.25, 0.5)
+    assert watch.settings == replace(told.simulation, far=math.inf)
+
+
+def test_the_wait_knows_how_far_coordinates_of_a_problem_may_go(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(guess, "own_time", lambda *_: 2.0)
+    escapes = {"theta2": Escape(beyond=3.0, phrase="it falls off")}
+    pendulum = replace(problem, escapes=escapes)
+    watch = guess._watch(_machine(), np.zeros(5), SettlingSettings(), pendulum)
+    # Ten turns of a link of which nothing is said.
+    assert watch.settings.far == (pytest.approx(20 * math.pi), 3.0)
+    assert watch.phrases == {"theta2": "it falls off"}
+    assert watch.horizon == 115 * 2.0
+    shaken = load_problem("forced_oscillator")
+    machine = _machine(n_q=shaken.dynamics(shaken.values()).n_q)
+    assert guess._watch(machine, np.zeros(4), SettlingSettings(), shaken).horizon == 300 * 2.0
+
+
+@pytest.mark.parametrize("wrong", [0.0, -1.0, math.inf, math.nan])
+def test_a_time_to_wait_that_is_not_positive_is_refused(wrong: float) -> None:
+    with pytest.raises(InputError, match="`until` must be a positive number"):
+        SettlingSettings(horizon=wrong)
+    with pytest.raises(InputError, match="`chunk` must be a positive number"):
+        SettlingSettings(chunk=wrong)
+
+
+def test_a_motion_is_settled_more_loosely_than_it_is_verified() -> None:
+    usual = SettlingSettings()
+    assert (usual.settled, usual.usable) == (1e-6, 0.1)
+    assert usual.simulation.tolerance == Tolerance(relative=1e-8, absolute=1e-10)
+    assert usual.simulation.completion == ZenoExtrapolation(tolerance=1e-11)
+    assert (FollowedMotion(cycle=None).undecided, FollowedMotion(cycle=None).reason) == (False, "")
+
+
+# A period made anew.
+
+
+def test_a_period_that_was_not_followed_in_one_piece_is_simulated_from_its_start(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: list[Any] = []
+    cycle = _lap()
+
+    def simulated(_: Any, start: Any, shape: Any, *, horizon: float, settings: Any) -> Any:
+        asked.append((start.tolist(), shape, horizon, settings))
+        return cycle
+
+    monkeypatch.setattr(guess, "cycle_of", simulated)
+    monkeypatch.setattr(guess, "placed", lambda _machine, shape, x: (shape, x)[1])
+    settings = SimulationSettings()
+    shape = OrbitShape.parsed("zeno*2")
+    found = Recurring(shape=shape, start=START, period=3.0, change=0.0)
+    assert guess._period(_machine(), found, settings) == FollowedMotion(cycle=cycle)
+    assert asked == [(START.tolist(), shape, 6.0, settings)]
+    whole = replace(found, cycle=_lap())
+    assert guess._period(_machine(), whole, settings).cycle is whole.cycle
+
+    def fails(*_: Any, **__: Any) -> Any:
+        raise SimulationError("The Step is small", time=1.0, state=(1.0,))
+
+    monkeypatch.setattr(guess, "cycle_of", fails)
+    failed = guess._period(_machine(), found, settings)
+    assert failed == FollowedMotion(cycle=None, reason="the Step is small")
+
+
+@pytest.mark.parametrize("at_release", [False, True])
+def test_a_look_is_at_the_next_release_or_after_a_while(
+    monkeypatch: pytest.MonkeyPatch, at_release: bool
+) -> None:
+    watch, seen = _limits(chunk=3.0), _piece(1.0)
+    asked: list[Any] = []
+
+    def kept(*arguments: Any, **named: Any) -> Any:
+        asked.append((*arguments[1:], named))
+        return seen
+
+    monkeypatch.setattr(guess, "simulate" if not at_release else "to_next_release", kept)
+    assert guess._to_next_look(_machine(), START, watch, 5.0, at_release=at_release) is seen
+    named = {"horizon": 5.0} if at_release else {"until": 3.0, "releases": 1}
+    assert asked == [(START, named | {"settings": watch.settings})]
+
+
+def test_a_state_is_put_back_on_several_constraints_by_the_shortest_step() -> None:
+    # Planes x + y = 1 and z = 2; the step is of least length in units of the states' sizes.
+    rows = np.array([[1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    machine: Any = _machine(holonomic=lambda x: rows @ x - np.array([1.0, 2.0]))
+    back = back_on_constraints(machine, np.array([2.0, 4.0, 2.5]), locked=False)
+    # Off by 5: at sizes 2 and 4 the parts of the step are as 4 to 16.
+    assert back == pytest.approx([2.0 - 1.0, 4.0 - 4.0, 2.0], abs=1e-8)
+    # A state that nearly vanishes is given the largest size.
+    small = back_on_constraints(machine, np.array([1e-9, 4.0, 2.5]), locked=False)
+    assert small == pytest.approx([-1.5, 2.5, 2.0], abs=1e-8)
+    untouched = np.array([1.0, 2.0, 3.0, 4.0])
+    assert back_on_constraints(_machine(), untouched, locked=False) is untouched
+    stopped = back_on_constraints(_machine(), untouched, locked=True)
+    assert stopped.tolist() == [0.0, 2.0, 3.0, 4.0]
