@@ -355,10 +355,12 @@ def _told(monkeypatch: pytest.MonkeyPatch) -> Told:
 START = np.array([0.0, 1.0, 1.0, 1.0])
 
 
-def _followed(told: Told, *pieces: Any, wanted: Any = None, **limits: Any) -> FollowedMotion:
+def _followed(
+    told: Told, *pieces: Any, wanted: Any = None, start: Any = START, **limits: Any
+) -> FollowedMotion:
     told.pieces(*pieces)
     del told.asked[:]
-    return guess._settle_from(_machine(), START, _limits(**limits), wanted)
+    return guess._settle_from(_machine(), start, _limits(**limits), wanted)
 
 
 @pytest.mark.parametrize(("horizon", "looks"), [(8.0, 4), (8.1, 5), (7.9, 4)])
@@ -470,6 +472,9 @@ def test_a_motion_that_is_still_for_a_turn_of_the_clock_rests(
     found = _followed(told, _piece(1.0, START + 1.0), _piece(1.0, STILL), turn=turn)
     assert found == FollowedMotion(cycle=None, reason="the motion comes to rest")
     assert len(told.asked) == looks
+    nothing = _followed(told, _piece(1.0, np.zeros(4)), turn=turn)
+    assert nothing.reason == "the motion comes to rest"
+    assert len(told.asked) == looks - 1
 
 
 @pytest.mark.parametrize(
@@ -516,6 +521,7 @@ def test_a_motion_that_is_held_for_more_than_half_its_time_is_said_to_stay(told:
         found = _followed(told, *pieces)
         assert found.reason == "no release is followed by a Zeno point after 8 s"
         assert found.waited == 0.0
+    assert _followed(told, held).reason == "the motion stays on its stop for 8 s"
     # What was held at last is all that counts.
     found = _followed(told, flown, _piece(1.0, locked=True, events=1), *(6 * [held]))
     assert found.reason == "the motion stays on its stop for 6 s"
@@ -525,13 +531,15 @@ def test_a_coordinate_a_thousand_times_as_far_as_in_the_first_half_runs_away(tol
     def far(size: float, sign: float = 1.0) -> Any:
         return _piece(1.0, (0.0, sign * size, 0.0, 0.0), events=1)
 
-    # It starts at 1 and is at 2 in the first half.
-    pieces = [far(2.0, -1.0), far(1.0), far(1.0), far(1e9), far(1e9), far(1e9), far(1e9)]
+    # It starts at 1 and is at 2 before half the time is over.
+    pieces = [far(1.0), far(1.0), far(2.0, -1.0), far(1e9), far(1e9), far(1e9), far(1e9)]
     assert _followed(told, *pieces, far(2001.0, -1.0)).reason == "b runs away"
     assert _followed(told, *pieces, far(1999.0)).reason.endswith("after 8 s")
     # Where it starts counts, too: `a` is at zero there.
     assert _followed(told, *(7 * [far(0.5)]), far(1001.0)).reason == "b runs away"
-    assert _followed(told, *(7 * [far(0.5)]), far(999.0)).reason.endswith("after 8 s")
+    for start in (START, -START):
+        found = _followed(told, *(7 * [far(0.5)]), far(999.0), start=start)
+        assert found.reason.endswith("after 8 s")
 
 
 def test_rates_are_those_of_all_states_but_the_clock() -> None:
@@ -672,9 +680,9 @@ def test_a_period_that_was_not_followed_in_one_piece_is_simulated_from_its_start
     monkeypatch.setattr(guess, "placed", lambda _machine, shape, x: (shape, x)[1])
     settings = SimulationSettings()
     shape = OrbitShape.parsed("zeno*2")
-    found = Recurring(shape=shape, start=START, period=3.0, change=0.0)
+    found = Recurring(shape=shape, start=START + 1.0, period=3.0, change=0.0)
     assert guess._period(_machine(), found, settings) == FollowedMotion(cycle=cycle)
-    assert asked == [(START.tolist(), shape, 6.0, settings)]
+    assert asked == [((START + 1.0).tolist(), shape, 6.0, settings)]
     whole = replace(found, cycle=_lap())
     assert guess._period(_machine(), whole, settings).cycle is whole.cycle
 
@@ -713,6 +721,12 @@ def test_a_state_is_put_back_on_several_constraints_by_the_shortest_step() -> No
     # A state that nearly vanishes is given the largest size.
     small = back_on_constraints(machine, np.array([1e-9, 4.0, 2.5]), locked=False)
     assert small == pytest.approx([-1.5, 2.5, 2.0], abs=1e-8)
+    # A thousandth of the largest is small, more is a size of its own: 1.5 to 1000 here.
+    own = back_on_constraints(machine, np.array([6e-3, 4.0, 2.5]), locked=False)
+    assert own == pytest.approx([6e-3, 4.0 - 3.006, 2.0], abs=1e-5)
+    # Off by 1, at sizes 2 and 4 again.
+    negative = back_on_constraints(machine, np.array([-2.0, 4.0, 2.5]), locked=False)
+    assert negative == pytest.approx([-2.0 - 0.2, 4.0 - 0.8, 2.0], abs=1e-8)
     untouched = np.array([1.0, 2.0, 3.0, 4.0])
     assert back_on_constraints(_machine(), untouched, locked=False) is untouched
     stopped = back_on_constraints(_machine(), untouched, locked=True)

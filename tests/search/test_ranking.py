@@ -26,6 +26,7 @@ from zeno_orbits.search import (
     SearchStatus,
     TargetPeriod,
     find_orbit,
+    scan,
     search,
     search_gains,
 )
@@ -199,7 +200,7 @@ def test_of_two_equal_orbits_the_later_start_is_told_and_of_two_better_the_best(
 def test_the_failure_that_came_farthest_is_told_and_of_two_such_the_nearer(
     searched: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(search, "_summary", lambda _: "A summary.")
+    monkeypatch.setattr(scan, "scan_summary", lambda _: "A summary.")
     ends = [
         SearchStatus.NO_GUESS,
         SearchStatus.NOT_SOLVED,
@@ -309,6 +310,47 @@ def test_optima_are_the_same_if_numbers_period_and_score_agree_to_a_thousandth(
     told = [_found(orbit, 1.0, 2.5), _found(other, 1.0 + score, 2.5 * (1 + gain))]
     result = searched(told, settings=SearchSettings(candidates=2))
     assert len(result.candidates) == (1 if same else 2)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "same"),
+    [
+        (1000.0, 1001.0005, True),
+        (1000.0, 1001.0015, False),
+        (-1000.0, -1001.0005, True),
+        (0.0, 0.0, True),
+        (0.0, 1e-30, False),
+    ],
+)
+def test_what_agrees_to_a_thousandth_of_the_larger_one_agrees(
+    searched: Any, orbit: ZenoOrbit, one: float, other: float, same: bool
+) -> None:
+    for scores in ((one, other), (other, one)):
+        told = [_found(orbit, score, 2.5) for score in scores]
+        result = searched(told, settings=SearchSettings(candidates=2))
+        assert len(result.candidates) == (1 if same else 2)
+
+
+def test_nothing_is_enough_before_there_are_as_many_as_asked(
+    problem: Problem, orbit: ZenoOrbit
+) -> None:
+    asked = SearchProblem(
+        problem=problem,
+        values=problem.values(),
+        free={},
+        objective=LeastEnergy(),
+        initial_states=(),
+        settings=SearchSettings(candidates=2),
+    )
+    one, two = (_found(orbit, score, score).candidate for score in (1.0, 2.0))
+    assert one is not None
+    assert two is not None
+    assert search._enough(asked, [], 9) is False
+    assert search._enough(asked, [one], 9) is False
+    assert search._enough(asked, [one, two], 9) is True
+    twice = replace(one, orbit=replace(orbit, phases=2 * orbit.phases))
+    assert search._same(asked, one, twice) is False
+    assert search._same(asked, one, one) is True
 
 
 @pytest.mark.parametrize(("apart", "same"), [(0.9e-5, True), (1.1e-5, False), (-1.1e-5, False)])
@@ -500,6 +542,25 @@ def test_a_question_is_all_of_a_search_but_its_problem_and_who_is_told(problem: 
         "sizes", "order", "settings",
     }  # fmt: skip
     assert SearchProblem(problem=problem, **question) == asked
+    # The problem has the rest.
+    assert asked.compiled is problem.compiled()
+    e = {"restitution": 0.25}
+    assert asked.dynamics(problem.values(parameters=e)).restitution == 0.25
+
+
+def test_the_one_who_is_told_of_a_stage_is_not_told_how_far_it_is(problem: Problem) -> None:
+    told: list[tuple[str, float | None]] = []
+    asked = SearchProblem(
+        problem=problem,
+        values=problem.values(),
+        free={},
+        objective=LeastEnergy(),
+        initial_states=(),
+        settings=SearchSettings(),
+        on_progress=lambda stage, part: told.append((stage, part)),
+    )
+    asked.tell("simulating")
+    assert told == [("simulating", None)]
 
 
 def test_numbers_are_listed_to_six_digits() -> None:

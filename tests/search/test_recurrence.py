@@ -203,7 +203,7 @@ def test_a_state_that_vanishes_at_the_impacts_has_the_largest_size(
 
 
 def test_sizes_of_impacts_are_those_before_and_after_them() -> None:
-    before, after = np.array([-8.0, 1.0]), np.array([2.0, 1.0])
+    before, after = np.array([-8.0, 1.0]), np.array([2.0, 8.0])
     struck = [
         TimedImpact(
             time=float(k),
@@ -213,8 +213,8 @@ def test_sizes_of_impacts_are_those_before_and_after_them() -> None:
     ]
     found = _seen(struck=tuple(struck))._after_impacts(1)
     assert found is not None
-    # The first state changes by 1 of 8, the second by 1 of 2.
-    assert found.change == 0.5
+    # The first state changes by 1 of 8, the second by 1 of 9.
+    assert found.change == 1 / 8
 
 
 # What the motion settles to.

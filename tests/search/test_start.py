@@ -155,6 +155,8 @@ def test_starts_are_at_the_places_of_their_order_and_the_given_numbers_in_the_bo
     again = numbered_start(ordered, 3)
     assert (again.values, again.near, again.known_empty) == (first.values, None, True)
     assert again.easy
+    # The given numbers need not come first to be new.
+    assert numbered_start(replace(search, order=(1, 0)), 1) == first
 
 
 def test_a_search_with_one_start_has_its_easier_numbers_at_once(problem: Problem) -> None:
@@ -233,6 +235,7 @@ def test_nothing_is_measured_of_an_orbit_of_which_nothing_is_asked(
     assert [kind for kind, *_ in asked] == ["from"]
     assert outcome.candidate is not None
     assert (outcome.candidate.score, outcome.candidate.certificate) == (0.0, None)
+    assert outcome.candidate.extents == {}
     # At fixed numbers an objective has nothing to choose, but bounds are kept.
     fixed = _search(problem, free={}, objective=LeastEnergy())
     bounded = replace(fixed, bounds=(Bound(name="period", upper=2.0),))
@@ -361,6 +364,7 @@ def test_other_bounds_hold_while_an_orbit_that_attracts_is_looked_for(
         (0.991, "lies on a fold of the family, where orbits cease to attract"),
         (-1.009, "lies on a period doubling, where orbits cease to attract"),
         (complex(0.0, 1.0), "does not attract"),
+        (complex(1.0, 0.01), "does not attract"),
     ],
 )
 def test_where_orbits_cease_to_attract_is_told(

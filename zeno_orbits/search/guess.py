@@ -138,10 +138,8 @@ def settle(
     for start in starts:
         state = np.array(start, dtype=np.float64)
         watch = _watch(dynamics, state, settings, problem)
-        if waited > 0.0:
-            left = max(watch.horizon - waited, _SHARE * watch.horizon)
-            watch = replace(watch, horizon=left)
-        settling = _settle_from(dynamics, state, watch, wanted)
+        left = max(watch.horizon - waited, _SHARE * watch.horizon)
+        settling = _settle_from(dynamics, state, replace(watch, horizon=left), wanted)
         if settling.cycle is not None:
             return settling
         reasons.append(settling.reason)
@@ -215,7 +213,7 @@ def _settle_from(
         still, held = max(still, 0.0), max(held, 0.0)
         if elapsed < watch.horizon / 2:
             position = np.maximum(position, np.abs(run.end_state[:n_q]))
-        at_release = run.releases[-1:] != () and run.releases[-1].time == run.end_time
+        at_release = bool(run.releases) and run.releases[-1].time == run.end_time
         state = run.releases[-1].state if at_release else run.end_state
         state = back_on_constraints(dynamics, state, locked=run.arcs[-1].mode is Mode.LOCKED)
     nearest = recurrence.nearest(watch.usable)

@@ -232,14 +232,14 @@ def _enough_failures(search: SearchProblem) -> int:
     return 2 if slow else 5
 
 
-_RANK = {
-    SearchStatus.NO_GUESS: 0,
-    SearchStatus.NOT_SOLVED: 1,
-    SearchStatus.NOT_FOLLOWED: 2,
-    SearchStatus.NOT_ACCEPTED: 3,
-    SearchStatus.FOUND: 4,
-}
+_FARTHEST_LAST = (
+    SearchStatus.NO_GUESS,
+    SearchStatus.NOT_SOLVED,
+    SearchStatus.NOT_FOLLOWED,
+    SearchStatus.NOT_ACCEPTED,
+    SearchStatus.FOUND,
+)
 
 
 def _merit(outcome: StartOutcome) -> tuple[int, float]:
-    return _RANK[outcome.status], -outcome.shortfall
+    return _FARTHEST_LAST.index(outcome.status), -outcome.shortfall
