@@ -117,7 +117,10 @@ def _search(
 
 
 def _lowest(dense: Dense, row: int, left: float, right: float) -> tuple[float, Vector]:
-    """Return where in between a guard that falls and then rises is lowest, and its value there."""
+    """Return where in between a guard that falls and then rises is negative, and its value there.
+
+    If it is nowhere negative, so is the value.
+    """
     rows = np.array([row])
     pair = np.zeros(2)
     for _ in range(HALVINGS):
@@ -131,7 +134,7 @@ def _lowest(dense: Dense, row: int, left: float, right: float) -> tuple[float, V
             right = middle
         if pair[0] > abs(pair[1]) * (right - left):
             break
-    return (left + right) / 2, pair
+    return left, pair
 
 
 def _stays_above(left: Vector, right: Vector, width: Vector) -> Mask:
@@ -163,8 +166,7 @@ def _roots(
     size = right - left
     at = left + size * _hermite_root(low[:, 0], size * low[:, 1], high[:, 0], size * high[:, 1])
     last = size.copy()
-    open_ = true_rows(high[:, 0] != 0.0)
-    at[high[:, 0] == 0.0] = right[high[:, 0] == 0.0]
+    open_ = np.arange(len(rows))
     left, right = left.copy(), right.copy()
     for _ in range(_MOST):
         if not len(open_):
