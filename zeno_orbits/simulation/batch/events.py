@@ -186,7 +186,8 @@ def _roots(
         target = np.where(newton | done, at[open_] + change, middle)
         last[open_] = np.where(newton, np.abs(change), (right[open_] - left[open_]) / 2)
         at[open_] = np.clip(target, left[open_], right[open_])
-        done |= right[open_] - left[open_] <= TINY * size[open_]
+        rounding = TINY * np.maximum(size[open_], right[open_])
+        done |= right[open_] - left[open_] <= rounding
         open_ = open_[~done]
     return at
 
