@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from tests.support.made_arcs import START, ramp
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.simulation.execution import Arc, Ending, Mode
+from zeno_orbits.simulation.execution import Arc
 from zeno_orbits.simulation.signals import (
     Extent,
     Peak,
@@ -24,40 +25,6 @@ from zeno_orbits.simulation.signals import (
 from zeno_orbits.simulation.simulator import simulate
 
 NEAR = 1e-8
-START, UNIT = 4.0, 2.0
-
-
-@dataclass(frozen=True)
-class Ramp:
-    """A flow whose one state is its own time, with another behind it as in a rescaled flight."""
-
-    times: Vector
-
-    @property
-    def duration(self) -> float:
-        return float(self.times[-1])
-
-    @property
-    def states(self) -> Vector:
-        return np.column_stack([self.times, 99.0 + 0 * self.times])
-
-    def state_at(self, offset: float) -> Vector:
-        return np.array([offset, 99.0])
-
-
-def ramp(*times: float) -> Arc:
-    """An arc from 4 s on whose state is its flow's own time, in units of 2 s, at these steps."""
-    return Arc(
-        mode=Mode.FREE,
-        start_time=START,
-        end_time=START + UNIT * times[-1],
-        start_state=np.array([times[0]]),
-        end_state=np.array([times[-1]]),
-        ending=Ending.IMPACT,
-        impact_index=0,
-        time_unit=UNIT,
-        trajectory=Ramp(np.array(times)),
-    )
 
 
 def at_time(function: Callable[[float], float]) -> Callable[[Vector], float]:
