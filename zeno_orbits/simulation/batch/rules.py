@@ -158,8 +158,8 @@ class Transitions:
         outside = ~np.isfinite(x).all(axis=1) | ~(gap >= -small)
         unfit = ~((lanes.restitution[rows] >= 0.0) & (lanes.restitution[rows] < 1.0))
         self.fail(rows[outside], "The start is not admissible: the gap is negative")
-        self.fail(rows[~outside & unfit], "The restitution does not lie in [0, 1)")
-        well = ~outside & ~unfit
+        self.fail(rows[unfit], "The restitution does not lie in [0, 1)")
+        well = lanes.alive[rows]
         off = well & (gap > small)
         self.begin(rows[off], FREE, time[off], x[off], unit[off], on_guard=False)
         up = well & (gap <= small) & (rate > small_rate)
@@ -270,7 +270,7 @@ class Transitions:
         lanes.struck[rows] = np.where(lanes.impacts[rows] == 0, rate, lanes.struck[rows])
         lanes.impacts[rows] += 1
         self.fail(rows[~(rate < 0.0)], "An impact must close the gap, but it opens")
-        inside = (rate < 0.0) & enters_stop(rate_plus, rate, model.own.gap_rate)
+        inside = enters_stop(rate_plus, rate, model.own.gap_rate)
         self.fail(rows[inside], "The reset map sends the state into the stop")
         chatter = lanes.impacts[rows] > self.settings.most_impacts
         most = f"More than {self.settings.most_impacts} impacts came without a release"
