@@ -11,6 +11,7 @@ import pytest
 from tests.support.made_arcs import START, UNIT, ramp
 from zeno_orbits.simulation.execution import (
     Arc,
+    Ending,
     Execution,
     Impact,
     Mode,
@@ -66,6 +67,8 @@ def test_a_time_inside_an_arc_has_the_state_of_its_flow_and_the_ends_their_own()
 def test_a_tail_without_a_flow_is_a_line_between_its_ends() -> None:
     tail = replace(marked(ramp(0.0, 8.0)), trajectory=None)
     assert float(tail.state_at(START + 4.0)[0]) == pytest.approx(-1.25, rel=1e-15)
+    steep = replace(tail, end_state=np.array([7.0]))
+    assert float(steep.state_at(START + 4.0)[0]) == pytest.approx(1.0, rel=1e-15)
     assert tail.duration == 8.0
     assert tail.flow_times.tolist() == [0.0, 8.0]
     assert tail.flow_states.tolist() == [[-1.0], [-2.0]]
@@ -144,6 +147,14 @@ def test_tables_have_a_row_a_sample_and_a_row_an_event(run: Execution) -> None:
     modes = ["free", "free", "locked", "free"]
     assert list(table["mode"]) == np.repeat(modes, counts).tolist()
     shown = run._shown_columns()
-    assert list(shown["own"]) == [3.5, 3.25, 7.75]
-    assert [3.0, 3.0, 7.0] in [list(column) for column in shown.values()]
-    assert ["impact", "Zeno point", "release"] in [list(column) for column in shown.values()]
+    assert {name: list(column) for name, column in shown.items()} == {
+        "time": [3.0, 3.0, 7.0],
+        "event": ["impact", "Zeno point", "release"],
+        "own": [3.5, 3.25, 7.75],
+    }
+
+
+def test_words_for_endings_and_modes_are_words_and_an_arc_is_shown_without_its_steps() -> None:
+    words = [one.value for kind in (Ending, Mode) for one in kind]
+    assert all(word.replace(" ", "").isalpha() for word in words)
+    assert "trajectory" not in repr(ramp(0.0, 8.0))
