@@ -314,3 +314,17 @@ def test_rows_are_called_in_blocks_and_none_is_left_out(n: int) -> None:
     product, total = Columns(function)(rows, factors)
     assert product == pytest.approx(rows * factors, rel=1e-15)
     assert total == pytest.approx(rows.sum(axis=1, keepdims=True) + factors, abs=1e-15)
+
+
+def test_of_two_coordinates_the_one_that_has_left_is_named() -> None:
+    batch = Batch(model_in_rows(PENDULUM), 2)
+    p, x = np.tile(values(), (2, 1)), np.tile(RELEASE, (2, 1))
+    rows = batch.start(p, x, 1e-7, np.full(2, 9.0))
+    batch._lanes.reach[rows] = 1.0
+    batch._lanes.y[rows, :2] = [[0.1, 1.1e3], [0.9e3, 0.1]]
+    batch._end_of_time(rows)
+    ends = {event.lane: event for event in batch.round() if isinstance(event, Ended)}
+    assert [(ends[lane].reason, ends[lane].detail) for lane in rows.tolist()] == [
+        (Reason.ESCAPE, "theta2"),
+        (Reason.HORIZON, ""),
+    ]

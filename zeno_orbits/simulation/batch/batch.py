@@ -319,7 +319,7 @@ def _followed(start: _Start, lanes: Rows, offset: Vector) -> Vector:
         guard = start.steps(lanes[open_], at[open_])[2]
         change = -guard[:, 0] / guard[:, 1]
         at[open_] += change
-        open_ = open_[np.abs(change) > _FOLLOWED * np.abs(offset[open_])]
+        open_ = open_[np.abs(change) > _FOLLOWED * offset[open_]]
         if not len(open_):
             break
     return at
