@@ -11,7 +11,7 @@ from zeno_orbits.model.library import load_problem
 from zeno_orbits.simulation.batch.batch import Batch, BatchSettings, _followed, _Start, _turned
 from zeno_orbits.simulation.batch.lanes import FLIGHT, FREE, LOCKED
 from zeno_orbits.simulation.batch.model import model_in_rows
-from zeno_orbits.simulation.batch.outcomes import Ended, Reason
+from zeno_orbits.simulation.batch.outcomes import Ended, Reason, Struck
 
 TABLE = load_problem("vibrating_table")
 OWN = OwnScale(
@@ -277,3 +277,59 @@ def test_a_follower_that_does_not_come_near_is_left_after_eight_corrections():
     start = _Start(flow=SimpleNamespace(attempt=attempt), y=one, p=one, tolerance=one[:, 0])
     assert _followed(start, np.array([0]), np.array([1.0])).tolist() == [9.0]
     assert len(calls) == 8
+
+
+def test_a_ball_is_followed_from_its_fall_to_its_rest_or_the_end_of_its_time():
+    # A floor: from 1 m it falls for 1 s, and bounces for 2 s more.
+    batch = Batch(model_in_rows(TABLE), 2)
+    p, x = np.tile(numbers(omega=1e-9), (2, 1)), np.tile([1.0, 0.0, 1.0, 0.0], (2, 1))
+    cut, whole = batch.start(p, x, 1e-6, np.array([0.5, 10.0])).tolist()
+    events, rounds = [], 0
+    while batch.n_running:
+        events.extend(batch.round())
+        rounds += 1
+    struck = [event for event in events if isinstance(event, Struck)]
+    ends = {event.lane: event for event in events if isinstance(event, Ended)}
+    assert (ends[cut].time, ends[cut].reason) == (0.5, Reason.HORIZON)
+    assert ends[cut].state[:2] == pytest.approx([0.75, -1.0])
+    (impact,) = struck
+    assert impact.lane == whole
+    assert (impact.time, impact.rate) == pytest.approx((1.0, -2.0), rel=1e-12)
+    assert impact.state[:2] == pytest.approx([0.0, 1.0], abs=1e-12)
+    assert batch._lanes.zeno_time[whole] == pytest.approx(3.0, rel=1e-9)
+    assert batch._lanes.leg_time[whole] == batch._lanes.zeno_time[whole]
+    assert ends[whole].reason is Reason.REST
+    assert rounds < 300
+
+
+def test_a_follower_lands_at_its_own_time_in_the_step_of_its_leader():
+    batch = Batch(model_in_rows(TABLE), 2)
+    p = np.tile(numbers(omega=1e-9), (2, 1))
+    x = np.array([[0.0, 1.0, 1.0, 0.0], [0.0, 1.01, 1.0, 0.0]])
+    rows = batch.resume(p, x, 1e-6, np.full(2, 9.0), n_followers=1)
+    lanes = batch._lanes
+    for _ in range(50):
+        assert lanes.mode[rows].tolist() == [FLIGHT, FLIGHT]
+        assert lanes.size[rows[0]] == lanes.size[rows[1]]
+        batch.round()
+        if lanes.impacts[rows].any():
+            break
+    # Thrown up at 1 m/s and 1.01 m/s against 2 m/s^2; they leave at half that.
+    assert lanes.impacts[rows].tolist() == [1, 1]
+    assert lanes.leg_time[rows] == pytest.approx([1.0, 1.01], rel=1e-12)
+    assert lanes.unit[rows] == pytest.approx([0.5, 0.505], rel=1e-12)
+
+
+def test_a_step_that_is_refused_changes_nothing_but_the_next_one():
+    batch = Batch(model_in_rows(TABLE), 2)
+    # Its guard falls in the step, but that is not told by a step so long.
+    x = np.array([[0.1, -1.0, 1.0, 0.0], [9.0, 0.0, 1.0, 0.0]])
+    rows = batch.start(np.tile(numbers(), (2, 1)), x, 1e-9, np.full(2, 9.0))
+    lanes = batch._lanes
+    lanes.size[rows] = 3.0
+    assert batch.round() == []
+    assert lanes.refused[rows].all()
+    assert (lanes.offset[rows] == 0.0).all()
+    assert (lanes.size[rows] < 3.0).all()
+    assert lanes.y[rows, :4].tolist() == x.tolist()
+    assert lanes.impacts[rows].tolist() == [0, 0]
