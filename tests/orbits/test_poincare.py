@@ -283,6 +283,8 @@ def test_a_section_that_is_a_point_has_no_multipliers_by_differences_either() ->
     )
     assert found.values == ()
     assert found.spectral_radius == 0.0
+    # No multiplier, no error; noise that is not told is none.
+    assert found.error == 0.0
 
 
 def test_a_number_moves_with_the_coordinates_through_the_state_and_with_parameters_twice() -> None:

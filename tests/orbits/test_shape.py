@@ -106,6 +106,12 @@ def test_a_plastic_shape_agrees_with_an_accumulating_one_and_with_no_other() -> 
         plastic.agreed(OrbitShape.parsed("impact"))
 
 
+@pytest.mark.parametrize("shape", [ONE_ZENO, OrbitShape.parsed("plastic")])
+def test_one_phase_that_holds_has_one_release(shape: OrbitShape) -> None:
+    assert shape.has_one_release
+    shape.require_one_release()
+
+
 @pytest.mark.parametrize("text", ["zeno*2", "impact", "impact,plastic"])
 def test_what_needs_one_release_says_which_shape_it_was_given(text: str) -> None:
     shape = OrbitShape.parsed(text)
