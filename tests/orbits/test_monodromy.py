@@ -713,6 +713,10 @@ def test_a_perturbation_goes_from_flight_to_impact_to_limit_to_release() -> None
     assert motion.first == ("flown", 1.0, "start")
     assert motion.zeno == ("limit", [1.0, 1.5], [2.0, 0.0])
     assert motion.end == ("released", 3.0, motion.zeno)
+    # Where the stop does not hold there is no limit.
+    for missing in ("zeno", "locked"):
+        thrown = passed(walk, replace(phase, **{missing: None}), walk.at_start())
+        assert (thrown.zeno, thrown.end[:2]) == (None, ("struck", 1.5))
     run = execution_of(("i", 1.0), ("i", 2.0))
     _, second = phases_of(run, at(0.0, 1.0), held=False)
     motion = passed(walk, second, walk.at_start())
