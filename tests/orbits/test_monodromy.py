@@ -713,6 +713,8 @@ def test_a_perturbation_goes_from_flight_to_impact_to_limit_to_release() -> None
     assert motion.first == ("flown", 1.0, "start")
     assert motion.zeno == ("limit", [1.0, 1.5], [2.0, 0.0])
     assert motion.end == ("released", 3.0, motion.zeno)
+    with pytest.raises(ValueError, match="shorter"):
+        passed(walk, replace(phase, impacts=phase.impacts[:1]), walk.at_start())
     # Where the stop does not hold there is no limit.
     for missing in ("zeno", "locked"):
         thrown = passed(walk, replace(phase, **{missing: None}), walk.at_start())
