@@ -81,7 +81,6 @@ def _refusal(folder: Path, text: str | bytes) -> str:
     message = str(caught.value)
     assert caught.value.path == path
     assert "\n" not in message
-    assert not message.endswith("..")
     assert message.startswith(f"Orbit file `{path}` must hold a Zeno orbit, but ")
     return message
 
@@ -467,6 +466,12 @@ def test_a_file_of_several_phases_that_contradicts_itself_is_refused(
     tmp_path: Path, path: tuple[str | int, ...], to: Any, words: str
 ) -> None:
     assert words in _refusal(tmp_path, _spoilt(*path, to=to))
+
+
+def test_why_phases_are_no_shape_is_told_with_one_full_stop(tmp_path: Path) -> None:
+    message = _refusal(tmp_path, _spoilt("phases", 1, "kind", to="plastic"))
+    assert "its phases are no shape: " in message
+    assert message.endswith("`zeno,plastic`.")
 
 
 def test_a_file_of_one_release_has_format_1_and_no_other(tmp_path: Path) -> None:
