@@ -123,14 +123,15 @@ def test_a_plastic_stop_has_no_tail_and_one_hit_no_zoom() -> None:
     plastic = system(restitution=0.0, gap_acceleration=lambda _: -PULL)
     hit = impact(TIME, (0.0, -1.0, 0.0), (0.0, 0.0, 0.0))
     point = zeno(TIME, (0.0, 0.0, 1.0), tail=0.0, last_speed=0.0)
-    zoom = close_up(_execution(hit, point), plastic)
+    fall = arc(Mode.FREE, [8.0, TIME], [(0.0, 1.0, 0.0), (0.0, -1.0, 0.0)])
+    zoom = close_up(_execution(hit, point, arcs=[fall, REST]), plastic)
     data = _zeno(zoom, "rad")
     assert data["tail"] == []
     assert data["speeds"] == {"x": [], "y": []}
     assert data["law"] == {"x": [], "y": []}
     assert data["decades"] == 0
-    # A part of the time since the release, which is a second here.
-    assert data["length"] == pytest.approx(0.3)
+    # A part of the time since the release, which is two seconds here.
+    assert data["length"] == pytest.approx(0.6)
 
 
 def test_portraits_show_the_states_that_their_problem_names() -> None:

@@ -1,7 +1,11 @@
-"""What a page says of orbits of every kind, from numbers made up for it."""
+"""What a page says of orbits of every kind, and how it is put together, from made-up numbers."""
 
 from __future__ import annotations
 
+import base64
+import gzip
+import hashlib
+import json
 import math
 import re
 from dataclasses import replace
@@ -12,11 +16,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.periods_by_hand import arc, impact, zeno
+from tests.support.periods_by_hand import arc, impact, system, zeno
 from zeno_orbits.errors import StepSizeError
+from zeno_orbits.orbits.shape import OrbitShape
 from zeno_orbits.report.page import subject as subjects
 from zeno_orbits.report.page import words
-from zeno_orbits.report.page.page import _contents, commands_of
+from zeno_orbits.report.page.page import _contents, commands_of, page_of
+from zeno_orbits.report.page.plotly_bundle import Bundle
 from zeno_orbits.report.page.subject import Subject
 from zeno_orbits.report.page.tables import (
     bounds_table,
@@ -334,11 +340,23 @@ def test_tables_that_a_subject_lacks_are_left_out() -> None:
 
 
 def test_sections_are_those_that_the_subject_has() -> None:
-    always = ["happens", "asked", "motion", "stability", "checks"]
-    more = ["parameters", "theory", "reproduce"]
-    assert list(_contents(_subject(trade="a trade"))) == [*always, "margins", "trade", *more]
+    always = {
+        "happens": "What happens",
+        "asked": "What was asked",
+        "motion": "The motion",
+        "stability": "Stability",
+        "checks": "Can it be trusted?",
+    }
+    margins, trade = {"margins": "Margins"}, {"trade": "What accuracy costs"}
+    more = {
+        "parameters": "Parameters",
+        "theory": "The theory in short",
+        "reproduce": "How to reproduce it",
+    }
+    full = _contents(_subject(trade="a trade"))
+    assert list(full.items()) == list({**always, **margins, **trade, **more}.items())
     bare = _subject(certificate=replace(GOOD, margins={}))
-    assert list(_contents(bare)) == [*always, *more]
+    assert _contents(bare) == {**always, **more}
 
 
 def test_only_numbers_that_are_the_orbits_own_stand_in_its_commands() -> None:
@@ -364,6 +382,148 @@ def test_only_numbers_that_are_the_orbits_own_stand_in_its_commands() -> None:
     search, check, _ = commands_of(own)
     assert (search[2], search[-1]) == ("my.py", "mine.json")
     assert check[:5] == ("zeno-orbits", "verify", "mine.json", "--problem", "my.py")
+
+
+# The page as a whole.
+
+LIBRARY = "plot = <the library>"
+BUNDLE = Bundle(
+    version="9.9",
+    packed=base64.b64encode(gzip.compress(LIBRARY.encode())).decode(),
+)
+
+
+def _page(**parts: Any) -> str:
+    problem = SimpleNamespace(
+        name="toy",
+        title="a <toy> of three states",
+        source="a & b",
+        gap_unit="m",
+        energy_unit="J",
+        gains=(),
+        parameters=(),
+        portraits=(("a", "b"),),
+        outputs=(),
+        drawing=None,
+        state_names=("a", "b", "c"),
+        state_units=("m", "m/s", "rad"),
+        symbols=dict[str, Any],
+        model=lambda _: SimpleNamespace(n_q=1),
+        values=lambda parameters: SimpleNamespace(parameters={"restitution": 0.25, **parameters}),
+    )
+    shape = parts.pop("shape", "zeno")
+    named = {
+        "problem": problem,
+        "orbit": _orbit(0.5, 0.75, shape=OrbitShape.parsed(shape), values=lambda _: None),
+        "dynamics": system(restitution=0.25, gap_acceleration=lambda _: -8.0),
+        "date": "",
+        "proof": "",
+        "content": "",
+        "trouble": "",
+    }
+    return page_of(_subject(**{**named, **parts}), BUNDLE)
+
+
+@pytest.mark.parametrize(
+    ("certificate", "kind", "mark"),
+    [
+        (GOOD, "passed", "✓"),
+        (replace(GOOD, multipliers=(1.0 + 0j,)), "unsure", "!"),
+        (replace(GOOD, trouble="It is late", multipliers=(2.0 + 0j,)), "refused", "✗"),
+    ],
+)
+def test_the_banner_has_the_colour_and_the_sign_of_its_answer(
+    certificate: OrbitCertificate, kind: str, mark: str
+) -> None:
+    page = _page(certificate=certificate)
+    assert f'<div class="banner {kind}"' in page
+    assert f'<span aria-hidden="true">{mark}</span> {words.headline(certificate)}' in page
+
+
+@pytest.mark.parametrize(
+    ("shape", "what"), [("zeno", "Zeno periodic orbit"), ("impact", "Periodic orbit")]
+)
+def test_a_page_is_titled_by_its_problem_and_by_what_it_shows(shape: str, what: str) -> None:
+    page = _page(shape=shape)
+    # Texts of a problem are no HTML.
+    assert f"<title>A &lt;toy&gt; of three states: {what}</title>" in page
+    assert "<h1>A &lt;toy&gt; of three states</h1>" in page
+    assert f">{what} of the problem toy</p>" in page
+    assert "Source of the problem: a &amp; b." in page
+
+
+def test_scripts_are_those_whose_digests_the_page_allows() -> None:
+    page = _page()
+    scripts = re.findall(r"<script>(.*?)</script>", page, re.DOTALL)
+    allowed = [
+        "'sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() + "'"
+        for text in (*scripts, LIBRARY)
+    ]
+    assert len(scripts) == 1
+    assert f"script-src {' '.join(allowed)};" in page
+    folder = Path(words.__file__).parent
+    assert scripts[0] == (folder / "page.js").read_text(encoding="utf-8")
+    assert f"<style>{(folder / 'page.css').read_text(encoding='utf-8')}</style>" in page
+    assert f'id="library">{BUNDLE.packed}<' in page
+
+
+def test_the_data_of_the_plots_is_compact_and_finite() -> None:
+    page = _page()
+    [data] = re.findall(r'id="data">(.*?)</script>', page, re.DOTALL)
+    assert json.loads(data)["stability"] == {"re": [0.25], "im": [0.0]}
+    assert '"re":[0.25],"im":[0.0]' in data
+    odd = replace(GOOD, multipliers=(complex(0.25, math.nan),))
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        _page(certificate=odd)
+
+
+def test_what_is_known_of_the_error_is_told_and_what_is_not_is_not() -> None:
+    sizes = dict.fromkeys(
+        ("first_impact", "impact_sequence", "closure", "period", "release"), 3.1e-10
+    )
+    sure = replace(GOOD, residuals=sizes, integration_error=0.0, multipliers=())
+    assert "right to about 3e-10 (relative" in _page(certificate=sure)
+    assert "right to about" not in _page(certificate=GOOD)
+
+
+def test_a_page_shows_as_many_pictures_of_a_zeno_point_as_there_are_flights() -> None:
+    hop = arc(Mode.FREE, [0.5, 0.75], [(0, 2, 0), (0, -2, 0)])
+    page = _page(execution=_execution(*HITS, LIMIT, RELEASE, arcs=[FLIGHT, hop, REST]))
+    assert 'id="plot-gaps"' in page
+    assert "A single hit" not in page
+    page = _page(execution=_execution(HITS[0], LIMIT, RELEASE))
+    assert 'id="plot-gaps"' not in page
+    assert "A single hit leads to the Zeno point" in page
+    for execution in (_execution(*HITS), None):
+        page = _page(execution=execution)
+        assert 'id="plot-zeno"' not in page
+
+
+def test_commands_stand_one_a_line_and_the_file_is_inside() -> None:
+    page = _page(content='{"a": "b"}', command=("zeno-orbits", "report", "my file.json"))
+    [shown] = re.findall(r"<pre[^>]*><code>(.*?)</code></pre>", page, re.DOTALL)
+    assert len(shown.splitlines()) == 3
+    assert shown.splitlines()[-1] == "zeno-orbits report &#39;my file.json&#39;"
+    [inside] = re.findall(r"application/json;base64,([^\"]*)", page)
+    assert base64.b64decode(inside).decode() == '{"a": "b"}'
+
+
+def test_a_caution_stands_on_the_page() -> None:
+    swing = arc(Mode.FREE, [0.0, 0.5], [(0, 0, 0), (0, -4, 4)])
+    assert "Caution: c runs from" in _page(execution=_execution(*HITS, arcs=[swing]))
+    assert "Caution" not in _page()
+
+
+def test_a_page_holds_no_space_that_its_template_alone_is_laid_out_with() -> None:
+    page = _page()
+    assert page.endswith("</html>\n")
+    style = re.compile(r"<(style|script|pre).*?</\1>", re.DOTALL)
+    lines = style.sub("", page).splitlines()
+    assert not [line for line in lines if line != line.lstrip()]
+    # A line of nothing but instructions leaves no line behind.
+    template = (Path(words.__file__).parent / "page.html").read_text(encoding="utf-8")
+    blank = sum(not line.strip() for line in template.splitlines())
+    assert sum(not line for line in lines) <= blank + template.count("{% call")
 
 
 # The motion of a subject.

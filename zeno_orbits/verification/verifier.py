@@ -98,7 +98,7 @@ def verify(
     on_progress("integrating the orbit", None)
     seen = observe(dynamics, claim, settings.simulation, settings.n_periods)
     residuals = orbit_residuals(dynamics, problem, claim, seen)
-    worst = max(residuals.values(), default=0.0) / settings.tolerance
+    worst = max(residuals.values()) / settings.tolerance
     if seen.first is not None and 1.0 < worst < _GROWN:
         # Over many impacts the integration's own errors may have grown so far.
         finer = at_looser_tolerance(settings.simulation, factor=_FINER)

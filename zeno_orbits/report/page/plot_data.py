@@ -148,7 +148,7 @@ def _zeno(zoom: CloseUp, unit: str) -> dict[str, Any]:
         "length": float(left[0]) if left.size else 0.3 * (end - start),
         "start": start - end,
         "end": zoom.arcs[-1].end_time - end,
-        "decades": math.floor(math.log10(left[0] / reach[-1])) if left.size else 0,
+        "decades": math.floor(math.log10(left[0] / reach[1])) if left.size else 0,
     }
 
 
