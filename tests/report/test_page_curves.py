@@ -95,6 +95,12 @@ def test_the_close_up_counts_its_times_from_the_zeno_point_and_has_the_unit_of_t
     assert data["speeds"] == {"x": [0.5, 0.25, 0.125, 0.03125], "y": [1.0, 0.5, 0.25, 0.0625]}
 
 
+def test_the_close_up_ends_with_the_last_arc() -> None:
+    hop = arc(Mode.FREE, [9.5, 9.75], [(0.0, 1.0, 0.0), (0.0, -1.0, 0.0)])
+    more = _execution(*RELEASES, *HITS, LIMIT, arcs=[FLIGHT, hop, REST])
+    assert curves_of(_subject(execution=more))["zeno"]["end"] == 1.0
+
+
 def test_the_tail_is_continued_to_a_ten_thousandth_of_its_speed() -> None:
     data = curves_of(_subject())["zeno"]
     # Halves of the last speed: fourteen of them, as 2^13 is below 10^4 and 2^14 above.

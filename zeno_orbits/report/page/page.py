@@ -134,7 +134,6 @@ def template_environment() -> Environment:
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
-        lstrip_blocks=True,
         keep_trailing_newline=True,
     )
     # A number that is not finite must not slip into the data of the plots.
