@@ -29,8 +29,10 @@ from zeno_orbits.report.page.tables import (
     checks_table,
     energies_table,
     events_table,
+    gains_table,
     margins_table,
     multipliers_table,
+    parameters_table,
     tables_of,
     tiles_of,
     trade_table,
@@ -334,6 +336,51 @@ def test_tables_that_a_subject_lacks_are_left_out() -> None:
     assert {row[1:] for row in trade_table(trade).rows} == {("none", "", "")}
     titled = {name for name, table in found.items() if table.is_titled}
     assert titled == {"margins", "parameters"}
+    assert {name: table.caption for name, table in found.items()} == {
+        "gains": "Gains",
+        "bounds": "Bounds the search was asked to keep",
+        "multipliers": "Floquet multipliers (error of the largest: 1.0e-06)",
+        "checks": "Relative residuals; up to 2e-09 pass",
+        "margins": "Margins",
+        "energies": "Energy over one period",
+        "parameters": "Parameters",
+        "versions": "Versions",
+        "events": "Events of one period, times since its start",
+        "trade": "Cheapest setting that reaches an accuracy",
+    }
+    headings = {name: [c.heading for c in table.columns] for name, table in found.items()}
+    quantities = ["name", "value", "unit", "meaning"]
+    assert headings["gains"] == headings["parameters"] == headings["margins"] == quantities
+    assert headings["multipliers"] == [
+        *("number", "real part [1]", "imaginary part [1]", "modulus [1]"),
+    ]
+    assert headings["checks"] == ["in plain words", "passed", "residual [1]", "for the expert"]
+    assert headings["energies"] == ["part", "energy [J]"]
+    assert headings["versions"] == ["package", "that found the orbit", "that wrote this page"]
+    assert headings["events"] == ["time [s]", "event", "speed of the hit [m/s]"]
+
+
+def test_gains_and_parameters_have_twelve_digits_their_units_and_their_order() -> None:
+    def quantity(name: str) -> Any:
+        return SimpleNamespace(name=name, unit=f"unit of {name}", meaning=f"meaning of {name}")
+
+    def row(name: str, value: str) -> tuple[str, ...]:
+        return (name, value, f"unit of {name}", f"meaning of {name}")
+
+    problem: Any = SimpleNamespace(
+        gains=[quantity("Kp"), quantity("Kd")], parameters=[quantity("m"), quantity("l")]
+    )
+    orbit = _orbit(0.5, gains={"Kd": 1.0 / 3.0, "Kp": -0.0}, parameters={"l": 2.0 / 3.0, "m": 1.0})
+    # Gains as the orbit has them, parameters as the problem has.
+    assert gains_table(orbit, problem).rows == (row("Kd", "0.333333333333"), row("Kp", "0"))
+    assert parameters_table(orbit, problem).rows == (row("m", "1"), row("l", "0.666666666667"))
+
+
+def test_everything_that_a_certificate_names_has_its_words() -> None:
+    assert set(words.CHECKS) == set(RESIDUALS)
+    assert list(words.ENERGIES) == [
+        *("input_work", "copper_loss", "other_loss", "impact_loss", "energy_gain"),
+    ]
 
 
 # Contents and commands.
