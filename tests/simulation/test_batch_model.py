@@ -1,15 +1,24 @@
 """A problem in rows: functions of a table with plain numbers, and how rows are called."""
 
+from importlib import import_module
 from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
 import pytest
 
+from zeno_orbits.integrators import fall_source
 from zeno_orbits.integrators.rosenbrock import rosenbrock_step
 from zeno_orbits.model import USUAL, OwnScale
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.simulation.batch.model import Columns, _filled, _padded, model_in_rows
+from zeno_orbits.simulation.batch import model as rows_module
+from zeno_orbits.simulation.batch.model import (
+    Columns,
+    _filled,
+    _padded,
+    batch_model,
+    model_in_rows,
+)
 
 TABLE = load_problem("vibrating_table")
 NUMBERS = {"m": 2.0, "A": 1.0, "omega": 2.0, "g": 2.0, "restitution": 0.25}
@@ -61,25 +70,66 @@ def test_the_modes_have_their_own_flows_and_guards():
     assert model.flight.guard(y, numbers) == pytest.approx(np.array([[0.3, 0.7]]))
 
 
+@pytest.mark.parametrize("x", [X, (0.5, -3.0, 1.0, 0.0)])
 @pytest.mark.parametrize("sizes", [(), (1e3, 2.0, 0.5, 0.1)])
-def test_the_error_of_a_step_is_told_in_the_sizes_of_the_problem(sizes):
+def test_the_error_of_a_step_is_told_in_the_sizes_of_the_problem(sizes, x):
     own = OwnScale(sizes=sizes)
     model, size, relative = model_in_rows(TABLE, own), 0.3, 1e-4
     mode = TABLE.compiled().free
     y, h = ca.SX.sym("y", 4), ca.SX.sym("h")
-    parts = rosenbrock_step(lambda x: mode.rate(x, P), ca.jacobian(mode.rate(y, P), y), y, h)
+    parts = rosenbrock_step(
+        lambda state: mode.rate(state, P), ca.jacobian(mode.rate(y, P), y), y, h
+    )
     plain = ca.Function("step", [y, h], [*parts])
-    after, miss = (np.array(part).ravel() for part in plain(X, size))
-    scale = relative * (0.1 * own.states(4) + np.maximum(np.abs(X), np.abs(after)))
+    after, miss = (np.array(part).ravel() for part in plain(x, size))
+    scale = relative * (0.1 * own.states(4) + np.maximum(np.abs(x), np.abs(after)))
     found, error, guard = model.free.attempt(
-        np.array([X, X]), np.tile(P, (2, 1)), np.array([size, 0.0]), np.full(2, relative)
+        np.array([x, x]), np.tile(P, (2, 1)), np.array([size, 0.0]), np.full(2, relative)
     )
     assert found[0] == pytest.approx(after, rel=1e-14)
     assert error[0] == pytest.approx(np.sqrt(np.mean((miss / scale) ** 2)), rel=1e-9)
     assert guard[0] == pytest.approx(after[:2], rel=1e-14)
     # A step of no size changes nothing.
-    assert found[1] == pytest.approx(X, rel=1e-15)
+    assert found[1] == pytest.approx(x, rel=1e-15)
     assert error[1] == 0.0
+
+
+def test_a_step_beyond_all_numbers_is_never_good():
+    x = np.array([[1e308, 1e308, 1.0, 0.0], [0.0, -1e308, 1.0, 0.0]])
+    with np.errstate(all="ignore"):
+        size, tolerance = np.full(2, 10.0), np.full(2, 1e-4)
+        error = model_in_rows(TABLE).free.attempt(x, np.tile(P, (2, 1)), size, tolerance)[1]
+    assert not (error <= 1.0).any()
+
+
+def test_what_is_compiled_of_a_model_is_what_it_calls(monkeypatch):
+    given = []
+
+    def kernels(recipe):
+        given.append(recipe)
+        return SimpleNamespace(library=lambda: None, owe=lambda _: None)
+
+    monkeypatch.setattr(rows_module, "Kernels", kernels)
+    own = OwnScale(gap_acceleration=7.0, sizes=(1e3, 2.0, 0.5, 0.1))
+    model = batch_model(TABLE.compiled(), own)
+    batch_model(TABLE.compiled().interpreted(), own)
+    recipe, interpreted = given
+    assert interpreted is None
+    module, _, maker = recipe.maker.partition(":")
+    made = getattr(import_module(module), maker)(recipe.functions, recipe.numbers)
+    named = {function.name(): function for function in made.functions}
+    y, p = np.array([[*X, 0.3, 0.7]]), np.append(P, 0.5)[None]
+    for flow, n_p in ((model.free, 5), (model.locked, 5), (model.flight, 6)):
+        state, numbers = y[:, : flow.n_y], p[:, :n_p]
+        found = flow.attempt(state, numbers, np.array([0.3]), np.array([1e-4]))
+        wanted = named[flow._kernel](state[0], numbers[0], [0.3, 1e-4])
+        for one, other in zip(found, wanted, strict=True):
+            assert one.ravel().tolist() == np.array(other).ravel().tolist()
+        assert {flow._step._kernel, flow._rate._kernel, flow._guard._kernel} <= set(named)
+    points = (model.contact, model.restitution, model.rebound, model.reset, model.resting)
+    assert {columns._kernel for columns in points} <= set(named)
+    assert made.code.startswith(fall_source())
+    assert "zk_falls" in made.code[len(fall_source()) :]
 
 
 def test_falls_are_left_to_the_rows_until_there_is_compiled_code():
