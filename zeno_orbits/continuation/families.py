@@ -49,6 +49,13 @@ _OF_THE_CONTINUATION = (
     SpecialPointKind.MOST_STEPS,
     SpecialPointKind.GAVE_UP,
 )
+_ON_THE_UNIT_CIRCLE = (
+    SpecialPointKind.FOLD,
+    SpecialPointKind.FLIP,
+    SpecialPointKind.TORUS,
+    SpecialPointKind.BRANCHING,
+)
+"""Where a multiplier has modulus 1: that rounding leaves it below says nothing of stability."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,6 +119,11 @@ class SpecialPoint:
     index: int
     detail: str = ""
 
+    @property
+    def stable(self) -> bool:
+        """True if the orbit is known to attract, which a modulus of 1 does not tell."""
+        return self.kind not in _ON_THE_UNIT_CIRCLE and self.at.stable
+
     def as_json(self) -> dict[str, Any]:
         """Return the point as plain data."""
         return {
@@ -120,6 +132,7 @@ class SpecialPoint:
             "error": self.error,
             "detail": self.detail,
             **self.at.as_json(),
+            "stable": self.stable,
         }
 
 
@@ -318,20 +331,20 @@ class Continuation(Displayed):
 
 def _orbits_of(families: Sequence[Family]) -> Columns:
     """Return all orbits of families, in order along each."""
-    rows: list[tuple[int, str, FamilyPoint]] = []
+    rows: list[tuple[int, SpecialPoint | None, FamilyPoint]] = []
     for k, family in enumerate(families):
-        names = {id(one.at): one.kind.value for one in family.named}
+        named = {id(one.at): one for one in family.named}
         points = list(family.points)
         for one in reversed(family.named):
             if all(one.at is not point for point in points):
                 points.insert(0 if one is family.first else one.index + 1, one.at)
-        rows += [(k, names.get(id(point), ""), point) for point in points]
+        rows += [(k, named.get(id(point)), point) for point in points]
     return {
         "family": [k for k, _, _ in rows],
-        "name": [name for _, name, _ in rows],
+        "name": ["" if one is None else one.kind.value for _, one, _ in rows],
         families[0].parameter: [point.value for _, _, point in rows],
         "period": [point.period for _, _, point in rows],
-        "stable": [point.stable for _, _, point in rows],
+        "stable": [(one or point).stable for _, one, point in rows],
         "spectral_radius": [point.spectral_radius for _, _, point in rows],
         **by_name([point.margins for _, _, point in rows]),
         **by_name([point.state for _, _, point in rows]),
