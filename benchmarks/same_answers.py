@@ -1,9 +1,10 @@
 """Record the answers of the command line, and hold two recordings against each other.
 
     python benchmarks/same_answers.py record FOLDER [--python PYTHON]
-    python benchmarks/same_answers.py compare OLD NEW
+    python benchmarks/same_answers.py compare OLD NEW [--within 1e-9]
 
-Exit codes must be equal, and every digit of JSON, tables and CSV. Words (`--words` shows where),
+Exit codes must be equal, and every digit of JSON, tables and CSV, or, where engines differ, every
+number to the given part of itself. Words (`--words` shows where),
 versions and times may change. Of pictures and pages the names count, of misuse one line of error.
 """
 
@@ -30,6 +31,10 @@ MISUSE = 2
 DRAWN = (".png", ".pdf", ".svg", ".gif", ".mp4", ".html")
 PASSING = {"versions", "seconds", "on_front", "bytes"}
 """Entries that are no answers: times of a trade, who is best by them, the size of a page."""
+ESTIMATES = re.compile(r"error|residual|energ|delta_|closure|agreement|iterations|unknowns")
+"""Entries that say how far from the truth others may be; they pass where digits may differ."""
+LEAST = 1e-3
+"""What is smaller differs from zero by errors."""
 TIMES = re.compile(r"(Search:|iterations,)\s+[\d.]+\s+s\b")
 NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?!\w)")
 NOISE = re.compile(r" *\d+\.\d s  |.*resource_tracker|  warnings\.warn")
@@ -199,8 +204,8 @@ def record(options: argparse.Namespace) -> int:
     return 0
 
 
-def differences(old: Path, new: Path) -> Iterator[str]:
-    """Yield how an answer differs from an older one."""
+def differences(old: Path, new: Path, within: float) -> Iterator[str]:
+    """Yield how an answer differs from an older one, numbers by more than a part of themselves."""
     one, two = (json.loads(path.read_text()) for path in (old, new))
     before, errors = (lines_of(answer["stderr"]) for answer in (one, two))
     if one["words"] != two["words"]:
@@ -212,12 +217,12 @@ def differences(old: Path, new: Path) -> Iterator[str]:
     elif two["code"] != MISUSE:
         # The table of a trade marks and picks what was fastest.
         if one["words"][0] != "trade" or "--json" in one["words"]:
-            yield from of_texts(one["stdout"], two["stdout"], "output")
-        yield from of_data(one["files"], two["files"], "files")
+            yield from of_texts(one["stdout"], two["stdout"], "output", within)
+        yield from of_data(one["files"], two["files"], "files", within)
         for name in {*one["files"]} & {*two["files"]}:
             if name.endswith((".json", ".csv")) and not name.startswith("kept/"):  # of one version
                 texts = [(path.with_suffix("") / name).read_text() for path in (old, new)]
-                yield from of_texts(*texts, name)
+                yield from of_texts(*texts, name, within)
 
 
 def lines_of(text: str) -> list[str]:
@@ -225,36 +230,52 @@ def lines_of(text: str) -> list[str]:
     return [line for line in TIMES.sub("", text).splitlines() if not NOISE.match(line)]
 
 
-def of_texts(old: str, new: str, where: str) -> Iterator[str]:
+def of_texts(old: str, new: str, where: str, within: float) -> Iterator[str]:
     """Yield how data, lines of CSV or the numbers of a table differ."""
     found: list[Any] = []
     for text in (old, new):
         if where.endswith(".csv"):
-            found.append([ln.encode() for ln in lines_of(text) if not re.match("#.*version", ln)])
+            rows = [line for line in lines_of(text) if not re.match("#.*version", line)]
+            found.append([[cell.encode() for cell in row.split(",")] for row in rows])
         elif text[:1] in ("{", "["):
             # Numbers become bytes: no text, and as they were written.
             found.append(json.loads(text, parse_float=str.encode, parse_int=str.encode))
         else:
             found.append([one.encode() for one in NUMBER.findall("\n".join(lines_of(text)))])
-    yield from of_data(*found, where)
+    yield from of_data(*found, where, within)
 
 
-def of_data(old: Any, new: Any, where: str) -> Iterator[str]:
+def of_data(old: Any, new: Any, where: str, within: float) -> Iterator[str]:
     """Yield how plain data differ; of sentences the numbers count."""
     if isinstance(old, dict) and isinstance(new, dict):
-        names = {*old} - PASSING, {*new} - PASSING
-        yield from (f"{where}.{name} comes or goes" for name in names[0] ^ names[1])
+        told = {*filter(ESTIMATES.search, {*old, *new})} if within else set[str]()
+        names = {*old} - PASSING - told, {*new} - PASSING - told
+        passing = names[1] - names[0] if within else set[str]()  # a later version may say more
+        yield from (f"{where}.{name} comes or goes" for name in names[0] ^ names[1] - passing)
         for name in names[0] & names[1]:
-            yield from of_data(old[name], new[name], f"{where}.{name}")
+            yield from of_data(old[name], new[name], f"{where}.{name}", within)
     elif isinstance(old, list) and isinstance(new, list):
         if len(old) != len(new):
             yield f"{where} has {len(old)} entries, now {len(new)}"
         for k, (one, two) in enumerate(zip(old, new, strict=False)):
-            yield from of_data(one, two, f"{where}[{k}]")
+            yield from of_data(one, two, f"{where}[{k}]", within)
     elif isinstance(old, str) and isinstance(new, str) and " " in old:
-        yield from of_texts(f" {old}", f" {new}", where)
+        yield from of_texts(f" {old}", f" {new}", where, within)
+    elif (
+        within and isinstance(old, bytes) and isinstance(new, bytes) and are_near(old, new, within)
+    ):
+        return
     elif type(old) is not type(new) or old != new:
         yield f"{where}: {old}, now {new}"
+
+
+def are_near(old: bytes, new: bytes, within: float) -> bool:
+    """Return True if two numbers differ by at most a part of the larger one."""
+    try:
+        one, two = float(old), float(new)
+    except ValueError:
+        return False
+    return abs(one - two) <= within * max(abs(one), abs(two), LEAST)
 
 
 def compare(options: argparse.Namespace) -> int:
@@ -264,7 +285,7 @@ def compare(options: argparse.Namespace) -> int:
     rows = 0
     for old, new in ((options.old / name, options.new / name) for name in sorted(names)):
         there = old.exists() and new.exists()
-        found = sorted(differences(old, new)) if there else ["recorded once only"]
+        found = sorted(differences(old, new, options.within)) if there else ["recorded once only"]
         rows += bool(found)
         if found:
             print(f"{old.stem}: {found[0][:300]} ({len(found)} in all)")
@@ -290,6 +311,7 @@ def main() -> int:
     recording.add_argument("--jobs", type=int, default=1, metavar="N", help="commands at a time")
     comparing.add_argument("old", type=Path)
     comparing.add_argument("new", type=Path)
+    comparing.add_argument("--within", type=float, default=0.0, metavar="PART", help="of a number")
     comparing.add_argument("--words", action="store_true", help="show changed words, too")
     options = parser.parse_args()
     return record(options) if "folder" in options else compare(options)
