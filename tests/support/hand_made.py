@@ -172,8 +172,10 @@ def hand_made() -> HandMade:
 
 def rows_of(program: ProgramBuilder) -> dict[str, list[float]]:
     """Return the rows of a program at its guess by their names, in order."""
-    # A program has a row; this one is left out of what is told.
+    # A program has a row and an unknown; these are left out of what is told.
     program.equal("", ca.MX(0))
+    if not program.blocks:
+        program.variable("", 0.0)
     built = program.build()
     values = ca.Function("rows", [built.unknowns], [built.rows])(built.guess).full().ravel()
     found: dict[str, list[float]] = {}
