@@ -115,6 +115,11 @@ def test_nearest_gains_cost_half_their_squared_distance_from_the_target_or_the_s
     assert objective.least == -math.inf
 
 
+def test_nothing_that_is_free_is_no_distance_away() -> None:
+    assert NEAR.distance({}, {"k": 5.0}) == 0.0
+    assert NEAR.distance({"k": 1.5}, {}) == pytest.approx(0.5)
+
+
 def test_gains_that_are_wanted_are_named() -> None:
     assert NearestGains(target={"Kp": 2.5, "Kd": -1.0}).wish == "gains near Kp = 2.5, Kd = -1"
     assert NearestGains(target={}).wish == "gains near the start"

@@ -304,7 +304,11 @@ class _Writer:
 
 
 def _put_together(
-    problem: Problem, monkeypatch: pytest.MonkeyPatch, n: int, **free: tuple[float, float]
+    problem: Problem,
+    monkeypatch: pytest.MonkeyPatch,
+    n: int,
+    n_closures: int | None = None,
+    **free: tuple[float, float],
 ) -> tuple[OrbitTerms, Any]:
     monkeypatch.setattr(transcription, "PhaseWriter", _Writer)
     cycle: Any = SimpleNamespace(
@@ -312,7 +316,7 @@ def _put_together(
         shape=OrbitShape.parsed(f"zeno*{n}"),
         start=SimpleNamespace(state="the start"),
     )
-    closures: Any = [f"closure {k}" for k in range(n)]
+    closures: Any = [f"closure {k}" for k in range(n if n_closures is None else n_closures)]
     dynamics: Any = "the dynamics"
     terms = transcribe(
         problem.compiled(),
@@ -374,6 +378,13 @@ def test_phases_follow_each_other_in_time_and_their_works_add_up(
     assert "close" not in [one.names for one in terms.motion.equations]
     assert [one.name for one in terms.motion.blocks][:2] == ["phase 1: start", "phase 2: start"]
     assert not any(one.name.startswith(("free", "close")) for one in terms.motion.blocks)
+
+
+def test_a_phase_without_a_closure_is_a_mistake(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(ValueError, match="shorter"):
+        _put_together(problem, monkeypatch, 2, n_closures=1)
 
 
 @pytest.mark.parametrize(
