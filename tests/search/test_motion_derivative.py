@@ -131,8 +131,8 @@ def test_a_function_of_many_columns_is_differentiated_once(monkeypatch: pytest.M
     program.equal_along("first", function, (ends[:, 0], a))
     program.equal_along("second", function, (ends[:, 1], ends[0, 0]))
     motion = ProgramMotion(blocks=program.blocks, equations=program.equations)
-    derived = derivative_along(program, motion, a, np.ones((1, 1)), ends[0, 1])
+    derived = derivative_along(program, motion, a, np.array([[1.0, -3.0]]), ends[0, 1])
     assert made == ["pair"]
-    # sin of sin.
-    (value,) = program.at_guess(derived.value).full().ravel()
-    assert value == pytest.approx(np.cos(0.2) * np.cos(0.5))
+    # sin of sin, along two directions.
+    slope = np.cos(0.2) * np.cos(0.5)
+    assert program.at_guess(derived.value).full() == pytest.approx(np.array([[slope, -3 * slope]]))

@@ -57,7 +57,7 @@ def closure_of(impacts: Sequence[Impact], dynamics: HybridDynamics, tolerance: f
         speed = dynamics.speed_after(impact.approach_rate)
         estimate = estimate_tail(dynamics, impact.time, impact.state_plus, speed)
         if estimate is None or (estimates and speed >= estimates[-1].speed):
-            estimates, first = [], index + 1
+            estimates = []
         if estimate is None:
             continue
         first = index if not estimates else first
