@@ -372,6 +372,7 @@ def test_phases_follow_each_other_in_time_and_their_works_add_up(
     assert (at, rows) == ("the start", (22,))
     assert terms.guessed(ca.horzcat(start, end)).tolist() == [[0.0, 3.0], [0.0, 1.0]]
     assert terms.guessed(terms.end).tolist() == [[3.0], [1.0]]
+    assert terms.guessed(terms.start).tolist() == [[0.0], [0.0]]
     assert terms.tangent == "the tangent"
     # A motion need not close, and what is free does not move with it.
     assert [one.names for one in terms.motion.equations].count("join") == 2
