@@ -240,9 +240,8 @@ def cycle_near(
     wanted = shape.at_restitution(dynamics.restitution)
     run = simulate(dynamics, x, until=2 * period, settings=settings)
     phases = phases_of(run, x, held=wanted.starts_at_release)
-    n = wanted.n_phases
-    for k in range(len(phases) - n + 1):
-        some = phases[k : k + n]
+    for k in range(len(phases)):
+        some = phases[k : k + wanted.n_phases]
         if kinds_of(some) == wanted.phases and follow_each_other(some):
             return cycle_between(run, some)
     what = "No Zeno point with a later release is reached"
