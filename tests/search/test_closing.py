@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -16,7 +18,7 @@ from tests.support.mechanisms import clocked_oscillator
 from tests.support.orbits import changed
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import InputError, SimulationError
-from zeno_orbits.integrators import Automatic, Engine, Taylor
+from zeno_orbits.integrators import Automatic, Engine, Taylor, Tolerance
 from zeno_orbits.model.drives import no_drive
 from zeno_orbits.model.hybrid import CompletedSystem, complete
 from zeno_orbits.model.lagrangian import HybridLagrangian
@@ -24,6 +26,7 @@ from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.model.quantities import Escape
+from zeno_orbits.orbits import ONE_ZENO, OrbitShape
 from zeno_orbits.orbits.monodromy import return_derivative
 from zeno_orbits.orbits.orbit import ZenoOrbit
 from zeno_orbits.orbits.poincare import floquet_multipliers, poincare_map, return_slope
@@ -39,6 +42,7 @@ from zeno_orbits.search import (
     search_gains,
 )
 from zeno_orbits.search import fixed_point as closed_cycles
+from zeno_orbits.simulation import ZenoExtrapolation
 from zeno_orbits.simulation.completion import Truncation
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
 from zeno_orbits.verification.integration import distance
@@ -416,3 +420,204 @@ def test_an_orbit_beyond_an_escape_is_refused_in_the_words_of_the_problem(
     alone = find_orbit(strict, values)
     assert (alone.orbit, alone.status) == (None, SearchStatus.NO_GUESS)
     assert "link 1 swings too far" in alone.detail
+
+
+# ---------------------------------------------------------------------------- by the steps
+
+
+def _period(name: str, **changes: Any) -> Any:
+    told: dict[str, Any] = {
+        "name": name,
+        "start": SimpleNamespace(state=f"start of {name}"),
+        "end": SimpleNamespace(state=f"end of {name}"),
+        "scale_at_events": lambda: f"sizes of {name}",
+        "period": 2.0,
+        "shape": ONE_ZENO,
+    }
+    return SimpleNamespace(**told | changes)
+
+
+@pytest.fixture(name="steps")
+def _steps(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """Steps of closing that end as they are told to, and under `asked` what was asked of them."""
+    told: dict[str, Any] = {
+        "asked": [],
+        "_settled": [_period("settled")],
+        "cycle_near": [_period("near")],
+        "close_cycle": [SimpleNamespace(cycle=_period("closed"), miss=1e-13, returns=5)],
+        "gone_round_twice": [None],
+        "round_again": [""],
+        "escape_of": [""],
+        "orbit_of": ["the orbit"],
+    }
+
+    def telling(name: str) -> Any:
+        def tell(*arguments: Any, **named: Any) -> Any:
+            told["asked"].append((name, arguments, named))
+            answers = told[name]
+            answer = answers.pop(0) if len(answers) > 1 else answers[0]
+            if isinstance(answer, Exception):
+                raise answer
+            return answer
+
+        return tell
+
+    for name in [name for name in told if name != "asked"]:
+        monkeypatch.setattr(closing, name, telling(name))
+    return told
+
+
+def _asked(steps: dict[str, Any], name: str) -> list[Any]:
+    return [(arguments, named) for one, arguments, named in steps["asked"] if one == name]
+
+
+def _failed(words: str) -> SimulationError:
+    return SimulationError(words, time=1.0, state=(1.0,))
+
+
+def test_a_motion_that_settles_is_closed_from_its_end(
+    problem: Problem, steps: dict[str, Any]
+) -> None:
+    found = close_orbit(problem, problem.values(), simulation=SETTINGS, shape=ONE_ZENO)
+    assert found == closing.Closing(orbit="the orbit", miss=1e-13, returns=5)  # type: ignore[arg-type]
+    (((machine, of, settled, wanted, simulation), _),) = _asked(steps, "_settled")
+    assert (of, settled, wanted, simulation) == (problem, 1e-2, ONE_ZENO, SETTINGS)
+    (((same, start), named),) = _asked(steps, "close_cycle")
+    assert (same, start) == (machine, "end of settled")
+    assert named == {
+        "scale": "sizes of settled",
+        "period": 2.0,
+        "settings": SETTINGS,
+        "shape": ONE_ZENO,
+    }
+    # A motion that settled was held within the escapes all the way.
+    assert _asked(steps, "escape_of") == []
+    ((orbit_of, _),) = _asked(steps, "orbit_of")
+    assert (orbit_of[0].name, *orbit_of[1:]) == ("closed", problem, problem.values())
+
+
+def test_a_motion_that_does_not_close_early_is_closed_late(
+    problem: Problem, steps: dict[str, Any]
+) -> None:
+    closed = steps["close_cycle"][0]
+    steps["close_cycle"] = [_failed("It fails"), closed]
+    assert close_orbit(problem, problem.values(), simulation=SETTINGS).orbit is not None
+    assert [arguments[2] for arguments, _ in _asked(steps, "_settled")] == [1e-2, 1e-4]
+    steps["close_cycle"] = [_failed("It fails")]
+    found = close_orbit(problem, problem.values(), simulation=SETTINGS)
+    assert (found.orbit, found.miss, found.returns) == (None, math.inf, 0)
+    assert found.detail.startswith("It fails")
+    assert str(OrbitNotClosedError(found)) == found.detail
+    del steps["asked"][:]
+    steps["_settled"] = [closing._NoGuessError("It rests.")]
+    assert close_orbit(problem, problem.values(), simulation=SETTINGS).detail == "It rests."
+    assert len(_asked(steps, "_settled")) == 1
+
+
+def test_a_period_that_is_several_of_a_shorter_shape_is_closed_as_one(
+    problem: Problem, steps: dict[str, Any]
+) -> None:
+    steps["gone_round_twice"] = [ONE_ZENO, None]
+    assert close_orbit(problem, problem.values(), simulation=SETTINGS).orbit is not None
+    assert [arguments[3] for arguments, _ in _asked(steps, "_settled")] == [None, ONE_ZENO]
+    # The shape that is wanted is not changed for another.
+    del steps["asked"][:]
+    steps["gone_round_twice"], steps["round_again"] = [ONE_ZENO], ["It is gone round twice."]
+    twice = OrbitShape.parsed("zeno*2")
+    found = close_orbit(problem, problem.values(), simulation=SETTINGS, shape=twice)
+    assert (found.orbit, found.detail) == (None, "It is gone round twice.")
+    assert [arguments[3] for arguments, _ in _asked(steps, "_settled")] == [twice, twice]
+
+
+def test_an_orbit_near_another_is_closed_once_from_its_start_and_held_to_the_escapes(
+    problem: Problem, steps: dict[str, Any], orbit: ZenoOrbit
+) -> None:
+    values = problem.values()
+    assert close_orbit(problem, values, near=orbit, simulation=SETTINGS).orbit is not None
+    (((machine, x), named),) = _asked(steps, "cycle_near")
+    assert x == pytest.approx(np.array(problem.state_vector(orbit.release_state)), abs=1e-12)
+    assert named == {"period": orbit.period, "settings": SETTINGS, "shape": orbit.shape}
+    (((same, start), _),) = _asked(steps, "close_cycle")
+    assert (same, start) == (machine, "start of near")
+    steps["escape_of"] = ["It swings too far."]
+    found = close_orbit(problem, values, near=orbit, simulation=SETTINGS)
+    assert (found.orbit, found.detail) == (None, "It swings too far.")
+    steps["round_again"] = ["It is gone round twice."]
+    steps["gone_round_twice"] = [ONE_ZENO]
+    found = close_orbit(problem, values, near=orbit, simulation=SETTINGS)
+    assert found.detail == "It is gone round twice."
+    assert _asked(steps, "_settled") == []
+
+
+def test_the_way_to_a_motion_is_simulated_roughly(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Any] = []
+    answers: list[Any] = [
+        SimpleNamespace(cycle="a period"),
+        SimpleNamespace(cycle=None, reason="it rests"),
+    ]
+
+    def settle(*arguments: Any) -> Any:
+        asked.append(arguments)
+        return answers.pop(0)
+
+    monkeypatch.setattr(closing, "settle", settle)
+    machine: Any = SimpleNamespace()
+    loose = replace(SETTINGS, tolerance=Tolerance(relative=1e-4, absolute=1e-12))
+    assert closing._settled(machine, problem, 0.5, ONE_ZENO, loose) == "a period"  # type: ignore[comparison-overlap]
+    ((of, starts, settings, wanted, same),) = asked
+    assert (of, wanted, same) == (machine, ONE_ZENO, problem)
+    assert starts == [problem.state_vector(x) for x in problem.starts]
+    assert settings.settled == 0.5
+    assert settings.simulation.tolerance == Tolerance(relative=1e-4, absolute=1e-6)
+    assert settings.simulation.completion == ZenoExtrapolation(tolerance=1e-6)
+    with pytest.raises(closing._NoGuessError, match=r"^It rests\.$"):
+        closing._settled(machine, problem, 0.5, None, SETTINGS)
+    # The other way round.
+    answers.append(SimpleNamespace(cycle="a period"))
+    tight = replace(SETTINGS, tolerance=Tolerance(relative=1e-12, absolute=1e-4))
+    closing._settled(machine, problem, 0.5, None, tight)
+    assert asked[-1][2].simulation.tolerance == Tolerance(relative=1e-6, absolute=1e-4)
+
+
+def test_a_period_goes_beyond_an_escape_on_either_side_and_on_any_arc(problem: Problem) -> None:
+    escapes = {
+        "theta2": Escape(beyond=3.0, phrase="it falls off"),
+        "theta1": Escape(beyond=2.0, phrase="it swings"),
+    }
+    strict = replace(problem, escapes=escapes)
+
+    def of(*places: tuple[float, float]) -> Any:
+        flows = [np.array([[one, other, 99.0], [0.0, 0.0, 99.0]]) for one, other in places]
+        return SimpleNamespace(arcs=[SimpleNamespace(flow_states=flow) for flow in flows])
+
+    assert closing.escape_of(strict, of((2.0, 3.0), (-2.0, -3.0))) == ""
+    first = closing.escape_of(strict, of((0.0, -3.25), (2.5, 0.0)))
+    assert first == "It falls off: `theta2` reaches 3.25, beyond 3."
+    second = closing.escape_of(strict, of((2.5, 3.0), (0.0, 0.0)))
+    assert second == "It swings: `theta1` reaches 2.5, beyond 2."
+
+
+def test_an_orbit_of_a_period_counts_its_times_from_its_start(problem: Problem) -> None:
+    shape = OrbitShape.parsed("impact,plastic")
+    states = [k + np.arange(5.0) for k in range(8)]
+
+    def phase(k: int, zeno: Any) -> Any:
+        impact = SimpleNamespace(time=11.0 + k, state_minus=states[k + 2])
+        start = SimpleNamespace(time=10.0 + k, state=states[k])
+        return SimpleNamespace(kind=shape.phases[k], start=start, impacts=[impact], zeno=zeno)
+
+    held = SimpleNamespace(time=12.5, state=states[5])
+    cycle: Any = SimpleNamespace(
+        start=SimpleNamespace(time=10.0), period=4.0, phases=(phase(0, None), phase(1, held))
+    )
+    orbit = closing.orbit_of(cycle, problem, problem.values(gains={"Kp": 3.0}))
+    one, two = orbit.phases
+    assert (orbit.period, orbit.shape, orbit.gains["Kp"]) == (4.0, shape, 3.0)
+    assert (one.start_time, two.start_time) == (0.0, 1.0)
+    assert [*two.start_state.values()] == states[1].tolist()
+    assert [impact.time for impact in (*one.impacts, *two.impacts)] == [1.0, 2.0]
+    assert [*two.impacts[0].state_minus.values()] == states[3].tolist()
+    assert (one.zeno_time, one.zeno_state, two.zeno_time) == (None, None, 2.5)
+    assert two.zeno_state == dict(zip(problem.state_names, states[5], strict=True))
