@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.maps import Attractor, Fate
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits import Bound, OrbitShape
@@ -20,10 +23,12 @@ from zeno_orbits.search import (
     scan,
     search_gains,
 )
+from zeno_orbits.search.guess import SettlingSettings
 from zeno_orbits.search.objectives import LEAST_RADIUS
 from zeno_orbits.search.scan import scan_summary, start_order, start_place
 from zeno_orbits.search.search_problem import SearchProblem, with_targets
 from zeno_orbits.search.start import numbered_start, scanned
+from zeno_orbits.simulation import Extent
 
 BOX = (-1.9, -0.9)
 
@@ -173,3 +178,196 @@ def test_a_box_is_answered_whose_start_lies_outside_where_no_orbit_is(
         SearchStatus.NO_GUESS,
         SearchStatus.FOUND,
     ]
+
+
+# By hand.
+
+
+def test_places_are_in_the_box_each_number_on_its_own_and_the_first_is_what_is_given(
+    problem: Problem,
+) -> None:
+    box = {"Kp": (2.0, 3.0), "Kd": (-1.9, -0.9)}
+    search = _search(problem, values=problem.values(gains={"Kp": 9.0}), free=box)
+    assert start_place(search, 0).gains == {"Kp": 3.0, "Kd": -1.0}
+    assert scan._n_places(search) == 48
+    places = [start_place(search, k) for k in range(1, 49)]
+    for k, (low, high) in enumerate(box.values()):
+        found = np.array([place.vector[problem.names.index([*box][k])] for place in places])
+        assert np.all((low <= found) & (found <= high))
+        # Spread evenly: every sixth of the range has its share of 8, but for 3.
+        counts = np.histogram(found, bins=6, range=(low, high))[0]
+        assert np.all(np.abs(counts - 8) <= 3)
+    assert len({place.vector for place in places}) == 48
+    other = replace(search, settings=SearchSettings(seed=1))
+    assert start_place(other, 1) != start_place(search, 1)
+
+
+@pytest.mark.parametrize(("n_free", "n_starts", "places"), [(1, 12, 24), (3, 12, 72), (4, 12, 72)])
+def test_there_are_as_many_places_as_starts_at_least(
+    n_free: int, n_starts: int, places: int
+) -> None:
+    def asked(starts: int) -> Any:
+        free = dict.fromkeys(range(n_free))
+        return SimpleNamespace(free=free, settings=SearchSettings(n_starts=starts))
+
+    assert scan._n_places(asked(n_starts)) == places
+    assert scan._n_places(asked(100)) == 100
+
+
+def test_of_several_starts_the_first_that_leads_to_an_orbit_counts(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scan._settled.cache_clear()
+    asked: list[Any] = []
+    rest, gone = Attractor(fate=Fate.REST), Attractor(fate=Fate.ESCAPE, escaped="theta1")
+    first, second = _orbit(0.25), _orbit(0.75)
+    answers: list[Any] = [(first, rest, gone, rest), (second, gone, rest), ZenoOrbitsError("No.")]
+
+    def told(of: Problem, values: Any, **named: Any) -> Any:
+        asked.append((of, [one.gains["Kd"] for one in values], named))
+        answer = answers.pop(0)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    monkeypatch.setattr(scan, "attractors_at", told)
+    places = tuple(problem.values(gains={"Kd": kd}).vector for kd in (-1.0, -1.1, -1.2, -1.3))
+    starts = tuple(problem.state_vector({"theta1": x}) for x in (0.1, 0.2, 0.3))
+    found = scan._settled(problem, places, starts, 7.0)
+    # What else the first start leads to stays, if no other leads to an orbit.
+    assert found == (first, second, gone, rest)
+    assert [kd for _, kd, _ in asked] == [
+        [-1.0, -1.1, -1.2, -1.3], [-1.1, -1.2, -1.3], [-1.2, -1.3]
+    ]  # fmt: skip
+    assert [named["start"]["theta1"] for *_, named in asked] == [0.1, 0.2, 0.3]
+    assert {named["until"] for *_, named in asked} == {7.0}
+    scan._settled.cache_clear()
+    answers.append(ZenoOrbitsError("It fails."))
+    (failed,) = scan._settled(problem, places[:1], starts[:1], None)
+    assert (failed.fate, failed.detail) == (Fate.FAILED, "It fails.")
+    scan._settled.cache_clear()
+
+
+def test_places_are_asked_about_with_the_starts_and_the_wait_of_the_search(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Any] = []
+    monkeypatch.setattr(scan, "_settled", lambda *arguments: asked.append(arguments) or ())
+    settings = SearchSettings(settling=SettlingSettings(horizon=9.0))
+    search = _search(problem, settings=settings, initial_states=({"theta1": 0.5},))
+    scan._attractors(search)
+    ((of, places, starts, until),) = asked
+    assert (of, until, starts) == (problem, 9.0, (problem.state_vector({"theta1": 0.5}),))
+    assert places == tuple(start_place(search, k).vector for k in range(25))
+
+
+@pytest.mark.parametrize(
+    ("fate", "group"),
+    [
+        (Fate.ZENO, 0),
+        (Fate.SIMPLE, 0),
+        (Fate.NO_ZENO, 0),
+        (Fate.UNSETTLED, 1),
+        (Fate.FAILED, 1),
+        (Fate.REST, 2),
+        (Fate.ESCAPE, 2),
+    ],
+)
+def test_places_with_an_orbit_come_first_and_those_that_are_decided_last(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch, fate: Fate, group: int
+) -> None:
+    monkeypatch.setattr(scan, "_scored", lambda *_: scan._Rank(0, False, 1.5))
+    search, values = _search(problem), problem.values()
+    rank = scan._rank(search, values, Attractor(fate=fate, returns=1))
+    assert rank == ((0, False, 1.5) if group == 0 else (group, False, 0.0))
+
+    def fails(*_: Any) -> Any:
+        raise ZenoOrbitsError("It cannot be measured.")
+
+    monkeypatch.setattr(scan, "_scored", fails)
+    unknown = scan._rank(search, values, Attractor(fate=fate, returns=1))
+    assert unknown == (max(group, 1), False, 0.0)
+    monkeypatch.setattr(scan, "_scored", lambda *_: scan._Rank(0))
+    twice = _search(problem, shape=OrbitShape.parsed("zeno*2"))
+    assert scan._rank(twice, values, Attractor(fate=fate, returns=1)).group == max(group, 1)
+    assert scan._rank(twice, values, Attractor(fate=fate, returns=2)).group == group
+
+
+def test_an_orbit_is_scored_by_what_a_map_tells_and_measured_for_the_rest(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Any] = []
+
+    def measure(orbit: Any, of: Problem, names: Any, *, simulation: Any) -> Any:
+        asked.append((orbit, of, names, simulation))
+        return {name: Extent(lowest=3.0, highest=4.0) for name in names}
+
+    monkeypatch.setattr(scan, "measure", measure)
+    monkeypatch.setattr(scan, "_cycle", lambda *_: SimpleNamespace(period=2.5))
+    monkeypatch.setattr(scan, "orbit_of", lambda cycle, *_: cycle)
+    values, seen = problem.values(), _orbit(0.25, period=2.0, margins={"margin": 0.5})
+    fastest = _search(problem)
+    assert scan._scored(fastest, values, seen) == (0, False, 0.25)
+    short = replace(fastest, bounds=(Bound(name="period", upper=1.5),))
+    assert scan._scored(short, values, seen) == (0, True, 0.25)
+    wide = replace(fastest, bounds=(Bound(name="margin", lower=0.4),))
+    assert scan._scored(wide, values, seen) == (0, False, 0.25)
+    assert asked == []
+    # What the map does not tell: of its multipliers there may be none.
+    assert scan._scored(fastest, values, replace(seen, multipliers=())) == (0, False, 4.0)
+    ((orbit, of, names, simulation),) = asked
+    assert (orbit.period, of, names) == (2.5, problem, ["spectral_radius"])
+    assert simulation == SettlingSettings().simulation
+    swung = replace(fastest, bounds=(Bound(name="theta1", upper=3.5),))
+    assert scan._scored(swung, values, seen) == (0, True, 0.25)
+    assert asked[-1][2] == ["theta1"]
+    # How far a target is missed is told by a simulation.
+    target = _search(problem, objective=TargetPeriod(target=2.0))
+    assert scan._scored(target, values, seen) == (0, False, 0.25)
+    assert len(asked) == 2
+    nearest = _search(problem, objective=NearestGains(target={}))
+    assert scan._scored(nearest, nearest.values, seen) == (0, False, 0.0)
+
+
+def test_a_period_of_an_attractor_has_its_returns_or_the_impacts_of_a_little_more(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Any] = []
+    hits = SimpleNamespace(impacts=[None, None, None])
+    monkeypatch.setattr(
+        scan, "simulate", lambda *a, **named: asked.append((a[1].tolist(), named)) or hits
+    )
+    monkeypatch.setattr(scan, "placed", lambda _machine, _shape, x: x)
+    monkeypatch.setattr(scan, "cycle_of", lambda *a, **named: (a[1].tolist(), a[2], named))
+    search, values, state = _search(problem), problem.values(), {"theta1": 0.5}
+    start = list(problem.state_vector(state))
+    settings = SettlingSettings().simulation
+    named = {"horizon": 4.0, "settings": settings}
+    seen = _orbit(0.5, returns=2, state=state)
+    found: Any = scan._cycle(search, values, seen)
+    assert found == (start, OrbitShape.parsed("zeno*2"), named)
+    assert asked == []
+    struck = _orbit(0.5, fate=Fate.NO_ZENO, returns=0, state=state)
+    found = scan._cycle(search, values, struck)
+    assert found == (start, OrbitShape.parsed("impact*3"), named)
+    # The last impact is that at the end of the period, which rounding may put after it.
+    assert asked == [(start, {"until": pytest.approx(2.002), "settings": settings})]
+    simple = _orbit(0.5, fate=Fate.SIMPLE, state=state)
+    found = scan._cycle(search, values, simple)
+    assert found[1] == OrbitShape.parsed("plastic")
+
+
+def test_a_valley_is_no_worse_than_the_two_nearest_orbits_for_each_number() -> None:
+    ranks = [scan._Rank(0, False, score) for score in (3.0, 1.0, 2.0, 0.5, 1.0, 9.0)]
+    line = np.array([[0.0], [0.1], [0.2], [0.35], [0.45], [0.5]])
+    orbits = [0, 1, 2, 3, 4]
+    found = [k for k in orbits if scan._is_valley(k, orbits, line, ranks)]
+    # The fourth is lower than the second, but no neighbour of it.
+    assert found == [1, 3]
+    # In the plane there are four neighbours, and the fourth is one.
+    plane = np.column_stack([line[:, 0], np.zeros(6)])
+    assert [k for k in orbits if scan._is_valley(k, orbits, plane, ranks)] == [3]
+    # As good as a neighbour is a valley, and so is an orbit that is alone.
+    even = [scan._Rank(0, False, 1.0)] * 6
+    assert all(scan._is_valley(k, orbits, line, even) for k in orbits)
+    assert scan._is_valley(0, [0], line, ranks)
