@@ -186,9 +186,9 @@ def test_a_box_is_answered_whose_start_lies_outside_where_no_orbit_is(
 def test_places_are_in_the_box_each_number_on_its_own_and_the_first_is_what_is_given(
     problem: Problem,
 ) -> None:
-    box = {"Kp": (2.0, 3.0), "Kd": (-1.9, -0.9)}
+    box = {"Kp": (2.0, 6.0), "Kd": (-1.9, -0.9)}
     search = _search(problem, values=problem.values(gains={"Kp": 9.0}), free=box)
-    assert start_place(search, 0).gains == {"Kp": 3.0, "Kd": -1.0}
+    assert start_place(search, 0).gains == {"Kp": 6.0, "Kd": -1.0}
     assert scan._n_places(search) == 48
     places = [start_place(search, k) for k in range(1, 49)]
     for k, (low, high) in enumerate(box.values()):
@@ -200,6 +200,38 @@ def test_places_are_in_the_box_each_number_on_its_own_and_the_first_is_what_is_g
     assert len({place.vector for place in places}) == 48
     other = replace(search, settings=SearchSettings(seed=1))
     assert start_place(other, 1) != start_place(search, 1)
+
+
+def test_after_the_valleys_come_places_far_from_all_before_then_the_rest_by_rank(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # In units of their ranges, 4 and 0.5; the fourth is the only valley.
+    unit = [(0.1, 0.6), (1.0, 0.0), (0.0, 0.9), (0.6, 0.6), (0.9, 0.9), (0.0, 0.0), (0.45, 0.0)]
+    scores = [3.0, 6.0, 5.0, 0.0, 2.0, 1.0, 4.0]
+    ranks = [*(scan._Rank(0, False, score) for score in scores), scan._Rank(2), scan._Rank(1)]
+    unit += [(0.5, 0.5), (0.5, 0.6)]
+    places = [problem.values(gains={"Kp": 2 + 4 * u, "Kd": -1.5 + v / 2}) for u, v in unit]
+    monkeypatch.setattr(scan, "_places", lambda _: places)
+    monkeypatch.setattr(scan, "_attractors", lambda _: list(range(9)))
+    monkeypatch.setattr(scan, "_rank", lambda _search, _values, k: ranks[k])
+    asked: list[Any] = []
+
+    def valley(k: int, orbits: Any, at: Any, by: Any) -> bool:
+        asked.append((orbits, by))
+        # Only how far places are apart counts.
+        assert at - at[0] == pytest.approx(np.array(unit) - unit[0])
+        return k == 3
+
+    monkeypatch.setattr(scan, "_is_valley", valley)
+    free = {"Kp": (2.0, 6.0), "Kd": (-1.5, -1.0)}
+    # Of the seven orbits three more are looked at: the corner, 0.85 off the valley, and then the
+    # first place, 0.5 off both, before the fifth, 0.42 off the valley.
+    assert start_order(_search(problem, free=free)) == (3, 5, 0, 4, 6, 2, 1, 8, 7)
+    assert asked == 7 * [([3, 5, 4, 0, 6, 2, 1], ranks)]
+    nearest = _search(problem, free=free, objective=NearestGains(target={}))
+    assert start_order(nearest) == (0, 3, 5, 4, 6, 2, 1, 8, 7)
+    ranks[:] = [scan._Rank(1 + (k % 2 == 0)) for k in range(9)]
+    assert start_order(nearest) == (0, 0, 1, 3, 5, 7, 2, 4, 6, 8)
 
 
 @pytest.mark.parametrize(("n_free", "n_starts", "places"), [(1, 12, 24), (3, 12, 72), (4, 12, 72)])

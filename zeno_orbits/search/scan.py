@@ -71,7 +71,7 @@ def start_order(search: SearchProblem) -> tuple[int, ...]:
         return (0, *(k for k in by_rank if k != 0))
     low, high = np.array(list(search.free.values())).T
     free = np.array([[place.number(name) for name in search.free] for place in places])
-    unit = (free - low) / (high - low)
+    unit = free / (high - low)
     orbits = [k for k in by_rank if ranks[k].group == 0]
     order = [k for k in orbits if _is_valley(k, orbits, unit, ranks)]
     others = [k for k in orbits if k not in order][: len(orbits) // 2]
