@@ -32,10 +32,11 @@ from zeno_orbits.search import (
 )
 from zeno_orbits.search import multistart as starts
 from zeno_orbits.search.outcome import Candidate, StartOutcome
+from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.simulation.signals import Extent
 from zeno_orbits.verification.certificate import DeltaCut, OrbitCertificate
 from zeno_orbits.verification.verifier import verify
-from zeno_orbits.work import LostPoint, Plan, Workers
+from zeno_orbits.work import LostPoint, Plan, Workers, versions
 from zeno_orbits.work import scheduling as spreading_module
 from zeno_orbits.work.serialization import plain, restored
 
@@ -292,6 +293,32 @@ def test_the_checkpoint_of_another_search_is_refused_and_left_untouched(
     assert answer.code == MISUSE
     assert told in answer.err
     assert contents(folder) == before
+
+
+def test_a_checkpoint_knows_all_that_the_outcome_of_a_start_depends_on() -> None:
+    file = locate_problem(PROBLEM)
+    problem = file.load()
+    asked = SearchProblem(
+        problem=problem,
+        values=problem.values(),
+        free=FREE,
+        objective=WidestMargin(),
+        initial_states=problem.starts,
+        order=(1, 0),
+        settings=SearchSettings(),
+    )
+    task = starts._Task(problem_file=file, question=asked.question(), accept=Picky())
+    known = starts._identity(task)
+    assert {*known} == {
+        *("work", "problem", "problem_digest", "gains", "parameters", "from", "accept"),
+        *("free", "objective", "bounds", "shape", "initial_states", "sizes", "settings"),
+        "versions",
+    }
+    assert (known["work"], known["problem"]) == ("search", PROBLEM)
+    assert known["problem_digest"] == file.digest
+    assert (known["gains"], known["from"]) == ({}, None)
+    assert known["parameters"] == dict(problem.values().parameters)
+    assert known["versions"] == versions()
 
 
 def test_the_checkpoint_of_another_known_orbit_is_refused(
