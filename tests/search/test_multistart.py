@@ -7,7 +7,7 @@ import math
 import signal
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -154,6 +154,60 @@ def test_what_came_of_a_start_survives_json_to_the_last_bit(alone: SearchResult)
 
 
 # ---------------------------------------------------------------------------- the same answer
+
+
+def test_starts_are_tried_here_first_and_by_workers_then_until_there_are_enough(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    file = locate_problem(PROBLEM)
+    problem, ended = file.load(), list[bool]()
+    asked = SearchProblem(
+        problem=problem,
+        values=problem.values(),
+        free=FREE,
+        objective=WidestMargin(),
+        initial_states=problem.starts,
+        settings=SearchSettings(n_starts=2),
+    )
+
+    def tried(_: SearchProblem, number: int, accept: Any) -> StartOutcome:
+        return StartOutcome(
+            status=SearchStatus.NOT_SOLVED, detail=f"{number}", repels=accept is None
+        )
+
+    def spread(
+        task: Any, numbers: Any, plan: Plan, *, here: Callable[..., Any], on_progress: Any
+    ) -> Iterator[Any]:
+        assert (list(numbers), plan.chunk, plan.noun) == ([0, 1, 2], 1, "starts at most")
+        assert plan.identity == {}
+        on_progress("told", None)
+        try:
+            yield here([0])[0]
+            yield task([1])[0]
+            yield LostPoint()
+        finally:
+            ended.append(True)
+
+    looked: list[int] = []
+    monkeypatch.setattr(starts, "scanned", lambda of, number: (looked.append(number), of)[1])
+    monkeypatch.setattr(starts, "try_start", tried)
+    monkeypatch.setattr(starts, "spread_in_order", spread)
+    told: list[str] = []
+    workers = StartWorkers(problem_file=file, plan=Plan(), tell=lambda stage, _: told.append(stage))
+    found = [*starts.outcomes_spread(asked, None, workers)]
+    assert [one.detail for one in found] == ["0", "1", LostPoint().reason]
+    assert [one.repels for one in found] == [True, True, False]
+    assert {one.status for one in found} == {SearchStatus.NOT_SOLVED}
+    # The box is looked at only when a start needs it: no other than the first is asked about here.
+    assert looked == [0, 0, 1]
+    assert (told, ended) == (["told"], [True])
+    some = starts.outcomes_spread(asked, None, workers)
+    assert plain(next(some)) == plain(found[0])
+    some.close()
+    assert ended == [True, True]
+    here = [*starts.outcomes_here(asked, None)]
+    assert [one.detail for one in here] == ["0", "1", "2"]
+    assert looked[-3:] == [0, 1, 2]
 
 
 @needs_two
