@@ -208,8 +208,9 @@ def test_a_shape_that_four_iterations_do_not_see_is_looked_for_in_a_quarter(
         # Newton's method squares what eight nodes changed first: 1e-14 is the tolerance times 100.
         (0.99e-6, [SOME]),
         (1e-6, [SOME]),
-        (1.01e-6, [SOME, MANY]),
+        (1.001e-6, [SOME, MANY]),
         (0.99e-5, [SOME, MANY]),
+        (3e-5 / 3, [SOME, MANY]),
         # One more iteration where sixteen nodes would begin too far off.
         (1.01e-5, [SOME, SOME, MANY]),
         (2.9e-3, [SOME, SOME, MANY]),
@@ -273,6 +274,17 @@ def test_a_piece_that_sixteen_nodes_do_not_fit_is_shortened(
         many=lambda length: change if length == 1.0 else 1e-7,
     )
     assert _lengths(passing(script))[0] == pytest.approx(part, rel=1e-12)
+
+
+def test_a_piece_that_sixteen_nodes_do_not_begin_to_fit_may_begin_in_a_layer(
+    passing: Passing,
+) -> None:
+    script = _Script(
+        some=_always(1e-4),
+        many=lambda length: 3e-6 * 2**6 if length == 1.0 else 1e-7,
+        fastest=_always(100.0),
+    )
+    assert _lengths(passing(script))[0] == pytest.approx(0.06, rel=1e-12)
 
 
 @pytest.mark.parametrize(("times", "part"), [(2**6, 0.5), (4**6, 0.25), (1.01, 0.6), (1.0, 1.0)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import islice, pairwise
 
 import casadi as ca
@@ -16,7 +17,7 @@ from tests.reference.closed_forms import FORCED
 from tests.support.mechanisms import forced_oscillator, oscillator_state
 from zeno_orbits.arrays import Vector
 from zeno_orbits.model.library import load_problem
-from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
+from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics, Resting
 from zeno_orbits.model.scale import OwnScale
 from zeno_orbits.simulation.completion import ZenoExtrapolation
 from zeno_orbits.simulation.simulator import SimulationSettings, simulate
@@ -31,6 +32,7 @@ from zeno_orbits.simulation.zeno_limit import (
     limit_slopes,
     limit_weights,
     spread_nodes,
+    tail_from,
     tail_time,
 )
 
@@ -337,3 +339,72 @@ def test_the_error_is_relative_to_the_sizes_of_the_problem() -> None:
 
     assert of(1e-6, 1e-6).error == pytest.approx(of(1.0, 1.0).error, rel=1e-9)
     assert of(1e-6, 1e3).error == pytest.approx(of(1.0, 1.0).error, rel=1e-9)
+
+
+def test_a_tail_leads_along_the_locked_flow_for_as_long_as_it_lasts() -> None:
+    resting = Resting(state=np.array([0.0, 2.0]), gap_acceleration=-4.0, rate=np.array([0.0, -3.0]))
+    estimate = tail_from(resting, 0.75, 7.0, 0.5)
+    assert estimate is not None
+    # 2 times 0.5 over 4 times a quarter: a second.
+    assert (estimate.impact_time, estimate.time, estimate.speed) == (7.0, 8.0, 0.5)
+    assert estimate.resting is resting.state
+    assert estimate.state.tolist() == [0.0, -1.0]
+    assert estimate.gap_acceleration == -4.0
+    for acceleration in (0.0, 0.5):
+        assert tail_from(replace(resting, gap_acceleration=acceleration), 0.75, 7.0, 0.5) is None
+
+
+def _told(speed: float, time: float, *state: float) -> TailEstimate:
+    return TailEstimate(
+        impact_time=0.0,
+        resting=np.zeros(len(state)),
+        speed=speed,
+        time=time,
+        state=np.array(state),
+        gap_acceleration=-1.0,
+    )
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("way", [1.0, -1.0])
+@pytest.mark.parametrize("largest", [0, 1, 2])
+def test_the_error_is_the_largest_of_time_and_states_each_in_its_own_size(
+    sign: float, way: float, largest: int
+) -> None:
+    sizes = np.array([2.0, 0.5, 4.0])
+    own = OwnScale(time=2.0, sizes=(0.5, 4.0))
+    first = sign * np.array([6.0, 1.0, 12.0])
+    change = way * 0.003 * sizes
+    change[largest] *= 2
+    a, b = _told(1.0, *first), _told(0.5, *(first + change))
+    found = combine([a, b], own)
+    # The weights are -1/3 and 4/3.
+    limit = first + 4 / 3 * change
+    assert found.time == pytest.approx(limit[0], rel=1e-14)
+    assert found.state == pytest.approx(limit[1:], rel=1e-14)
+    errors = np.abs(4 / 3 * change) / (sizes + np.abs(limit))
+    assert np.argmax(errors) == largest
+    assert found.error == pytest.approx(np.max(errors), rel=1e-9)
+
+
+def test_a_limit_told_by_one_impact_has_no_error_only_if_that_was_plastic() -> None:
+    plastic = _told(0.0, 1.0, 2.0)
+    fast, slow = _told(1.0, 5.0, 6.0), _told(0.9, 5.0, 6.0)
+    for told in ([plastic], [fast, plastic], [fast, slow, plastic]):
+        found = combine(told)
+        assert (found.time, found.state.tolist(), found.error) == (1.0, [2.0], 0.0)
+    for told in ([fast], [fast, slow]):
+        assert combine(told).error == math.inf
+
+
+def test_the_state_of_a_limit_that_is_kept_cannot_be_changed() -> None:
+    found = combine([_told(1.0, 5.0, 6.0), _told(0.5, 5.0, 6.0)])
+    with pytest.raises(ValueError, match="read-only"):
+        found.state[0] = 1.0
+
+
+def test_a_first_impact_that_is_just_fast_enough_is_a_node() -> None:
+    assert spread_nodes([1.0, 0.9, 0.5]) == [0, 2]
+    assert spread_nodes([1.0, 0.9, 0.51]) == [2]
+    assert spread_nodes([8.0, 4.0, 2.0, 1.9, 1.0]) == [0, 1, 2, 4]
+    assert spread_nodes([0.5, 0.25, 0.125]) == [0, 1, 2]

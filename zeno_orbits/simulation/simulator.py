@@ -142,6 +142,7 @@ class _Run:
         arcs: Arcs so far.
         events: Events so far.
         n_impacts: Impacts among them.
+        n_landings: Those that ended a flight: all but one that the execution starts with.
         n_releases: Releases among them.
         own: Sizes of the problem's numbers.
         small_gap: A gap below this counts as zero.
@@ -156,6 +157,7 @@ class _Run:
     arcs: list[Arc] = field(default_factory=list[Arc])
     events: list[Event] = field(default_factory=list[Event])
     n_impacts: int = 0
+    n_landings: int = 0
     n_releases: int = 0
     own: OwnScale = field(init=False)
     small_gap: float = field(init=False)
@@ -306,8 +308,10 @@ class _Run:
         )
         self.events.append(impact)
         self.n_impacts += 1
-        if self.arcs and self.n_impacts >= self.most_impacts:
-            return None
+        if self.arcs:
+            self.n_landings += 1
+            if self.n_landings >= self.most_impacts:
+                return None
         if speed <= self.small_rate:
             state = landed.state
             after = self.on_stop(time, state)
