@@ -384,6 +384,17 @@ def test_a_piece_that_is_lost_is_tried_again_in_a_quarter_or_as_a_layer(
     assert script.tried()[:2] == pytest.approx([1.0, second], rel=1e-12)
 
 
+def test_a_short_piece_along_which_little_decays_is_in_no_layer(passing: Passing) -> None:
+    def lost(length: float) -> float:
+        if length in (1.0, 0.25):
+            raise CurveLostError
+        return 1e-7
+
+    # Neighbours approach by 18 along the whole, and by 4.5 along a quarter.
+    script = _Script(some=lost, fastest=_always(18.0))
+    assert _lengths(passing(script)) == [0.0625, 0.9375]
+
+
 # Where it is given up.
 
 
