@@ -140,6 +140,22 @@ def test_a_state_off_its_constraint_by_a_billionth_is_refused(sizes: tuple[float
                     assert run.admitted(state) is not None
 
 
+@pytest.mark.parametrize(("sizes", "refused"), [((), False), ((1.0, 1.0, 1.0, 0.5), True)])
+def test_a_small_constraint_of_usual_numbers_may_be_off_by_a_billionth_of_one(
+    sizes: tuple[float, ...], refused: bool
+) -> None:
+    # On a circle of a hundredth the constraint changes by no more than 0.028.
+    radius = 0.01
+    circle = replace(CIRCLE.at(m=1.0, l=radius, g=G, e=0.5), scaling=lambda: OwnScale(sizes=sizes))
+    state = _on_circle(radius + 0.9e-9 / (2 * radius))
+    run = _run(circle)
+    if refused:
+        with pytest.raises(InputError, match="off by 9e-10"):
+            run.admitted(state)
+    else:
+        assert run.admitted(state) is not None
+
+
 def test_a_clock_off_its_circle_is_named_and_another_constraint_is_not_called_a_clock() -> None:
     problem = load_problem("forced_oscillator")
     dynamics = problem.dynamics(problem.values())
