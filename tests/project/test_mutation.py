@@ -50,3 +50,17 @@ def test_every_mutant_of_a_module_is_another_program(path: str) -> None:
     for mutant in mutants:
         assert ast.dump(ast.parse(mutant.source)) != whole
         assert mutant.diff(source)
+
+
+def test_what_no_answer_depends_on_is_left_alone() -> None:
+    source = (
+        'x, T = ca.SX.sym("x", 2), TypeVar("T")\n'
+        'y = dict(zip(cast("list[int]", names), path.read_text(encoding="utf-8"), strict=True))\n'
+        'z = cast("float", low if found(names) else 3)\n'
+    )
+    lines = [mutant.diff(source).splitlines()[-1] for mutant in mutants_of(source)]
+    assert lines == [
+        '+x, T = ca.SX.sym("x", 3), TypeVar("T")',
+        '+z = cast("float", (3 if found(names) else low))',
+        '+z = cast("float", low if found(names) else 4)',
+    ]

@@ -46,6 +46,10 @@ UNWRAPPED = {"abs", "fabs", "sorted", "reversed", "sqrt", "exp", "log"}
 """Functions of one argument that a fault may leave out."""
 
 
+NAMED = {"ca.SX.sym", "ca.MX.sym", "TypeVar", "cast"}
+"""Functions whose first argument is a name, or a type that is read by type checkers alone."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mutant:
     """A module with one fault.
@@ -73,7 +77,8 @@ class Mutant:
 def mutants_of(source: str) -> Iterator[Mutant]:
     """Yield every mutant of a module, in order of its lines.
 
-    Annotations, decorators, docstrings, imports and sentences are left alone.
+    Annotations, decorators, docstrings, imports and sentences are left alone, and so is what no
+    answer depends on: names of symbols and type variables, encodings, and `strict=` of a `zip`.
 
     Args:
         source: The module.
@@ -112,11 +117,19 @@ def _nodes(node: ast.AST) -> Iterator[ast.expr | ast.stmt]:
         return
     if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
         return
+    if isinstance(node, ast.Call):
+        skipped += _of_no_account(node)
     if isinstance(node, ast.expr | ast.stmt):
         yield node
     for child in ast.iter_child_nodes(node):
         if child not in skipped:
             yield from _nodes(child)
+
+
+def _of_no_account(node: ast.Call) -> list[ast.AST]:
+    """Return the arguments of a call that no answer depends on."""
+    of_keywords: list[ast.AST] = [k for k in node.keywords if k.arg in ("strict", "encoding")]
+    return [*of_keywords, *(node.args[:1] if ast.unparse(node.func) in NAMED else ())]
 
 
 def _faults(node: ast.expr | ast.stmt) -> Iterator[tuple[str, ast.expr | ast.stmt]]:
