@@ -297,6 +297,9 @@ def test_energies_are_zero_where_they_are_rounding_of_the_largest() -> None:
         ("odd_part", "0.333333"),
         ("left over after the period", "-3e-13"),
     )
+    # The largest is the one that is lost.
+    lost = {"input_work": 1.0, "copper_loss": -4.0, "energy_gain": 3e-13}
+    assert energies_table(replace(GOOD, energies=lost), "J").rows[-1][1] == "0"
     assert energies_table(replace(GOOD, energies={}), "J").rows == ()
 
 

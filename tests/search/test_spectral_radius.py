@@ -201,6 +201,26 @@ def _by_hand(released: bool) -> tuple[Any, ca.MX]:
     return terms, end
 
 
+def test_the_end_of_a_lock_is_scaled_by_its_largest_slope_whichever_its_sign(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: list[Any] = []
+
+    def derived(*arguments: Any) -> Derived:
+        asked.extend(arguments)
+        return Derived(value=ca.MX(ca.DM.eye(1)), slope=ca.MX(1, 6))
+
+    def slope(_terms: OrbitTerms) -> Vector:
+        return np.array([[-16.0, 0.0]])
+
+    monkeypatch.setattr(spectral_radius, "derivative_along", derived)
+    monkeypatch.setattr(spectral_radius, "_multiplier_slope", slope)
+    terms, _ = _by_hand(released=True)
+    section_map(terms)
+    # The multiplier at the end is k x + v there, twice that of the start.
+    assert terms.guessed(asked[2])[0] == pytest.approx((K * 1.0 + 3.0) / 16.0)
+
+
 @pytest.mark.parametrize("released", [True, False])
 def test_the_map_is_asked_for_in_coordinates_of_the_section(
     released: bool, monkeypatch: pytest.MonkeyPatch
