@@ -181,14 +181,21 @@ def sweep(
     return rows, errors
 
 
+def of_each(
+    orbit: ZenoOrbit, problem: Problem, curve: OrbitCurve, settled: SettledRig
+) -> list[Row]:
+    """Return the distances of each cycle."""
+    return [
+        asdict(orbit_distance(orbit, problem, curve, replace(settled, cycles=(cycle,))))
+        for cycle in settled.cycles
+    ]
+
+
 def middle(
     orbit: ZenoOrbit, problem: Problem, curve: OrbitCurve, settled: SettledRig
 ) -> tuple[Row, Row]:
     """Return the medians of the distances of cycles, and their median differences from these."""
-    found = [
-        asdict(orbit_distance(orbit, problem, curve, replace(settled, cycles=(cycle,))))
-        for cycle in settled.cycles
-    ]
+    found = of_each(orbit, problem, curve, settled)
     medians = {name: float(np.median([row[name] for row in found])) for name in NAMES}
     spread = {
         name: float(np.median([abs(row[name] - medians[name]) for row in found])) for name in NAMES
@@ -348,10 +355,7 @@ def show_alone(orbit: ZenoOrbit, problem: Problem, curve: OrbitCurve) -> None:
         settle, cycles = (4, 1) if few else (8, 4)
         settled = rig_cycles(orbit, problem, rig, cycles=cycles, settle=settle, settings=COARSE)
         spent = (time.process_time() - begun) / (settle + cycles + 1)
-        rows = [
-            asdict(orbit_distance(orbit, problem, curve, replace(settled, cycles=(cycle,))))
-            for cycle in settled.cycles
-        ]
+        rows = of_each(orbit, problem, curve, settled)
         mean = {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}
         where, turn = profile(problem, curve, orbit, settled)
         parts = "  ".join(f"{100 * away:6.2f}" for away in where.values())
