@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.searches import question_of
 from zeno_orbits.errors import SimulationError
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits import ONE_ZENO, Bound, Moment, OrbitShape, PhaseKind, placed
@@ -86,15 +87,7 @@ def _cycle(shape: OrbitShape = TWICE, drift: float = 0.0) -> Any:
 
 
 def _search(problem: Problem, **changes: Any) -> SearchProblem:
-    told: dict[str, Any] = {
-        "problem": problem,
-        "values": problem.values(),
-        "free": {"Kp": (2.0, 4.0)},
-        "objective": LeastEnergy(),
-        "initial_states": problem.starts,
-        "settings": SearchSettings(),
-    }
-    return SearchProblem(**told | changes)
+    return question_of(problem, **{"objective": LeastEnergy(), **changes})
 
 
 # How far they differ.

@@ -18,6 +18,7 @@ import pytest
 from tests.support.commands import ask, interrupted_when
 from tests.support.places import places_that_cannot_be_had, refuses
 from tests.support.processes import Commands
+from tests.support.searches import question_of
 from zeno_orbits.errors import CheckpointError, InputError
 from zeno_orbits.model.library import locate_problem
 from zeno_orbits.orbits.orbit import ZenoOrbit
@@ -161,14 +162,8 @@ def test_starts_are_tried_here_first_and_by_workers_then_until_there_are_enough(
 ) -> None:
     file = locate_problem(PROBLEM)
     problem, ended = file.load(), list[bool]()
-    asked = SearchProblem(
-        problem=problem,
-        values=problem.values(),
-        free=FREE,
-        objective=WidestMargin(),
-        initial_states=problem.starts,
-        settings=SearchSettings(n_starts=2),
-    )
+    settings = SearchSettings(n_starts=2)
+    asked = question_of(problem, free=FREE, objective=WidestMargin(), settings=settings)
 
     def tried(_: SearchProblem, number: int, accept: Any) -> StartOutcome:
         return StartOutcome(
@@ -352,15 +347,7 @@ def test_the_checkpoint_of_another_search_is_refused_and_left_untouched(
 def test_a_checkpoint_knows_all_that_the_outcome_of_a_start_depends_on() -> None:
     file = locate_problem(PROBLEM)
     problem = file.load()
-    asked = SearchProblem(
-        problem=problem,
-        values=problem.values(),
-        free=FREE,
-        objective=WidestMargin(),
-        initial_states=problem.starts,
-        order=(1, 0),
-        settings=SearchSettings(),
-    )
+    asked = question_of(problem, free=FREE, objective=WidestMargin(), order=(1, 0))
     task = starts._Task(problem_file=file, question=asked.question(), accept=Picky())
     known = starts._identity(task)
     assert {*known} == {

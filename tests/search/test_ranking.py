@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from tests.support.searches import question_of
 from zeno_orbits.errors import InputError
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits import ONE_ZENO, Bound, OrbitShape
@@ -334,14 +335,8 @@ def test_what_agrees_to_a_thousandth_of_the_larger_one_agrees(
 def test_nothing_is_enough_before_there_are_as_many_as_asked(
     problem: Problem, orbit: ZenoOrbit
 ) -> None:
-    asked = SearchProblem(
-        problem=problem,
-        values=problem.values(),
-        free={},
-        objective=LeastEnergy(),
-        initial_states=(),
-        settings=SearchSettings(candidates=2),
-    )
+    settings = SearchSettings(candidates=2)
+    asked = question_of(problem, free={}, objective=LeastEnergy(), settings=settings)
     one, two = (_found(orbit, score, score).candidate for score in (1.0, 2.0))
     assert one is not None
     assert two is not None
@@ -468,24 +463,22 @@ def test_free_numbers_are_measured_in_their_own_size_or_a_part_of_their_range(
     problem: Problem,
 ) -> None:
     told: dict[str, Any] = {
-        "problem": problem,
         "values": problem.values(gains={"Kd": 0.0}),
         "free": {"Kp": (1.0, 5.0), "Kd": (-3.0, 1.0)},
         "objective": LeastEnergy(),
-        "initial_states": (),
-        "settings": SearchSettings(),
     }
-    asked = with_targets(SearchProblem(**told))
+    asked = with_targets(question_of(problem, **told))
     assert asked.sizes == {"Kp": 2.5, "Kd": pytest.approx(4e-3)}
     assert asked.objective == LeastEnergy()
-    below = with_targets(SearchProblem(**told | {"values": problem.values()}))
+    below = with_targets(question_of(problem, **told | {"values": problem.values()}))
     assert below.sizes == {"Kp": 2.5, "Kd": 1.0}
     # Nearness is measured from the numbers it is asked from.
     nearness = asked.nearness(problem.values(gains={"Kp": 3.0}))
     assert nearness.first == {"Kp": 3.0, "Kd": -1.0}
     assert nearness.sizes == asked.sizes
     wanted = NearestGains(target={"Kd": -0.5})
-    near = with_targets(SearchProblem(**told | {"objective": wanted, "free": {"R": (3.2, 4.0)}}))
+    box = {"R": (3.2, 4.0)}
+    near = with_targets(question_of(problem, **told | {"objective": wanted, "free": box}))
     # What has no target stays at its start, moved into the box.
     assert near.objective == NearestGains(target={"Kp": 2.5, "Kd": -0.5, "R": 3.2})
     assert near.values.number("Kd") == -0.5
@@ -513,17 +506,9 @@ def test_free_numbers_are_measured_in_their_own_size_or_a_part_of_their_range(
 def test_an_optimum_is_sought_all_over_the_box_unless_an_orbit_is_known(
     problem: Problem, orbit: ZenoOrbit, changes: dict[str, Any], compared: bool
 ) -> None:
-    told: dict[str, Any] = {
-        "problem": problem,
-        "values": problem.values(),
-        "free": {"Kp": (1.0, 5.0)},
-        "objective": LeastEnergy(),
-        "initial_states": (),
-        "settings": SearchSettings(),
-        **changes,
-    }
+    told: dict[str, Any] = {"objective": LeastEnergy(), **changes}
     told["near"] = orbit if told.get("near") else None
-    assert SearchProblem(**told).seeks_optimum is compared
+    assert question_of(problem, **told).seeks_optimum is compared
 
 
 def test_a_question_is_all_of_a_search_but_its_problem_and_who_is_told(problem: Problem) -> None:
@@ -550,15 +535,7 @@ def test_a_question_is_all_of_a_search_but_its_problem_and_who_is_told(problem: 
 
 def test_the_one_who_is_told_of_a_stage_is_not_told_how_far_it_is(problem: Problem) -> None:
     told: list[tuple[str, float | None]] = []
-    asked = SearchProblem(
-        problem=problem,
-        values=problem.values(),
-        free={},
-        objective=LeastEnergy(),
-        initial_states=(),
-        settings=SearchSettings(),
-        on_progress=lambda stage, part: told.append((stage, part)),
-    )
+    asked = question_of(problem, on_progress=lambda stage, part: told.append((stage, part)))
     asked.tell("simulating")
     assert told == [("simulating", None)]
 

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from tests.support.searches import question_of
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits import Bound
 from zeno_orbits.search import SearchSettings, SearchStatus, refinement
@@ -33,14 +34,12 @@ CYCLE: Any = SimpleNamespace(name="the first cycle")
 
 
 def _search(problem: Problem, **more: Any) -> SearchProblem:
-    question: dict[str, Any] = {
+    told: dict[str, Any] = {
         "free": {"Kp": (1.0, 5.0)},
-        "objective": NEAREST,
-        "initial_states": (),
         "sizes": {"Kp": 2.0},
         "settings": SearchSettings(rounds=3),
     }
-    return SearchProblem(problem=problem, values=problem.values(), **question | more)
+    return question_of(problem, **told | more)
 
 
 def _gains(**values: float) -> ParameterValues:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.searches import question_of
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.maps import Attractor, Fate
 from zeno_orbits.model.problem import Problem
@@ -35,14 +36,11 @@ BOX = (-1.9, -0.9)
 
 def _search(problem: Problem, **changes: Any) -> SearchProblem:
     told: dict[str, Any] = {
-        "problem": problem,
         "values": problem.values(gains={"Kd": -1.0}),
         "free": {"Kd": BOX},
         "objective": FastestContraction(),
-        "initial_states": problem.starts,
-        "settings": SearchSettings(),
     }
-    return with_targets(SearchProblem(**told | changes))
+    return with_targets(question_of(problem, **told | changes))
 
 
 def _orbit(radius: float, **changes: Any) -> Attractor:

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from tests.support.searches import question_of
 from zeno_orbits.errors import InputError, ZenoOrbitsError
 from zeno_orbits.model.problem import ParameterValues, Problem
 from zeno_orbits.orbits import Bound
@@ -16,7 +17,6 @@ from zeno_orbits.search import (
     FastestContraction,
     Judgement,
     LeastEnergy,
-    NearestGains,
     SearchSettings,
     SearchStatus,
     TargetPeriod,
@@ -33,15 +33,7 @@ FOUND, REFUSED = SearchStatus.FOUND, SearchStatus.NOT_ACCEPTED
 
 
 def _search(problem: Problem, **changes: Any) -> SearchProblem:
-    told: dict[str, Any] = {
-        "problem": problem,
-        "values": problem.values(),
-        "free": {"Kp": (2.0, 4.0)},
-        "objective": NearestGains(target={}),
-        "initial_states": problem.starts,
-        "settings": SearchSettings(),
-    }
-    return with_targets(SearchProblem(**told | changes))
+    return with_targets(question_of(problem, **changes))
 
 
 class _Orbit:

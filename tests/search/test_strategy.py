@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.reference.reference_orbit import PERIOD, RELEASE
+from tests.support.searches import question_of
 from zeno_orbits.errors import ZenoOrbitsError
 from zeno_orbits.model.library import load_problem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
@@ -201,15 +202,7 @@ def _period(name: str = "period", *, shape: OrbitShape = ONE_ZENO, length: float
 
 
 def _asked(problem: Problem, **changes: Any) -> SearchProblem:
-    told: dict[str, Any] = {
-        "problem": problem,
-        "values": problem.values(),
-        "free": {"Kp": (2.0, 4.0)},
-        "objective": NearestGains(target={}),
-        "initial_states": ({"theta1": 0.6},),
-        "settings": SearchSettings(),
-    }
-    return SearchProblem(**told | changes)
+    return question_of(problem, **{"initial_states": ({"theta1": 0.6},), **changes})
 
 
 def _solution(values: ParameterValues, **unknowns: float) -> SimulatedSolution:

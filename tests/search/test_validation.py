@@ -7,23 +7,16 @@ from typing import Any
 
 import pytest
 
+from tests.support.searches import question_of
 from zeno_orbits.errors import InputError
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.orbits import Bound, ZenoOrbit
-from zeno_orbits.search import SearchSettings
 from zeno_orbits.search.objectives import NearestGains
-from zeno_orbits.search.search_problem import SearchProblem
 from zeno_orbits.search.validation import check_search
 
 
 def _check(problem: Problem, **asked: Any) -> None:
-    question: dict[str, Any] = {
-        "free": {"Kp": (1.0, 2.0)},
-        "objective": NearestGains(target={}),
-        "initial_states": (),
-        "settings": SearchSettings(),
-    }
-    check_search(SearchProblem(problem=problem, values=problem.values(), **question | asked))
+    check_search(question_of(problem, **{"free": {"Kp": (1.0, 2.0)}, **asked}))
 
 
 @pytest.mark.parametrize(
