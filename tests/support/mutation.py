@@ -44,8 +44,6 @@ SWAPPED = {
 SWAPPED |= {new: old for old, new in SWAPPED.items()}
 UNWRAPPED = {"abs", "fabs", "sorted", "reversed", "sqrt", "exp", "log"}
 """Functions of one argument that a fault may leave out."""
-
-
 NAMED = {"ca.SX.sym", "ca.MX.sym", "TypeVar", "cast"}
 """Functions whose first argument is a name, or a type that is read by type checkers alone."""
 
