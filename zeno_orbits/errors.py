@@ -1,22 +1,33 @@
-"""The exceptions of the package: named by the fact, carrying their evidence."""
+"""Exceptions of the package, each with the data of the failure as attributes."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 
 class ZenoOrbitsError(Exception):
-    """Base of every outcome that keeps a promise from being kept."""
+    """Base class of the package's errors. Each error can be pickled, so workers can raise it."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return the recipe for unpickling: some classes do not take the message as argument."""
+        return _remade, (type(self), self.args, self.__dict__)
+
+
+def _remade(kind: type[ZenoOrbitsError], args: tuple[Any, ...], entries: dict[str, Any]) -> Any:
+    error = kind.__new__(kind, *args)
+    error.__dict__.update(entries)
+    return error
 
 
 class InputError(ZenoOrbitsError, ValueError):
-    """An argument, a name or a file is not usable; the text says which and why."""
+    """An argument, a name or a file is not usable. The message gives the reason."""
 
 
 def _about_file(kind: str, path: Path, wanted: str, reason: str) -> str:
-    """Return why a file is not usable; a file that cannot be read is not told what it must hold."""
+    """Return the message about an unusable file, without the requirement if it cannot be read."""
     if reason.startswith("it cannot be read"):
         return f"{kind} file `{path}` {reason.removeprefix('it ')}."
     return f"{kind} file `{path}` must {wanted}, but {reason}."
@@ -59,15 +70,15 @@ class MapFileError(InputError):
 
 
 class TranslationError(InputError):
-    """A model uses an operation that Taylor's method cannot follow.
+    """A formula uses an operation without an enclosure rule for proofs.
 
     Attributes:
-        operation: Its name.
+        operation: Name of the operation.
     """
 
-    def __init__(self, operation: str, reason: str) -> None:
-        wanted = "must be made of analytic operations for Taylor's method"
-        super().__init__(f"Argument `system` {wanted}, but it uses `{operation}`, {reason}.")
+    def __init__(self, operation: str) -> None:
+        wanted = "must be made of analytic operations that the prover has a rule for"
+        super().__init__(f"The problem's formulas {wanted}, but one of them is `{operation}`.")
         self.operation = operation
 
 
@@ -75,9 +86,10 @@ class SimulationError(ZenoOrbitsError):
     """An execution could not be continued.
 
     Attributes:
-        time: Where it stopped [s].
-        state: The state there, ``(n_x,)``.
-        execution: What came before, up to its last event (an ``Execution``); ``None`` if nothing.
+        time: Time at which the execution stopped [s].
+        state: State at this time, ``(n_x,)``.
+        execution: The execution up to its last event (an ``Execution``), or ``None`` without an
+            event.
     """
 
     def __init__(self, reason: str, *, time: float, state: tuple[float, ...]) -> None:
@@ -89,14 +101,14 @@ class SimulationError(ZenoOrbitsError):
 
 
 class StepSizeError(SimulationError):
-    """The step size fell to rounding level, or the flow ceased to be finite."""
+    """The step size fell to rounding level, or the flow is not finite any more."""
 
 
 class RunawayError(SimulationError):
-    """A coordinate went farther than the simulation was asked to follow it.
+    """A coordinate exceeded the limit of the simulation.
 
     Attributes:
-        coordinate: Its name; empty where a speed grew too fast.
+        coordinate: Name of the coordinate, empty if a speed exceeded its limit.
     """
 
     def __init__(
@@ -107,15 +119,15 @@ class RunawayError(SimulationError):
 
 
 class PenetrationError(SimulationError):
-    """The state left the admissible set without an impact: the reset map or the state is false."""
+    """The state left the admissible set without an impact: the reset map or the state is wrong."""
 
 
 class ChatterError(SimulationError):
-    """The impacts did not settle to a Zeno point within the allowed number."""
+    """The impacts did not accumulate at a Zeno point within the allowed number of impacts."""
 
 
 class CheckpointError(InputError):
-    """A folder cannot keep the finished parts of a work; it is left as it is.
+    """A folder cannot be used as a checkpoint. It is left unchanged.
 
     Attributes:
         folder: The folder.
@@ -127,10 +139,10 @@ class CheckpointError(InputError):
 
 
 class WorkError(ZenoOrbitsError):
-    """Work that was spread over processes or machines cannot be finished.
+    """Parallel work on processes or machines cannot be finished.
 
     Attributes:
-        trace: Where it went wrong in the worker; empty if no worker told.
+        trace: Traceback of the error in the worker, empty if no worker sent a traceback.
     """
 
     def __init__(self, reason: str, *, trace: str = "") -> None:
@@ -139,15 +151,15 @@ class WorkError(ZenoOrbitsError):
 
 
 class KernelError(ZenoOrbitsError):
-    """Compiled kernels cannot be had; the text says why, as a clause."""
+    """A library cannot be compiled or loaded. The message gives the reason as a clause."""
 
 
 class ProofError(ZenoOrbitsError):
-    """A claim could not be proved; that does not make it false.
+    """A claim could not be proved. It may still be true.
 
     Attributes:
         claim: Name of the claim.
-        reason: What fails, with the numbers.
+        reason: The condition that fails, with its values.
     """
 
     def __init__(self, claim: str, reason: str) -> None:
@@ -169,22 +181,116 @@ class DataFileError(InputError):
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Return a question that ends a message about an unknown name, or nothing.
+    """Return a suggestion for the end of a message about an unknown name, or an empty text.
 
     Args:
-        name: The name that is not known.
-        known: The names that are.
+        name: The unknown name.
+        known: The known names.
     """
     # Rarely needed, and start-up counts.
     from difflib import get_close_matches
 
     words = {word.casefold(): word for word in known}
-    # Of two letters, such as those of gains, one may be wrong.
+    # In names of two letters, such as gains, one letter may be wrong.
     alike = 0.5 if len(name) < 4 else 0.6
     near = get_close_matches(name.casefold(), words, n=1, cutoff=alike)
     return f" Did you mean `{words[near[0]]}`?" if near else ""
 
 
 def counted(number: int, noun: str) -> str:
-    """Return a number with its noun, such as ``1 impact`` or ``2 impacts``."""
+    """Return a count with its noun, such as ``1 impact`` or ``2 impacts``."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def finite_number(argument: str, value: Any) -> float:
+    """Return a finite number as a float.
+
+    Args:
+        argument: Name of the argument, for the message.
+        value: The value: a number of Python or NumPy.
+
+    Raises:
+        InputError: If the value is not a number, or not finite as a double.
+    """
+    number = any_number(argument, value)
+    if not math.isfinite(number):
+        raise InputError(
+            f"Argument `{argument}` must be a finite number, but it is {shown(value)}."
+        )
+    return number
+
+
+def positive_number(argument: str, value: Any) -> float:
+    """Return a positive, finite number as a float.
+
+    Args:
+        argument: Name of the argument, for the message.
+        value: The value: a number of Python or NumPy.
+
+    Raises:
+        InputError: If the value is not a number, not finite or not positive.
+    """
+    number = finite_number(argument, value)
+    if number <= 0.0:
+        raise InputError(
+            f"Argument `{argument}` must be a positive number, but it is {shown(value)}."
+        )
+    return number
+
+
+def any_number(argument: str, value: Any) -> float:
+    """Return a number as a float, which may be infinite.
+
+    Args:
+        argument: Name of the argument, for the message.
+        value: The value: a number of Python or NumPy.
+
+    Raises:
+        InputError: If the value is not a number.
+    """
+    if not isinstance(value, str | bytes | complex) and not getattr(value, "ndim", 0):
+        try:
+            return float(value)
+        except (TypeError, ValueError, RuntimeError):
+            # CasADi refuses symbols with an error of its own.
+            pass
+        except OverflowError:
+            message = f"Argument `{argument}` must be a finite number, but it is {shown(value)}"
+            raise InputError(f"{message}: larger than a double can be.") from None
+    raise InputError(f"Argument `{argument}` must be a number, but it is {shown(value)}.")
+
+
+def named_numbers(argument: str, values: Any) -> dict[str, Any]:
+    """Return a mapping with text keys. Its values are not checked.
+
+    Args:
+        argument: Name of the argument, for the message.
+        values: The mapping, or None for an empty mapping.
+
+    Raises:
+        InputError: If the value is not a mapping, or a name is not a text.
+    """
+    if values is None:
+        return {}
+    if not isinstance(values, Mapping):
+        wanted = "must map names to values, as {'name': 1.0} does"
+        raise InputError(f"Argument `{argument}` {wanted}, but it is {shown(values)}.")
+    for name in cast("Mapping[Any, Any]", values):
+        if not isinstance(name, str):
+            raise InputError(f"Argument `{argument}` must have texts as names, not {shown(name)}.")
+    return dict(cast("Mapping[str, Any]", values))
+
+
+_MOST_SHOWN = 40
+
+
+def shown(value: Any) -> str:
+    """Return a value for a message: on one line, and cut if it is long."""
+    if isinstance(value, float):
+        return str(value)
+    try:
+        text = " ".join(repr(value).split())
+    except ValueError:
+        # Python refuses to print integers of thousands of digits.
+        text = f"a whole number of {value.bit_length()} bits"
+    return f"`{text}`" if len(text) <= _MOST_SHOWN else f"`{text[:_MOST_SHOWN]}...`"

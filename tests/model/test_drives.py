@@ -56,7 +56,7 @@ def test_two_motors_obey_the_matrix_form_of_the_circuit_law(
     mechanism: HybridLagrangian, motors: MotorBank
 ) -> None:
     drive = full_drive(mechanism, motors)
-    symbols = {"q": mechanism.q, "v": mechanism.v, "i": drive.current}
+    symbols = {"q": mechanism.q, "v": mechanism.v, "i": drive.states}
     values = {"q": Q, "v": V, "i": CURRENT}
 
     def number(expression: ca.SX) -> np.ndarray:
@@ -64,27 +64,27 @@ def test_two_motors_obey_the_matrix_form_of_the_circuit_law(
 
     speed = SELECTION.T @ V
     rate = np.linalg.solve(INDUCTANCE, VOLTAGE - RESISTANCE @ CURRENT - EMF @ speed)
-    assert number(drive.current_rate) == pytest.approx(rate, rel=ROUNDING)
+    assert number(drive.rates) == pytest.approx(rate, rel=ROUNDING)
     assert number(drive.force) == pytest.approx(SELECTION @ TORQUE @ CURRENT, rel=ROUNDING)
     assert number(drive.input_power) == pytest.approx(VOLTAGE @ CURRENT, rel=ROUNDING)
     assert number(drive.copper_loss) == pytest.approx(CURRENT @ RESISTANCE @ CURRENT, rel=ROUNDING)
     stored = CURRENT @ INDUCTANCE @ CURRENT / 2
-    assert number(drive.magnetic_energy) == pytest.approx(stored, rel=ROUNDING)
+    assert number(drive.stored_energy) == pytest.approx(stored, rel=ROUNDING)
 
 
 def test_the_source_pays_for_heat_for_the_field_and_for_the_mechanics(
     mechanism: HybridLagrangian, motors: MotorBank
 ) -> None:
     drive = full_drive(mechanism, motors)
-    stored_rate = ca.jtimes(drive.magnetic_energy, drive.current, drive.current_rate)
+    stored_rate = ca.jtimes(drive.stored_energy, drive.states, drive.rates)
     mechanical = ca.dot(drive.force, mechanism.v)
-    spent = drive.copper_loss + stored_rate + drive.conversion_loss + mechanical
+    spent = drive.copper_loss + stored_rate + drive.other_loss + mechanical
     residual = evaluated(
         drive.input_power - spent,
         {"q": Q, "v": V, "i": CURRENT},
         q=mechanism.q,
         v=mechanism.v,
-        i=drive.current,
+        i=drive.states,
     )
     assert abs(residual[0, 0]) < 100 * ROUNDING
 
@@ -97,7 +97,7 @@ def test_the_quasi_static_current_balances_the_circuit_without_inductance(
     values = {"q": Q, "v": V}
     force = evaluated(drive.force, values, q=mechanism.q, v=mechanism.v)[:, 0]
     assert force == pytest.approx(SELECTION @ TORQUE @ current, rel=ROUNDING)
-    stored = evaluated(drive.magnetic_energy, values, q=mechanism.q, v=mechanism.v)
+    stored = evaluated(drive.stored_energy, values, q=mechanism.q, v=mechanism.v)
     assert stored[0, 0] == 0.0
 
 
@@ -189,7 +189,7 @@ def test_matrices_that_do_not_fit_the_number_of_motors_are_refused() -> None:
             voltage=one,
         )
     with pytest.raises(
-        ValueError, match="`voltage` must have 1 entries, one a motor, but it has 2"
+        ValueError, match="`voltage` must have 1 entries, one per motor, but it has 2"
     ):
         MotorBank(
             selection=ca.SX([1, 0]),

@@ -131,7 +131,9 @@ def test_a_kinetic_energy_with_a_linear_term_is_refused(q: ca.SX, v: ca.SX) -> N
 
 def test_a_velocity_of_the_wrong_length_is_refused(q: ca.SX) -> None:
     v = ca.SX.sym("v", 3)
-    with pytest.raises(ValueError, match="`v` must have 2 entries, one a coordinate, but it has 3"):
+    with pytest.raises(
+        ValueError, match="`v` must have 2 entries, one per coordinate, but it has 3"
+    ):
         HybridLagrangian.from_energies(
             q=q, v=v, kinetic=ca.sumsqr(v) / 2, potential=ca.SX(0), gap=q[0]
         )

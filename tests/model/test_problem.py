@@ -79,10 +79,10 @@ def test_a_file_that_is_no_python_is_refused(tmp_path: Path) -> None:
 def test_a_file_without_a_problem_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "empty.py"
     file.write_text("problem = 1\n", encoding="utf-8")
-    with pytest.raises(ProblemFileError, match="it has no `PROBLEM`"):
+    with pytest.raises(ProblemFileError, match="it lacks a `PROBLEM`"):
         load_problem(file)
     file.write_text("PROBLEM = 'a pendulum'\n", encoding="utf-8")
-    with pytest.raises(ProblemFileError, match="it has no `PROBLEM` of type `Problem`"):
+    with pytest.raises(ProblemFileError, match="it lacks a `PROBLEM` of type `Problem`"):
         load_problem(file)
 
 
@@ -153,7 +153,7 @@ def test_values_come_gains_first_in_the_order_of_the_names(pendulum: Problem) ->
 
 
 def test_a_problem_without_a_hand_written_model_says_so() -> None:
-    with pytest.raises(InputError, match="`bouncing_ball` has none"):
+    with pytest.raises(InputError, match="`bouncing_ball` lacks it"):
         load_reference(load_problem("bouncing_ball"))
 
 

@@ -1,16 +1,16 @@
-"""Models of machines: energies, drives, stop and named numbers; and the same as fast functions.
+"""Models of mechanisms: energies, drives, stop and named parameters, also as fast functions.
 
-A problem file makes a `HybridLagrangian`, adds a drive and the stop (`complete`) and names its
-numbers in a `Problem`. `problem.dynamics(values)` is the machine at given numbers, as numeric
-functions with derivatives (`numeric`). `contact` states the law of an impact, `library` loads
-files, `validation` refuses models that do not hold together.
+A problem file creates a `HybridLagrangian`, adds a drive and the stop (`complete`) and names its
+parameters in a `Problem`. `problem.dynamics(values)` is the system at given parameter values, as
+numeric functions with derivatives (`numeric`). `contact` defines the impact law, `library` loads
+files, and `validation` rejects inconsistent models.
 
-Offers: `load_problem`, `locate_problem`, `bundled_problems`; a `Problem` of `Quantity`s, its
-`ParameterValues`; the `HybridDynamics` and the `CompiledSystem` of one, the `OwnScale` of its
-numbers and its `own_time`; `CompletedSystem`,
-`complete`, `HybridLagrangian`, `Clock`, `MotorBank` and the drives; the parts of a `Rig`.
+Offers: `load_problem`, `locate_problem`, `bundled_problems`, and a `Problem` of `Quantity`s with
+its `ParameterValues`. Functions: the `HybridDynamics` and the `CompiledSystem` of a problem, the
+`OwnScale` of its quantities and its `own_time`. Parts of a model: `CompletedSystem`, `complete`,
+`HybridLagrangian`, `Clock`, `MotorBank`, the drives, and the parts of a `Rig`.
 
-Imports: integrators, kernels, arrays, errors.
+Imports: integrators, arrays, kinds, errors.
 """
 
 import lazy_loader as lazy

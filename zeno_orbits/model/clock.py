@@ -1,7 +1,8 @@
-r"""Periodic forcing: time enters a mechanism as a point on the unit circle (theory (34)).
+r"""Periodic forcing: time acts on a mechanism through a point on the unit circle (theory (34)).
 
-A forced problem stays autonomous: its clock is the state :math:`(\cos\omega t, \sin\omega t)`. So
-an orbit closes when the clock does, after a whole number of turns, and no time has to be wrapped.
+A forced problem is autonomous: its clock is the state :math:`(\cos\omega t, \sin\omega t)`. So an
+orbit closes when the clock does, after a whole number of periods of the clock, and time need not be
+wrapped.
 """
 
 from __future__ import annotations
@@ -48,5 +49,5 @@ class Clock:
 
     @property
     def off_circle(self) -> ca.SX:
-        """Zero on admissible states; the flow keeps it."""
+        """Zero on admissible states. The flow preserves it."""
         return (self.cosine**2 + self.sine**2 - 1) / 2

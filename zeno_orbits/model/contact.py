@@ -1,8 +1,8 @@
-r"""The stop: the five quantities that tell what happens at it, and the law of an impact.
+r"""The stop: the five quantities that describe contact, and the impact law.
 
-This is the one place that knows how a state leaves the stop after it has struck it. The formulas
-work on numbers of any kind: CasADi's symbols, floats, columns of many motions, numbers of 30
-digits. Hand-written reference models and the residuals that check the law have their own.
+This is the only module that defines the state after an impact. The formulas accept values of any
+kind: CasADi symbols, floats, columns of many motions, values with 30 digits. Hand-written reference
+models and the residuals that check the law have separate formulas.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ class ContactQuantities(NamedTuple):
 
 
 class ImpactLaw(NamedTuple):
-    r"""Newton's law of impact: the gap rate turns round, and keeps a part of its size.
+    r"""Newton's impact law: an impact multiplies the gap rate by minus the restitution.
 
     .. math:: \dot h^+ = -e\,\dot h^-,\qquad
         x^+ = x^- - (1 + e)\,\dot h^-\,d,\qquad d = \frac{W J^\top}{J W J^\top}
 
-    Its fields are the numbers of the law. The first is the restitution of the slowest impacts,
-    which alone decides how impacts accumulate (theory (15)).
+    Its fields are the parameters of the law. The first field is the restitution of the slowest
+    impacts, which alone determines how impacts accumulate (theory (15)).
 
     Attributes:
         restitution: :math:`e`.
@@ -53,13 +53,13 @@ class ImpactLaw(NamedTuple):
 
     @classmethod
     def of(cls, numbers: Any) -> ImpactLaw:
-        """Return the law with the entries of a vector for its numbers, one a field."""
+        """Return the law with the entries of a vector as its parameters, one per field."""
         return cls(*(numbers[k] for k in range(len(cls._fields))))
 
     def speed_after(self, approach_rate: Any) -> Any:
-        """Return the gap rate just after an impact, from the one before it."""
+        """Return the gap rate just after an impact, from the gap rate before it."""
         return -self.restitution * approach_rate
 
     def rate_drop(self, approach_rate: Any) -> Any:
-        """Return the gap rate before an impact less the one after it."""
+        """Return the gap rate before an impact minus the gap rate after it."""
         return (1 + self.restitution) * approach_rate

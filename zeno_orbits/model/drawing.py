@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 
 Lines = Mapping[str, Sequence[tuple[Any, Any]]]
-"""Name of a line to its corners, across and upwards [m]; one alone is a joint or a point mass.
+"""Corners of each line by name, across and upwards [m]. A single corner is a joint or a point mass.
 The line named ``stop`` is drawn as the stop."""
 
 Drawing = Callable[[Mapping[str, ca.SX], Mapping[str, ca.SX]], Lines]
@@ -21,13 +21,13 @@ def lines_of(
     """Return every line as a matrix of its corners, ``(n, 2)``.
 
     Args:
-        drawing: Of the problem.
-        states: Its states by name.
-        symbols: Its gains and parameters by name.
+        drawing: Drawing of the problem.
+        states: States of the problem by name.
+        symbols: Gains and parameters of the problem by name.
 
     Raises:
-        ValueError: If it draws nothing, or a corner is no pair of numbers in the states, gains and
-            parameters.
+        ValueError: If the drawing is empty, or a corner is not a pair of formulas in the states,
+            gains and parameters.
     """
     try:
         lines = dict(drawing(states, symbols))

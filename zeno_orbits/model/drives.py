@@ -1,96 +1,35 @@
-r"""Permanent-magnet DC drives: full, corrected, quasi-static, ideal torque.
+r"""Permanent-magnet DC drives: full, corrected, quasi-static, ideal torque, or without a drive.
 
-A drive turns a feedback law into a generalized force. It brings current states only where the
-fidelity asks for them, so a problem models what it requires and no more.
+A drive turns a feedback law into a generalized force. It adds current states only at the fidelity
+that requires them, so a problem contains only the necessary states.
 
-Source: [HaasGahleitner2000]_, theory (2)-(4) and (20).
+Source: [HaasGahleitner2000]_, theory (2)-(4), (20) and (60).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 
+from zeno_orbits.model.auxiliary import Auxiliary, joined
+from zeno_orbits.model.circuits import Circuit, Drive, Field, Network, circuit_drive, network_drive
 from zeno_orbits.model.lagrangian import HybridLagrangian
+from zeno_orbits.model.motors import MotorBank
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MotorBank:
-    r"""The `n_M` motors of a problem: which joints they turn, their constants and their voltages.
-
-    Attributes:
-        selection: :math:`S`, ``(n_q, n_M)``: motor `k` adds torque to the coordinates of column `k`
-            and turns at :math:`(S^\top v)_k`. Gear ratios belong here.
-        resistance: :math:`R`, ``(n_M, n_M)`` [ohm].
-        inductance: :math:`L`, ``(n_M, n_M)`` [H].
-        torque_constant: :math:`K_\varphi`, ``(n_M, n_M)`` [N m/A].
-        emf_constant: :math:`K_\omega`, ``(n_M, n_M)`` [V s/rad].
-        voltage: :math:`V(q, v)`, ``(n_M,)`` [V], gains symbolic.
-    """
-
-    selection: ca.SX
-    resistance: ca.SX
-    inductance: ca.SX
-    torque_constant: ca.SX
-    emf_constant: ca.SX
-    voltage: ca.SX
-
-    def __post_init__(self) -> None:
-        """Refuse matrices whose shapes do not fit the number of motors."""
-        n_motors = self.selection.shape[1]
-        for name in ("resistance", "inductance", "torque_constant", "emf_constant"):
-            shape = getattr(self, name).shape
-            if shape != (n_motors, n_motors):
-                wanted = f"must be of shape ({n_motors}, {n_motors})"
-                raise ValueError(f"Argument `{name}` {wanted}, but it is {shape}.")
-        for k in range(n_motors):
-            if self.selection[:, k].is_zero():
-                turns = f"but motor {k + 1} turns none"
-                raise ValueError(
-                    f"Argument `selection` must let every motor turn a joint, {turns}."
-                )
-        if self.voltage.numel() != n_motors:
-            message = (
-                f"Argument `voltage` must have {n_motors} entries, one a motor, "
-                f"but it has {self.voltage.numel()}."
-            )
-            raise ValueError(message)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Drive:
-    """The effect of motors on a mechanism, and their powers.
-
-    Attributes:
-        current: Current states, ``(n_i,)`` [A]; empty below full fidelity.
-        current_rate: Their time derivative, ``(n_i,)`` [A/s].
-        force: Generalized force on the mechanism, ``(n_q,)``.
-        input_power: Power that the source delivers [W].
-        copper_loss: Power lost in the windings [W].
-        conversion_loss: Electrical less mechanical power of the air gap [W]; zero when the torque
-            and the back-EMF constants are equal.
-        magnetic_energy: Energy stored in the inductances [J].
-        motor_current: Current of every motor, a state or not, ``(n_M,)`` [A].
-        motor_voltage: Voltage of every motor, ``(n_M,)`` [V].
-        added_inertia: What the drive adds to the mass matrix, constant and symmetric,
-            ``(n_q, n_q)``; empty but for a corrected drive. The mechanism then strikes its stop
-            with that inertia too, and `complete` corrects the restitution for it.
-        motors: What the drive is made of; ``None`` for an ideal torque.
-    """
-
-    current: ca.SX
-    current_rate: ca.SX
-    force: ca.SX
-    input_power: ca.SX
-    copper_loss: ca.SX
-    conversion_loss: ca.SX
-    magnetic_energy: ca.SX
-    motor_current: ca.SX
-    motor_voltage: ca.SX
-    added_inertia: ca.SX
-    motors: MotorBank | None = None
+__all__ = [
+    "Auxiliary",
+    "Circuit",
+    "Drive",
+    "MotorBank",
+    "circuit_drive",
+    "corrected_drive",
+    "full_drive",
+    "ideal_torque_drive",
+    "no_drive",
+    "quasi_static_drive",
+]
 
 
 def full_drive(lagrangian: HybridLagrangian, motors: MotorBank) -> Drive:
@@ -102,11 +41,7 @@ def full_drive(lagrangian: HybridLagrangian, motors: MotorBank) -> Drive:
         lagrangian: The mechanism.
         motors: The motors on it.
     """
-    current = ca.SX.sym("i", motors.voltage.numel())
-    emf = ca.mtimes(motors.emf_constant, ca.mtimes(motors.selection.T, lagrangian.v))
-    rate = ca.solve(motors.inductance, motors.voltage - ca.mtimes(motors.resistance, current) - emf)
-    stored = ca.dot(current, ca.mtimes(motors.inductance, current)) / 2
-    return _drive(lagrangian, motors, current=current, states=current, rate=rate, stored=stored)
+    return _bank_drive(lagrangian, motors, motors.currents)
 
 
 def quasi_static_drive(lagrangian: HybridLagrangian, motors: MotorBank) -> Drive:
@@ -119,30 +54,33 @@ def quasi_static_drive(lagrangian: HybridLagrangian, motors: MotorBank) -> Drive
         motors: The motors on it.
     """
     current = _static_current(lagrangian, motors)
-    none = ca.SX(0, 1)
-    return _drive(lagrangian, motors, current=current, states=none, rate=none, stored=ca.SX(0))
+
+    def fed(source: ca.SX) -> Drive:
+        return quasi_static_drive(lagrangian, replace(motors, voltage=source))
+
+    return replace(_bank_drive(lagrangian, motors, current, is_algebraic=True), fed=fed)
 
 
 def corrected_drive(lagrangian: HybridLagrangian, motors: MotorBank) -> Drive:
-    r"""Return the quasi-static drive with its first correction in `L`: no current state.
+    r"""Return the quasi-static drive with its first correction in `L`, without current states.
 
-    With :math:`\bar\imath(q, v)` the quasi-static current and `D` the derivative of the voltage by
-    :math:`S^\top v` (theory (20)),
+    Let :math:`\bar\imath(q, v)` be the quasi-static current and `D` the derivative of the voltage
+    with respect to :math:`S^\top v` (theory (20)). Then
 
     .. math:: F = S K_\varphi\,\bigl(\bar\imath - R^{-1} L\,\partial_q\bar\imath\;v\bigr),
         \qquad \Delta M = S K_\varphi R^{-1} L R^{-1} (D - K_\omega) S^\top
 
-    It is wrong by :math:`O((L/R)^2)`, an impact's current layer included. The electrical powers
-    are those of :math:`\bar\imath`, off by :math:`O(L/R)`; the energy balance is exact.
-    Source: [KokotovicKhalilOReilly1999]_ for the slow manifold, theory (20).
+    Its error is :math:`O((L/R)^2)`, including the current layer of an impact. The electrical powers
+    are computed from :math:`\bar\imath`, with an error of :math:`O(L/R)`. The energy balance is
+    exact. Source: [KokotovicKhalilOReilly1999]_ for the slow manifold, theory (20).
 
     Args:
         lagrangian: The mechanism.
         motors: The motors on it.
 
     Raises:
-        ValueError: If the added inertia is not constant, or not symmetric: each motor must feed
-            back the speed that it turns at, by a constant factor. If the voltage changes with time.
+        ValueError: If the added inertia is not constant or not symmetric, since each motor must
+            feed back its own speed by a constant factor. If the voltage changes with time.
     """
     quasi_static = quasi_static_drive(lagrangian, motors)
     current = _static_current(lagrangian, motors)
@@ -161,7 +99,7 @@ def corrected_drive(lagrangian: HybridLagrangian, motors: MotorBank) -> Drive:
     return replace(
         quasi_static,
         force=quasi_static.force - lag,
-        conversion_loss=quasi_static.conversion_loss + ca.dot(lag, lagrangian.v),
+        other_loss=quasi_static.other_loss + ca.dot(lag, lagrangian.v),
         added_inertia=ca.sparsify((added + added.T) / 2),
     )
 
@@ -181,19 +119,13 @@ def ideal_torque_drive(lagrangian: HybridLagrangian, *, selection: ca.SX, torque
         )
         raise ValueError(message)
     force = ca.mtimes(selection, torque)
-    none, zero = ca.SX(0, 1), ca.SX(0)
-    return Drive(
-        current=none,
-        current_rate=none,
+    source = Auxiliary(
+        states=ca.SX(0, 1),
+        rate=ca.SX(0, 1),
         force=force,
         input_power=ca.dot(force, lagrangian.v),
-        copper_loss=zero,
-        conversion_loss=zero,
-        magnetic_energy=zero,
-        motor_current=none,
-        motor_voltage=none,
-        added_inertia=ca.SX(lagrangian.q.numel(), lagrangian.q.numel()),
     )
+    return joined(lagrangian, source)
 
 
 def no_drive(lagrangian: HybridLagrangian) -> Drive:
@@ -203,42 +135,50 @@ def no_drive(lagrangian: HybridLagrangian) -> Drive:
     )
 
 
-def _drive(
-    lagrangian: HybridLagrangian,
-    motors: MotorBank,
-    *,
-    current: ca.SX,
-    states: ca.SX,
-    rate: ca.SX,
-    stored: ca.SX,
+def _bank_drive(
+    lagrangian: HybridLagrangian, motors: MotorBank, current: ca.SX, *, is_algebraic: bool = False
 ) -> Drive:
+    r"""Return a bank of motors as the circuit that it is, its derivatives taken by hand.
+
+    Its coenergy is :math:`i^\top L\,i / 2 + i^\top K_\omega S^\top q` (theory (60)).
+    Torque constants other than the back-EMF constants are a converter that loses or gains power.
+    """
     speed = ca.mtimes(motors.selection.T, lagrangian.v)
     torque = ca.mtimes(motors.torque_constant, current)
     emf = ca.mtimes(motors.emf_constant, speed)
-    return Drive(
-        current=states,
-        current_rate=rate,
+    n_motors = current.numel()
+    fields = Field(
+        currents=current,
+        voltages=ca.SX(0, 1),
+        inertia=motors.inductance,
+        motion=emf,
         force=ca.mtimes(motors.selection, torque),
-        input_power=ca.dot(motors.voltage, current),
-        copper_loss=ca.dot(current, ca.mtimes(motors.resistance, current)),
+        stored_energy=ca.dot(current, ca.mtimes(motors.inductance, current)) / 2,
         conversion_loss=ca.dot(current, emf) - ca.dot(torque, speed),
-        magnetic_energy=stored,
-        motor_current=current,
-        motor_voltage=motors.voltage,
-        added_inertia=ca.SX(lagrangian.q.numel(), lagrangian.q.numel()),
-        motors=motors,
     )
+    network = Network(
+        resistance=motors.resistance,
+        conductance=ca.SX(0, 0),
+        incidence=ca.SX(n_motors, 0),
+        source=motors.voltage,
+    )
+    parts = ("inductance", "resistance", "torque_constant", "emf_constant", "voltage", "selection")
+    entries = tuple((name, getattr(motors, name)) for name in parts)
+    return network_drive(fields, network, is_algebraic=is_algebraic, motors=motors, entries=entries)
 
 
 def _static_current(lagrangian: HybridLagrangian, motors: MotorBank) -> ca.SX:
+    if motors.current is not None and ca.depends_on(motors.voltage, motors.current):
+        wanted = "must not depend on currents in a drive without current states"
+        raise ValueError(f"Argument `voltage` {wanted}, but it does: take `full_drive`.")
     emf = ca.mtimes(motors.emf_constant, ca.mtimes(motors.selection.T, lagrangian.v))
     return ca.solve(motors.resistance, motors.voltage - emf)
 
 
 def _require_inertia(lagrangian: HybridLagrangian, added: ca.SX) -> None:
-    """Refuse an added inertia that is none: one that changes with the state, or is not symmetric.
+    """Reject an added inertia that depends on the state or is not symmetric.
 
-    Symmetry is tried at a few random numbers for the symbols, where it cannot hold by accident.
+    Symmetry is tested at random values of the symbols, at which it cannot hold by accident.
     """
     wanted = "must make each motor feed back its own speed by a constant factor, but"
     if ca.depends_on(added, ca.vertcat(lagrangian.q, lagrangian.v)):

@@ -10,11 +10,12 @@ from typing import Any
 
 import casadi as ca
 
+from zeno_orbits.errors import InputError
 from zeno_orbits.model.hybrid import CompletedSystem
 from zeno_orbits.model.problem import ParameterValues, Problem
 
 sympy: Any = importlib.import_module("sympy")
-"""SymPy has no types; it is imported as a value that has none."""
+"""SymPy lacks type hints, so it is imported as an untyped value."""
 
 
 def _divide(a: Any, b: Any) -> Any:
@@ -23,6 +24,22 @@ def _divide(a: Any, b: Any) -> Any:
 
 def _power(a: Any, b: Any) -> Any:
     return a**b
+
+
+def _less_one(a: Any) -> Any:
+    return sympy.exp(a) - 1
+
+
+def _log_of_more(a: Any) -> Any:
+    return sympy.log(1 + a)
+
+
+def _hypotenuse(a: Any, b: Any) -> Any:
+    return sympy.sqrt(a**2 + b**2)
+
+
+def _if_else_zero(holds: Any, a: Any) -> Any:
+    return sympy.Piecewise((a, holds), (0, True))
 
 
 _OPERATIONS: Mapping[int, Callable[..., Any]] = {
@@ -50,18 +67,36 @@ _OPERATIONS: Mapping[int, Callable[..., Any]] = {
     ca.OP_EXP: sympy.exp,
     ca.OP_LOG: sympy.log,
     ca.OP_FABS: sympy.Abs,
+    ca.OP_ASINH: sympy.asinh,
+    ca.OP_ACOSH: sympy.acosh,
+    ca.OP_ATANH: sympy.atanh,
+    ca.OP_EXPM1: _less_one,
+    ca.OP_LOG1P: _log_of_more,
+    ca.OP_HYPOT: _hypotenuse,
+    ca.OP_ERF: sympy.erf,
+    ca.OP_FMIN: sympy.Min,
+    ca.OP_FMAX: sympy.Max,
+    ca.OP_SIGN: sympy.sign,
+    ca.OP_FLOOR: sympy.floor,
+    ca.OP_CEIL: sympy.ceiling,
+    ca.OP_LT: sympy.Lt,
+    ca.OP_LE: sympy.Le,
+    ca.OP_NOT: sympy.Not,
+    ca.OP_AND: sympy.And,
+    ca.OP_OR: sympy.Or,
+    ca.OP_IF_ELSE_ZERO: _if_else_zero,
 }
 
 
 def to_sympy(expression: ca.SX, names: Mapping[str, str]) -> Any:
-    """Return a scalar expression as a SymPy one.
+    """Return a scalar expression as a SymPy expression.
 
     Args:
         expression: A scalar.
-        names: CasADi symbol name to the name wanted; a name that is missing stays.
+        names: New name of each CasADi symbol by its name. A symbol that is missing keeps its name.
 
     Raises:
-        ValueError: If the expression holds an operation that has no counterpart here.
+        InputError: If the expression contains an operation that is not supported here.
     """
     known: dict[int, Any] = {}
 
@@ -79,8 +114,11 @@ def to_sympy(expression: ca.SX, names: Mapping[str, str]) -> Any:
             return sympy.Integer(int(number)) if number.is_integer() else sympy.Float(number, 17)
         operation = _OPERATIONS.get(node.op())
         if operation is None:
-            message = f"Argument `expression` must use known operations, but it holds {node}."
-            raise ValueError(message)
+            codes = (name for name in dir(ca) if name.startswith("OP_"))
+            name = next(name for name in codes if getattr(ca, name) == node.op())
+            wanted = "must be made of operations that have a name in formulas"
+            held = f"but it holds `{name[3:].lower()}`"
+            raise InputError(f"The gap acceleration of a problem {wanted}, {held}.")
         return operation(*(convert(node.dep(k)) for k in range(node.n_dep())))
 
     return convert(expression)
@@ -89,8 +127,8 @@ def to_sympy(expression: ca.SX, names: Mapping[str, str]) -> Any:
 def acceleration_formula(problem: Problem) -> Any:
     r"""Return :math:`\ddot h` at the Zeno equilibria as a formula in named states and parameters.
 
-    Where the gap is one of the coordinates, it and its rate are set to zero; else the formula is
-    that of the whole stop (theory (9)).
+    If the gap is one of the coordinates, both the gap and the gap rate are set to zero. Otherwise
+    the formula is valid on the whole stop (theory (9)).
     """
     symbols = problem.symbols()
     system = problem.model(symbols)
@@ -102,11 +140,11 @@ def acceleration_formula(problem: Problem) -> Any:
 
 
 def with_numbers(formula: Any, values: ParameterValues) -> Any:
-    """Return a formula with numbers for its symbols, expanded.
+    """Return a formula with values in place of its symbols, expanded.
 
     Args:
-        formula: In SymPy, of named symbols.
-        values: Numbers for gains and parameters; what it does not name stays a symbol.
+        formula: Formula in SymPy, with named symbols.
+        values: Values of gains and parameters. Other symbols remain.
     """
     entries = values.numbers
     numbers = {s: entries[s.name] for s in formula.free_symbols if s.name in entries}
@@ -115,7 +153,7 @@ def with_numbers(formula: Any, values: ParameterValues) -> Any:
 
 
 def six_digits(formula: Any) -> str:
-    """Return a formula as text, its numbers to six digits."""
+    """Return a formula as text, with its coefficients to six digits."""
     return str(sympy.N(formula, 6))
 
 

@@ -7,16 +7,21 @@ gains and restitution among them. Source: [OrAmes2011]_, paper eqs (5)-(8), theo
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import cast
 
 import casadi as ca
+import numpy as np
 
+from zeno_orbits.model.auxiliary import Auxiliary, joined
+from zeno_orbits.model.circuits import Drive
 from zeno_orbits.model.contact import ContactQuantities, ImpactLaw
-from zeno_orbits.model.drives import Drive
 from zeno_orbits.model.lagrangian import HybridLagrangian
+
+_TRIALS, _ROUNDING = 4, 1e-9
+"""Random states at which a law is tried, and the rounding of formulas there."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,8 +29,9 @@ class CompletedSystem:
     r"""A completed hybrid system in symbols.
 
     Attributes:
-        n_q: Any of coordinates.
-        state: ``x = (q, v, i)``, the clock of a forced problem and any ledger states, ``(n_x,)``.
+        n_q: Number of coordinates.
+        state: ``x = (q, v)``, the states of the drive (currents, voltages, additional states), the
+            clock of a forced problem and any ledger states, ``(n_x,)``.
         free_flow: :math:`\dot x` off the stop, ``(n_x,)`` (theory (5)).
         locked_flow: :math:`\dot x` on the stop, ``(n_x,)`` (theory (8)).
         gap: :math:`h`.
@@ -33,19 +39,21 @@ class CompletedSystem:
         gap_acceleration: :math:`\ddot h` of the free flow, the quantity of Theorem 1.
         multiplier: :math:`\lambda` that keeps :math:`\ddot h = 0` on the stop.
         multiplier_rate: :math:`\dot\lambda` along the locked flow.
-        impulse_direction: :math:`W J^\top / (J W J^\top)` as a change of state, ``(n_x,)``.
-        normal_inertia: :math:`1 / (J W J^\top)`, the inertia that an impact feels.
-        law: The law of an impact, its numbers in symbols.
-        energy: Kinetic, potential and magnetic energy [J].
-        input_power: Power delivered by the sources and by forces from outside [W].
-        copper_loss: Power lost in the windings [W].
-        other_loss: Power lost to passive forces and to unequal motor constants [W].
+        impulse_direction: :math:`W J^\top / (J W J^\top)` as a change of state, ``(n_x,)``. Its
+            last entries are the changes of additional states in an impact.
+        normal_inertia: :math:`1 / (J W J^\top)`, the effective inertia in an impact.
+        law: The impact law, with symbols as parameters.
+        energy: Kinetic and potential energy, and the energy of fields and of additional states [J].
+        input_power: Power delivered by the sources and by external forces [W].
+        copper_loss: Power lost in resistances and conductances [W].
+        other_loss: Power lost to passive forces, to unequal motor constants and by additional
+            states [W].
         holonomic: :math:`(\eta, \dot\eta)`, ``(2 n_eta,)``, and the clock's distance from its
-            circle; zero on admissible states.
+            circle. All are zero on admissible states.
         motor_current: Current of every motor, a state or not, ``(n_M,)`` [A].
         motor_voltage: Voltage of every motor, ``(n_M,)`` [V].
-        mechanism: What was completed, the inertia that a corrected drive adds included.
-        drive: Its drive.
+        mechanism: The completed mechanism, including the inertia that a corrected drive adds.
+        drive: Drive of the mechanism.
     """
 
     n_q: int
@@ -89,35 +97,52 @@ class CompletedSystem:
 
     @property
     def clock(self) -> tuple[int, ...]:
-        """Places of the clock in the state; none where nothing is forced."""
+        """Indices of the clock in the state, empty for an unforced problem."""
         if self.mechanism.clock is None:
             return ()
-        first = 2 * self.n_q + self.drive.current.numel()
+        first = 2 * self.n_q + self.drive.states.numel()
         return tuple(range(first, first + self.mechanism.clock.state.numel()))
 
+    @property
+    def further(self) -> tuple[int, ...]:
+        """Places of the states of circuits and of further states, no currents of motors."""
+        places: list[int] = []
+        first = 2 * self.n_q
+        for part in self.drive.parts:
+            n = part.states.numel()
+            places += range(first, first + n) if part.motors is None else ()
+            first += n
+        return tuple(places)
 
-def complete(lagrangian: HybridLagrangian, drive: Drive, restitution: ca.SX) -> CompletedSystem:
+
+def complete(
+    lagrangian: HybridLagrangian,
+    drive: Drive | Auxiliary | Sequence[Drive | Auxiliary],
+    restitution: ca.SX,
+) -> CompletedSystem:
     r"""Build the completed hybrid system of a mechanism, its drive and its stop.
 
-    With :math:`W` the inverse mass on the holonomic constraints (theory (6)) and
-    :math:`J = \partial h / \partial q`:
+    Let :math:`W` be the inverse mass on the holonomic constraints (theory (6)) and
+    :math:`J = \partial h / \partial q`. Then
 
     .. math:: \lambda = -\ddot h_\mathrm{free} / (J W J^\top),\qquad
         v^+ = v^- - (1 + e)\,\frac{J v^-}{J W J^\top}\,W J^\top
 
     Args:
         lagrangian: The mechanism.
-        drive: Its drive.
+        drive: Drive or additional states, or a tuple of several. Their states follow in order.
         restitution: Coefficient of restitution :math:`e`, a symbol or a number in [0, 1).
 
     Returns:
         The completed system.
 
     Raises:
-        ValueError: If a corrected drive would make the restitution change with the state.
+        ValueError: If a corrected drive would make the restitution depend on the state, if drives
+            share a state, or if an impact with zero speed would change additional states.
 
     Source: [Moreau1988]_ for the impact law, theory (6)-(9), and (20) for a corrected drive.
     """
+    drive = joined(lagrangian, drive)
     if drive.added_inertia.nnz():
         weighted = replace(lagrangian, mass_matrix=lagrangian.mass_matrix + drive.added_inertia)
         restitution = _corrected_restitution(lagrangian, weighted, ca.SX(restitution))
@@ -130,14 +155,19 @@ def complete(lagrangian: HybridLagrangian, drive: Drive, restitution: ca.SX) -> 
     gap_rate = ca.dot(normal, v)
     gap_acceleration = ca.dot(normal, free_acceleration) + ca.jtimes(gap_rate, q, v)
     multiplier = -gap_acceleration * normal_inertia
+    law = ImpactLaw(ca.SX(restitution))
 
     extra, extra_rate, off_circle = _appended(lagrangian, drive)
     state = ca.vertcat(q, v, extra)
     locked_acceleration = free_acceleration + multiplier * response
     locked_flow = ca.vertcat(v, locked_acceleration, extra_rate)
-    direction = ca.vertcat(
-        ca.SX.zeros(q.numel()), response * normal_inertia, ca.SX.zeros(extra.numel())
-    )
+    velocity_change = response * normal_inertia
+    direction = ca.vertcat(ca.SX.zeros(q.numel()), velocity_change, ca.SX.zeros(extra.numel()))
+    if drive.after_impact is not None:
+        change = _state_change(lagrangian, drive, gap_rate, velocity_change, law)
+        direction[2 * q.numel() : 2 * q.numel() + change.numel()] = change
+        # A contact force is the limit of many small impacts, so it changes the same states.
+        locked_flow[2 * q.numel() :] -= gap_acceleration * direction[2 * q.numel() :]
     eta_rate = ca.jtimes(lagrangian.holonomic, q, v)
     return CompletedSystem(
         n_q=q.numel(),
@@ -151,11 +181,11 @@ def complete(lagrangian: HybridLagrangian, drive: Drive, restitution: ca.SX) -> 
         multiplier_rate=ca.jtimes(multiplier, state, locked_flow),
         impulse_direction=direction,
         normal_inertia=normal_inertia,
-        law=ImpactLaw(ca.SX(restitution)),
-        energy=lagrangian.kinetic + lagrangian.potential + drive.magnetic_energy,
+        law=law,
+        energy=lagrangian.kinetic + lagrangian.potential + drive.stored_energy,
         input_power=drive.input_power + ca.dot(lagrangian.applied_force, v),
         copper_loss=drive.copper_loss,
-        other_loss=drive.conversion_loss - ca.dot(lagrangian.passive_force, v),
+        other_loss=drive.other_loss - ca.dot(lagrangian.passive_force, v),
         holonomic=ca.vertcat(lagrangian.holonomic, eta_rate, off_circle),
         motor_current=drive.motor_current,
         motor_voltage=drive.motor_voltage,
@@ -165,28 +195,68 @@ def complete(lagrangian: HybridLagrangian, drive: Drive, restitution: ca.SX) -> 
 
 
 def _appended(lagrangian: HybridLagrangian, drive: Drive) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Return the states beyond ``(q, v)``, their rates, and what is zero on the clock's circle."""
+    """Return the states after ``(q, v)``, their rates, and the deviation of the clock."""
     clock = lagrangian.clock
     if clock is None:
-        return drive.current, drive.current_rate, ca.SX(0, 1)
-    states = ca.vertcat(drive.current, clock.state)
-    return states, ca.vertcat(drive.current_rate, clock.rate), clock.off_circle
+        return drive.states, drive.rates, ca.SX(0, 1)
+    states = ca.vertcat(drive.states, clock.state)
+    return states, ca.vertcat(drive.rates, clock.rate), clock.off_circle
+
+
+def _state_change(
+    lagrangian: HybridLagrangian,
+    drive: Drive,
+    gap_rate: ca.SX,
+    velocity_change: ca.SX,
+    law: ImpactLaw,
+) -> ca.SX:
+    r"""Return the change of additional states in an impulse, per change of the gap rate.
+
+    The jump :math:`z^+ - z^-` must be the gap rate times its own derivative along the impulse, and
+    that derivative must be the same for approach and separation, since contact is the limit of
+    impacts. Both are tested at random values of the symbols, at which they cannot hold by accident.
+
+    Raises:
+        ValueError: If the jump does not have this form.
+    """
+    if drive.after_impact is None:
+        return ca.SX(0, 1)
+    jump = drive.after_impact - drive.states
+    slope = ca.jtimes(jump, lagrangian.v, velocity_change)
+    v = lagrangian.v
+    mirrored = ca.substitute(slope, v, v - 2 * gap_rate * velocity_change)
+    off = ca.veccat(jump - slope * gap_rate, slope - mirrored, jump, slope)
+    others = ca.veccat(*(one for one in ca.symvar(off) if not ca.depends_on(v, one)))
+    values = ca.Function("jump", [v, others], [ca.densify(off)], {"allow_free": False})
+    random = np.random.default_rng(0)
+    n = 2 * jump.numel()
+    for trial in range(_TRIALS):
+        speeds = random.uniform(0.5, 1.5, v.numel()) * (1.0 if trial % 2 else -1.0)
+        found = values(speeds, random.uniform(0.5, 1.5, others.numel()))
+        tried = np.array(found.full()).ravel()
+        if not np.max(np.abs(tried[:n])) <= _ROUNDING * max(1.0, float(np.max(np.abs(tried[n:])))):
+            raise ValueError(
+                "Argument `after_impact` must change the states in proportion to the gap rate, "
+                "so that an impact of no speed changes nothing, but it does not."
+            )
+    return -slope / law.rate_drop(ca.SX(1))
 
 
 def audited(system: CompletedSystem) -> CompletedSystem:
     """Append the energy ledger to the state: work in, copper loss and other losses since the start.
 
-    The three ledger states [J] drive nothing; an impact leaves them as they are.
+    The three ledger states [J] do not affect the motion, and an impact does not change them. The
+    energy that contact adds to additional states is a negative loss.
     """
     return _with_ledger(system, 1.0)
 
 
 @lru_cache(maxsize=16)
 def audited_in(unit: float) -> Callable[[CompletedSystem], CompletedSystem]:
-    """Return what `audited` does with a ledger in another unit, the same function for the same.
+    """Return the function `audited` for a ledger in another unit, cached by unit.
 
     Args:
-        unit: Of energy [J]; a ledger in units of its size is followed to that.
+        unit: Unit of energy [J]. In units of its size the ledger is integrated to that accuracy.
     """
     return audited if unit == 1.0 else partial(_with_ledger, unit=unit)
 
@@ -194,11 +264,16 @@ def audited_in(unit: float) -> Callable[[CompletedSystem], CompletedSystem]:
 def _with_ledger(system: CompletedSystem, unit: float) -> CompletedSystem:
     ledger = ca.SX.sym("ledger", 3)
     powers = ca.vertcat(system.input_power, system.copper_loss, system.other_loss) / unit
+    # A contact that changes further states adds to their energy, as impacts do.
+    first = 2 * system.n_q
+    added = (system.locked_flow - system.free_flow)[first:]
+    stored = ca.jtimes(system.energy, system.state[first:], added) if added.numel() else ca.SX(0)
+    in_contact = powers - ca.vertcat(0, 0, stored) / unit
     return replace(
         system,
         state=ca.vertcat(system.state, ledger),
         free_flow=ca.vertcat(system.free_flow, powers),
-        locked_flow=ca.vertcat(system.locked_flow, powers),
+        locked_flow=ca.vertcat(system.locked_flow, in_contact),
         impulse_direction=ca.vertcat(system.impulse_direction, ca.SX.zeros(3)),
     )
 
@@ -227,16 +302,17 @@ def accelerate(lagrangian: HybridLagrangian, force: ca.SX) -> tuple[ca.SX, ca.SX
 def _corrected_restitution(
     bare: HybridLagrangian, weighted: HybridLagrangian, restitution: ca.SX
 ) -> ca.SX:
-    r"""Return the restitution that an impact and the current layer behind it have together.
+    r"""Return the combined restitution of an impact and the subsequent current layer.
 
     .. math:: 1 + \tilde e = (1 + e)\,\frac{J \tilde W J^\top}{J W J^\top}
 
-    with :math:`\tilde W` the inverse mass with the added inertia (theory (20)). Below zero it is
-    zero: the layer presses on the stop, which holds. It is NaN where the ratio is no correction
-    any more, below a half or above two, so that no impact passes silently.
+    with :math:`\tilde W` the inverse mass with the added inertia (theory (20)). A negative value is
+    replaced by zero: the layer presses on the stop, and contact persists. It is NaN if the ratio is
+    below a half or above two, since the correction is then invalid. So no impact uses an invalid
+    value silently.
 
     Raises:
-        ValueError: If it changes with the state on the stop.
+        ValueError: If the restitution depends on the state on the stop.
     """
     share = _on_stop(bare, _normal_response(weighted) / _normal_response(bare))
     if ca.depends_on(share, bare.q):
@@ -257,7 +333,7 @@ def _normal_response(lagrangian: HybridLagrangian) -> ca.SX:
 
 
 def _on_stop(lagrangian: HybridLagrangian, expression: ca.SX) -> ca.SX:
-    """Return an expression of the configuration on the stop, where a coordinate tells the gap."""
+    """Return an expression of the configuration on the stop, if a coordinate determines the gap."""
     for k in range(lagrangian.q.numel()):
         coordinate = lagrangian.q[k]
         slope = ca.jacobian(lagrangian.gap, coordinate)

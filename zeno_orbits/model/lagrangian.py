@@ -13,7 +13,7 @@ import numpy as np
 from zeno_orbits.model.clock import Clock
 
 _ROUNDING = 1e-10
-"""Rounding of a formula that vanishes, at numbers of about 1."""
+"""Rounding level of a formula that vanishes, at values of about 1."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,13 +27,14 @@ class HybridLagrangian:
         q: Configuration symbols, ``(n_q,)``.
         v: Velocity symbols, ``(n_q,)``.
         mass_matrix: :math:`M(q)`, ``(n_q, n_q)``.
-        bias: :math:`C(q, v)\,v + N(q)` less the passive forces, ``(n_q,)``.
-        gap: :math:`h(q)`, scalar; the stop is :math:`h = 0`.
+        bias: :math:`C(q, v)\,v + N(q)` minus the passive forces, ``(n_q,)``.
+        gap: :math:`h(q)`, scalar. The stop is :math:`h = 0`.
         potential: :math:`U(q)`, scalar [J].
         passive_force: Forces that depend on ``(q, v)`` alone, friction for instance, ``(n_q,)``.
-        holonomic: :math:`\eta(q)`, ``(n_eta,)``; the motion keeps :math:`\eta = 0` (paper eq. 6).
-        applied_force: Forces from outside, of ``(q, v)`` and the clock, ``(n_q,)``.
-        clock: What tells them the time; ``None`` where nothing is forced.
+        holonomic: :math:`\eta(q)`, ``(n_eta,)``. The motion satisfies :math:`\eta = 0` (paper eq.
+            6).
+        applied_force: External forces, as functions of ``(q, v)`` and the clock, ``(n_q,)``.
+        clock: Clock of the external forces, or ``None`` without time-dependent forces.
     """
 
     q: ca.SX
@@ -73,17 +74,17 @@ class HybridLagrangian:
             kinetic: :math:`T(q, v)` [J], quadratic in ``v``.
             potential: :math:`U(q)` [J].
             gap: :math:`h(q)`.
-            passive_force: Friction and other forces of ``(q, v)``, ``(n_q,)``; none by default.
-            holonomic: :math:`\eta(q)`, ``(n_eta,)``; none by default.
-            applied_force: Forces from outside, ``(n_q,)``, of ``(q, v)`` and the clock; their work
-                counts as input. None by default.
+            passive_force: Friction and other forces of ``(q, v)``, ``(n_q,)``, by default absent.
+            holonomic: :math:`\eta(q)`, ``(n_eta,)``, by default absent.
+            applied_force: External forces, ``(n_q,)``, as functions of ``(q, v)`` and the clock, by
+                default absent. Their work counts as input.
             clock: The clock whose states the forces hold, if they change with time.
 
         Returns:
             The mechanism.
 
         Raises:
-            ValueError: If an energy, the gap or a constraint depends on what it must not.
+            ValueError: If an energy, the gap or a constraint depends on a forbidden symbol.
         """
         friction = ca.SX.zeros(q.numel()) if passive_force is None else ca.vec(passive_force)
         applied = ca.SX.zeros(q.numel()) if applied_force is None else ca.vec(applied_force)
@@ -139,11 +140,11 @@ class HybridLagrangian:
         applied_force: ca.SX | None = None,
         clock: Clock | None = None,
     ) -> HybridLagrangian:
-        r"""Take the matrices of :math:`M(q)\,\dot v + C(q, v)\,v + N(q, v) = F` as they are.
+        r"""Use the matrices of :math:`M(q)\,\dot v + C(q, v)\,v + N(q, v) = F` as given.
 
-        What of `N` is not the gradient of the potential counts as a passive force. If a potential
-        is given, nothing of that may be left at rest: else the energy balance, in which a passive
-        force is a loss like any other, would hold for a false potential, too.
+        The part of `N` that is not the gradient of the potential counts as a passive force. If a
+        potential is given, this part must vanish at rest. Otherwise the energy balance, in which
+        every passive force is a loss, would also hold for a wrong potential.
 
         Args:
             q: Configuration symbols, ``(n_q,)``.
@@ -152,7 +153,7 @@ class HybridLagrangian:
             coriolis: :math:`C(q, v)`, ``(n_q, n_q)``, with :math:`v^\top(\dot M - 2C)v = 0`.
             gravity: :math:`N(q, v)`: weights, springs and friction, on the left side, ``(n_q,)``.
             gap: :math:`h(q)`.
-            potential: :math:`U(q)` [J], for the energy balance; zero by default.
+            potential: :math:`U(q)` [J], for the energy balance, by default zero.
             holonomic: As for `from_energies`.
             applied_force: As for `from_energies`.
             clock: As for `from_energies`.
@@ -162,7 +163,7 @@ class HybridLagrangian:
 
         Raises:
             ValueError: If a shape does not fit, the mass matrix is not symmetric, the Coriolis
-                matrix is that of another mass matrix, or the potential that of another force.
+                matrix belongs to another mass matrix, or the potential belongs to another force.
         """
         n_q = q.numel()
         for name, matrix in (("mass_matrix", mass_matrix), ("coriolis", coriolis)):
@@ -205,14 +206,14 @@ def _require_shapes(q: ca.SX, **vectors: ca.SX) -> None:
     for name, vector in vectors.items():
         if vector.numel() != q.numel():
             message = (
-                f"Argument `{name}` must have {q.numel()} entries, one a coordinate, "
+                f"Argument `{name}` must have {q.numel()} entries, one per coordinate, "
                 f"but it has {vector.numel()}."
             )
             raise ValueError(message)
 
 
 def _require_timeless(clock: Clock, **expressions: ca.SX) -> None:
-    """Refuse time in what the equations are derived from as if it stood still."""
+    """Reject time dependence of expressions that are derived as time independent."""
     for name, expression in expressions.items():
         if ca.depends_on(expression, clock.state):
             wanted = "must not depend on the clock, but it does: take coordinates relative to what"
@@ -224,7 +225,7 @@ def _require_inertia(name: str, mass_matrix: ca.SX) -> None:
     for k in range(mass_matrix.shape[0]):
         if mass_matrix[k, :].is_zero():
             wanted = "must give every coordinate an inertia (a mass matrix that is not singular)"
-            raise ValueError(f"Argument `{name}` {wanted}, but coordinate {k + 1} has none.")
+            raise ValueError(f"Argument `{name}` {wanted}, but coordinate {k + 1} lacks it.")
 
 
 def _require_potential(gravity: ca.SX, gradient: ca.SX, v: ca.SX) -> None:

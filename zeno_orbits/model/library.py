@@ -1,22 +1,25 @@
-"""A problem as words that another process can follow: its file, and what the file must hold."""
+"""A problem as text that another process can load: its file, and the contents of the file."""
 
 from __future__ import annotations
 
 import hashlib
 import importlib.util
 import sys
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from zeno_orbits.errors import InputError, ProblemFileError
+from zeno_orbits.model.origin import with_origin
 from zeno_orbits.model.problem import Problem
 from zeno_orbits.model.quantities import unknown
 
 _MOST = 16
-"""Problems that a process remembers; their compiled models hang on them."""
+"""Number of problems cached per process, with their compiled models."""
 
 
 def bundled_problems() -> dict[str, Path]:
@@ -35,14 +38,14 @@ def load_problem(name_or_path: str | Path) -> Problem:
 
     Either may end in ``@fidelity``, for a reduced model that the problem declares.
 
-    A file's model is checked; those of the bundled problems the tests have checked.
+    The model of a file is checked. The models of the bundled problems were checked by the tests.
 
     Args:
         name_or_path: A bundled problem's name, or the path of a file or folder.
 
     Raises:
-        InputError: If there is no such problem or fidelity.
-        ProblemFileError: If the file raises, defines no ``PROBLEM`` or one that cannot be.
+        InputError: If the problem or fidelity does not exist.
+        ProblemFileError: If the file raises, defines no ``PROBLEM`` or an invalid problem.
     """
     bundled = bundled_problems()
     name, fidelity = split_fidelity(name_or_path)
@@ -71,9 +74,9 @@ def _is_there(path: Path) -> bool:
 
 
 def split_fidelity(name_or_path: str | Path) -> tuple[str, str | None]:
-    """Return the problem's name or path, and the word after its ``@`` if there is one.
+    """Return the problem's name or path, and the word after its ``@`` if it has one.
 
-    A path that exists as it stands keeps its ``@``; a bundled name goes before any path.
+    An existing path keeps its ``@``. A bundled name takes precedence over any path.
     """
     whole = str(name_or_path)
     name, at, word = whole.rpartition("@")
@@ -92,8 +95,10 @@ def _declared(path: Path) -> Problem:
     file = path / "model.py" if path.is_dir() else path
     problem = getattr(_execute(file), "PROBLEM", None)
     if not isinstance(problem, Problem):
-        raise ProblemFileError(file, "it has no `PROBLEM` of type `Problem`")
-    return problem
+        raise ProblemFileError(file, "it lacks a `PROBLEM` of type `Problem`")
+    bundled = bundled_problems()
+    word = path.stem if bundled.get(path.stem) == path else str(path.resolve())
+    return with_origin(problem, ProblemFile(word=word, digest=_digest(word)))
 
 
 def _require_sound(path: Path, problem: Problem) -> None:
@@ -109,12 +114,12 @@ def load_reference(problem: Problem) -> ModuleType:
     """Return the module of a problem's hand-written model, read once for each problem.
 
     Raises:
-        InputError: If the problem has none.
+        InputError: If the problem lacks a hand-written model.
         ProblemFileError: If its file does not load.
     """
     if problem.reference is None:
         raise InputError(
-            f"Argument `problem` must have a hand-written reference, but `{problem.name}` has none."
+            f"Argument `problem` must have a hand-written reference, but `{problem.name}` lacks it."
         )
     return _execute(problem.reference)
 
@@ -126,7 +131,7 @@ def _problems_folder() -> Path:
 
 
 class _NoCache(SourceFileLoader):
-    """Leaves no compiled file beside the user's own."""
+    """Loader that writes no compiled file next to the user's file."""
 
     def set_data(self, path: str, data: object, *, _mode: int = 0o666) -> None:
         """Write nothing."""
@@ -157,34 +162,49 @@ def _reason(error: BaseException) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProblemFile:
-    """The file of a problem, which can be sent; a problem itself holds functions, which cannot.
+    """The file of a problem, which other processes can load.
 
     Attributes:
         word: Its name, or the absolute path of its file, with ``@fidelity`` if it has one.
-        digest: Of the source.
+        digest: Digest of the source.
     """
 
     word: str
     digest: str
 
     def load(self) -> Problem:
-        """Return the problem, the same object every time in one process.
+        """Return the problem, which is the same object in all calls of a process.
 
         Raises:
-            InputError: If its file is missing here, or is another one.
+            InputError: If its file is missing on this machine, or differs.
         """
         return _loaded(self)
 
+    def restored(self, changes: Mapping[str, Any]) -> Problem:
+        """Return the problem with changes of some fields, for `pickle`.
+
+        Args:
+            changes: New values of the fields by name.
+
+        Raises:
+            InputError: If its file is missing on this machine, or differs.
+        """
+        return replace(self.load(), **changes) if changes else self.load()
+
+    def reduced_model(self, fidelity: str) -> ProblemFile:
+        """Return the file of a reduced model: the same file, with the word after the ``@``."""
+        return ProblemFile(word=f"{self.word}@{fidelity}", digest=self.digest)
+
 
 def locate_problem(name_or_path: str | Path) -> ProblemFile:
-    """Return where a problem comes from.
+    """Return the source of a problem.
 
     Raises:
-        InputError: If there is no such problem.
-        ProblemFileError: If its file does not define one.
+        InputError: If the problem does not exist.
+        ProblemFileError: If its file does not define a problem.
     """
-    load_problem(name_or_path)
     name, fidelity = split_fidelity(name_or_path)
+    load_problem(name_or_path)
     word = name if name in bundled_problems() else str(Path(name).resolve())
     whole = word if fidelity is None else f"{word}@{fidelity}"
     return ProblemFile(word=whole, digest=_digest(whole))
@@ -207,6 +227,6 @@ def _loaded(problem_file: ProblemFile) -> Problem:
     if _digest(problem_file.word) != problem_file.digest:
         raise InputError(
             f"Argument `problem` must be the same file for all workers, but "
-            f"`{problem_file.word}` is another one here."
+            f"`{problem_file.word}` is another file here."
         )
     return problem

@@ -1,6 +1,6 @@
-"""A problem: a completed system with named parameters, a gain box and where to start.
+"""A problem: a completed system with named parameters, gain ranges and initial states.
 
-A problem is found by its name among the bundled ones, or by the path of a Python file (or of a
+A problem is found by its name among the bundled problems, or by the path of a Python file (or of a
 folder with a ``model.py``) that defines ``PROBLEM``. ``problem@fidelity`` is a reduced model of it.
 """
 
@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING
 import casadi as ca
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import InputError
+from zeno_orbits.errors import InputError, any_number, finite_number, named_numbers
 from zeno_orbits.model.drawing import Drawing, lines_of
-from zeno_orbits.model.hybrid import CompletedSystem
+from zeno_orbits.model.hybrid import CompletedSystem, accelerate
+from zeno_orbits.model.origin import Declared, Origin
 from zeno_orbits.model.quantities import (
     Escape,
     Output,
@@ -47,8 +48,10 @@ if TYPE_CHECKING:
 Transform = Callable[[CompletedSystem], CompletedSystem]
 """A change of a completed system, ``hybrid.audited`` for instance: a function of a module."""
 
+_IMPULSES = {"m": "N s", "rad": "N m s"}
+"""Unit of a coordinate to the unit of an impulse along it."""
 _MOVED, _FROM_ZERO = 1.01, 1e-6
-"""Factor by which a number is moved to see what follows from it; from zero it is moved so far."""
+"""Factor by which a value is changed to test its effect, and the change of a zero value."""
 
 __all__ = [
     "Escape",
@@ -61,32 +64,36 @@ __all__ = [
 ]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Problem:
-    """A problem; two are equal if they are the same object, as their functions cannot be compared.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class Problem(Declared):
+    """A problem. Two problems are equal if their file and their changes are the same.
+
+    Functions cannot be compared, so a problem without a file equals only itself. A problem with a
+    file is pickled as its name or path, the digest of the file, and the changes.
 
     Attributes:
-        name: Its name.
+        name: Name of the problem.
         title: One line for the user.
-        source: Where it comes from.
+        source: Reference of the problem.
         state_names: Name of each state, ``(n_x,)``, configuration, velocity, currents.
         state_units: Unit of each state.
-        parameters: Physical constants; one of them is ``restitution``.
-        gains: Feedback gains; their ranges are the default search box. May be empty.
-        model: From named symbols (gains and parameters) to the completed system.
-        starts: Initial states from which the problem may settle to an orbit, name to value; a state
-            that is not named is zero.
+        parameters: Physical constants, including ``restitution``.
+        gains: Feedback gains, whose ranges are the default search box. May be empty.
+        model: Function from named symbols (gains and parameters) to the completed system.
+        starts: Initial states from which the problem may settle to an orbit, as values by name. A
+            missing state is zero.
         portraits: Pairs of state names to draw against each other.
         amplitude_of: State whose amplitude a search may prescribe.
-        derive: From the given and default values to those that have no default.
+        derive: Function from the given and default values to the parameters without a default.
         reference: Path of a hand-written numeric model of the same problem, if there is one: its
             ``dynamics`` takes a ``ParameterValues`` and returns a ``HybridDynamics``.
         fidelities: Reduced models of the same problem, by the word after the ``@``. A parameter
-            that a reduced model lacks has no influence there.
-        escapes: Coordinates that may run away, by name. Others are followed as far as they go.
-        outputs: What else is to be drawn over time.
-        drawing: How the machine looks, if that is to be seen: its links as lines.
-        rig: The parts of a plausible machine, for the virtual rig; ``None`` for a stop alone.
+            that a reduced model lacks does not affect it.
+        escapes: Limits of coordinates that may diverge, by name. Other coordinates are unlimited.
+        outputs: Further quantities to draw over time.
+        drawing: Drawing of the mechanism, if it is to be shown: its links as lines.
+        rig: The parts of a plausible machine, for the virtual rig, or ``None`` for a stop alone.
+        origin: The file that declares it, set by `load_problem`.
     """
 
     name: str
@@ -107,9 +114,15 @@ class Problem:
     outputs: tuple[Output, ...] = ()
     drawing: Drawing | None = None
     rig: Rig | None = None
+    origin: Origin | None = None
+
+    def __repr__(self) -> str:
+        """Return one line: name, title, and the names of states and gains."""
+        states, gains = ", ".join(self.state_names), ", ".join(one.name for one in self.gains)
+        return f"<Problem {self.name}: {self.title}; states {states}; gains {gains or 'none'}>"
 
     def __post_init__(self) -> None:
-        """Refuse names, units and ranges that cannot be; the model is looked at by `checked`."""
+        """Reject invalid names, units and ranges. The model itself is checked by `checked`."""
         require_names(self.state_names, self.state_units, (*self.gains, *self.parameters))
         require_coherent(self.units)
         require_ranges(self.gains, self.parameters, derives=self.derive is not None)
@@ -122,18 +135,18 @@ class Problem:
         """Return the model as functions of the state and the parameter vector, built once.
 
         Args:
-            transform: A change of the completed system first; it may append states.
+            transform: A change of the completed system before compilation. It may append states.
         """
         return _compiled(self, transform)
 
     def dynamics(
         self, values: ParameterValues | Sequence[float] | Vector, transform: Transform | None = None
     ) -> HybridDynamics:
-        """Return the flows, guards and resets of the model at given numbers.
+        """Return the flows, guards and resets of the model at given parameter values.
 
         Args:
-            values: Numbers for every gain and parameter, or as the parameter vector, ``(n_p,)``.
-            transform: A change of the completed system first; it may append states.
+            values: Values of every gain and parameter, or the parameter vector, ``(n_p,)``.
+            transform: A change of the completed system before compilation. It may append states.
         """
         from zeno_orbits.model.numeric.compiled import bind
 
@@ -176,6 +189,37 @@ class Problem:
             first = last
         return found
 
+    def inverse_masses(self, values: ParameterValues, states: Vector) -> tuple[Vector, Vector]:
+        """Return the inverse mass on the constraints and the kinetic energy at states.
+
+        Args:
+            values: Values of every gain and parameter.
+            states: ``(n, n_x)``.
+
+        Returns:
+            ``(n, n_q, n_q)`` and ``(n,)`` [J].
+        """
+        from zeno_orbits.model.numeric.compiled import tabulate
+
+        symbols = self.symbols()
+        system = self.model(symbols)
+        mechanism = system.mechanism
+        n_q = mechanism.q.numel()
+        inverse, _ = accelerate(mechanism, ca.SX.zeros(n_q))
+        formula = ca.vertcat(ca.vec(inverse), mechanism.kinetic)
+        entries = tabulate(formula, system, symbols, values.vector, states)
+        return entries[:, :-1].reshape(-1, n_q, n_q), entries[:, -1]
+
+    def impulse_unit(self, unit: str) -> str:
+        """Return the unit of an impulse along a coordinate: its energy over its velocity.
+
+        Args:
+            unit: Unit of the coordinate.
+        """
+        if self.energy_unit == "J" and unit in _IMPULSES:
+            return _IMPULSES[unit]
+        return f"{self.energy_unit} s/{unit}" if unit != "1" else f"{self.energy_unit} s"
+
     def escaped(self, state: Sequence[float]) -> str:
         """Return the name of a coordinate that has run away, or an empty text.
 
@@ -188,10 +232,10 @@ class Problem:
         return ""
 
     def checked(self) -> Problem:
-        """Return the problem itself, if its model holds together at its own numbers.
+        """Return the problem itself, if its model is consistent at the default parameters.
 
         Raises:
-            ValueError: If it does not; the text names the thing at fault.
+            InputError: If the model is inconsistent. The message names the invalid part.
         """
         symbols = self.symbols()
         system = built(self.model, symbols)
@@ -204,7 +248,7 @@ class Problem:
             if not self.derived_from([name], values.parameters):
                 kind = "gains" if name in values.gains else "parameters"
                 wanted = "must appear in the model or an output"
-                raise ValueError(f"Argument `{kind}` {wanted}, but `{name}` appears nowhere.")
+                raise InputError(f"Argument `{kind}` {wanted}, but `{name}` appears nowhere.")
         starts = [self.state_vector(start) for start in self.starts]
         dynamics, units = self.dynamics(values), self.state_units
         require_sound_numbers(system, symbols, values.vector, dynamics, units, starts)
@@ -220,7 +264,7 @@ class Problem:
         return tuple(ca.SX(output.formula(states, symbols)) for output in self.outputs)
 
     def lines(self, system: CompletedSystem, symbols: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
-        """Return the lines of the drawing, corners as rows ``(n, 2)`` [m]; none without one."""
+        """Return the lines of the drawing, corners as rows ``(n, 2)`` [m], or an empty dict."""
         if self.drawing is None:
             return {}
         states = {name: system.state[k] for k, name in enumerate(self.state_names)}
@@ -230,8 +274,8 @@ class Problem:
         """Return the parameters that the problem derives from some of the others.
 
         Args:
-            names: Names of those; a gain has none.
-            parameters: Name to value where they are looked at.
+            names: Names of the other parameters. No parameter is derived from a gain.
+            parameters: Parameter values by name, at which the dependence is tested.
         """
         derived = [q.name for q in self.parameters if q.default is None and q.name not in names]
         if self.derive is None:
@@ -245,26 +289,28 @@ class Problem:
         return [name for name in derived if before[name] != after[name]]
 
     def at_fidelity(self, word: str) -> Problem:
-        """Return the reduced model of that name; its own name is ``problem@word``.
+        """Return the reduced model of that name, whose own name is ``problem@word``.
 
         Raises:
-            InputError: If the problem declares no such model; it lists those that it does.
+            InputError: If the problem declares no such model. The message lists the declared
+                models.
         """
         if word not in self.fidelities:
             asked = f"{self.name}@{word}"
             if not self.fidelities:
-                message = f"must have reduced models for `{asked}`, but `{self.name}` has none"
+                message = f"must have reduced models for `{asked}`, but `{self.name}` lacks them"
                 raise InputError(f"Argument `problem` {message}.")
             known = (self.name, *(f"{self.name}@{one}" for one in self.fidelities))
             raise InputError(unknown("problem", asked, known))
-        return replace(self.fidelities[word], name=f"{self.name}@{word}", fidelities={})
+        model = replace(self.fidelities[word], name=f"{self.name}@{word}", fidelities={})
+        return model if self.origin is None else self.origin.reduced_model(word, model)
 
     def ladder(self) -> tuple[Problem, ...]:
         """Return the problem and its reduced models, as they are declared."""
         return (self, *(self.at_fidelity(word) for word in self.fidelities))
 
     def shared(self, values: ParameterValues) -> ParameterValues:
-        """Return another fidelity's numbers for the names that this one has."""
+        """Return another fidelity's values for the names that this fidelity has."""
         known = {quantity.name for quantity in self.parameters}
         parameters = {name: value for name, value in values.parameters.items() if name in known}
         return self.values(gains=values.gains, parameters=parameters)
@@ -281,8 +327,13 @@ class Problem:
         return dict(zip(self.state_names, self.state_units, strict=True)) | others
 
     @property
+    def is_balanced(self) -> bool:
+        """True if all powers are given, so that the energy balance can be checked."""
+        return self.compiled().is_balanced
+
+    @property
     def energy_unit(self) -> str:
-        """Unit of its energies: J, or what its own units make."""
+        """Unit of the problem's energies: J, or the unit that follows from its own units."""
         return energy_unit(self.units)
 
     @property
@@ -295,22 +346,22 @@ class Problem:
 
         Args:
             name: The name.
-            argument: What the refusal calls it.
+            argument: Name of the argument in an error message.
 
         Raises:
-            InputError: If there is neither; it lists those that there are.
+            InputError: If the name is unknown. The message lists the known names.
         """
         return self.quantities[self.place(name, argument=argument)]
 
     def place(self, name: str, *, argument: str = "name") -> int:
-        """Return the place of a gain or parameter in the parameter vector.
+        """Return the index of a gain or parameter in the parameter vector.
 
         Args:
             name: The name.
-            argument: What the refusal calls it.
+            argument: Name of the argument in an error message.
 
         Raises:
-            InputError: If there is neither; it lists those that there are.
+            InputError: If the name is unknown. The message lists the known names.
         """
         if name not in self.names:
             raise InputError(unknown(argument, name, self.names))
@@ -321,19 +372,19 @@ class Problem:
     ) -> Quantity:
         """Return the gain or parameter of that name, if it may lie anywhere in a range.
 
-        The problem's range of a gain is where a search looks, and binds nobody else.
+        The problem's range of a gain is the default search box and not a limit.
 
         Args:
             name: The name.
             box: Lower and upper end.
-            argument: What the refusal calls it.
+            argument: Name of the argument in an error message.
 
         Raises:
-            InputError: If the name is unknown, the range is empty or not finite, or a parameter
-                makes no sense at one of its ends.
+            InputError: If the name is unknown, the range is empty or not finite, or an end of the
+                range is an invalid value of a parameter.
         """
         quantity = self.quantity(name, argument=argument)
-        low, high = box
+        low, high = (any_number(argument, end) for end in box)
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
             wanted = f"must have finite bounds LOWER < UPPER for `{name}`"
             raise InputError(f"Argument `{argument}` {wanted}, but they are {low:g}:{high:g}.")
@@ -349,18 +400,18 @@ class Problem:
         parameters: Mapping[str, float] | None = None,
         numbers: Mapping[str, float] | None = None,
     ) -> ParameterValues:
-        """Return checked numbers for every name, defaults and derived values filled in.
+        """Return validated values for every name, including defaults and derived values.
 
         Args:
             gains: Gains that differ from their defaults.
             parameters: Parameters that differ from their defaults.
-            numbers: Gains or parameters, whichever the names are; they override the others.
+            numbers: Gains or parameters by name. They override the other arguments.
 
         Raises:
             InputError: If a name is unknown or a value is out of its range.
         """
-        given_gains, given = dict(gains or {}), dict(parameters or {})
-        for name, value in (numbers or {}).items():
+        given_gains, given = named_numbers("gains", gains), named_numbers("parameters", parameters)
+        for name, value in named_numbers("numbers", numbers).items():
             (given_gains if self.quantity(name) in self.gains else given)[name] = value
         chosen_gains = _chosen("gain", self.gains, given_gains, bounded=False)
         chosen = _chosen("parameter", self.parameters, given, bounded=True)
@@ -413,26 +464,36 @@ class Problem:
             named: State name to value, as in ``starts`` or an orbit's ``release_state``.
 
         Raises:
-            InputError: If a name is not a state of the problem or a value is not finite.
+            InputError: If a name is not a state of the problem or a value is not a finite number.
         """
-        for name, value in named.items():
+        given = named_numbers("start", named)
+        for name in given:
             if name not in self.state_names:
                 raise InputError(unknown("state", name, self.state_names))
-            if not math.isfinite(value):
-                raise InputError(f"Argument `{name}` must be a finite number, but it is {value}.")
-        return tuple(float(named.get(name, 0.0)) for name in self.state_names)
+        return tuple(finite_number(name, given.get(name, 0.0)) for name in self.state_names)
+
+    def initial_state(self, start: Mapping[str, float] | None = None) -> tuple[float, ...]:
+        """Return the state with the named entries, or the first start of the problem, ``(n_x,)``.
+
+        Args:
+            start: Values by state name, or ``None`` for the first initial state.
+
+        Raises:
+            InputError: If a name is not a state of the problem or a value is not a finite number.
+        """
+        return self.state_vector(self.starts[0] if start is None else start)
 
 
 _MOST = 16
-"""Compiled problems that are remembered; a session that makes thousands must not keep them all."""
+"""Number of cached compiled problems, limited for a session that creates thousands."""
 
 
 @lru_cache(maxsize=_MOST)
 def _compiled(problem: Problem, transform: Transform | None) -> CompiledSystem:
-    """Return the functions of a problem, shared by all its numbers.
+    """Return the functions of a problem, shared by all parameter values.
 
-    To build them takes as long as to simulate a period. A problem never changes and its functions
-    hold symbols for all numbers; what is bound to numbers has memory of its own.
+    Building them takes as long as the simulation of a period. A problem is immutable, and its
+    functions have symbols for all parameters. Each binding to parameter values has its own memory.
     """
     from zeno_orbits.model.numeric.compiled import compile_system
 
@@ -453,7 +514,7 @@ def _require_states(problem: Problem) -> None:
     """Refuse starts, portraits and an amplitude that name no state."""
     states = problem.state_names
     if not problem.starts:
-        raise ValueError("Argument `starts` must hold a state to start from, but it is empty.")
+        raise InputError("Argument `starts` must hold a state to start from, but it is empty.")
     for argument, named in (
         *(("starts", name) for start in problem.starts for name in start),
         *(("portraits", name) for pair in problem.portraits for name in pair),
@@ -462,7 +523,7 @@ def _require_states(problem: Problem) -> None:
         if named not in states:
             known = ", ".join(states)
             message = f"must name states ({known}), but it names `{named}`"
-            raise ValueError(f"Argument `{argument}` {message}.")
+            raise InputError(f"Argument `{argument}` {message}.")
 
 
 def _chosen(
@@ -475,10 +536,8 @@ def _chosen(
     chosen: dict[str, float] = {}
     for quantity in quantities:
         value = given.get(quantity.name, quantity.default)
-        if value is None:
+        if value is None and quantity.name not in given:
             continue
-        if not math.isfinite(value):
-            message = f"Argument `{quantity.name}` must be a finite number, but it is {value}."
-            raise InputError(message)
-        chosen[quantity.name] = quantity.checked(value) if bounded else float(value)
+        number = finite_number(quantity.name, value)
+        chosen[quantity.name] = quantity.checked(number) if bounded else number
     return chosen

@@ -1,7 +1,8 @@
 """Parts of a machine that its model leaves out, each with units and checked ranges.
 
-Every part may be missing, so that the effect of each can be seen alone. A problem may declare the
-parts of its own machine (``Problem.rig``); what they do is in the package ``rig``.
+Every part may be missing, so that the effect of each part can be examined separately. A problem may
+declare the parts of its own machine (``Problem.rig``). Their behaviour is defined in the package
+``rig``.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from enum import Enum
 from typing import Any, ClassVar
 
 from zeno_orbits.errors import InputError, did_you_mean
+from zeno_orbits.kinds import require_kinds
 from zeno_orbits.model.quantities import Quantity, positive
 
 
@@ -26,17 +28,17 @@ def _require(part: object, quantities: tuple[Quantity, ...]) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Contact:
-    r"""A stop that gives way, and takes energy (theory (48)).
+    r"""A compliant stop with damping (theory (48)).
 
     .. math:: F = k\,\delta^n\,\max(0, 1 + \alpha\dot\delta),\qquad \delta = -h
 
     The damping factor follows from the problem's restitution and the speed at which a contact
-    begins (theory (49)); it is no number of its own.
+    begins (theory (49)). It is not a separate parameter.
 
     Attributes:
         stiffness: :math:`k`, force over penetration to the `n`.
-        exponent: :math:`n`; 1 for a spring, 1.5 for two spheres [Hertz1882]_.
-        slowest: Speed below which a contact is damped as if it had begun at that speed.
+        exponent: :math:`n`, which is 1 for a spring and 1.5 for two spheres [Hertz1882]_.
+        slowest: Minimum impact speed. A slower contact is damped as if it had begun at this speed.
     """
 
     QUANTITIES: ClassVar[tuple[Quantity, ...]] = (
@@ -88,13 +90,13 @@ class Friction:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gear:
-    """A gear train with play between a rotor and the joint that it turns (theory (50)).
+    """A gear train with backlash between a rotor and the joint that it drives (theory (50)).
 
     Attributes:
-        rotor_inertia: Inertia on the motor's side, as the joint feels it; the problem counts it in
+        rotor_inertia: Inertia on the motor side, reflected to the joint. The problem includes it in
             its mass matrix [kg m^2].
-        play: Angle by which the rotor turns freely [rad].
-        stiffness: Of the teeth, once they touch [N m/rad].
+        play: Backlash, the angle of free rotation of the rotor [rad].
+        stiffness: Stiffness of the teeth in contact [N m/rad].
         loss: Damping factor of the teeth [s/rad].
     """
 
@@ -124,15 +126,15 @@ class Switching(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bridge:
-    """The H-bridges that feed the motors, one a motor, all alike (theory (51)).
+    """The H-bridges that feed the motors, one per motor, all alike (theory (51)).
 
     Attributes:
-        supply: No voltage is larger [V].
-        resistance: Of the transistors in the current's path [ohm].
-        frequency: Of the pulses [Hz].
-        dead_time: For which both transistors of a leg are off at an edge [s].
+        supply: Supply voltage, which limits all voltages [V].
+        resistance: Resistance of the transistors in the current's path [ohm].
+        frequency: Frequency of the pulses [Hz].
+        dead_time: Dead time, in which both transistors of a leg are off at an edge [s].
         diode_drop: Voltage over a diode that carries the current in a dead time [V].
-        switching: Whether the pulses are followed edge by edge, or their mean.
+        switching: Whether the pulses are simulated edge by edge. Otherwise their mean is used.
     """
 
     QUANTITIES: ClassVar[tuple[Quantity, ...]] = (
@@ -183,19 +185,19 @@ class Controller:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sensors:
-    """Measurements of the state for a controller: rounded coordinates, and rates made of them.
+    """Measurements of the state for a controller: rounded coordinates, and their differences.
 
     Attributes:
-        resolution: Step of the encoders of all coordinates; 0 for none [rad].
+        resolution: Step of the encoders of all coordinates, or 0 for exact coordinates [rad].
         noise: Standard deviation of a coordinate before it is rounded [rad].
-        filter_time: Time constant of the low pass behind the difference of two readings [s].
+        filter_time: Time constant of the low pass after the difference of two readings [s].
         current_noise: Standard deviation of a current in a record [A].
     """
 
     QUANTITIES: ClassVar[tuple[Quantity, ...]] = (
         _nonnegative("resolution", 0.0, "rad", "step of the encoders"),
         _nonnegative("noise", 0.0, "rad", "standard deviation of a coordinate"),
-        _nonnegative("filter_time", 0.0, "s", "low pass behind the difference of two readings"),
+        _nonnegative("filter_time", 0.0, "s", "low pass after the difference of two readings"),
         _nonnegative("current_noise", 0.0, "A", "standard deviation of a current in a record"),
     )
 
@@ -211,15 +213,17 @@ class Sensors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rig:
-    """A machine: a stop that gives way, and whatever else it has.
+    """A machine: a compliant stop, and optional parts.
 
     Attributes:
-        contact: Its stop.
-        friction: By the name of the coordinate.
-        gears: By the number of the motor, from 1 on.
-        bridge: Between controller and motors; without one they get any voltage.
-        controller: Without one the feedback is that of the model, at every instant.
-        sensors: What the controller reads; without them the states.
+        contact: The compliant stop.
+        friction: Friction by the name of the coordinate.
+        gears: Gears by the index of the motor, from 1.
+        bridge: H-bridge between controller and motors. Without a bridge the motors get any
+            commanded voltage.
+        controller: Sampled controller. Without a controller the feedback is the model's continuous
+            feedback.
+        sensors: Sensors of the controller. Without sensors it reads the exact states.
     """
 
     contact: Contact = field(default_factory=Contact)
@@ -231,19 +235,20 @@ class Rig:
 
     def __post_init__(self) -> None:
         """Refuse sensors that nothing reads."""
+        require_kinds(self)
         if self.sensors is not None and self.controller is None:
             wanted = "must be there for `sensors`, which it reads"
-            raise InputError(f"Argument `controller` {wanted}, but there is none.")
+            raise InputError(f"Argument `controller` {wanted}, but it is missing.")
 
     def __hash__(self) -> int:
-        """Hash by value, so that what is built for a rig can be found again."""
+        """Hash by value, so that cached functions of a rig can be found again."""
         parts = (self.contact, self.bridge, self.controller, self.sensors)
         named = frozenset((*self.friction.items(), *self.gears.items()))
         return hash((*parts, named))
 
 
 PART_NAMES = ("friction", "gears", "bridge", "controller", "sensors")
-"""Parts of a rig beside its contact."""
+"""Parts of a rig in addition to its contact."""
 _ONE = {"contact": Contact, "bridge": Bridge, "controller": Controller, "sensors": Sensors}
 _MANY = {"friction": Friction, "gears": Gear}
 
@@ -261,16 +266,16 @@ def without_parts(rig: Rig, names: Sequence[str]) -> Rig:
 
 
 def rig_with_numbers(rig: Rig, numbers: Mapping[str, float]) -> Rig:
-    """Return a rig with other numbers; a part that is not there yet is added.
+    """Return a rig with changed parameter values. A missing part is added.
 
     Args:
         rig: The rig.
-        numbers: By names like ``contact.stiffness``, ``friction.COORDINATE.coulomb`` and
+        numbers: Values by names like ``contact.stiffness``, ``friction.COORDINATE.coulomb`` and
             ``gears.MOTOR.play``.
 
     Raises:
-        InputError: If there is no such number, or it is out of its range, or a part that is added
-            needs another one.
+        InputError: If a name is unknown, a value is out of its range, or an added part needs
+            another part.
     """
     given: dict[tuple[str, str], dict[str, float]] = {}
     for name, value in numbers.items():
@@ -306,7 +311,7 @@ def _made(kind: Any, part: str, values: dict[str, Any]) -> Any:
     full = {q.name: q.default for q in kind.QUANTITIES if q.default is not None} | values
     for quantity in kind.QUANTITIES:
         if quantity.name not in full:
-            wanted = f"must be given for a part that is added: `{part}` has none yet"
+            wanted = f"must be given for a part that is added: `{part}` lacks it"
             raise InputError(f"Argument `{quantity.name}` {wanted}.")
     return kind(**full)
 

@@ -1,4 +1,4 @@
-"""Sizes of the numbers of a problem, against which small numbers are small in any units."""
+"""Characteristic scales of a problem, relative to which small values are small in any units."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ from zeno_orbits.arrays import Vector
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OwnScale:
-    """Sizes of the numbers of a problem, powers of a thousand; by default all are 1.
+    """Characteristic scales of a problem, which are powers of a thousand and by default 1.
 
     Attributes:
-        time: [s].
-        gap: Of the gap.
-        gap_rate: Of its rate.
-        gap_acceleration: Of its second derivative.
-        multiplier: Of the multiplier.
-        sizes: Of the states, coordinates and velocities first; those that are left out have 1.
+        time: Scale of times [s].
+        gap: Scale of the gap.
+        gap_rate: Scale of the gap rate.
+        gap_acceleration: Scale of the gap acceleration.
+        multiplier: Scale of the multiplier.
+        sizes: Scales of the states, coordinates and velocities first. Omitted states have the scale
+            1.
     """
 
     time: float = 1.0
@@ -37,7 +38,7 @@ class OwnScale:
 
     @property
     def least(self) -> float:
-        """The smallest size of a state, at most 1: what a local error is absolute in."""
+        """The smallest scale of a state, at most 1, for absolute local errors."""
         return min([1.0, *self.sizes])
 
     def weights(self, n_x: int) -> tuple[float, ...]:

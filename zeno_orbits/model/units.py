@@ -1,19 +1,20 @@
-"""Parse unit strings such as ``N m s/rad``; reject malformed ones.
+"""Parse unit strings such as ``N m s/rad`` and reject malformed strings.
 
-A unit is a product of SI symbols with whole powers and at most one slash: ``kg m^2``, ``V s/rad``,
-``m/s^2``, ``1``. The radian counts as a unit of its own, for an angle is not a length. Another
-length or mass, ``mm`` or ``g``, is one too, and no multiple of the metre or kilogram: laws hold in
-any units as long as all numbers are in the same ones (`require_coherent`).
+A unit is a product of SI symbols with integer powers and at most one slash: ``kg m^2``, ``V
+s/rad``, ``m/s^2``, ``1``. The radian counts as a separate unit, because an angle is not a length.
+Another unit of length or mass, ``mm`` or ``g``, is also a separate unit and not a multiple of the
+metre or kilogram. Physical laws hold in any units as long as all values have the same units
+(`require_coherent`).
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 Powers = Mapping[str, int]
-"""Base unit to its power; one that is missing has the power 0."""
+"""Powers of the base units. A missing base unit has the power 0."""
 
 _BASE = ("kg", "m", "s", "A", "rad", "K", "mol", "cd")
 _ALIKE = (("m", "mm", "cm", "um", "km"), ("kg", "g", "mg"))
@@ -39,14 +40,15 @@ _FACTOR = re.compile(r"([A-Za-z]+)(?:\^(-?\d+))?")
 
 
 def powers_of(text: str) -> dict[str, int]:
-    """Return the powers of the base units that a unit is made of.
+    """Return the powers of the base units of a unit.
 
     Raises:
-        ValueError: If it is no unit; the text says which part is not.
+        ValueError: If the text is not a unit. The message names the invalid part.
     """
     above, slash, below = text.partition("/")
     if not text.strip() or (slash and not below.strip()) or "/" in below:
-        raise ValueError(f"`{text}` is no unit; write for instance `N m s/rad`, and `1` for none")
+        hint = "write for instance `N m s/rad`, and `1` for none"
+        raise ValueError(f"`{text}` is not a unit: {hint}")
     total: dict[str, int] = {}
     for part, sign in ((above, 1), (below, -1)):
         for factor in part.split():
@@ -71,7 +73,7 @@ def require_coherent(units: Mapping[str, str]) -> None:
             for base in (one for one in kind if one in powers):
                 first, other = seen.setdefault(kind[0], (base, name))
                 if first != base:
-                    wanted = "must be of one system for all numbers of a problem"
+                    wanted = "must be of one system for all values of a problem"
                     raise ValueError(
                         f"Argument `unit` {wanted}, but `{other}` counts in {first} and `{name}`, "
                         f"in {unit}, in {base}."
@@ -90,10 +92,31 @@ def energy_unit(units: Mapping[str, str]) -> str:
 
 
 def is_rate_of(rate: str, unit: str) -> bool:
-    """Return True if one unit is another one per second."""
+    """Return True if the first unit is the second unit per second."""
     wanted = powers_of(unit)
     wanted["s"] = wanted.get("s", 0) - 1
     return powers_of(rate) == {base: power for base, power in wanted.items() if power}
+
+
+ELECTRICAL: Mapping[str, str] = {"current": "A", "voltage": "V"}
+"""Unit of the states of a circuit, by their kind."""
+
+
+def is_electrical(kind: str, unit: str, units: Sequence[str]) -> bool:
+    """Return True if a unit is a current or voltage unit, or ``1`` in a scaled problem.
+
+    Args:
+        kind: ``current`` or ``voltage``.
+        unit: The unit.
+        units: Units of all states. A voltage is expressed in their unit of length and mass.
+    """
+    found = powers_of(unit)
+    used = {base for one in units for base in powers_of(one)}
+    wanted: dict[str, int] = {}
+    for base, power in powers_of(ELECTRICAL[kind]).items():
+        alike = next((kinds for kinds in _ALIKE if base in kinds), (base,))
+        wanted[next((one for one in alike if one in used), base)] = power
+    return found in ({}, wanted)
 
 
 def _factor(factor: str, text: str) -> Powers:
@@ -103,7 +126,7 @@ def _factor(factor: str, text: str) -> Powers:
     symbol = found[1] if found else factor
     if found is None or (symbol not in {*_BASE, *_OTHERS} and symbol not in _DERIVED):
         known = ", ".join((*_BASE, *_OTHERS, *_DERIVED))
-        raise ValueError(f"`{factor}` in `{text}` is no unit; known are {known}")
+        raise ValueError(f"`{factor}` in `{text}` is not a unit. Known units are {known}")
     power = int(found[2] or 1)
     return {base: n * power for base, n in _DERIVED.get(symbol, {symbol: 1}).items()}
 
@@ -163,17 +186,18 @@ _NO_SCALE: Mapping[str, str] = {
 
 
 def in_si(text: str) -> tuple[str, float]:
-    """Return the SI unit of a measured quantity, and how many of it one of the given unit is.
+    """Return the SI unit of a measured quantity, and the size of the given unit in SI units.
 
-    A degree counts as so many radians, and a revolution too.
+    A degree and a revolution are converted to radians.
 
     Raises:
-        ValueError: If it is no unit, or one without a scale of its own; the text says which.
+        ValueError: If the text is not a unit, or the unit lacks a scale. The message names the
+            unit.
     """
     spelled = _SPELLED.get(text.strip(), text.strip())
     for word, hint in _NO_SCALE.items():
         if spelled.lower().removesuffix("s") == word:
-            raise ValueError(f"`{text}` is no unit: {hint}")
+            raise ValueError(f"`{text}` is not a unit: {hint}")
     above, slash, below = spelled.partition("/")
     parts = [above.split(), below.split()]
     factor = 1.0
@@ -185,10 +209,10 @@ def in_si(text: str) -> tuple[str, float]:
             unit, scale = _SCALED.get(name, (name, 1.0))
             if unit == name and name not in ("1", *_BASE, *_DERIVED):
                 known = ", ".join((*_BASE, *_DERIVED, *_SCALED))
-                raise ValueError(f"`{name}` is no unit; known are {known}")
+                raise ValueError(f"`{name}` is not a unit. Known units are {known}")
             factor *= scale ** (sign * power)
             if "/" in unit and (power != 1 or sign != 1 or slash):
-                raise ValueError(f"`{text}` is no unit that is known; `{name}` must stand alone")
+                raise ValueError(f"`{text}` is not a known unit: `{name}` must stand alone")
             part[k] = unit if power == 1 else f"{unit}^{power}"
     whole = " ".join(parts[0]) + ("/" + " ".join(parts[1]) if slash else "")
     powers_of(whole)

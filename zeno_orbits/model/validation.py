@@ -1,7 +1,8 @@
 """Checks of a model when it is loaded, before anything is computed with it.
 
-Every mistake is a ``ValueError`` that names the thing at fault. A model is looked at as a formula
-and, where formulas do not tell, at the states that the problem starts from and at others near them.
+Every mistake raises a ``ValueError`` that names the invalid part. A model is checked as a formula.
+If formulas are not sufficient, it is checked at the problem's initial states and at states near
+them.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.model.hybrid import CompletedSystem
 from zeno_orbits.model.numeric.hybrid_dynamics import HybridDynamics
 from zeno_orbits.model.numeric.own_scale import Reach, constraint_sizes, reach_of
-from zeno_orbits.model.units import is_rate_of
+from zeno_orbits.model.units import ELECTRICAL, is_electrical, is_rate_of
 
 _TRIALS = 24
 """States near each start at which the mass matrix is tried."""
@@ -47,10 +48,10 @@ _FORMULAS = (
 def built(
     model: Callable[[Mapping[str, ca.SX]], object], symbols: Mapping[str, ca.SX]
 ) -> CompletedSystem:
-    """Return what a model makes of its symbols.
+    """Return the completed system that a model builds from its symbols.
 
     Raises:
-        ValueError: If it asks for a name that is not declared, or makes something else.
+        ValueError: If the model uses an undeclared name, or returns another type.
     """
     try:
         system = model(symbols)
@@ -72,22 +73,22 @@ def built(
 def require_states(
     system: CompletedSystem, state_names: Sequence[str], state_units: Sequence[str]
 ) -> None:
-    """Refuse names that do not fit the states, and velocities whose units are no rates.
+    """Reject names that do not fit the states, and velocities whose units are not rates.
 
     Args:
         system: The completed system.
         state_names: Names of the states, ``(n_x,)``.
-        state_units: Their units.
+        state_units: Units of the states.
 
     Raises:
-        ValueError: With the name at fault.
+        ValueError: If a name or unit does not fit. The message contains the name.
     """
     n_x, n_q = system.state.numel(), system.n_q
     if n_x != len(state_names):
         named = f"but it names {len(state_names)}: {', '.join(state_names)}"
         raise ValueError(
             f"Argument `state_names` must name the model's {n_x} states ({n_q} coordinates, as "
-            f"many velocities, currents, clock), {named}."
+            f"many velocities, {n_x - 2 * n_q} of drives and clock), {named}."
         )
     for k in range(n_q):
         if not is_rate_of(state_units[n_q + k], state_units[k]):
@@ -96,12 +97,26 @@ def require_states(
                 f"Argument `state_units` must give `{rate}` the unit of `{name}` per second, "
                 f"but they are `{state_units[n_q + k]}` and `{state_units[k]}`."
             )
+    places = range(2 * n_q, n_x)
+    for k, kind in zip(places, system.drive.kinds, strict=False):
+        if kind and not is_electrical(kind, state_units[k], state_units):
+            raise ValueError(
+                f"Argument `state_units` must give the {kind} `{state_names[k]}` the unit "
+                f"{ELECTRICAL[kind]}, but it is `{state_units[k]}`."
+            )
 
 
 def require_known_symbols(system: CompletedSystem, symbols: Mapping[str, ca.SX]) -> None:
     """Refuse a symbol in the formulas that is neither a state nor declared."""
     known = ca.vertcat(system.state, *symbols.values())
     known_ones = {known[k].element_hash() for k in range(known.numel())}
+    for name, entry in system.drive.entries:
+        for symbol in _symbols_in(entry):
+            if symbol.element_hash() not in known_ones:
+                raise ValueError(
+                    f"Argument `{name}` must use states, gains and parameters only, "
+                    f"but it holds another symbol, `{symbol.name()}`."
+                )
     for formula in _FORMULAS:
         for symbol in _symbols_in(getattr(system, formula)):
             if symbol.element_hash() not in known_ones:
@@ -114,12 +129,12 @@ def require_known_symbols(system: CompletedSystem, symbols: Mapping[str, ca.SX])
 def unused_symbols(
     system: CompletedSystem, symbols: Mapping[str, ca.SX], outputs: Sequence[ca.SX]
 ) -> tuple[str, ...]:
-    """Return the names of the symbols that appear nowhere.
+    """Return the names of the unused symbols.
 
     Args:
         system: The completed system.
-        symbols: Its gains and parameters by name.
-        outputs: Expressions beside the system's own.
+        symbols: Gains and parameters by name.
+        outputs: Expressions in addition to the system's own expressions.
     """
     formulas = [*(getattr(system, formula) for formula in _FORMULAS), *outputs]
     used = {symbol.element_hash() for symbol in _symbols_in(ca.veccat(*formulas))}
@@ -134,28 +149,34 @@ def require_sound_numbers(
     state_units: Sequence[str],
     starts: Sequence[Sequence[float]],
 ) -> None:
-    """Refuse a model that fails at its own numbers, and starts that are not admissible.
+    """Reject a model that fails at its default parameters, and starts that are not admissible.
 
     Args:
         system: The completed system.
-        symbols: Its gains and parameters by name.
-        values: Their numbers, in the same order.
-        dynamics: The system at these numbers: how far it goes is what all is measured by.
+        symbols: Gains and parameters by name.
+        values: Values of the symbols, in the same order.
+        dynamics: The system at these values, whose reach is the scale of all checks.
         state_units: Units of the states, ``(n_x,)``.
         starts: Initial states, each ``(n_x,)``.
 
     Raises:
         ValueError: If a formula is not finite at a start, if a start is beyond the stop or off a
-            constraint, if the gap does not change with the configuration there, or if the mass
-            matrix near it is not positive definite.
+            constraint, if the gap does not change with the configuration there, if the mass matrix
+            or a coenergy near it is not convex, or if a resistance feeds energy in.
     """
     p = np.asarray(values, dtype=np.float64)
     mass_matrix = ca.hessian(system.energy, system.state[system.n_q : 2 * system.n_q])[0]
     look = _function(system, symbols, [ca.densify(mass_matrix), system.gap])
     formulas = {name: _function(system, symbols, [getattr(system, name)]) for name in _FORMULAS}
+    fields = _function(system, symbols, [ca.densify(system.drive.inertia)])
+    lossy = {
+        (name, number): _function(system, symbols, [ca.densify(matrix)])
+        for number, (name, matrix) in enumerate(system.drive.entries)
+        if name in ("resistance", "conductance") and matrix.numel()
+    }
     random = np.random.default_rng(0)
     with np.errstate(all="ignore"):
-        # What is not finite has no size yet; it is told of below.
+        # Values that are not finite cannot be scaled here and are reported below.
         reach = reach_of(dynamics, starts, state_units, system.clock)
     sizes = reach.sizes(len(state_units))
     around, names = sizes[: system.n_q], dynamics.state_names
@@ -163,12 +184,19 @@ def require_sound_numbers(
         x = np.asarray(start, dtype=np.float64)
         _require_mass(look, x, p, around, names, f"at start {number}")
         _require_finite(formulas, x, p, number)
+        _require_convex(fields, x, p, f"at start {number}")
+        for (name, _), matrix in lossy.items():
+            _require_lossy(name, matrix(x, p).full(), f"at start {number}")
         _require_admissible(dynamics, x, reach, number)
         for _ in range(_TRIALS):
             near = x.copy()
             near[: system.n_q] += around * random.uniform(-_SPREAD, _SPREAD, system.n_q)
             if float(look(near, p)[1]) >= 0.0:
                 _require_mass(look, near, p, around, names, "at the admissible state")
+                # Currents and voltages move as well: a field may saturate.
+                free = [k for k in range(2 * system.n_q, len(x)) if k not in dynamics.clock]
+                near[free] += sizes[free] * random.uniform(-_SPREAD, _SPREAD, len(free))
+                _require_convex(fields, near, p, "at an admissible state near it")
 
 
 def _require_finite(formulas: Mapping[str, Any], x: Vector, p: Vector, number: int) -> None:
@@ -188,14 +216,14 @@ def _require_admissible(dynamics: HybridDynamics, x: Vector, reach: Reach, numbe
     if np.any(np.abs(off) > _OFF * constraint_sizes(dynamics, x, reach.sizes(len(x)))):
         raise ValueError(
             f"Start {number} must keep the constraints, but it is off by "
-            f"{float(np.max(np.abs(off))):.3g}; a clock may start with its cosine at 1."
+            f"{float(np.max(np.abs(off))):.3g}. A clock may start with its cosine at 1."
         )
 
 
 def _require_mass(
     look: Any, x: Vector, p: Vector, sizes: Vector, state_names: Sequence[str], where: str
 ) -> None:
-    # In these sizes all entries are energies, so what is next to nothing is so in any units.
+    # In these scales all entries are energies, so a negligible entry is negligible in any units.
     matrix = look(x, p)[0].full() * np.outer(sizes, sizes)
     if not np.all(np.isfinite(matrix)):
         return
@@ -210,6 +238,35 @@ def _require_mass(
         f"The mass matrix must be positive definite, but {where} ({place}) it is {what}: "
         f"in the problem's own sizes its eigenvalues reach from {roots[0]:.3g} to {roots[-1]:.3g}."
     )
+
+
+def _require_convex(fields: Any, x: Vector, p: Vector, where: str) -> None:
+    """Reject inductances and capacitances whose matrix is not positive definite."""
+    matrix = fields(x, p).full()
+    if not matrix.size or not np.all(np.isfinite(matrix)):
+        return
+    # Henry and farad differ by many powers of ten. After this scaling only the signs matter.
+    sizes = np.sqrt(np.abs(np.diag(matrix)))
+    scaled = matrix / np.outer(sizes, sizes) if np.all(sizes > 0.0) else matrix
+    least = float(np.linalg.eigvalsh((scaled + scaled.T) / 2)[0])
+    if not least > _SINGULAR:
+        raise ValueError(
+            "Argument `coenergy` must be convex in the currents and voltages, with inductances and "
+            f"capacitances above zero, but {where} it is not: the least eigenvalue of its second "
+            f"derivative is {least:.3g}, with diagonal entries of size 1."
+        )
+
+
+def _require_lossy(name: str, matrix: Vector, where: str) -> None:
+    """Refuse a resistance or a conductance that feeds energy in."""
+    if not np.all(np.isfinite(matrix)):
+        return
+    roots = np.linalg.eigvalsh((matrix + matrix.T) / 2)
+    if roots[0] < -_SINGULAR * np.max(np.abs(roots)):
+        raise ValueError(
+            f"Argument `{name}` must lose energy, but {where} its least eigenvalue is "
+            f"{roots[0]:.3g}: an element that feeds energy in belongs to `source`."
+        )
 
 
 def _symbols_in(expression: ca.SX) -> list[ca.SX]:

@@ -1,5 +1,5 @@
-"""A completed system as fast functions of numbers: flows, guards, resets, exact derivatives.
+"""A completed system as fast numeric functions: flows, guards, resets, exact derivatives.
 
-`compiled` turns expressions into CasADi functions, once for all numbers of a problem;
-`hybrid_dynamics` is what a simulator sees of them, or of a model written by hand.
+`compiled` turns expressions into CasADi functions, once for all parameter values of a problem.
+`hybrid_dynamics` is the interface to simulators, for compiled and hand-written models.
 """

@@ -1,19 +1,14 @@
-"""The functions of a system at fixed numbers, called through memory that is allocated once."""
+"""Functions of a system at fixed parameter values, called through preallocated memory."""
 
 from __future__ import annotations
-
-from collections.abc import Callable, Sequence
 
 import casadi as ca
 import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import Tolerance
-from zeno_orbits.kernels import caller
+from zeno_orbits.model.numeric.casadi_calls import caller
 from zeno_orbits.model.numeric.hybrid_dynamics import Landed, Resting
-
-Connect = Callable[[Sequence[Vector], Sequence[Vector]], Callable[[], None]]
-"""From arrays that are read and arrays that are written to a call of a function."""
 
 
 class Call:
@@ -34,13 +29,13 @@ class Call:
 class StepCall:
     """A step of a flow at fixed ``p``, called through preallocated memory."""
 
-    def __init__(self, n_y: int, p: Vector, connect: Connect) -> None:
+    def __init__(self, function: ca.Function, n_y: int, p: Vector) -> None:
         self._y = np.zeros(n_y)
         self._numbers = np.zeros(3)
         self._after = np.zeros_like(self._y)
         self._told = np.zeros(3)
         results = (self._after, self._told[:1], self._told[1:])
-        self._evaluate = connect((self._y, p, self._numbers), results)
+        self._evaluate = caller(function, (self._y, p, self._numbers), results)
         self._tolerance: Tolerance | None = None
 
     def __call__(
@@ -70,7 +65,7 @@ class ResetCall:
         self._evaluate = caller(function, (self._x, p, self._rate), (self._after,))
 
     def __call__(self, x: Vector, approach_rate: float) -> Vector:
-        """Return the state after an impact, from the one before it and its gap rate."""
+        """Return the state after an impact, from the state before it and its gap rate."""
         self._x[:] = x
         self._rate[0] = approach_rate
         self._evaluate()
@@ -100,7 +95,7 @@ class RestingCall:
 
 
 class LandingCall:
-    """What an impact leads to at fixed ``p``, called through preallocated memory."""
+    """Reset and projection of an impact at fixed ``p``, called through preallocated memory."""
 
     def __init__(self, function: ca.Function, p: Vector) -> None:
         self._x, self._rate = np.zeros(function.size1_in(0)), np.zeros(1)

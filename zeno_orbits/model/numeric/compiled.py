@@ -23,7 +23,6 @@ from zeno_orbits.model.contact import (
 )
 from zeno_orbits.model.hybrid import CompletedSystem
 from zeno_orbits.model.numeric.calls import Call, LandingCall, ResetCall, RestingCall
-from zeno_orbits.model.numeric.compiled_derivatives import CompiledDifferentials, PointFunctions
 from zeno_orbits.model.numeric.compiled_flow import (
     CompiledFlow,
     FlowMemory,
@@ -33,24 +32,29 @@ from zeno_orbits.model.numeric.compiled_flow import (
     weighted,
 )
 from zeno_orbits.model.numeric.derivatives import Differentiation
-from zeno_orbits.model.numeric.hybrid_dynamics import FusedStop, HybridDynamics
+from zeno_orbits.model.numeric.differentials import (
+    BoundDifferentials,
+    DifferentiableFunctions,
+    derivative_formulas,
+)
+from zeno_orbits.model.numeric.hybrid_dynamics import Formulas, FusedStop, HybridDynamics
 from zeno_orbits.model.numeric.own_scale import own_scale
 from zeno_orbits.model.scale import USUAL, OwnScale
 
 
 @dataclass(frozen=True, kw_only=True)
 class CompiledSystem:
-    """The functions of a completed system in ``(x, p)``; ``p`` holds gains, then parameters.
+    """The functions of a completed system in ``(x, p)``, where ``p`` holds gains, then parameters.
 
     Attributes:
         state_names: Name of each state.
-        n_q: Any of coordinates.
-        clock: Places of the clock in the state.
+        n_q: Number of coordinates.
+        clock: Indices of the clock in the state.
         free: The mode off the stop, in ``(x, p)``.
         locked: The mode on the stop, in ``(x, p)``.
         flight: The rescaled flight, in ``((x, h / w^2, (dh/dt) / w), (p, w))`` (theory (14)).
         contact: ``(x, p) -> (gap, gap_rate, gap_acceleration, multiplier, multiplier_rate)``.
-        impulse: ``(x, p) -> (impulse_direction, normal_inertia, numbers of the law of impact)``.
+        impulse: ``(x, p) -> (impulse_direction, normal_inertia, parameters of the impact law)``.
         rebound: ``(p, approach rate) -> gap rate after the impact``.
         reset: ``(x, p, approach rate) -> x after the impact``.
         resting: ``(x, p) -> (x on the stop, its gap_acceleration, its locked flow)``.
@@ -58,8 +62,10 @@ class CompiledSystem:
         energy: ``(x, p) -> energy`` [J].
         holonomic: ``(x, p) -> (eta, eta_rate)``.
         motors: ``(x, p) -> (current, voltage)`` of every motor, each ``(n_M,)``.
-        starts: States at which the problem starts, if they are known, each ``(n_x,)``.
+        starts: Initial states of the problem, if they are known, each ``(n_x,)``.
         state_units: Units of the states of the problem.
+        further: Indices of the states of circuits and additional states, except currents of motors.
+        is_balanced: Whether all powers are given, so that the energy balance can be checked.
     """
 
     state_names: tuple[str, ...]
@@ -79,11 +85,14 @@ class CompiledSystem:
     motors: ca.Function
     starts: tuple[tuple[float, ...], ...] = ()
     state_units: tuple[str, ...] = ()
+    further: tuple[int, ...] = ()
+    is_balanced: bool = True
 
     @cached_property
-    def points(self) -> PointFunctions:
-        """The functions that are differentiated at a point."""
-        return PointFunctions(
+    def differentiable(self) -> DifferentiableFunctions:
+        """The functions that are differentiated."""
+        return DifferentiableFunctions(
+            rates=(self.free.rate, self.locked.rate, self.flight.rate),
             contact=self.contact,
             holonomic=self.holonomic,
             impulse=self.impulse,
@@ -94,7 +103,7 @@ class CompiledSystem:
 
     @cached_property
     def landing(self) -> ca.Function:
-        """What an impact leads to.
+        """Reset and projection of an impact.
 
         ``(x, p, approach rate) -> (x after it, its gap_rate, then as `resting` of that)``.
         """
@@ -105,7 +114,7 @@ class CompiledSystem:
         return dense_function("landing", [x, p, rate], outputs)
 
     def interpreted(self) -> CompiledSystem:
-        """Return the same functions, to be interpreted whatever is compiled."""
+        """Return the same functions, which the compiled loop does not carry out."""
         free, locked, flight = (
             replace(mode, interpreted=True) for mode in (self.free, self.locked, self.flight)
         )
@@ -120,15 +129,6 @@ class CompiledSystem:
             weighted(self.locked, weights),
             weighted(self.flight, flight),
         )
-
-    def build(self, values: Sequence[float]) -> bool:
-        """Compile the steps of all modes now, wait for it, and return True if that was done.
-
-        Args:
-            values: ``p``, whose sizes the steps are measured in.
-        """
-        modes = self.weighted(bind(self, values).own)
-        return all(mode.kernels.build() for mode in modes)
 
     @property
     def n_x(self) -> int:
@@ -171,16 +171,17 @@ def compile_system(
         return dense_function(name, [system.state, parameters], list(outputs))
 
     scaled_gap, speed = ca.SX.sym("eta", 2), ca.SX.sym("w")
+    gap, force = contact[GAP : GAP_ACCELERATION + 1], contact[MULTIPLIER:]
     flight_rate = ca.vertcat(speed * system.free_flow, scaled_gap[1], system.gap_acceleration)
     return CompiledSystem(
         state_names=tuple(state_names),
         n_q=system.n_q,
         clock=system.clock,
         free=mode_functions(
-            "free", system.state, parameters, system.free_flow, contact[GAP : GAP_RATE + 1]
+            "free", system.state, parameters, system.free_flow, gap[:2], watched=gap
         ),
         locked=mode_functions(
-            "locked", system.state, parameters, system.locked_flow, contact[MULTIPLIER:]
+            "locked", system.state, parameters, system.locked_flow, force, watched=force
         ),
         flight=mode_functions(
             "flight",
@@ -188,6 +189,7 @@ def compile_system(
             ca.vertcat(parameters, speed),
             flight_rate,
             scaled_gap,
+            watched=ca.vertcat(gap[0] / speed**2, gap[1] / speed, gap[2]),
         ),
         contact=function("contact", contact),
         impulse=function(
@@ -200,6 +202,8 @@ def compile_system(
         energy=function("energy", system.energy),
         holonomic=function("holonomic", system.holonomic),
         motors=function("motors", system.motor_current, system.motor_voltage),
+        further=system.further,
+        is_balanced=system.drive.is_balanced,
     )
 
 
@@ -247,11 +251,11 @@ def _resting(system: CompletedSystem) -> tuple[ca.SX, ca.SX, ca.SX]:
 
 
 def bind(compiled: CompiledSystem, values: Sequence[float] | Vector) -> HybridDynamics:
-    """Return the system at fixed numbers for gains and parameters.
+    """Return the system at fixed values of gains and parameters.
 
     Args:
         compiled: The functions.
-        values: ``p``, gains then parameters.
+        values: Parameter vector ``p``, gains then parameters.
     """
     p = np.array(values, dtype=np.float64)
     contact = Call(compiled.contact, p)
@@ -297,9 +301,8 @@ def bind(compiled: CompiledSystem, values: Sequence[float] | Vector) -> HybridDy
     )
 
     @lru_cache(maxsize=8)
-    def derivatives(chosen: tuple[int, ...]) -> CompiledDifferentials:
-        modes = (compiled.free, compiled.locked, compiled.flight)
-        return CompiledDifferentials(modes, compiled.points, p, chosen)
+    def derivatives(chosen: tuple[int, ...]) -> BoundDifferentials:
+        return BoundDifferentials(derivative_formulas(compiled.differentiable, chosen), p)
 
     derivable = Differentiation(by=derivatives, parts=plain.derivable_parts)
 
@@ -307,6 +310,15 @@ def bind(compiled: CompiledSystem, values: Sequence[float] | Vector) -> HybridDy
     def scaling() -> OwnScale:
         if not compiled.starts:
             return USUAL
-        return own_scale(plain, compiled.starts, compiled.state_units, compiled.clock)
+        return own_scale(
+            plain, compiled.starts, compiled.state_units, compiled.clock, compiled.further
+        )
 
-    return replace(plain, fused_stop=fused, differentiation=derivable, scaling=scaling)
+    formulas = Formulas(system=compiled, values=p, parts=plain.formula_parts)
+    return replace(
+        plain,
+        fused_stop=fused,
+        differentiation=derivable,
+        formulas=formulas,
+        scaling=scaling,
+    )

@@ -1,11 +1,13 @@
-"""A mode of a problem as functions, and as a flow at fixed numbers: what the engines ask of it."""
+"""A mode of a problem as functions, and as a flow at fixed parameters for the integrators."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache, partial
-from typing import NamedTuple
+import math
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, fields, replace
+from functools import cached_property, lru_cache
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -13,40 +15,62 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators import (
     FIRST_ITERATIONS,
+    JUMPS,
     Collocation,
-    CompilableFlow,
     Corrected,
-    LegCode,
     NewtonPieces,
     StageGuess,
     Tolerance,
     error_norm,
     explicit_attempt,
-    follow_source,
+    guard_bounds,
+    has_bounds,
     implicit_expressions,
     n_factors,
     overflow,
-    radau_scheme,
 )
-from zeno_orbits.kernels import KernelLibrary, Kernels, KernelSource, Recipe, caller
-from zeno_orbits.model.numeric.calls import Call, Connect, StepCall
+from zeno_orbits.model.numeric.calls import Call, StepCall
+from zeno_orbits.model.numeric.casadi_calls import caller
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModeFunctions:
-    """A flow and its guard as functions of ``(y, p)``, and what is made of them when it is needed.
+    """A flow and its guard as functions of ``(y, p)``, with derived functions built on demand.
 
     Attributes:
         rate: ``(y, p) -> dy/dt``.
         guard: ``(y, p) -> (guard, its time derivative)``.
-        interpreted: They stay interpreted, for comparisons.
-        weights: Size of each state, of which an absolute local error is a part; none if all are 1.
+        interpreted: Whether the compiled loop must not evaluate the functions, for comparisons.
+        weights: Size of each state for the absolute local error, empty if all are 1.
+        watched: ``(y, p) -> (guard, its time derivatives)``, as formulas whose bounds are needed to
+            detect every zero crossing, or ``None`` if the guard is affine in the state.
     """
 
     rate: ca.Function
     guard: ca.Function
     interpreted: bool = False
     weights: tuple[float, ...] = ()
+    watched: ca.Function | None = None
+
+    @cached_property
+    def bounded(self) -> ca.Function | None:
+        """The watched formulas, if their bounds over a box of states are available."""
+        return self.watched if self.watched is not None and has_bounds(self.watched) else None
+
+    @property
+    def bounds(self) -> ca.Function | None:
+        """Bounds of the guard over a box of states, if it needs any: see `guard_bounds`."""
+        return None if self.bounded is None else _bounds(self.bounded)
+
+    @cached_property
+    def is_carried(self) -> bool:
+        """True if the guard is a state, in addition to its watched formula."""
+        y, p = self._symbols()
+        return self.watched is not None and is_affine(self.guard(y, p)[0], y)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the fields, without the functions that are derived from them."""
+        return {one.name: getattr(self, one.name) for one in fields(self)}
 
     @property
     def n_y(self) -> int:
@@ -75,21 +99,14 @@ class ModeFunctions:
         y, p = self._symbols()
         numbers = ca.SX.sym("numbers", 3)
         size, relative, absolute = ca.vertsplit(numbers)
-        after, fifth, third = explicit_attempt(lambda state: self.rate(state, p), y, size)
-        scale = self.weighed(absolute) + relative * ca.fmax(ca.fabs(y), ca.fabs(after))
-        error = overflow(ca.sum1(after), ca) + error_norm(
-            ca.sumsqr(fifth / scale), ca.sumsqr(third / scale), ca.fabs(size), y.numel(), ca
-        )
         name = f"{self.rate.name()}_step"
-        return dense_function(name, [y, p, numbers], [after, error, self.guard(after, p)])
-
-    @cached_property
-    def kernels(self) -> Kernels:
-        """The same compiled, with the loop over the steps of a leg."""
-        maker = f"{__name__}:{leg_kernels.__name__}"
-        functions = (self.rate, self.guard)
-        recipe = Recipe(maker=maker, functions=functions, numbers=(N_STAGES, *self.weights))
-        return Kernels(None if self.interpreted else recipe)
+        with as_written():
+            after, fifth, third = explicit_attempt(lambda state: self.rate(state, p), y, size)
+            scale = self.weighed(absolute) + relative * ca.fmax(ca.fabs(y), ca.fabs(after))
+            error = overflow(ca.sum1(after), ca) + error_norm(
+                ca.sumsqr(fifth / scale), ca.sumsqr(third / scale), ca.fabs(size), y.numel(), ca
+            )
+            return dense_function(name, [y, p, numbers], [after, error, self.guard(after, p)])
 
     def weighed(self, absolute: ca.SX | float) -> ca.SX:
         """Return the absolute local error of each state, ``(n_y,)``, or one for all."""
@@ -99,34 +116,37 @@ class ModeFunctions:
         return ca.SX.sym("y", self.n_y), ca.SX.sym("p", self.n_p)
 
 
-N_STAGES = 7
-"""Stages of the implicit steps that are compiled, those of the implicit engine."""
+@lru_cache(maxsize=64)
+def _bounds(watched: ca.Function) -> ca.Function:
+    return guard_bounds(watched)
 
 
-def leg_kernels(functions: Sequence[ca.Function], numbers: Sequence[float]) -> KernelSource:
-    """Return the source of the kernels of a mode and of the loop over its steps.
+@contextmanager
+def as_written() -> Generator[None]:
+    """Disable the simplification of formulas.
+
+    CasADi combines two products with constants, and replaces a product with an inverse by a
+    quotient. The digits of a step would then differ from a sequence of its operations, as in the
+    loop.
+    """
+    before = ca.GlobalOptions.getSimplificationOnTheFly()
+    ca.GlobalOptions.setSimplificationOnTheFly(False)
+    try:
+        yield
+    finally:
+        ca.GlobalOptions.setSimplificationOnTheFly(before)
+
+
+@lru_cache(maxsize=64)
+def unguarded_mode(mode: ModeFunctions) -> ModeFunctions:
+    """Return a mode whose guard is 1 and never falls, made once.
 
     Args:
-        functions: Rate and guard of the mode.
-        numbers: Stages of an implicit step, then the weights of the states, if there are any.
+        mode: The mode.
     """
-    rate, guard = functions
-    stages, *weights = numbers
-    mode = ModeFunctions(rate=rate, guard=guard, weights=tuple(weights))
-    scheme = radau_scheme(int(stages))
-    newton = newton_functions(mode, scheme)
-    kernels = {
-        "rate": rate,
-        "guard": guard,
-        "jacobian": mode.jacobian,
-        "step": mode.step,
-        "begin": newton.begin,
-        "correct": newton.correct,
-        "error": newton.error,
-    }
-    named = [renamed(function, f"zk_{name}") for name, function in kernels.items()]
-    code = follow_source(mode.n_y, n_factors(mode.n_y, scheme), scheme)
-    return KernelSource(functions=named, code=code)
+    y, p = ca.SX.sym("y", mode.n_y), ca.SX.sym("p", mode.n_p)
+    none = dense_function(f"{mode.guard.name()}_none", [y, p], [ca.SX([1.0, 0.0])])
+    return replace(mode, guard=none, watched=None)
 
 
 @lru_cache(maxsize=64)
@@ -138,12 +158,6 @@ def weighted(mode: ModeFunctions, weights: tuple[float, ...]) -> ModeFunctions:
         weights: Size of each state, ``(n_y,)``.
     """
     return mode if set(weights) == {1.0} else replace(mode, weights=weights)
-
-
-def renamed(function: ca.Function, name: str) -> ca.Function:
-    """Return a function of scalar instructions under another name."""
-    inputs = [ca.SX.sym(f"i{k}", function.sparsity_in(k)) for k in range(function.n_in())]
-    return ca.Function(name, inputs, function.call(inputs))
 
 
 class NewtonFunctions(NamedTuple):
@@ -164,7 +178,9 @@ class NewtonFunctions(NamedTuple):
     error: ca.Function
 
 
-def mode_functions(name: str, y: ca.SX, p: ca.SX, rate: ca.SX, guard: ca.SX) -> ModeFunctions:
+def mode_functions(
+    name: str, y: ca.SX, p: ca.SX, rate: ca.SX, guard: ca.SX, watched: ca.SX | None = None
+) -> ModeFunctions:
     """Build the functions of a mode.
 
     Args:
@@ -173,26 +189,40 @@ def mode_functions(name: str, y: ca.SX, p: ca.SX, rate: ca.SX, guard: ca.SX) -> 
         p: Its parameters.
         rate: ``dy/dt``, ``(n_y,)``.
         guard: The guard and its time derivative.
+        watched: The formula of the guard and of its time derivatives, `guard` by default, of which
+            bounds are needed unless it is affine in the state: the error control of that is its own
+            then.
 
     Raises:
         ValueError: If an expression holds another symbol.
     """
+    formulas = guard if watched is None else watched
+    affine = is_affine(formulas[0], y)
     return ModeFunctions(
         rate=dense_function(f"{name}_rate", [y, p], [rate]),
         guard=dense_function(f"{name}_guard", [y, p], [guard]),
+        watched=None if affine else dense_function(f"{name}_watched", [y, p], [formulas]),
     )
 
 
+def is_affine(expression: ca.SX, y: ca.SX) -> bool:
+    """Return True if an expression is affine in symbols: constant derivative and no jumps."""
+    if ca.depends_on(ca.jacobian(expression, y), y):
+        return False
+    f = ca.Function("f", ca.symvar(expression), [expression])
+    return not any(f.instruction_id(k) in JUMPS for k in range(f.n_instructions()))
+
+
 def dense_function(name: str, inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.Function:
-    """Return a function with dense outputs: a buffer receives the stored entries only.
+    """Return a function with dense outputs, because a buffer receives only the stored entries.
 
     Args:
-        name: How the function is called.
+        name: Name of the function.
         inputs: Symbols.
         outputs: Expressions in them.
 
     Raises:
-        ValueError: If an output depends on a symbol that is no input.
+        ValueError: If an output depends on a symbol that is not an input.
     """
     options = {"cse": True, "allow_free": True}
     function = ca.Function(name, inputs, [ca.densify(output) for output in outputs], options)
@@ -204,10 +234,10 @@ def dense_function(name: str, inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.F
 
 
 class FlowMemory:
-    """The functions of a mode with their memory, which flows at different ``p`` take in turns.
+    """The functions of a mode with their memory, shared by flows at different ``p``.
 
-    Memory is made at the first call: an engine that has its own code needs none of it. Nor are the
-    weights of the states asked for before the first step.
+    The memory is allocated at the first call, because the compiled loop does not need it. The
+    weights of the states are also computed at the first step.
     """
 
     def __init__(
@@ -218,7 +248,10 @@ class FlowMemory:
         self.p: Vector = np.zeros(mode.n_p)
         self.owner: object = None
         self._newton: tuple[Collocation, NewtonCalls] | None = None
-        self._leg_code: LegCode | None = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return a recipe for pickle, with the same weights and without parameter values."""
+        return _memory, (self.mode, self.stepping.weights)
 
     @cached_property
     def stepping(self) -> ModeFunctions:
@@ -236,6 +269,12 @@ class FlowMemory:
         return Call(self.mode.guard, self.p)
 
     @cached_property
+    def bounds(self) -> Call | None:
+        """From lower and upper ends of a box of states to bounds of the guard in it."""
+        bounds = self.mode.bounds
+        return None if bounds is None else Call(bounds, self.p)
+
+    @cached_property
     def jacobian(self) -> Call:
         """From a state to the derivative of ``dy/dt``."""
         return Call(self.mode.jacobian, self.p)
@@ -243,56 +282,41 @@ class FlowMemory:
     @cached_property
     def step(self) -> StepCall:
         """One step of DOP853."""
-        library = self.stepping.kernels.library()
-        if library is not None:
-            return StepCall(self.mode.n_y, self.p, _kernel(library, "step"))
-        with self.stepping.kernels.owing():
-            step = self.stepping.step
-        return StepCall(self.mode.n_y, self.p, partial(caller, step))
+        return StepCall(self.stepping.step, self.mode.n_y, self.p)
 
     def newton(self, scheme: Collocation) -> NewtonCalls:
         """Return one step of a collocation scheme, in pieces."""
         if self._newton is None or self._newton[0] is not scheme:
-            mode = self.stepping
-            library = mode.kernels.library() if scheme is radau_scheme(N_STAGES) else None
-            if library is None:
-                with mode.kernels.owing():
-                    functions = newton_functions(mode, scheme)
-                connect = _NewtonConnect(*(partial(caller, function) for function in functions))
-            else:
-                connect = _NewtonConnect(*(_kernel(library, n) for n in NewtonFunctions._fields))
-            self._newton = (scheme, NewtonCalls(connect, self.p, self.mode.n_y, scheme))
+            functions = newton_functions(self.stepping, scheme)
+            self._newton = (scheme, NewtonCalls(functions, self.p, self.mode.n_y, scheme))
         return self._newton[1]
 
-    def leg_code(self) -> LegCode | None:
-        """Return the compiled loop over the steps of a leg, if there is one by now."""
-        if self._leg_code is None:
-            library = self.stepping.kernels.library()
-            if library is not None:
-                self._leg_code = LegCode(library, self.p, self.mode.n_y, radau_scheme(N_STAGES))
-        return self._leg_code
+
+def _memory(mode: ModeFunctions, weights: tuple[float, ...]) -> FlowMemory:
+    return FlowMemory(mode, (lambda: weights) if weights else None)
 
 
-def _kernel(library: KernelLibrary, name: str) -> Connect:
-    return partial(library.caller, f"zk_{name}")
+class CompiledFlow:
+    """A guarded flow whose step is a single CasADi call through preallocated memory.
 
-
-class CompiledFlow(CompilableFlow):
-    """A guarded flow whose step is one CasADi call through preallocated memory.
-
-    Flows that differ in their numbers alone, as the flights of a problem, can share the memory.
+    Flows that differ only in their parameter values, as the flights of a problem, can share the
+    memory.
     """
 
     def __init__(self, mode: ModeFunctions, p: Vector, memory: FlowMemory | None = None) -> None:
         self.mode = mode
         self.p = p
         self._memory = memory or FlowMemory(mode)
-        # A step tells the guard at its end, so whoever asks for it there need not wait.
+        # A step returns the guard at its end, so a later evaluation there is free.
         self._end: Vector | None = None
         self._end_guard = (0.0, 0.0)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return a recipe for pickle that preserves shared memory."""
+        return CompiledFlow, (self.mode, self.p, self._memory)
+
     def calls(self) -> FlowMemory:
-        """Return the memory, with the numbers of this flow in it."""
+        """Return the memory, with the parameter values of this flow in it."""
         memory = self._memory
         if memory.owner is not self:
             memory.p[:] = self.p
@@ -310,14 +334,37 @@ class CompiledFlow(CompilableFlow):
         value, rate = self.calls().guard(y).tolist()
         return value, rate
 
+    @property
+    def weights(self) -> tuple[float, ...]:
+        """Size of each state for the absolute local error, empty if all are 1."""
+        return self._memory.stepping.weights
+
+    @property
+    def is_bounded(self) -> bool:
+        """True if the guard varies otherwise than the state, and its bounds in a box are known."""
+        return self._memory.bounds is not None
+
+    @property
+    def is_carried(self) -> bool:
+        """True if the guard is a state, in addition to its formula."""
+        return self.mode.is_carried
+
+    def guard_bounds(self, lower: Vector, upper: Vector) -> Sequence[float]:
+        """Return bounds of the guard, its rate and its second derivative over a box of states."""
+        bounds = self.calls().bounds
+        if bounds is None:
+            return (-math.inf, math.inf) * 3
+        found: list[float] = bounds(np.concatenate((lower, upper))).tolist()
+        return found
+
     def attempt(self, y: Vector, size: float, tolerance: Tolerance) -> tuple[Vector, float]:
-        """Return the state after one step of DOP853 and its error, in units of the tolerance."""
+        """Return the state and the error of a DOP853 step, in units of the tolerance."""
         after, error, guard = self.calls().step(y, size, tolerance)
         self.keep_end(after, guard)
         return after, error
 
     def keep_end(self, after: Vector, guard: tuple[float, float]) -> None:
-        """Remember the guard at the end of a step; the state is known by the array it is in."""
+        """Cache the guard at the end of a step. The state is identified by its array."""
         self._end, self._end_guard = after, guard
 
     def jacobian(self, y: Vector) -> Vector:
@@ -328,13 +375,16 @@ class CompiledFlow(CompilableFlow):
         """Return the iteration for an implicit step of a collocation scheme."""
         return CompiledNewton(self, scheme)
 
-    def leg_code(self) -> LegCode | None:
-        """Return the compiled loop over the steps of a leg, with the numbers of this flow in it."""
-        return self.calls().leg_code()
 
-    def owe(self, seconds: float) -> None:
-        """Hear of time that compiled code would have saved [s]; in the end that repays it."""
-        self._memory.stepping.kernels.owe(seconds)
+def unguarded(flow: CompiledFlow) -> CompiledFlow:
+    """Return a flow whose guard never falls: the same rate, numbers and weights.
+
+    Args:
+        flow: The flow.
+    """
+    weights = flow.weights
+    mode = unguarded_mode(flow.mode)
+    return CompiledFlow(mode, flow.p, _memory(mode, weights))
 
 
 class CompiledNewton:
@@ -347,14 +397,14 @@ class CompiledNewton:
     def begin(
         self, y: Vector, size: float, tolerance: Tolerance, guess: StageGuess | None
     ) -> Corrected:
-        """Factorize for a step and return what its first iterations give."""
+        """Factorize the matrices of a step and return the result of its first iterations."""
         calls = self._flow.calls().newton(self.scheme)
         corrected, guard = calls.begin(y, size, tolerance, guess)
         self._flow.keep_end(corrected.after, guard)
         return corrected
 
     def correct(self, stages: Vector) -> tuple[Vector, float]:
-        """Return the stage increments after one more iteration and the size of its correction."""
+        """Return the stage increments after another iteration and the size of its correction."""
         return self._flow.calls().newton(self.scheme).correct(stages)
 
     def error(self, stages: Vector) -> float:
@@ -362,18 +412,12 @@ class CompiledNewton:
         return self._flow.calls().newton(self.scheme).error(stages)
 
 
-class _NewtonConnect(NamedTuple):
-    """What makes calls of the pieces of an implicit step, as `NewtonFunctions` lists them."""
-
-    begin: Connect
-    correct: Connect
-    error: Connect
-
-
 class NewtonCalls:
     """Newton's iteration for an implicit step, each piece one call."""
 
-    def __init__(self, connect: _NewtonConnect, p: Vector, n_y: int, scheme: Collocation) -> None:
+    def __init__(
+        self, functions: NewtonFunctions, p: Vector, n_y: int, scheme: Collocation
+    ) -> None:
         shape = (scheme.n_stages, n_y)
         self._y, self._numbers = np.zeros(n_y), np.zeros(5)
         self._continued, self._nothing = np.zeros(shape), np.zeros(shape)
@@ -385,14 +429,14 @@ class NewtonCalls:
         step = (self._y, p, self._numbers)
         begun = (self._factors, self._begun, self._coefficients, self._after, self._told)
         iterate = (*step, self._factors, self._stages)
-        self._begin = connect.begin((*step, self._continued), begun)
-        self._correct = connect.correct(iterate, (self._corrected, self._size))
-        self._estimate = connect.error(iterate, (self._error,))
+        self._begin = caller(functions.begin, (*step, self._continued), begun)
+        self._correct = caller(functions.correct, iterate, (self._corrected, self._size))
+        self._estimate = caller(functions.error, iterate, (self._error,))
 
     def begin(
         self, y: Vector, size: float, tolerance: Tolerance, guess: StageGuess | None
     ) -> tuple[Corrected, tuple[float, float]]:
-        """Factorize and return what the first iterations give, and the guard at the end."""
+        """Factorize and return the result of the first iterations, and the guard at the end."""
         start, ratio = (0.0, 0.0) if guess is None else (guess.start, guess.ratio)
         self._y[:] = y
         self._continued[:] = self._nothing if guess is None else guess.coefficients
@@ -405,7 +449,7 @@ class NewtonCalls:
         return corrected, (value, rate)
 
     def correct(self, stages: Vector) -> tuple[Vector, float]:
-        """Return the stage increments after one more iteration and the size of its correction."""
+        """Return the stage increments after another iteration and the size of its correction."""
         self._stages[:] = stages
         self._correct()
         return self._corrected.copy(), self._size.item()
@@ -419,7 +463,7 @@ class NewtonCalls:
 
 @lru_cache(maxsize=64)
 def newton_functions(mode: ModeFunctions, scheme: Collocation) -> NewtonFunctions:
-    """Build the pieces of an implicit step; only a problem that turns out stiff needs them."""
+    """Build the functions of an implicit step, which only stiff problems need."""
     p = ca.SX.sym("p", mode.rate.size1_in(1))
     pieces = implicit_expressions(mode.rate, p, scheme)
     y, stages, factors = pieces.y, pieces.stages, pieces.factors
@@ -458,7 +502,7 @@ def newton_functions(mode: ModeFunctions, scheme: Collocation) -> NewtonFunction
 
 
 def _continued(coefficients: ca.SX, scheme: Collocation, start: ca.SX, ratio: ca.SX) -> ca.SX:
-    """Return what ``Collocation.continued`` does, in symbols."""
+    """Return the result of ``Collocation.continued`` in symbols."""
     at = [start + ratio * node for node in scheme.nodes.tolist()]
     values = [_polynomial(coefficients, position) for position in at]
     return ca.horzcat(*values) - _polynomial(coefficients, start)

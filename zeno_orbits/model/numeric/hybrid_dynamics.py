@@ -1,7 +1,7 @@
-"""A completed system at fixed numbers: the flows, guards and resets that a simulator needs.
+"""A completed system at fixed parameter values: the flows, guards and resets of a simulator.
 
-Both models of a problem end here, the compiled CasADi one and a hand-written one, so a checker
-cannot tell which of them it integrates.
+The compiled CasADi model and the hand-written model of a problem both have this interface, so a
+checker integrates both in the same way.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,17 +19,20 @@ from zeno_orbits.integrators import GuardedFlow, PlainFlow, light_value
 from zeno_orbits.model.numeric.derivatives import Differentiation
 from zeno_orbits.model.scale import OwnScale, usual
 
+if TYPE_CHECKING:
+    from zeno_orbits.model.numeric.compiled import CompiledSystem
+
 _BEYOND = ": the drive's correction is as large as what it corrects; take the full problem."
 
 
 @light_value
 class Resting:
-    r"""A state moved onto the stop, and what happens there.
+    r"""A state projected onto the stop, with its accelerations.
 
     Attributes:
-        state: Gap and gap rate zero, ``(n_x,)``.
-        gap_acceleration: :math:`\ddot h` of the free flow there.
-        rate: :math:`\dot x` of the locked flow there, ``(n_x,)``.
+        state: State with zero gap and gap rate, ``(n_x,)``.
+        gap_acceleration: :math:`\ddot h` of the free flow at that state.
+        rate: :math:`\dot x` of the locked flow at that state, ``(n_x,)``.
     """
 
     state: Vector
@@ -38,11 +42,11 @@ class Resting:
 
 @light_value
 class Landed(Resting):
-    """What an impact leads to: the state after it, moved onto the stop, and as it is.
+    """Result of an impact: the state after it, and the same state projected onto the stop.
 
     Attributes:
-        state_plus: State just after it, ``(n_x,)``.
-        gap_rate: Of that state.
+        state_plus: State just after the impact, ``(n_x,)``.
+        gap_rate: Gap rate of that state.
     """
 
     state_plus: Vector
@@ -51,16 +55,32 @@ class Landed(Resting):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FusedStop:
-    """All that an impact asks of the stop in one evaluation, and the functions that it stands for.
+    """All quantities that an impact needs in one evaluation, and the functions that it replaces.
 
     Attributes:
-        resting: From a state to its rest.
-        landed: From a state before an impact and its gap rate to what the impact leads to.
-        parts: What they are made of, as ``HybridDynamics.stop_parts`` lists it.
+        resting: Function from a state to its `Resting`.
+        landed: Function from a state before an impact and its gap rate to the `Landed` result.
+        parts: The replaced functions, as listed by ``HybridDynamics.stop_parts``.
     """
 
     resting: Callable[[Vector], Resting]
     landed: Callable[[Vector, float], Landed]
+    parts: tuple[object, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Formulas:
+    """The formulas of a system with parameter values, for evaluation outside of Python.
+
+    Attributes:
+        system: The functions of the problem.
+        values: Gains and parameters, ``(n_p,)``.
+        parts: The functions that the formulas represent, as listed by
+            ``HybridDynamics.formula_parts``.
+    """
+
+    system: CompiledSystem
+    values: Vector
     parts: tuple[object, ...]
 
 
@@ -71,12 +91,12 @@ class HybridDynamics:
     Attributes:
         state_names: Name of each state.
         restitution: :math:`e` of the slowest impacts.
-        speed_after: Gap rate after an impact, from the one before it.
-        free: Flow off the stop; its guard is the gap.
-        locked: Flow on the stop; its guard is the multiplier.
-        flight: From the speed `w` after an impact to the rescaled flow of
-            ``(x, h / w^2, (dh/dt) / w)`` in the scaled time ``t / w``; its guard is ``h / w^2``
-            (theory (14)). It stays accurate down to ``w = 0``.
+        speed_after: Function from the gap rate before an impact to the gap rate after it.
+        free: Flow off the stop. Its guard is the gap.
+        locked: Flow on the stop. Its guard is the multiplier.
+        flight: Function from the speed `w` after an impact to the rescaled flow of ``(x, h / w^2,
+            (dh/dt) / w)`` in the scaled time ``t / w``. Its guard is ``h / w^2`` (theory (14)). The
+            flow is accurate down to ``w = 0``.
         gap: :math:`h(x)`.
         gap_rate: :math:`\dot h(x)`.
         gap_acceleration: :math:`\ddot h(x)` of the free flow.
@@ -86,14 +106,18 @@ class HybridDynamics:
         impulse_direction: :math:`W J^\top / (J W J^\top)` in the velocity entries, ``(n_x,)``.
         normal_inertia: :math:`1 / (J W J^\top)`.
         energy: Mechanical and magnetic energy [J].
-        holonomic: :math:`(\eta, \dot\eta)`, ``(2 n_eta,)``; zero on admissible states.
-        n_q: Number of coordinates; ``x`` begins with them, then as many velocities.
-        fused_stop: The methods `resting` and `landed` in one evaluation, if there is such a thing.
-            It serves as long as the functions that it stands for are this system's own.
-        differentiation: Its derivatives, if it has formulas. They serve as long, too.
-        clock: Places of the clock in the state; the last of `holonomic` is how far it is off its
-            circle.
-        scaling: From nothing to the sizes of its numbers, if it knows them.
+        holonomic: :math:`(\eta, \dot\eta)`, ``(2 n_eta,)``, zero on admissible states.
+        n_q: Number of coordinates. The state ``x`` begins with the coordinates, then the
+            velocities.
+        fused_stop: The methods `resting` and `landed` in one evaluation, if available. It is valid
+            as long as this system's functions are the replaced functions.
+        differentiation: Derivatives, if the system has formulas. They are valid under the same
+            condition.
+        formulas: Formulas, if the system has any. They are valid under the same condition.
+        clock: Indices of the clock in the state. The last entry of `holonomic` is the distance of
+            the clock from its circle.
+        scaling: Function without arguments that returns the characteristic scales, if they are
+            known.
     """
 
     state_names: tuple[str, ...]
@@ -115,25 +139,28 @@ class HybridDynamics:
     holonomic: Callable[[Vector], Vector]
     fused_stop: FusedStop | None = None
     differentiation: Differentiation | None = None
+    formulas: Formulas | None = None
     clock: tuple[int, ...] = ()
     scaling: Callable[[], OwnScale] = usual
 
     def __post_init__(self) -> None:
-        """Refuse a restitution that is none, as a corrected drive beyond its reach has."""
+        """Reject an invalid restitution, as from a corrected drive outside its validity."""
         if self.fused_stop is not None and self.fused_stop.parts != self.stop_parts:
             # A part was replaced, by a wrong one in a test for instance: the whole is no longer it.
             object.__setattr__(self, "fused_stop", None)
         derivable = self.differentiation
         if derivable is not None and derivable.parts != self.derivable_parts:
             object.__setattr__(self, "differentiation", None)
+        if self.formulas is not None and self.formulas.parts != self.formula_parts:
+            object.__setattr__(self, "formulas", None)
         if not 0.0 <= self.restitution < 1.0:
-            message = f"must lie in [0, 1) at these numbers, but it is {self.restitution:g}"
+            message = f"must lie in [0, 1) at these values, but it is {self.restitution:g}"
             reason = "." if not math.isnan(self.restitution) else _BEYOND
             raise InputError(f"Argument `restitution` {message}{reason}")
 
     @property
     def own(self) -> OwnScale:
-        """Sizes of its numbers."""
+        """Characteristic scales of the system."""
         return self.scaling()
 
     @property
@@ -155,8 +182,13 @@ class HybridDynamics:
             self.restitution,
         )
 
+    @property
+    def formula_parts(self) -> tuple[object, ...]:
+        """All parts that an execution depends on, except the characteristic scales."""
+        return (*self.derivable_parts, self.normal_inertia)
+
     def resting(self, x: Vector) -> Resting:
-        """Return the state moved onto the stop, as by `on_stop`, and what happens there."""
+        """Return the state projected onto the stop by `on_stop`, with its accelerations."""
         if self.fused_stop is not None:
             return self.fused_stop.resting(x)
         state = self.on_stop(x)
@@ -167,11 +199,11 @@ class HybridDynamics:
         )
 
     def landed(self, x: Vector, approach_rate: float) -> Landed:
-        """Return what an impact leads to, by the reset map and `resting`.
+        """Return the result of an impact, by the reset map and `resting`.
 
         Args:
-            x: State before it, ``(n_x,)``.
-            approach_rate: Gap rate before it, exactly.
+            x: State before the impact, ``(n_x,)``.
+            approach_rate: Exact gap rate before the impact.
         """
         if self.fused_stop is not None:
             return self.fused_stop.landed(x, approach_rate)
@@ -186,9 +218,10 @@ class HybridDynamics:
         )
 
     def on_stop(self, x: Vector) -> Vector:
-        """Return the state moved onto the stop, gap and gap rate zero, along the impulse.
+        """Return the state projected onto the stop, with zero gap and gap rate, along the impulse.
 
-        The velocity part is the plastic reset; the position part only takes away rounding.
+        The projection of the velocity is the plastic reset. The projection of the position removes
+        only rounding.
         """
         if self.fused_stop is not None:
             return self.fused_stop.resting(x).state

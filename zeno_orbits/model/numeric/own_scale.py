@@ -1,11 +1,11 @@
-r"""The sizes of a problem's own numbers, against which small numbers are small in any units.
+r"""Characteristic scales of a problem, relative to which small values are small in any units.
 
-Everything that counts as zero, and every local error, is a part of one of these. With
-:math:`|q|, |v|, |a|` where the problem starts and the time :math:`T` of its clock, or
-:math:`\sqrt{|q| / |a|}`, a coordinate has the size :math:`\max(|q|, |v| T, |a| T^2)`, the largest
-among those of its unit; an angle has the size 1, and the gap that of its change over such a way.
-Sizes far from 1 are rounded to powers of a thousand, all others to 1: a machine of everyday size
-has the size 1 in SI units.
+Every threshold for zero and every local error is relative to one of these scales. With
+:math:`|q|, |v|, |a|` at the problem's initial states and the time :math:`T` of its clock, or
+:math:`\sqrt{|q| / |a|}`, the scale of a coordinate is :math:`\max(|q|, |v| T, |a| T^2)`, and the
+largest scale among coordinates with the same unit. The scale of an angle is 1. The scale of the gap
+is its change over such a displacement. Scales far from 1 are rounded to powers of a thousand, and
+all other scales to 1, so a mechanism of everyday size has the scale 1 in SI units.
 """
 
 from __future__ import annotations
@@ -23,27 +23,31 @@ from zeno_orbits.model.scale import OwnScale
 _DAMPED = 1e-3
 """An eigenvalue whose imaginary part is less than this part of it does not oscillate."""
 _BAND, _WIDE = 3, 5
-"""Decades around 1 in which a size is an everyday one; of accelerations and forces more."""
+"""Decades around 1 within which a scale is rounded to 1, for accelerations and forces the second
+value."""
 _DECADES = 3
 """Other sizes are rounded to powers of ten with exponents that this divides."""
 _PHASES = 4
 _FIXED = ("rad", "1")
-"""Units of coordinates that have the size 1 whatever the problem."""
+"""Units of coordinates whose scale is 1 in every problem."""
 
 
 def own_time(dynamics: HybridDynamics, state: Vector) -> float:
     r"""Return the slowest time scale of a problem [s]: of its clock or its oscillations.
 
     It is :math:`2 \pi / |\mu|` with the smallest oscillating eigenvalue :math:`\mu` of the free
-    flow, which has those of the clock. Where nothing oscillates it is
+    flow, which includes the eigenvalues of the clock. Without an oscillation it is
     :math:`2 \pi \sqrt{|q| / |\ddot q|}`.
 
     Args:
         dynamics: The system.
-        state: Where to look, ``(n_x,)``.
+        state: State of the linearisation, ``(n_x,)``.
     """
     n_q = dynamics.n_q
-    eigenvalues = np.linalg.eigvals(dynamics.free.jacobian(state))
+    # At an empty vessel the slope of the root of the pressure is infinite, so its entries give no
+    # time scale.
+    slopes = np.nan_to_num(dynamics.free.jacobian(state), nan=0.0, posinf=0.0, neginf=0.0)
+    eigenvalues = np.linalg.eigvals(slopes)
     turning = np.abs(eigenvalues[np.abs(eigenvalues.imag) > _DAMPED * np.abs(eigenvalues)])
     if turning.size:
         return float(2 * math.pi / np.min(turning))
@@ -67,7 +71,7 @@ class Reach:
     time: float
 
     def sizes(self, n_x: int) -> Vector:
-        """Return the size of each state, ``(n_x,)``; 1 where there is none."""
+        """Return the scale of each state, ``(n_x,)``, by default 1."""
         sizes = np.ones(n_x)
         sizes[: len(self.states)] = _usable(self.states)
         return sizes
@@ -78,17 +82,20 @@ def own_scale(
     starts: Sequence[Sequence[float]],
     units: Sequence[str],
     clock: Sequence[int] = (),
+    further: Sequence[int] = (),
 ) -> OwnScale:
-    """Return the sizes of a problem's numbers, from where it starts.
+    """Return the characteristic scales of a problem, from its initial states.
 
     Args:
         dynamics: The system.
-        starts: States at which the problem starts, each ``(n_x,)``.
-        units: Unit of each state; coordinates of one unit are measured alike.
-        clock: Places of the clock in the state; it is looked at in four phases.
+        starts: Initial states of the problem, each ``(n_x,)``.
+        units: Unit of each state. Coordinates with the same unit share a scale.
+        clock: Indices of the clock in the state. The scales are evaluated at four phases of the
+            clock.
+        further: Indices of the states of circuits and of additional states.
     """
     with np.errstate(all="ignore"):
-        # What overflows has no size, and counts as 1.
+        # A value that overflows gets the scale 1.
         reach = reach_of(dynamics, starts, units, clock)
         states = _in_phases(np.array(starts, dtype=np.float64), clock)
         inertia = max(abs(dynamics.normal_inertia(x)) for x in states)
@@ -99,8 +106,30 @@ def own_scale(
             gap_rate=_rounded(float(gap / time)),
             gap_acceleration=_rounded(float(gap / time / time), _WIDE),
             multiplier=_rounded(float(gap / time / time * inertia), _WIDE),
-            sizes=tuple(map(_rounded, reach.states.tolist())),
+            sizes=(
+                *map(_rounded, reach.states.tolist()),
+                *_further_sizes(dynamics, states, further, float(time)),
+            ),
         )
+
+
+def _further_sizes(
+    dynamics: HybridDynamics, states: Vector, further: Sequence[int], time: float
+) -> list[float]:
+    r"""Return the scales of the states after the velocities, up to the last additional state.
+
+    Such a state has the scale :math:`\max(|z|, \min(|\dot z| T, |\dot z / \partial_z \dot z|))`.
+    """
+    first = 2 * dynamics.n_q
+    sizes = [1.0] * (max(further, default=first - 1) + 1 - first)
+    for k in further:
+        found = 0.0
+        for x in states:
+            rate, slope = dynamics.free.rate(x)[k], dynamics.free.jacobian(x)[k, k]
+            way = min(abs(rate) * time, abs(rate / slope) if slope != 0.0 else math.inf)
+            found = max(found, abs(float(x[k])), float(way))
+        sizes[k - first] = _rounded(found)
+    return sizes
 
 
 def _in_phases(states: Vector, clock: Sequence[int]) -> Vector:
@@ -118,13 +147,14 @@ def reach_of(
     units: Sequence[str],
     clock: Sequence[int] = (),
 ) -> Reach:
-    """Return how far a problem goes, as the sizes of `own_scale` before they are rounded.
+    """Return the reach of a problem, which is the scales of `own_scale` before rounding.
 
     Args:
         dynamics: The system.
-        starts: States at which the problem starts, each ``(n_x,)``.
-        units: Unit of each state; coordinates of one unit are measured alike.
-        clock: Places of the clock in the state; it is looked at in four phases.
+        starts: Initial states of the problem, each ``(n_x,)``.
+        units: Unit of each state. Coordinates with the same unit share a scale.
+        clock: Indices of the clock in the state. The scales are evaluated at four phases of the
+            clock.
     """
     states, n_q = _in_phases(np.array(starts, dtype=np.float64), clock), dynamics.n_q
     rates = np.array([dynamics.free.rate(x) for x in states])
@@ -142,12 +172,12 @@ def reach_of(
 
 
 def _alike(sizes: Vector, units: Sequence[str], fixed: float = 1.0) -> Vector:
-    """Return the largest size among the coordinates of one unit, for each, ``(n_q,)``.
+    """Return the largest scale among the coordinates with the same unit, for each, ``(n_q,)``.
 
     Args:
-        sizes: Of the coordinates.
-        units: Their units, and those of further states.
-        fixed: Least size of an angle.
+        sizes: Scales of the coordinates.
+        units: Units of the coordinates and of additional states.
+        fixed: Smallest scale of an angle.
     """
     found = sizes.copy()
     for unit in dict.fromkeys(units[: len(sizes)]):
@@ -159,13 +189,13 @@ def _alike(sizes: Vector, units: Sequence[str], fixed: float = 1.0) -> Vector:
 
 
 def _swing(places: Vector, accelerations: Vector) -> float:
-    """Return the longest time in which a coordinate goes as far as it is; 0 if none moves."""
+    """Return the longest time in which a coordinate moves by its own size, or 0 without motion."""
     moves = (places > 0.0) & (accelerations > 0.0)
     return float(np.max(np.sqrt(places[moves] / accelerations[moves]), initial=0.0))
 
 
 def _slowest(dynamics: HybridDynamics, x: Vector) -> float:
-    """Return the slowest time scale of the linearized flow, over a turn; 1 if it has none."""
+    """Return the slowest period of the linearised flow, or 1 without an oscillation."""
     try:
         return own_time(dynamics, x) / (2 * math.pi)
     except np.linalg.LinAlgError:
@@ -175,14 +205,14 @@ def _slowest(dynamics: HybridDynamics, x: Vector) -> float:
 def constraint_sizes(
     dynamics: HybridDynamics, x: Vector, own_sizes: Vector | None = None
 ) -> Vector:
-    """Return how much the holonomic constraints change where states do by their size, ``(n,)``.
+    """Return the change of the holonomic constraints for state changes of their scale, ``(n,)``.
 
-    At most by that a state may be off; 1 for a system without formulas.
+    It is the scale of constraint violations. It is 1 for a system without formulas.
 
     Args:
         dynamics: The system.
         x: A state, ``(n_x,)``.
-        own_sizes: Least size of each state, ``(n_x,)``; by default the system's own.
+        own_sizes: Smallest scale of each state, ``(n_x,)``, by default the system's own scales.
     """
     derivable = dynamics.differentiation
     if derivable is None:
@@ -194,23 +224,23 @@ def constraint_sizes(
 
 
 def _usable(sizes: Vector) -> Vector:
-    """Return sizes, 1 where there is none."""
+    """Return the scales, with 1 in place of invalid scales."""
     return np.where(np.isfinite(sizes) & (sizes > 0.0), sizes, 1.0)
 
 
 def _gap_reach(dynamics: HybridDynamics, x: Vector, sizes: Vector) -> float:
-    """Return how far the gap goes if a coordinate goes as far as it does."""
+    """Return the change of the gap for a displacement of each coordinate by its scale."""
     gap, moved = dynamics.gap(x), np.tile(x, (len(sizes), 1))
     moved[:, : len(sizes)] += np.diag(sizes)
     return max(abs(gap), *(abs(dynamics.gap(one) - gap) for one in moved))
 
 
 def _rounded(size: float, band: int = _BAND) -> float:
-    """Return 1 for an everyday size, else the nearest power of a thousand; 1 where there is none.
+    """Return 1 for an everyday or invalid scale, else the nearest power of a thousand.
 
     Args:
-        size: The size.
-        band: Decades around 1 that are everyday ones.
+        size: The scale.
+        band: Decades around 1 that count as everyday.
     """
     if not (math.isfinite(size) and size > 0.0) or abs(math.log10(size)) <= band:
         return 1.0
