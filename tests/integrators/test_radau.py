@@ -11,7 +11,7 @@ import pytest
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import StepSizeError
 from zeno_orbits.integrators import Automatic, Leg, Outcome, Passage, Radau, RungeKutta
-from zeno_orbits.integrators.automatic import decay_rates, staying_rate
+from zeno_orbits.integrators.automatic import rates_of, staying_rate
 from zeno_orbits.integrators.collocation import radau_scheme
 from zeno_orbits.integrators.events import SteppedTrajectory
 from zeno_orbits.integrators.flow import (
@@ -19,6 +19,7 @@ from zeno_orbits.integrators.flow import (
     PlainFlow,
     StageGuess,
     Tolerance,
+    flow_eigenvalues,
 )
 from zeno_orbits.integrators.steps import ExplicitStep, solved
 from zeno_orbits.model.library import load_problem
@@ -110,7 +111,7 @@ def test_the_jacobian_of_a_compiled_flow_is_its_derivative() -> None:
     y = np.array([0.2, 0.1, -5.0, 1.0, -1.8])
     plain = PlainFlow(field=flow.rate, guard_and_rate=flow.guard)
     assert flow.jacobian(y) == pytest.approx(plain.jacobian(y), rel=1e-6, abs=1e-5)
-    fastest, slower = decay_rates(flow, y)
+    fastest, slower = rates_of(flow_eigenvalues(flow, y))
     # The current decays at R / L = 1500 1/s, coupled to the rest by the torque constant.
     assert fastest == pytest.approx(1500.0, rel=0.01)
     assert slower < 30.0

@@ -1,15 +1,17 @@
-"""Follow a flow until its guard falls through zero: explicitly, implicitly, by Taylor series.
+"""Integration of a flow until its event function crosses zero downwards, explicit or implicit.
 
-A flow is a vector field with a guard; what they stand for is not known here. An engine follows a
-`Leg` of a flow and returns a `Passage`. `events` finds where a guard falls inside a step; the
-formulas of single steps are in `dop853_step`, `radau_step`, `rosenbrock` and `collocation`. A
-`CompilableFlow` may have a `LegCode`: the loop over the steps of a leg, `follow.c`, compiled.
+A flow is a vector field with an event function (its guard). The integrators do not depend on their
+meaning. An engine follows a `Leg` of a flow and returns a `Passage`. `events` finds the zero of a
+guard inside a step. The formulas of single steps are in `dop853_step`, `radau_step` and
+`collocation`. Everything is plain Python and serves as the reference of the compiled loop in the
+room `loop`.
 
-Offers: the engines `Automatic`, `RungeKutta`, `Radau`, `Taylor`, `SciPy`, by name in `ENGINES`;
-an `Engine` takes a `Leg` and gives a `Passage` with its `Outcome` and `Trajectory`, made of
-`Step`s; a `GuardedFlow`, a `PlainFlow` of plain functions, and the `Tolerance` of a step.
+Offers: the engines `Automatic`, `RungeKutta`, `Radau`, `SciPy`, by name in `ENGINES`. An `Engine`
+integrates a `Leg` and returns a `Passage` with its `Outcome` and its `Trajectory` of `Step`s. A
+`GuardedFlow` is the flow, a `PlainFlow` is a flow of plain functions, and a `Tolerance` is the
+tolerance of a step.
 
-Imports: kernels, arrays, errors.
+Imports: arrays, kinds, errors.
 """
 
 import lazy_loader as lazy

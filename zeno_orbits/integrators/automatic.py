@@ -10,26 +10,25 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators.compiled_leg import StepLoop
 from zeno_orbits.integrators.dop853 import RungeKutta
-from zeno_orbits.integrators.engine import FAR, Step
+from zeno_orbits.integrators.engine import FAR, BoxedStep, Step
 from zeno_orbits.integrators.flow import GuardedFlow, Tolerance, flow_eigenvalues
 from zeno_orbits.integrators.radau import Radau
 from zeno_orbits.integrators.stepping import SteppingEngine
+from zeno_orbits.kinds import Checked
 
 Values = NDArray[np.complex128]
 
 FIRST_LOOK = 5
-"""Explicit steps before the decay rates of a flow are asked for."""
+"""Number of explicit steps before the decay rates of a flow are computed."""
 
 PATIENCE = 24
-"""Explicit steps between two looks at the rates."""
+"""Number of explicit steps between two computations of the rates."""
 
 HELD, STUCK = 3.0, 1.0
 """Step times fastest decay from which stability sets the explicit step, near its 6: of any step,
@@ -39,36 +38,30 @@ PAYS = 25.0
 """Fastest decay over the rates that stay from which an implicit step pays."""
 
 LONG = 60.0
-"""Decay times what is left of the leg from which it is gone for most of that, and so from which
-going over pays."""
+"""Ratio of the rest of a leg to a decay time, above which the component counts as decayed and
+implicit steps pay."""
 
 FIRST_STEP = 2.5
-"""First implicit step times the next rate, over the eighth root of the tolerance: what the error
-estimate of order 8 mostly takes."""
+"""Factor of the first implicit step: times the next decay time and the eighth root of the
+tolerance. It matches the usual error estimate of order 8."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Automatic(SteppingEngine):
-    """Explicit steps, and implicit ones once stiffness holds the explicit ones back.
+class Automatic(SteppingEngine, Checked):
+    """Explicit steps, and implicit steps once stiffness limits the explicit steps.
 
     Attributes:
-        explicit: The engine that begins.
-        implicit: The engine that takes over.
+        explicit: The integrator at the start.
+        implicit: The integrator for stiff parts.
     """
 
     explicit: RungeKutta = field(default_factory=RungeKutta)
     implicit: Radau = field(default_factory=Radau)
 
-    @cached_property
-    def loop(self) -> StepLoop:
-        """Explicit steps, then implicit ones."""
-        explicit, implicit = self.explicit.largest_step, self.implicit.largest_step
-        return StepLoop(True, True, explicit, implicit, self.implicit.scheme)
-
     def steps(
         self, flow: GuardedFlow, y: Vector, tolerance: Tolerance, horizon: float = FAR
-    ) -> Iterator[Step]:
-        """Yield explicit steps, then perhaps implicit ones, without end."""
+    ) -> Iterator[BoxedStep]:
+        """Yield explicit steps without end, and implicit steps if the flow becomes stiff."""
         limits, size = _NONE, 0.0
         for count, step in enumerate(self.explicit.steps(flow, y, tolerance, horizon), start=1):
             yield step
@@ -90,9 +83,9 @@ class _Limits:
     """The limits of the steps of a flow.
 
     Attributes:
-        fastest: The decay that holds explicit steps back [1/time]; zero if nothing else is slower
-            by far, however long the leg.
-        first: Implicit step to begin with [time].
+        fastest: The decay rate that limits explicit steps [1/time]. It is zero if no other
+            component is slower by far, for any length of the leg.
+        first: First implicit step [time].
         values: Eigenvalues of the Jacobian.
     """
 
@@ -101,7 +94,7 @@ class _Limits:
     values: Values
 
     def pay(self, left: float) -> bool:
-        """Return True if implicit steps pay for what is left of a leg."""
+        """Return True if implicit steps pay for the rest of a leg."""
         return self.fastest > PAYS * staying_rate(self.values, left)
 
 
@@ -115,13 +108,18 @@ def _limits(flow: GuardedFlow, y: Vector, tolerance: Tolerance) -> _Limits:
     if not fastest > PAYS * staying_rate(values, math.inf):
         return _NONE
     first = FIRST_STEP * tolerance.relative ** (1 / 8)
-    return _Limits(
-        fastest=fastest, first=first / next_rate if next_rate > 0.0 else 0.0, values=values
-    )
+    first = _without_last_bits(first / next_rate) if next_rate > 0.0 else 0.0
+    return _Limits(fastest=fastest, first=first, values=values)
+
+
+def _without_last_bits(x: float) -> float:
+    """Return a guess rounded to eight bits, because the last bits of eigenvalues differ from C."""
+    part, power = math.frexp(x)
+    return math.ldexp(math.floor(256.0 * part) / 256.0, power)
 
 
 def _time_left(flow: GuardedFlow, step: Step) -> float:
-    """Return how long the guard takes to fall from the end of a step, as a parabola tells it."""
+    """Return the time from the end of a step to the zero of the guard, from a parabola."""
     (_, rate_before), (value, rate) = flow.guard(step.before), flow.guard(step.after)
     bend = (rate - rate_before) / step.size
     if value < 0.0:
@@ -131,31 +129,29 @@ def _time_left(flow: GuardedFlow, step: Step) -> float:
     return -value / rate if rate < 0.0 else math.inf
 
 
-def decay_rates(flow: GuardedFlow, y: Vector) -> tuple[float, float]:
+def rates_of(values: Values) -> tuple[float, float]:
     """Return the fastest decay of a flow and the largest rate of anything slower [1/time].
 
     Rates are moduli of eigenvalues of the Jacobian. Decays within a factor of ten of the fastest,
     of several motors for instance, count with it.
+
+    Args:
+        values: The eigenvalues, ``(n_y,)``.
     """
-    return rates_of(flow_eigenvalues(flow, y))
-
-
-def rates_of(values: Values) -> tuple[float, float]:
-    """Return the same of eigenvalues, ``(n_y,)``."""
     fastest = max(float(-np.min(values.real)), 0.0)
     slower = [abs(value) for value in values if -value.real < fastest / 10]
     return fastest, float(max(slower, default=0.0))
 
 
 def staying_rate(values: Values, left: float) -> float:
-    """Return the largest rate of what does not decay long before a leg ends [1/time].
+    """Return the largest rate of the components that persist until a leg ends [1/time].
 
-    Several layers, of motors with far different ``L / R`` for instance, are all passed soon. What
-    swings faster than it decays is not counted on to be gone.
+    Several boundary layers, for instance of motors with very different ``L / R``, all decay soon. A
+    component that oscillates faster than it decays counts as persistent.
 
     Args:
         values: Eigenvalues of the Jacobian, ``(n_y,)``.
-        left: What is left of the leg.
+        left: Length of the rest of the leg.
     """
     staying = [
         abs(value)

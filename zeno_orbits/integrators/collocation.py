@@ -1,4 +1,4 @@
-r"""Radau IIA collocation: the scheme, and what its Newton iteration needs.
+r"""Radau IIA collocation: the scheme, and the data of its Newton iteration.
 
 The stages of an implicit step solve :math:`Z = h (A \otimes I) F(y + Z)`. The eigenvectors of
 :math:`A^{-1}` split the linear systems of Newton's iteration into one of the size of the state for
@@ -27,13 +27,13 @@ from zeno_orbits.arrays import Array, Vector
 
 
 def lagrange_basis(points: Sequence[float], at: Any) -> list[Any]:
-    r"""Return the Lagrange basis of points at a place, one entry a point.
+    r"""Return the Lagrange basis of points at an argument, one entry per point.
 
     .. math:: \ell_k(x) = \prod_{j \ne k} \frac{x - x_j}{x_k - x_j}
 
     Args:
         points: The points :math:`x_j`, all different.
-        at: The place :math:`x`, a number or a symbol.
+        at: The argument :math:`x`, a value or a symbol.
     """
     places = [float(point) for point in points]
     return [
@@ -42,17 +42,27 @@ def lagrange_basis(points: Sequence[float], at: Any) -> list[Any]:
     ]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Collocation:
     """An implicit Runge-Kutta scheme whose last stage is the end of its interval.
 
     Attributes:
-        nodes: Stage positions in the unit interval, ``(n_stages,)``; the last is 1.
-        matrix: Runge-Kutta matrix, ``(n_stages, n_stages)``; its last row holds the weights.
+        nodes: Stage positions in the unit interval, ``(n_stages,)``, with 1 as the last position.
+        matrix: Runge-Kutta matrix, ``(n_stages, n_stages)``, whose last row holds the weights.
     """
 
     nodes: Array
     matrix: Array
+
+    def __repr__(self) -> str:
+        """Return the number of stages."""
+        return f"<Collocation with {self.n_stages} stages>"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return a recipe for pickle, by which Radau IIA is the same object in every process."""
+        if self is radau_scheme(self.n_stages):
+            return radau_scheme, (self.n_stages,)
+        return _scheme, (self.nodes, self.matrix)
 
     @property
     def n_stages(self) -> int:
@@ -87,8 +97,8 @@ class Collocation:
         r"""The part :math:`\gamma` of the slope at the start, and weights of the stages.
 
         :math:`\gamma h f(y) + \sum_i e_i Z_i` is the difference from an embedded quadrature of
-        order ``n_stages`` that also uses the start; :math:`1/\gamma` is the real eigenvalue, so
-        that the matrix of Newton's iteration filters it.
+        order ``n_stages`` that also uses the start. :math:`1/\gamma` is the real eigenvalue, so the
+        matrix of Newton's iteration filters the difference.
         """
         gamma = 1.0 / self.spectrum.values[0].real
         powers = np.arange(self.n_stages)
@@ -116,20 +126,25 @@ class Collocation:
         Args:
             stages: Stage increments, ``(n_stages, n_y)``.
         """
-        return self.monomials @ stages
+        # In the order of `follow.c`, because a matrix product may add in a different order.
+        terms = self.monomials.T[:, :, None] * stages[:, None, :]
+        return np.add.accumulate(terms, axis=0)[-1]
 
     def increment(self, coefficients: Array, position: float) -> Array:
         """Return the increment of the polynomial at a position in [0, 1], ``(n_y,)``."""
-        return position**self.powers @ coefficients
+        value = np.zeros(coefficients.shape[1:])
+        for row in coefficients[::-1]:
+            value = (value + row) * position
+        return value
 
     def continued(self, coefficients: Array, start: float, ratio: float) -> Array:
-        """Return the stage increments of a step as the polynomial of another one continues them.
+        """Return the stage increments of a step from the continued polynomial of another step.
 
         Args:
-            coefficients: Of the other step's polynomial.
-            start: Where the step starts, in units of the other one: 1 for the next step, 0 for
-                another one from the same start.
-            ratio: Its size in units of the other one.
+            coefficients: Coefficients of the other step's polynomial.
+            start: Start of the step, in units of the other step: 1 for the next step, 0 for another
+                step from the same start.
+            ratio: Size of the step in units of the other step.
         """
         at = start + ratio * self.nodes
         values = at[:, None] ** self.powers @ coefficients
@@ -157,6 +172,10 @@ _REAL = 1e-9
 
 def _tidy(value: complex) -> complex:
     return complex(value.real) if abs(value.imag) < _REAL else value
+
+
+def _scheme(nodes: Array, matrix: Array) -> Collocation:
+    return Collocation(nodes=nodes, matrix=matrix)
 
 
 @cache
@@ -195,11 +214,11 @@ class Nodes:
     whole: Vector
 
     def values(self, at: Vector) -> Vector:
-        """Return the matrix from values at the nodes to values at other places, ``(m, s)``."""
+        """Return the matrix from values at the nodes to values at other points, ``(m, s)``."""
         return _basis(at, len(self.places)) @ self.coefficients
 
     def integrals(self, at: Vector) -> Vector:
-        """Return the matrix to integrals from 0 to other places, ``(m, s)``."""
+        """Return the matrix to integrals from 0 to other points, ``(m, s)``."""
         return _integrated_basis(at, len(self.places)) @ self.coefficients
 
     def means(self, start: Vector, width: Vector) -> Vector:
@@ -207,8 +226,8 @@ class Nodes:
 
         .. math:: \frac1d \int_a^{a+d} q(u)\,du
 
-        by a Gauss rule that is exact: the difference of two integrals would lose
-        what `width` is smaller than one. At zero width the mean is the value.
+        by an exact Gauss rule: the difference of two integrals would lose digits for a small
+        `width`. At zero width the mean is the value.
         """
         n = len(self.places)
         points, weights = legendre.leggauss(n // 2 + 1)
@@ -219,13 +238,13 @@ class Nodes:
 
 @cache
 def radau_nodes(n: int) -> Nodes:
-    """Return the nodes of the Radau IIA method with `n` stages; the last is 1."""
+    """Return the nodes of the Radau IIA method with `n` stages, with 1 as the last node."""
     return _nodes(radau_abscissae(n))
 
 
 @cache
 def doubled_nodes(n: int) -> Nodes:
-    """Return the Radau nodes, then as many places between them and 0 where they are checked."""
+    """Return the Radau nodes, then the same number of check points between the nodes and 0."""
     own = radau_nodes(n).places
     angles = np.concatenate([[0.0], np.arccos(1 - 2 * own)])
     return _nodes(np.concatenate([own, (1 - np.cos((angles[1:] + angles[:-1]) / 2)) / 2]))

@@ -1,4 +1,4 @@
-"""The explicit engine: DOP853 steps taken by the flow itself, compiled where it can be.
+"""The explicit engine: DOP853 steps taken by the flow itself.
 
 Source: [HairerNorsettWanner1993]_.
 """
@@ -6,16 +6,16 @@ Source: [HairerNorsettWanner1993]_.
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.integrators.compiled_leg import StepLoop
 from zeno_orbits.integrators.engine import FAR
 from zeno_orbits.integrators.flow import GuardedFlow, Tolerance
 from zeno_orbits.integrators.stepping import SteppingEngine
 from zeno_orbits.integrators.steps import ExplicitStep, first_size, too_small
+from zeno_orbits.kinds import Checked
 
 SAFETY = 0.9
 SHRINK, GROW = 0.2, 8.0
@@ -23,7 +23,7 @@ EXPONENT = -1 / 8
 
 
 @dataclass(frozen=True, kw_only=True)
-class RungeKutta(SteppingEngine):
+class RungeKutta(SteppingEngine, Checked):
     """DOP853 with the usual step control.
 
     Attributes:
@@ -31,11 +31,6 @@ class RungeKutta(SteppingEngine):
     """
 
     largest_step: float = math.inf
-
-    @cached_property
-    def loop(self) -> StepLoop:
-        """Explicit steps alone."""
-        return StepLoop(True, False, self.largest_step, math.inf, None)
 
     def steps(
         self, flow: GuardedFlow, y: Vector, tolerance: Tolerance, horizon: float = FAR
@@ -48,9 +43,10 @@ class RungeKutta(SteppingEngine):
         while True:
             after, error = flow.attempt(y, size, tolerance)
             if not error <= 1.0:
-                # A flow that blows up returns NaN; a shorter step may still be finite.
+                # A flow that diverges returns NaN, but a shorter step may still be finite.
                 factor = SAFETY * error**EXPONENT if math.isfinite(error) else SHRINK
-                size *= max(SHRINK, factor)
+                # No part of an infinite step is finite.
+                size = min(size, sys.float_info.max) * max(SHRINK, factor)
                 refused = True
                 if size <= 4 * math.ulp(time) or size < 1e-300:
                     raise too_small("the flow is too stiff or singular", time, y)

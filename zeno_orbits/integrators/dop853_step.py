@@ -2,10 +2,10 @@
 
 Source: [HairerNorsettWanner1993]_, section II.10, with its error estimates of order 5 and 3.
 
-One step of the Dormand-Prince method of order 8, in numbers or in symbols.
+One step of the Dormand-Prince method of order 8, for values or symbols.
 
-Source: [HairerNorsettWanner1993]_, section II.10; the error combines its estimates of order 5
-and 3.
+Source: [HairerNorsettWanner1993]_, section II.10. The error combines its estimates of order 5 and
+3.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ FIFTH: Row = (
     (10, 0.08192320648511571),
     (11, -0.022355307863886294),
 )
-"""Weights of the slopes, the one after the step included, in the error of order 5."""
+"""Weights of the slopes, including the slope after the step, in the error of order 5."""
 
 THIRD: Row = (
     (0, -0.18980075407240762),
@@ -128,7 +128,7 @@ THIRD: Row = (
 
 
 State = TypeVar("State", bound=Any)
-"""A NumPy vector or a CasADi column: whatever adds and scales."""
+"""A NumPy vector or a CasADi column, or any type with addition and scaling."""
 
 _LEAST_RATIO = 0.02
 """Part of the order-5 estimate that an error estimate keeps at least."""
@@ -137,12 +137,12 @@ _LEAST_RATIO = 0.02
 def explicit_attempt(
     rate: Callable[[State], State], y: State, size: Any
 ) -> tuple[State, State, State]:
-    """Return the state after one step and the two error estimates per unit of step size.
+    """Return the state after a step and the two error estimates per unit of step size.
 
     Args:
         rate: The vector field, autonomous.
         y: State before the step, ``(n_y,)``.
-        size: Step size, a number or a symbol.
+        size: Step size, a value or a symbol.
     """
     slopes: list[State] = [rate(y)]
     for stage in STAGES:
@@ -158,18 +158,18 @@ def error_norm(fifth_squared: Any, third_squared: Any, size: Any, n_y: int, func
     .. math:: \epsilon = \epsilon_5 \max\left(\frac{\epsilon_5}
         {\sqrt{\epsilon_5^2 + 0.01\,\epsilon_3^2}},\; 0.02\right)
 
-    Without the second entry it is the usual estimate, which promises a hundred times too much
-    where a damped component is about to limit the step.
+    Without the second entry it is the usual estimate, which is a hundred times too small at the
+    step size where a damped component becomes unstable.
 
     Args:
         fifth_squared: Sum of squares of the order-5 estimate per unit of step, scaled.
-        third_squared: The same of order 3.
+        third_squared: Sum of squares of the order-3 estimate per unit of step, scaled.
         size: Size of the step, positive.
         n_y: Number of states.
         functions: ``numpy`` or ``casadi``, for ``sqrt`` and ``fmax``.
 
     Returns:
-        The error. NaN if a stage overflowed: such a step must be refused.
+        The error. It is NaN if a stage overflowed. Such a step must be rejected.
     """
     mixed = functions.sqrt(fifth_squared + 0.01 * third_squared)
     # The tiny number only keeps a flow without any error from 0 / 0.

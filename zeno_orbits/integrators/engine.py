@@ -1,4 +1,4 @@
-"""The small protocol behind which every integrator stands: follow a flow until its guard falls."""
+"""The common protocol of all integrators: integrate a flow until its guard crosses zero."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators.flow import GuardedFlow, Tolerance
 
 FAR = 1e300
-"""A horizon that no flow reaches; steps that grow without bound end in NaN."""
+"""A horizon that no flow reaches. Steps that grow without bound end in NaN."""
 
 T = TypeVar("T")
 
@@ -30,30 +30,30 @@ Watch = Callable[[int, float, Vector], None]
 
 
 def unwatched(_steps: int, _time: float, _state: Vector) -> None:
-    """Let the engine go on: the default watch of a leg.
+    """Let the integration continue. This is the default watch function of a leg.
 
     Args:
         _steps: Steps since the last call.
-        _time: Time that is reached, in the flow's unit.
+        _time: Time reached, in the flow's unit.
         _state: State there, ``(n_y,)``.
     """
 
 
 @light_value
 class Leg:
-    """A task of an engine: a flow, its start and its end.
+    """A task of an engine: a flow, its initial state and its end.
 
     Attributes:
         flow: The flow, autonomous.
         y: State at its start, ``(n_y,)``.
-        horizon: Longest time, in the flow's own.
+        horizon: Longest duration, in the flow's own time.
         tolerance: Local error of a step.
-        on_guard: The start is a root of the guard that does not count.
-        rounding: A guard of this size is zero but for rounding: before it has risen higher it does
-            not fall, and below minus this it has been left.
-        watch: Told of the progress; it ends a leg that takes too long or goes too far.
-        reach: Moduli of the first entries of the state beyond which the watch is told at once,
-            ``(n,)``; an engine may else take many steps between two words to it.
+        on_guard: Whether the start is a root of the guard that does not count.
+        rounding: Rounding level of the guard. A guard that has not risen above this value cannot
+            cross zero, and a guard below minus this value has crossed zero.
+        watch: Callback for progress. It may end a leg that takes too long or leaves its bounds.
+        reach: Bounds of the moduli of the first state entries, ``(n,)``. Beyond a bound the watch
+            function is called immediately. Otherwise many steps may pass between two calls.
     """
 
     flow: GuardedFlow
@@ -155,6 +155,21 @@ class Step(Protocol):
 
     def end_at(self, offset: float) -> Vector:
         """Return the state after a step that ends ``offset`` after the start: a true end."""
+        ...
+
+
+class BoxedStep(Step, Protocol):
+    """A step that bounds its states."""
+
+    def box(self, left: float, right: float, low: Vector, high: Vector, /) -> tuple[Vector, Vector]:
+        """Return lower and upper bounds of the states between two offsets, each ``(n_y,)``.
+
+        Args:
+            left: One offset.
+            right: The other.
+            low: State at the left one, ``(n_y,)``.
+            high: State at the right one.
+        """
         ...
 
 

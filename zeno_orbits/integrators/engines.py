@@ -7,73 +7,63 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib import import_module
-from importlib.util import find_spec
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import TYPE_CHECKING
 
 from zeno_orbits.errors import InputError
 
 if TYPE_CHECKING:
-    from zeno_orbits.arrays import Vector
     from zeno_orbits.integrators.engine import Engine
-    from zeno_orbits.integrators.flow import GuardedFlow
 
 
 @dataclass(frozen=True, slots=True)
 class EngineRow:
-    """The place of an engine.
+    """Entry of an engine in the table of engines.
 
     Attributes:
-        module: Its module in this room.
-        type_name: Its class; without arguments it is as accurate as it gets.
-        needs: A package that it cannot do without; the extra of the engine's name installs it.
+        module: Module of the engine in this room.
+        type_name: Class of the engine. Without arguments it has its highest accuracy.
     """
 
     module: str
     type_name: str
-    needs: str = ""
 
 
 ENGINES = {
     "automatic": EngineRow("automatic", "Automatic"),
     "explicit": EngineRow("dop853", "RungeKutta"),
     "implicit": EngineRow("radau", "Radau"),
-    "taylor": EngineRow("taylor.engine", "Taylor", needs="heyoka"),
 }
 """The first is the default."""
 
+REMOVED = {
+    "taylor": "was removed: take `automatic`, the default",
+}
+"""Engines of earlier releases, with the engine to take instead."""
 
-@runtime_checkable
-class Selective(Protocol):
-    """An engine that cannot follow every flow."""
 
-    def require(self, flow: GuardedFlow, y: Vector) -> None:
-        """Refuse a flow from a state that it cannot follow.
+def engine_refusal(name: str) -> str:
+    """Return the reason why a name is not an engine, as a clause, or an empty string if it is.
 
-        Raises:
-            InputError: It says why.
-        """
-        ...
+    Args:
+        name: The name.
+    """
+    if name in ENGINES:
+        return ""
+    why = f", which {REMOVED[name]}" if name in REMOVED else ""
+    return f"must be one of {', '.join(ENGINES)}, but it is `{name}`{why}"
 
 
 def engine_named(name: str) -> Engine:
     """Return the engine of a row.
 
     Raises:
-        InputError: If a package that it needs is missing.
+        InputError: If the table lacks such an engine.
     """
+    refusal = engine_refusal(name)
+    if refusal:
+        raise InputError(f"Argument `engine` {refusal}.")
     row = ENGINES[name]
-    if row.needs:
-        try:
-            import_module(row.needs)
-        except ImportError as error:
-            install = f"run `pip install 'zeno_orbits[{name}]'`"
-            raise InputError(f"Engine `{name}` needs {row.needs}: {install} ({error}).") from error
     engine: Engine = getattr(
         import_module(f"zeno_orbits.integrators.{row.module}"), row.type_name
     )()
     return engine
-
-
-def installed_engines() -> tuple[str, ...]:
-    """Return the names of the engines that can be had here."""
-    return tuple(name for name, row in ENGINES.items() if not row.needs or find_spec(row.needs))

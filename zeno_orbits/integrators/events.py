@@ -1,34 +1,31 @@
-"""The place in a step at which the guard of a flow falls through zero.
+"""Location of the event in a step: the point at which the guard of a flow crosses zero.
 
-Ends of steps alone would miss a fall and return between them, and a root finder that starts on
-the guard would report its own start. So the guard is looked at through its cubic Hermite
-interpolant first, then on the dense output, and every root is finished on true steps.
-
-What all engines that step share: watch the guard over their steps, and keep them.
+The ends of steps alone would miss a crossing and return between them, and a root finder that starts
+on the guard would report its own start. So the guard is first checked with its cubic Hermite
+interpolant and then on the dense output. Every root is refined with true steps. `guard_net` finds
+crossings that these samples miss.
 """
 
 from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
 
 import numpy as np
 
 from zeno_orbits.arrays import Vector
-from zeno_orbits.errors import StepSizeError
-from zeno_orbits.integrators.engine import Leg, Outcome, Passage, Step, light_value
-from zeno_orbits.integrators.flow import GuardedFlow
+from zeno_orbits.integrators.engine import Step, light_value
 
 Guard = tuple[float, float]
 """A guard and its time derivative."""
 
 FRACTIONS = tuple(k / 8 for k in range(1, 8))
-"""Parts of a step at which the guard is looked at, where its ends do not tell enough."""
+"""Fractions of a step at which the guard is evaluated, if its values at the ends do not suffice."""
 
 HALVINGS = 50
-"""A rise shorter than the step by more than this power of two is no rise."""
+"""A rise that is shorter than the step by more than this power of two is ignored."""
 
 TINY = 4 * float(np.finfo(np.float64).eps)
 """A bracket narrower than this part of its first width holds its root to rounding."""
@@ -41,18 +38,18 @@ def inner_coefficients(size: Any, before: Any, after: Any) -> tuple[Any, Any]:
     the first and the last, and it has no more roots than they have changes of sign.
 
     Args:
-        size: Of the step; or of many, ``(n,)``.
-        before: Guard and its rate at the start; of many steps ``(2, n)``.
-        after: The same at the end.
+        size: Step size, or sizes of many steps, ``(n,)``.
+        before: Guard and its rate at the start, ``(2, n)`` for many steps.
+        after: Guard and its rate at the end.
     """
     return before[0] + size / 3 * before[1], after[0] - size / 3 * after[1]
 
 
 def is_cubic(middle: Any, size: Any, before: Any, after: Any) -> Any:
-    """Return True if the cubic interpolant of a guard tells its value in the middle of a step.
+    """Return True if the cubic interpolant of a guard is accurate in the middle of a step.
 
     Args:
-        middle: The guard there, or those of many steps, ``(n,)``.
+        middle: The guard at the midpoint, or the guards of many steps, ``(n,)``.
         size: As for `inner_coefficients`.
         before: As for `inner_coefficients`.
         after: As for `inner_coefficients`.
@@ -65,8 +62,16 @@ CUBIC = 0.1
 """Part of a guard's size by which the middle of a step may differ from its cubic interpolant."""
 
 
+class Guarded(Protocol):
+    """An object with a guard."""
+
+    def guard(self, y: Vector) -> tuple[float, float]:
+        """Return the guard and its time derivative along the flow."""
+        ...
+
+
 def first_fall(
-    flow: GuardedFlow, step: Step, before: Guard, after: Guard, *, on_guard: bool
+    flow: Guarded, step: Step, before: Guard, after: Guard, *, on_guard: bool
 ) -> float | None:
     """Return the offset in the step at which the guard first falls through zero, if it does.
 
@@ -98,19 +103,19 @@ def first_fall(
     if not on_guard and falls_once:
         middle = dense(size / 2)
         if is_cubic(middle[0], size, before, after):
-            return _polished(flow, step, _halved_root(dense, size, before, middle, after))
+            return polished(flow, step, _halved_root(dense, size, before, middle, after))
     left, left_pair = 0.0, before
     armed = not on_guard
     for offset in (*(size * fraction for fraction in FRACTIONS), size):
         pair = dense(offset)
         if armed and pair[0] < 0.0:
-            return _polished(flow, step, _root(dense, left, offset, left_pair, pair))
+            return polished(flow, step, root(dense, left, offset, left_pair, pair))
         if armed and left_pair[1] < 0.0 < pair[1]:
             falling, rising = (left_pair[1], None), (pair[1], None)
-            lowest = _root(lambda at: (dense(at)[1], None), left, offset, falling, rising)
+            lowest = root(lambda at: (dense(at)[1], None), left, offset, falling, rising)
             low_pair = dense(lowest)
             if low_pair[0] < 0.0:
-                return _polished(flow, step, _root(dense, left, lowest, left_pair, low_pair))
+                return polished(flow, step, root(dense, left, lowest, left_pair, low_pair))
         armed = armed or pair[0] > 0.0
         left, left_pair = offset, pair
     if armed or after[0] >= 0.0:
@@ -118,19 +123,19 @@ def first_fall(
     return _short_rise(flow, step, dense)
 
 
-def _short_rise(flow: GuardedFlow, step: Step, dense: Callable[[float], Guard]) -> float | None:
+def _short_rise(flow: Guarded, step: Step, dense: Callable[[float], Guard]) -> float | None:
     """Return the fall after a rise from the guard that is far shorter than the step, if any."""
     right, right_pair = step.size, dense(step.size)
     for _ in range(HALVINGS):
         left = right / 2
         left_pair = dense(left)
         if left_pair[0] > 0.0:
-            return _polished(flow, step, _root(dense, left, right, left_pair, right_pair))
+            return polished(flow, step, root(dense, left, right, left_pair, right_pair))
         right, right_pair = left, left_pair
     return None
 
 
-def _polished(flow: GuardedFlow, step: Step, offset: float) -> float:
+def polished(flow: Guarded, step: Step, offset: float) -> float:
     """Return a root of the dense output, moved to the root of true steps by Newton's method."""
     for _ in range(4):
         value, rate = flow.guard(step.end_at(offset))
@@ -140,7 +145,7 @@ def _polished(flow: GuardedFlow, step: Step, offset: float) -> float:
             # A guard that falls so slowly that dense output and steps disagree: graze, not fall.
             return _slow_root(flow, step, offset)
         if abs(moved - offset) <= DOUBLES * step.size:
-            # Newton's method squares what is left.
+            # Newton's method squares the remaining error.
             return moved
         offset = moved
     return offset
@@ -153,7 +158,7 @@ POLISH = 1e-3
 """Newton's method moves a root of the dense output by no more than this part of the step."""
 
 
-def _slow_root(flow: GuardedFlow, step: Step, offset: float) -> float:
+def _slow_root(flow: Guarded, step: Step, offset: float) -> float:
     """Return the root of true steps near one of the dense output, if they differ in sign there."""
 
     def true(at: float) -> Guard:
@@ -164,7 +169,7 @@ def _slow_root(flow: GuardedFlow, step: Step, offset: float) -> float:
         left, right = max(offset - width, 0.0), min(offset + width, step.size)
         low, high = true(left), true(right)
         if low[0] > 0.0 > high[0]:
-            return _root(true, left, right, low, high)
+            return root(true, left, right, low, high)
         width *= 4
     return offset
 
@@ -174,28 +179,28 @@ def _halved_root(
 ) -> float:
     """Return the root of a step in which the guard falls once, in the half that has it."""
     if middle[0] > 0.0:
-        return _root(dense, size / 2, size, middle, after)
-    return _root(dense, 0.0, size / 2, before, middle)
+        return root(dense, size / 2, size, middle, after)
+    return root(dense, 0.0, size / 2, before, middle)
 
 
 Pair = tuple[float, float | None]
 """A function and its derivative, where it is known."""
 
 
-def _root(
+def root(
     function: Callable[[float], Pair], left: float, right: float, low: Pair, high: Pair
 ) -> float:
     """Return a root between two offsets at which a function differs in sign, to rounding.
 
-    Newton's method where the rate is known, while it stays in the bracket and its steps at least
-    halve; bisection elsewhere.
+    Newton's method is used if the rate is known, while it stays in the bracket and its steps at
+    least halve. Otherwise bisection is used.
 
     Args:
         function: The function.
         left: One offset.
         right: The other.
-        low: The function at the left one.
-        high: The function at the right one.
+        low: The function at the left offset.
+        high: The function at the right offset.
     """
     if low[0] == 0.0 or left == right:
         return left
@@ -225,7 +230,7 @@ def _root(
 
 
 def _cubic_root(left: float, right: float, low: Pair, high: Pair) -> float:
-    """Return where to look for a root first: where the cubic interpolant has one, or the chord."""
+    """Return the first guess of a root: the root of the cubic interpolant, or else of the chord."""
     # The quotient first: scaled gaps of a flight that goes far reach 1e300.
     drop = 1.0 - high[0] / low[0]
     at = 1.0 / drop
@@ -245,22 +250,13 @@ def _cubic_root(left: float, right: float, low: Pair, high: Pair) -> float:
 CUBIC_STEPS = 4
 
 
-def end_state(step: Step, offset: float) -> Vector:
-    """Return the state at an offset to the accuracy of the step's end."""
-    return step.after if offset == step.size else step.end_at(offset)
-
-
-LEAVES = 1e-6
-"""A guard that was never positive and is below minus this part of its change has been left."""
-
-
 @light_value
 class SteppedTrajectory:
-    """The steps of a leg; the last may reach beyond its end.
+    """The steps of a leg. The last step may extend beyond the end of the leg.
 
     Attributes:
         steps: The steps, at least one.
-        duration: Where the leg ends.
+        duration: Time at which the leg ends.
         end: State there, ``(n_y,)``.
     """
 
@@ -285,44 +281,3 @@ class SteppedTrajectory:
         at = bisect_right(self.steps, offset, key=lambda step: step.start)
         step = self.steps[max(at - 1, 0)]
         return step.state_at(min(max(offset - step.start, 0.0), step.size))
-
-
-def follow_steps(steps: Iterator[Step], leg: Leg) -> Passage:
-    """Take steps until the guard of a leg falls or its time is over."""
-    flow, on_guard = leg.flow, leg.on_guard
-    before = flow.guard(leg.y)
-    largest = 0.0
-    taken: list[Step] = []
-    for step in steps:
-        taken.append(step)
-        leg.watch(1, step.start, step.after)
-        after = flow.guard(step.after)
-        fall = first_fall(flow, step, before, after, on_guard=on_guard)
-        if fall is not None and on_guard and _is_rounding(leg, step, fall):
-            fall = None
-        end = step.size if fall is None else fall
-        if step.start + end >= leg.horizon:
-            state = end_state(step, leg.horizon - step.start)
-            return _passage(Outcome.HORIZON, taken, leg.horizon, state)
-        if fall is not None:
-            return _passage(Outcome.FALL, taken, step.start + fall, end_state(step, fall))
-        if on_guard:
-            largest = max(largest, abs(before[1]) * step.size, abs(after[1]) * step.size)
-            if after[0] < -max(LEAVES * largest, leg.rounding):
-                return _passage(Outcome.LEFT, taken, step.start, step.before)
-            on_guard = after[0] <= leg.rounding
-        before = after
-    raise StepSizeError(
-        "The engine stopped before the guard", time=before[0], state=tuple(leg.y.tolist())
-    )
-
-
-def _is_rounding(leg: Leg, step: Step, fall: float) -> bool:
-    """Return True if the guard, from its root at the start, has not risen above rounding."""
-    _, rate = leg.flow.guard(end_state(step, fall))
-    return abs(rate) * (step.start + fall) < leg.rounding
-
-
-def _passage(outcome: Outcome, steps: list[Step], duration: float, state: Vector) -> Passage:
-    trajectory = SteppedTrajectory(steps=tuple(steps), duration=duration, end=state)
-    return Passage(outcome=outcome, duration=duration, state=state, trajectory=trajectory)

@@ -1,8 +1,9 @@
-"""Flows with a guard: what an integrator is given, and how a plain function becomes one."""
+"""Flows with a guard: the input of an integrator, and the conversion of plain functions."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
@@ -12,10 +13,11 @@ from numpy.typing import NDArray
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators.collocation import Collocation
 from zeno_orbits.integrators.dop853_step import error_norm, explicit_attempt, overflow
+from zeno_orbits.kinds import Checked
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Tolerance:
+class Tolerance(Checked):
     """Local error allowed in one step: ``absolute + relative * |y|``, entry by entry.
 
     Attributes:
@@ -36,8 +38,8 @@ class StageGuess(NamedTuple):
 
     Attributes:
         coefficients: Of that polynomial, powers 1 up, ``(n_stages, n_y)``.
-        start: Where the step starts, in units of the other one.
-        ratio: Its size in these units.
+        start: Start of the step, in units of the other step.
+        ratio: Size of the step in these units.
     """
 
     coefficients: Vector
@@ -46,7 +48,7 @@ class StageGuess(NamedTuple):
 
 
 FIRST_ITERATIONS = 3
-"""Newton's iterations that every implicit step begins with; few steps need another."""
+"""Number of Newton iterations at the begin of every implicit step. Few steps need more."""
 
 
 class Corrected(NamedTuple):
@@ -80,18 +82,18 @@ class NewtonPieces(Protocol):
     def begin(
         self, y: Vector, size: float, tolerance: Tolerance, guess: StageGuess | None
     ) -> Corrected:
-        """Factorize for a step and return what its first iterations give.
+        """Factorize the matrices of a step and return the result of its first iterations.
 
         Args:
             y: State before the step, ``(n_y,)``.
-            size: Its size.
+            size: Size of the step.
             tolerance: Unit of corrections and error.
-            guess: What the stage increments start from; zero by default.
+            guess: Initial guess of the stage increments, by default zero.
         """
         ...
 
     def correct(self, stages: Vector) -> tuple[Vector, float]:
-        """Return the stage increments after one more iteration and the size of its correction."""
+        """Return the stage increments after another iteration and the size of its correction."""
         ...
 
     def error(self, stages: Vector) -> float:
@@ -110,12 +112,34 @@ class GuardedFlow(Protocol):
         """Return the guard and its time derivative along the flow."""
         ...
 
+    @property
+    def is_bounded(self) -> bool:
+        """True if the guard varies otherwise than the state, and its bounds in a box are known."""
+        ...
+
+    @property
+    def is_carried(self) -> bool:
+        """True if the guard is a state, in addition to its formula."""
+        ...
+
+    def guard_bounds(self, lower: Vector, upper: Vector, /) -> Sequence[float]:
+        """Return bounds of the guard and of two derivatives over a box of states.
+
+        Args:
+            lower: Lower ends of the states, ``(n_y,)``.
+            upper: Upper ends.
+
+        Returns:
+            Least and largest guard, least and largest rate, least and largest second derivative.
+        """
+        ...
+
     def attempt(self, y: Vector, size: float, tolerance: Tolerance) -> tuple[Vector, float]:
-        """Return the state after one step of DOP853 and its error, in units of the tolerance.
+        """Return the state and the error of a DOP853 step. The error is in units of the tolerance.
 
         Args:
             y: State before the step, ``(n_y,)``.
-            size: Its size, in the flow's own time.
+            size: Size of the step, in the flow's own time.
             tolerance: Unit of the error.
         """
         ...
@@ -132,8 +156,8 @@ class GuardedFlow(Protocol):
 def flow_eigenvalues(flow: GuardedFlow, y: Vector) -> NDArray[np.complex128]:
     """Return the eigenvalues of the Jacobian of a flow, ``(n_y,)`` [1/time].
 
-    They are zero where the Jacobian is not finite, so nothing is told of the steps there. Explicit
-    steps, of a state that is finite still, come to their end soon.
+    They are zero if the Jacobian is not finite, so the rates are then unknown. Explicit steps from
+    such a state, if it is finite, end soon.
     """
     jacobian = flow.jacobian(y)
     known = jacobian if np.all(np.isfinite(jacobian)) else np.zeros_like(jacobian)
@@ -160,8 +184,22 @@ class PlainFlow:
         """Return the guard and its time derivative along the flow."""
         return self.guard_and_rate(y)
 
+    @property
+    def is_bounded(self) -> bool:
+        """False, because plain functions are without formulas."""
+        return False
+
+    @property
+    def is_carried(self) -> bool:
+        """False, because plain functions are without formulas."""
+        return False
+
+    def guard_bounds(self, _lower: Vector, _upper: Vector) -> Sequence[float]:
+        """Return no bounds."""
+        return (-math.inf, math.inf) * 3
+
     def attempt(self, y: Vector, size: float, tolerance: Tolerance) -> tuple[Vector, float]:
-        """Return the state after one step of DOP853 and its error, in units of the tolerance."""
+        """Return the state and the error of a DOP853 step, in units of the tolerance."""
         after, fifth, third = explicit_attempt(self.field, y, size)
         scale = tolerance.absolute + tolerance.relative * np.maximum(np.abs(y), np.abs(after))
         fifth_squared = float(np.sum((fifth / scale) ** 2))
@@ -189,7 +227,7 @@ _DIFFERENCE = 6e-6
 
 
 class PlainNewton:
-    """Newton's iteration in NumPy, for flows that have no symbols."""
+    """Newton's iteration in NumPy, for flows without symbols."""
 
     def __init__(self, flow: PlainFlow, scheme: Collocation) -> None:
         self._field = flow.field
@@ -199,10 +237,10 @@ class PlainNewton:
     def begin(
         self, y: Vector, size: float, tolerance: Tolerance, guess: StageGuess | None
     ) -> Corrected:
-        """Factorize for a step and return what its first iterations give."""
+        """Factorize the matrices of a step and return the result of its first iterations."""
         self._y, self._size, self._tolerance = y, size, tolerance
         with np.errstate(all="ignore"):
-            # What overflows is refused by its NaN.
+            # If a step overflows, its NaN rejects it.
             self._slope = self._field(y)
             jacobian, eye = self._jacobian(y), np.eye(len(y))
             self._inverses = [
@@ -218,7 +256,7 @@ class PlainNewton:
             return Corrected(stages, coefficients, y + stages[-1], before, last, error)
 
     def correct(self, stages: Vector) -> tuple[Vector, float]:
-        """Return the stage increments after one more iteration and the size of its correction."""
+        """Return the stage increments after another iteration and the size of its correction."""
         with np.errstate(all="ignore"):
             rates = np.array([self._field(self._y + stage) for stage in stages])
             residual = rates - self.scheme.inverse @ stages / self._size

@@ -1,4 +1,4 @@
-"""The stiff engine: Radau IIA of order 13, whose steps do not know how fast a layer decays.
+"""The stiff engine: Radau IIA of order 13, whose step size is independent of fast layers' decay.
 
 Source: [HairerWanner1996]_, IV.8 for the iteration and the step control, theory (23).
 """
@@ -6,26 +6,29 @@ Source: [HairerWanner1996]_, IV.8 for the iteration and the step control, theory
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import cached_property
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.integrators.collocation import Collocation, radau_scheme
-from zeno_orbits.integrators.compiled_leg import StepLoop
 from zeno_orbits.integrators.engine import FAR
 from zeno_orbits.integrators.flow import GuardedFlow, StageGuess, Tolerance
 from zeno_orbits.integrators.stepping import SteppingEngine
 from zeno_orbits.integrators.steps import RadauStep, first_size, solved, too_small
+from zeno_orbits.kinds import Checked
 
 SAFETY = 0.9
 SHRINK, GROW = 0.1, 6.0
+N_STAGES = 7
+"""Stages of a step, for order 13."""
+
 UNSOLVED = 0.3
 """Factor of the step size after an iteration that did not converge."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Radau(SteppingEngine):
+class Radau(SteppingEngine, Checked):
     """Radau IIA with simplified Newton iterations.
 
     Attributes:
@@ -33,13 +36,8 @@ class Radau(SteppingEngine):
         largest_step: No step is longer than this, in the time of the flow.
     """
 
-    scheme: Collocation = field(default_factory=lambda: radau_scheme(7))
+    scheme: Collocation = field(default_factory=lambda: radau_scheme(N_STAGES))
     largest_step: float = math.inf
-
-    @cached_property
-    def loop(self) -> StepLoop:
-        """Implicit steps alone."""
-        return StepLoop(False, True, math.inf, self.largest_step, self.scheme)
 
     def steps(
         self,
@@ -51,15 +49,15 @@ class Radau(SteppingEngine):
         time: float = 0.0,
         size: float | None = None,
     ) -> Iterator[RadauStep]:
-        """Yield steps from ``y`` on, without end.
+        """Yield steps from ``y``, without end.
 
         Args:
             flow: The flow.
             y: State at the start, ``(n_y,)``.
             tolerance: Local error of a step.
-            horizon: No step is longer.
+            horizon: Largest step size.
             time: Time at the start.
-            size: First step to try; one is guessed by default.
+            size: First trial step size, by default estimated.
 
         Raises:
             StepSizeError: If the step size falls to rounding level.
@@ -76,7 +74,8 @@ class Radau(SteppingEngine):
             error = math.inf if found is None else found.error
             factor = SAFETY * max(error, 1e-300) ** exponent if error < math.inf else UNSOLVED
             if found is None or not error <= 1.0:
-                size *= max(SHRINK, min(factor, 0.5 if last is None else 1.0))
+                part = max(SHRINK, min(factor, 0.5 if last is None else 1.0))
+                size = min(size, sys.float_info.max) * part
                 refused = True
                 if not size > 4 * math.ulp(time) or size < 1e-300:
                     raise too_small("the flow is singular", time, y)

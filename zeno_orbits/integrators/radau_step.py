@@ -1,7 +1,8 @@
 r"""One step of Radau IIA in symbols: Newton's matrices, Newton's step and the error.
 
-With :math:`W = T^{-1} Z` the simplified Newton iteration falls apart into systems of the size of
-the state, one for every eigenvalue :math:`\mu` of :math:`A^{-1}` (one of each conjugate pair):
+In the variables :math:`W = T^{-1} Z` the simplified Newton iteration separates into systems of the
+size of the state, one system for every eigenvalue :math:`\mu` of :math:`A^{-1}`. A conjugate pair
+counts once:
 
 .. math:: \left(\frac{\mu}{h} I - J\right) \Delta w =
     \left(T^{-1}\,(F(y + Z) - A^{-1} Z / h)\right)_\mu

@@ -11,14 +11,15 @@ import numpy as np
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import StepSizeError
 from zeno_orbits.integrators.engine import Leg, Passage
-from zeno_orbits.integrators.events import follow_steps
 from zeno_orbits.integrators.flow import GuardedFlow, Tolerance
+from zeno_orbits.integrators.following import follow_steps
+from zeno_orbits.integrators.steps import hermite_box
 
 if TYPE_CHECKING:
     from scipy.integrate import DOP853, LSODA, OdeSolver, Radau
 
 _FAR = 1e300
-"""A time bound that no flow reaches; SciPy's solvers want one."""
+"""A time bound that no flow reaches, as SciPy's solvers require a bound."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,7 +61,8 @@ class SciPy:
         while True:
             start = float(solver.t)
             with np.errstate(all="ignore"):
-                # A step that overflows is refused by its NaN; the user need not hear of it.
+                # The NaN of a step that overflows rejects the step, so a warning would be
+                # superfluous.
                 message = solver.step()
             if solver.status == "failed":
                 raise StepSizeError(
@@ -83,7 +85,7 @@ class SciPy:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SciPyStep:
-    """A step of SciPy's; the state inside is integrated again, as dense output is less accurate."""
+    """A step of SciPy's solver. States inside are integrated again for accuracy."""
 
     engine: SciPy
     flow: GuardedFlow
@@ -115,3 +117,7 @@ class SciPyStep:
     def end_at(self, offset: float) -> Vector:
         """Return the same: nothing is interpolated."""
         return self.state_at(offset)
+
+    def box(self, left: float, right: float, low: Vector, high: Vector) -> tuple[Vector, Vector]:
+        """Return bounds of the states between two offsets, at which they are given."""
+        return hermite_box(self.flow, right - left, low, high)

@@ -1,14 +1,17 @@
-"""Single steps as values: the explicit one knows its flow, the implicit one its polynomial.
+"""Single steps as values: an explicit step holds its flow, an implicit step its polynomial.
 
-A state inside an explicit step comes from a shorter step of the same order from the same start, so
-event times and dense output lose nothing against the steps. Dense output of an implicit step is
-its collocation polynomial; an event time is finished on a step that ends there.
+A state inside an explicit step is computed by a shorter step of the same order from the same start,
+so event times and dense output are as accurate as the steps. Dense output of an implicit step is
+its collocation polynomial. An event time is refined by a step that ends there.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
 
 from zeno_orbits.arrays import Vector
 from zeno_orbits.errors import StepSizeError
@@ -32,7 +35,7 @@ NEWTON_FLOOR = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class ExplicitStep:
-    """A step that knows its flow: the state inside is another, shorter step from the start."""
+    """A step that holds its flow. A state inside is computed by a shorter step from the start."""
 
     flow: GuardedFlow
     tolerance: Tolerance
@@ -50,6 +53,10 @@ class ExplicitStep:
     def end_at(self, offset: float) -> Vector:
         """Return the same: nothing is interpolated."""
         return self.state_at(offset)
+
+    def box(self, left: float, right: float, low: Vector, high: Vector) -> Box:
+        """Return bounds of the states between two offsets, at which they are given."""
+        return hermite_box(self.flow, right - left, low, high)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,7 +79,7 @@ class RadauStep:
         return self.before + self.scheme.increment(self.coefficients, offset / self.size)
 
     def end_at(self, offset: float) -> Vector:
-        """Return the state after a step that ends ``offset`` after the start of this one."""
+        """Return the state after a step with the same start that ends at ``offset``."""
         if offset == self.size:
             return self.after
         if offset <= 0.0:
@@ -82,18 +89,86 @@ class RadauStep:
         found = solved(pieces, self.before, offset, self.tolerance, guess)
         return self.state_at(offset) if found is None else found.after
 
+    def box(self, left: float, right: float, _low: Vector, _high: Vector) -> Box:
+        """Return bounds of the collocation polynomial between two offsets."""
+        series = np.vstack([self.before, self.coefficients])
+        return polynomial_box(series, left / self.size, right / self.size)
+
+
+Box = tuple[Vector, Vector]
+"""Lower and upper ends of states, each ``(n_y,)``."""
+
+SLACK = 0.125
+"""Part of its width by which the box of a cubic is widened: that is not the flow itself."""
+
+
+ROUNDED = 2.0**-49
+"""Part of an end of a box by which that is moved outwards: eight roundings."""
+
+
+def hermite_box(flow: GuardedFlow, width: float, low: Vector, high: Vector) -> Box:
+    """Return bounds of the states of a flow between two of them, from the cubic through both.
+
+    The cubic lies in the hull of its Bernstein coefficients.
+
+    Args:
+        flow: The flow.
+        width: Time between the states.
+        low: The first state, ``(n_y,)``.
+        high: The second.
+    """
+    third = width / 3
+    hull = np.array([low, low + third * flow.rate(low), high - third * flow.rate(high), high])
+    lower, upper = hull.min(axis=0), hull.max(axis=0)
+    slack = SLACK * (upper - lower)
+    return _rounded(lower - slack, upper + slack)
+
+
+def polynomial_box(series: Vector, left: float, right: float) -> Box:
+    """Return bounds of polynomials between two points, from their Bernstein coefficients.
+
+    Args:
+        series: Coefficients, one row per power from zero, ``(n, n_y)``.
+        left: The left point.
+        right: The right point.
+    """
+    bernstein, binomials, exponents = _bernstein(len(series))
+    if left == 0.0 and right == 1.0:
+        hull = bernstein @ series
+    else:
+        powers = (right - left) ** np.arange(len(series))
+        hull = (bernstein * powers) @ (binomials * left**exponents) @ series
+    return _rounded(hull.min(axis=0), hull.max(axis=0))
+
+
+def _rounded(lower: Vector, upper: Vector) -> Box:
+    """Return a box widened by the rounding of its ends and of formulas in it."""
+    return lower - ROUNDED * np.abs(lower), upper + ROUNDED * np.abs(upper)
+
+
+@cache
+def _bernstein(n: int) -> tuple[Vector, Vector, Vector]:
+    """Return the matrix from powers on ``[0, 1]`` to Bernstein coefficients, ``(n, n)``.
+
+    Then the binomials ``j over k`` that shift a polynomial, row ``k`` and column ``j``, and the
+    exponents that go with them, ``j - k``.
+    """
+    shift = np.array([[float(math.comb(j, k)) for j in range(n)] for k in range(n)])
+    places = np.arange(n)
+    return (shift / shift[:, -1:]).T, shift, np.maximum(places - places[:, None], 0)
+
 
 def solved(
     pieces: NewtonPieces, y: Vector, size: float, tolerance: Tolerance, guess: StageGuess | None
 ) -> Corrected | None:
-    """Return a step with its stages solved for, or nothing if Newton's method fails.
+    """Return a step with its solved stages, or ``None`` if Newton's method fails.
 
     Args:
         pieces: The iteration.
         y: State before the step, ``(n_y,)``.
-        size: Its size.
-        tolerance: What the iteration is measured by.
-        guess: What the stage increments start from; zero by default.
+        size: Size of the step.
+        tolerance: Scale of the iteration's convergence test.
+        guess: Initial guess of the stage increments, by default zero.
     """
     found = pieces.begin(y, size, tolerance, guess)
     stages, norm, last = found.stages, found.last, found.before
@@ -141,9 +216,9 @@ def too_small(reason: str, time: float, y: Vector) -> StepSizeError:
     """Return the error of a step size that fell to rounding level.
 
     Args:
-        reason: What may be wrong with the flow.
-        time: When.
-        y: State there, ``(n_y,)``.
+        reason: Possible fault of the flow.
+        time: Time of the failure.
+        y: State at that time, ``(n_y,)``.
     """
     return StepSizeError(
         f"The step size fell to rounding level: {reason}", time=time, state=tuple(y.tolist())

@@ -13,7 +13,7 @@ class TriangularFactors:
 
     Attributes:
         real: Lower triangle below the diagonal, upper above, inverse pivots on it.
-        imaginary: Likewise; ``None`` for a real matrix.
+        imaginary: The same for the imaginary part, or ``None`` for a real matrix.
     """
 
     real: list[list[ca.SX]]
@@ -91,7 +91,7 @@ class _Number:
 
 
 def factorized_matrix(matrix: TriangularFactors) -> TriangularFactors:
-    """Return the triangular factors; a zero pivot gives NaN, and the step is refused."""
+    """Return the triangular factors. A zero pivot gives NaN, which rejects the step."""
     n = len(matrix.real)
     rows = [[matrix.entry(i, j) for j in range(n)] for i in range(n)]
     for k in range(n):

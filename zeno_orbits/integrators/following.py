@@ -1,0 +1,70 @@
+"""Step-by-step integration of a flow until its guard crosses zero, shared by all step engines."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from zeno_orbits.arrays import Vector
+from zeno_orbits.errors import StepSizeError
+from zeno_orbits.integrators.engine import BoxedStep, Leg, Outcome, Passage, Step
+from zeno_orbits.integrators.events import Guard, SteppedTrajectory, first_fall
+from zeno_orbits.integrators.guard_net import first_of_all
+
+LEAVES = 1e-6
+"""A guard that was never positive and is below minus this part of its change has been left."""
+
+
+def follow_steps(steps: Iterator[BoxedStep], leg: Leg) -> Passage:
+    """Take steps until the guard of a leg falls or its time is over."""
+    flow, on_guard = leg.flow, leg.on_guard
+    before = flow.guard(leg.y)
+    largest = 0.0
+    taken: list[Step] = []
+    for step in steps:
+        taken.append(step)
+        leg.watch(1, step.start, step.after)
+        after = flow.guard(step.after)
+        fall = _fall(leg, step, before, after, on_guard=on_guard)
+        end = step.size if fall is None else fall
+        if step.start + end >= leg.horizon:
+            state = end_state(step, leg.horizon - step.start)
+            return _passage(Outcome.HORIZON, taken, leg.horizon, state)
+        if fall is not None:
+            return _passage(Outcome.FALL, taken, step.start + fall, end_state(step, fall))
+        if on_guard:
+            largest = max(largest, abs(before[1]) * step.size, abs(after[1]) * step.size)
+            if after[0] < -max(LEAVES * largest, leg.rounding):
+                return _passage(Outcome.LEFT, taken, step.start, step.before)
+            on_guard = after[0] <= leg.rounding
+        before = after
+    raise StepSizeError(
+        "The engine stopped before the guard", time=before[0], state=tuple(leg.y.tolist())
+    )
+
+
+def _fall(
+    leg: Leg, step: BoxedStep, before: Guard, after: Guard, *, on_guard: bool
+) -> float | None:
+    """Return the offset in a step at which the guard of a leg first falls, if it does."""
+    fall = first_fall(leg.flow, step, before, after, on_guard=on_guard)
+    if fall is not None and on_guard and _is_rounding(leg, step, fall):
+        fall = None
+    return first_of_all(
+        leg.flow, step, before, after, fall, on_guard=on_guard, rounding=leg.rounding
+    )
+
+
+def _is_rounding(leg: Leg, step: Step, fall: float) -> bool:
+    """Return True if the guard, from its root at the start, has not risen above rounding."""
+    _, rate = leg.flow.guard(end_state(step, fall))
+    return abs(rate) * (step.start + fall) < leg.rounding
+
+
+def _passage(outcome: Outcome, steps: list[Step], duration: float, state: Vector) -> Passage:
+    trajectory = SteppedTrajectory(steps=tuple(steps), duration=duration, end=state)
+    return Passage(outcome=outcome, duration=duration, state=state, trajectory=trajectory)
+
+
+def end_state(step: Step, offset: float) -> Vector:
+    """Return the state at an offset to the accuracy of the step's end."""
+    return step.after if offset == step.size else step.end_at(offset)
